@@ -1,0 +1,126 @@
+"""Every error a user can meet, one class per fault.
+
+    MsalError
+    |-- UsageError          the command is wrong; nothing was touched
+    |-- InputError          the file is at fault
+    |   |-- FormatError         it is not what its format says
+    |   |-- TruncatedError      it ends before its own counts are met
+    |   |-- ContentError        it parses, but holds a mesh that cannot be denoised
+    |   |-- UnsupportedError    a format, or a feature of one, that is not read or written
+    |   `-- TooLargeError       a limit against hostile or oversized input was hit
+    |-- LossError           a conversion would lose data and --strict forbids it
+    |-- OutputError         the output cannot be written
+    |-- ResourceError       the worker crashed, ran out of memory or out of time
+    `-- InternalError       a check on our own result failed: a defect of msal
+
+An error carries a stable ``code``, what happened, ``where`` in the file (element, index or line),
+a ``hint`` on what to do, and the ``path``.  Only ``cli`` turns it into words and an exit status.
+"""
+
+from __future__ import annotations
+
+
+class MsalError(Exception):
+    """Base of all errors; ``str(error)`` is the message alone.
+
+    Parameters
+    ----------
+    message : what is wrong and why, one sentence without a full stop.
+    where : the place in the file, such as ``"vertex 17"`` or ``"line 204"``.
+    hint : what the user can do about it.
+    path : the file; filled in by ``pipeline`` where a reader does not know it.
+    code : overrides the class's stable code.
+    """
+
+    code = "E_INTERNAL"
+
+    def __init__(
+        self, message: str, *, where: str = "", hint: str = "", path: str = "", code: str = ""
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.where = where
+        self.hint = hint
+        self.path = path
+        if code:
+            self.code = code
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Errors cross process borders; the default pickling would drop the keyword arguments.
+        return (_rebuilt, (type(self), self.message, self.where, self.hint, self.path, self.code))
+
+
+def _rebuilt(
+    kind: type[MsalError], message: str, where: str, hint: str, path: str, code: str
+) -> MsalError:
+    return kind(message, where=where, hint=hint, path=path, code=code)
+
+
+class UsageError(MsalError):
+    """Wrong use or configuration; raised before any work."""
+
+    code = "E_USAGE"
+
+
+class InputError(MsalError):
+    """The input file is at fault."""
+
+    code = "E_INPUT"
+
+
+class FormatError(InputError):
+    """The file is not what its format says."""
+
+    code = "E_FORMAT"
+
+
+class TruncatedError(InputError):
+    """The file ends before its own counts are met."""
+
+    code = "E_TRUNCATED"
+
+
+class ContentError(InputError):
+    """The file parses but its mesh cannot be used.
+
+    Codes: ``E_NONFINITE`` (NaN or infinite position), ``E_INDEX`` (a face names a vertex that is
+    not there), ``E_NO_FACES``, ``E_RANGE`` (coordinates too large or too small to compute with).
+    """
+
+    code = "E_CONTENT"
+
+
+class UnsupportedError(InputError):
+    """A format, or a feature of one, that is not read or written."""
+
+    code = "E_UNSUPPORTED"
+
+
+class TooLargeError(InputError):
+    """A limit against hostile or oversized input was hit."""
+
+    code = "E_TOO_LARGE"
+
+
+class LossError(MsalError):
+    """A conversion would lose data and ``--strict`` forbids it."""
+
+    code = "E_LOSS"
+
+
+class OutputError(MsalError):
+    """The output cannot be written."""
+
+    code = "E_WRITE"
+
+
+class ResourceError(MsalError):
+    """The worker crashed (``E_CRASH``), ran out of memory (``E_MEMORY``) or time (``E_TIMEOUT``)."""
+
+    code = "E_CRASH"
+
+
+class InternalError(MsalError):
+    """A check on our own result failed; please report it."""
+
+    code = "E_INTERNAL"

@@ -1,0 +1,60 @@
+"""What a codec gives to the rest of the program: a mesh, and the power to write it back.
+
+A codec parses what it must (positions, faces), keeps the original bytes, and replaces positions
+(and normals, where the file has them) inside a copy of them.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Buffer = bytes | bytearray | memoryview
+
+
+class MeshFile(Protocol):
+    """An opened mesh file; every codec returns one.
+
+    Attributes
+    ----------
+    format : ``"ply"``, ``"obj"``, ``"stl"``, or the suffix of a format read by a library.
+    encoding : ``"ascii"``, ``"binary_little_endian"``, ``"binary_big_endian"`` or ``"binary"``.
+    precision : ``"float32"``, ``"float64"`` or ``"text"``: how the file stores positions.
+    vertices : (n, 3) float64, file units, in file order, exactly the values that the file stores.
+    faces : (m, 3) int32, indices into ``vertices``, counter-clockwise seen from outside; polygons
+        are cut into triangles and strips are unrolled, for the mathematics only.
+    n_polygons : faces as the file counts them (a quad is one).
+    properties : what else is carried along unchanged, for reports: ``"vertex.quality float"``,
+        ``"element camera"``, ``"texture coordinates"``, ``"materials"``, ``"groups"`` ...
+    references : other files that this one names (materials, textures), as written in the file.
+    warnings : what a user should know about this file although it could be read.
+    """
+
+    format: str
+    encoding: str
+    precision: str
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    n_polygons: int
+    properties: tuple[str, ...]
+    references: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    def replaced(self, vertices: NDArray[np.float64]) -> Buffer:
+        """The file with its positions replaced and its normals, where it has them, recomputed.
+
+        ``vertices`` is (n, 3) float64 in file order.  A vertex equal to the stored one keeps its
+        very bytes; with no vertex moved the result is the input byte for byte.
+        """
+        ...
+
+    def check(self, output: Buffer, vertices: NDArray[np.float64]) -> None:
+        """Raise InternalError unless ``output`` is this file with only positions (and normals)
+        replaced, by ``vertices`` up to the rounding that the file's number type asks for."""
+        ...
+
+    def polygons(self) -> list[Any] | NDArray[np.int32]:
+        """The faces as the file has them, for conversion: an (m, k) array or a list of arrays."""
+        ...
