@@ -1,0 +1,29 @@
+"""The denoising methods, one file each, found by name."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import pkgutil
+
+from msal_cli.errors import UsageError
+from msal_cli.methods._contract import Method, OnSweep, ParameterSpec, Result
+
+__all__ = ["Method", "OnSweep", "ParameterSpec", "Result", "find", "names"]
+
+
+def names() -> tuple[str, ...]:
+    """The names of all methods, in alphabetical order."""
+    found = (module.name for module in pkgutil.iter_modules(__path__))
+    return tuple(sorted(name for name in found if not name.startswith("_")))
+
+
+def find(name: str) -> Method:
+    """The method of that name; UsageError with the closest names if there is none."""
+    if name not in names():
+        close = difflib.get_close_matches(name, names(), n=3)
+        raise UsageError(
+            f"there is no method '{name}'",
+            hint=f"did you mean {' or '.join(close)}?" if close else "see `msal methods`",
+        )
+    return Method(name, importlib.import_module(f"{__name__}.{name}"))

@@ -1,0 +1,125 @@
+"""Operators of equation (2): what a sweep adds to each vertex, before time step and fidelity.
+
+An operator is called with the current positions x (n, 3) and returns a ``Step``.  One that moves
+vertices along fixed normals returns heights; the sweep engine then keeps each vertex on its
+normal line, so that it cannot drift tangentially.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from msal_cli.core.parallel import over_ranges
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Flags = NDArray[np.bool_]
+
+SMALLEST_SIGMA = 1e-9
+"""Floor of sigma in the exponent, in mean edge lengths; it is far below the rounding of any scan."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What one operator call found.
+
+    Attributes
+    ----------
+    heights : (n,), the displacement d along each vertex's normal, file units.
+    sigma : (n,), the local scale of eq. (4), file units; zero where the one-ring is planar.
+    """
+
+    heights: Floats
+    sigma: Floats
+
+
+@njit(cache=True, nogil=True)
+def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
+    start, stop, x, normals, ring_start, ring, free, floor, heights, sigma
+):
+    """Huang & Ascher, eqs. (4) and (5): x positions, h heights of the ring over the tangent plane."""
+    widest = 0
+    for i in range(start, stop):
+        widest = max(widest, ring_start[i + 1] - ring_start[i])
+    h = np.empty(widest)
+    for i in range(start, stop):
+        row = ring_start[i]
+        m = ring_start[i + 1] - row
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        if m == 0:
+            heights[i] = 0.0
+            sigma[i] = 0.0
+            continue
+        xi, yi, zi = x[i, 0], x[i, 1], x[i, 2]
+        total = 0.0
+        flattest = np.inf
+        for at in range(m):
+            k = ring[row + at]
+            height = (x[k, 0] - xi) * nx + (x[k, 1] - yi) * ny + (x[k, 2] - zi) * nz
+            h[at] = height
+            total += height
+            flattest = min(flattest, height * height)
+        mean = total / m
+        deviation = 0.0
+        for at in range(m):
+            deviation += abs(h[at] - mean)
+        scale = 2.0 * deviation / m
+        sigma[i] = scale
+        if not free[i]:
+            heights[i] = 0.0
+            continue
+        # The largest weight is made 1: the quotient of eq. (5) stays the same, and cannot become
+        # 0/0 where sigma is tiny.  For sigma = 0 all heights are equal and it is their mean.
+        scale = max(scale, floor)
+        inverse = 0.5 / (scale * scale)
+        weights = 0.0
+        moment = 0.0
+        for at in range(m):
+            g = np.exp((flattest - h[at] * h[at]) * inverse)
+            weights += g
+            moment += g * h[at]
+        heights[i] = moment / weights
+
+
+@dataclass(frozen=True, eq=False)
+class AnisotropicLaplacian:
+    """The anisotropic Laplacian of Huang and Ascher, eqs. (4) and (5).
+
+    Over the heights h of the one-ring above a vertex's tangent plane,
+    sigma = 2 mean|h - mean h|, g = exp(-h^2 / (2 sigma^2)) and d = sum(g h) / sum(g).
+
+    Attributes
+    ----------
+    normals : (n, 3) unit vertex normals, kept through all sweeps; a zero normal means no motion.
+    ring_start, ring : the one-rings; an empty one means no motion.
+    free : (n,) bool, False for vertices that must stay (they still have a sigma).
+    mean_edge_length : file units; sets the floor of sigma.
+    """
+
+    normals: Floats
+    ring_start: Ints
+    ring: Ints
+    free: Flags
+    mean_edge_length: float
+
+    def __call__(self, positions: Floats) -> Step:
+        """Heights and sigma at ``positions`` (n, 3), all from the same positions."""
+        n = len(positions)
+        step = Step(np.empty(n), np.empty(n))
+        over_ranges(
+            _anisotropic_laplacian,
+            n,
+            positions,
+            self.normals,
+            self.ring_start,
+            self.ring,
+            self.free,
+            max(SMALLEST_SIGMA * self.mean_edge_length, np.finfo(np.float64).tiny ** 0.5),
+            step.heights,
+            step.sigma,
+        )
+        return step

@@ -1,0 +1,296 @@
+"""The one gate between a file's arrays and the mathematics.
+
+``prepared`` checks shape, type, index range and finiteness once, and makes from the file's
+vertices and triangles a mesh that every method can use: coincident vertices welded, useless faces
+left out, wound one way, about a local origin.  ``Prepared.scattered`` takes the result back.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.errors import ContentError
+
+if TYPE_CHECKING:
+    from msal_cli.core.connectivity import Connectivity
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+LARGEST_EXTENT = 1e100
+"""Squares and sixth powers of larger extents overflow, of the reciprocal's vanish."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh that is fit for computing.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64, finite, about a local origin, file units.
+    faces : (m, 3) int32, three different vertices each, m >= 1, counter-clockwise from outside.
+    """
+
+    vertices: Floats
+    faces: Ints
+
+    @functools.cached_property
+    def links(self) -> Connectivity:
+        """Neighbourhoods of vertices and counts of edges."""
+        from msal_cli.core.connectivity import connectivity
+
+        return connectivity(len(self.vertices), self.faces)
+
+    @functools.cached_property
+    def mean_edge_length(self) -> float:
+        """Mean length of the unique edges, file units."""
+        from msal_cli.core.geometry import mean_edge_length
+
+        return mean_edge_length(self.vertices, self.links.ring_start, self.links.ring)
+
+    def vertex_normals(self, weighting: str = "uniform", mollify: int = 0) -> Floats:
+        """Unit normals (n, 3), ``mollify`` times mollified; zeros where there is none.
+
+        ``weighting`` is ``"uniform"`` or ``"area"``; see ``core.geometry.vertex_normals``.
+        """
+        from msal_cli.core.geometry import mollified, vertex_normals
+
+        links = self.links
+        normals = vertex_normals(
+            self.vertices, self.faces, links.face_start, links.incident_faces, weighting
+        )
+        return mollified(normals, links.ring_start, links.ring, mollify)
+
+    def moved(self, vertices: Floats) -> Mesh:
+        """The same mesh with its vertices at other positions (n, 3); connectivity is shared."""
+        other = Mesh(vertices, self.faces)
+        if "links" in self.__dict__:
+            other.__dict__["links"] = self.links
+        return other
+
+
+@dataclass(frozen=True)
+class Defects:
+    """What was found, and put aside for the mathematics, when a mesh was prepared.
+
+    Attributes
+    ----------
+    welded_vertices : vertices that coincide with an earlier one and are treated as one with it.
+    unreferenced_vertices : vertices that no usable face has; they stay where they are.
+    degenerate_faces : faces with a repeated vertex (left out) or without area (no normal).
+    duplicate_faces : faces whose three vertices an earlier face has; left out.
+    boundary_edges : edges with one face.
+    non_manifold_edges : edges with more than two faces.
+    inconsistent_edges : edges whose two faces are wound against each other, in the file.
+    turned_faces : faces turned round so that the mathematics sees one winding.
+    unorientable_parts : parts that have no consistent winding and are taken as they are.
+    components : connected parts.
+    """
+
+    welded_vertices: int
+    unreferenced_vertices: int
+    degenerate_faces: int
+    duplicate_faces: int
+    boundary_edges: int
+    non_manifold_edges: int
+    inconsistent_edges: int
+    turned_faces: int
+    unorientable_parts: int
+    components: int
+
+    @property
+    def volume_objection(self) -> str:
+        """Why the volume is not to be trusted; empty if it is."""
+        if self.boundary_edges:
+            return f"open ({_counted(self.boundary_edges, 'boundary edge')})"
+        if self.non_manifold_edges:
+            return f"non-manifold ({_counted(self.non_manifold_edges, 'edge')})"
+        if self.unorientable_parts:
+            return "not orientable"
+        return ""
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A mesh for the mathematics and the way back to the file's vertices.
+
+    Attributes
+    ----------
+    mesh : welded, cleaned, wound one way, about ``origin``.
+    origin : (3,), subtracted from the file's positions.
+    place : (n_file,) int32, the mesh vertex that stands for each file vertex, -1 for none; or
+        None where they are the same, one for one.
+    defects : what was found on the way.
+    """
+
+    mesh: Mesh
+    origin: Floats
+    place: Ints | None
+    defects: Defects
+
+    def scattered(self, vertices: Floats, original: Floats) -> Floats:
+        """File positions (n_file, 3) for mesh positions (n, 3).
+
+        A vertex whose mesh vertex did not move, or that has none, keeps ``original``'s very value.
+        """
+        moved = (vertices != self.mesh.vertices).any(axis=1)
+        if self.place is not None:
+            known = np.maximum(self.place, 0)
+            moved = moved[known] & (self.place >= 0)
+            vertices = vertices[known]
+        result: Floats = np.where(moved[:, None], vertices + self.origin, original)
+        return result
+
+    def seam_gap(self, vertices: Floats) -> float:
+        """Largest distance between file positions (n_file, 3) that were one point before."""
+        if self.place is None:
+            return 0.0
+        shared = np.zeros((len(self.mesh.vertices), 3))
+        known = self.place >= 0
+        shared[self.place[known]] = vertices[known]
+        return float(
+            np.sqrt(((vertices[known] - shared[self.place[known]]) ** 2).sum(axis=1).max())
+        )
+
+
+def prepared(vertices: Floats, faces: Ints) -> Prepared:
+    """Check a file's arrays and make them fit for computing.
+
+    Parameters
+    ----------
+    vertices : (n, 3) real numbers, file units.
+    faces : (m, 3) integers, zero-based.
+
+    Raises
+    ------
+    ContentError
+        with code ``E_NO_FACES``, ``E_INDEX``, ``E_NONFINITE`` or ``E_RANGE``.
+    """
+    from msal_cli.core.connectivity import (
+        connectivity,
+        count_components,
+        duplicate_faces,
+        faces_to_flip,
+        welded,
+    )
+    from msal_cli.core.geometry import face_normals
+
+    vertices, faces = _gated(vertices, faces)
+    n_file = len(vertices)
+    first = welded(vertices, faces)
+    n_welded = int((first != np.arange(n_file, dtype=np.int32)).sum())
+    if n_welded:
+        faces = first[faces]
+    repeated = (
+        (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    )
+    n_repeated = int(repeated.sum())
+    if n_repeated:
+        faces = faces[~repeated]
+    if not len(faces):
+        raise ContentError(
+            "every face is degenerate: its corners are not three different points",
+            code="E_NO_FACES",
+            hint="check the file in a viewer; there is no surface to denoise",
+        )
+    place = None
+    used = np.zeros(n_file, dtype=bool)
+    used[faces.reshape(-1)] = True
+    n_unreferenced = n_file - n_welded - int(used.sum())
+    if n_welded:
+        number = np.cumsum(used, dtype=np.int32) - np.int32(1)
+        place = np.where(used[first], number[first], np.int32(-1)).astype(np.int32)
+        faces = number[faces]
+        vertices = vertices[used]
+        used = np.ones(len(vertices), dtype=bool)
+    faces = np.ascontiguousarray(faces)
+
+    links = connectivity(len(vertices), faces)
+    n_duplicate = 0
+    if links.non_manifold_edges or links.inconsistent_edges:
+        # Faces can only share all three vertices where some edge is crowded or twisted.
+        duplicate = duplicate_faces(faces)
+        n_duplicate = int(duplicate.sum())
+        if n_duplicate:
+            faces = np.ascontiguousarray(faces[~duplicate])
+            links = connectivity(len(vertices), faces)
+    n_inconsistent = links.inconsistent_edges
+    n_turned = unorientable = 0
+    if n_inconsistent:
+        flip, unorientable = faces_to_flip(faces, links)
+        n_turned = int(flip.sum())
+        faces = np.where(flip[:, None], faces[:, ::-1], faces)
+
+    corners = vertices[used] if n_unreferenced and not n_welded else vertices
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    with np.errstate(over="ignore"):
+        extent = float((high - low).max())
+    if not 1.0 / LARGEST_EXTENT < extent < LARGEST_EXTENT:
+        raise ContentError(
+            f"the mesh extends over {extent:g} units, too far or too little to compute with",
+            code="E_RANGE",
+            hint="scale the mesh, or look for a stray vertex",
+        )
+    origin = (low + high) / 2.0
+    mesh = Mesh(vertices - origin, faces)
+    mesh.__dict__["links"] = links
+    flat = int((face_normals(mesh.vertices, faces) == 0.0).all(axis=1).sum())
+    defects = Defects(
+        welded_vertices=n_welded,
+        unreferenced_vertices=n_unreferenced,
+        degenerate_faces=n_repeated + flat,
+        duplicate_faces=n_duplicate,
+        boundary_edges=links.boundary_edges,
+        non_manifold_edges=links.non_manifold_edges,
+        inconsistent_edges=n_inconsistent,
+        turned_faces=n_turned,
+        unorientable_parts=unorientable,
+        components=count_components(len(vertices), faces, used),
+    )
+    return Prepared(mesh, origin, place, defects)
+
+
+def _gated(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
+    """The arrays with the right shape and type, or the reason why they cannot be used."""
+    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+    faces = np.asarray(faces)
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise ContentError(f"vertices have shape {vertices.shape}, not (n, 3)")
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise ContentError(f"faces have shape {faces.shape}, not (m, 3)")
+    if not len(faces):
+        raise ContentError(
+            "the file has no faces",
+            code="E_NO_FACES",
+            hint="msal denoises surfaces; make a mesh of the point cloud first",
+        )
+    if faces.dtype.kind not in "iu":
+        raise ContentError(f"face indices are {faces.dtype}, not integers", code="E_INDEX")
+    low, high = int(faces.min()), int(faces.max())
+    if low < 0 or high >= len(vertices):
+        bad = int(np.argmax(((faces < 0) | (faces >= len(vertices))).any(axis=1)))
+        wrong = next(int(i) for i in faces[bad] if not 0 <= i < len(vertices))
+        raise ContentError(
+            f"a face names vertex {wrong} of {len(vertices)}",
+            code="E_INDEX",
+            where=f"face {bad}",
+            hint="the file is damaged or was cut short; export it again",
+        )
+    finite = np.isfinite(vertices).all(axis=1)
+    if not finite.all():
+        raise ContentError(
+            "a position is not finite",
+            code="E_NONFINITE",
+            where=f"vertex {int(np.argmin(finite))}",
+            hint="remove the vertex, or export the scan again",
+        )
+    return vertices, np.ascontiguousarray(faces, dtype=np.int32)

@@ -1,0 +1,199 @@
+"""What a method is: parameters that describe themselves, and a pure function.
+
+A module of this folder whose name does not start with an underscore is a method.  It has
+
+- a docstring whose first line is the summary and which holds a ``Source:`` line,
+- a frozen dataclass ``Parameters`` whose fields are made by ``parameter``,
+- a function ``denoised(mesh, parameters, on_sweep) -> Result``.
+
+Validation, ``--set``, ``msal methods``, the docs table and the reports are all made from these.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import inspect
+import math
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.errors import UsageError
+from msal_cli.mesh import Mesh
+
+OnSweep = Callable[[int, int], None]
+"""Called as ``on_sweep(done, iterations)`` after every sweep."""
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a method returns.
+
+    Attributes
+    ----------
+    vertices : (n, 3) new positions; the mesh that was given is not changed.
+    fields : per-vertex arrays (n,) worth looking at, such as ``fidelity``.
+    seconds : wall-clock seconds by stage, ``normals`` and ``sweeps``.
+    """
+
+    vertices: NDArray[np.float64]
+    fields: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """One parameter as users see it.
+
+    Attributes
+    ----------
+    name, symbol : the word for ``--set`` and the paper's letter, which ``--set`` takes as well.
+    kind : ``int``, ``float`` or ``str``.
+    default : in use where the user says nothing.
+    low, high, low_open, high_open : the range of a number; open ends are excluded.
+    choices : the words allowed, for ``str``.
+    unit : of the value; empty for a pure number.
+    help : what it is.
+    more : what a greater value does.
+    """
+
+    name: str
+    symbol: str
+    kind: type
+    default: Any
+    low: float
+    high: float
+    low_open: bool
+    high_open: bool
+    choices: tuple[str, ...]
+    unit: str
+    help: str
+    more: str
+
+    @property
+    def range_text(self) -> str:
+        """The range for people: ``0 < K <= 1``, ``0, 1, 2, ...`` or the words allowed."""
+        if self.choices:
+            return " | ".join(self.choices)
+        low = "" if math.isinf(self.low) else f"{self.low:g} {'<' if self.low_open else '<='} "
+        high = "" if math.isinf(self.high) else f" {'<' if self.high_open else '<='} {self.high:g}"
+        return f"{low}{self.name}{high}" + (" (whole number)" if self.kind is int else "")
+
+    def settled(self, given: object) -> Any:
+        """``given``, text or value, as a valid value; UsageError says what is allowed."""
+        value: Any = given
+        if self.kind is str:
+            if value not in self.choices:
+                raise self._refusal(given)
+            return value
+        try:
+            value = self.kind(given)
+        except (TypeError, ValueError, OverflowError):
+            raise self._refusal(given) from None
+        if isinstance(given, float) and value != given:
+            raise self._refusal(given)
+        too_low = value < self.low or (self.low_open and value == self.low)
+        too_high = value > self.high or (self.high_open and value == self.high)
+        if value != value or too_low or too_high:
+            raise self._refusal(given)
+        return value
+
+    def _refusal(self, given: object) -> UsageError:
+        return UsageError(
+            f"{self.name} = {given} is not allowed", hint=f"allowed: {self.range_text}"
+        )
+
+
+def parameter(
+    default: Any,
+    help: str,
+    *,
+    symbol: str = "",
+    low: float = -math.inf,
+    high: float = math.inf,
+    low_open: bool = False,
+    high_open: bool = False,
+    choices: tuple[str, ...] = (),
+    unit: str = "",
+    more: str = "",
+) -> Any:
+    """A dataclass field that carries what users need to know; see ``ParameterSpec``."""
+    return field(
+        default=default,
+        metadata={
+            "symbol": symbol,
+            "low": low,
+            "high": high,
+            "low_open": low_open,
+            "high_open": high_open,
+            "choices": choices,
+            "unit": unit,
+            "help": help,
+            "more": more,
+        },
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """A denoising method found in this folder."""
+
+    name: str
+    module: ModuleType
+
+    @property
+    def description(self) -> str:
+        """The module's docstring."""
+        return inspect.getdoc(self.module) or ""
+
+    @property
+    def summary(self) -> str:
+        """The first line of the description."""
+        return self.description.partition("\n")[0].rstrip(".")
+
+    @property
+    def source(self) -> str:
+        """The publication, from the description's ``Source:`` line."""
+        _, _, rest = self.description.partition("Source:")
+        return " ".join(rest.partition("\n\n")[0].split())
+
+    @property
+    def parameters(self) -> tuple[ParameterSpec, ...]:
+        """Its parameters in the order of the dataclass."""
+        kinds = typing.get_type_hints(self.module.Parameters)
+        return tuple(
+            ParameterSpec(one.name, kind=kinds[one.name], default=one.default, **one.metadata)
+            for one in dataclasses.fields(self.module.Parameters)
+        )
+
+    def settled(self, given: Mapping[str, object]) -> dict[str, Any]:
+        """Every parameter, those in ``given`` (by name or symbol) checked and in their place.
+
+        Raises UsageError for an unknown name or a value out of range.
+        """
+        specs = {spec.name: spec for spec in self.parameters}
+        by_symbol = {spec.symbol: spec for spec in self.parameters if spec.symbol}
+        values = {spec.name: spec.default for spec in self.parameters}
+        for word, value in given.items():
+            spec = specs.get(word) or by_symbol.get(word)
+            if spec is None:
+                close = difflib.get_close_matches(word, specs, n=1)
+                raise UsageError(
+                    f"{self.name} has no parameter '{word}'",
+                    hint=f"did you mean {close[0]}?" if close else f"it has: {', '.join(specs)}",
+                )
+            values[spec.name] = spec.settled(value)
+        return values
+
+    def denoised(
+        self, mesh: Mesh, parameters: Mapping[str, Any], on_sweep: OnSweep | None = None
+    ) -> Result:
+        """Run the method with settled ``parameters``; ``mesh`` is not changed."""
+        result: Result = self.module.denoised(mesh, self.module.Parameters(**parameters), on_sweep)
+        return result

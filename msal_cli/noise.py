@@ -1,0 +1,46 @@
+"""Noise on meshes: how much there is, and how to add a known amount."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.mesh import Mesh
+
+Floats = NDArray[np.float64]
+
+WHITE_NOISE_GAIN = 1.3591
+"""Standard deviation of the twice-applied umbrella of unit white noise on the valence-6 lattice:
+sqrt(c0^2 + 6 (c1^2 + c2^2 + c3^2)) with c = 7/6, -5/18, 1/36, 1/18."""
+
+
+def noise_level(mesh: Mesh) -> float:
+    """Estimated standard deviation of the noise along the normals, in file units.
+
+    With d = n . umbrella(x), n mollified once, the second difference mean(d of the ring) - d
+    holds the noise almost alone; 1.4826 times its median absolute deviation over the interior
+    vertices, divided by what unit white noise would give, is the estimate.  Gaussian noise of 0.1
+    to 0.7 mean edge lengths is told within a few per cent; fine texture looks like noise of up to
+    0.04, and isolated outliers are not seen.
+    """
+    links = mesh.links
+    valence = np.diff(links.ring_start)
+    inner = (valence > 0) & ~links.boundary
+    if not inner.any():
+        inner = valence > 0
+    normals = mesh.vertex_normals("uniform", 1)
+    heights = np.einsum("ij,ij->i", normals, _ring_mean(mesh.vertices, mesh) - mesh.vertices)
+    second = (_ring_mean(heights[:, None], mesh)[:, 0] - heights)[inner]
+    deviation = np.median(np.abs(second - np.median(second)))
+    return float(1.4826 * deviation / WHITE_NOISE_GAIN)
+
+
+def _ring_mean(values: Floats, mesh: Mesh) -> Floats:
+    """Mean of (n, k) vertex values over each one-ring; a vertex's own value where it is empty."""
+    links = mesh.links
+    valence = np.diff(links.ring_start)
+    result = values.copy()
+    some = np.flatnonzero(valence)
+    sums = np.add.reduceat(values[links.ring], links.ring_start[some], axis=0)
+    result[some] = sums / valence[some, None]
+    return result
