@@ -56,15 +56,19 @@ class Mesh:
     def vertex_normals(self, weighting: str = "uniform", mollify: int = 0) -> Floats:
         """Unit normals (n, 3), ``mollify`` times mollified; zeros where there is none.
 
-        ``weighting`` is ``"uniform"`` or ``"area"``; see ``core.geometry.vertex_normals``.
+        ``weighting`` is ``"uniform"`` or ``"area"``; see ``core.geometry.vertex_normals``.  They
+        are computed once and shared: do not write to them.
         """
         from msal_cli.core.geometry import mollified, vertex_normals
 
         links = self.links
-        normals = vertex_normals(
-            self.vertices, self.faces, links.face_start, links.incident_faces, weighting
-        )
-        return mollified(normals, links.ring_start, links.ring, mollify)
+        known: dict[tuple[str, int], Floats] = self.__dict__.setdefault("_normals", {})
+        if (weighting, mollify) not in known:
+            normals = vertex_normals(
+                self.vertices, self.faces, links.face_start, links.incident_faces, weighting
+            )
+            known[weighting, mollify] = mollified(normals, links.ring_start, links.ring, mollify)
+        return known[weighting, mollify]
 
     def moved(self, vertices: Floats) -> Mesh:
         """The same mesh with its vertices at other positions (n, 3); connectivity is shared."""

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.mesh import Mesh
-
-Floats = NDArray[np.float64]
 
 WHITE_NOISE_GAIN = 1.3591
 """Standard deviation of the twice-applied umbrella of unit white noise on the valence-6 lattice:
@@ -23,24 +20,20 @@ def noise_level(mesh: Mesh) -> float:
     to 0.7 mean edge lengths is told within a few per cent; fine texture looks like noise of up to
     0.04, and isolated outliers are not seen.
     """
+    from msal_cli.core.geometry import ring_means
+
     links = mesh.links
+    rings = (links.ring_start, links.ring)
     valence = np.diff(links.ring_start)
     inner = (valence > 0) & ~links.boundary
     if not inner.any():
         inner = valence > 0
     normals = mesh.vertex_normals("uniform", 1)
-    heights = np.einsum("ij,ij->i", normals, _ring_mean(mesh.vertices, mesh) - mesh.vertices)
-    second = (_ring_mean(heights[:, None], mesh)[:, 0] - heights)[inner]
+    heights = sum(
+        normals[:, axis]
+        * (ring_means(mesh.vertices[:, axis].copy(), *rings) - mesh.vertices[:, axis])
+        for axis in range(3)
+    )
+    second = (ring_means(heights, *rings) - heights)[inner]
     deviation = np.median(np.abs(second - np.median(second)))
     return float(1.4826 * deviation / WHITE_NOISE_GAIN)
-
-
-def _ring_mean(values: Floats, mesh: Mesh) -> Floats:
-    """Mean of (n, k) vertex values over each one-ring; a vertex's own value where it is empty."""
-    links = mesh.links
-    valence = np.diff(links.ring_start)
-    result = values.copy()
-    some = np.flatnonzero(valence)
-    sums = np.add.reduceat(values[links.ring], links.ring_start[some], axis=0)
-    result[some] = sums / valence[some, None]
-    return result

@@ -241,6 +241,23 @@ def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
 
 
 @njit(cache=True, nogil=True)
+def _ring_means(start, stop, values, ring_start, ring, result):  # type: ignore[no-untyped-def]
+    for i in range(start, stop):
+        m = ring_start[i + 1] - ring_start[i]
+        total = 0.0
+        for at in range(ring_start[i], ring_start[i + 1]):
+            total += values[ring[at]]
+        result[i] = total / m if m else values[i]
+
+
+def ring_means(values: Floats, ring_start: Ints, ring: Ints) -> Floats:
+    """Mean of vertex values (n,) over each one-ring; a vertex's own value where it is empty."""
+    result = np.empty_like(values)
+    over_ranges(_ring_means, len(values), values, ring_start, ring, result)
+    return result
+
+
+@njit(cache=True, nogil=True)
 def _entry_sums(  # type: ignore[no-untyped-def]
     old_unit, new_unit, faces, moved, group, old_sums, new_sums, touched
 ):
@@ -294,7 +311,7 @@ def regrouped_normals(
     if np.array_equal(entries, faces.reshape(-1)) and (place == np.arange(len(place))).all():
         # One normal per vertex and no seam: the entry is the group.
         group, n_groups = entries, n_entries
-        pair_entry = pair_group = np.arange(n_entries)
+        pair_entry = pair_group = np.arange(n_entries, dtype=np.int32)
     else:
         like = first_alike(np.where(usable[:, None], old_normals, 0.0), usable)
         alike = np.where(entries < 0, -1, like[entries]).astype(np.int32)

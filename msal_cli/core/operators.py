@@ -20,7 +20,7 @@ Ints = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
 SMALLEST_SIGMA = 1e-9
-"""Floor of sigma in the exponent, in mean edge lengths; it is far below the rounding of any scan."""
+"""Floor of sigma in the exponent, in mean edge lengths: far below the rounding of any scan."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Step:
 def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
     start, stop, x, normals, ring_start, ring, free, floor, heights, sigma
 ):
-    """Huang & Ascher, eqs. (4) and (5): x positions, h heights of the ring over the tangent plane."""
+    """x positions, h heights of the ring over the tangent plane; Huang & Ascher, eqs. (4), (5)."""
     widest = 0
     for i in range(start, stop):
         widest = max(widest, ring_start[i + 1] - ring_start[i])

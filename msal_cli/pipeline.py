@@ -1,0 +1,562 @@
+"""One file from start to end: read, check, denoise, measure, verify, write, and the record.
+
+``denoise_file`` is the bracket that the batch runs for every file.  It never raises for a file's
+fault: whatever goes wrong becomes a failed record, and the output appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from msal_cli import __version__
+from msal_cli.errors import (
+    InternalError,
+    LossError,
+    MsalError,
+    OutputError,
+    ResourceError,
+    UsageError,
+)
+from msal_cli.records import (
+    Area,
+    Displacement,
+    Failure,
+    InfoRecord,
+    MeshRecord,
+    MethodUsed,
+    NoiseEstimate,
+    NormalChange,
+    Seconds,
+    Volume,
+)
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from msal_cli.files.base import Buffer, MeshFile
+    from msal_cli.mesh import Prepared
+
+    Floats = NDArray[np.float64]
+
+OnProgress = Callable[[str, int, int], None]
+"""Called as ``on_progress(stage, done, total)``; the stages are those of ``records.Seconds``."""
+
+log = logging.getLogger("msal")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything beside the input that decides the bytes of an output.
+
+    Attributes
+    ----------
+    method, parameters : the method's name and its settled parameters, every one of them.
+    to : suffix of the format to convert to, without a dot; None keeps the input's, or takes the
+        output name's.
+    encoding : ``same``, ``ascii`` or ``binary``.
+    precision : ``same``, ``float32`` or ``float64``.
+    strict : a conversion that loses something fails instead of warning.
+    format : the input's format where its name does not tell.
+    """
+
+    method: str
+    parameters: dict[str, Any] = field(default_factory=dict)
+    to: str | None = None
+    encoding: str = "same"
+    precision: str = "same"
+    strict: bool = False
+    format: str | None = None
+
+
+@dataclass(frozen=True)
+class Task:
+    """One file to denoise; paths are text as ``os.fsdecode`` gives it.
+
+    ``relative`` is the name by which reports and the manifest know the file.  With ``in_place``
+    the output is the input, and ``backup``, a suffix, keeps the original beside it.
+    """
+
+    input: str
+    output: str
+    relative: str
+    in_place: bool = False
+    backup: str | None = None
+
+
+def is_mesh_name(name: str) -> bool:
+    """True if the suffix, a final ``.gz`` aside, is that of a format that can be read."""
+    from msal_cli.files import readable_suffixes
+
+    return _suffix(name) in readable_suffixes()
+
+
+def writable_formats() -> tuple[str, ...]:
+    """The words that ``--to`` takes."""
+    from msal_cli.files import writable_formats
+
+    return tuple(writable_formats())
+
+
+def output_name(name: str, to: str | None) -> str:
+    """The name of the output for an input's name: another suffix for ``to``; ``.gz`` is kept."""
+    if to is None:
+        return name
+    packed = name[-3:] if name.lower().endswith(".gz") else ""
+    stem = name[: len(name) - len(packed)]
+    suffix = _suffix(name)
+    return stem[: len(stem) - len(suffix)] + "." + to.lower().lstrip(".") + packed
+
+
+def _suffix(name: str) -> str:
+    """The last suffix in lower case with its dot, a final ``.gz`` aside; empty if none."""
+    base = os.path.basename(name).lower()
+    return os.path.splitext(base.removesuffix(".gz"))[1]
+
+
+def denoise_file(
+    task: Task, settings: Settings, on_progress: OnProgress | None = None
+) -> MeshRecord:
+    """Denoise one file and tell what happened; only KeyboardInterrupt and SystemExit pass."""
+    run = _Run(task.input, settings, on_progress)
+    try:
+        from msal_cli import files
+        from msal_cli.files import sidecars
+
+        with run.stage("read"):
+            data = files.read_whole(task.input)
+        output = run.denoise(data, task.output)
+        with run.stage("write"):
+            if task.in_place and task.backup:
+                _keep_backup(task, data)
+            notes = (
+                () if task.in_place else sidecars.carried(run.references, task.input, task.output)
+            )
+            Path(os.path.dirname(os.path.abspath(task.output))).mkdir(parents=True, exist_ok=True)
+            files.write_whole(
+                task.output, [output], mode_like=task.input if task.in_place else None
+            )
+        return run.finished(task.output, sidecars=tuple(notes))
+    except Exception as error:
+        return run.failed(error)
+
+
+def denoise_bytes(
+    data: bytes, name: str, settings: Settings, on_progress: OnProgress | None = None
+) -> tuple[Buffer | None, MeshRecord]:
+    """Denoise a file that came through a pipe; the output is None if the record is a failure."""
+    run = _Run(name, settings, on_progress)
+    try:
+        output = run.denoise(data, None)
+        return output, run.finished(None)
+    except Exception as error:
+        return None, run.failed(error)
+
+
+def _keep_backup(task: Task, data: bytes) -> None:
+    """Write the original beside the file that is about to be replaced."""
+    from msal_cli import files
+
+    backup = task.input + str(task.backup)
+    if os.path.lexists(backup):
+        if os.path.isfile(backup) and files.read_whole(backup) == data:
+            return
+        raise OutputError(
+            f"the backup {backup!r} exists and is not this file",
+            hint="move it away or choose another --backup suffix",
+        )
+    files.write_whole(backup, [data], mode_like=task.input)
+
+
+class _Run:
+    """The state of one file on its way: what is known so far ends up in the record."""
+
+    def __init__(self, name: str, settings: Settings, on_progress: OnProgress | None) -> None:
+        self.settings = settings
+        self.references: tuple[str, ...] = ()
+        self._on_progress = on_progress or (lambda stage, done, total: None)
+        self._started = time.perf_counter()
+        self._seconds: dict[str, float] = {}
+        self._record = MeshRecord(
+            input=name,
+            status="failed",
+            version=__version__,
+            method=MethodUsed(settings.method, dict(settings.parameters)),
+        )
+        self._changed = False
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time spent inside to a stage's seconds."""
+        started = time.perf_counter()
+        self._on_progress(name, 0, 1)
+        try:
+            yield
+        finally:
+            spent = time.perf_counter() - started
+            self._seconds[name] = self._seconds.get(name, 0.0) + spent
+
+    def know(self, **values: Any) -> None:
+        """Set fields of the record."""
+        self._record = replace(self._record, **values)
+
+    def warn(self, *warnings: str) -> None:
+        """Add warnings to the record."""
+        self.know(warnings=self._record.warnings + warnings)
+
+    def denoise(self, data: bytes, output_path: str | None) -> Buffer:
+        """The bytes of the output file for the bytes of the input file."""
+        from msal_cli import files, methods
+        from msal_cli.mesh import prepared
+
+        settings = self.settings
+        name = self._record.input
+        with self.stage("read"):
+            self.know(input_sha256=hashlib.sha256(data).hexdigest())
+            plain, is_compressed = files.expanded(data, name)
+            mesh_file = files.open_mesh(plain, name, settings.format)
+            self.references = mesh_file.references
+            self.know(
+                format=mesh_file.format,
+                encoding=mesh_file.encoding,
+                precision=mesh_file.precision,
+                vertices=len(mesh_file.vertices),
+                faces=mesh_file.n_polygons,
+                triangles=len(mesh_file.faces),
+            )
+            self.warn(*mesh_file.warnings)
+        with self.stage("connectivity"):
+            ready = prepared(mesh_file.vertices, mesh_file.faces)
+            self._know_defects(ready)
+        with self.stage("sweeps"):
+            method = methods.find(settings.method)
+            result = method.denoised(
+                ready.mesh,
+                settings.parameters,
+                lambda done, total: self._on_progress("sweeps", done, total),
+            )
+            self._check_result(ready, result.vertices)
+            vertices = ready.scattered(result.vertices, mesh_file.vertices)
+        # The method's own account tells how much of its time went into normals.
+        normals = result.seconds.get("normals", 0.0)
+        self._seconds["sweeps"] -= normals
+        self._seconds["normals"] = normals
+        with self.stage("measure"):
+            self._measure(ready, result.vertices, vertices)
+        with self.stage("write"):
+            compress = is_compressed
+            if output_path is not None:
+                compress = output_path.lower().endswith(".gz")
+            output = self._written(mesh_file, vertices, output_path, data, compress, is_compressed)
+            self._changed = output is not data
+            self.know(output_sha256=hashlib.sha256(output).hexdigest())
+        return output
+
+    def _written(
+        self,
+        mesh_file: MeshFile,
+        vertices: Floats,
+        output_path: str | None,
+        data: bytes,
+        compress: bool,
+        is_compressed: bool,
+    ) -> Buffer:
+        """The bytes of the output file; ``data`` itself where nothing has changed."""
+        from msal_cli import files
+
+        settings = self.settings
+        target = self._target(mesh_file, output_path)
+        as_is = settings.encoding == "same" and settings.precision == "same"
+        if target != mesh_file.format:
+            output, losses = files.converted(
+                mesh_file, vertices, target, settings.encoding, settings.precision
+            )
+            if losses and settings.strict:
+                raise LossError(
+                    f"{mesh_file.format} to {target} would lose {', '.join(losses)}",
+                    hint="leave --strict away, or keep the format",
+                )
+            self.warn(*(f"lost in {target}: {loss}" for loss in losses))
+            self._check_reopened(output, target, mesh_file, vertices)
+        elif as_is:
+            if (vertices == mesh_file.vertices).all():
+                if compress == is_compressed:
+                    return data
+                output = files.expanded(data, self._record.input)[0]
+            else:
+                output = mesh_file.replaced(vertices)
+                mesh_file.check(output, vertices)
+        else:
+            output = mesh_file.encoded(vertices, settings.encoding, settings.precision)
+            self._check_reopened(output, target, mesh_file, vertices)
+        return files.compressed(output) if compress else output
+
+    def _target(self, mesh_file: MeshFile, output_path: str | None) -> str:
+        """The format to write: ``--to``, else the output name's, else the input's."""
+        if self.settings.to is not None:
+            return self.settings.to.lower().lstrip(".")
+        suffix = _suffix(output_path or "").lstrip(".")
+        if suffix and output_path is not None and is_mesh_name(output_path):
+            return suffix
+        return mesh_file.format
+
+    def _check_reopened(
+        self, output: Buffer, target: str, mesh_file: MeshFile, vertices: Floats
+    ) -> None:
+        """Read a re-encoded or converted file back before it is trusted."""
+        import numpy as np
+
+        from msal_cli import files
+
+        if f".{target}" not in files.readable_suffixes():
+            return
+        try:
+            again = files.open_mesh(bytes(output), f"output.{target}", target)
+        except MsalError as error:
+            raise InternalError(f"the {target} output cannot be read back: {error}") from error
+        if len(again.faces) != len(mesh_file.faces):
+            raise InternalError(
+                f"the {target} output has {len(again.faces)} triangles, not {len(mesh_file.faces)}"
+            )
+        span = float(np.abs(vertices).max(initial=0.0))
+        corners = again.vertices[again.faces.reshape(-1)]
+        wanted = vertices[mesh_file.faces.reshape(-1)]
+        if float(np.abs(corners - wanted).max(initial=0.0)) > 1e-5 * span:
+            raise InternalError(f"the {target} output holds other positions than it should")
+
+    def _check_result(self, ready: Prepared, vertices: Floats) -> None:
+        """A method must return finite positions for the same vertices."""
+        import numpy as np
+
+        if vertices.shape != ready.mesh.vertices.shape:
+            raise InternalError(f"{self.settings.method} changed the number of vertices")
+        if not np.isfinite(vertices).all():
+            bad = int(np.argmin(np.isfinite(vertices).all(axis=1)))
+            raise InternalError(
+                f"{self.settings.method} made a position that is not finite", where=f"vertex {bad}"
+            )
+
+    def _know_defects(self, ready: Prepared) -> None:
+        defects = ready.defects
+        self.know(
+            components=defects.components,
+            boundary_edges=defects.boundary_edges,
+            non_manifold_edges=defects.non_manifold_edges,
+            inconsistent_edges=defects.inconsistent_edges,
+            degenerate_faces=defects.degenerate_faces,
+            duplicate_faces=defects.duplicate_faces,
+            unreferenced_vertices=defects.unreferenced_vertices,
+            welded_vertices=defects.welded_vertices,
+            mean_edge_length=ready.mesh.mean_edge_length,
+        )
+        if defects.inconsistent_edges:
+            self.warn(
+                f"inconsistent winding at {defects.inconsistent_edges} edges; "
+                f"{defects.turned_faces} faces were turned for the computation only"
+            )
+
+    def _measure(self, ready: Prepared, moved: Floats, vertices: Floats) -> None:
+        """Fill in what changed; ``moved`` are mesh positions, ``vertices`` the file's."""
+        from msal_cli.metrics.displacement import displacement_statistics
+        from msal_cli.metrics.normals import normal_statistics
+        from msal_cli.metrics.volume import area_and_volume
+
+        before, after = ready.mesh, ready.mesh.moved(moved)
+        used = before.links.ring_start[1:] > before.links.ring_start[:-1]
+        edge = before.mean_edge_length
+        one = displacement_statistics(before.vertices, after.vertices, used)
+        turned = normal_statistics(before, after)
+        self.know(
+            seam_gap=ready.seam_gap(vertices),
+            displacement=Displacement(
+                mean=one.mean,
+                rms=one.rms,
+                p95=one.p95,
+                max=one.max,
+                mean_edges=one.mean / edge,
+                rms_edges=one.rms / edge,
+                p95_edges=one.p95 / edge,
+                max_edges=one.max / edge,
+                moved_vertices=one.moved_vertices,
+            ),
+            normal_change=NormalChange(turned.mean_angular_error_deg, turned.max_angular_error_deg),
+            flipped_faces=turned.flipped_faces,
+            noise_estimate=_noise_estimate(ready),
+        )
+        area_before, volume_before = area_and_volume(before)
+        area_after, volume_after = area_and_volume(after)
+        objection = ready.defects.volume_objection
+        change = volume_after - volume_before
+        self.know(
+            volume=Volume(
+                before=volume_before,
+                after=volume_after,
+                change=change,
+                change_percent=100.0 * change / abs(volume_before) if volume_before else None,
+                valid=not objection,
+                reason=objection,
+            ),
+            area=Area(
+                before=area_before,
+                after=area_after,
+                change_percent=(
+                    100.0 * (area_after - area_before) / area_before if area_before else None
+                ),
+            ),
+        )
+
+    def finished(self, output_path: str | None, sidecars: tuple[str, ...] = ()) -> MeshRecord:
+        """The record of a file that was written."""
+        total = time.perf_counter() - self._started
+        n = self._record.vertices or 0
+        self.know(
+            status="written" if self._changed else "unchanged",
+            output=output_path,
+            sidecars=sidecars,
+            seconds=Seconds(**self._seconds, total=total),
+            vertices_per_second=n / total if total > 0.0 else None,
+            peak_memory_bytes=_peak_memory_bytes(),
+        )
+        return self._record
+
+    def failed(self, error: Exception) -> MeshRecord:
+        """The record of a file that was not written, for any error."""
+        if isinstance(error, UsageError | MsalError):
+            known: MsalError = error
+        elif isinstance(error, MemoryError):
+            known = ResourceError(
+                "not enough memory",
+                code="E_MEMORY",
+                hint="run fewer jobs at once, or a machine with more memory",
+            )
+        else:
+            log.exception("internal error at %r", self._record.input)
+            known = InternalError(
+                f"{type(error).__name__}: {error}",
+                hint="this is a defect of msal; please report it with the file",
+            )
+        self.know(
+            status="failed",
+            error=Failure(known.code, known.message, known.hint, known.where),
+            seconds=Seconds(**self._seconds, total=time.perf_counter() - self._started),
+            peak_memory_bytes=_peak_memory_bytes(),
+        )
+        return self._record
+
+
+def inspect_file(path: str, format: str | None = None) -> InfoRecord:
+    """What is in a file; a file that cannot be read gives a record with an error."""
+    from msal_cli import files
+
+    try:
+        return inspect_bytes(files.read_whole(path), path, format)
+    except MsalError as error:
+        return _inspection_failure(path, error)
+
+
+def inspect_bytes(data: bytes, name: str, format: str | None = None) -> InfoRecord:
+    """What is in the bytes of a file; see ``inspect_file``."""
+    try:
+        return _inspected(data, name, format)
+    except MsalError as error:
+        return _inspection_failure(name, error)
+    except MemoryError:
+        return _inspection_failure(name, ResourceError("not enough memory", code="E_MEMORY"))
+    except Exception as error:
+        log.exception("internal error at %r", name)
+        return _inspection_failure(name, InternalError(f"{type(error).__name__}: {error}"))
+
+
+def _inspection_failure(name: str, error: MsalError) -> InfoRecord:
+    return InfoRecord(input=name, error=Failure(error.code, error.message, error.hint, error.where))
+
+
+def _inspected(data: bytes, name: str, format: str | None) -> InfoRecord:
+    from msal_cli import files
+    from msal_cli.mesh import prepared
+    from msal_cli.metrics.volume import area_and_volume
+
+    plain, is_compressed = files.expanded(data, name)
+    mesh_file = files.open_mesh(plain, name, format)
+    ready = prepared(mesh_file.vertices, mesh_file.faces)
+    defects = ready.defects
+    area, volume = area_and_volume(ready.mesh)
+    low, high = mesh_file.vertices.min(axis=0), mesh_file.vertices.max(axis=0)
+    winding = "consistent"
+    if defects.unorientable_parts:
+        winding = "not orientable"
+    elif defects.inconsistent_edges:
+        winding = "inconsistent"
+    return InfoRecord(
+        input=name,
+        format=mesh_file.format,
+        encoding=mesh_file.encoding,
+        precision=mesh_file.precision,
+        compressed=is_compressed,
+        bytes=len(data),
+        vertices=len(mesh_file.vertices),
+        faces=mesh_file.n_polygons,
+        triangles=len(mesh_file.faces),
+        polygon_sizes=_polygon_sizes(mesh_file),
+        components=defects.components,
+        closed=defects.boundary_edges == 0,
+        winding=winding,
+        boundary_edges=defects.boundary_edges,
+        non_manifold_edges=defects.non_manifold_edges,
+        inconsistent_edges=defects.inconsistent_edges,
+        degenerate_faces=defects.degenerate_faces,
+        duplicate_faces=defects.duplicate_faces,
+        unreferenced_vertices=defects.unreferenced_vertices,
+        welded_vertices=defects.welded_vertices,
+        bounds=(
+            (float(low[0]), float(low[1]), float(low[2])),
+            (float(high[0]), float(high[1]), float(high[2])),
+        ),
+        area=area,
+        volume=volume,
+        volume_valid=not defects.volume_objection,
+        volume_reason=defects.volume_objection,
+        mean_edge_length=ready.mesh.mean_edge_length,
+        noise_estimate=_noise_estimate(ready),
+        properties=mesh_file.properties,
+        references=mesh_file.references,
+        warnings=mesh_file.warnings,
+    )
+
+
+def _polygon_sizes(mesh_file: MeshFile) -> dict[str, int]:
+    """How many faces have 3, 4, ... corners, keyed by that number as text (for JSON)."""
+    import numpy as np
+
+    polygons = mesh_file.polygons()
+    if isinstance(polygons, np.ndarray) and polygons.ndim == 2:
+        return {str(polygons.shape[1]): len(polygons)}
+    sizes, counts = np.unique([len(polygon) for polygon in polygons], return_counts=True)
+    return {str(size): int(count) for size, count in zip(sizes, counts, strict=True)}
+
+
+def _noise_estimate(ready: Prepared) -> NoiseEstimate:
+    from msal_cli.noise import noise_level
+
+    level = noise_level(ready.mesh)
+    return NoiseEstimate(level / ready.mesh.mean_edge_length, level)
+
+
+def _peak_memory_bytes() -> int | None:
+    """The largest resident size of this process so far; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    import sys
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(peak if sys.platform == "darwin" else peak * 1024)
