@@ -147,7 +147,9 @@ class Prepared:
         A vertex whose mesh vertex did not move, or that has none, keeps ``original``'s very value.
         """
         moved = (vertices != self.mesh.vertices).any(axis=1)
-        if self.place is not None:
+        if self.place is None:
+            moved &= np.diff(self.mesh.links.ring_start) > 0
+        else:
             known = np.maximum(self.place, 0)
             moved = moved[known] & (self.place >= 0)
             vertices = vertices[known]

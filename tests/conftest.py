@@ -1,0 +1,17 @@
+"""Meshes and paths that many tests share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder of real scans, named by the environment variable MSAL_DATA."""
+    folder = os.environ.get("MSAL_DATA", "")
+    if not folder:
+        pytest.skip("MSAL_DATA is not set: no real scans at hand")
+    return Path(folder)

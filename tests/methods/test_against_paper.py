@@ -1,0 +1,183 @@
+"""The fast kernels against the literal transcription, and against hand-worked cases."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from msal_cli import methods
+from msal_cli.mesh import prepared
+from tests import paper
+from tests.shapes import cube, fan, grid, noisy, torus
+
+
+def run(name, vertices, faces, **given):
+    """File positions after a method."""
+    ready = prepared(vertices, faces)
+    method = methods.find(name)
+    result = method.denoised(ready.mesh, method.settled(given))
+    return ready.scattered(result.vertices, vertices)
+
+
+SHAPES = {
+    "torus": (noisy(torus()[0], 1), torus()[1]),
+    "open grid": (noisy(grid(9, 8)[0], 2, 0.2), grid(9, 8)[1]),
+    "cube": (noisy(cube()[0], 3, 0.1), cube()[1]),
+    "far away": (noisy(torus()[0], 4) + [4.65e6, 1.2e6, 300.0], torus()[1]),
+    "tiny": (noisy(torus()[0], 5) * 1e-6, torus()[1]),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("mollify", [0, 1, 2])
+@pytest.mark.parametrize("iterations", [1, 4])
+def test_kernels_agree_with_the_paper(shape, mollify, iterations):
+    vertices, faces = SHAPES[shape]
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    size = np.ptp(vertices, axis=0).max()
+    rounding = np.abs(vertices).max() * np.finfo(float).eps
+    for name, K, chosen in [
+        ("al", None, {}),
+        ("msal", 0.5, {"K": 0.5}),
+        ("msal", 0.2, {"K": 0.2}),
+    ]:
+        expected = paper.algorithm_1(vertices - centre, faces, iterations, K, mollify) + centre
+        actual = run(name, vertices, faces, iterations=iterations, mollify=mollify, **chosen)
+        assert np.abs(actual - expected).max() <= 1e-12 * size + 2 * rounding
+        assert np.abs(actual - vertices).max() > 1e-3 * size  # it did something
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    level=st.floats(0.0, 0.5),
+    K=st.floats(0.05, 1.0),
+    iterations=st.integers(1, 5),
+)
+def test_kernels_agree_with_the_paper_for_any_noise(seed, level, K, iterations):
+    vertices, faces = torus(9, 7)
+    vertices = noisy(vertices, seed, level)
+    expected = paper.algorithm_1(vertices, faces, iterations, K, 1)
+    actual = run("msal", vertices, faces, iterations=iterations, K=K)
+    assert np.abs(actual - expected).max() <= 1e-12 * np.ptp(vertices)
+
+
+def test_one_sweep_worked_by_hand():
+    # Ring heights 1, 1, 1, 5 about an upright normal: mean 2, sigma = 2 * (1+1+1+3)/4 = 3,
+    # g = e^(-1/18) three times and e^(-25/18), d = sum(g h) / sum(g).
+    vertices, faces = fan([1.0, 1.0, 1.0, 5.0])
+    ready = prepared(vertices, faces)
+    from msal_cli.core.operators import AnisotropicLaplacian
+
+    links = ready.mesh.links
+    up = np.tile([0.0, 0.0, 1.0], (5, 1))
+    free = np.ones(5, dtype=bool)
+    step = AnisotropicLaplacian(up, links.ring_start, links.ring, free, 1.0)(ready.mesh.vertices)
+    near, far = np.exp(-1 / 18), np.exp(-25 / 18)
+    assert step.sigma[0] == pytest.approx(3.0, rel=1e-15)
+    assert step.heights[0] == pytest.approx((3 * near + 5 * far) / (3 * near + far), rel=1e-14)
+
+
+def test_sigma_zero_is_the_plain_mean():
+    # All heights equal: eq. (5) is 0/0 only in a careless exponential.
+    vertices, faces = fan([0.3] * 6)
+    out = run("al", vertices, faces, iterations=1, mollify=0)
+    assert out[0] == pytest.approx([0.0, 0.0, 0.3], abs=1e-15)
+
+
+def test_tiny_sigma_does_not_underflow():
+    # Heights far from zero and almost equal: exp(-h^2 / 2 sigma^2) is zero for every neighbour.
+    vertices, faces = fan(np.array([1.0, 1.0 + 1e-7, 1.0, 1.0 - 1e-7, 1.0, 1.0]))
+    out = run("al", vertices, faces, iterations=1, mollify=0)
+    assert np.isfinite(out).all()
+    assert out[0, 2] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_flat_mesh_stays_and_lambda_is_zero():
+    vertices, faces = grid()
+    for name in ("al", "msal"):
+        assert (run(name, vertices, faces) == vertices).all()
+
+
+def test_unreferenced_vertices_stay():
+    vertices, faces = torus()
+    vertices = np.concatenate([noisy(vertices), [[7.0, 7.0, 7.0]]])
+    out = run("msal", vertices, faces)
+    assert (out[-1] == vertices[-1]).all()
+    assert (out[:-1] != vertices[:-1]).any()
+
+
+def test_boundary_is_free_or_fixed():
+    vertices, faces = grid(7, 7)
+    vertices = noisy(vertices, 8, 0.2)
+    edge = prepared(vertices, faces).mesh.links.boundary
+    assert edge.sum() == 24
+    free = run("al", vertices, faces)
+    fixed = run("al", vertices, faces, boundary="fixed")
+    assert (free[edge] != vertices[edge]).any(axis=1).all()
+    assert (fixed[edge] == vertices[edge]).all()
+    assert (fixed[~edge] != vertices[~edge]).any(axis=1).all()
+
+
+def test_zero_area_faces_have_no_normal():
+    # A face with three different but collinear corners must not bend its neighbours' normals.
+    vertices, faces = grid(4, 4)
+    vertices = np.concatenate([vertices, [[0.5, 0.0, 0.0]]])
+    faces = np.concatenate([faces, [[0, 16, 1]]]).astype(np.int32)
+    ready = prepared(vertices, faces)
+    assert ready.defects.degenerate_faces == 1
+    normals = ready.mesh.vertex_normals()
+    assert np.allclose(normals[:16], [0, 0, 1], atol=0)
+    assert (normals[16] == 0).all()
+    assert (run("al", vertices, faces) == vertices).all()
+
+
+def test_opposed_normals_leave_the_vertex_in_place():
+    # Two flat squares folded onto each other share an edge: their normals cancel along it, with
+    # both weightings, and no direction is better than another.
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0.0, 1, 0], [1, 1, 0], [0.5, 1, 0]], dtype=float)
+    faces = np.array([[0, 1, 2], [1, 0, 4]], dtype=np.int32)
+    ready = prepared(vertices, faces)
+    normals = ready.mesh.vertex_normals()
+    assert (normals[:2] == 0).all()
+    assert (run("al", vertices, faces, mollify=0)[:2] == vertices[:2]).all()
+
+
+def test_area_weighting_decides_where_unit_normals_cancel():
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0.0, 3, 0], [0.5, 1, 0]], dtype=float)
+    faces = np.array([[0, 1, 2], [1, 0, 3]], dtype=np.int32)
+    normals = prepared(vertices, faces).mesh.vertex_normals()
+    assert np.allclose(normals[0], [0, 0, 1])
+
+
+def test_normals_stay_those_of_the_input():
+    # After many sweeps every vertex is still on the line through its start along its normal.
+    vertices, faces = torus()
+    vertices = noisy(vertices, 11, 0.2)
+    ready = prepared(vertices, faces)
+    normals = ready.mesh.vertex_normals("uniform", 1)
+    for name in ("al", "msal"):
+        method = methods.find(name)
+        out = method.denoised(ready.mesh, method.settled({"n": 50})).vertices
+        drift = np.cross(out - ready.mesh.vertices, normals)
+        assert np.abs(drift).max() <= 2 * np.finfo(float).eps * np.abs(ready.mesh.vertices).max()
+
+
+def test_msal_comes_back_to_the_input():
+    # Section 3: as the sweeps go on the process converges to the data, wherever lambda > 0.
+    vertices, faces = torus()
+    vertices = noisy(vertices, 12, 0.1)
+    far = np.abs(run("msal", vertices, faces, n=4) - vertices).max()
+    near = np.abs(run("msal", vertices, faces, n=400) - vertices).max()
+    assert near < 1e-6 < 1e-2 < far
+
+
+def test_rotation_and_scale_change_nothing_else():
+    vertices, faces = torus()
+    vertices = noisy(vertices, 13, 0.15)
+    turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
+    for name in ("al", "msal"):
+        plain = run(name, vertices, faces)
+        assert np.allclose(run(name, 1000 * vertices @ turn, faces), 1000 * plain @ turn, atol=1e-9)

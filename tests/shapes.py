@@ -1,0 +1,59 @@
+"""Meshes made by formula, for tests: vertices (n, 3) float64 and faces (m, 3) int32."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def torus(around: int = 24, across: int = 12, radius: float = 3.0, tube: float = 1.0):
+    """A closed torus; ``around * across`` vertices of valence six."""
+    u, v = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
+    alpha, beta = 2 * np.pi * u / around, 2 * np.pi * v / across
+    ring = radius + tube * np.cos(beta)
+    vertices = np.stack([ring * np.cos(alpha), ring * np.sin(alpha), tube * np.sin(beta)], axis=-1)
+
+    def at(i, j):
+        return (i % around) * across + j % across
+
+    lower = np.stack([at(u, v), at(u + 1, v), at(u + 1, v + 1)], axis=-1)
+    upper = np.stack([at(u, v), at(u + 1, v + 1), at(u, v + 1)], axis=-1)
+    faces = np.stack([lower, upper], axis=2).reshape(-1, 3)
+    return vertices.reshape(-1, 3), faces.astype(np.int32)
+
+
+def grid(rows: int = 6, columns: int = 5):
+    """A flat open grid in the plane z = 0 with unit spacing, facing up."""
+    y, x = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    vertices = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3).astype(np.float64)
+    corner = (y * columns + x)[:-1, :-1].reshape(-1)
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + 1, corner + columns + 1], axis=1),
+            np.stack([corner, corner + columns + 1, corner + columns], axis=1),
+        ]
+    )
+    return vertices, faces.astype(np.int32)
+
+
+def fan(heights) -> tuple[np.ndarray, np.ndarray]:
+    """A vertex at the origin amid a closed ring of unit radius with the given heights."""
+    count = len(heights)
+    angle = 2 * np.pi * np.arange(count) / count
+    ring = np.stack([np.cos(angle), np.sin(angle), np.asarray(heights, dtype=float)], axis=1)
+    vertices = np.concatenate([np.zeros((1, 3)), ring])
+    k = np.arange(count)
+    faces = np.stack([np.zeros(count, int), 1 + k, 1 + (k + 1) % count], axis=1)
+    return vertices, faces.astype(np.int32)
+
+
+def cube() -> tuple[np.ndarray, np.ndarray]:
+    """The unit cube, closed, outward, volume 1 and area 6."""
+    vertices = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    return vertices, np.array(faces, dtype=np.int32)
+
+
+def noisy(vertices, seed: int = 0, level: float = 0.1):
+    """Positions with uniform noise of +-level in every coordinate."""
+    return vertices + np.random.default_rng(seed).uniform(-level, level, vertices.shape)

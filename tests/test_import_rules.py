@@ -1,0 +1,105 @@
+"""The table of who may import whom (docs/architecture.md), held against the syntax trees."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import msal_cli
+
+PACKAGE = Path(msal_cli.__file__).parent
+
+MAY_IMPORT = {
+    "errors": set(),
+    "core": {"errors"},
+    "mesh": {"core", "errors"},
+    "methods": {"mesh", "core", "errors"},
+    "metrics": {"mesh", "core", "errors"},
+    "noise": {"mesh", "core", "errors"},
+    "files": {"mesh", "core", "errors"},
+    "records": {"errors"},
+    "pipeline": {"files", "methods", "metrics", "noise", "mesh", "records", "errors"},
+    "batch": {"pipeline", "records", "errors"},
+    "report": {"records", "errors"},
+    "cli": {
+        "batch",
+        "errors",
+        "files",
+        "mesh",
+        "methods",
+        "metrics",
+        "noise",
+        "pipeline",
+        "records",
+        "report",
+    },
+    "__main__": {"cli"},
+    "__init__": set(),
+}
+
+ONLY_IN = {
+    "numba": {"core"},
+    "trimesh": {"files"},
+    "meshio": {"files"},
+    "click": {"cli"},
+    "tqdm": {"cli"},
+    "multiprocessing": {"batch"},
+}
+
+
+def modules():
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def imports(path):
+    """Names of the modules that a file imports, with the depth at which it does."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.name
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: imports are absolute"
+            yield node.module
+            if node.module == "msal_cli":
+                for alias in node.names:
+                    yield f"msal_cli.{alias.name}"
+
+
+def layer_of(path):
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_keep_to_the_table(path):
+    layer = layer_of(path)
+    for name in imports(path):
+        parts = name.split(".")
+        if parts[0] == "msal_cli" and len(parts) > 1 and parts[1] != "__version__":
+            assert parts[1] in MAY_IMPORT[layer] | {layer}, f"{layer} imports {name}"
+        if parts[0] in ONLY_IN:
+            assert layer in ONLY_IN[parts[0]], f"{layer} imports {name}"
+
+
+def test_methods_do_not_import_one_another():
+    for path in (PACKAGE / "methods").glob("*.py"):
+        for name in imports(path):
+            if name.startswith("msal_cli.methods.") and path.name != "__init__.py":
+                assert name.split(".")[2].startswith("_"), f"{path.name} imports {name}"
+
+
+@pytest.mark.parametrize(
+    "module", ["msal_cli.files", "msal_cli.methods", "msal_cli.mesh", "msal_cli.pipeline"]
+)
+def test_heavy_libraries_wait_until_they_are_needed(module):
+    code = (
+        f"import {module}, sys; "
+        "print([n for n in ('numba', 'trimesh', 'meshio', 'scipy') if n in sys.modules])"
+    )
+    seen = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert seen.strip() == "[]"

@@ -1,0 +1,142 @@
+"""The gate: what is refused, what is put aside, and the way back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from msal_cli.errors import ContentError
+from msal_cli.mesh import prepared
+from tests.shapes import cube, grid, noisy, torus
+
+
+def soup(vertices, faces):
+    """Every corner its own vertex."""
+    return vertices[faces.reshape(-1)], np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
+
+
+@pytest.mark.parametrize(
+    ("vertices", "faces", "code", "where"),
+    [
+        (cube()[0], np.zeros((0, 3), dtype=int), "E_NO_FACES", ""),
+        (cube()[0], [[0, 1, 8]], "E_INDEX", "face 0"),
+        (cube()[0], [[0, 1, 2], [0, -1, 2]], "E_INDEX", "face 1"),
+        (cube()[0], [[0.0, 1.0, 2.0]], "E_INDEX", ""),
+        (
+            np.where(np.arange(24).reshape(8, 3) == 7, np.nan, 1.0),
+            [[0, 1, 2]],
+            "E_NONFINITE",
+            "vertex 2",
+        ),
+        (
+            np.where(np.arange(24).reshape(8, 3) == 7, np.inf, 1.0),
+            [[0, 1, 2]],
+            "E_NONFINITE",
+            "vertex 2",
+        ),
+        (cube()[0], [[0, 0, 1], [2, 2, 2]], "E_NO_FACES", ""),
+        (cube()[0] * 0, cube()[1], "E_NO_FACES", ""),
+        (cube()[0] * 1e200, cube()[1], "E_RANGE", ""),
+        (cube()[0] * 1e-200, cube()[1], "E_RANGE", ""),
+        ((2 * cube()[0] - 1) * 1.7e308, cube()[1], "E_RANGE", ""),
+        (cube()[0][:, :2], cube()[1], "E_CONTENT", ""),
+        (cube()[0], cube()[1][:, :2], "E_CONTENT", ""),
+    ],
+)
+def test_what_is_refused(vertices, faces, code, where):
+    with pytest.raises(ContentError) as caught:
+        prepared(np.asarray(vertices), np.asarray(faces))
+    assert caught.value.code == code
+    assert caught.value.where == where
+
+
+def test_a_soup_becomes_the_mesh_it_was():
+    vertices, faces = torus()
+    ready = prepared(*soup(vertices, faces))
+    assert len(ready.mesh.vertices) == len(vertices)
+    assert ready.defects.welded_vertices == 3 * len(faces) - len(vertices)
+    assert ready.defects.boundary_edges == 0
+    assert ready.defects.components == 1
+    centre = ready.origin
+    assert np.allclose(
+        ready.mesh.vertices[ready.mesh.faces] + centre, vertices[faces], rtol=0, atol=1e-15
+    )
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.booleans(), st.integers(0, 5))
+def test_the_way_back(seed, as_soup, loose):
+    vertices, faces = torus(7, 5)
+    vertices = noisy(vertices, seed, 0.2)
+    if as_soup:
+        vertices, faces = soup(vertices, faces)
+    vertices = np.concatenate([vertices, np.full((loose, 3), vertices[0])])
+    ready = prepared(vertices, faces)
+    assert ready.defects.unreferenced_vertices == loose
+    same = ready.scattered(ready.mesh.vertices, vertices)
+    assert (same == vertices).all()
+    rng = np.random.default_rng(seed)
+    moved = ready.mesh.vertices + rng.normal(size=ready.mesh.vertices.shape)
+    some = rng.random(len(moved)) < 0.5
+    moved[some] = ready.mesh.vertices[some]
+    out = ready.scattered(moved, vertices)
+    assert (out[len(vertices) - loose :] == vertices[len(vertices) - loose :]).all()
+    corners = out[faces] - ready.origin
+    assert np.allclose(corners, moved[ready.mesh.faces], rtol=0, atol=1e-14)
+    assert ready.seam_gap(out) == 0.0
+
+
+def test_a_torn_seam_is_seen():
+    vertices, faces = soup(*torus(7, 5))
+    ready = prepared(vertices, faces)
+    torn = vertices.copy()
+    torn[3] += [0.0, 0.25, 0.0]
+    assert ready.seam_gap(torn) == pytest.approx(0.25)
+
+
+def test_dirt_is_counted_and_put_aside():
+    vertices, faces = torus()
+    dirty = np.concatenate([faces, faces[:3], faces[5:7, ::-1], [[0, 0, 1]]])
+    ready = prepared(vertices, dirty)
+    assert ready.defects.duplicate_faces == 5
+    assert ready.defects.degenerate_faces == 1
+    assert ready.defects.boundary_edges == 0
+    assert ready.defects.non_manifold_edges == 0
+    assert len(ready.mesh.faces) == len(faces)
+    assert ready.defects.volume_objection == ""
+
+
+def test_inconsistent_winding_is_reported_and_mended_for_the_mathematics():
+    vertices, faces = torus()
+    mixed = faces.copy()
+    mixed[::9] = mixed[::9, ::-1]
+    ready = prepared(vertices, mixed)
+    assert ready.defects.inconsistent_edges > 0
+    assert ready.defects.turned_faces == len(mixed[::9])
+    straight = prepared(vertices, faces)
+    assert (ready.mesh.vertex_normals() == straight.mesh.vertex_normals()).all()
+
+
+@pytest.mark.parametrize(
+    ("shape", "objection"),
+    [
+        (torus(), ""),
+        (grid(), "open (18 boundary edges)"),
+        ((cube()[0], np.concatenate([cube()[1], [[0, 1, 7]]])), "open"),
+    ],
+)
+def test_why_a_volume_is_not_to_be_trusted(shape, objection):
+    assert prepared(*shape).defects.volume_objection.startswith(objection)
+    assert bool(prepared(*shape).defects.volume_objection) == bool(objection)
+
+
+def test_far_from_the_origin_nothing_is_lost():
+    vertices, faces = torus()
+    far = np.round(vertices * 1000) / 1000 + [4_650_000.0, 1_250_000.0, 300.0]
+    ready = prepared(far, faces)
+    near = np.round(vertices * 1000) / 1000
+    edges = ready.mesh.vertices[faces[:, 0]] - ready.mesh.vertices[faces[:, 1]]
+    assert np.allclose(edges, near[faces[:, 0]] - near[faces[:, 1]], rtol=0, atol=2e-9)
+    assert np.abs(ready.mesh.vertices).max() < 5
