@@ -1,0 +1,280 @@
+"""Which files the inputs of a command stand for: files, folders and glob patterns.
+
+The order of what is found is that of the inputs and, within a folder, that of the names; it does
+not depend on the file system.  Names are only ever compared and joined, never interpreted, so any
+name that the system allows (line breaks, bytes that are no UTF-8, a leading dash) is fine.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import stat
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from msal_cli.batch.patterns import Patterns, has_magic
+from msal_cli.batch.temporaries import is_own
+from msal_cli.errors import MsalError, UsageError
+
+_log = logging.getLogger("msal.batch")
+
+
+class NothingMatched(MsalError):  # noqa: N818 - a signal to the command line, not a fault
+    """The inputs exist, but hold no mesh file that the patterns let through (exit status 5)."""
+
+    code = "E_NOTHING_MATCHED"
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """One input file.
+
+    ``path`` opens it; ``relative`` is where it belongs below an output folder, written with ``/``;
+    ``root`` is the folder that was searched, or ``""`` for a file that was named itself.
+    """
+
+    path: str
+    relative: str
+    root: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    path: Path
+    relative: str
+    is_folder: bool
+
+
+def found(
+    inputs: Sequence[str],
+    include: Iterable[str] = (),
+    exclude: Iterable[str] = (),
+    is_mesh_name: Callable[[str], bool] | None = None,
+    *,
+    output: str | None = None,
+) -> tuple[Found, ...]:
+    """The files that ``inputs`` stand for, each once, in a fixed order.
+
+    A file is taken as it is, whatever its name.  A folder is searched through all its subfolders
+    for names that ``is_mesh_name`` accepts (default: every suffix that msal reads); hidden files
+    and folders, special files, msal's own files and the folder ``output`` are passed over.  A
+    symbolic link to a folder is followed when it leads elsewhere within the searched folder, but
+    not from there through another link, so a loop ends; a link that leads out of it is passed
+    over.  A pattern (``*``, ``?``, ``[...]``, ``**``) is expanded here unless a file of that very
+    name exists: a pattern that ends in a plain suffix takes every file it matches, another only
+    mesh names, and a folder that it matches is searched.
+
+    ``include`` and ``exclude`` are patterns on the relative path, the name, or a folder on the way
+    (see `patterns.Patterns`); a file is kept if some ``include`` (where there is any) and no
+    ``exclude`` matches.
+
+    Raises
+    ------
+    UsageError : an input does not exist or is neither file nor folder; a folder cannot be listed.
+    NothingMatched : nothing is left.
+    """
+    if is_mesh_name is None:
+        from msal_cli.pipeline import is_mesh_name as known_suffix
+
+        is_mesh_name = known_suffix
+    included, excluded = Patterns(include), Patterns(exclude)
+    kinds = [_kind(text) for text in inputs]
+    folders = {Path(text) for text, kind in zip(inputs, kinds, strict=True) if kind == "folder"}
+    own_output = _real(Path(output)) if output is not None else None
+    everything: dict[tuple[str, str], Found] = {}
+    for text, kind in zip(inputs, kinds, strict=True):
+        if kind == "file":
+            some = [Found(str(Path(text)), Path(text).name, "")]
+        elif kind == "folder":
+            prefix = f"{_folder_name(Path(text))}/" if len(folders) > 1 else ""
+            some = _in_folder(Path(text), prefix, is_mesh_name, excluded, own_output)
+        else:
+            some = _by_pattern(text, is_mesh_name, excluded, own_output)
+        kept = [
+            one
+            for one in some
+            if (not included or included.matches(one.relative))
+            and not excluded.matches(one.relative)
+        ]
+        if not kept:
+            _log.warning("no mesh file is selected by the input %r", text)
+        for one in kept:
+            everything.setdefault((one.path, one.relative), one)
+    if not everything:
+        raise NothingMatched(
+            f"no mesh file is selected by {', '.join(repr(text) for text in inputs)}",
+            hint="look at the suffixes, and at --include and --exclude",
+        )
+    return tuple(everything.values())
+
+
+def _kind(text: str) -> str:
+    if not text:
+        raise UsageError("an input is the empty string")
+    path = Path(text)
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError) as error:
+        if isinstance(error, OSError) and has_magic(text) and not path.is_symlink():
+            return "pattern"
+        if isinstance(error, FileNotFoundError | NotADirectoryError):
+            if path.is_symlink():
+                raise UsageError(f"the link {text!r} leads to nothing", path=text) from None
+            raise UsageError(f"there is no file or folder {text!r}", path=text) from None
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise UsageError(f"{text!r} cannot be opened: {reason}", path=text) from None
+    if stat.S_ISDIR(mode):
+        return "folder"
+    if stat.S_ISREG(mode):
+        return "file"
+    raise UsageError(
+        f"{text!r} is neither a file nor a folder",
+        hint="a pipe is read through standard input: give - as the input",
+        path=text,
+    )
+
+
+def _folder_name(folder: Path) -> str:
+    return folder.name if folder.name not in ("", "..") else _real(folder).name or "root"
+
+
+def _in_folder(
+    folder: Path,
+    prefix: str,
+    is_mesh_name: Callable[[str], bool],
+    excluded: Patterns,
+    own_output: Path | None,
+) -> list[Found]:
+    def is_entered(relative: str) -> bool:
+        return not excluded.matches(prefix + relative)
+
+    return [
+        Found(str(entry.path), prefix + entry.relative, str(folder))
+        for entry in _walked(folder, own_output, is_entered)
+        if not entry.is_folder and is_mesh_name(entry.path.name)
+    ]
+
+
+def _by_pattern(
+    text: str,
+    is_mesh_name: Callable[[str], bool],
+    excluded: Patterns,
+    own_output: Path | None,
+) -> list[Found]:
+    parts = Path(text).parts
+    n_fixed = next(at for at, part in enumerate(parts) if has_magic(part))
+    folder, rest = Path(*parts[:n_fixed]), parts[n_fixed:]
+    if not folder.is_dir():
+        return []
+    matcher = Patterns(["/".join(rest)], whole=True)
+    takes_any_name = "." in rest[-1] and not has_magic(rest[-1].rpartition(".")[2])
+    depth = None if "**" in rest else len(rest)
+
+    def is_entered(relative: str) -> bool:
+        if excluded.matches(relative):
+            return False
+        return depth is None or relative.count("/") + 1 < depth or matcher.matches(relative)
+
+    entries = _walked(folder, own_output, is_entered, any(p.startswith(".") for p in rest))
+    return [
+        Found(str(entry.path), entry.relative, str(folder))
+        for entry in entries
+        if not entry.is_folder
+        and matcher.matches(entry.relative)
+        and ((takes_any_name and matcher.is_exact(entry.relative)) or is_mesh_name(entry.path.name))
+    ]
+
+
+def _walked(
+    root: Path,
+    own_output: Path | None,
+    is_entered: Callable[[str], bool],
+    with_hidden: bool = False,
+) -> Iterator[_Entry]:
+    """Files and folders below ``root``, by name; a folder comes before what it holds."""
+    real_root = _real(root)
+    # Each folder waits with the answer to: was a link followed on the way to it?
+    waiting: list[tuple[_Entry, bool]] = [(_Entry(root, "", True), False)]
+    while waiting:
+        entry, is_beyond_link = waiting.pop()
+        if entry.relative:
+            yield entry
+        if not entry.is_folder:
+            continue
+        below: list[tuple[_Entry, bool]] = []
+        for one in _listed(entry.path):
+            if _is_passed_over(one.name, with_hidden):
+                continue
+            path = entry.path / one.name
+            relative = f"{entry.relative}/{one.name}" if entry.relative else one.name
+            kind = _entry_kind(one)
+            if kind == "file":
+                below.append((_Entry(path, relative, False), is_beyond_link))
+            elif kind != "special" and is_entered(relative):
+                is_link = kind == "linked folder"
+                if is_link and (is_beyond_link or not _leads_elsewhere_within(path, real_root)):
+                    continue
+                if own_output is not None and _is_within_output(path, own_output, real_root):
+                    continue
+                below.append((_Entry(path, relative, True), is_beyond_link or is_link))
+        below.sort(key=lambda pair: pair[0].path.name, reverse=True)
+        waiting.extend(below)
+
+
+def _is_passed_over(name: str, with_hidden: bool) -> bool:
+    return is_own(name) or (name.startswith(".") and not with_hidden)
+
+
+def _listed(folder: Path) -> list[os.DirEntry[str]]:
+    try:
+        with os.scandir(folder) as entries:
+            return list(entries)
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise UsageError(
+            f"the folder {str(folder)!r} cannot be listed: {error.strerror}",
+            hint="make it readable, or leave it out with --exclude",
+            path=str(folder),
+        ) from None
+
+
+def _entry_kind(entry: os.DirEntry[str]) -> str:
+    try:
+        if entry.is_dir(follow_symlinks=False):
+            return "folder"
+        if entry.is_file(follow_symlinks=False):
+            return "file"
+        if not entry.is_symlink():
+            return "special"
+        mode = entry.stat().st_mode
+    except OSError:
+        # A link to nothing, or in a circle, is taken for a file so that it ends as a failed row
+        # with its reason, and not as a scan that nobody misses.
+        return "file"
+    if stat.S_ISDIR(mode):
+        return "linked folder"
+    return "file" if stat.S_ISREG(mode) else "special"
+
+
+def _leads_elsewhere_within(link: Path, real_root: Path) -> bool:
+    target, holder = _real(link), _real(link.parent)
+    return (
+        target != real_root
+        and target.is_relative_to(real_root)
+        and not holder.is_relative_to(target)
+    )
+
+
+def _is_within_output(folder: Path, own_output: Path, real_root: Path) -> bool:
+    # A searched folder that itself lies in the output was asked for by name.
+    return not real_root.is_relative_to(own_output) and _real(folder).is_relative_to(own_output)
+
+
+def _real(path: Path) -> Path:
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError):
+        return Path.cwd() / path

@@ -1,0 +1,351 @@
+"""Which output each input gets, and every reason to refuse a run before it touches anything."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import unicodedata
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from msal_cli.batch.inputs import Found
+from msal_cli.batch.manifest import Manifest
+from msal_cli.errors import UsageError
+from msal_cli.pipeline import Task
+from msal_cli.pipeline import is_mesh_name as known_suffix
+from msal_cli.pipeline import output_name as with_suffix_of
+
+DEFAULT_BACKUP = ".orig"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run is to do.
+
+    Attributes
+    ----------
+    tasks : one per input file, in the order of the inputs.
+    homes : for each task the folder whose manifest notes it, or None where there is none (one
+        file into one file).  It is the output folder or, in place, the folder that was searched.
+    fresh : do every file again, even where its output is current.
+    """
+
+    tasks: tuple[Task, ...]
+    homes: tuple[str | None, ...]
+    fresh: bool = False
+
+    def key(self, index: int) -> str:
+        """The name by which the manifest knows a task: its output below its home, with ``/``."""
+        home = self.homes[index]
+        if home is None:
+            raise ValueError(f"task {index} has no manifest")
+        return Path(self.tasks[index].output).relative_to(home).as_posix()
+
+
+def built(
+    found: Sequence[Found],
+    output: str | None,
+    *,
+    to: str | None = None,
+    in_place: bool = False,
+    backup: str | None = DEFAULT_BACKUP,
+    force: bool = False,
+    fresh: bool = False,
+    is_mesh_name: Callable[[str], bool] = known_suffix,
+    output_name: Callable[[str, str | None], str] = with_suffix_of,
+) -> Plan:
+    """The plan that writes every file of ``found`` to its place; nothing is touched.
+
+    A single file that was named itself goes to ``output`` as a file if that is a file, or is
+    nothing yet and has a mesh suffix.  Otherwise ``output`` is a folder and each input goes to its
+    relative path below it, with the suffix of ``to`` where given.
+
+    With ``in_place`` every input is its own output (a link's target, where it is a link), and
+    ``backup`` is the suffix of the copy that keeps the original; None keeps none.
+
+    ``force`` allows files in the output folder to be replaced that no earlier run put there;
+    ``fresh`` does every file again.
+
+    Raises
+    ------
+    UsageError : two inputs have one output; an output is an input, a folder, lies outside the
+        output folder or would replace a file that is not ours; options contradict each other.
+    """
+    if in_place:
+        plan = _in_place(found, output, to, backup, fresh, is_mesh_name)
+    elif output is None:
+        raise UsageError("there is no output", hint="name one with -o, or give --in-place")
+    elif _is_file_output(found, output, is_mesh_name):
+        _refuse_contradiction(output, to, is_mesh_name, output_name)
+        plan = Plan((Task(found[0].path, output, found[0].relative),), (None,), fresh)
+    else:
+        tasks = tuple(_mirrored(one, output, to, output_name) for one in found)
+        plan = Plan(tasks, (output,) * len(tasks), fresh)
+    plan = _without_repeats(plan)
+    _refuse_collisions(plan)
+    if not in_place:
+        _refuse_inputs_as_outputs(plan)
+        _refuse_folders_as_outputs(plan)
+    if plan.homes[:1] != (None,) and not in_place and output is not None:
+        _refuse_escapes(plan, output)
+        if not force:
+            _refuse_foreign_files(plan, output)
+    return plan
+
+
+def _in_place(
+    found: Sequence[Found],
+    output: str | None,
+    to: str | None,
+    backup: str | None,
+    fresh: bool,
+    is_mesh_name: Callable[[str], bool],
+) -> Plan:
+    if output is not None:
+        raise UsageError("--in-place and an output were both given", hint="give one of them")
+    if to is not None:
+        raise UsageError(
+            "--in-place cannot change the format", hint="name an output with -o to use --to"
+        )
+    if backup is not None:
+        if not backup or "/" in backup or os.sep in backup or "\0" in backup:
+            raise UsageError(f"{backup!r} cannot be the suffix of a backup")
+        if is_mesh_name("a.ply" + backup):
+            raise UsageError(
+                f"backups named *{backup} would be inputs of the next run",
+                hint=f"take a suffix that is no mesh format, such as {DEFAULT_BACKUP}",
+            )
+    tasks, homes = [], []
+    has_home = len(found) > 1 or any(one.root for one in found)
+    for one in found:
+        path = Path(one.path)
+        real = _real(path)
+        if one.root and path.is_symlink() and not real.is_relative_to(_real(Path(one.root))):
+            raise UsageError(
+                f"{one.path!r} leads out of {one.root!r} to {str(real)!r}",
+                hint="leave it out with --exclude, or name it as an input itself",
+                path=one.path,
+            )
+        # A link stays a link: the file that it leads to is the one to replace.
+        target = real if path.is_symlink() else path
+        home = str(_home_of(target, one.root))
+        tasks.append(Task(str(target), str(target), one.relative, in_place=True, backup=backup))
+        homes.append(home if has_home else None)
+    return Plan(tuple(tasks), tuple(homes), fresh)
+
+
+def _home_of(target: Path, root: str) -> Path:
+    if not root:
+        return target.parent
+    return Path(root) if target.is_relative_to(root) else _real(Path(root))
+
+
+def _is_file_output(
+    found: Sequence[Found], output: str, is_mesh_name: Callable[[str], bool]
+) -> bool:
+    if len(found) != 1 or found[0].root or output.endswith(("/", os.sep)):
+        return False
+    path = Path(output)
+    if path.is_dir():
+        return False
+    return path.exists() or path.is_symlink() or is_mesh_name(path.name)
+
+
+def _refuse_contradiction(
+    output: str,
+    to: str | None,
+    is_mesh_name: Callable[[str], bool],
+    output_name: Callable[[str, str | None], str],
+) -> None:
+    name = Path(output).name
+    if to is None or not is_mesh_name(name):
+        return
+    if output_name(name, to).casefold() != name.casefold():
+        raise UsageError(
+            f"--to {to} contradicts the suffix of the output {output!r}",
+            hint="leave --to out: the suffix of the output decides",
+        )
+
+
+def _mirrored(
+    one: Found, output: str, to: str | None, output_name: Callable[[str, str | None], str]
+) -> Task:
+    relative = PurePosixPath(one.relative)
+    if relative.is_absolute() or ".." in relative.parts or Path(one.relative).drive:
+        raise UsageError(f"{one.relative!r} is no path below the output folder", path=one.path)
+    relative = relative.with_name(output_name(relative.name, to))
+    return Task(one.path, str(Path(output) / relative), one.relative)
+
+
+def _real(path: Path) -> Path:
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError):
+        return Path.cwd() / path
+
+
+def _identity(path: Path) -> tuple[int, int] | str | None:
+    """What tells files apart, links of both kinds followed; None where there is no file."""
+    try:
+        status = path.stat()
+    except (OSError, ValueError):
+        return None
+    return (status.st_dev, status.st_ino) if status.st_ino else str(_real(path))
+
+
+def _without_repeats(plan: Plan) -> Plan:
+    """One task for a file that was found twice (by two inputs, or in place by a link)."""
+    kept: dict[tuple[object, ...], int] = {}
+    for index, task in enumerate(plan.tasks):
+        source = _identity(Path(task.input)) or task.input
+        target = source if task.in_place else task.output
+        kept.setdefault((source, target), index)
+    chosen = tuple(kept.values())
+    return Plan(
+        tuple(plan.tasks[index] for index in chosen),
+        tuple(plan.homes[index] for index in chosen),
+        plan.fresh,
+    )
+
+
+def _refuse_collisions(plan: Plan) -> None:
+    seen: dict[str, Task] = {}
+    folded: dict[str, Task] = {}
+    twins: list[tuple[Task, Task]] = []
+    holders: dict[Path, Task] = {}
+    for task in plan.tasks:
+        other = seen.setdefault(task.output, task)
+        if other is not task:
+            raise _collision(other, task, f"would both be written to {task.output!r}")
+        twin = folded.setdefault(_folded(task.output), task)
+        if twin is not task:
+            twins.append((twin, task))
+        for parent in Path(task.output).parents:
+            if parent in holders:
+                break
+            holders[parent] = task
+    for task in plan.tasks:
+        other = holders.get(Path(task.output), task)
+        if other is not task:
+            raise _collision(
+                task, other, f"cannot both be written: {task.output!r} is to be file and folder"
+            )
+    for first, second in twins:
+        if _ignores_case(_nearest_folder(Path(first.output))):
+            raise _collision(
+                first, second, f"would both be written to {second.output!r}: case does not count"
+            )
+
+
+def _collision(first: Task, second: Task, what: str) -> UsageError:
+    return UsageError(
+        f"the inputs {first.input!r} and {second.input!r} {what}",
+        hint="rename one, leave one out with --exclude, or run them into two output folders",
+        path=second.input,
+    )
+
+
+def _folded(path: str) -> str:
+    """Equal for paths that a file system without case and with one form of accents takes as one."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", path).casefold())
+
+
+def _nearest_folder(path: Path) -> Path:
+    return next((one for one in path.parents if one.is_dir()), Path())
+
+
+def _ignores_case(folder: Path) -> bool:
+    """Whether the file system of ``folder`` takes a name in capitals for the same name."""
+    try:
+        # The one sure way is to ask for a file under its other name.
+        with tempfile.NamedTemporaryFile(prefix=".msal-case-", suffix=".tmp", dir=folder) as probe:
+            path = Path(probe.name)
+            return path.with_name(path.name.upper()).exists()
+    except OSError:
+        # Where nothing can be created, nothing will be written either: that error comes later.
+        return False
+
+
+def _refuse_inputs_as_outputs(plan: Plan) -> None:
+    inputs = {}
+    for task in plan.tasks:
+        inputs[_identity(Path(task.input)) or str(_real(Path(task.input)))] = task.input
+    for task in plan.tasks:
+        output = Path(task.output)
+        victim = inputs.get(_identity(output) or str(_real(output)))
+        if victim is None:
+            continue
+        if victim == task.input:
+            what = f"the input {task.input!r} would be overwritten by its own output"
+        else:
+            what = f"the output of {task.input!r} would overwrite the input {victim!r}"
+        if output != Path(victim):
+            what += f" (as {task.output!r})"
+        raise UsageError(what, hint="choose another output, or give --in-place", path=task.input)
+
+
+def _refuse_folders_as_outputs(plan: Plan) -> None:
+    checked: set[Path] = set()
+    for task in plan.tasks:
+        output = Path(task.output)
+        if output.is_dir() and not output.is_symlink():
+            raise UsageError(
+                f"the output of {task.input!r} is the folder {task.output!r}",
+                hint="choose another output folder",
+                path=task.input,
+            )
+        for parent in output.parents:
+            if parent in checked:
+                break
+            checked.add(parent)
+            if (parent.exists() or parent.is_symlink()) and not parent.is_dir():
+                raise UsageError(
+                    f"the output {task.output!r} needs a folder where {str(parent)!r} is a file",
+                    path=task.input,
+                )
+
+
+def _refuse_escapes(plan: Plan, output: str) -> None:
+    """A link within the output folder must not carry an output out of it."""
+    home = _real(Path(output))
+    checked: set[Path] = set()
+    for task in plan.tasks:
+        parent = Path(task.output).parent
+        if parent in checked:
+            continue
+        checked.add(parent)
+        real = _real(parent)
+        if not real.is_relative_to(home):
+            raise UsageError(
+                f"the output {task.output!r} would leave the output folder: {str(parent)!r} "
+                f"leads to {str(real)!r}",
+                hint="remove the link, or make that folder the output",
+                path=task.input,
+            )
+
+
+def _refuse_foreign_files(plan: Plan, output: str) -> None:
+    existing = [index for index, task in enumerate(plan.tasks) if _is_there(Path(task.output))]
+    if not existing:
+        return
+    explained = Manifest.read(output).names()
+    foreign = [plan.tasks[index] for index in existing if plan.key(index) not in explained]
+    if foreign:
+        raise UsageError(
+            f"{_listed(task.output for task in foreign)} in the output folder "
+            "would be overwritten, and no run of msal put it there",
+            hint="choose another output folder, or give --force to overwrite",
+            path=foreign[0].input,
+        )
+
+
+def _is_there(path: Path) -> bool:
+    return path.exists() or path.is_symlink()
+
+
+def _listed(names: Iterable[str], at_most: int = 3) -> str:
+    everything = list(names)
+    text = ", ".join(repr(name) for name in everything[:at_most])
+    more = len(everything) - at_most
+    return f"{text} and {more} more" if more > 0 else text

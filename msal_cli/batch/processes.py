@@ -1,0 +1,49 @@
+"""What can be asked about a process from outside, on every system."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process of this machine has this id, be it ours or not."""
+    if pid <= 0:
+        return False
+    if sys.platform == "win32":
+        return _is_alive_on_windows(pid)
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
+
+
+def _is_alive_on_windows(pid: int) -> bool:
+    # os.kill would end the process there, whatever the signal.
+    import ctypes
+
+    query_limited_information, still_active = 0x1000, 259
+    kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
+    handle = kernel.OpenProcess(query_limited_information, False, pid)
+    if not handle:
+        return False
+    code = ctypes.c_ulong()
+    is_known = kernel.GetExitCodeProcess(handle, ctypes.byref(code))
+    kernel.CloseHandle(handle)
+    return bool(is_known) and code.value == still_active
+
+
+def ending(code: int) -> str:
+    """How a process ended, in words, from the exit code that ``subprocess`` gives."""
+    if code < 0:
+        try:
+            return f"was killed by {signal.Signals(-code).name}"
+        except ValueError:
+            return f"was killed by signal {-code}"
+    if code >= 0x80000000:
+        return f"ended with the exception 0x{code:08X}"
+    return f"ended with exit status {code}"

@@ -1,0 +1,176 @@
+"""What an earlier run has done already, proved by hashes and not by times."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import threading
+from collections.abc import Generator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from msal_cli.batch.manifest import Entry, FileMark, Manifest, file_sha256
+from msal_cli.batch.plan import Plan
+from msal_cli.batch.temporaries import temporary_name
+from msal_cli.errors import OutputError
+from msal_cli.pipeline import Task
+from msal_cli.records import Failure, MeshRecord
+
+# Hashing is as fast as a disk; more threads than this only make the disk seek.
+_MOST_THREADS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What is to be done about one task.
+
+    ``record`` is set if there is nothing to do: the output is current, or the file cannot be done.
+    ``objection`` is a reason to refuse the whole run.  With ``restores`` the input is first to be
+    put back from its backup, because a run was killed right after it replaced it.
+    """
+
+    index: int
+    record: MeshRecord | None = None
+    objection: str = ""
+    restores: bool = False
+
+
+def standings(
+    plan: Plan, manifests: Mapping[str, Manifest], settings: str, *, threads: int
+) -> Generator[Standing, None, None]:
+    """The standing of every task, in the plan's order; ``settings`` is their hash.
+
+    An output is current if input, output, settings and version are those of the manifest: files
+    are read and hashed, their times are never trusted.  Closing the iterator stops the reading.
+    """
+    is_stopped = threading.Event()
+    judge = _Judge(plan, manifests, settings, is_stopped)
+    known = [index for index in range(len(plan.tasks)) if judge.needs_reading(index)]
+    if len(known) < 2 or threads < 2:
+        yield from map(judge.standing, range(len(plan.tasks)))
+        return
+    pool = ThreadPoolExecutor(min(threads, _MOST_THREADS, len(known)))
+    try:
+        yield from pool.map(judge.standing, range(len(plan.tasks)))
+    finally:
+        is_stopped.set()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+class _Judge:
+    def __init__(
+        self,
+        plan: Plan,
+        manifests: Mapping[str, Manifest],
+        settings: str,
+        is_stopped: threading.Event,
+    ) -> None:
+        self._plan = plan
+        self._manifests = manifests
+        self._settings = settings
+        self._is_stopped = is_stopped
+
+    def _entry(self, index: int) -> Entry | None:
+        home = self._plan.homes[index]
+        return None if home is None else self._manifests[home].get(self._plan.key(index))
+
+    def needs_reading(self, index: int) -> bool:
+        return self._entry(index) is not None or self._plan.tasks[index].in_place
+
+    def standing(self, index: int) -> Standing:
+        task, entry = self._plan.tasks[index], self._entry(index)
+        if entry is not None and not self._plan.fresh and self._is_current(task, entry):
+            return Standing(index, record=_up_to_date(task, entry))
+        return self._in_place_standing(index, task, entry) if task.in_place else Standing(index)
+
+    def _is_current(self, task: Task, entry: Entry) -> bool:
+        if not entry.is_done or entry.settings != self._settings:
+            return False
+        if entry.status not in ("written", "unchanged"):
+            return False
+        if not self._is_same(task.output, entry.output_mark, entry.output_sha256):
+            return False
+        return task.in_place or self._is_same(task.input, entry.input_mark, entry.input_sha256)
+
+    def _is_same(self, path: str, mark: FileMark | None, sha256: str) -> bool:
+        now = FileMark.of(path)
+        if not sha256 or now is None or (mark is not None and mark.size != now.size):
+            return False
+        return self._sha256(path) == sha256
+
+    def _sha256(self, path: str) -> str:
+        return file_sha256(path, self._is_stopped.is_set)
+
+    def _in_place_standing(self, index: int, task: Task, entry: Entry | None) -> Standing:
+        was_interrupted = entry is not None and not entry.is_done
+        if not task.backup:
+            if (
+                was_interrupted
+                and not self._plan.fresh
+                and FileMark.of(task.input) != (entry.input_mark if entry else None)
+            ):
+                return Standing(index, record=_maybe_done(task))
+            return Standing(index)
+        backup = backup_path(task)
+        if not (backup.exists() or backup.is_symlink()):
+            return Standing(index)
+        mark = FileMark.of(str(backup))
+        sizes_differ = mark is not None and mark.size != _size(task.input)
+        if not sizes_differ and self._sha256(str(backup)) == self._sha256(task.input) != "":
+            return Standing(index)
+        original = entry.input_mark if entry is not None else None
+        if was_interrupted and mark and original and mark.size == original.size:
+            return Standing(index, restores=True)
+        return Standing(index, objection=str(backup))
+
+
+def backup_path(task: Task) -> Path:
+    """Where an in-place task keeps the original."""
+    return Path(task.input + (task.backup or ""))
+
+
+def restore(task: Task) -> None:
+    """Put the original back from its backup, whole or not at all; OutputError if that fails."""
+    target = Path(task.input)
+    temporary = target.with_name(temporary_name("restored"))
+    try:
+        try:
+            shutil.copyfile(backup_path(task), temporary)
+            shutil.copymode(target, temporary)
+            temporary.replace(target)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise OutputError(
+            f"{task.input!r} cannot be restored from its backup: {error.strerror}", path=task.input
+        ) from None
+
+
+def _size(path: str) -> int | None:
+    mark = FileMark.of(path)
+    return None if mark is None else mark.size
+
+
+def _up_to_date(task: Task, entry: Entry) -> MeshRecord:
+    earlier = entry.record() or MeshRecord(
+        input=task.input,
+        status="up-to-date",
+        input_sha256=entry.input_sha256,
+        output_sha256=entry.output_sha256,
+    )
+    return replace(earlier, input=task.input, output=task.output, status="up-to-date")
+
+
+def _maybe_done(task: Task) -> MeshRecord:
+    return MeshRecord(
+        input=task.input,
+        status="failed",
+        error=Failure(
+            "E_CHANGED",
+            "the file changed since a run in place was interrupted; it may be denoised already",
+            hint="look at it, and give --fresh to denoise it as it is now",
+        ),
+    )

@@ -1,0 +1,297 @@
+"""Many files: carry out a plan, note every finished file, and tell what happens."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from msal_cli import __version__
+from msal_cli.batch import signals, temporaries
+from msal_cli.batch.cores import usable_cores
+from msal_cli.batch.events import Finished, Progress, Started
+from msal_cli.batch.lock import FolderLock
+from msal_cli.batch.manifest import Manifest, done, intent, settings_hash
+from msal_cli.batch.plan import Plan
+from msal_cli.batch.resume import restore, standings
+from msal_cli.errors import OutputError, UsageError
+from msal_cli.pipeline import Settings, Task, denoise_file
+from msal_cli.records import Failure, MeshRecord, MethodUsed
+
+if TYPE_CHECKING:
+    from msal_cli.batch.events import OnEvent
+    from msal_cli.batch.workers import Message
+
+    OnProgress = Callable[[str, int, int], None]
+    Denoise = Callable[[Task, Settings, OnProgress | None], MeshRecord]
+
+_CODES = {"crash": "E_CRASH", "memory": "E_MEMORY", "exception": "E_INTERNAL"}
+
+_log = logging.getLogger("msal.batch")
+
+
+def run(
+    plan: Plan,
+    settings: Settings,
+    *,
+    jobs: int | None = None,
+    on_event: OnEvent | None = None,
+    dry_run: bool = False,
+    stop_after_failures: int | None = None,
+    denoise: Denoise = denoise_file,
+) -> list[MeshRecord]:
+    """One record per task, in the plan's order; the same bytes for any number of jobs.
+
+    What an earlier run has written and is still current is not done again (status
+    ``up-to-date``).  A plan of one task runs in this process, others in supervised workers.
+
+    Parameters
+    ----------
+    jobs : files at the same time; None is one per usable core.
+    on_event : called in this thread with events.Started, Progress and Finished.
+    dry_run : touch nothing; records are ``planned`` or ``up-to-date``.
+    stop_after_failures : hand out no more files once so many have failed; the rest is ``planned``.
+    denoise : what does one file, a module-level function.
+
+    Raises
+    ------
+    UsageError : another run works on the output folder (``E_LOCKED``), or a backup that differs
+        from the file to be replaced is in the way; nothing was touched.
+    OutputError : the output folder or its manifest cannot be written.
+    ResourceError : no worker process can be started.
+    KeyboardInterrupt, signals.Terminated : a signal asked to end; all workers are gone, finished
+        files are whole and noted, and running the plan again goes on from there.
+    """
+    if jobs is not None and jobs < 1:
+        raise UsageError(f"the number of jobs must be at least 1, not {jobs}")
+    if stop_after_failures is not None and stop_after_failures < 1:
+        raise UsageError(
+            f"the number of failures to stop after must be at least 1, not {stop_after_failures}"
+        )
+    with ExitStack() as stack:
+        one = _Run(plan, settings, jobs, on_event or (lambda event: None), denoise)
+        one.stop_after_failures = stop_after_failures
+        return one.rehearsed() if dry_run else one.performed(stack)
+
+
+class _Run:
+    def __init__(
+        self,
+        plan: Plan,
+        settings: Settings,
+        jobs: int | None,
+        on_event: OnEvent,
+        denoise: Denoise,
+    ) -> None:
+        self.stop_after_failures: int | None = None
+        self._plan = plan
+        self._settings = settings
+        self._cores = usable_cores()
+        self._jobs = jobs or self._cores
+        self._on_event = on_event
+        self._denoise = denoise
+        self._hash = settings_hash(settings)
+        self._homes = sorted({home for home in plan.homes if home is not None})
+        self._manifests: dict[str, Manifest] = {}
+        self._records: dict[int, MeshRecord] = {}
+        self._n_failed = 0
+
+    def rehearsed(self) -> list[MeshRecord]:
+        """What would happen, with nothing touched."""
+        self._manifests = {home: Manifest.read(home) for home in self._homes}
+        for index in self._unsettled():
+            self._settle(index, self._planned(index))
+        return self._in_order()
+
+    def performed(self, stack: ExitStack) -> list[MeshRecord]:
+        """What happened; ``stack`` lets go of locks and manifests, however this ends."""
+        for home in self._homes:
+            _make_folder(home)
+            stack.enter_context(FolderLock(home))
+            manifest = Manifest.read(home)
+            stack.callback(manifest.close)
+            self._manifests[home] = manifest
+        folders = {Path(task.output).parent for task in self._plan.tasks}
+        temporaries.sweep(folders.union(self._homes))
+        restored: list[Task] = []
+        todo = self._unsettled(restored)
+        for manifest in self._manifests.values():
+            manifest.open()
+        for task in restored:
+            restore(task)
+        self._note(
+            (index, intent(key, self._plan.tasks[index].input)) for index, key in self._keys(todo)
+        )
+        if len(self._plan.tasks) == 1:
+            self._work_here(todo)
+        elif todo:
+            self._work_elsewhere(todo)
+        return self._in_order()
+
+    # What is to be done
+
+    def _unsettled(self, restored: list[Task] | None = None) -> list[int]:
+        """Settle what is current already; the indices of the rest."""
+        todo: list[int] = []
+        obstacles: list[str] = []
+        with closing(
+            standings(self._plan, self._manifests, self._hash, threads=self._cores)
+        ) as everything:
+            for one in everything:
+                if one.objection:
+                    obstacles.append(one.objection)
+                elif one.record is not None:
+                    self._settle(one.index, one.record)
+                else:
+                    todo.append(one.index)
+                    if one.restores and restored is not None:
+                        restored.append(self._plan.tasks[one.index])
+        if obstacles:
+            more = f" and {len(obstacles) - 1} more" if len(obstacles) > 1 else ""
+            raise UsageError(
+                f"the backup {obstacles[0]!r}{more} exists and is not the file to be replaced",
+                hint="the original is in it: move it back, or choose another --backup suffix",
+                path=obstacles[0],
+            )
+        return todo
+
+    def _keys(self, indices: Iterable[int]) -> list[tuple[int, str]]:
+        homes = self._plan.homes
+        return [(index, self._plan.key(index)) for index in indices if homes[index] is not None]
+
+    # The work
+
+    def _work_here(self, todo: list[int]) -> None:
+        with signals.noticed(signals.raise_for):
+            for index in todo:
+                task = self._plan.tasks[index]
+                self._on_event(Started(index, task))
+                try:
+                    record = self._denoise(
+                        task,
+                        self._settings,
+                        lambda stage, n, total: self._on_event(Progress(0, stage, n, total)),
+                    )
+                except Exception as error:
+                    _log.exception("internal error at %r", task.input)
+                    record = self._lost(index, "exception", f"{type(error).__name__}: {error}")
+                self._finish([(index, record)])
+
+    def _work_elsewhere(self, todo: list[int]) -> None:
+        from msal_cli.batch.workers import Crew, Interrupt
+
+        received: list[int] = []
+        crew = Crew(
+            {index: self._plan.tasks[index] for index in todo},
+            do_one,
+            (self._denoise, self._settings),
+            jobs=self._jobs,
+            cores=self._cores,
+            on_death=self._clear_away,
+        )
+
+        def on_signal(signum: int) -> None:
+            received.append(signum)
+            crew.interrupt()
+
+        with signals.noticed(on_signal), closing(crew.batches()) as batches:
+            try:
+                for messages in batches:
+                    self._hear(messages)
+                    if self.stop_after_failures and self._n_failed >= self.stop_after_failures:
+                        crew.stop()
+            except Interrupt:
+                signals.raise_for(received[0])
+
+    def _hear(self, messages: list[Message]) -> None:
+        from msal_cli.batch.workers import Advanced, Again, Began, Lost, Returned
+
+        finished: list[tuple[int, MeshRecord]] = []
+        for message in messages:
+            index = message.index
+            if isinstance(message, Began):
+                self._on_event(Started(index, self._plan.tasks[index]))
+            elif isinstance(message, Advanced):
+                self._on_event(Progress(index, message.stage, message.done, message.total))
+            elif isinstance(message, Returned):
+                record: MeshRecord = message.result
+                if message.earlier:
+                    note = f"done at the second try: {message.earlier} at the first"
+                    record = replace(record, warnings=(*record.warnings, note))
+                finished.append((index, record))
+            elif isinstance(message, Lost):
+                lost = self._lost(index, message.cause, message.reason, message.hint)
+                finished.append((index, lost))
+            elif isinstance(message, Again):
+                name = self._plan.tasks[index].input
+                _log.warning("%r: %s; it will be tried once more", name, message.reason)
+        self._finish(finished)
+
+    # What came of it
+
+    def _finish(self, finished: list[tuple[int, MeshRecord]]) -> None:
+        """Note files in the manifests, then tell."""
+        records = dict(finished)
+        self._note(
+            (index, done(key, self._hash, records[index], self._plan.tasks[index].input))
+            for index, key in self._keys(records)
+        )
+        for index, record in finished:
+            self._settle(index, record)
+
+    def _note(self, lines: Iterable[tuple[int, dict[str, Any]]]) -> None:
+        by_home: dict[str, list[dict[str, Any]]] = {}
+        for index, line in lines:
+            by_home.setdefault(str(self._plan.homes[index]), []).append(line)
+        for home, some in by_home.items():
+            self._manifests[home].append(some)
+
+    def _settle(self, index: int, record: MeshRecord) -> None:
+        self._records[index] = record
+        self._n_failed += record.status == "failed"
+        self._on_event(Finished(index, record))
+
+    def _in_order(self) -> list[MeshRecord]:
+        return [
+            self._records.get(index) or self._planned(index)
+            for index in range(len(self._plan.tasks))
+        ]
+
+    def _planned(self, index: int) -> MeshRecord:
+        task = self._plan.tasks[index]
+        return MeshRecord(
+            input=task.input,
+            output=task.output,
+            status="planned",
+            version=__version__,
+            method=MethodUsed(self._settings.method, dict(self._settings.parameters)),
+        )
+
+    def _lost(self, index: int, cause: str, reason: str, hint: str = "") -> MeshRecord:
+        failure = Failure(_CODES[cause], reason, hint)
+        return replace(self._planned(index), output=None, status="failed", error=failure)
+
+    def _clear_away(self, pid: int, index: int) -> None:
+        temporaries.sweep_after(pid, Path(self._plan.tasks[index].output).parent)
+
+
+def do_one(task: Task, common: tuple[Denoise, Settings], on_progress: OnProgress) -> MeshRecord:
+    """One file, in a worker.  Memory that ran out is raised again, so that the file gets its
+    second try alone and the worker, whose heap is in pieces, is replaced."""
+    denoise, settings = common
+    record = denoise(task, settings, on_progress)
+    if record.error is not None and record.error.code == "E_MEMORY":
+        raise MemoryError(record.error.message)
+    return record
+
+
+def _make_folder(folder: str) -> None:
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"the output folder {folder!r} cannot be made: {error.strerror}", path=folder
+        ) from None

@@ -1,0 +1,188 @@
+"""The inside of a worker process: take a task, do it, hand back the result, wait for the next.
+
+The parent talks through standard input and hears through what was standard output; both are
+taken away from everything else first, so that a library which prints or reads cannot break in.
+A message is a pickle behind its length (8 bytes, little endian).
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import logging
+import os
+import pickle
+import queue
+import signal
+import struct
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+_LENGTH = struct.Struct("<Q")
+
+# Progress is for eyes: more often than this (seconds) is a waste of both processes' time.
+_BETWEEN_PROGRESS_S = 0.05
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """What a worker is told once: ``function(task, common, on_progress)`` is its work."""
+
+    function: Callable[[Any, Any, Callable[[str, int, int], None]], Any]
+    common: Any
+    log_level: int
+
+
+def write_message(handle: int, message: object) -> None:
+    """Send one message to a pipe; OSError if nobody listens."""
+    body = pickle.dumps(message, protocol=5)
+    rest = memoryview(_LENGTH.pack(len(body)) + body)
+    while rest:
+        rest = rest[os.write(handle, rest) :]
+
+
+def read_message(handle: int) -> Any:
+    """The next message of a pipe; EOFError at its end, also within a message."""
+    (length,) = _LENGTH.unpack(_read_exactly(handle, _LENGTH.size))
+    return pickle.loads(_read_exactly(handle, length))
+
+
+def _read_exactly(handle: int, length: int) -> bytes:
+    parts = []
+    while length:
+        part = os.read(handle, min(length, 1 << 20))
+        if not part:
+            raise EOFError
+        parts.append(part)
+        length -= len(part)
+    return b"".join(parts)
+
+
+def serve() -> None:
+    """Work until the parent closes the pipe or is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _die_with_parent()
+    orders, answers = _private_pipes()
+    faulthandler.enable()
+    outgoing = _Outgoing(answers)
+    try:
+        assignment: Assignment = read_message(orders)
+        _log_to_parent(outgoing, assignment.log_level)
+    except EOFError:
+        return
+    except BaseException:
+        outgoing.send("unusable", traceback.format_exc())
+        return
+    tasks: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
+    threading.Thread(target=_receive, args=(orders, tasks), daemon=True).start()
+    outgoing.send("ready", os.getpid())
+    while True:
+        _do(assignment, *tasks.get(), outgoing)
+
+
+def _receive(orders: int, tasks: queue.SimpleQueue[tuple[int, Any]]) -> None:
+    """Pass tasks on; end the whole process, even in the middle of a task, with the parent."""
+    while True:
+        try:
+            tasks.put(read_message(orders))
+        except EOFError:
+            os._exit(0)
+
+
+class _Outgoing:
+    """The way to the parent, for all threads."""
+
+    def __init__(self, handle: int) -> None:
+        self._handle = handle
+        self._lock = threading.Lock()
+
+    def send(self, *message: Any) -> None:
+        try:
+            with self._lock:
+                write_message(self._handle, message)
+        except OSError:
+            os._exit(0)
+
+
+def _do(assignment: Assignment, index: int, task: Any, outgoing: _Outgoing) -> None:
+    last = ("", 0.0)
+
+    def on_progress(stage: str, done: int, total: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if stage != last[0] or done == total or now - last[1] >= _BETWEEN_PROGRESS_S:
+            last = (stage, now)
+            outgoing.send("progress", index, stage, done, total)
+
+    try:
+        result = assignment.function(task, assignment.common, on_progress)
+        outgoing.send("returned", index, result, resident_bytes())
+    except MemoryError:
+        # What is left of the heap cannot be trusted with another file.
+        outgoing.send("exhausted", index)
+        os._exit(1)
+    except BaseException as error:
+        # SystemExit included: a library must not end the worker in silence.
+        logging.getLogger("msal.batch").error("%s", traceback.format_exc())
+        outgoing.send("raised", index, f"{type(error).__name__}: {error}")
+
+
+def resident_bytes() -> int:
+    """Memory that this process holds now; 0 where the system does not tell."""
+    if sys.platform == "win32":
+        return 0
+    try:
+        with open("/proc/self/statm", "rb") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, IndexError):
+        return 0
+
+
+def _private_pipes() -> tuple[int, int]:
+    """Copies of standard input and output; the originals then lead to nothing and to stderr."""
+    sys.stdout.flush()
+    orders, answers = os.dup(0), os.dup(1)
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
+    os.dup2(2, 1)
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.setmode(orders, os.O_BINARY)
+        msvcrt.setmode(answers, os.O_BINARY)
+    return orders, answers
+
+
+def _die_with_parent() -> None:
+    """On Linux, ask the system to kill this process with its parent, however busy it is."""
+    if not sys.platform.startswith("linux"):
+        return
+    try:
+        import ctypes
+
+        set_parent_death_signal = 1
+        ctypes.CDLL(None).prctl(set_parent_death_signal, int(signal.SIGKILL), 0, 0, 0)
+    except (ImportError, OSError, AttributeError):
+        # The end of the pipe tells as well, only a moment later.
+        return
+
+
+class _ParentLog(logging.Handler):
+    def __init__(self, outgoing: _Outgoing) -> None:
+        super().__init__()
+        self._outgoing = outgoing
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._outgoing.send("log", record.name, record.levelno, self.format(record))
+
+
+def _log_to_parent(outgoing: _Outgoing, level: int) -> None:
+    root = logging.getLogger()
+    root.addHandler(_ParentLog(outgoing))
+    root.setLevel(logging.WARNING)
+    logging.getLogger("msal").setLevel(level)
