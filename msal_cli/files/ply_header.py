@@ -1,0 +1,334 @@
+"""The header of a PLY file: what it declares, and how it reads after a change of number types.
+
+The header is plain text up to the line ``end_header``, whatever follows.  Its lines end in LF,
+CR LF or CR; which of them is told by the first line.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from msal_cli.errors import FormatError, TooLargeError, TruncatedError, UnsupportedError
+
+MOST_BYTES = 65_536
+"""Longest header that is read; a file without an end to its header is not searched further."""
+
+MOST_LINES = 1_000
+"""Most lines of a header; real ones have a few dozen."""
+
+TYPES = {
+    "char": "i1",
+    "int8": "i1",
+    "uchar": "u1",
+    "uint8": "u1",
+    "short": "i2",
+    "int16": "i2",
+    "ushort": "u2",
+    "uint16": "u2",
+    "int": "i4",
+    "int32": "i4",
+    "uint": "u4",
+    "uint32": "u4",
+    "int64": "i8",
+    "uint64": "u8",
+    "float": "f4",
+    "float32": "f4",
+    "double": "f8",
+    "float64": "f8",
+}
+"""Number types as files spell them, and their numpy codes; the 64-bit integers are an extension."""
+
+ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
+
+_RESPELT = {
+    ("f4", False): "float",
+    ("f4", True): "float32",
+    ("f8", False): "double",
+    ("f8", True): "float64",
+}
+
+
+@dataclass(frozen=True)
+class Property:
+    """One ``property`` line: a scalar, or a list when ``count_type`` is not empty.
+
+    ``type`` and ``count_type`` are spelt as in the file; ``line`` counts header lines from 0.
+    """
+
+    name: str
+    type: str
+    count_type: str
+    line: int
+
+    @property
+    def code(self) -> str:
+        """Numpy code of the values, such as ``"f4"``."""
+        return TYPES[self.type]
+
+    @property
+    def count_code(self) -> str:
+        """Numpy code of a list's count; empty for a scalar."""
+        return TYPES[self.count_type] if self.count_type else ""
+
+    @property
+    def is_list(self) -> bool:
+        return bool(self.count_type)
+
+    def __str__(self) -> str:
+        kind = f"list {self.count_type} {self.type}" if self.is_list else self.type
+        return f"{self.name} {kind}"
+
+
+@dataclass(frozen=True)
+class Element:
+    """One ``element`` line with its properties; ``count`` is what the file claims."""
+
+    name: str
+    count: int
+    properties: tuple[Property, ...]
+
+    def find(self, name: str) -> Property | None:
+        """The property of that name, or None."""
+        return next((one for one in self.properties if one.name == name), None)
+
+    def index(self, name: str) -> int:
+        """Position of the property of that name among the properties."""
+        return next(k for k, one in enumerate(self.properties) if one.name == name)
+
+
+@dataclass(frozen=True)
+class Header:
+    """A parsed header.
+
+    Attributes
+    ----------
+    encoding : one of ``ENCODINGS``.
+    elements : in file order.
+    textures : files named by ``comment TextureFile``, as written.
+    size : bytes up to and including the line end of ``end_header``.
+    newline : the header's line end, ``b"\\n"``, ``b"\\r\\n"`` or ``b"\\r"``.
+    n_lines : lines of the header, ``end_header`` included.
+    format_line : which line (from 0) states the encoding.
+    """
+
+    encoding: str
+    elements: tuple[Element, ...]
+    textures: tuple[str, ...]
+    size: int
+    newline: bytes
+    n_lines: int
+    format_line: int
+
+    def find(self, name: str) -> Element | None:
+        """The element of that name, or None."""
+        return next((one for one in self.elements if one.name == name), None)
+
+    @property
+    def byte_order(self) -> str:
+        """Numpy's sign for the byte order of the data; little for ascii, which has none."""
+        return ">" if self.encoding == "binary_big_endian" else "<"
+
+
+def _decoded(text: bytes) -> str:
+    try:
+        return text.decode("utf-8")
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
+
+
+def _shown(text: bytes) -> str:
+    """A word of the file fit for a message: printable and short."""
+    word = _decoded(text[:60])
+    return repr(word if len(text) <= 60 else word + "...")
+
+
+def _first_line_end(head: bytes) -> bytes:
+    """The line end after the magic word; FormatError where the file is not PLY at all."""
+    match = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
+    if match:
+        return match.group(1)
+    if head.startswith(b"\xef\xbb\xbf"):
+        raise FormatError(
+            "the file begins with a byte-order mark instead of the word 'ply'",
+            where="byte 0",
+            hint="remove the first three bytes",
+        )
+    if not head:
+        raise TruncatedError("the file is empty", hint="copy or export it again")
+    if b"ply\n".startswith(head) or b"ply\r".startswith(head):
+        raise TruncatedError("the file ends within its first line", hint="export it again")
+    raise FormatError(
+        "the file does not begin with a line 'ply'",
+        where="line 1",
+        hint="is it another format under a .ply name?",
+    )
+
+
+def _split(head: bytes, newline: bytes, whole: bool) -> tuple[list[bytes], int]:
+    """The header's lines without their ends, ``end_header`` last, and the header's size.
+
+    ``whole`` says that ``head`` is the complete file, so that a missing end is a truncation.
+    """
+    ending = b"\r" if newline == b"\r" else b"\n"
+    lines: list[bytes] = []
+    at = 0
+    while True:
+        stop = head.find(ending, at)
+        line = head[at:] if stop < 0 else head[at:stop]
+        lines.append(line)
+        if line.strip() == b"end_header" and (stop >= 0 or whole):
+            # The last line needs no line end when no data follow.
+            return lines, len(head) if stop < 0 else stop + 1
+        if len(lines) >= MOST_LINES:
+            raise TooLargeError(
+                f"the header has no 'end_header' within its first {MOST_LINES} lines",
+                where=f"line {len(lines)}",
+                hint="the file is damaged, or is not a PLY mesh",
+            )
+        if stop < 0:
+            break
+        at = stop + 1
+    if whole:
+        raise TruncatedError(
+            "the file ends within its header: there is no 'end_header'",
+            where=f"line {len(lines)}",
+            hint="the file was cut short; copy or export it again",
+        )
+    raise TooLargeError(
+        f"the header has no 'end_header' within its first {MOST_BYTES} bytes",
+        where=f"line {len(lines)}",
+        hint="the file is damaged, or is not a PLY mesh",
+    )
+
+
+class _Parser:
+    """Collects elements line by line; every method raises FormatError with the line."""
+
+    def __init__(self) -> None:
+        self.encoding = ""
+        self.format_line = -1
+        self.textures: list[str] = []
+        self.elements: list[Element] = []
+        self.line = 0
+
+    def fail(self, message: str, hint: str = "") -> FormatError:
+        return FormatError(message, where=f"line {self.line + 1}", hint=hint)
+
+    def read_format(self, words: list[bytes]) -> None:
+        if self.encoding:
+            raise self.fail("the header states its format twice")
+        if len(words) != 3 or _decoded(words[1]) not in ENCODINGS:
+            raise self.fail(
+                f"the format line {_shown(b' '.join(words))} is not understood",
+                "expected 'format ascii 1.0', 'format binary_little_endian 1.0' or "
+                "'format binary_big_endian 1.0'",
+            )
+        if words[2] != b"1.0":
+            raise UnsupportedError(
+                f"PLY version {_shown(words[2])} is not known",
+                where=f"line {self.line + 1}",
+                hint="only version 1.0 exists",
+            )
+        self.encoding = _decoded(words[1])
+        self.format_line = self.line
+
+    def read_element(self, words: list[bytes]) -> None:
+        if len(words) != 3:
+            raise self.fail("an element line needs a name and a count")
+        name = _decoded(words[1])
+        # Twenty digits hold every count a file could have; more would only burn time in int().
+        if not words[2].isdigit() or len(words[2]) > 20:
+            raise self.fail(
+                f"the count {_shown(words[2])} of element {_shown(words[1])} is not a whole "
+                "number from 0 up"
+            )
+        if any(one.name == name for one in self.elements):
+            raise self.fail(f"the header declares element {_shown(words[1])} twice")
+        self.elements.append(Element(name, int(words[2]), ()))
+
+    def read_property(self, words: list[bytes]) -> None:
+        if not self.elements:
+            raise self.fail("a property stands before the first element")
+        is_list = len(words) > 1 and words[1] == b"list"
+        if len(words) != (5 if is_list else 3):
+            raise self.fail(
+                f"the property line {_shown(b' '.join(words))} is not understood",
+                "expected 'property TYPE NAME' or 'property list TYPE TYPE NAME'",
+            )
+        for word in words[2 if is_list else 1 : -1]:
+            if _decoded(word) not in TYPES:
+                raise self.fail(f"the number type {_shown(word)} is not known")
+        count_type = _decoded(words[2]) if is_list else ""
+        if is_list and TYPES[count_type][0] == "f":
+            raise self.fail(f"the count of a list cannot be of type {count_type}")
+        element = self.elements[-1]
+        one = Property(_decoded(words[-1]), _decoded(words[-2]), count_type, self.line)
+        if element.find(one.name):
+            raise self.fail(f"element '{element.name}' declares property {_shown(words[-1])} twice")
+        self.elements[-1] = Element(element.name, element.count, (*element.properties, one))
+
+    def read(self, text: bytes) -> None:
+        words = text.split()
+        if not words or words[0] == b"obj_info":
+            return
+        if words[0] == b"comment":
+            if len(words) > 2 and words[1].lower() == b"texturefile":
+                self.textures.append(_decoded(text.split(None, 2)[2].strip()))
+        elif words[0] == b"format":
+            self.read_format(words)
+        elif words[0] == b"element":
+            self.read_element(words)
+        elif words[0] == b"property":
+            self.read_property(words)
+        else:
+            raise self.fail(f"the header line {_shown(text)} is not understood")
+
+
+def parsed(data: memoryview) -> Header:
+    """The header of the PLY file ``data`` (bytes).
+
+    Raises FormatError (not PLY, or a line that is not understood, with its number),
+    UnsupportedError (another version), TruncatedError (the file ends within the header) and
+    TooLargeError (no end within ``MOST_BYTES`` bytes or ``MOST_LINES`` lines).
+    """
+    head = bytes(data[:MOST_BYTES])
+    newline = _first_line_end(head)
+    lines, size = _split(head, newline, whole=len(head) == len(data))
+    parser = _Parser()
+    for parser.line, text in enumerate(lines):
+        if 0 < parser.line < len(lines) - 1:
+            parser.read(text)
+    if not parser.encoding:
+        raise FormatError(
+            "the header has no format line",
+            where="header",
+            hint="expected 'format ascii 1.0' or one of the binary formats after 'ply'",
+        )
+    return Header(
+        encoding=parser.encoding,
+        elements=tuple(parser.elements),
+        textures=tuple(parser.textures),
+        size=size,
+        newline=newline,
+        n_lines=len(lines),
+        format_line=parser.format_line,
+    )
+
+
+def retyped(header: Header, text: bytes, encoding: str, codes: dict[int, str]) -> bytes:
+    """The header's bytes with another encoding and other types of scalar properties.
+
+    ``text`` is the header as it stands in the file; ``codes`` maps line numbers (from 0) of
+    property lines to ``"f4"`` or ``"f8"``.  Everything else, spacing included, is kept, and a
+    type keeps its family of spelling (``double`` for ``float``, ``float64`` for ``float32``).
+    """
+    ending = b"\r" if header.newline == b"\r" else b"\n"
+    lines = text.split(ending)
+    second_words = {header.format_line: encoding}
+    for line, code in codes.items():
+        old = lines[line].split()[1].decode()
+        second_words[line] = _RESPELT[code, old[-1].isdigit()]
+    for line, word in second_words.items():
+        lines[line] = re.sub(rb"^(\s*\S+\s+)\S+", rb"\g<1>" + word.encode(), lines[line])
+    return ending.join(lines)

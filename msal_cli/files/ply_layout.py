@@ -1,0 +1,424 @@
+"""Where the values of a PLY file stand, and how they are read and overwritten in place.
+
+Each element becomes a section: ``Fixed`` (binary records of one size, reached through strided
+views, nothing is copied), ``Varied`` (binary records that differ in size because of their lists)
+or ``Lines`` (ascii).  No section is made before every byte that its counts promise is known to
+be there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.errors import FormatError, TruncatedError
+from msal_cli.files.ply_header import Element, Header, Property
+
+Bytes = NDArray[np.uint8]
+Floats = NDArray[np.float64]
+Longs = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+Wanted = Callable[[Element], Sequence[str]]
+"""The properties of an element whose places are to be kept where that costs memory."""
+
+_CUT_HINT = "the file was cut short or its header counts are wrong; copy or export it again"
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """Binary records of ``stride`` bytes each from byte ``start`` on.
+
+    ``places`` gives, for each property, the byte within the record where its value (of a list:
+    its first item) stands, and the number of items that every record has (1 for a scalar).
+    """
+
+    data: Bytes
+    element: Element
+    order: str
+    start: int
+    stop: int
+    stride: int
+    places: dict[str, tuple[int, int]]
+
+    def where(self, record: int) -> str:
+        """The record in words."""
+        return f"{self.element.name} {record}"
+
+    def column(self, name: str, within: Bytes | None = None) -> NDArray[np.generic]:
+        """The values of a scalar (count,) or of a list (count, k), as the file stores them.
+
+        A view into ``within``, the bytes of this section, or else into the file.
+        """
+        one = self.element.properties[self.element.index(name)]
+        dtype = np.dtype(self.order + one.code)
+        place, length = self.places[name]
+        shape: tuple[int, ...] = (self.element.count,)
+        strides: tuple[int, ...] = (self.stride,)
+        if one.is_list:
+            shape, strides = (*shape, length), (*strides, dtype.itemsize)
+        buffer = self.data[self.start : self.stop] if within is None else within
+        if not self.element.count or not length:
+            return np.empty(shape, dtype)
+        return np.ndarray(shape, dtype, buffer=buffer, offset=place, strides=strides)
+
+    def items(self, name: str) -> tuple[NDArray[np.generic], Longs]:
+        """All items of a list, one record behind another, and each record's number (count,)."""
+        column = self.column(name)
+        return column.reshape(-1), np.full(len(column), column.shape[1], dtype=np.int64)
+
+    def numbers(self, names: Sequence[str], within: Bytes | None = None) -> Floats:
+        """The scalars of ``names`` as (count, len(names)) float64."""
+        values = np.empty((self.element.count, len(names)))
+        for k, name in enumerate(names):
+            values[:, k] = self.column(name, within)
+        return values
+
+    def write(self, within: Bytes, names: Sequence[str], values: Floats, where: Flags) -> None:
+        """Store ``values`` (count, k) where ``where`` (count, k), into this section's bytes."""
+        for k, name in enumerate(names):
+            column = self.column(name, within)
+            np.copyto(column, stored(values[:, k], column.dtype), where=where[:, k])
+
+
+@dataclass(frozen=True)
+class Varied:
+    """Binary records of differing size; ``starts`` (count, c) and ``lengths`` (count, c) say where
+    the values of the properties in ``columns`` begin and how many there are."""
+
+    data: Bytes
+    element: Element
+    order: str
+    start: int
+    stop: int
+    columns: dict[str, int]
+    starts: Longs
+    lengths: Longs
+
+    def where(self, record: int) -> str:
+        """The record in words."""
+        return f"{self.element.name} {record}"
+
+    def _pieces(self, name: str) -> tuple[np.dtype[np.generic], Longs, Longs]:
+        """Type, first bytes (count,) and sizes in bytes (count,) of a property's values."""
+        one = self.element.properties[self.element.index(name)]
+        dtype = np.dtype(self.order + one.code)
+        k = self.columns[name]
+        return (
+            dtype,
+            np.ascontiguousarray(self.starts[:, k]),
+            self.lengths[:, k] * dtype.itemsize,
+        )
+
+    def items(self, name: str) -> tuple[NDArray[np.generic], Longs]:
+        """All values of a property, one record behind another, and each record's number."""
+        from msal_cli.core.ply_scan import gather
+
+        dtype, starts, sizes = self._pieces(name)
+        packed = np.empty(int(sizes.sum()), dtype=np.uint8)
+        gather(self.data, starts, sizes, packed)
+        return packed.view(dtype), np.ascontiguousarray(self.lengths[:, self.columns[name]])
+
+    def column(self, name: str) -> NDArray[np.generic]:
+        """The values of a scalar (count,) as the file stores them, copied."""
+        return self.items(name)[0]
+
+    def numbers(self, names: Sequence[str], within: Bytes | None = None) -> Floats:
+        """The scalars of ``names`` as (count, len(names)) float64."""
+        from msal_cli.core.ply_scan import gather
+
+        values = np.empty((self.element.count, len(names)))
+        for k, name in enumerate(names):
+            dtype, starts, sizes = self._pieces(name)
+            packed = np.empty(self.element.count * dtype.itemsize, dtype=np.uint8)
+            if within is None:
+                gather(self.data, starts, sizes, packed)
+            else:
+                gather(within, starts - self.start, sizes, packed)
+            values[:, k] = packed.view(dtype)
+        return values
+
+    def write(self, within: Bytes, names: Sequence[str], values: Floats, where: Flags) -> None:
+        """Store ``values`` (count, k) where ``where`` (count, k), into this section's bytes."""
+        from msal_cli.core.ply_scan import scatter
+
+        for k, name in enumerate(names):
+            dtype, starts, sizes = self._pieces(name)
+            chosen = where[:, k]
+            packed = stored(values[chosen, k], dtype).view(np.uint8)
+            scatter(within, starts[chosen] - self.start, sizes[chosen], packed)
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Ascii records, one to a line.  ``starts`` and ``stops`` (count, c) are the tokens of the
+    properties in ``columns`` (of a list: of its count), ``lengths`` (count, c) their items."""
+
+    data: Bytes
+    element: Element
+    newline: bytes
+    start: int
+    stop: int
+    columns: dict[str, int]
+    starts: Longs
+    stops: Longs
+    lengths: Longs
+
+    def where(self, record: int) -> str:
+        """The record in words, with its line."""
+        line = line_at(self.data, int(self.starts[record, 0]), self.newline)
+        return f"{self.element.name} {record}, line {line}"
+
+    def spans(self, names: Sequence[str]) -> tuple[Longs, Longs]:
+        """First bytes and ends (count * len(names),) of the tokens, record by record.
+
+        They ascend when ``names`` are in file order.
+        """
+        pick = [self.columns[name] for name in names]
+        return self.starts[:, pick].reshape(-1), self.stops[:, pick].reshape(-1)
+
+    def not_a_number(self, start: int, wanted: str) -> FormatError:
+        """The error that the token at byte ``start`` is not what was ``wanted``."""
+        token = self.data[start : start + 40].tobytes().split(maxsplit=1)[0].decode("latin-1")
+        return FormatError(
+            f"{token!r} in element '{self.element.name}' is not {wanted}",
+            where=f"line {line_at(self.data, start, self.newline)}",
+        )
+
+    def numbers(self, names: Sequence[str]) -> Floats:
+        """The scalars of ``names`` as (count, len(names)) float64; FormatError with the line."""
+        from msal_cli.core.text import numbers_at
+
+        starts, stops = self.spans(names)
+        values, bad = numbers_at(self.data, starts, stops)
+        if bad >= 0:
+            raise self.not_a_number(int(starts[bad]), "a number")
+        return values.reshape(self.element.count, len(names))
+
+    def items(self, name: str) -> tuple[Longs, Longs]:
+        """All items of a list of whole numbers, and each record's number (count,)."""
+        from msal_cli.core.ply_scan import list_integers
+
+        k = self.columns[name]
+        lengths = np.ascontiguousarray(self.lengths[:, k])
+        items = np.empty(int(lengths.sum()), dtype=np.int64)
+        bad = list_integers(self.data, np.ascontiguousarray(self.stops[:, k]), lengths, items)
+        if bad >= 0:
+            raise self.not_a_number(int(bad), "a whole number")
+        return items, lengths
+
+    def item_spans(self, name: str) -> tuple[Longs, Longs, Longs]:
+        """First bytes and ends of all items of a list, and each record's number (count,)."""
+        from msal_cli.core.ply_scan import list_tokens
+
+        k = self.columns[name]
+        lengths = np.ascontiguousarray(self.lengths[:, k])
+        starts = np.empty(int(lengths.sum()), dtype=np.int64)
+        stops = np.empty_like(starts)
+        list_tokens(self.data, np.ascontiguousarray(self.stops[:, k]), lengths, starts, stops)
+        return starts, stops, lengths
+
+
+Section = Fixed | Varied | Lines
+
+
+def stored(values: Floats, dtype: np.dtype[np.generic]) -> NDArray[np.generic]:
+    """``values`` as a file of that number type stores them: rounded to the nearest.
+
+    A half goes to the even neighbour.  A value beyond the type's range becomes infinite (float)
+    or is wrapped (integer); callers must have excluded it, or must compare afterwards.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        if dtype.kind == "f":
+            return values.astype(dtype)
+        return np.rint(values).astype(dtype)
+
+
+def line_at(data: Bytes, at: int, newline: bytes) -> int:
+    """Number, from 1, of the line on which byte ``at`` stands."""
+    return 1 + int(np.count_nonzero(data[:at] == newline[-1]))
+
+
+def located(
+    data: Bytes, header: Header, wanted: Wanted, last: str = ""
+) -> tuple[dict[str, Section], int]:
+    """The sections of all elements by name, and the byte behind the last one.
+
+    With ``last``, the search ends behind the element of that name.
+    Raises TruncatedError and FormatError with the element, record and, in ascii, line.
+    """
+    sections: dict[str, Section] = {}
+    at = header.size
+    for element in header.elements:
+        section = section_at(data, header, element, at, wanted(element))
+        sections[element.name] = section
+        at = section.stop
+        if element.name == last:
+            break
+    return sections, at
+
+
+def section_at(
+    data: Bytes, header: Header, element: Element, at: int, names: Sequence[str]
+) -> Section:
+    """The section of one element that begins at byte ``at``; errors as in ``located``.
+
+    ``names`` are the properties whose places are to be kept where that costs memory.
+    """
+    if header.encoding == "ascii":
+        return _lines(data, header, element, at, names)
+    return _records(data, header, element, at, names)
+
+
+def _smallest(one: Property) -> int:
+    """Bytes that a property takes at the least in a binary record."""
+    return np.dtype(one.count_code or one.code).itemsize
+
+
+def _records(
+    data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
+) -> Section:
+    places: dict[str, tuple[int, int]] = {}
+    counts: list[tuple[int, int, str]] = []
+    stride = 0
+    for one in element.properties:
+        length = 1
+        if one.is_list:
+            dtype = np.dtype(header.byte_order + one.count_code)
+            field = data[at + stride : at + stride + dtype.itemsize]
+            # Without a first record there is nothing to measure the others by.
+            length = int(field.view(dtype)[0]) if len(field) == dtype.itemsize else 0
+            if length < 0 or not element.count:
+                length = 0
+            counts.append((stride, length, header.byte_order + one.count_code))
+            stride += dtype.itemsize
+        places[one.name] = (stride, length)
+        stride += length * np.dtype(one.code).itemsize
+    size = element.count * stride
+    if size <= len(data) - at:
+        fixed = Fixed(data, element, header.byte_order, at, at + size, stride, places)
+        if all(
+            (np.ndarray((element.count,), code, data, at + place, (stride,)) == length).all()
+            for place, length, code in counts
+        ):
+            return fixed
+    elif not counts:
+        missing = size - (len(data) - at)
+        raise TruncatedError(
+            f"the file ends within element '{element.name}': {missing} bytes are missing",
+            where=f"{element.name} {(len(data) - at) // stride}",
+            hint=_CUT_HINT,
+        )
+    return _varied(data, header, element, at, wanted)
+
+
+def _varied(
+    data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
+) -> Section:
+    from msal_cli.core.ply_scan import BAD_COUNT, CUT, walk_binary
+
+    listed = element.properties
+    least = sum(_smallest(one) for one in listed)
+    # When the count cannot be met the walk only finds where, and nothing is allocated for it.
+    fits = element.count <= (len(data) - at) // least
+    names = [one.name for one in listed if one.name in wanted] if fits else []
+    columns = {name: k for k, name in enumerate(names)}
+    shape = (element.count if names else 0, len(names))
+    starts = np.empty(shape, dtype=np.int64)
+    lengths = np.empty(shape, dtype=np.int64)
+    records, stop, status, which, items, size = walk_binary(
+        data,
+        at,
+        min(element.count, len(data) + 1),
+        np.array([np.dtype(one.code).itemsize for one in listed]),
+        np.array([np.dtype(one.count_code).itemsize if one.is_list else 0 for one in listed]),
+        np.array([one.count_code.startswith("i") for one in listed]),
+        header.byte_order == ">",
+        np.array([columns.get(one.name, -1) for one in listed]),
+        starts,
+        lengths,
+    )
+    place = f"{element.name} {records}"
+    if status == BAD_COUNT:
+        raise FormatError(
+            f"the list '{listed[which].name}' of {place} has a negative count",
+            where=place,
+            hint="the file is damaged, or an element before this one is not what the header says",
+        )
+    if status == CUT:
+        missing = int(items) * int(size) - (len(data) - stop)
+        raise TruncatedError(
+            f"the file ends within element '{element.name}': {place} of {element.count} needs at "
+            f"least {missing} more bytes",
+            where=place,
+            hint=_CUT_HINT,
+        )
+    return Varied(data, element, header.byte_order, at, stop, columns, starts, lengths)
+
+
+def _lines(data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]) -> Lines:
+    listed = element.properties
+    # A value is at least one digit and one separator; only the file's last one has none.
+    fits = 2 * len(listed) * element.count <= len(data) - at + 1
+    names = [one.name for one in listed if one.name in wanted] if fits else []
+    columns = {name: k for k, name in enumerate(names)}
+    shape = (element.count if names else 0, len(names))
+    starts = np.empty(shape, dtype=np.int64)
+    stops = np.empty(shape, dtype=np.int64)
+    lengths = np.empty(shape, dtype=np.int64)
+    stop = at
+    if listed and element.count:
+        stop = _walked(data, header, element, at, columns, (starts, stops, lengths))
+    return Lines(data, element, header.newline, at, stop, columns, starts, stops, lengths)
+
+
+def _walked(
+    data: Bytes,
+    header: Header,
+    element: Element,
+    at: int,
+    columns: dict[str, int],
+    outputs: tuple[Longs, Longs, Longs],
+) -> int:
+    """Fill ``outputs`` (starts, stops, lengths) and return the end of the element's last line."""
+    from msal_cli.core.ply_scan import BAD_COUNT, CUT, TOO_FEW, TOO_MANY, walk_text
+
+    listed = element.properties
+    records, stop, status = walk_text(
+        data,
+        at,
+        min(element.count, len(data) + 1),
+        np.array([one.is_list for one in listed]),
+        np.array([columns.get(one.name, -1) for one in listed]),
+        *outputs,
+    )
+    place = f"{element.name} {records}, line {line_at(data, stop, header.newline)}"
+    if status == CUT or (status == TOO_FEW and stop == len(data)):
+        missing = element.count - records
+        raise TruncatedError(
+            f"the file ends within element '{element.name}': {missing} of {element.count} lines "
+            "are missing or not whole",
+            where=place,
+            hint=_CUT_HINT,
+        )
+    if status == BAD_COUNT:
+        raise FormatError(
+            f"the count of a list of {element.name} {records} is not a whole number from 0 up",
+            where=place,
+        )
+    if status == TOO_FEW:
+        raise FormatError(
+            f"{element.name} {records} has fewer values than the header declares",
+            where=place,
+            hint="each record of an ascii PLY file stands on one line of its own",
+        )
+    if status == TOO_MANY:
+        raise FormatError(
+            f"{element.name} {records} has more values than the header declares",
+            where=place,
+            hint="each record of an ascii PLY file stands on one line of its own",
+        )
+    return int(stop)

@@ -1,0 +1,123 @@
+"""New numbers in the lines of an ascii PLY file, every other byte kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.files.ply_layout import Bytes, Flags, Floats, Lines, Longs
+
+NORMAL_DECIMALS = 6
+"""Decimals that a recomputed unit normal has at the least."""
+
+SHORTEST = 18
+"""In place of a number of decimals: the shortest text that reads back as the same double."""
+
+
+@dataclass(frozen=True)
+class Edit:
+    """New ``values`` (count, k) for the scalars ``names`` of a section, written where ``where``
+    (count, k), with ``decimals`` (k) digits behind the point."""
+
+    section: Lines
+    names: Sequence[str]
+    values: Floats
+    where: Flags
+    decimals: Sequence[int]
+
+
+def position_decimals(section: Lines, names: Sequence[str], vertices: Floats) -> tuple[int, ...]:
+    """Decimals for each coordinate: as many as the file uses, or enough for 1e-7 of its extent.
+
+    ``vertices`` (n, 3) gives the extent, the diagonal of the bounding box.  Whole-number types
+    have none; where more than 17 decimals were needed the answer is ``SHORTEST``.
+    """
+    from msal_cli.core.text import decimals_used
+
+    used = decimals_used(section.data, *section.spans(_in_file_order(section, names)))
+    extent = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
+    needed = math.ceil(-math.log10(extent * 1e-7)) if 0.0 < extent < math.inf else 0
+    decimals = max(used, min(needed, SHORTEST))
+    return tuple(decimals if _is_float(section, name) else 0 for name in names)
+
+
+def normal_decimals(section: Lines, names: Sequence[str]) -> tuple[int, ...]:
+    """Decimals for normals: as many as the file uses, and at least ``NORMAL_DECIMALS``."""
+    from msal_cli.core.text import decimals_used
+
+    used = decimals_used(section.data, *section.spans(_in_file_order(section, names)))
+    return (max(used, NORMAL_DECIMALS),) * len(names)
+
+
+def edited(data: Bytes, edits: Sequence[Edit]) -> memoryview:
+    """The file with the edits' tokens replaced."""
+    from msal_cli.core.text import printed, printed_shortest, spliced
+
+    pieces: list[tuple[Longs, Longs, Bytes, Longs]] = []
+    for edit in edits:
+        section = edit.section
+        for decimals in sorted(set(edit.decimals)):
+            names = [n for n, d in zip(edit.names, edit.decimals, strict=True) if d == decimals]
+            names = _in_file_order(section, names)
+            pick = [list(edit.names).index(name) for name in names]
+            values, chosen = edit.values[:, pick], edit.where[:, pick].copy()
+            for k, name in enumerate(names):
+                if not _is_float(section, name):
+                    values[:, k] = np.rint(values[:, k])
+                    chosen[:, k] &= values[:, k] != section.numbers([name])[:, 0]
+            starts, stops = section.spans(names)
+            flat = chosen.reshape(-1)
+            new = values.reshape(-1)[flat]
+            text = printed_shortest(new, False) if decimals == SHORTEST else printed(new, decimals)
+            pieces.append((starts[flat], stops[flat], *text))
+    return spliced(data, *_merged(pieces)).data
+
+
+def _merged(
+    pieces: Sequence[tuple[Longs, Longs, Bytes, Longs]],
+) -> tuple[Longs, Longs, Bytes, Longs]:
+    """Several sets of (starts, stops, text, ends of the texts) as one with ascending starts."""
+    if len(pieces) == 1:
+        return pieces[0]
+    starts = np.concatenate([one[0] for one in pieces])
+    order = np.argsort(starts)
+    sizes = np.concatenate([np.diff(one[3], prepend=0) for one in pieces])
+    text = np.concatenate([one[2] for one in pieces])
+    begins = np.cumsum(sizes) - sizes
+    ends = np.cumsum(sizes[order])
+    # Byte j of the sorted text comes from its piece's beginning plus its distance from there.
+    source = np.repeat(begins[order] - (ends - sizes[order]), sizes[order])
+    source += np.arange(len(source))
+    return starts[order], np.concatenate([one[1] for one in pieces])[order], text[source], ends
+
+
+def is_same_but_for(
+    data: Bytes, result: Bytes, kept: Sequence[tuple[Lines, Lines, Sequence[str], Flags]]
+) -> bool:
+    """Whether two files agree outside tokens: (old section, new section, names, where)."""
+    from msal_cli.core.text import same_outside
+
+    spans: list[NDArray[np.int64]] = []
+    for old, new, names, where in kept:
+        ordered = _in_file_order(old, names)
+        chosen = where[:, [list(names).index(name) for name in ordered]].reshape(-1)
+        both = [*old.spans(ordered), *new.spans(ordered)]
+        spans.append(np.stack([one[chosen] for one in both]))
+    a_starts, a_stops, b_starts, b_stops = (
+        spans[0]
+        if len(spans) == 1
+        else (joined := np.concatenate(spans, axis=1))[:, np.argsort(joined[0])]
+    )
+    return bool(same_outside(data, a_starts, a_stops, result, b_starts, b_stops))
+
+
+def _is_float(section: Lines, name: str) -> bool:
+    return section.element.properties[section.element.index(name)].code[0] == "f"
+
+
+def _in_file_order(section: Lines, names: Sequence[str]) -> list[str]:
+    return sorted(names, key=section.element.index)
