@@ -1,0 +1,41 @@
+"""Records to bytes: one writer per format, chosen by the suffix of the report's name."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from msal_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from msal_cli.records import MeshRecord
+    from msal_cli.report.document import Run
+
+    Writer = Callable[[Run, Sequence[MeshRecord]], bytes]
+
+_MODULES = {".json": "as_json", ".jsonl": "as_jsonl", ".csv": "as_csv"}
+
+
+def suffixes() -> tuple[str, ...]:
+    """The suffixes of reports that can be written."""
+    return tuple(_MODULES)
+
+
+def writer(name: str) -> Writer:
+    """The function that makes the bytes of a report of this name.
+
+    Raises
+    ------
+    UsageError
+        if the suffix is none of ``suffixes``.
+    """
+    suffix = os.path.splitext(name)[1].lower()
+    if suffix not in _MODULES:
+        raise UsageError(
+            f"the suffix of the report {name!r} says no known format",
+            hint=f"known are {', '.join(_MODULES)}",
+        )
+    made: Writer = import_module(f"{__name__}.{_MODULES[suffix]}").encoded
+    return made

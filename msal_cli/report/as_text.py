@@ -1,0 +1,293 @@
+"""The summary of a run for people: a table of the files, what failed and why, and the totals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from msal_cli.records import MeshRecord
+from msal_cli.report.document import Run, Totals, totals
+from msal_cli.report.names import columns, padded, shortened, shown
+
+Tone = Literal["plain", "good", "bad", "faint"]
+
+MOST_ROWS = 40
+"""Files in the table; a longer one is read by nobody, and every row is in a report."""
+
+MOST_WARNINGS = 20
+MOST_FAILURES = 200
+
+_NARROWEST_NAME = 16
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of text and how it may be coloured."""
+
+    text: str
+    tone: Tone = "plain"
+
+
+def summary(
+    run: Run, records: Sequence[MeshRecord], *, width: int = 100, verbose: bool = False
+) -> list[Line]:
+    """The lines that tell of a run: of one file in some detail, of several as a table.
+
+    ``width`` is in columns and bounds the table only: reasons are never cut.  ``verbose`` lists
+    every file, warning and failure, however many there are.
+    """
+    if len(records) == 1:
+        return list(_of_one(records[0]))
+    return list(_of_many(run, records, width, verbose))
+
+
+def reason(where: str, message: str, code: str) -> str:
+    """Why something failed, in one line: ``vertex 17: position is not finite (E_NONFINITE)``."""
+    place = f"{shown(where)}: " if where else ""
+    return f"{place}{shown(message)}" + (f" ({code})" if code else "")
+
+
+def file_name(name: str) -> str:
+    """A file's name for people; ``-`` is where a stream comes from."""
+    return "standard input" if name == "-" else shown(name)
+
+
+# One file
+
+
+def _of_one(record: MeshRecord) -> Iterator[Line]:
+    name = file_name(record.input)
+    if record.error is not None:
+        yield from _failure(record, "")
+        return
+    if record.status == "planned":
+        yield Line(f"{name} would be written to {_output_name(record)}")
+        return
+    if record.status == "up-to-date":
+        yield Line(f"{_output_name(record)} is up to date", "good")
+    else:
+        ending = (
+            ", byte for byte as it was: no vertex moved" if record.status == "unchanged" else ""
+        )
+        yield Line(f"{name} -> {_output_name(record)}{ending}", "good")
+    for word, text in _facts(record):
+        yield Line(f"  {word:<13} {text}")
+    for sidecar in record.sidecars:
+        yield Line(f"  {'beside it':<13} {shown(sidecar)}")
+    for warning in record.warnings:
+        yield Line(f"  {'warning':<13} {shown(warning)}", "bad")
+
+
+def _output_name(record: MeshRecord) -> str:
+    return "standard output" if record.output in (None, "-") else shown(str(record.output))
+
+
+def _facts(record: MeshRecord) -> Iterator[tuple[str, str]]:
+    storage = " ".join(part for part in (record.format, record.encoding, record.precision) if part)
+    counts = [
+        _counted(record.vertices, "vertex", "vertices"),
+        _counted(record.faces, "face"),
+        _counted(record.components, "component"),
+    ]
+    yield "mesh", ", ".join([part for part in counts if part] + ([storage] if storage else []))
+    if defects := defects_text(record):
+        yield "defects", defects
+    if record.method is not None:
+        parameters = ", ".join(
+            f"{name} {shown(str(value))}" for name, value in record.method.parameters.items()
+        )
+        yield "method", f"{record.method.name} ({parameters})"
+    if record.volume is not None:
+        yield "volume", _volume_in_full(record)
+    if record.displacement is not None:
+        moved = record.displacement
+        yield (
+            "displacement",
+            f"mean {moved.mean_edges:.3g}, 95 % below {moved.p95_edges:.3g}, "
+            f"most {moved.max_edges:.3g} mean edge lengths (most {moved.max:.3g} in file units)",
+        )
+    if record.seconds is not None:
+        stages = ("read", "connectivity", "normals", "sweeps", "measure", "write")
+        spent = ", ".join(f"{one} {getattr(record.seconds, one):.2f}" for one in stages)
+        rate = rate_text(record.vertices_per_second)
+        speed = f"; {rate} vertices/s" if rate else ""
+        yield "time", f"{seconds_text(record.seconds.total)} ({spent}){speed}"
+
+
+def _volume_in_full(record: MeshRecord) -> str:
+    volume = record.volume
+    if volume is None or volume.before is None or volume.after is None:
+        return "-"
+    if not volume.valid:
+        return f"- {shown(volume.reason)}"
+    change = percent_text(volume.change_percent)
+    return f"{volume.before:.6g} -> {volume.after:.6g}" + (f" ({change})" if change else "")
+
+
+def defects_text(record: MeshRecord) -> str:
+    """What is wrong with a mesh, as counts; empty if nothing is."""
+    counts = (
+        _counted(record.boundary_edges, "boundary edge"),
+        _counted(record.non_manifold_edges, "non-manifold edge"),
+        _counted(record.inconsistent_edges, "edge between faces of opposite winding",
+                 "edges between faces of opposite winding"),
+        _counted(record.degenerate_faces, "degenerate face"),
+        _counted(record.duplicate_faces, "duplicate face"),
+        _counted(record.unreferenced_vertices, "unreferenced vertex", "unreferenced vertices"),
+    )  # fmt: skip
+    return ", ".join(one for one in counts if one and not one.startswith("0 "))
+
+
+# Several files
+
+
+def _of_many(run: Run, records: Sequence[MeshRecord], width: int, verbose: bool) -> Iterator[Line]:
+    listed = [
+        record
+        for record in records
+        if record.status in ("written", "unchanged") or (verbose and record.status == "up-to-date")
+    ]
+    if listed and (verbose or len(listed) <= MOST_ROWS):
+        yield from _table(listed, width)
+    elif listed:
+        yield Line(f"({len(listed):,} files: -v lists them all, and so does --report)", "faint")
+    yield from _warnings(records, verbose)
+    yield from _failures(records, verbose)
+    yield from _totals(run, totals(records))
+
+
+def _table(records: Sequence[MeshRecord], width: int) -> Iterator[Line]:
+    heads = ("vertices", "volume", "mean move", "max move", "vertices/s", "seconds")
+    rows = [_figures(record) for record in records]
+    widths = [max(len(row[at]) for row in (heads, *rows)) for at in range(len(heads))]
+    notes = [_note(record) for record in records]
+    names = [file_name(record.input) for record in records]
+    taken = sum(widths) + 2 * len(widths)
+    longest_note = max(map(columns, notes))
+    room = width - taken - (longest_note + 2 if longest_note else 0)
+    name_width = min(max(columns(name) for name in (*names, "file")), max(_NARROWEST_NAME, room))
+    for name, row, note in zip(("file", *names), (heads, *rows), ("", *notes), strict=True):
+        cells = [padded(shortened(name, name_width), name_width)]
+        cells += [padded(cell, size, right=True) for cell, size in zip(row, widths, strict=True)]
+        text = "  ".join([*cells, note]).rstrip()
+        yield Line(text, "faint" if row is heads else "plain")
+    yield Line("(moves in mean edge lengths)", "faint")
+
+
+def _figures(record: MeshRecord) -> tuple[str, ...]:
+    volume, moved = record.volume, record.displacement
+    is_new = record.status != "up-to-date"
+    return (
+        f"{record.vertices:,}" if record.vertices is not None else "-",
+        (percent_text(volume.change_percent) if volume is not None and volume.valid else "") or "-",
+        f"{moved.mean_edges:.3f}" if moved is not None else "-",
+        f"{moved.max_edges:.3f}" if moved is not None else "-",
+        (rate_text(record.vertices_per_second) if is_new else "") or "-",
+        f"{record.seconds.total:.2f}" if record.seconds is not None and is_new else "-",
+    )
+
+
+def _note(record: MeshRecord) -> str:
+    notes = []
+    if record.status == "unchanged":
+        notes.append("no vertex moved")
+    if record.status == "up-to-date":
+        notes.append("up to date")
+    if record.volume is not None and not record.volume.valid:
+        notes.append(shown(record.volume.reason))
+    return ", ".join(notes)
+
+
+def _warnings(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
+    texts = [
+        f"  {file_name(record.input)}: {shown(warning)}"
+        for record in records
+        if record.status in ("written", "unchanged")
+        for warning in record.warnings
+    ]
+    kept = texts if verbose else texts[:MOST_WARNINGS]
+    if texts:
+        yield Line(f"warnings: {len(texts):,}")
+    yield from (Line(text) for text in kept)
+    if len(texts) > len(kept):
+        yield Line(f"  ... and {len(texts) - len(kept):,} more (-v or --report)", "faint")
+
+
+def _failures(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
+    failed = [record for record in records if record.status == "failed"]
+    kept = failed if verbose else failed[:MOST_FAILURES]
+    if failed:
+        yield Line(f"failed: {len(failed):,}", "bad")
+    for record in kept:
+        yield from _failure(record, "  ")
+    if len(failed) > len(kept):
+        yield Line(f"  ... and {len(failed) - len(kept):,} more (-v or --report)", "bad")
+
+
+def _failure(record: MeshRecord, indent: str) -> Iterator[Line]:
+    failure = record.error
+    if failure is None:
+        return
+    why = reason(failure.where, failure.message, failure.code)
+    yield Line(f"{indent}{file_name(record.input)}: {why}", "bad")
+    if failure.hint:
+        yield Line(f"{indent}  hint: {shown(failure.hint)}")
+
+
+def _totals(run: Run, sums: Totals) -> Iterator[Line]:
+    spread = sums.volume_change_percent
+    if spread is not None:
+        yield Line(
+            f"volume change: median {percent_text(spread.median)}, "
+            f"from {percent_text(spread.lowest)} to {percent_text(spread.highest)} "
+            f"({_counted(spread.files, 'closed file')})"
+        )
+    counts = [
+        (sums.written, "written"),
+        (sums.unchanged, "unchanged"),
+        (sums.up_to_date, "up to date"),
+        (sums.planned, "not done" if run.interrupted else "to be written"),
+        (sums.failed, "failed"),
+    ]
+    told = ", ".join(f"{count:,} {word}" for count, word in counts if count)
+    text = f"{_counted(sums.files, 'file')}: {told or 'nothing done'}"
+    if sums.vertices and run.seconds > 0.0:
+        text += (
+            f"; {sums.vertices:,} vertices in {seconds_text(run.seconds)}, "
+            f"{rate_text(sums.vertices / run.seconds)} vertices/s"
+        )
+    yield Line(text, "bad" if sums.failed or run.interrupted else "good")
+
+
+# Figures
+
+
+def _counted(number: int | None, one: str, several: str = "") -> str:
+    if number is None:
+        return ""
+    return f"{number:,} {one if number == 1 else several or one + 's'}"
+
+
+def percent_text(percent: float | None) -> str:
+    """``-0.266 %``, with its sign; empty if it is not known."""
+    if percent is None:
+        return ""
+    return f"{percent:+.3f} %" if abs(percent) < 10.0 else f"{percent:+.1f} %"
+
+
+def rate_text(per_second: float | None) -> str:
+    """A rate to three digits: ``1,230,000``; empty if it is not known."""
+    if per_second is None:
+        return ""
+    return f"{float(f'{per_second:.3g}'):,.0f}"
+
+
+def seconds_text(seconds: float) -> str:
+    """``0.42 s``, ``3 min 05 s`` or ``2 h 10 min``."""
+    if seconds < 99.95:
+        return f"{seconds:.2f} s" if seconds < 10.0 else f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest:02d} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min"

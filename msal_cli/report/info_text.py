@@ -1,0 +1,92 @@
+"""What ``msal info`` tells people about a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from msal_cli.records import InfoRecord
+from msal_cli.report.as_text import Line, file_name, reason
+from msal_cli.report.names import shown
+
+_SHAPES = {"3": "triangles", "4": "quads"}
+
+
+def told(record: InfoRecord) -> list[Line]:
+    """The lines on one file: its name, then one line per fact."""
+    name = file_name(record.input)
+    if record.error is not None:
+        failure = record.error
+        lines = [Line(f"{name}: {reason(failure.where, failure.message, failure.code)}", "bad")]
+        return lines + ([Line(f"  hint: {shown(failure.hint)}")] if failure.hint else [])
+    lines = [Line(name, "good")]
+    lines += [Line(f"  {word:<15} {text}") for word, text in _facts(record)]
+    return lines + [Line(f"  {'warning':<15} {shown(text)}", "bad") for text in record.warnings]
+
+
+def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
+    storage = [part for part in (record.format, record.encoding, record.precision) if part]
+    size = f"{record.bytes:,} bytes" if record.bytes is not None else ""
+    yield "format", ", ".join([*storage, *(["gzip"] if record.compressed else []), size])
+    yield "vertices", _count(record.vertices)
+    yield "faces", _faces(record)
+    yield "components", _count(record.components)
+    yield "surface", _surface(record)
+    yield "winding", shown(record.winding or "-")
+    for word, count in (
+        ("degenerate", record.degenerate_faces),
+        ("duplicate", record.duplicate_faces),
+        ("unreferenced", record.unreferenced_vertices),
+        ("welded", record.welded_vertices),
+    ):
+        yield (
+            word,
+            _count(count) + (" vertices" if word in ("unreferenced", "welded") else " faces"),
+        )
+    if record.bounds is not None:
+        low, high = record.bounds
+        sides = (b - a for a, b in zip(low, high, strict=True))
+        yield "from", _point(low)
+        yield "to", _point(high)
+        yield "size", " x ".join(f"{side:.6g}" for side in sides)
+    yield "area", _figure(record.area)
+    if record.volume_valid:
+        yield "volume", _figure(record.volume)
+    else:
+        yield "volume", f"- {shown(record.volume_reason)}".rstrip()
+    yield "mean edge", _figure(record.mean_edge_length)
+    if record.noise_estimate is not None:
+        noise = record.noise_estimate
+        yield (
+            "noise estimate",
+            f"{noise.mean_edges:.3g} mean edge lengths ({noise.file_units:.3g} in file units)",
+        )
+    yield "carried along", ", ".join(shown(one) for one in record.properties) or "nothing else"
+    if record.references:
+        yield "refers to", ", ".join(shown(one) for one in record.references)
+
+
+def _faces(record: InfoRecord) -> str:
+    parts = [
+        f"{count:,} {_SHAPES.get(size, f'polygons of {shown(size)}')}"
+        for size, count in sorted(record.polygon_sizes.items())
+    ]
+    return _count(record.faces) + (f" ({', '.join(parts)})" if parts else "")
+
+
+def _surface(record: InfoRecord) -> str:
+    kind = "closed" if record.closed else f"open, {_count(record.boundary_edges)} boundary edges"
+    if record.non_manifold_edges:
+        kind += f", {_count(record.non_manifold_edges)} non-manifold edges"
+    return kind
+
+
+def _count(number: int | None) -> str:
+    return "-" if number is None else f"{number:,}"
+
+
+def _figure(number: float | None) -> str:
+    return "-" if number is None else f"{number:.6g}"
+
+
+def _point(position: tuple[float, float, float]) -> str:
+    return ", ".join(f"{one:.9g}" for one in position)

@@ -1,0 +1,82 @@
+"""File names as text: reversibly for programs, harmlessly for people.
+
+The system gives names as text in which a byte that is not valid UTF-8 stands as a lone surrogate
+(``os.fsdecode``).  Such text can be written neither as UTF-8 nor as JSON that every reader takes.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+# A surrogate, or a backslash that a reader would take for the beginning of an escaped one.
+_TO_ESCAPE = re.compile(r"[\ud800-\udfff]|\\(?=u(?:d[89a-f][0-9a-f]{2}|005c))")
+_ESCAPED = re.compile(r"\\u(d[89a-f][0-9a-f]{2}|005c)")
+
+_UNSAFE_CATEGORIES = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+
+
+def portable(text: str) -> str:
+    """``text`` as valid Unicode; ``restored`` gives it back.
+
+    A byte NN that is not UTF-8 becomes the six characters ``\\udcNN``.  Where a name itself holds
+    such a sequence its backslash becomes ``\\u005c``.  All other text is left as it is.
+    """
+    return _TO_ESCAPE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def restored(text: str) -> str:
+    """The text that ``portable`` was given."""
+    return _ESCAPED.sub(lambda found: chr(int(found[1], 16)), text)
+
+
+def shown(text: str) -> str:
+    """``text`` for a terminal or a log: one line, and nothing in it that a terminal obeys.
+
+    Control and format characters (line ends, escape sequences, marks that turn the writing
+    direction) become ``\\xNN`` or ``\\uNNNN``, a byte that is not UTF-8 becomes ``\\xNN``.
+    """
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(_shown_character(one) for one in text)
+
+
+def _shown_character(one: str) -> str:
+    code = ord(one)
+    if 0xDC80 <= code <= 0xDCFF:
+        return f"\\x{code - 0xDC00:02x}"
+    if unicodedata.category(one) not in _UNSAFE_CATEGORIES:
+        return one
+    if code < 0x100:
+        return {"\n": "\\n", "\r": "\\r", "\t": "\\t"}.get(one, f"\\x{code:02x}")
+    return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
+def columns(text: str) -> int:
+    """The columns that ``text`` takes on a terminal: East Asian wide characters take two."""
+    if text.isascii():
+        return len(text)
+    return sum(_character_columns(one) for one in text)
+
+
+def _character_columns(one: str) -> int:
+    if unicodedata.combining(one):
+        return 0
+    return 2 if unicodedata.east_asian_width(one) in "WF" else 1
+
+
+def shortened(text: str, width: int) -> str:
+    """``text`` in at most ``width`` columns; the end of a path tells more than its beginning."""
+    if columns(text) <= width:
+        return text
+    taken, start = 3, len(text)
+    while start and taken + _character_columns(text[start - 1]) <= width:
+        start -= 1
+        taken += _character_columns(text[start])
+    return "..." + text[start:]
+
+
+def padded(text: str, width: int, *, right: bool = False) -> str:
+    """``text`` filled with spaces to ``width`` columns, to the right edge if ``right``."""
+    fill = " " * max(0, width - columns(text))
+    return fill + text if right else text + fill

@@ -1,0 +1,268 @@
+"""The JSON Schemas of the reports, made from the records themselves.
+
+``python -m msal_cli.report.schema FOLDER`` writes them; a test holds docs/ against them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from msal_cli import records
+from msal_cli.report.as_json import json_bytes
+from msal_cli.report.document import Run, Totals
+
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_NULL_NOTE = (
+    "A number that is not finite is null, and so is what could not be determined. Fields may be "
+    "added, none is removed or given another meaning. A byte NN of a file name that is not UTF-8 "
+    "is written as the six characters \\udcNN, and a backslash that begins such a sequence in the "
+    "name itself as \\u005c."
+)
+
+DESCRIPTIONS: dict[str, str] = {
+    # Run
+    "Run.version": "version of msal",
+    "Run.command": "the command as it was given, program name first",
+    "Run.settings": "what decides the output beside the input: method, parameters, conversion",
+    "Run.started": "when the run began, UTC, ISO 8601",
+    "Run.finished": "when it ended, UTC, ISO 8601",
+    "Run.seconds": "wall-clock seconds between the two",
+    "Run.interrupted": "true if the run was ended before all files were dealt with",
+    # Totals
+    "Totals.files": "records in this report",
+    "Totals.written": "files written with some vertex moved, or in another form",
+    "Totals.unchanged": "files written byte for byte as they were, because no vertex moved",
+    "Totals.up_to_date": "files whose output of an earlier run is current",
+    "Totals.planned": "files not dealt with (dry run)",
+    "Totals.failed": "files that failed",
+    "Totals.vertices": "vertices of the files denoised in this run",
+    "Totals.work_seconds": "sum of the seconds of the files denoised in this run",
+    "Totals.volume_change_percent": "change of volume over the files whose volume is valid",
+    "Spread.files": "files that the figure is over",
+    "Spread.lowest": "lowest value",
+    "Spread.median": "median",
+    "Spread.highest": "highest value",
+    # MeshRecord
+    "MeshRecord.input": "path of the input as it was found, - for standard input",
+    "MeshRecord.status": (
+        "written; unchanged: written, but no vertex moved, so the bytes are the input's; "
+        "up-to-date: the output of an earlier run is current, and the figures are that run's; "
+        "planned: not dealt with; failed: see error"
+    ),
+    "MeshRecord.output": "path of the output, - for standard output; null if there is none",
+    "MeshRecord.schema": "name and version of this schema",
+    "MeshRecord.version": "version of msal that made the record",
+    "MeshRecord.format": "format of the input",
+    "MeshRecord.encoding": "ascii, binary_little_endian, binary_big_endian or binary",
+    "MeshRecord.precision": "how the input stores positions: float32, float64 or text",
+    "MeshRecord.vertices": "vertices in the file",
+    "MeshRecord.faces": "faces as the file counts them: a quad is one",
+    "MeshRecord.triangles": "faces after polygons and strips were cut into triangles",
+    "MeshRecord.components": "connected parts",
+    "MeshRecord.boundary_edges": "edges of one face; 0 for a closed surface",
+    "MeshRecord.non_manifold_edges": "edges of more than two faces",
+    "MeshRecord.inconsistent_edges": "edges whose two faces are wound in opposite senses",
+    "MeshRecord.degenerate_faces": "triangles without area; kept in the file, not computed with",
+    "MeshRecord.duplicate_faces": "triangles that repeat another; kept, not computed with",
+    "MeshRecord.unreferenced_vertices": "vertices of no face; they stay where they are",
+    "MeshRecord.welded_vertices": "vertices merged with one at the same place for the computation",
+    "MeshRecord.seam_gap": "largest distance afterwards between vertices that were at one place",
+    "MeshRecord.mean_edge_length": "mean length of the edges before, file units",
+    "MeshRecord.volume": "enclosed volume",
+    "MeshRecord.area": "surface area",
+    "MeshRecord.displacement": "how far the vertices moved",
+    "MeshRecord.normal_change": "how far the face normals turned",
+    "MeshRecord.flipped_faces": "faces whose normal turned by more than 90 degrees",
+    "MeshRecord.noise_estimate": "noise of the input, estimated",
+    "MeshRecord.method": "method and parameters",
+    "MeshRecord.seconds": "wall-clock seconds by stage",
+    "MeshRecord.vertices_per_second": "vertices over total seconds",
+    "MeshRecord.peak_memory_bytes": "highest memory of the process so far",
+    "MeshRecord.input_sha256": "SHA-256 of the input's bytes, hexadecimal",
+    "MeshRecord.output_sha256": "SHA-256 of the output's bytes, hexadecimal",
+    "MeshRecord.sidecars": "what was done about files that the input refers to",
+    "MeshRecord.warnings": "what a user should know although the file was written",
+    "MeshRecord.error": "why the file failed; null if it did not",
+    # Parts of a MeshRecord
+    "Volume.before": "signed volume before, cubed file units",
+    "Volume.after": "signed volume after, cubed file units",
+    "Volume.change": "after - before",
+    "Volume.change_percent": "change in percent of |before|",
+    "Volume.valid": "whether the volume means anything: the surface is closed and orientable",
+    "Volume.reason": "why it does not; empty if it does",
+    "Area.before": "area before, squared file units",
+    "Area.after": "area after, squared file units",
+    "Area.change_percent": "change in percent of the area before",
+    "Displacement.mean": "mean distance, file units",
+    "Displacement.rms": "root mean square distance, file units",
+    "Displacement.p95": "distance that 95 % of the vertices stay below, file units",
+    "Displacement.max": "largest distance, file units",
+    "Displacement.mean_edges": "mean distance, mean edge lengths",
+    "Displacement.rms_edges": "root mean square distance, mean edge lengths",
+    "Displacement.p95_edges": "distance that 95 % stay below, mean edge lengths",
+    "Displacement.max_edges": "largest distance, mean edge lengths",
+    "Displacement.moved_vertices": "vertices that moved at all",
+    "NormalChange.mean_deg": "mean angle, degrees",
+    "NormalChange.max_deg": "largest angle, degrees",
+    "NoiseEstimate.mean_edges": "standard deviation along the normals, mean edge lengths",
+    "NoiseEstimate.file_units": "standard deviation along the normals, file units",
+    "MethodUsed.name": "name of the method",
+    "MethodUsed.parameters": "every parameter by name, defaults included",
+    "Seconds.read": "reading and parsing",
+    "Seconds.connectivity": "welding, connectivity and defects",
+    "Seconds.normals": "vertex normals",
+    "Seconds.sweeps": "the sweeps of the method",
+    "Seconds.measure": "volume, displacement and the other measures",
+    "Seconds.write": "encoding, checking and writing",
+    "Seconds.total": "from start to end",
+    "Failure.code": "stable code of the error, such as E_TRUNCATED",
+    "Failure.message": "what is wrong, one sentence",
+    "Failure.hint": "what to do about it; may be empty",
+    "Failure.where": "place in the file, such as a vertex or a line; may be empty",
+    # InfoRecord, where it is not told above
+    "InfoRecord.compressed": "whether the file is compressed with gzip",
+    "InfoRecord.bytes": "size of the file",
+    "InfoRecord.polygon_sizes": "number of faces by number of corners",
+    "InfoRecord.closed": "true if there is no boundary edge",
+    "InfoRecord.winding": "consistent, inconsistent or not orientable",
+    "InfoRecord.bounds": "lowest and highest x, y, z, file units",
+    "InfoRecord.area": "surface area, squared file units",
+    "InfoRecord.volume": "signed volume, cubed file units",
+    "InfoRecord.volume_valid": "whether the volume means anything",
+    "InfoRecord.volume_reason": "why it does not; empty if it does",
+    "InfoRecord.mean_edge_length": "mean length of the edges, file units",
+    "InfoRecord.noise_estimate": "noise, estimated",
+    "InfoRecord.properties": "what else the file holds, which denoising carries along",
+    "InfoRecord.references": "other files that this one names",
+    "InfoRecord.warnings": "what a user should know although the file could be read",
+    "InfoRecord.error": "why the file could not be read; null if it could",
+}
+
+
+def report_schema() -> dict[str, Any]:
+    """The schema of a JSON report; a line of a JSON Lines report is ``#/$defs/MeshRecord``."""
+    kinds: dict[str, dict[str, Any]] = {}
+    run = _object(Run, kinds)
+    properties = {
+        "schema": {"const": records.SCHEMA, "description": "name and version of this schema"},
+        **run["properties"],
+        "totals": _typed(Totals, kinds) | {"description": "sums over the records"},
+        "records": {
+            "type": "array",
+            "items": _typed(records.MeshRecord, kinds),
+            "description": "one record per input file, in the order of the inputs",
+        },
+    }
+    return _document("msal report", records.SCHEMA, properties, kinds)
+
+
+def info_schema() -> dict[str, Any]:
+    """The schema of what ``msal info --json`` prints."""
+    kinds: dict[str, dict[str, Any]] = {}
+    name = records.InfoRecord.schema
+    properties = {
+        "schema": {"const": name, "description": "name and version of this schema"},
+        "version": {"type": "string", "description": "version of msal"},
+        "records": {
+            "type": "array",
+            "items": _typed(records.InfoRecord, kinds),
+            "description": "one record per input file, in the order of the inputs",
+        },
+    }
+    return _document("msal info", name, properties, kinds)
+
+
+SCHEMAS = {"report.schema.json": report_schema, "info.schema.json": info_schema}
+
+
+def _document(
+    title: str, name: str, properties: dict[str, Any], kinds: dict[str, dict[str, Any]]
+) -> dict[str, Any]:
+    return {
+        "$schema": _DIALECT,
+        "$id": f"urn:{name.replace('/', ':')}",
+        "title": f"{title} ({name})",
+        "description": _NULL_NOTE,
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "$defs": {key: kinds[key] for key in sorted(kinds)},
+    }
+
+
+def _object(kind: type[Any], kinds: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    hints = typing.get_type_hints(kind)
+    properties = {}
+    for one in dataclasses.fields(kind):
+        if one.name == "schema":
+            typed: dict[str, Any] = {"const": one.default}
+        else:
+            typed = _typed(hints[one.name], kinds)
+        properties[one.name] = typed | {"description": _description(kind, one.name)}
+    return {"type": "object", "properties": properties, "required": list(properties)}
+
+
+def _description(kind: type[Any], name: str) -> str:
+    own = f"{kind.__name__}.{name}"
+    return DESCRIPTIONS[own] if own in DESCRIPTIONS else DESCRIPTIONS[f"MeshRecord.{name}"]
+
+
+def _typed(hint: Any, kinds: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    simple = {str: "string", int: "integer", bool: "boolean", types.NoneType: "null"}
+    if hint is Any:
+        return {}
+    if hint in simple:
+        return {"type": simple[hint]}
+    if hint is float:
+        return {"type": ["number", "null"]}
+    if dataclasses.is_dataclass(hint):
+        kind = typing.cast("type[Any]", hint)
+        if kind.__name__ not in kinds:
+            kinds[kind.__name__] = {}
+            described = _object(kind, kinds)
+            described["description"] = " ".join((kind.__doc__ or "").partition("\n")[0].split())
+            kinds[kind.__name__] = described
+        return {"$ref": f"#/$defs/{kind.__name__}"}
+    return _composed(typing.get_origin(hint), typing.get_args(hint), kinds)
+
+
+def _composed(
+    origin: Any, inner: tuple[Any, ...], kinds: dict[str, dict[str, Any]]
+) -> dict[str, Any]:
+    if origin is Literal:
+        return {"enum": list(inner)}
+    if origin in (types.UnionType, typing.Union):
+        options = [_typed(one, kinds) for one in inner]
+        if all(set(option) == {"type"} for option in options):
+            words = [option["type"] for option in options]
+            flat = [one for word in words for one in ([word] if isinstance(word, str) else word)]
+            return {"type": list(dict.fromkeys(flat))}
+        return {"anyOf": options}
+    if origin is tuple and inner[-1] is Ellipsis:
+        return {"type": "array", "items": _typed(inner[0], kinds)}
+    if origin is tuple:
+        return {
+            "type": "array",
+            "prefixItems": [_typed(one, kinds) for one in inner],
+            "minItems": len(inner),
+            "maxItems": len(inner),
+        }
+    if origin in (dict, Mapping):
+        return {"type": "object", "additionalProperties": _typed(inner[1], kinds)}
+    raise TypeError(f"no schema for {origin}")
+
+
+def main(folder: str) -> None:
+    """Write all schemas into a folder."""
+    for name, schema in SCHEMAS.items():
+        Path(folder, name).write_bytes(json_bytes(schema()))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
