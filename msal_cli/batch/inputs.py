@@ -42,7 +42,8 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    path: Path
+    path: str
+    name: str
     relative: str
     is_folder: bool
 
@@ -151,9 +152,9 @@ def _in_folder(
         return not excluded.matches(prefix + relative)
 
     return [
-        Found(str(entry.path), prefix + entry.relative, str(folder))
+        Found(entry.path, prefix + entry.relative, str(folder))
         for entry in _walked(folder, own_output, is_entered)
-        if not entry.is_folder and is_mesh_name(entry.path.name)
+        if not entry.is_folder and is_mesh_name(entry.name)
     ]
 
 
@@ -179,11 +180,11 @@ def _by_pattern(
 
     entries = _walked(folder, own_output, is_entered, any(p.startswith(".") for p in rest))
     return [
-        Found(str(entry.path), entry.relative, str(folder))
+        Found(entry.path, entry.relative, str(folder))
         for entry in entries
         if not entry.is_folder
         and matcher.matches(entry.relative)
-        and ((takes_any_name and matcher.is_exact(entry.relative)) or is_mesh_name(entry.path.name))
+        and ((takes_any_name and matcher.is_exact(entry.relative)) or is_mesh_name(entry.name))
     ]
 
 
@@ -196,7 +197,7 @@ def _walked(
     """Files and folders below ``root``, by name; a folder comes before what it holds."""
     real_root = _real(root)
     # Each folder waits with the answer to: was a link followed on the way to it?
-    waiting: list[tuple[_Entry, bool]] = [(_Entry(root, "", True), False)]
+    waiting: list[tuple[_Entry, bool]] = [(_Entry(str(root), "", "", True), False)]
     while waiting:
         entry, is_beyond_link = waiting.pop()
         if entry.relative:
@@ -207,19 +208,21 @@ def _walked(
         for one in _listed(entry.path):
             if _is_passed_over(one.name, with_hidden):
                 continue
-            path = entry.path / one.name
+            path = one.name if entry.path == "." else os.path.join(entry.path, one.name)
             relative = f"{entry.relative}/{one.name}" if entry.relative else one.name
             kind = _entry_kind(one)
             if kind == "file":
-                below.append((_Entry(path, relative, False), is_beyond_link))
+                below.append((_Entry(path, one.name, relative, False), is_beyond_link))
             elif kind != "special" and is_entered(relative):
                 is_link = kind == "linked folder"
-                if is_link and (is_beyond_link or not _leads_elsewhere_within(path, real_root)):
+                if is_link and (
+                    is_beyond_link or not _leads_elsewhere_within(Path(path), real_root)
+                ):
                     continue
-                if own_output is not None and _is_within_output(path, own_output, real_root):
+                if own_output is not None and _is_within_output(Path(path), own_output, real_root):
                     continue
-                below.append((_Entry(path, relative, True), is_beyond_link or is_link))
-        below.sort(key=lambda pair: pair[0].path.name, reverse=True)
+                below.append((_Entry(path, one.name, relative, True), is_beyond_link or is_link))
+        below.sort(key=lambda pair: pair[0].name, reverse=True)
         waiting.extend(below)
 
 
@@ -227,7 +230,7 @@ def _is_passed_over(name: str, with_hidden: bool) -> bool:
     return is_own(name) or (name.startswith(".") and not with_hidden)
 
 
-def _listed(folder: Path) -> list[os.DirEntry[str]]:
+def _listed(folder: str) -> list[os.DirEntry[str]]:
     try:
         with os.scandir(folder) as entries:
             return list(entries)
@@ -235,9 +238,9 @@ def _listed(folder: Path) -> list[os.DirEntry[str]]:
         return []
     except OSError as error:
         raise UsageError(
-            f"the folder {str(folder)!r} cannot be listed: {error.strerror}",
+            f"the folder {folder!r} cannot be listed: {error.strerror}",
             hint="make it readable, or leave it out with --exclude",
-            path=str(folder),
+            path=folder,
         ) from None
 
 

@@ -212,7 +212,8 @@ class Manifest:
 
 def intent(name: str, input_path: str) -> dict[str, Any]:
     """The line that says: a run is about to write the output ``name`` from this input."""
-    return {"kind": "intent", "name": name, "input": _mark_data(FileMark.of(input_path), "")}
+    mark = _mark_data(FileMark.of(input_path), "")
+    return {"kind": "intent", "name": name, "format": FORMAT, "input": mark}
 
 
 def done(name: str, settings: str, record: MeshRecord, input_path: str) -> dict[str, Any]:
@@ -248,16 +249,14 @@ def _line(data: Mapping[str, Any]) -> bytes:
 def _entry(line: bytes) -> Entry | None:
     try:
         data = json.loads(line)
-        if data["kind"] == "intent":
-            return Entry(data["name"], False, input_mark=_mark(data["input"]), text=line)
-        if data["kind"] != "done" or data["format"] != FORMAT:
+        if data["kind"] not in ("intent", "done") or data.get("format", FORMAT) != FORMAT:
             return None
-        output = data["output"] or {}
-        return Entry(
+        output = data.get("output") or {}
+        entry = Entry(
             name=data["name"],
-            is_done=True,
-            settings=data["settings"],
-            status=data["status"],
+            is_done=data["kind"] == "done",
+            settings=data.get("settings", ""),
+            status=data.get("status", ""),
             input_sha256=data["input"]["sha256"],
             output_sha256=output.get("sha256", ""),
             input_mark=_mark(data["input"]),
@@ -266,6 +265,8 @@ def _entry(line: bytes) -> Entry | None:
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
+    words = (entry.name, entry.settings, entry.status, entry.input_sha256, entry.output_sha256)
+    return entry if all(isinstance(word, str) for word in words) else None
 
 
 def _mark(data: Mapping[str, Any]) -> FileMark | None:

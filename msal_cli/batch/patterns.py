@@ -42,6 +42,8 @@ class Patterns:
 
     def matches(self, relative: str) -> bool:
         """Whether a pattern matches ``relative``, its name or a folder that holds it."""
+        if not self._compiled:
+            return False
         parts = relative.split("/")
         for stop in range(len(parts), 0, -1):
             if self.is_exact("/".join(parts[:stop])):

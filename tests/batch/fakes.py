@@ -1,0 +1,147 @@
+"""Work for worker processes to do, and to die of.
+
+A fake mesh file is text; a line ``die <how> [once]`` in it is an order to the worker that reads
+it, where ``once`` leaves a mark beside the file and spares whoever comes second.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import hashlib
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+from msal_cli.batch.temporaries import temporary_name
+from msal_cli.records import Failure, MeshRecord
+
+DEATHS = {
+    "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
+    "segfault": lambda: ctypes.string_at(0),
+    "exit": lambda: os._exit(3),
+    "abort": os.abort,
+}
+
+
+def die(how):
+    if how in DEATHS:
+        DEATHS[how]()
+    elif how == "memory":
+        raise MemoryError
+    elif how == "sysexit":
+        sys.exit(1)
+    elif how == "error":
+        raise ValueError("a defect")
+    raise AssertionError(how)
+
+
+def work(task, common, on_progress):
+    """For ``workers.Crew``: ``task`` is (action, argument)."""
+    action, argument = task
+    if action == "double":
+        return 2 * argument
+    if action == "common":
+        return common
+    if action == "pid":
+        return os.getpid()
+    if action == "threads":
+        return os.environ["MSAL_THREADS"]
+    if action == "sleep":
+        time.sleep(argument)
+        return argument
+    if action == "progress":
+        for done in range(argument + 1):
+            on_progress("sweeps", done, argument)
+        return argument
+    if action == "chatter":
+        print("x" * argument)
+        os.write(1, b"y" * argument + b"\n")
+        os.write(2, b"z" * argument + b"\n")
+        return sys.stdin.read()
+    if action == "grow":
+        HOARD.append(bytearray(os.urandom(1)) * argument)
+        return os.getpid()
+    if action == "unpicklable":
+        return lambda: None
+    if action == "alone":
+        # How many workers of this run are alive while this one works?
+        mark = Path(argument) / str(os.getpid())
+        mark.touch()
+        time.sleep(0.2)
+        names = [int(one.name) for one in Path(argument).iterdir() if one.name.isdigit()]
+        alive = sum(is_running(pid) for pid in names)
+        first = not (Path(argument) / "tried").exists()
+        (Path(argument) / "tried").touch()
+        if first:
+            die("kill")
+        return alive
+    die(action)
+    return None
+
+
+HOARD = []
+
+
+def is_running(pid):
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    return text.rpartition(")")[2].split()[0] not in "ZX"
+
+
+def denoise(task, settings, on_progress=None):
+    """In the place of ``pipeline.denoise_file``: upper case for lower, and deaths to order."""
+    data = Path(task.input).read_bytes()
+    for line in data.decode().splitlines():
+        if line.startswith("sleep "):
+            time.sleep(float(line.split()[1]))
+        if line.startswith("fail"):
+            return MeshRecord(
+                input=task.input, status="failed", error=Failure("E_FORMAT", "made to fail")
+            )
+        if line.startswith("memory"):
+            return MeshRecord(
+                input=task.input, status="failed", error=Failure("E_MEMORY", "made to fail")
+            )
+        if line.startswith("die "):
+            how, *once = line.split()[1:]
+            mark = Path(task.input + ".died")
+            if not (once and mark.exists()):
+                mark.touch()
+                if how == "midway":
+                    half = Path(task.output).parent / temporary_name("half")
+                    half.parent.mkdir(parents=True, exist_ok=True)
+                    half.write_bytes(data[:3])
+                    how = "kill"
+                die(how)
+    if on_progress is not None:
+        on_progress("write", 1, 1)
+    if task.in_place and task.backup:
+        Path(task.input + task.backup).write_bytes(data)
+    output = (settings.method + " " + data.decode().upper()).encode()
+    written(Path(task.output), output)
+    return MeshRecord(
+        input=task.input,
+        output=task.output,
+        status="written",
+        vertices=len(data),
+        input_sha256=hashlib.sha256(data).hexdigest(),
+        output_sha256=hashlib.sha256(output).hexdigest(),
+    )
+
+
+def written(path, data):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(temporary_name("fake"))
+    try:
+        with temporary.open("wb") as file:
+            file.write(data)
+        temporary.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise

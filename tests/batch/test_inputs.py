@@ -1,0 +1,290 @@
+"""Finding the input files of a command on real folders."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from pathlib import Path
+
+import pytest
+
+from msal_cli.batch.inputs import NothingMatched, found
+from msal_cli.batch.temporaries import temporary_name
+from msal_cli.errors import UsageError
+
+posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
+
+
+def is_mesh_name(name):
+    return name.endswith((".ply", ".obj"))
+
+
+def made(folder, *names):
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("x")
+
+
+def relatives(*inputs, **options):
+    return [
+        one.relative
+        for one in found([str(one) for one in inputs], is_mesh_name=is_mesh_name, **options)
+    ]
+
+
+def test_a_file_is_taken_whatever_its_name(tmp_path):
+    made(tmp_path, "scan.xyz", ".hidden")
+    (one, other) = found(
+        [str(tmp_path / "scan.xyz"), str(tmp_path / ".hidden")], is_mesh_name=is_mesh_name
+    )
+    assert (one.path, one.relative, one.root) == (str(tmp_path / "scan.xyz"), "scan.xyz", "")
+    assert other.relative == ".hidden"
+
+
+def test_a_folder_is_searched_in_the_order_of_names(tmp_path):
+    made(tmp_path, "b.ply", "a/z.obj", "a/y/x.ply", "c.txt", "a.ply", "B.ply")
+    some = found([str(tmp_path)], is_mesh_name=is_mesh_name)
+    assert [one.relative for one in some] == ["B.ply", "a/y/x.ply", "a/z.obj", "a.ply", "b.ply"]
+    assert all(Path(one.path) == tmp_path / one.relative for one in some)
+    assert {one.root for one in some} == {str(tmp_path)}
+
+
+def test_hidden_files_and_our_own_are_passed_over(tmp_path):
+    made(tmp_path, "a.ply", ".b.ply", ".git/c.ply", ".msal-manifest.jsonl", temporary_name("d.ply"))
+    assert relatives(tmp_path) == ["a.ply"]
+    assert relatives(f"{tmp_path}/.*") == [".b.ply", ".git/c.ply"]
+
+
+def test_several_folders_are_told_apart_by_their_names(tmp_path):
+    made(tmp_path, "one/a.ply", "two/a.ply", "three.ply")
+    assert relatives(tmp_path / "one", tmp_path / "two", tmp_path / "three.ply") == [
+        "one/a.ply",
+        "two/a.ply",
+        "three.ply",
+    ]
+
+
+def test_the_same_folder_given_twice_is_one_folder(tmp_path):
+    made(tmp_path, "one/a.ply")
+    assert relatives(tmp_path / "one", f"{tmp_path}/one/") == ["a.ply"]
+
+
+def test_a_folder_named_by_dots_is_known_by_its_real_name(tmp_path, monkeypatch):
+    made(tmp_path, "one/a.ply", "two/a.ply")
+    monkeypatch.chdir(tmp_path / "one")
+    assert relatives(".", "../two") == ["one/a.ply", "two/a.ply"]
+    assert found(["."], is_mesh_name=is_mesh_name)[0].path == "a.ply"
+
+
+def test_a_missing_input_is_named(tmp_path):
+    with pytest.raises(UsageError, match=r"no file or folder.*not here") as caught:
+        relatives(tmp_path / "not here.ply")
+    assert caught.value.code == "E_USAGE"
+    with pytest.raises(UsageError, match="empty string"):
+        relatives("")
+    with pytest.raises(UsageError, match="null"):
+        relatives("a\0b")
+    with pytest.raises(UsageError, match="too long"):
+        relatives("a" * 5000)
+
+
+def test_nothing_matched_is_a_signal_of_its_own(tmp_path):
+    made(tmp_path, "a.txt")
+    for inputs in ([tmp_path], [f"{tmp_path}/*.ply"], [f"{tmp_path}/no/*.ply"]):
+        with pytest.raises(NothingMatched) as caught:
+            relatives(*inputs)
+        assert not isinstance(caught.value, UsageError)
+    with pytest.raises(NothingMatched):
+        relatives(tmp_path / "a.txt", include=["*.ply"])
+
+
+def test_include_and_exclude_look_at_path_and_name(tmp_path):
+    made(tmp_path, "a.ply", "left/b.ply", "left/old/c.ply", "right/d.obj")
+    assert relatives(tmp_path, include=["left/**"]) == ["left/b.ply", "left/old/c.ply"]
+    assert relatives(tmp_path, include=["*.obj", "a.*"]) == ["a.ply", "right/d.obj"]
+    assert relatives(tmp_path, exclude=["old"]) == ["a.ply", "left/b.ply", "right/d.obj"]
+    assert relatives(tmp_path, include=["left"], exclude=["**/old/*"]) == ["left/b.ply"]
+
+
+class TestGlobs:
+    def test_a_pattern_is_relative_to_its_fixed_part(self, tmp_path):
+        made(tmp_path, "s/one/a.ply", "s/two/b.ply", "s/c.ply", "s/one/d.txt")
+        assert relatives(f"{tmp_path}/s/*.ply") == ["c.ply"]
+        assert relatives(f"{tmp_path}/s/*/*.ply") == ["one/a.ply", "two/b.ply"]
+        assert relatives(f"{tmp_path}/s/**/*.ply") == ["c.ply", "one/a.ply", "two/b.ply"]
+        assert relatives(f"{tmp_path}/*/one/a.ply") == ["s/one/a.ply"]
+
+    def test_a_folder_that_matches_is_searched(self, tmp_path):
+        made(tmp_path, "s/one/deep/a.ply", "s/two/b.ply", "s/two/b.txt")
+        assert relatives(f"{tmp_path}/s/*") == ["one/deep/a.ply", "two/b.ply"]
+
+    def test_a_plain_suffix_takes_any_name(self, tmp_path):
+        made(tmp_path, "a.scan", "b.scan", "c.ply")
+        assert relatives(f"{tmp_path}/*.scan") == ["a.scan", "b.scan"]
+        assert relatives(f"{tmp_path}/*") == ["c.ply"]
+        assert relatives(f"{tmp_path}/*.*") == ["c.ply"]
+
+    def test_a_literal_name_is_that_file(self, tmp_path):
+        made(tmp_path, "a[1].ply", "a1.ply")
+        assert relatives(f"{tmp_path}/a[1].ply") == ["a[1].ply"]
+        (tmp_path / "a[1].ply").unlink()
+        assert relatives(f"{tmp_path}/a[1].ply") == ["a1.ply"]
+
+    def test_the_current_folder_needs_no_prefix(self, tmp_path, monkeypatch):
+        made(tmp_path, "-x.ply", "b.ply")
+        monkeypatch.chdir(tmp_path)
+        assert relatives("*.ply") == ["-x.ply", "b.ply"]
+
+
+@posix
+class TestLinks:
+    def test_links_within_are_followed_and_links_out_are_not(self, tmp_path):
+        made(tmp_path, "in/real/a.ply", "out/b.ply")
+        (tmp_path / "in/alias").symlink_to("real")
+        (tmp_path / "in/away").symlink_to(tmp_path / "out")
+        (tmp_path / "in/dots").symlink_to("../out")
+        assert relatives(tmp_path / "in") == ["alias/a.ply", "real/a.ply"]
+
+    def test_loops_end(self, tmp_path):
+        made(tmp_path, "in/a/b/x.ply")
+        (tmp_path / "in/a/b/up").symlink_to("..")
+        (tmp_path / "in/a/top").symlink_to(tmp_path / "in")
+        (tmp_path / "in/self").symlink_to("self")
+        assert relatives(tmp_path / "in") == ["a/b/x.ply"]
+
+    def test_folders_that_all_link_to_each_other_do_not_explode(self, tmp_path):
+        for one in range(12):
+            made(tmp_path, f"{one}/x.ply")
+            for other in range(12):
+                if one != other:
+                    (tmp_path / f"{one}/to{other}").symlink_to(f"../{other}")
+        started = time.perf_counter()
+        assert len(relatives(tmp_path)) == 12 + 12 * 11
+        assert time.perf_counter() - started < 2
+
+    def test_a_linked_file_is_an_input_and_a_broken_one_is_not_lost(self, tmp_path):
+        made(tmp_path, "store/a.ply")
+        (tmp_path / "in").mkdir()
+        (tmp_path / "in/a.ply").symlink_to(tmp_path / "store/a.ply")
+        (tmp_path / "in/gone.ply").symlink_to("nowhere")
+        (tmp_path / "in/round.ply").symlink_to("round.ply")
+        assert relatives(tmp_path / "in") == ["a.ply", "gone.ply", "round.ply"]
+        with pytest.raises(UsageError, match="leads to nothing"):
+            relatives(tmp_path / "in/gone.ply")
+
+    def test_the_searched_folder_may_be_a_link_itself(self, tmp_path):
+        made(tmp_path, "real/a.ply", "real/sub/b.ply")
+        (tmp_path / "link").symlink_to("real")
+        assert relatives(tmp_path / "link") == ["a.ply", "sub/b.ply"]
+
+
+@posix
+class TestHostileNames:
+    NAMES = (
+        "-x.ply",
+        "new\nline.ply",
+        "quote'\".ply",
+        "bytes\udcff\udcfe.ply",
+        "b" * 251 + ".ply",
+        " .ply",
+        "=1+1.ply",
+        "\u202egnp.ply",
+        "a.ply",
+        "A.ply",
+        "$(x);.ply",
+        "*.ply",
+    )
+
+    def test_every_name_is_found(self, tmp_path):
+        made(tmp_path, *self.NAMES)
+        some = found([str(tmp_path)], is_mesh_name=is_mesh_name)
+        assert sorted(one.relative for one in some) == sorted(self.NAMES)
+        assert all(Path(one.path).read_text() == "x" for one in some)
+
+    def test_special_files_are_passed_over(self, tmp_path):
+        made(tmp_path, "a.ply")
+        os.mkfifo(tmp_path / "fifo.ply")
+        with socket.socket(socket.AF_UNIX) as server:
+            server.bind(str(tmp_path / "s.ply"))
+            (tmp_path / "null.ply").symlink_to("/dev/null")
+            assert relatives(tmp_path) == ["a.ply"]
+        with pytest.raises(UsageError, match="neither a file nor a folder"):
+            relatives(tmp_path / "fifo.ply")
+
+    @pytest.mark.skipif(getattr(os, "geteuid", lambda: 1)() == 0, reason="root may list anything")
+    def test_a_folder_that_cannot_be_listed_is_not_skipped(self, tmp_path):
+        made(tmp_path, "a.ply", "locked/b.ply")
+        (tmp_path / "locked").chmod(0)
+        try:
+            with pytest.raises(UsageError, match="cannot be listed"):
+                relatives(tmp_path)
+            assert relatives(tmp_path, exclude=["locked"]) == ["a.ply"]
+        finally:
+            (tmp_path / "locked").chmod(0o700)
+
+    def test_a_folder_that_the_system_refuses_to_list_is_not_skipped(self, tmp_path, monkeypatch):
+        made(tmp_path, "a.ply", "locked/b.ply")
+        real = os.scandir
+
+        def refusing(path):
+            if Path(path).name == "locked":
+                raise PermissionError(13, "Permission denied")
+            return real(path)
+
+        monkeypatch.setattr(os, "scandir", refusing)
+        with pytest.raises(UsageError, match=r"locked.*cannot be listed: Permission denied"):
+            relatives(tmp_path)
+        assert relatives(tmp_path, exclude=["locked"]) == ["a.ply"]
+
+    def test_a_very_deep_tree_does_not_exhaust_the_stack(self, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        for _ in range(1100):
+            Path("d").mkdir()
+            os.chdir("d")
+        Path("a.ply").write_text("x")
+        os.chdir(tmp_path)
+        try:
+            assert relatives("d") == ["d/" * 1099 + "a.ply"]
+        finally:
+            # shutil.rmtree, and so pytest, would run out of stack itself.
+            os.chdir("d/" * 1100)
+            Path("a.ply").unlink()
+            for _ in range(1100):
+                os.chdir("..")
+                Path("d").rmdir()
+
+
+class TestOutputInside:
+    def test_an_output_folder_in_the_input_is_not_searched(self, tmp_path):
+        made(tmp_path, "a.ply", "out/a.ply", "out/sub/b.ply", "outer/c.ply")
+        assert relatives(tmp_path, output=str(tmp_path / "out")) == ["a.ply", "outer/c.ply"]
+        assert relatives(f"{tmp_path}/**/*.ply", output=f"{tmp_path}/./out/") == [
+            "a.ply",
+            "outer/c.ply",
+        ]
+
+    @posix
+    def test_nor_through_a_link(self, tmp_path):
+        made(tmp_path, "a.ply", "out/sub/b.ply")
+        (tmp_path / "alias").symlink_to("out")
+        (tmp_path / "inner").symlink_to("out/sub")
+        assert relatives(tmp_path, output=str(tmp_path / "out")) == ["a.ply"]
+        assert relatives(tmp_path, output=str(tmp_path / "alias")) == ["a.ply"]
+
+    def test_what_was_asked_for_by_name_is_searched(self, tmp_path):
+        made(tmp_path, "out/sub/b.ply")
+        assert relatives(tmp_path / "out/sub", output=str(tmp_path / "out")) == ["b.ply"]
+        assert relatives(tmp_path / "out", output=str(tmp_path / "out")) == ["sub/b.ply"]
+
+
+@pytest.mark.slow
+def test_ten_thousand_files_are_found_within_a_second(tmp_path):
+    for folder in range(100):
+        (tmp_path / str(folder)).mkdir()
+        for file in range(100):
+            (tmp_path / f"{folder}/{file}.ply").touch()
+    started = time.perf_counter()
+    assert len(relatives(tmp_path)) == 10_000
+    assert time.perf_counter() - started < 1.0

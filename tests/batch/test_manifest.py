@@ -1,0 +1,201 @@
+"""The manifest survives torn lines and tells the truth about settings."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+
+import numpy as np
+import pytest
+
+import msal_cli
+from msal_cli.batch import manifest as manifests
+from msal_cli.batch.manifest import (
+    NAME,
+    FileMark,
+    Manifest,
+    done,
+    file_sha256,
+    intent,
+    settings_hash,
+)
+from msal_cli.errors import OutputError
+from msal_cli.pipeline import Settings
+from msal_cli.records import MeshRecord, Volume
+
+SETTINGS = Settings("msal", {"K": 0.5, "iterations": 4})
+
+
+def record(tmp_path, name="a.ply", **changes):
+    (tmp_path / name).write_bytes(b"out")
+    values = {
+        "input": "in",
+        "output": str(tmp_path / name),
+        "status": "written",
+        "input_sha256": "i" * 64,
+        "output_sha256": "o" * 64,
+        "volume": Volume(1.0, 0.5, -0.5, -50.0, True, ""),
+        "warnings": ("w\n", "bytes \udcff"),
+    }
+    return MeshRecord(**(values | changes))
+
+
+def opened(tmp_path):
+    manifest = Manifest.read(str(tmp_path))
+    manifest.open()
+    return manifest
+
+
+def noted(tmp_path, *lines):
+    manifest = opened(tmp_path)
+    manifest.append(lines)
+    manifest.close()
+    return Manifest.read(str(tmp_path))
+
+
+def test_what_is_noted_is_read_back(tmp_path):
+    one = record(tmp_path)
+    (tmp_path / "in").write_bytes(b"input")
+    entry = noted(tmp_path, done("a.ply", "hash", one, str(tmp_path / "in"))).get("a.ply")
+    assert entry.is_done and entry.settings == "hash" and entry.status == "written"
+    assert (entry.input_sha256, entry.output_sha256) == ("i" * 64, "o" * 64)
+    assert entry.input_mark == FileMark.of(str(tmp_path / "in"))
+    assert entry.input_mark.size == 5 and entry.output_mark.size == 3
+    assert entry.record() == one
+
+
+@pytest.mark.parametrize("name", ["new\nline", 'quote"', "bytes\udcff\udcfe", "\u2028", "=1", "\\"])
+def test_any_name_is_one_line(tmp_path, name):
+    assert noted(tmp_path, intent(name, "nowhere")).get(name) is not None
+    assert (tmp_path / NAME).read_bytes().count(b"\n") == 1
+
+
+def test_the_last_line_for_a_name_counts(tmp_path):
+    line = done("a.ply", "hash", record(tmp_path), "in")
+    assert not noted(tmp_path, line, intent("a.ply", "in")).get("a.ply").is_done
+    assert noted(tmp_path, line).get("a.ply").is_done
+
+
+def test_a_torn_last_line_costs_itself_only_wherever_it_is_torn(tmp_path):
+    noted(tmp_path, *(done(name, "h", record(tmp_path), "in") for name in ("a", "b")))
+    whole = (tmp_path / NAME).read_bytes()
+    first = whole.index(b"\n") + 1
+    for length in [*range(first, len(whole) - 1, 29), len(whole) - 2]:
+        (tmp_path / NAME).write_bytes(whole[:length])
+        assert Manifest.read(str(tmp_path)).names() == {"a"}
+        assert noted(tmp_path, intent("c", "in")).names() == {"a", "c"}
+    (tmp_path / NAME).write_bytes(whole[:-1])
+    assert noted(tmp_path, intent("c", "in")).names() == {"a", "b", "c"}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"",
+        b"null",
+        b"[]",
+        b"{}",
+        b'"text"',
+        b'{"kind":"done","name":"x"}',
+        b'{"kind":"done","name":"x","format":2,"settings":"","status":"written","input":{}}',
+        b'{"kind":"intent","name":["x"],"input":{}}',
+        b'{"kind":"intent","name":"x","input":7}',
+        b"\xff\xfe\x00",
+        b"[" * 100_000,
+    ],
+)
+def test_a_line_without_sense_is_passed_over(tmp_path, line):
+    noted(tmp_path, intent("a", "in"))
+    with (tmp_path / NAME).open("ab") as file:
+        file.write(line + b"\n")
+    assert noted(tmp_path, intent("b", "in")).names() == {"a", "b"}
+
+
+def test_lines_are_on_the_disk_before_append_returns(tmp_path, monkeypatch):
+    manifest = opened(tmp_path)
+    synced = []
+    real = os.fsync
+    monkeypatch.setattr(
+        os, "fsync", lambda handle: synced.append((tmp_path / NAME).stat().st_size) or real(handle)
+    )
+    manifest.append([intent("a", "in"), intent("b", "in")])
+    assert synced == [(tmp_path / NAME).stat().st_size] and synced[0] > 0
+    manifest.append([])
+    assert len(synced) == 1
+    manifest.close()
+    manifest.close()
+
+
+def test_outdated_lines_are_dropped_when_they_outweigh(tmp_path, monkeypatch):
+    monkeypatch.setattr(manifests, "_SPARE_LINES", 10)
+    last = noted(tmp_path, *(intent(f"{n % 3}", "in") for n in range(13)))
+    assert last.names() == {"0", "1", "2"}
+    noted(tmp_path, done("0", "h", record(tmp_path), "in"))
+    assert (tmp_path / NAME).read_bytes().count(b"\n") == 14
+    after = noted(tmp_path, intent("3", "in"))
+    assert (tmp_path / NAME).read_bytes().count(b"\n") == 4
+    assert after.names() == {"0", "1", "2", "3"} and after.get("0").is_done
+    assert after.get("0").record() is not None
+    assert sorted(path.name for path in tmp_path.iterdir()) == [NAME, "a.ply"]
+
+
+def test_a_manifest_that_cannot_be_written_is_an_output_error(tmp_path):
+    (tmp_path / NAME).mkdir()
+    with pytest.raises(OutputError):
+        Manifest.read(str(tmp_path))
+    manifest = Manifest(str(tmp_path / "no such folder"))
+    with pytest.raises(OutputError):
+        manifest.open()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
+def test_a_full_disk_is_an_output_error(tmp_path):
+    manifest = opened(tmp_path)
+    manifest._file.close()
+    with open("/dev/full", "wb", buffering=0) as manifest._file, pytest.raises(OutputError):
+        manifest.append([intent("a", "in")])
+
+
+class TestSettingsHash:
+    def test_it_is_the_same_for_the_same_settings(self):
+        other = Settings("msal", {"iterations": np.int64(4), "K": np.float64(0.5)})
+        assert settings_hash(SETTINGS) == settings_hash(other)
+        assert len(settings_hash(SETTINGS)) == 64
+
+    def test_it_changes_with_everything_that_decides_the_bytes(self, monkeypatch):
+        changes = [
+            {"method": "al"},
+            {"parameters": {"K": 0.5, "iterations": 5}},
+            {"parameters": {"K": 0.25, "iterations": 4}},
+            {"parameters": {"K": 0.5}},
+            {"to": "obj"},
+            {"encoding": "ascii"},
+            {"precision": "float32"},
+            {"strict": True},
+            {"format": "ply"},
+        ]
+        hashes = [settings_hash(dataclasses.replace(SETTINGS, **change)) for change in changes]
+        changed = {key for change in changes for key in change}
+        assert changed == {field.name for field in dataclasses.fields(Settings)}
+        monkeypatch.setattr(manifests, "__version__", msal_cli.__version__ + ".1")
+        hashes += [settings_hash(SETTINGS)]
+        monkeypatch.undo()
+        assert len({settings_hash(SETTINGS), *hashes}) == len(changes) + 2
+
+
+def test_file_sha256(tmp_path):
+    path = tmp_path / "a"
+    path.write_bytes(b"abc" * 1_000_000)
+    import hashlib
+
+    assert file_sha256(str(path)) == hashlib.sha256(b"abc" * 1_000_000).hexdigest()
+    assert file_sha256(str(path), lambda: True) == ""
+    assert file_sha256(str(tmp_path / "none")) == ""
+    assert file_sha256(str(tmp_path)) == ""
+
+
+def test_a_line_is_plain_ascii_json(tmp_path):
+    noted(tmp_path, done("\u00e9\udcff", "h", record(tmp_path), "in"))
+    data = json.loads((tmp_path / NAME).read_text("ascii"))
+    assert data["name"] == "\u00e9\udcff" and data["version"] == msal_cli.__version__

@@ -1,0 +1,326 @@
+"""Where outputs go, and what is refused before anything is touched."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from msal_cli.batch import plan as planning
+from msal_cli.batch.inputs import Found, found
+from msal_cli.batch.manifest import NAME
+from msal_cli.batch.plan import built
+from msal_cli.errors import UsageError
+
+posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
+
+
+def is_mesh_name(name):
+    return name.lower().removesuffix(".gz").endswith((".ply", ".obj", ".stl"))
+
+
+def made(folder, *names):
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("x")
+
+
+def planned(inputs, output, **options):
+    some = found([str(one) for one in inputs], is_mesh_name=is_mesh_name)
+    return built(
+        some, None if output is None else str(output), is_mesh_name=is_mesh_name, **options
+    )
+
+
+def outputs(folder, *arguments, **options):
+    return [
+        Path(task.output).relative_to(folder).as_posix()
+        for task in planned(*arguments, **options).tasks
+    ]
+
+
+def snapshot(folder):
+    return sorted(
+        (str(path), path.read_bytes() if path.is_file() else None) for path in folder.rglob("*")
+    )
+
+
+@pytest.fixture
+def refuses(tmp_path):
+    """A call that must raise UsageError with all these words and leave the disk as it was."""
+
+    def check(words, *arguments, **options):
+        before = snapshot(tmp_path)
+        with pytest.raises(UsageError) as caught:
+            planned(*arguments, **options)
+        for word in words:
+            assert word in caught.value.message, caught.value.message
+        assert snapshot(tmp_path) == before
+        return caught.value
+
+    return check
+
+
+def test_a_folder_is_mirrored(tmp_path):
+    made(tmp_path, "in/a.ply", "in/b/c.obj.gz")
+    plan = planned([tmp_path / "in"], tmp_path / "out")
+    assert [task.output for task in plan.tasks] == [
+        str(tmp_path / "out/a.ply"),
+        str(tmp_path / "out/b/c.obj.gz"),
+    ]
+    assert plan.homes == (str(tmp_path / "out"),) * 2
+    assert [plan.key(index) for index in (0, 1)] == ["a.ply", "b/c.obj.gz"]
+    assert not (tmp_path / "out").exists()
+
+
+def test_to_changes_the_suffix_and_keeps_gz(tmp_path):
+    made(tmp_path, "in/a.ply", "in/c.obj.gz")
+    assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "out", to="stl") == [
+        "out/a.stl",
+        "out/c.stl.gz",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("output", "existing", "expected"),
+    [
+        ("out.ply", (), "out.ply"),
+        ("new/out.ply", (), "new/out.ply"),
+        ("out.ply", ("out.ply",), "out.ply"),
+        ("out", ("out",), "out"),
+        ("out", (), "out/a.ply"),
+        ("out.ply/", (), "out.ply/a.ply"),
+        ("out.ply", ("out.ply/x",), "out.ply/a.ply"),
+        ("out", ("out/x",), "out/a.ply"),
+    ],
+)
+def test_one_file_goes_to_a_file_or_into_a_folder(tmp_path, output, existing, expected):
+    made(tmp_path, "in/a.ply", *existing)
+    plan = planned([tmp_path / "in/a.ply"], f"{tmp_path}/{output}")
+    assert plan.tasks[0].output == f"{tmp_path}/{expected}"
+    assert (plan.homes[0] is None) == (not expected.endswith("/a.ply"))
+
+
+def test_a_folder_with_one_file_makes_a_folder(tmp_path):
+    made(tmp_path, "in/a.ply")
+    assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "out.ply") == ["out.ply/a.ply"]
+
+
+def test_the_word_to_must_not_contradict_the_output(tmp_path, refuses):
+    made(tmp_path, "a.ply")
+    refuses(["--to obj", "b.stl"], [tmp_path / "a.ply"], tmp_path / "b.stl", to="obj")
+    assert outputs(tmp_path, [tmp_path / "a.ply"], tmp_path / "b.STL", to="stl") == ["b.STL"]
+
+
+def test_no_output_is_refused(tmp_path, refuses):
+    made(tmp_path, "a.ply")
+    refuses(["no output"], [tmp_path / "a.ply"], None)
+
+
+class TestCollisions:
+    def test_two_inputs_with_one_output_are_named(self, tmp_path, refuses):
+        made(tmp_path, "one/a.ply", "two/a.ply")
+        refuses(
+            [str(tmp_path / "one/a.ply"), str(tmp_path / "two/a.ply"), "both"],
+            [tmp_path / "one/a.ply", tmp_path / "two/a.ply"],
+            tmp_path / "out",
+        )
+
+    def test_also_after_a_change_of_suffix(self, tmp_path, refuses):
+        made(tmp_path, "in/a.ply", "in/a.obj")
+        refuses(["a.ply", "a.obj", "both"], [tmp_path / "in"], tmp_path / "out", to="stl")
+
+    def test_the_same_file_twice_is_one_task(self, tmp_path, monkeypatch):
+        made(tmp_path, "in/a.ply", "in/b.ply")
+        monkeypatch.chdir(tmp_path)
+        inputs = [tmp_path / "in/a.ply", "in/a.ply", "in"]
+        assert outputs(tmp_path, inputs, tmp_path / "out") == ["out/a.ply", "out/b.ply"]
+
+    def test_a_file_and_a_folder_of_one_name(self, tmp_path, refuses):
+        made(tmp_path, "in/a.ply", "two/a.ply/b.ply", "in2/a.obj/b.ply", "in2/a.ply")
+        refuses(
+            ["file and folder", str(tmp_path / "in/a.ply"), "b.ply"],
+            [tmp_path / "in/a.ply", tmp_path / "two"],
+            tmp_path / "out",
+        )
+        refuses(["file and folder"], [tmp_path / "in2"], tmp_path / "out", to="obj")
+
+    @posix
+    def test_case_only_twins_are_told_apart_where_the_file_system_does(self, tmp_path):
+        made(tmp_path, "in/a.ply", "in/A.ply")
+        assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "out") == ["out/A.ply", "out/a.ply"]
+
+    @posix
+    @pytest.mark.parametrize(
+        "twins", [("a.ply", "A.ply"), ("s/x.ply", "S/y.ply"), ("\u00e9.ply", "e\u0301.ply")]
+    )
+    def test_and_refused_where_it_does_not(self, tmp_path, refuses, monkeypatch, twins):
+        made(tmp_path, *(f"in/{name}" for name in twins))
+        probed = []
+        monkeypatch.setattr(planning, "_ignores_case", lambda folder: probed.append(folder) or True)
+        if "/" in twins[0]:
+            assert len(outputs(tmp_path, [tmp_path / "in"], tmp_path / "out")) == 2
+        else:
+            refuses(["case does not count"], [tmp_path / "in"], tmp_path / "out")
+            assert probed == [tmp_path]
+
+    @posix
+    def test_the_file_system_is_really_asked(self, tmp_path, monkeypatch):
+        assert not planning._ignores_case(tmp_path)
+        assert list(tmp_path.iterdir()) == []
+        real = Path.exists
+        monkeypatch.setattr(
+            Path,
+            "exists",
+            lambda path: (
+                any(one.name.casefold() == path.name.casefold() for one in path.parent.iterdir())
+                or real(path)
+            ),
+        )
+        assert planning._ignores_case(tmp_path)
+
+
+class TestInputsAsOutputs:
+    def test_a_folder_onto_itself(self, tmp_path, refuses):
+        made(tmp_path, "in/a.ply")
+        refuses(["overwritten by its own output"], [tmp_path / "in"], tmp_path / "in")
+        assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "in", to="stl") == ["in/a.stl"]
+
+    def test_a_file_onto_itself_by_another_path(self, tmp_path, refuses, monkeypatch):
+        made(tmp_path, "in/a.ply", "sub/x")
+        monkeypatch.chdir(tmp_path)
+        refuses(["own output", "sub/../in/a.ply"], ["in/a.ply"], "sub/../in/a.ply")
+
+    def test_another_input_of_the_run(self, tmp_path, refuses):
+        made(tmp_path, "one/a.ply", "out/one/a.ply", "out/b.ply")
+        refuses(
+            ["would overwrite the input", "one/a.ply", str(tmp_path / "out/one/a.ply")],
+            [tmp_path / "one", tmp_path / "out"],
+            tmp_path / "out",
+            force=True,
+        )
+
+    @posix
+    @pytest.mark.parametrize("kind", ["symbolic", "hard"])
+    def test_through_a_link(self, tmp_path, refuses, kind):
+        made(tmp_path, "in/a.ply", "out/x")
+        if kind == "hard":
+            (tmp_path / "out/a.ply").hardlink_to(tmp_path / "in/a.ply")
+        else:
+            (tmp_path / "out/a.ply").symlink_to(tmp_path / "in/a.ply")
+        refuses(["own output"], [tmp_path / "in"], tmp_path / "out", force=True)
+        refuses(["own output"], [tmp_path / "in/a.ply"], tmp_path / "out/a.ply")
+
+
+class TestForeignFiles:
+    def test_a_file_that_no_run_wrote_is_not_overwritten(self, tmp_path, refuses):
+        made(tmp_path, *(f"in/{name}.ply" for name in "abcde"))
+        made(tmp_path, *(f"out/{name}.ply" for name in "abcde"))
+        error = refuses(["a.ply", "and 2 more"], [tmp_path / "in"], tmp_path / "out")
+        assert "--force" in error.hint
+        assert len(outputs(tmp_path, [tmp_path / "in"], tmp_path / "out", force=True)) == 5
+
+    @pytest.mark.parametrize("kind", ["intent", "done"])
+    def test_a_file_of_an_earlier_run_may_be(self, tmp_path, refuses, kind):
+        made(tmp_path, "in/a.ply", "in/b.ply", "out/a.ply", "out/b.ply")
+        line = {"kind": kind, "name": "a.ply", "format": 1, "settings": "", "status": "written"}
+        line |= {"input": {"sha256": ""}, "output": None, "record": {}}
+        (tmp_path / "out" / NAME).write_text(json.dumps(line) + "\n")
+        error = refuses(["b.ply"], [tmp_path / "in"], tmp_path / "out")
+        assert "a.ply" not in error.message
+        (tmp_path / "out/b.ply").unlink()
+        assert len(outputs(tmp_path, [tmp_path / "in"], tmp_path / "out")) == 2
+
+    @posix
+    def test_a_broken_link_is_a_foreign_file_too(self, tmp_path, refuses):
+        made(tmp_path, "in/a.ply", "out/x")
+        (tmp_path / "out/a.ply").symlink_to("nowhere")
+        refuses(["a.ply"], [tmp_path / "in"], tmp_path / "out")
+
+
+class TestPlacesThatCannotBe:
+    def test_an_output_that_is_a_folder(self, tmp_path, refuses):
+        made(tmp_path, "in/a.ply", "out/a.ply/x")
+        refuses(["is the folder"], [tmp_path / "in"], tmp_path / "out", force=True)
+
+    def test_a_folder_that_is_a_file(self, tmp_path, refuses):
+        made(tmp_path, "in/b/a.ply", "out/b", "file")
+        refuses(["is a file"], [tmp_path / "in"], tmp_path / "out", force=True)
+        refuses(["is a file"], [tmp_path / "in"], tmp_path / "file")
+
+    @pytest.mark.parametrize("relative", ["../a.ply", "b/../../a.ply", "/etc/a.ply"])
+    def test_a_relative_path_that_climbs(self, tmp_path, relative):
+        made(tmp_path, "a.ply")
+        with pytest.raises(UsageError, match="no path below"):
+            built(
+                [Found(str(tmp_path / "a.ply"), relative, str(tmp_path))],
+                str(tmp_path / "out"),
+                is_mesh_name=is_mesh_name,
+            )
+
+    @posix
+    def test_a_link_that_leads_out_of_the_output_folder(self, tmp_path, refuses):
+        made(tmp_path, "in/b/a.ply", "out/x", "elsewhere/y")
+        (tmp_path / "out/b").symlink_to(tmp_path / "elsewhere")
+        refuses(["leave the output folder", "elsewhere"], [tmp_path / "in"], tmp_path / "out")
+        (tmp_path / "link").symlink_to("elsewhere")
+        assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "link") == ["link/b/a.ply"]
+
+
+class TestInPlace:
+    def test_the_output_is_the_input(self, tmp_path):
+        made(tmp_path, "in/a.ply", "in/b/c.ply")
+        plan = planned([tmp_path / "in"], None, in_place=True)
+        assert all(task.in_place and task.input == task.output for task in plan.tasks)
+        assert [task.backup for task in plan.tasks] == [".orig", ".orig"]
+        assert plan.homes == (str(tmp_path / "in"),) * 2
+        assert plan.key(1) == "b/c.ply"
+        assert planned([tmp_path / "in"], None, in_place=True, backup=None).tasks[0].backup is None
+
+    def test_one_file_needs_no_manifest(self, tmp_path):
+        made(tmp_path, "in/a.ply", "in/b.ply")
+        one = planned([tmp_path / "in/a.ply"], None, in_place=True)
+        both = planned([tmp_path / "in/a.ply", tmp_path / "in/b.ply"], None, in_place=True)
+        assert one.homes == (None,)
+        assert both.homes == (str(tmp_path / "in"),) * 2
+
+    def test_what_makes_no_sense_is_refused(self, tmp_path, refuses):
+        made(tmp_path, "a.ply")
+        one = [tmp_path / "a.ply"]
+        refuses(["both given"], one, tmp_path / "out", in_place=True)
+        refuses(["change the format"], one, None, in_place=True, to="obj")
+        for backup in ("", "/x", "\0"):
+            refuses(["suffix of a backup"], one, None, in_place=True, backup=backup)
+        for backup in (".ply", ".gz", "-old.obj"):
+            refuses(["inputs of the next run"], one, None, in_place=True, backup=backup)
+
+    @posix
+    def test_a_link_stays_a_link_and_counts_once(self, tmp_path):
+        made(tmp_path, "in/a.ply", "in/real/b.ply")
+        (tmp_path / "in/b.ply").symlink_to("a.ply")
+        (tmp_path / "in/alias").symlink_to("real")
+        plan = planned([tmp_path / "in"], None, in_place=True)
+        assert sorted(task.output for task in plan.tasks) == [
+            str(tmp_path / "in/a.ply"),
+            str(tmp_path / "in/alias/b.ply"),
+        ]
+
+    @posix
+    def test_a_file_out_of_the_tree_is_not_changed_through_a_link(self, tmp_path, refuses):
+        made(tmp_path, "in/a.ply", "store/b.ply")
+        (tmp_path / "in/b.ply").symlink_to(tmp_path / "store/b.ply")
+        refuses(["leads out of", "store"], [tmp_path / "in"], None, in_place=True)
+        named = planned([tmp_path / "in/b.ply"], None, in_place=True)
+        assert named.tasks[0].output == str(tmp_path / "store/b.ply")
+
+
+@posix
+def test_hostile_names_are_planned(tmp_path):
+    from tests.batch.test_inputs import TestHostileNames
+
+    names = TestHostileNames.NAMES
+    made(tmp_path, *(f"in/{name}" for name in names))
+    assert sorted(outputs(tmp_path / "out", [tmp_path / "in"], tmp_path / "out")) == sorted(names)
