@@ -1,0 +1,148 @@
+"""Make the pictures of these pages from the sample meshes, with the installed package.
+
+    python docs/make_pictures.py
+
+Needs nothing but msal itself; takes under a minute.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from rendering import Array, picture, turned, write_png
+
+from msal_cli import files, methods
+from msal_cli.mesh import prepared
+
+DOCS = Path(__file__).resolve().parent
+SAMPLES = DOCS.parent / "sample_meshes"
+GAP = 10  # pixels between panels
+
+VIEWS = {  # turn and tilt in degrees
+    "bracket": (35.0, 28.0),
+    "dragon_egg": (20.0, 15.0),
+    "coin": (0.0, 82.0),
+    "bear": (25.0, 10.0),
+    "vase": (20.0, 18.0),
+    "knot": (0.0, 70.0),
+    "toadstool": (0.0, 14.0),
+    "rock": (20.0, 20.0),
+}
+
+
+def opened(path: Path) -> tuple[Array, Array]:
+    """Vertices (n, 3) and triangles (m, 3) of a sample."""
+    data, _ = files.expanded(path.read_bytes(), path.name)
+    mesh_file = files.open_mesh(data, path.name)
+    return mesh_file.vertices, mesh_file.faces
+
+
+def denoised(path: Path, method: str, **parameters: Any) -> tuple[Array, Array]:
+    """Vertices and triangles of a sample after a method, as ``msal denoise`` makes them."""
+    vertices, faces = opened(path)
+    ready = prepared(vertices, faces)
+    chosen = methods.find(method)
+    result = chosen.denoised(ready.mesh, chosen.settled(parameters))
+    return ready.scattered(result.vertices, vertices), faces
+
+
+def sample(name: str, kind: str) -> Path:
+    """The path of a sample, whatever its format."""
+    (path,) = SAMPLES.glob(f"{name}_{kind}.*")
+    return path
+
+
+def vertex_colours(name: str) -> Array | None:
+    """(n, 3) colours per vertex where the sample has them: stored, or from its texture."""
+    if name == "toadstool":
+        lines = sample(name, "clean").read_text().splitlines()
+        start = lines.index("end_header") + 1
+        rows = [line.split() for line in lines[start:] if line.count(" ") == 6]
+        return np.array([row[3:6] for row in rows if "." in row[0]], dtype=float)
+    if name == "vase":
+        return _textured(sample(name, "clean").read_text())
+    return None
+
+
+def _textured(text: str) -> Array:
+    image = _read_png(SAMPLES / "vase.png").astype(float)
+    lines = [line.split() for line in text.splitlines()]
+    uv = np.array([line[1:] for line in lines if line[:1] == ["vt"]], dtype=float)
+    count = sum(line[:1] == ["v"] for line in lines)
+    colours = np.zeros((count, 3))
+    for line in lines:
+        if line[:1] == ["f"]:
+            for corner in line[1:]:
+                vertex, place = (int(part) - 1 for part in corner.split("/"))
+                column = int(uv[place, 0] * 255.999) % 256
+                colours[vertex] = image[255 - int(min(uv[place, 1], 0.999) * 256), column]
+    return colours
+
+
+def _read_png(path: Path) -> Array:
+    """The picture that the script of the samples wrote: one IDAT, no row filters."""
+    data = path.read_bytes()
+    width, height = struct.unpack(">II", data[16:24])
+    (length,) = struct.unpack(">I", data[33:37])
+    rows = np.frombuffer(zlib.decompress(data[41 : 41 + length]), np.uint8)
+    return rows.reshape(height, 1 + 3 * width)[:, 1:].reshape(height, width, 3)
+
+
+def panel(name: str, mesh: tuple[Array, Array], size: tuple[int, int]) -> Array:
+    """One mesh as a picture, framed as the clean one is."""
+    view = turned(*VIEWS[name])
+    clean = opened(sample(name, "clean"))[0] @ view.T
+    low, high = clean.min(axis=0), clean.max(axis=0)
+    half = 0.52 * max(high[1] - low[1], (high[0] - low[0]) * size[1] / size[0])
+    window = (0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), half)
+    vertices, faces = mesh
+    stored = vertex_colours(name)
+    colours = None if stored is None else stored[faces].mean(axis=1)
+    return picture(vertices, faces, view, size, window=window, colours=colours)
+
+
+def row(panels: list[Array]) -> Array:
+    """Panels side by side on white."""
+    gap = np.full((panels[0].shape[0], GAP, 3), 255, np.uint8)
+    parts = [part for one in panels for part in (one, gap)][:-1]
+    return np.concatenate(parts, axis=1)
+
+
+def main() -> None:
+    folder = DOCS / "images"
+    folder.mkdir(exist_ok=True)
+    size = (370, 370)
+    coin = sample("coin", "noisy")
+    shown = [opened(coin), denoised(coin, "msal"), opened(sample("coin", "clean"))]
+    write_png(folder / "coin.png", row([panel("coin", mesh, size) for mesh in shown]))
+
+    egg = sample("dragon_egg", "noisy")
+    size = (270, 370)
+    shown = [opened(egg), denoised(egg, "al"), denoised(egg, "msal")]
+    shown.append(opened(sample("dragon_egg", "clean")))
+    write_png(folder / "al_msal.png", row([panel("dragon_egg", mesh, size) for mesh in shown]))
+
+    bear = sample("bear", "noisy")
+    size = (270, 300)
+    shown = [opened(bear), *(denoised(bear, "msal", K=k) for k in (0.25, 0.5, 1.0))]
+    write_png(folder / "k.png", row([panel("bear", mesh, size) for mesh in shown]))
+
+    size = (230, 230)
+    names = ("bracket", "vase", "knot", "toadstool")
+    above = row([panel(name, opened(sample(name, "noisy")), size) for name in names])
+    below = row(
+        [panel(name, denoised(sample(name, "noisy"), "msal", K=0.7), size) for name in names]
+    )
+    write_png(folder / "models.png", np.concatenate([above, below]))
+
+
+if __name__ == "__main__":
+    main()
