@@ -1,0 +1,573 @@
+"""Whole runs over real folders with fake work: records, manifest, rerun, interrupts."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import msal_cli
+from msal_cli.batch import resume
+from msal_cli.batch.events import Finished, Progress, Started
+from msal_cli.batch.inputs import found
+from msal_cli.batch.lock import FolderLock
+from msal_cli.batch.manifest import NAME
+from msal_cli.batch.plan import built
+from msal_cli.batch.run import run
+from msal_cli.batch.signals import Terminated
+from msal_cli.errors import OutputError, UsageError
+from msal_cli.pipeline import Settings
+from msal_cli.records import SCHEMA
+from tests.batch import fakes
+
+posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+SETTINGS = Settings("fake", {"n": 1})
+
+
+def is_mesh_name(name):
+    return name.endswith(".ply")
+
+
+@pytest.fixture
+def folders(tmp_path):
+    (tmp_path / "in").mkdir()
+    return tmp_path
+
+
+def fill(folders, n, **special):
+    for index in range(n):
+        (folders / f"in/{index:02}.ply").write_text(f"mesh {index}")
+    for name, text in special.items():
+        (folders / f"in/{name.removeprefix('f')}.ply").write_text(text)
+
+
+def plan_of(folders, **options):
+    some = found([str(folders / "in")], is_mesh_name=is_mesh_name, output=str(folders / "in/out"))
+    output = None if options.get("in_place") else str(folders / "out")
+    return built(some, options.pop("output", output), is_mesh_name=is_mesh_name, **options)
+
+
+def ran(folders, settings=SETTINGS, plan=None, **options):
+    options = {"denoise": fakes.denoise, "jobs": 2} | options
+    return run(plan or plan_of(folders), settings, **options)
+
+
+def statuses(records):
+    return [record.status for record in records]
+
+
+def tree(folder):
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != NAME
+    }
+
+
+def tried(folders):
+    """A list that grows by the names of files that are begun, and the callback that feeds it."""
+    names = []
+
+    def on_event(event):
+        if isinstance(event, Started):
+            names.append(Path(event.task.input).stem)
+
+    return names, on_event
+
+
+def test_records_come_in_the_order_of_the_plan_whatever_finishes_first(folders):
+    fill(folders, 6, f00="sleep 0.3")
+    events = []
+    records = ran(folders, on_event=events.append)
+    assert [Path(record.input).stem for record in records] == [f"{n:02}" for n in range(6)]
+    assert statuses(records) == ["written"] * 6
+    finished = [event.index for event in events if isinstance(event, Finished)]
+    assert sorted(finished) == list(range(6)) and finished != sorted(finished)
+    assert {event.index for event in events if isinstance(event, Progress)} == set(range(6))
+    assert [
+        event.record
+        for event in sorted(
+            (one for one in events if isinstance(one, Finished)), key=lambda one: one.index
+        )
+    ] == records
+    assert set(tree(folders / "out")) == {f"{n:02}.ply" for n in range(6)}
+
+
+def test_a_finished_file_is_noted_before_it_is_told(folders):
+    fill(folders, 5)
+    names = []
+
+    def on_event(event):
+        if isinstance(event, Finished):
+            lines = (folders / "out" / NAME).read_text().splitlines()
+            done = [one["name"] for one in map(json.loads, lines) if one["kind"] == "done"]
+            names.append(Path(event.record.output).name)
+            assert set(names) <= set(done)
+
+    ran(folders, on_event=on_event)
+    assert len(names) == 5
+
+
+def test_any_number_of_jobs_gives_the_same_bytes(folders):
+    fill(folders, 7)
+    trees = []
+    for jobs in (1, 2, 5, None):
+        ran(folders, jobs=jobs)
+        trees.append(tree(folders / "out"))
+        shutil.rmtree(folders / "out")
+    assert trees[0] and all(one == trees[0] for one in trees)
+
+
+def test_wrong_numbers_are_refused(folders):
+    fill(folders, 2)
+    for options in ({"jobs": 0}, {"stop_after_failures": 0}):
+        with pytest.raises(UsageError):
+            ran(folders, **options)
+    assert not (folders / "out").exists()
+
+
+class TestOneTask:
+    def test_it_runs_here_and_without_starting_a_process(self, folders, monkeypatch):
+        fill(folders, 1)
+        monkeypatch.setattr(subprocess, "Popen", None)
+        assert statuses(ran(folders)) == ["written"]
+        assert statuses(ran(folders)) == ["up-to-date"]
+
+    def test_a_file_into_a_file_leaves_no_traces(self, folders):
+        fill(folders, 1)
+        plan = built(
+            found([str(folders / "in/00.ply")], is_mesh_name=is_mesh_name),
+            str(folders / "one.ply"),
+            is_mesh_name=is_mesh_name,
+        )
+        assert statuses(ran(folders, plan=plan)) == ["written"]
+        assert statuses(ran(folders, plan=plan)) == ["written"]
+        assert sorted(path.name for path in folders.iterdir()) == ["in", "one.ply"]
+
+    def test_a_defect_is_a_failed_record(self, folders):
+        fill(folders, 0, f00="die error")
+        (record,) = ran(folders)
+        assert (record.status, record.error.code) == ("failed", "E_INTERNAL")
+        assert "a defect" in record.error.message
+
+
+class TestFailures:
+    def test_one_bad_file_is_one_failed_row(self, folders):
+        fill(folders, 8, f03="fail", f05="die error")
+        records = ran(folders)
+        assert statuses(records) == ["failed" if n in (3, 5) else "written" for n in range(8)]
+        assert [records[n].error.code for n in (3, 5)] == ["E_FORMAT", "E_INTERNAL"]
+
+    @posix
+    def test_forty_files_and_a_worker_that_dies_once(self, folders):
+        fill(folders, 40, f20="die kill once")
+        records = ran(folders)
+        assert statuses(records) == ["written"] * 40
+        assert "SIGKILL" in records[20].warnings[0]
+        assert [record.warnings for record in records].count(()) == 39
+        assert len(tree(folders / "out")) == 40
+
+    @posix
+    def test_forty_files_and_one_that_always_kills(self, folders):
+        fill(folders, 40, f20="die midway")
+        records = ran(folders)
+        assert statuses(records) == ["failed" if n == 20 else "written" for n in range(40)]
+        failed = records[20]
+        assert failed.error.code == "E_CRASH" and "SIGKILL" in failed.error.message
+        assert failed.output is None and failed.schema == SCHEMA
+        assert failed.version == msal_cli.__version__ and failed.method.name == "fake"
+        assert set(tree(folders / "out")) == {f"{n:02}.ply" for n in range(40) if n != 20}
+
+    @pytest.mark.parametrize("text", ["memory", "die memory"])
+    def test_memory_that_runs_out_twice(self, folders, text):
+        fill(folders, 4, f01=text)
+        names, on_event = tried(folders)
+        records = ran(folders, on_event=on_event)
+        assert records[1].error.code == "E_MEMORY"
+        assert names.count("01") == 2 and names[-1] == "01"
+
+    def test_failed_files_are_tried_again_by_the_next_run(self, folders):
+        fill(folders, 4, f01="fail")
+        ran(folders)
+        (folders / "in/01.ply").write_text("well again")
+        names, on_event = tried(folders)
+        assert statuses(ran(folders, on_event=on_event)).count("up-to-date") == 3
+        assert names == ["01"]
+
+    def test_stop_after_failures(self, folders):
+        fill(folders, 30, f00="fail", f01="fail")
+        records = ran(folders, jobs=1, stop_after_failures=2)
+        assert statuses(records)[:2] == ["failed", "failed"]
+        assert "planned" in statuses(records)
+        assert statuses(records)[-1] == "planned"
+
+
+class TestRerun:
+    def test_nothing_is_done_twice(self, folders):
+        fill(folders, 6)
+        first = ran(folders)
+        before = {path: path.stat().st_mtime_ns for path in (folders / "out").iterdir()}
+        names, on_event = tried(folders)
+        second = ran(folders, on_event=on_event)
+        assert names == [] and statuses(second) == ["up-to-date"] * 6
+        for one, two in zip(first, second, strict=True):
+            assert (one.vertices, one.output_sha256, one.output) == (
+                two.vertices,
+                two.output_sha256,
+                two.output,
+            )
+        after = {path: path.stat().st_mtime_ns for path in (folders / "out").iterdir()}
+        assert after == before
+
+    def test_touching_is_not_changing(self, folders):
+        fill(folders, 3)
+        ran(folders)
+        os.utime(folders / "in/01.ply", (0, 0))
+        os.utime(folders / "out/01.ply", (0, 0))
+        assert statuses(ran(folders)) == ["up-to-date"] * 3
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            lambda f: (f / "in/01.ply").write_text("other"),
+            lambda f: (f / "in/01.ply").write_text("mesh X"),
+            lambda f: (f / "out/01.ply").write_bytes(b"tampered with"),
+            lambda f: (f / "out/01.ply").write_bytes(b"fake MESH X"),
+            lambda f: (f / "out/01.ply").unlink(),
+        ],
+        ids=["input", "input of same size", "output", "output of same size", "no output"],
+    )
+    def test_what_changed_is_done_again_and_nothing_else(self, folders, change):
+        fill(folders, 4)
+        ran(folders)
+        sizes = {path.name: path.stat() for path in (folders / "in").iterdir()}
+        change(folders)
+        for path in (folders / "in").iterdir():
+            os.utime(path, ns=(0, sizes[path.name].st_mtime_ns))
+        names, on_event = tried(folders)
+        records = ran(folders, on_event=on_event)
+        assert names == ["01"]
+        assert statuses(records) == ["up-to-date", "written", "up-to-date", "up-to-date"]
+        expected = "fake " + (folders / "in/01.ply").read_text().upper()
+        assert (folders / "out/01.ply").read_text() == expected
+
+    def test_other_settings_and_fresh_do_all_again(self, folders):
+        fill(folders, 3)
+        ran(folders)
+        assert statuses(ran(folders, Settings("fake", {"n": 2}))) == ["written"] * 3
+        assert statuses(ran(folders, Settings("fake", {"n": 2}))) == ["up-to-date"] * 3
+        assert statuses(ran(folders, plan=plan_of(folders, fresh=True))) == ["written"] * 3
+
+    def test_a_torn_manifest_costs_its_last_file(self, folders):
+        fill(folders, 4)
+        ran(folders, jobs=1)
+        path = folders / "out" / NAME
+        path.write_bytes(path.read_bytes()[:-30])
+        names, on_event = tried(folders)
+        ran(folders, on_event=on_event)
+        assert names == ["03"]
+        assert statuses(ran(folders)) == ["up-to-date"] * 4
+
+    def test_a_file_written_but_not_noted_is_ours(self, folders):
+        """Killed between the move of an output and its line: the rerun must not call it foreign."""
+        fill(folders, 4)
+        ran(folders)
+        path = folders / "out" / NAME
+        lines = path.read_text().splitlines(keepends=True)
+        path.write_text("".join(line for line in lines if '"intent"' in line))
+        assert statuses(ran(folders)) == ["written"] * 4
+
+    def test_out_within_in_does_not_eat_its_own_results(self, folders):
+        fill(folders, 3)
+        for expected in ("written", "up-to-date"):
+            plan = plan_of(folders, output=str(folders / "in/out"))
+            assert statuses(ran(folders, plan=plan)) == [expected] * 3
+        assert len(tree(folders / "in/out")) == 3
+
+    def test_the_folder_may_move(self, folders):
+        fill(folders, 3)
+        ran(folders)
+        (folders / "out").rename(folders / "moved")
+        plan = plan_of(folders, output=str(folders / "moved"))
+        records = ran(folders, plan=plan)
+        assert statuses(records) == ["up-to-date"] * 3
+        assert records[0].output == str(folders / "moved/00.ply")
+
+    @posix
+    def test_hostile_names_are_noted_and_recognised(self, folders):
+        from tests.batch.test_inputs import TestHostileNames
+
+        for name in TestHostileNames.NAMES:
+            (folders / "in" / name).write_text("mesh")
+        count = len(TestHostileNames.NAMES)
+        assert statuses(ran(folders)) == ["written"] * count
+        assert set(tree(folders / "out")) == set(TestHostileNames.NAMES)
+        assert statuses(ran(folders)) == ["up-to-date"] * count
+
+
+class TestDryRun:
+    def test_nothing_is_touched(self, folders):
+        fill(folders, 3)
+        events = []
+        records = ran(folders, dry_run=True, on_event=events.append)
+        assert statuses(records) == ["planned"] * 3
+        assert records[0].output == str(folders / "out/00.ply")
+        assert [event.record for event in events] == records
+        assert not (folders / "out").exists()
+
+    def test_it_tells_what_is_current(self, folders):
+        fill(folders, 3)
+        ran(folders)
+        (folders / "in/01.ply").write_text("changed")
+        before = tree(folders)
+        assert statuses(ran(folders, dry_run=True)) == ["up-to-date", "planned", "up-to-date"]
+        assert tree(folders) == before
+
+
+class TestPlaces:
+    def test_two_runs_on_one_folder(self, folders):
+        fill(folders, 2)
+        (folders / "out").mkdir()
+        with FolderLock(str(folders / "out")):
+            with pytest.raises(UsageError, match=f"process {os.getpid()} ") as caught:
+                ran(folders)
+            assert caught.value.code == "E_LOCKED"
+        assert tree(folders / "out") == {}
+        assert statuses(ran(folders)) == ["written"] * 2
+
+    def test_left_overs_of_the_dead_are_swept(self, folders):
+        fill(folders, 2)
+        dead = subprocess.Popen([sys.executable, "-c", ""])
+        dead.wait()
+        stale = fakes.temporary_name("00.ply").replace(f"-{os.getpid()}-", f"-{dead.pid}-")
+        (folders / "out").mkdir()
+        (folders / "out" / stale).touch()
+        ran(folders)
+        assert set(tree(folders / "out")) == {"00.ply", "01.ply"}
+
+    def test_an_output_folder_that_cannot_be_made(self, folders):
+        fill(folders, 2)
+        plan = plan_of(folders)
+        (folders / "out").write_text("a file came first")
+        with pytest.raises(OutputError, match="cannot be made"):
+            ran(folders, plan=plan)
+
+    def test_an_input_that_vanishes_is_a_failed_row(self, folders):
+        fill(folders, 4)
+        plan = plan_of(folders)
+        (folders / "in/02.ply").unlink()
+        records = ran(folders, plan=plan)
+        assert statuses(records) == ["written", "written", "failed", "written"]
+
+
+class TestInPlace:
+    def run(self, folders, backup=".orig", fresh=False, settings=SETTINGS):
+        plan = plan_of(folders, in_place=True, backup=backup, fresh=fresh)
+        return ran(folders, settings, plan=plan)
+
+    def test_a_second_run_does_not_denoise_twice(self, folders):
+        fill(folders, 3)
+        assert statuses(self.run(folders)) == ["written"] * 3
+        assert (folders / "in/01.ply").read_text() == "fake MESH 1"
+        assert (folders / "in/01.ply.orig").read_text() == "mesh 1"
+        before = tree(folders)
+        assert statuses(self.run(folders)) == ["up-to-date"] * 3
+        assert tree(folders) == before
+
+    def test_the_original_in_a_backup_is_never_overwritten(self, folders):
+        fill(folders, 3)
+        self.run(folders)
+        before = tree(folders)
+        for options in ({"fresh": True}, {"settings": Settings("other")}):
+            with pytest.raises(UsageError, match=r"00\.ply\.orig.*and 2 more"):
+                self.run(folders, **options)
+            assert tree(folders) == before
+        assert statuses(self.run(folders, ".2", settings=Settings("other"))) == ["written"] * 3
+        assert (folders / "in/00.ply.2").read_text() == "fake MESH 0"
+
+    def test_a_backup_that_is_the_file_is_no_obstacle(self, folders):
+        fill(folders, 2)
+        (folders / "in/00.ply.orig").write_text("mesh 0")
+        assert statuses(self.run(folders)) == ["written"] * 2
+
+    def test_a_run_killed_after_the_move_is_taken_up_from_the_backup(self, folders):
+        fill(folders, 3)
+        self.run(folders)
+        expected = tree(folders)
+        path = folders / "in" / NAME
+        lines = path.read_text().splitlines(keepends=True)
+        path.write_text("".join(one for one in lines if not ("done" in one and "01.ply" in one)))
+        assert statuses(self.run(folders)) == ["up-to-date", "written", "up-to-date"]
+        assert tree(folders) == expected
+
+    def test_without_a_backup_such_a_file_is_left_alone(self, folders):
+        fill(folders, 3)
+        self.run(folders, None)
+        expected = tree(folders)
+        path = folders / "in" / NAME
+        lines = path.read_text().splitlines(keepends=True)
+        path.write_text("".join(one for one in lines if not ("done" in one and "01.ply" in one)))
+        records = self.run(folders, None)
+        assert statuses(records) == ["up-to-date", "failed", "up-to-date"]
+        assert records[1].error.code == "E_CHANGED" and "--fresh" in records[1].error.hint
+        assert tree(folders) == expected
+        assert statuses(self.run(folders, None, fresh=True)) == ["written"] * 3
+
+    def test_a_restore_that_fails_harms_nothing(self, folders, monkeypatch):
+        fill(folders, 1)
+        (task,) = plan_of(folders, in_place=True).tasks
+        before = tree(folders)
+        with pytest.raises(OutputError, match="cannot be restored"):
+            resume.restore(task)
+        assert tree(folders) == before
+
+
+DRIVER = """
+import sys
+from msal_cli.batch.inputs import found
+from msal_cli.batch.plan import built
+from msal_cli.batch.run import run
+from msal_cli.batch.signals import Terminated
+from msal_cli.batch.events import Finished, Started
+from msal_cli.pipeline import Settings
+from tests.batch import fakes
+
+def tell(event):
+    name = "started" if isinstance(event, Started) else "finished"
+    if isinstance(event, Started | Finished):
+        print(name, event.index, flush=True)
+
+named = lambda name: name.endswith(".ply")
+plan = built(found([sys.argv[1]], is_mesh_name=named), sys.argv[2], is_mesh_name=named)
+try:
+    run(plan, Settings("fake", {"n": 1}), jobs=2, denoise=fakes.denoise, on_event=tell)
+except Terminated as error:
+    sys.exit(error.exit_status)
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+@posix
+class TestInterrupts:
+    """Signals to a real process, which then must leave no process and no half file behind."""
+
+    def start(self, folders):
+        return subprocess.Popen(
+            [sys.executable, "-c", DRIVER, str(folders / "in"), str(folders / "out")],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=Path(fakes.__file__).parents[2],
+            start_new_session=True,
+        )
+
+    def children(self, pid):
+        text = subprocess.run(["ps", "-eo", "pid,ppid"], capture_output=True, text=True).stdout
+        pairs = [line.split() for line in text.splitlines()[1:]]
+        return [int(child) for child, parent in pairs if int(parent) == pid]
+
+    def interrupted(self, folders, send, after):
+        """Send a signal once ``after`` files are finished; exit status, workers, seconds."""
+        with self.start(folders) as process:
+            count = 0
+            while count < after:
+                count += process.stdout.readline().startswith("finished")
+            workers = self.children(process.pid)
+            started = time.monotonic()
+            send(process)
+            process.stdout.read()
+            status = process.wait(timeout=10)
+            taken = time.monotonic() - started
+        deadline = time.monotonic() + 2.0
+        while any(fakes.is_running(pid) for pid in workers) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert workers and not any(fakes.is_running(pid) for pid in workers)
+        return status, taken
+
+    def check_rerun(self, folders, at_least):
+        written = tree(folders / "out")
+        for name, data in written.items():
+            if not name.startswith("."):
+                source = folders / "in" / name
+                assert data.decode() == "fake " + source.read_text().upper(), name
+        records = ran(folders)
+        assert statuses(records).count("up-to-date") >= at_least
+        assert set(statuses(records)) <= {"up-to-date", "written"}
+        again = tree(folders / "out")
+        shutil.rmtree(folders / "out")
+        ran(folders)
+        assert tree(folders / "out") == again
+
+    @pytest.mark.parametrize(
+        ("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)]
+    )
+    def test_a_signal_ends_all_and_keeps_what_is_finished(self, folders, name, status):
+        fill(folders, 12, f06="sleep 0.5", f07="sleep 0.5")
+        number = getattr(signal, name)
+        got, taken = self.interrupted(folders, lambda one: one.send_signal(number), 6)
+        assert got == status and taken < 2.0
+        names = set(tree(folders / "out"))
+        assert not [name for name in names if name.startswith(".")]
+        self.check_rerun(folders, 6)
+
+    def test_ctrl_c_goes_to_the_whole_group_and_only_the_parent_obeys(self, folders):
+        fill(folders, 12, f06="sleep 0.5", f07="sleep 0.5")
+        got, taken = self.interrupted(folders, lambda one: os.killpg(one.pid, signal.SIGINT), 6)
+        assert got == 130 and taken < 2.0
+        self.check_rerun(folders, 6)
+
+    def test_kill_9_of_the_run(self, folders):
+        fill(folders, 12, f06="sleep 0.5", f07="sleep 0.5")
+        got, _ = self.interrupted(folders, lambda one: one.kill(), 6)
+        assert got == -9
+        self.check_rerun(folders, 6)
+
+    def test_a_single_file_here_is_interrupted_too(self, folders):
+        fill(folders, 0, f00="sleep 30")
+        with self.start(folders) as process:
+            assert process.stdout.readline().startswith("started")
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(timeout=2) == 143
+        assert tree(folders / "out") == {}
+
+    def test_handlers_are_given_back(self, folders):
+        fill(folders, 2)
+        before = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+        ran(folders)
+        after = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+        assert before == after
+
+    def test_a_second_signal_does_not_wait(self):
+        from msal_cli.batch.signals import noticed
+
+        seen = []
+        with pytest.raises(Terminated) as caught, noticed(seen.append):
+            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGTERM)
+        assert seen == [signal.SIGINT] and caught.value.exit_status == 143
+
+    @pytest.mark.slow
+    def test_fifty_kills_at_random_moments(self, folders):
+        import random
+
+        rng = random.Random(7)
+        fill(folders, 40)
+        ran(folders)
+        whole = tree(folders / "out")
+        for _ in range(50):
+            shutil.rmtree(folders / "out", ignore_errors=True)
+            with self.start(folders) as process:
+                time.sleep(rng.uniform(0.05, 0.5))
+                process.kill()
+            for name, data in tree(folders / "out").items():
+                if not name.startswith("."):
+                    assert data == whole[name]
+            assert "failed" not in statuses(ran(folders))
+            assert tree(folders / "out") == whole
