@@ -42,6 +42,17 @@ def summary(
     return list(_of_many(run, records, width, verbose))
 
 
+def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
+    """What a dry run tells: one line per file, ``input -> output``."""
+    for record in records:
+        if record.status == "failed":
+            yield from _failure(record, "")
+        elif record.status == "up-to-date":
+            yield Line(f"{_output_name(record)} is up to date")
+        else:
+            yield Line(f"{file_name(record.input)} -> {_output_name(record)}")
+
+
 def reason(where: str, message: str, code: str) -> str:
     """Why something failed, in one line: ``vertex 17: position is not finite (E_NONFINITE)``."""
     place = f"{shown(where)}: " if where else ""
@@ -153,7 +164,7 @@ def _of_many(run: Run, records: Sequence[MeshRecord], width: int, verbose: bool)
     elif listed:
         yield Line(f"({len(listed):,} files: -v lists them all, and so does --report)", "faint")
     yield from _warnings(records, verbose)
-    yield from _failures(records, verbose)
+    yield from failures(records, verbose)
     yield from _totals(run, totals(records))
 
 
@@ -214,7 +225,8 @@ def _warnings(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
         yield Line(f"  ... and {len(texts) - len(kept):,} more (-v or --report)", "faint")
 
 
-def _failures(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
+def failures(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
+    """The lines on what failed and why; none if nothing did."""
     failed = [record for record in records if record.status == "failed"]
     kept = failed if verbose else failed[:MOST_FAILURES]
     if failed:

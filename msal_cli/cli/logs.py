@@ -1,0 +1,76 @@
+"""Where the log goes: warnings to standard error, more of it with ``-v``, all of it to a file."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import click
+
+from msal_cli.cli import talk
+from msal_cli.errors import MsalError, UsageError
+
+logger = logging.getLogger("msal")
+
+
+@contextmanager
+def configured(verbosity: int, log_file: str | None) -> Iterator[None]:
+    """Send the log where it is wanted while the block runs.
+
+    ``verbosity`` is -1 for errors only, 0 for warnings, 1 for the steps, 2 for everything.
+    ``log_file`` is appended to and gets everything.
+
+    Raises
+    ------
+    UsageError
+        if the log file cannot be opened.
+    """
+    handlers: list[logging.Handler] = [_Words(verbosity)]
+    if log_file is not None:
+        handlers.append(_file_handler(log_file))
+    logger.setLevel(min(handler.level for handler in handlers))
+    logger.propagate = False
+    for handler in handlers:
+        logger.addHandler(handler)
+    try:
+        yield
+    except (MsalError, click.ClickException, click.exceptions.Exit, BrokenPipeError):
+        raise
+    except Exception:
+        # Only here are the handlers still in place; ``main`` says the one line for everybody.
+        logger.exception("internal error")
+        raise
+    finally:
+        for handler in handlers:
+            logger.removeHandler(handler)
+            handler.close()
+
+
+class _Words(logging.Handler):
+    """Log records as words on standard error."""
+
+    def __init__(self, verbosity: int) -> None:
+        levels = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
+        super().__init__(levels.get(verbosity, logging.DEBUG))
+        self._with_traces = verbosity > 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = self.format(record)
+        # The failure itself is told with the file that it belongs to.
+        if "Traceback (most recent call last)" in text and not self._with_traces:
+            return
+        talk.say(f"msal: {record.levelname.lower()}: {text}")
+
+
+def _file_handler(name: str) -> logging.Handler:
+    try:
+        handler = logging.FileHandler(name, encoding="utf-8", errors="backslashreplace")
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise UsageError(f"the log file {name!r} cannot be opened: {why}") from None
+    handler.setFormatter(
+        logging.Formatter("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s")
+    )
+    handler.setLevel(logging.DEBUG)
+    return handler

@@ -1,0 +1,153 @@
+"""The command ``msal``: finds the subcommand, and turns errors into words and an exit status."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any, NoReturn
+
+import click
+from click.exceptions import Exit
+
+from msal_cli import __version__
+from msal_cli.cli import exit_codes, talk
+from msal_cli.cli.words import COMPLETE_VARIABLE
+from msal_cli.errors import MsalError
+
+_COMMANDS = ("denoise", "info", "methods", "completion")
+
+
+class Msal(click.Group):
+    """A group whose commands are modules of this folder, imported when they are needed."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The commands in the order in which help shows them."""
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of that very name."""
+        if cmd_name not in _COMMANDS:
+            return None
+        command: click.Command = import_module(f"msal_cli.cli.{cmd_name}").command
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that the first argument names; an unknown one gets a suggestion."""
+        name = args[0]
+        if name not in _COMMANDS and not name.startswith("-"):
+            close = difflib.get_close_matches(name, _COMMANDS, n=1)
+            hint = f"; did you mean '{close[0]}'?" if close else ""
+            ctx.fail(f"there is no command '{name}'{hint}")
+        return super().resolve_command(ctx, args)
+
+    def main(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, prog_name: str | None = None, **extra: Any
+    ) -> NoReturn:
+        """Run a command line to its end and exit."""
+        arguments = tuple(sys.argv[1:] if args is None else args)
+        sys.exit(_flushed(_status(self, arguments)))
+
+
+@click.group(
+    cls=Msal,
+    no_args_is_help=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="""\b
+Examples:
+  msal denoise scans -o denoised            a folder, into a mirrored tree
+  msal denoise scan.ply -o smooth.ply -n 3  one file
+  msal denoise - < in.ply > out.ply         a stream
+  msal info scan.ply                        what is in a file
+\b
+Exit status: 0 done, 1 all failed or fatal, 2 wrong use, 3 some files failed,
+4 a gate failed, 5 nothing matched, 130 and 143 interrupted.
+Completion: see msal completion --help.""",
+)
+@click.version_option(__version__, prog_name="msal", message="%(prog)s %(version)s")
+def program() -> None:
+    """Denoise triangle meshes and keep everything else in their files."""
+
+
+def main() -> NoReturn:
+    """The entry point of the program ``msal``."""
+    program.main()
+
+
+def _status(group: Msal, arguments: tuple[str, ...]) -> int:
+    """Run the command line and give its exit status."""
+    try:
+        if instruction := os.environ.get(COMPLETE_VARIABLE):
+            from click.shell_completion import shell_complete
+
+            return shell_complete(group, {}, "msal", COMPLETE_VARIABLE, instruction)
+        context = group.make_context("msal", list(arguments), obj=arguments)
+        with context:
+            if not arguments:
+                talk.say(context.get_help())
+                return exit_codes.USAGE
+            return int(group.invoke(context) or exit_codes.SUCCESS)
+    except Exit as finish:
+        return finish.exit_code
+    except click.UsageError as error:
+        _say_usage(error)
+        return exit_codes.USAGE
+    except click.ClickException as error:
+        talk.say(f"msal: error: {error.format_message()}", "bad")
+        return exit_codes.FATAL
+    except MsalError as error:
+        talk.say_error(error)
+        return exit_codes.of_error(error)
+    except KeyboardInterrupt as interrupt:
+        talk.say("msal: interrupted")
+        return exit_codes.of_interrupt(interrupt)
+    except BrokenPipeError:
+        return _abandoned_output()
+    except MemoryError:
+        talk.say("msal: error: not enough memory (E_MEMORY)", "bad")
+        return exit_codes.FATAL
+    except Exception as error:
+        return _internal_error(error)
+
+
+def _say_usage(error: click.UsageError) -> None:
+    from msal_cli.report.names import shown
+
+    command = error.ctx.command_path if error.ctx is not None else "msal"
+    talk.say(f"msal: error: {shown(error.format_message())}", "bad")
+    talk.say(f"hint: {command} --help tells how it is used")
+
+
+def _internal_error(error: Exception) -> int:
+    from msal_cli.report.names import shown
+
+    words = f"{type(error).__name__}: {error}"
+    talk.say(f"msal: internal error: {shown(words)}; please report it (-v shows where)", "bad")
+    return exit_codes.FATAL
+
+
+def _flushed(status: int) -> int:
+    """``status``, or 1 if what was printed cannot be delivered."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        return exit_codes.worst(status, _abandoned_output())
+    except OSError as error:
+        talk.say(f"msal: error: the output cannot be written: {error.strerror} (E_WRITE)", "bad")
+        return exit_codes.worst(status, _abandoned_output())
+    return status
+
+
+def _abandoned_output() -> int:
+    """Standard output leads nowhere: what is left in it must not be tried again at the end."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, sys.stdout.fileno())
+        os.close(nothing)
+    return exit_codes.FATAL

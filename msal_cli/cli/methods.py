@@ -1,0 +1,103 @@
+"""``msal methods``: what the methods do, their parameters and where they come from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from msal_cli.cli import exit_codes, talk, words
+
+if TYPE_CHECKING:
+    from msal_cli.methods import Method, ParameterSpec
+
+SCHEMA = "msal.methods/1"
+
+_SHORTCUTS = {"iterations": "-n", "K": "-K", "mollify": "--mollify"}
+
+
+@click.command("methods", short_help="List the methods, or explain one.")
+@click.argument("name", metavar="[NAME]", required=False, shell_complete=words.completed_method)
+@click.option("--json", "as_json", is_flag=True, help="Print everything as one JSON document.")
+def command(name: str | None, as_json: bool) -> int:
+    """List the methods, or tell all about the one called NAME."""
+    from msal_cli import methods
+
+    chosen = [methods.find(one) for one in ((name,) if name else methods.names())]
+    if as_json:
+        _print_json(chosen)
+    elif name:
+        talk.put("\n".join(_page(chosen[0])) + "\n")
+    else:
+        talk.put("\n".join(_table(chosen)) + "\n")
+    return exit_codes.SUCCESS
+
+
+def _table(chosen: list[Method]) -> Iterator[str]:
+    widest = max(len(method.name) for method in chosen)
+    for method in chosen:
+        yield f"{method.name:<{widest}}  {method.summary}"
+    yield ""
+    yield "`msal methods NAME` tells what one does, its parameters and their ranges."
+
+
+def _page(method: Method) -> Iterator[str]:
+    yield f"{method.name}: {method.description}"
+    yield ""
+    yield "Parameters (--set NAME=VALUE):"
+    for spec in method.parameters:
+        yield ""
+        yield from _parameter(spec)
+
+
+def _parameter(spec: ParameterSpec) -> Iterator[str]:
+    also = [word for word in (_SHORTCUTS.get(spec.name), _other_symbol(spec)) if word]
+    yield f"  {spec.name} = {spec.default}" + (f"   (also {', '.join(also)})" if also else "")
+    yield f"      {spec.help}"
+    yield f"      allowed: {spec.range_text}" + (f"; unit: {spec.unit}" if spec.unit else "")
+    if spec.more:
+        yield f"      more is {spec.more}"
+
+
+def _other_symbol(spec: ParameterSpec) -> str:
+    return f"--set {spec.symbol}=" if spec.symbol and spec.symbol != spec.name else ""
+
+
+def _print_json(chosen: list[Method]) -> None:
+    from msal_cli import __version__
+    from msal_cli.report import as_json, document
+
+    data = {
+        "schema": SCHEMA,
+        "version": __version__,
+        "methods": [
+            {
+                "name": method.name,
+                "summary": method.summary,
+                "description": method.description,
+                "source": method.source,
+                "parameters": [_parameter_data(spec) for spec in method.parameters],
+            }
+            for method in chosen
+        ],
+    }
+    talk.put_bytes(as_json.json_bytes(document.plain(data)))
+
+
+def _parameter_data(spec: ParameterSpec) -> dict[str, Any]:
+    return {
+        "name": spec.name,
+        "symbol": spec.symbol,
+        "kind": spec.kind.__name__,
+        "default": spec.default,
+        "low": spec.low if math.isfinite(spec.low) else None,
+        "high": spec.high if math.isfinite(spec.high) else None,
+        "low_open": spec.low_open,
+        "high_open": spec.high_open,
+        "choices": spec.choices,
+        "unit": spec.unit,
+        "help": spec.help,
+        "more": spec.more,
+    }

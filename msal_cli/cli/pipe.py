@@ -1,0 +1,155 @@
+"""A single mesh through standard input, standard output, or both."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from msal_cli.cli import talk
+from msal_cli.errors import InputError, MsalError, OutputError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from msal_cli.files import Buffer
+    from msal_cli.pipeline import Settings
+    from msal_cli.records import MeshRecord
+
+STREAM = "-"
+
+
+@dataclass(frozen=True)
+class Pipe:
+    """Where one mesh comes from and goes to; ``-`` is a standard stream."""
+
+    source: str
+    target: str
+
+
+def pipe(inputs: tuple[str, ...], output: str | None) -> Pipe | None:
+    """The pipe that these inputs and this output are; None if no standard stream is in it.
+
+    Raises
+    ------
+    UsageError
+        if a stream is to be shared by several files, or would fill a terminal with a mesh.
+    """
+    if STREAM not in inputs and output != STREAM:
+        return None
+    if len(inputs) > 1:
+        raise UsageError(
+            "standard input and standard output hold one mesh, not several",
+            hint="give one input, or a folder with -o",
+        )
+    (source,) = inputs
+    if source != STREAM and not os.path.isfile(source):
+        what = "a folder" if os.path.isdir(source) else "no file"
+        raise UsageError(
+            f"-o - takes one file, and {source!r} is {what}", hint="name an output folder with -o"
+        )
+    if output is None and talk.is_terminal(sys.stdout):
+        raise UsageError(
+            "the mesh would go to the terminal",
+            hint="redirect it (> out.ply), name a file with -o, or insist with -o -",
+        )
+    if output is not None and os.path.isdir(output):
+        raise UsageError(
+            f"the output {output!r} is a folder, and standard input has no name to put there",
+            hint="name a file with -o",
+        )
+    return Pipe(source, output or STREAM)
+
+
+def target_format(one: Pipe, to: str | None) -> str | None:
+    """The format to convert to: that of ``--to``, else that of the output's suffix, if any.
+
+    Raises
+    ------
+    UsageError
+        if the two contradict each other.
+    """
+    from msal_cli.pipeline import is_mesh_name, output_name
+
+    if one.target == STREAM or not is_mesh_name(one.target):
+        return to
+    stem = one.target[:-3] if one.target.lower().endswith(".gz") else one.target
+    suffix = os.path.splitext(stem)[1].lstrip(".").lower()
+    if to is not None and output_name(one.target, to).lower() != one.target.lower():
+        raise UsageError(
+            f"--to {to} and the output {one.target!r} say two formats", hint="give one of them"
+        )
+    return suffix
+
+
+def denoised(
+    one: Pipe, settings: Settings, on_progress: Callable[[str, int, int], None]
+) -> MeshRecord:
+    """Read, denoise, write, and tell; nothing is written unless all went well.
+
+    Raises
+    ------
+    BrokenPipeError
+        if nobody reads standard output.
+    """
+    from msal_cli import __version__
+    from msal_cli.pipeline import denoise_bytes
+    from msal_cli.records import Failure, MeshRecord, MethodUsed
+
+    record = MeshRecord(
+        input=one.source,
+        status="failed",
+        version=__version__,
+        method=MethodUsed(settings.method, dict(settings.parameters)),
+    )
+    try:
+        output, record = denoise_bytes(_read(one.source), one.source, settings, on_progress)
+        if output is None:
+            return record
+        if one.target == STREAM:
+            talk.put_bytes(output)
+            return replace(record, output=STREAM)
+        return _written(output, record, one.target)
+    except MsalError as error:
+        failure = Failure(error.code, error.message, error.hint, error.where)
+        return replace(record, status="failed", output=None, error=failure)
+
+
+def read_stream() -> bytes:
+    """All of standard input; InputError if it cannot be read."""
+    if sys.stdin is None:
+        raise InputError("standard input is closed", code="E_READ")
+    try:
+        return sys.stdin.buffer.read()
+    except OSError as error:
+        raise InputError(
+            f"standard input cannot be read: {error.strerror}", code="E_READ"
+        ) from None
+
+
+def _read(source: str) -> bytes:
+    from msal_cli import files
+
+    return read_stream() if source == STREAM else files.read_whole(source)
+
+
+def _written(output: Buffer, record: MeshRecord, target: str) -> MeshRecord:
+    """The record after ``output`` was written to a file, compressed if its name says so."""
+    import hashlib
+    from pathlib import Path
+
+    from msal_cli import files
+
+    plain, is_compressed = files.expanded(output, "")
+    is_to_be = target.lower().endswith(".gz")
+    if is_to_be != is_compressed:
+        output = files.compressed(plain) if is_to_be else plain
+    try:
+        Path(target).absolute().parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"the folder of {target!r} cannot be made: {error.strerror}", path=target
+        ) from None
+    files.write_whole(target, [output])
+    return replace(record, output=target, output_sha256=hashlib.sha256(output).hexdigest())

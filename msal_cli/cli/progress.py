@@ -1,0 +1,135 @@
+"""Bars on a terminal: over the files of a run, or over the sweeps of a single mesh."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from msal_cli.cli import talk
+
+if TYPE_CHECKING:
+    from msal_cli.batch.events import Event
+    from msal_cli.pipeline import Task
+
+_NAME_WIDTH = 32
+_FORMAT = "{desc} {percentage:3.0f} %|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
+
+# Nobody needs a bar for what is over in the blink of an eye (seconds).
+_DELAY_S = 0.4
+
+
+class Silent:
+    """No bar: nobody is looking, or nobody wants to see one."""
+
+    def on_event(self, event: Event) -> None:
+        """Nothing is shown."""
+
+    def on_progress(self, stage: str, done: int, total: int) -> None:
+        """Nothing is shown."""
+
+    def close(self) -> None:
+        """There is nothing to take away."""
+
+
+class SweepBar:
+    """A bar for one mesh: the stage it is at, and the sweeps."""
+
+    def __init__(self, name: str) -> None:
+        self._name = _short(name)
+        self._bar = _bar(total=1, bar_format="{desc}", delay=_DELAY_S)
+
+    def on_event(self, event: Event) -> None:
+        """Follow the one file of a run."""
+        from msal_cli.batch.events import Progress
+
+        if isinstance(event, Progress):
+            self.on_progress(event.stage, event.done, event.total)
+
+    def on_progress(self, stage: str, done: int, total: int) -> None:
+        """Show ``done`` of ``total`` steps of ``stage``; only sweeps are counted."""
+        is_counted = stage == "sweeps" and total > 1
+        self._bar.bar_format = _FORMAT if is_counted else "{desc}"
+        if is_counted:
+            self._bar.total = total
+            self._bar.n = done
+        self._bar.set_description_str(f"{self._name}: {stage}", refresh=False)
+        self._bar.update(0)
+        self._bar.refresh()
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self._bar.close()
+
+
+class FileBar:
+    """A bar over many files, with the file in hand and how many have failed."""
+
+    def __init__(self, tasks: Sequence[Task]) -> None:
+        self._tasks = tasks
+        self._n_failed = 0
+        self._bar = _bar(total=len(tasks), bar_format=_FORMAT)
+
+    def on_event(self, event: Event) -> None:
+        """Show what happened to one file."""
+        from msal_cli.batch.events import Finished, Started
+
+        if isinstance(event, Started):
+            self._bar.set_description_str(_short(event.task.relative))
+        elif isinstance(event, Finished):
+            if event.record.status == "failed":
+                self._n_failed += 1
+                self._bar.set_postfix_str(f"{self._n_failed} failed", refresh=False)
+            self._bar.update(1)
+
+    def on_progress(self, stage: str, done: int, total: int) -> None:
+        """The steps within a file are not shown."""
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self._bar.close()
+
+
+Bar = Silent | SweepBar | FileBar
+
+
+def bar(tasks: Sequence[Task], *, quiet: bool) -> Bar:
+    """The bar for a run; Silent with ``quiet`` or where standard error is no terminal."""
+    if quiet or not tasks or not talk.is_terminal(sys.stderr):
+        return Silent()
+    return SweepBar(tasks[0].relative) if len(tasks) == 1 else FileBar(tasks)
+
+
+def stream_bar(name: str, *, quiet: bool) -> Bar:
+    """The bar for a single mesh from a stream."""
+    if quiet or not talk.is_terminal(sys.stderr):
+        return Silent()
+    return SweepBar(name)
+
+
+def heard_by(*listeners: Callable[[Event], None]) -> Callable[[Event], None]:
+    """One listener that tells all of ``listeners``."""
+
+    def tell(event: Event) -> None:
+        for listener in listeners:
+            listener(event)
+
+    return tell
+
+
+def _short(name: str) -> str:
+    from msal_cli.report.names import padded, shortened, shown
+
+    text = shortened(shown(name), _NAME_WIDTH)
+    return padded(text, min(_NAME_WIDTH, 20))
+
+
+def _bar(**options: Any) -> Any:
+    import threading
+
+    from tqdm import tqdm
+
+    # tqdm's own lock and monitor would bring a semaphore of the system and a thread.
+    tqdm.set_lock(threading.RLock())
+    tqdm.monitor_interval = 0
+    return tqdm(file=sys.stderr, leave=False, dynamic_ncols=True, mininterval=0.1, **options)

@@ -1,0 +1,88 @@
+"""``--report FILE``: refused before any work if it cannot be, written when the work is done."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msal_cli import report
+from msal_cli.errors import OutputError, UsageError
+
+if TYPE_CHECKING:
+    from msal_cli.records import MeshRecord
+    from msal_cli.report.document import Run
+
+
+def check(names: Sequence[str], taken: Iterable[str]) -> None:
+    """Refuse reports that cannot be written, or that would replace one of the paths ``taken``.
+
+    Raises
+    ------
+    UsageError
+        for an unknown suffix, a name given twice, a folder, or a place that cannot be written.
+    """
+    real = {_real(name): name for name in taken} if names else {}
+    seen: set[str] = set()
+    for name in names:
+        if name == "-":
+            raise UsageError(
+                "a report needs the name of a file", hint="--json prints records to standard output"
+            )
+        report.writer(name)
+        path = _real(name)
+        if path in seen:
+            raise UsageError(f"the report {name!r} is given twice")
+        if path in real:
+            raise UsageError(
+                f"the report {name!r} would replace the mesh {real[path]!r}",
+                hint="give it another name",
+            )
+        seen.add(path)
+        _refuse_unwritable(name)
+
+
+def write(names: Sequence[str], run: Run, records: Sequence[MeshRecord]) -> None:
+    """Write every report, whole or not at all; OutputError names the first that cannot be.
+
+    One that cannot be written does not keep the others from being written.
+    """
+    from msal_cli.files import write_whole
+
+    first: OutputError | None = None
+    for name in names:
+        data = report.writer(name)(run, records)
+        try:
+            _guarded(lambda name=name: Path(name).parent.mkdir(parents=True, exist_ok=True), name)  # type: ignore[misc]
+            write_whole(name, [data])
+        except OutputError as error:
+            first = first or error
+    if first is not None:
+        raise first
+
+
+def _guarded(effect: Callable[[], None], name: str) -> None:
+    try:
+        effect()
+    except OSError as error:
+        raise OutputError(
+            f"the folder of the report {name!r} cannot be made: {error.strerror}", path=name
+        ) from None
+
+
+def _refuse_unwritable(name: str) -> None:
+    path = Path(name)
+    if path.is_dir():
+        raise UsageError(f"the report {name!r} is a folder", hint="name a file in it")
+    # The folder itself may still have to be made, as that of the outputs often has.
+    folder = next((one for one in path.absolute().parents if one.exists()), None)
+    if folder is None or not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise UsageError(
+            f"the report {name!r} cannot be written to the folder {str(folder)!r}",
+            hint="choose another place",
+        )
+
+
+def _real(name: str) -> str:
+    return os.path.normcase(os.path.realpath(name))
