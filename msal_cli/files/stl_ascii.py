@@ -1,0 +1,366 @@
+"""Ascii STL: numbers replaced in the file's own text.
+
+Keywords may be in any case and apart by any white space; a solid's name is the rest of its line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.errors import FormatError, InputError, InternalError, TooLargeError, TruncatedError
+from msal_cli.files.base import Buffer
+from msal_cli.files.stl_facets import check_not_empty, not_finite, soup_faces
+
+Floats = NDArray[np.float64]
+
+SHORTEST_FACET = len(
+    "facet normal 0 0 0 outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet "
+)
+"""Bytes of text that a facet takes at least."""
+
+_USUAL_FACET = 200
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_NORMAL_DECIMALS = 6
+_NOISE = 1e-9
+"""Decimals of tiny numbers with an exponent count only down to this part of the extent."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Scan:
+    """Facets of a text: see ``core.stl_scan`` for what the arrays are."""
+
+    facet_at: NDArray[np.int64]
+    offsets: NDArray[np.int32]
+    numbers: Floats
+    decimals: NDArray[np.int64]
+    names: tuple[str, ...]
+    n_solids: int
+    end: int
+
+
+def read(data: Buffer, name: str) -> StlTextFile:
+    """Read an ascii STL file.
+
+    Raises
+    ------
+    TruncatedError
+        if the text ends within a solid.
+    FormatError
+        for a wrong word, with its line.
+    ContentError
+        ``E_NO_FACES`` or ``E_NONFINITE``.
+    """
+    found = _scanned(data)
+    check_not_empty(len(found.facet_at))
+    numbers = found.numbers
+    doubtful = np.argwhere(~np.isfinite(numbers[:, 3:]))
+    view = memoryview(data).cast("B")
+    for facet, token in doubtful:
+        start = int(found.facet_at[facet] + found.offsets[facet, token + 3])
+        value = _slow_number(view, start)
+        if not np.isfinite(value):
+            raise not_finite(int(facet), int(token) // 3, _line(data, start))
+        numbers[facet, token + 3] = value
+    for facet, token in np.argwhere(np.isinf(numbers[:, :3])):
+        start = int(found.facet_at[facet] + found.offsets[facet, token])
+        numbers[facet, token] = _slow_number(view, start)
+    return StlTextFile(
+        data,
+        found,
+        np.ascontiguousarray(numbers[:, 3:]).reshape(-1, 3),
+        np.ascontiguousarray(numbers[:, :3]),
+        soup_faces(len(numbers)),
+        _warnings(data, found),
+    )
+
+
+def _slow_number(view: memoryview, start: int) -> float:
+    token = bytes(view[start : start + 4096]).split(None, 1)[0]
+    try:
+        return float(token)
+    except ValueError:
+        return float("nan")
+
+
+def _warnings(data: Buffer, found: _Scan) -> tuple[str, ...]:
+    trailing = len(memoryview(data).cast("B")) - found.end
+    return (f"{trailing} bytes behind the last solid are kept as they are",) if trailing else ()
+
+
+def _scanned(data: Buffer) -> _Scan:
+    """All facets of a text; the arrays grow with what is found, never with what is claimed."""
+    from msal_cli.core import stl_scan
+    from msal_cli.core.text import as_bytes
+
+    buf = as_bytes(data)
+    # Some editors end a text with a NUL or with the end-of-file mark of old systems.
+    end = len(bytes(buf[-4096:]).rstrip(b"\0\x1a")) - min(len(buf), 4096) + len(buf)
+    buf = buf[:end]
+    state = np.zeros(4, dtype=np.int64)
+    if bytes(buf[:3]) == _BYTE_ORDER_MARK:
+        state[0] = len(_BYTE_ORDER_MARK)
+    room = min(len(buf) // _USUAL_FACET, len(buf) // SHORTEST_FACET) + 1
+    facet_at = np.empty(room, dtype=np.int64)
+    offsets = np.empty((room, 12), dtype=np.int32)
+    numbers = np.empty((room, 12))
+    solid_at = np.zeros(stl_scan.MOST_SOLIDS, dtype=np.int64)
+    decimals = np.zeros(4, dtype=np.int64)
+    while True:
+        status, at, word = stl_scan.scan(buf, state, facet_at, offsets, numbers, solid_at, decimals)
+        n = int(state[1])
+        if status != stl_scan.FULL:
+            break
+        room = min(len(buf) // SHORTEST_FACET + 1, n + n // 2 + 16)
+        for array in (facet_at, offsets, numbers):
+            array.resize((room, *array.shape[1:]), refcheck=False)
+    if status != stl_scan.WHOLE:
+        raise _error(buf, status, int(at), int(word), n)
+    for array in (facet_at, offsets, numbers):
+        array.resize((n, *array.shape[1:]), refcheck=False)
+    names = tuple(
+        bytes(buf[at : at + 256]).splitlines()[0].decode("utf-8", "replace").strip()
+        if at < len(buf)
+        else ""
+        for at in (int(one) for one in solid_at[: state[2]])
+    )
+    return _Scan(facet_at, offsets, numbers, decimals, names, int(state[2]), end)
+
+
+def _error(buf: NDArray[np.uint8], status: int, at: int, word: int, facet: int) -> InputError:
+    """The error for a text that ``stl_scan.scan`` does not accept."""
+    from msal_cli.core import stl_scan
+
+    token = (bytes(buf[at : at + 60]).split(None, 1) or [b""])[0]
+    touches_end = at + len(token) == len(buf)
+    where = f"facet {facet}, line {_line(buf, at)}"
+    wanted = stl_scan.WORDS[word]
+    known = (wanted, "endsolid") if word == stl_scan.FACET else (wanted,)
+    cut = status == stl_scan.CUT or (
+        touches_end
+        and (
+            status == stl_scan.BAD_NUMBER
+            or (
+                status == stl_scan.WRONG
+                and any(w.encode().startswith(token.lower()) for w in known)
+            )
+        )
+    )
+    if cut:
+        return TruncatedError(
+            f"the text ends within a solid, after {facet} whole facets",
+            where=where,
+            hint="the file was cut short; copy or export it again",
+        )
+    text = token.decode("ascii", "backslashreplace")
+    if status == stl_scan.OUTSIDE:
+        return FormatError(
+            f"expected 'solid', found {text!r}",
+            where=where,
+            hint="ascii STL is a list of solids; is this another format?",
+        )
+    if status == stl_scan.BAD_NUMBER:
+        return FormatError(
+            f"{text!r} is not a number",
+            where=where,
+            hint="numbers need a decimal point, not a comma"
+            if b"," in token
+            else "the file is damaged; export it again",
+        )
+    if status == stl_scan.TOO_LONG:
+        return TooLargeError("a single facet takes more than 2 GiB of text", where=where)
+    hint = "the file is damaged; export it again"
+    if word == stl_scan.ENDLOOP and token.lower() == b"vertex":
+        hint = "a facet of STL has three corners; triangulate the mesh first"
+    return FormatError(f"expected '{wanted}', found {text!r}", where=where, hint=hint)
+
+
+def _line(buf: Buffer | NDArray[np.uint8], at: int) -> int:
+    """The line, counted from one, that byte ``at`` stands in."""
+    before = np.frombuffer(buf, dtype=np.uint8)[:at]
+    feeds = int(np.count_nonzero(before == 10))
+    return 1 + (feeds or int(np.count_nonzero(before == 13)))
+
+
+@dataclass(frozen=True, eq=False)
+class StlTextFile:
+    """An ascii STL file; see ``files.base.MeshFile``.
+
+    ``vertices`` are the corners in file order, three for each facet.
+    """
+
+    data: Buffer = field(repr=False)
+    found: _Scan = field(repr=False)
+    vertices: Floats
+    normals: Floats
+    faces: NDArray[np.int32]
+    warnings: tuple[str, ...]
+    format: str = "stl"
+    encoding: str = "ascii"
+    precision: str = "text"
+    references: tuple[str, ...] = ()
+
+    @property
+    def n_polygons(self) -> int:
+        """Number of facets."""
+        return len(self.faces)
+
+    @property
+    def solids(self) -> tuple[str, ...]:
+        """Names of the first solids."""
+        return self.found.names
+
+    @property
+    def properties(self) -> tuple[str, ...]:
+        """What the file has besides positions."""
+        named = tuple(f"solid {name!r}" for name in self.solids if name)
+        several = (f"{self.found.n_solids} solids",) if self.found.n_solids > 1 else ()
+        return ("facet normals", *several, *named)
+
+    def polygons(self) -> NDArray[np.int32]:
+        """The facets as an (m, 3) array."""
+        return self.faces
+
+    def _decimals(self) -> tuple[int, int]:
+        """Digits behind the point for normals and for corners: never fewer than the file has.
+
+        Tokens with an exponent can have any number (``1.5e-17``); theirs count as far as they
+        mean something beside the size of the mesh.
+        """
+        from msal_cli.core.digits import MOST_DECIMALS
+
+        plain_normal, plain, exponent_normal, exponent = (int(d) for d in self.found.decimals)
+        span = self.vertices.max(axis=0) - self.vertices.min(axis=0)
+        extent = max(float(np.sqrt((span * span).sum())), 1e-300)
+        needed = int(np.ceil(-np.log10(extent * 1e-7)))
+        meant = int(np.ceil(-np.log10(extent * _NOISE)))
+        normal = max(plain_normal, min(exponent_normal, 9), _NORMAL_DECIMALS)
+        corner = max(plain, min(exponent, meant), needed, 0)
+        return min(normal, MOST_DECIMALS), min(corner, MOST_DECIMALS)
+
+    def _changes(self, vertices: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """The new numbers (m, 12) and which of them are to be written."""
+        from msal_cli.core.facet_normals import renewed_facet_normals
+
+        old, new = self.vertices.reshape(-1, 9), vertices.reshape(-1, 9)
+        normals, changed = renewed_facet_normals(old, new, self.normals)
+        moved = old != new
+        numbers = np.concatenate([normals, new], axis=1)
+        replace = np.concatenate([np.repeat(changed[:, None], 3, axis=1), moved], axis=1)
+        return numbers, replace
+
+    def replaced(self, vertices: Floats) -> Buffer:
+        """The file with other corners (3m, 3) and the normals of moved facets recomputed."""
+        if not (vertices != self.vertices).any():
+            return self.data
+        from msal_cli.core import stl_scan, text
+        from msal_cli.core.digits import FIXED_BELOW
+
+        numbers, replace = self._changes(vertices)
+        buf = text.as_bytes(self.data)
+        decimals = np.array(self._decimals(), dtype=np.int64)
+        found = self.found
+        largest = float(np.abs(numbers[replace]).max())
+        if largest >= FIXED_BELOW:
+            starts = (found.facet_at[:, None] + found.offsets)[replace]
+            return self._replaced_slowly(starts, numbers[replace])
+        width = text.fixed_width(largest, int(decimals.max()))
+        out = np.empty(len(buf) + int(np.count_nonzero(replace)) * width, dtype=np.uint8)
+        length = stl_scan.patched(
+            buf, found.facet_at, found.offsets, replace, numbers, decimals, out
+        )
+        return out[:length].data
+
+    def _replaced_slowly(self, starts: NDArray[np.int64], numbers: Floats) -> bytes:
+        """The text with tokens replaced by the shortest text of numbers of any size."""
+        view = memoryview(self.data).cast("B")
+        pieces: list[bytes | memoryview] = []
+        copied = 0
+        for start, number in zip(starts.tolist(), numbers.tolist(), strict=True):
+            pieces += [view[copied:start], repr(number).encode()]
+            copied = start + len(bytes(view[start : start + 4096]).split(None, 1)[0])
+        return b"".join([*pieces, view[copied:]])
+
+    def check(self, output: Buffer, vertices: Floats) -> None:
+        """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
+        from msal_cli.core import stl_scan
+        from msal_cli.core.text import as_bytes
+
+        try:
+            there = read(output, "")
+        except InputError as failure:
+            raise InternalError(
+                f"the STL text that was made cannot be read: {failure}", where=failure.where
+            ) from failure
+        if there.faces.shape != self.faces.shape:
+            raise InternalError("the number of facets changed")
+        _, replace = self._changes(vertices)
+        found, other = self.found, there.found
+        if not stl_scan.same_but_for(
+            as_bytes(self.data),
+            found.facet_at,
+            found.offsets,
+            as_bytes(output),
+            other.facet_at,
+            other.offsets,
+            replace,
+        ):
+            raise InternalError("text other than that of moved corners changed")
+        step = 10.0 ** -self._decimals()[1]
+        wrong = np.abs(there.vertices - vertices) > 0.5 * step + 4e-16 * np.abs(vertices)
+        if wrong.any():
+            bad = int(np.argmax(wrong.any(axis=1)))
+            raise InternalError(
+                "a corner was not written right", where=f"facet {bad // 3}, corner {bad % 3}"
+            )
+        length = np.linalg.norm(there.normals, axis=1)
+        wrong_normals = replace[:, 0] & ~(np.abs(length - 1.0) < 1e-5)
+        if wrong_normals.any():
+            raise InternalError(
+                "a normal was not written right", where=f"facet {wrong_normals.argmax()}"
+            )
+
+    def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
+        """The file with ``vertices`` (3m, 3) as ``encoding`` (same, ascii, binary).
+
+        Raises
+        ------
+        UnsupportedError
+            for a binary file of float64, which STL does not have.
+        """
+        from msal_cli.files import stl
+
+        if encoding in ("same", "ascii"):
+            if precision == "float32":
+                vertices = stl.as_float32(vertices).astype(np.float64)
+            return self.replaced(vertices)
+        stl.refuse_float64(precision)
+        numbers, _ = self._changes(vertices)
+        return stl.written(numbers[:, 3:], numbers[:, :3], self.solids[0])
+
+
+def written(corners: Floats, normals: Floats, name: str, *, single: bool) -> Buffer:
+    """An ascii STL file of corners (m, 9) and normals (m, 3), in the shortest exact digits.
+
+    ``single`` writes what float32 holds.
+    """
+    from msal_cli.core import stl_scan, text
+
+    numbers = np.concatenate([np.where(np.isfinite(normals), normals, 0.0), corners], axis=1)
+    numbers[:, :3] = numbers[:, :3].astype(np.float32)
+    digits, stops = text.printed_shortest(numbers.reshape(-1), single)
+    space = " "
+    corner = ["\n      vertex ", space, space]
+    pieces = ["  facet normal ", space, space, "\n    outer loop" + corner[0], space, space]
+    pieces += corner * 2 + ["\n    endloop\n  endfacet\n"]
+    fixed = np.frombuffer("".join(pieces).encode(), dtype=np.uint8)
+    fixed_stops = np.cumsum([len(piece) for piece in pieces], dtype=np.int64)
+    out = np.empty(len(digits) + len(corners) * len(fixed), dtype=np.uint8)
+    length = stl_scan.facets_as_text(
+        text.as_bytes(fixed), fixed_stops, text.as_bytes(digits), stops, out
+    )
+    line = " ".join(name.split())
+    head, tail = (f"{word} {line}".rstrip().encode() + b"\n" for word in ("solid", "endsolid"))
+    return b"".join([head, out[:length].data, tail])

@@ -1,0 +1,49 @@
+"""What binary and ascii STL share: triangle soup with one stored normal per facet."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.errors import ContentError, TooLargeError
+
+MOST_FACETS = (2**31 - 1) // 3
+"""Facets whose corners can be numbered with 32 bits."""
+
+
+def soup_faces(n_facets: int) -> NDArray[np.int32]:
+    """Faces (n, 3) of n facets that share no corner.
+
+    Raises
+    ------
+    TooLargeError
+        if the corners cannot be numbered.
+    """
+    if n_facets > MOST_FACETS:
+        raise TooLargeError(
+            f"{n_facets} facets are more than the {MOST_FACETS} that can be numbered",
+            hint="cut the mesh into parts",
+        )
+    return np.arange(3 * n_facets, dtype=np.int32).reshape(-1, 3)
+
+
+def check_not_empty(n_facets: int, trailing: int = 0) -> None:
+    """Raise ContentError ``E_NO_FACES`` if there is no facet; ``trailing`` in bytes."""
+    if n_facets:
+        return
+    more = f"; {trailing} bytes follow that it does not count" if trailing else ""
+    raise ContentError(
+        f"the file has no facets{more}",
+        code="E_NO_FACES",
+        hint="export the mesh again" if more else "msal denoises surfaces; this file has none",
+    )
+
+
+def not_finite(facet: int, corner: int, line: int | None = None) -> ContentError:
+    """The error for a position that is NaN or infinite; all counts from zero but the line's."""
+    return ContentError(
+        "a position is not finite",
+        code="E_NONFINITE",
+        where=f"facet {facet}, corner {corner}" + (f", line {line}" if line else ""),
+        hint="remove the facet, or export the scan again",
+    )

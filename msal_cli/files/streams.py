@@ -1,0 +1,143 @@
+"""Whole files in and out of memory: reading, and gzip with a bound on what it may expand to."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from pathlib import Path
+
+from msal_cli.errors import FormatError, InputError, TooLargeError, TruncatedError
+from msal_cli.files.base import Buffer
+
+GZIP_SUFFIX = ".gz"
+GZIP_MAGIC = b"\x1f\x8b"
+
+ALWAYS_EXPANDED = 256 << 20
+"""Bytes that a compressed file may always expand to: as much as any workstation can hold."""
+
+LARGEST_RATIO = 200
+"""Expanded bytes per compressed byte beyond that.  Meshes reach 3 to 30, the most repetitive
+text files about 100; deflate itself ends at 1032, which only a file made to do harm comes near."""
+
+_FIRST_PIECE = 1 << 10
+_LARGEST_PIECE = 1 << 20
+
+
+def read_whole(path: str | os.PathLike[str]) -> bytes:
+    """The bytes of a file.
+
+    Raises
+    ------
+    InputError
+        with code ``E_READ`` if the system cannot read it.
+    """
+    try:
+        return Path(path).read_bytes()
+    except (OSError, ValueError) as failure:
+        reason = getattr(failure, "strerror", None) or str(failure)
+        raise InputError(
+            f"the file cannot be read: {reason}",
+            path=os.fspath(path),
+            code="E_READ",
+            hint="check that it exists and that you may read it",
+        ) from failure
+
+
+def is_gzip_name(name: str) -> bool:
+    """Whether a file name ends in ``.gz``, in any case."""
+    return name.lower().endswith(GZIP_SUFFIX)
+
+
+def expanded(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer, bool]:
+    """The content of a file that may be compressed with gzip, and whether it was.
+
+    A file counts as compressed if its name ends in ``.gz`` or its bytes begin like gzip's; all
+    members of a file with several are joined.  Nothing beyond ``limit`` bytes is ever expanded.
+
+    Parameters
+    ----------
+    data : the file's bytes; returned as they are where they are not compressed.
+    name : the file's name.
+    limit : the most bytes to expand to; by default ``ALWAYS_EXPANDED`` or ``LARGEST_RATIO`` times
+        the compressed size, whichever is more.
+
+    Raises
+    ------
+    FormatError
+        if a ``.gz`` file is not gzip, or is damaged.
+    TruncatedError
+        if it ends early.
+    TooLargeError
+        if it would expand beyond the limit.
+    """
+    view = memoryview(data).cast("B")
+    if bytes(view[:2]) != GZIP_MAGIC:
+        if not is_gzip_name(name):
+            return data, False
+        if not len(view):
+            raise TruncatedError("the file is empty", hint="copy or export it again")
+        raise FormatError(
+            "the name ends in .gz but the content is not gzip",
+            where="byte 0",
+            hint="rename the file, or compress it",
+        )
+    if limit is None:
+        limit = max(ALWAYS_EXPANDED, LARGEST_RATIO * len(view))
+    pieces: list[bytes] = []
+    size = 0
+    position = 0
+    while position < len(view):
+        # Zero bytes behind the last member are padding (tape blocks), as for gzip itself.
+        if pieces and view[position] == 0 and not any(view[position:]):
+            break
+        if pieces and bytes(view[position : position + 2]) not in (GZIP_MAGIC, GZIP_MAGIC[:1]):
+            raise FormatError(
+                f"{len(view) - position} bytes behind the compressed data are not gzip",
+                where=f"byte {position}",
+                hint="the file is damaged, or two files were joined; compress it again",
+            )
+        member = zlib.decompressobj(wbits=31)
+        # Pieces begin small, so that a file of very many tiny members is not copied over and
+        # over by ``unused_data``.
+        piece = _FIRST_PIECE
+        while not member.eof:
+            if position == len(view):
+                raise TruncatedError(
+                    f"the compressed data end after {position} bytes, in the middle",
+                    where=f"byte {position}",
+                    hint="the file was cut short; copy it again",
+                )
+            part = view[position : position + piece]
+            try:
+                pieces.append(member.decompress(part, limit - size + 1))
+            except zlib.error as failure:
+                raise FormatError(
+                    f"the compressed data are damaged ({failure})",
+                    where=f"bytes {position} to {position + len(part)}",
+                    hint="the file is damaged; copy it again",
+                ) from failure
+            size += len(pieces[-1])
+            if size > limit:
+                raise TooLargeError(
+                    f"{len(view)} compressed bytes expand to more than {limit}",
+                    hint="no mesh compresses so well; if you trust the file, expand it with gunzip",
+                )
+            position += len(part) - len(member.unused_data)
+            piece = min(2 * piece, _LARGEST_PIECE)
+    return b"".join(pieces), True
+
+
+def compressed(data: Buffer) -> bytes:
+    """``data`` as gzip; the same bytes on every run: no time, no name, no operating system."""
+    view = memoryview(data).cast("B")
+    deflate = zlib.compressobj(6, zlib.DEFLATED, -15)
+    checksum = zlib.crc32(view) & 0xFFFFFFFF
+    return b"".join(
+        (
+            GZIP_MAGIC + b"\x08\x00" + bytes(4) + b"\x00\xff",
+            deflate.compress(view),
+            deflate.flush(),
+            checksum.to_bytes(4, "little"),
+            (len(view) & 0xFFFFFFFF).to_bytes(4, "little"),
+        )
+    )

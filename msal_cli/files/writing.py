@@ -1,0 +1,235 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import secrets
+import socket
+import stat
+import sys
+import time
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+
+from msal_cli.errors import OutputError
+from msal_cli.files.base import Buffer
+
+LONGEST_NAME = 140
+"""Bytes in the name of a temporary file; some encrypting file systems allow only 143."""
+
+ABANDONED_S = 24 * 3600.0
+"""Seconds after which a temporary file is stale whatever became of its process."""
+
+_PIECE = 64 << 20
+_TEMPORARY = re.compile(r"^\..*\.msal-(\d{1,10})-([0-9a-f]{8})[0-9a-f]{8}\.tmp$", re.DOTALL)
+
+_HINTS = {
+    errno.ENOSPC: "the disk is full; free some space and run again",
+    errno.EDQUOT: "your disk quota is used up; free some space and run again",
+    errno.EFBIG: "the file system or a limit does not allow files of this size",
+    errno.EACCES: "check the permissions of the output folder",
+    errno.EPERM: "check the permissions of the output folder",
+    errno.EROFS: "the file system is read-only; choose another output folder",
+    errno.ENOENT: "the output folder does not exist",
+    errno.ENOTDIR: "a part of the output path is a file, not a folder",
+    errno.ENAMETOOLONG: "choose a shorter output name",
+}
+
+
+def write_whole(
+    path: str | os.PathLike[str],
+    buffers: Buffer | Iterable[Buffer],
+    *,
+    mode_like: str | os.PathLike[str] | None = None,
+) -> None:
+    """Write a file so that it is seen whole or not at all, even after a crash.
+
+    The bytes go to a temporary file in the same folder, are flushed to the disk and counted, and
+    the file is then moved to its name; on any failure, and on an interrupt, it is removed.
+
+    A file that is replaced hands down its permission bits; a new one gets those of ``mode_like``
+    or else what the umask leaves.  A symbolic link is itself replaced, never the file that it
+    leads to, because that could be an input: who wants to write through a link resolves it first.
+
+    Parameters
+    ----------
+    path : the file to write; its folder must exist.
+    buffers : the content, in one piece or in several.
+    mode_like : an existing file whose permission bits a new file gets.
+
+    Raises
+    ------
+    OutputError
+        if the system refuses, with the reason.
+    """
+    target = Path(path)
+    try:
+        _write(target, _pieces(buffers), mode_like)
+    except (OSError, ValueError) as failure:
+        reason = getattr(failure, "strerror", None) or str(failure)
+        raise OutputError(
+            f"the file cannot be written: {reason}",
+            path=os.fspath(path),
+            hint=_HINTS.get(getattr(failure, "errno", None) or 0, ""),
+        ) from failure
+
+
+def _pieces(buffers: Buffer | Iterable[Buffer]) -> Iterable[Buffer]:
+    if isinstance(buffers, bytes | bytearray | memoryview):
+        return (buffers,)
+    return buffers
+
+
+def _write(
+    target: Path, buffers: Iterable[Buffer], mode_like: str | os.PathLike[str] | None
+) -> None:
+    mode = _permissions(target, mode_like)
+    temporary = target.with_name(_temporary_name(target.name))
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
+    # Windows would translate line ends and hand the handle down to children.
+    flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
+    handle = os.open(temporary, flags, 0o666)
+    try:
+        try:
+            expected = 0
+            for buffer in buffers:
+                view = memoryview(buffer).cast("B")
+                expected += len(view)
+                while len(view):
+                    view = view[os.write(handle, view[:_PIECE]) :]
+            os.fsync(handle)
+            written = os.fstat(handle).st_size
+            if written != expected:
+                raise OSError(errno.EIO, f"{written} of {expected} bytes arrived on the disk")
+        finally:
+            os.close(handle)
+        if mode is not None:
+            temporary.chmod(mode)
+        _move(temporary, target)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise
+    _flush_folder(target.parent)
+
+
+def _permissions(target: Path, mode_like: str | os.PathLike[str] | None) -> int | None:
+    """Permission bits for the new file, None for the umask's; refuses what must not be replaced."""
+    try:
+        present = target.stat()
+    except FileNotFoundError:
+        return None if mode_like is None else Path(mode_like).stat().st_mode & 0o777
+    if stat.S_ISDIR(present.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder")
+    if not stat.S_ISREG(present.st_mode):
+        # Moving a file onto /dev/null would destroy the device.
+        raise OSError(errno.EINVAL, "it is a device or a pipe, not a file")
+    return present.st_mode & 0o777
+
+
+def _temporary_name(name: str) -> str:
+    """A name that says whose it is: process, machine, and eight random digits."""
+    suffix = f".msal-{os.getpid()}-{_machine()}{secrets.token_hex(4)}.tmp"
+    room = LONGEST_NAME - 1 - len(suffix)
+    while len(os.fsencode(name)) > room:
+        name = name[:-1]
+    return f".{name}{suffix}"
+
+
+def _machine() -> str:
+    """Eight hexadecimal digits that tell machines that share a file system apart."""
+    return f"{zlib.crc32(socket.gethostname().encode('utf-8', 'replace')) & 0xFFFFFFFF:08x}"
+
+
+def _move(temporary: Path, target: Path) -> None:
+    """Rename over ``target``; on Windows a scanner that just looks at the file may delay it."""
+    for wait_s in (0.05, 0.2, 0.8) if os.name == "nt" else ():
+        try:
+            temporary.replace(target)
+            return
+        except PermissionError:
+            time.sleep(wait_s)
+    temporary.replace(target)
+
+
+def _flush_folder(folder: Path) -> None:
+    """Make the new name durable where the system can; the file itself already is."""
+    if os.name != "posix":
+        return
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError:
+        return  # a folder that may be written but not read
+    try:
+        os.fsync(handle)
+    except OSError as failure:
+        if failure.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES):
+            raise
+    finally:
+        os.close(handle)
+
+
+def swept(folder: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Remove the temporary files that dead runs left in ``folder``, and return their names.
+
+    A file goes if its process is gone from this machine, or if it has not changed for a day (the
+    machine was another one, or the process number is in use again).  What cannot be removed
+    stays, without an error; folders inside are not entered.
+    """
+    removed = []
+    machine = _machine()
+    try:
+        names = [entry.name for entry in os.scandir(folder)]
+    except OSError:
+        return ()
+    for name in sorted(names):
+        found = _TEMPORARY.match(name)
+        if not found:
+            continue
+        path = Path(folder) / name
+        with contextlib.suppress(OSError):
+            here = path.lstat()
+            dead = found[2] == machine and not _is_running(int(found[1]))
+            if stat.S_ISREG(here.st_mode) and (dead or time.time() - here.st_mtime > ABANDONED_S):
+                path.unlink()
+                removed.append(name)
+    return tuple(removed)
+
+
+def _is_running(process: int) -> bool:
+    """Whether a process of this number is alive; when in doubt, yes."""
+    if process <= 0:
+        return False
+    if sys.platform == "win32":
+        # os.kill(process, 0) would end the process there.
+        return _is_running_on_windows(process)
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        return True
+    return True
+
+
+if sys.platform == "win32":
+
+    def _is_running_on_windows(process: int) -> bool:
+        import ctypes
+
+        query_limited_information, still_active, invalid_parameter = 0x1000, 259, 87
+        kernel = ctypes.WinDLL("kernel32", use_last_error=True)
+        kernel.OpenProcess.restype = ctypes.c_void_p
+        handle = kernel.OpenProcess(query_limited_information, False, process)
+        if not handle:
+            return ctypes.get_last_error() != invalid_parameter
+        try:
+            code = ctypes.c_ulong()
+            known = kernel.GetExitCodeProcess(ctypes.c_void_p(handle), ctypes.byref(code))
+            return not known or code.value == still_active
+        finally:
+            kernel.CloseHandle(ctypes.c_void_p(handle))
