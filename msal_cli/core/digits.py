@@ -167,6 +167,32 @@ def _word(buf, at, stop):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def _long(buf, start, stop, decimals):  # type: ignore[no-untyped-def]
+    """Value and status of twenty digits and more, with a point among them, times 10**-decimals.
+
+    The first 19 significant digits bound it from below, the next number of 19 from above: where
+    both are read as the same double, so is everything between.
+    """
+    mantissa = np.uint64(0)
+    n_digits = 0
+    dropped = 0
+    for k in range(start, stop):
+        if buf[k] == 46:
+            continue
+        if n_digits == 19:
+            dropped += 1
+        else:
+            mantissa = mantissa * np.uint64(10) + np.uint64(buf[k] - 48)
+            n_digits += mantissa != np.uint64(0)
+    exponent = dropped - decimals
+    below, status = _scaled(mantissa, exponent)
+    if dropped == 0 or status != EXACT:
+        return below, status
+    above, status = _scaled(mantissa + np.uint64(1), exponent)
+    return below, EXACT if status == EXACT and below == above else UNDECIDED
+
+
+@njit(cache=True, nogil=True)
 def read_number(buf, start, stop):  # type: ignore[no-untyped-def]
     """The number that begins at ``start``: value, status, end, decimals.
 
@@ -215,14 +241,9 @@ def read_number(buf, start, stop):  # type: ignore[no-untyped-def]
             return 0.0, NOT_A_NUMBER, at, 0
         decimals -= -exponent if exponent_negative else exponent
     if n_digits > 19:
-        # Leading zeros are no digits; what is left may still have overflowed the word.
-        k = first
-        while k < last and (buf[k] == 48 or buf[k] == 46):
-            n_digits -= 1 if buf[k] == 48 else 0
-            k += 1
-        if n_digits > 19:
-            return 0.0, UNDECIDED, at, max(decimals, 0)
-    value, status = _scaled(mantissa, -decimals)
+        value, status = _long(buf, first, last, decimals)
+    else:
+        value, status = _scaled(mantissa, -decimals)
     return -value if negative else value, status, at, max(decimals, 0)
 
 

@@ -1,0 +1,453 @@
+"""One walk over the bytes of an OBJ file: positions, normals, faces and what else there is.
+
+A *line* ends at a line feed or a carriage return, so that CR LF ends it twice, which does no harm:
+an empty line means nothing.  A backslash before the end of a line continues it, but not in a
+comment (a path that ends in one would swallow the next vertex).  The bytes come from strangers and
+compiled code does not check bounds: every step here compares with the end of the data.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from msal_cli.core.digits import NOT_A_NUMBER, UNDECIDED, read_number
+
+WHOLE = 0
+"""All of the text is read."""
+FULL = 1
+"""An output array is full; call again with larger ones."""
+BAD_NUMBER = 2
+"""A word that must be a number is none."""
+FEW_NUMBERS = 3
+"""A position or a normal has fewer than three numbers."""
+BAD_CORNER = 4
+"""A corner of a face is not v, v/vt, v//vn or v/vt/vn."""
+BAD_INDEX = 5
+"""A face names vertex 0 or one before the first."""
+NO_CORNERS = 6
+"""A face has nothing behind its keyword."""
+
+(
+    AT,  # first byte not yet read; with an error, the statement that is wrong
+    VERTICES,
+    NORMALS,
+    TEXTURE,  # vt statements
+    FACES,  # those with three corners and more
+    CORNERS,
+    UNDECIDED_NUMBERS,
+    DECIMALS,  # most decimals of a position
+    NORMAL_DECIMALS,
+    LARGEST_VERTEX,  # largest vertex index of a face, from zero
+    LARGEST_TEXTURE,  # largest vt and vn numbers, from one
+    LARGEST_NORMAL,
+    BEFORE_FIRST,  # vt and vn numbers of faces that are zero or lie before the first
+    TEXTURED,  # corners with a vt
+    SHORT,  # faces of one or two corners
+    SHORT_AT,
+    LAST_SHORT_AT,
+    LAST_FACE_AT,
+    WEIGHTED,  # positions with w other than one
+    WEIGHTED_AT,
+    COLOURED,  # positions with more than four numbers
+    KEYWORDS,  # different other keywords
+    LIBRARIES,  # mtllib statements
+    WORD,  # with an error: first byte of the word that is wrong
+    N_STATE,
+) = range(25)
+
+MOST_KEYWORDS = 64
+"""Different other keywords that are told apart; the last row takes the rest."""
+
+MOST_LIBRARIES = 1024
+"""Statements ``mtllib`` that are looked at."""
+
+_MTLLIB = np.uint64(int.from_bytes(b"mtllib", "big"))
+
+
+@njit(cache=True, nogil=True)
+def counted(buf):  # type: ignore[no-untyped-def]
+    """At least as many v, vn and f statements as there are; hardly more in any real file."""
+    n_vertices = n_normals = n_faces = np.int64(1)
+    for start in range(1, len(buf) - 1, 248):
+        v = n = f = np.uint8(0)
+        for i in range(start, min(start + 248, len(buf) - 1)):
+            ends = np.uint8(buf[i + 1] <= 32) | np.uint8(buf[i + 1] == 92)
+            begins = np.uint8(buf[i - 1] <= 32)
+            v += np.uint8(buf[i] == 118) & begins & ends
+            f += np.uint8(buf[i] == 102) & begins & ends
+            n += np.uint8(buf[i] == 110) & np.uint8(buf[i - 1] == 118) & ends
+        n_vertices += np.int64(v)
+        n_normals += np.int64(n)
+        n_faces += np.int64(f)
+    return n_vertices, n_normals, n_faces
+
+
+@njit(cache=True, nogil=True)
+def past_blanks(buf, at):  # type: ignore[no-untyped-def]
+    """The next byte that is no blank; a continued line goes on behind its end."""
+    while at < len(buf):
+        c = buf[at]
+        if c == 32 or c == 9 or c == 11 or c == 12:
+            at += 1
+        elif c == 92 and at + 1 < len(buf) and (buf[at + 1] == 10 or buf[at + 1] == 13):
+            at += 2
+            if buf[at - 1] == 13 and at < len(buf) and buf[at] == 10:
+                at += 1
+        else:
+            break
+    return at
+
+
+@njit(cache=True, nogil=True)
+def is_word_end(buf, at):  # type: ignore[no-untyped-def]
+    """Whether a word ends before ``at``: a blank, the end of a line, or a continuation."""
+    if at >= len(buf):
+        return True
+    c = buf[at]
+    if c == 92:
+        return at + 1 < len(buf) and (buf[at + 1] == 10 or buf[at + 1] == 13)
+    return c == 32 or 9 <= c <= 13
+
+
+@njit(cache=True, nogil=True)
+def past_word(buf, at):  # type: ignore[no-untyped-def]
+    """The end of the word at ``at``."""
+    while not is_word_end(buf, at):
+        at += 1
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _is_statement_end(buf, at):  # type: ignore[no-untyped-def]
+    """Whether no word begins at ``at``, which is no blank: the line ends or a comment begins."""
+    return at >= len(buf) or buf[at] == 10 or buf[at] == 13 or buf[at] == 35
+
+
+@njit(cache=True, nogil=True)
+def _past_line(buf, at):  # type: ignore[no-untyped-def]
+    """The end of the line, or of the lines that continue it; ``at`` lies behind a word."""
+    is_comment = False
+    while at < len(buf):
+        c = buf[at]
+        if c == 35:
+            is_comment = is_comment or buf[at - 1] <= 32
+        elif c == 10 or c == 13:
+            if is_comment or buf[at - 1] != 92:
+                break
+            at = past_blanks(buf, at - 1)
+            continue
+        at += 1
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _past_comment(buf, at):  # type: ignore[no-untyped-def]
+    """The end of the line, whatever stands before it."""
+    while at < len(buf) and buf[at] != 10 and buf[at] != 13:
+        at += 1
+    return at
+
+
+@njit(cache=True, nogil=True)
+def read_coordinate(buf, at):  # type: ignore[no-untyped-def]
+    """The number at ``at``, which must be a whole word: value, status, end, decimals.
+
+    ``1.#QNAN``, ``-1.#IND`` and ``1.#INF``, as old run-time libraries print them, are NaN.
+    """
+    value, status, end, decimals = read_number(buf, at, len(buf))
+    if not is_word_end(buf, end):
+        if status != NOT_A_NUMBER and buf[end] == 35 and buf[end - 1] == 46:
+            return np.nan, status, past_word(buf, end), 0
+        return value, NOT_A_NUMBER, end, 0
+    return value, status, end, decimals
+
+
+@njit(cache=True, nogil=True)
+def _read_index(buf, at):  # type: ignore[no-untyped-def]
+    """A signed whole number: value (0 where there is none) and end; larger ones are cut down."""
+    first = at
+    negative = False
+    if at < len(buf) and (buf[at] == 45 or buf[at] == 43):
+        negative = buf[at] == 45
+        at += 1
+    value = np.int64(0)
+    digits = at
+    while at < len(buf):
+        digit = np.int64(buf[at]) - 48
+        if digit < 0 or digit > 9:
+            break
+        if value < 1 << 40:
+            value = value * 10 + digit
+        at += 1
+    if at == digits:
+        return np.int64(0), first
+    return -value if negative else value, at
+
+
+@njit(cache=True, nogil=True)
+def _resolved(number, count):  # type: ignore[no-untyped-def]
+    """The index, from zero, that a face means by ``number`` behind ``count`` entries; or -1."""
+    if number > 0:
+        return min(number, 1 << 31) - 1
+    if number < 0 and number + count >= 0:
+        return number + count
+    return np.int64(-1)
+
+
+@njit(cache=True, nogil=True)
+def _packed(buf, at, stop):  # type: ignore[no-untyped-def]
+    """The first eight bytes of a keyword as one number."""
+    word = np.uint64(0)
+    for k in range(at, min(stop, at + 8)):
+        word = (word << np.uint64(8)) | np.uint64(buf[k])
+    return word
+
+
+@njit(cache=True, nogil=True)
+def _note_keyword(buf, at, stop, keywords, n_keywords):  # type: ignore[no-untyped-def]
+    """Count a keyword in its row (word, times, first byte, size); returns the rows in use."""
+    word = np.int64(_packed(buf, at, stop))
+    row = 0
+    while row < n_keywords and (keywords[row, 0] != word or keywords[row, 3] != stop - at):
+        row += 1
+    if row == n_keywords:
+        if n_keywords == len(keywords):
+            row -= 1
+        else:
+            keywords[row] = (word, 0, at, stop - at)
+            n_keywords += 1
+    keywords[row, 1] += 1
+    return n_keywords
+
+
+@njit(cache=True, nogil=True)
+def scanned(  # type: ignore[no-untyped-def]
+    buf,
+    state,
+    n_faces_wanted,
+    vertices,
+    vertex_at,
+    normals,
+    normal_at,
+    corners,
+    corner_normals,
+    face_sizes,
+    undecided,
+    keywords,
+    libraries,
+):
+    """Read on from ``state`` until something must be decided; returns WHOLE, FULL or an error.
+
+    Parameters
+    ----------
+    buf : (size,) uint8, the file.
+    state : (N_STATE,) int64, see the names above; at the start zeros but for AT.
+    n_faces_wanted : stop before the next face once this many are read.
+    vertices, vertex_at : (n, 3) float64, and where each statement begins, (n,) int64.
+    normals, normal_at : the same for vn.
+    corners, corner_normals : (k,) int32, vertex and normal of each corner, from zero; -1 for no
+        normal.  ``corner_normals`` is empty where the file has no normals.
+    face_sizes : (m,) int32, corners of each face.
+    undecided : (u, 4) int64, numbers that ``float`` must read: 0 for a position or 1 for a
+        normal, index in the flat array, first byte, end.
+    keywords : (MOST_KEYWORDS, 4) int64, see ``_note_keyword``.
+    libraries : (MOST_LIBRARIES,) int64, where the mtllib statements begin.
+    """
+    at = state[AT]
+    n_vertices, n_normals = state[VERTICES], state[NORMALS]
+    n_faces, n_corners = state[FACES], state[CORNERS]
+    n_undecided = state[UNDECIDED_NUMBERS]
+    largest = state[LARGEST_VERTEX]
+    most_decimals = state[DECIMALS]
+    last_face = state[LAST_FACE_AT]
+    result = WHOLE
+    while True:
+        while at < len(buf) and (buf[at] == 32 or 9 <= buf[at] <= 13):
+            at += 1
+        if at >= len(buf):
+            break
+        statement = at
+        first = buf[at]
+        if first == 35:
+            at = _past_comment(buf, at)
+            continue
+        if first == 118 and is_word_end(buf, at + 1):
+            if n_vertices == len(vertex_at) or n_undecided + 3 > len(undecided):
+                result = FULL
+                break
+            at += 1
+            for axis in range(3):
+                at = past_blanks(buf, at)
+                value, status, end, decimals = read_coordinate(buf, at)
+                if status == NOT_A_NUMBER:
+                    result = FEW_NUMBERS if _is_statement_end(buf, at) else BAD_NUMBER
+                    break
+                if status == UNDECIDED:
+                    undecided[n_undecided, 0] = 0
+                    undecided[n_undecided, 1] = 3 * n_vertices + axis
+                    undecided[n_undecided, 2] = at
+                    undecided[n_undecided, 3] = end
+                    n_undecided += 1
+                vertices[n_vertices, axis] = value
+                most_decimals = max(most_decimals, decimals)
+                at = end
+            if result == WHOLE:
+                at = past_blanks(buf, at)
+                if not _is_statement_end(buf, at):
+                    value, status, end, _ = read_coordinate(buf, at)
+                    more = past_blanks(buf, end)
+                    if status == NOT_A_NUMBER:
+                        result = BAD_NUMBER
+                    elif not _is_statement_end(buf, more):
+                        state[COLOURED] += 1
+                    elif value != 1.0:
+                        if state[WEIGHTED] == 0:
+                            state[WEIGHTED_AT] = statement
+                        state[WEIGHTED] += 1
+            if result != WHOLE:
+                state[WORD] = at
+                at = statement
+                break
+            vertex_at[n_vertices] = statement
+            n_vertices += 1
+            at = _past_line(buf, at)
+        elif first == 102 and (
+            is_word_end(buf, at + 1) or (buf[at + 1] == 111 and is_word_end(buf, at + 2))
+        ):
+            # fo is the name that early versions of the format had for f.
+            if n_faces == n_faces_wanted:
+                break
+            if n_faces == len(face_sizes):
+                result = FULL
+                break
+            at += 1 if is_word_end(buf, at + 1) else 2
+            first_corner, word = n_corners, at
+            textured, before_first = state[TEXTURED], state[BEFORE_FIRST]
+            while True:
+                at = past_blanks(buf, at)
+                if _is_statement_end(buf, at):
+                    break
+                if n_corners == len(corners):
+                    result = FULL
+                    break
+                word = at
+                number, at = _read_index(buf, at)
+                if at == word:
+                    result = BAD_CORNER
+                    break
+                normal = np.int64(-1)
+                if at < len(buf) and buf[at] == 47:
+                    begin = at + 1
+                    number_t, at = _read_index(buf, begin)
+                    if at > begin:
+                        state[TEXTURED] += 1
+                        if number_t > state[LARGEST_TEXTURE]:
+                            state[LARGEST_TEXTURE] = number_t
+                        if _resolved(number_t, state[TEXTURE]) < 0:
+                            state[BEFORE_FIRST] += 1
+                    if at < len(buf) and buf[at] == 47:
+                        begin = at + 1
+                        number_n, at = _read_index(buf, begin)
+                        if at > begin:
+                            if number_n > state[LARGEST_NORMAL]:
+                                state[LARGEST_NORMAL] = number_n
+                            normal = _resolved(number_n, n_normals)
+                            if normal < 0:
+                                state[BEFORE_FIRST] += 1
+                if not is_word_end(buf, at):
+                    result = BAD_CORNER
+                    break
+                vertex = _resolved(number, n_vertices)
+                if vertex < 0:
+                    result = BAD_INDEX
+                    break
+                largest = max(largest, vertex)
+                corners[n_corners] = vertex
+                if len(corner_normals):
+                    corner_normals[n_corners] = normal
+                n_corners += 1
+            size = n_corners - first_corner
+            if result == WHOLE and size == 0:
+                result = NO_CORNERS
+            if result != WHOLE:
+                state[WORD] = word
+                state[TEXTURED], state[BEFORE_FIRST] = textured, before_first
+                n_corners = first_corner
+                at = statement
+                break
+            if size < 3:
+                if state[SHORT] == 0:
+                    state[SHORT_AT] = statement
+                state[SHORT] += 1
+                state[LAST_SHORT_AT] = statement
+                n_corners = first_corner
+            else:
+                face_sizes[n_faces] = size
+                n_faces += 1
+                last_face = statement
+            at = _past_line(buf, at)
+        elif first == 118 and buf[at + 1] == 110 and is_word_end(buf, at + 2):
+            if n_normals == len(normal_at) or n_undecided + 3 > len(undecided):
+                result = FULL
+                break
+            at += 2
+            for axis in range(3):
+                at = past_blanks(buf, at)
+                value, status, end, decimals = read_coordinate(buf, at)
+                if status == NOT_A_NUMBER:
+                    result = FEW_NUMBERS if _is_statement_end(buf, at) else BAD_NUMBER
+                    break
+                if status == UNDECIDED:
+                    undecided[n_undecided, 0] = 1
+                    undecided[n_undecided, 1] = 3 * n_normals + axis
+                    undecided[n_undecided, 2] = at
+                    undecided[n_undecided, 3] = end
+                    n_undecided += 1
+                normals[n_normals, axis] = value
+                if decimals > state[NORMAL_DECIMALS]:
+                    state[NORMAL_DECIMALS] = decimals
+                at = end
+            if result != WHOLE:
+                state[WORD] = at
+                at = statement
+                break
+            normal_at[n_normals] = statement
+            n_normals += 1
+            at = _past_line(buf, at)
+        elif first == 118 and buf[at + 1] == 116 and is_word_end(buf, at + 2):
+            state[TEXTURE] += 1
+            at = _past_line(buf, at)
+        else:
+            end = past_word(buf, at)
+            state[KEYWORDS] = _note_keyword(buf, at, end, keywords, state[KEYWORDS])
+            is_library = end - at == 6 and _packed(buf, at, end) == _MTLLIB
+            if is_library and state[LIBRARIES] < len(libraries):
+                libraries[state[LIBRARIES]] = statement
+                state[LIBRARIES] += 1
+            at = _past_line(buf, end)
+    state[AT] = at
+    state[VERTICES], state[NORMALS] = n_vertices, n_normals
+    state[FACES], state[CORNERS] = n_faces, n_corners
+    state[UNDECIDED_NUMBERS] = n_undecided
+    state[LARGEST_VERTEX] = largest
+    state[LAST_FACE_AT] = last_face
+    state[DECIMALS] = most_decimals
+    return result
+
+
+@njit(cache=True, nogil=True)
+def fans(corners, sizes, triangles):  # type: ignore[no-untyped-def]
+    """Cut polygons into triangles about their first corners.
+
+    ``corners`` (k,) lie one face behind the other, ``sizes`` (m,); ``triangles`` is (k - 2 m, 3).
+    """
+    start = 0
+    triangle = 0
+    for face in range(len(sizes)):
+        for k in range(start + 1, start + sizes[face] - 1):
+            triangles[triangle, 0] = corners[start]
+            triangles[triangle, 1] = corners[k]
+            triangles[triangle, 2] = corners[k + 1]
+            triangle += 1
+        start += sizes[face]

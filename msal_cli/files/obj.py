@@ -1,0 +1,250 @@
+"""OBJ files: positions and normals replaced inside the original bytes.
+
+Read are ``v`` (x y z, with w or a colour behind), ``vn`` and ``f`` in every form (v, v/vt, v//vn,
+v/vt/vn, negative numbers, polygons, continued lines; ``fo`` of early versions is the same), with
+blanks or tabs, LF, CR LF or CR.  Everything else is kept without being looked into: texture
+coordinates, groups, materials, lines, points, curves, surfaces, comments.  Vertices that only
+lines, points or curves use belong to no face and stay where they are.
+
+Settled where readers differ, after what the better ones do:
+
+- keywords are small letters, as in Assimp, Blender, MeshLab and tinyobjloader: ``V`` and ``F`` are
+  kept as unknown lines, with a warning, and a file with no others has no faces;
+- a face of one or two corners is kept in the file, left out of the mesh and warned of (Blender,
+  tinyobjloader); a face that names no vertex at all is an error;
+- a wrong vertex number is an error; a wrong vt or vn number cannot harm positions: a warning;
+- a position's w is kept and otherwise ignored;
+- a comment is not continued by a backslash at its end.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.errors import ContentError, InternalError, UnsupportedError
+from msal_cli.files import obj_words
+from msal_cli.files.base import Buffer
+from msal_cli.files.obj_content import Content, content
+
+Floats = NDArray[np.float64]
+
+NORMAL_DECIMALS = 6
+"""Decimals that a recomputed unit normal has at the least."""
+
+_NORMAL_SLACK = 1e-5
+"""How far the length of a recomputed normal may be from 1 once it is rounded for the file."""
+
+_FAR_FINER = 1e-7
+"""Of the bounding box's diagonal: positions are written at least this finely."""
+
+
+def read(data: Buffer, name: str) -> ObjFile:
+    """Open the OBJ file ``data`` (its bytes); ``name`` is there for all codecs alike.
+
+    Raises FormatError (binary data, a word that is no number, a statement that is too short),
+    TruncatedError (empty, or the last line breaks off), ContentError (``E_NONFINITE``,
+    ``E_INDEX``, ``E_NO_FACES``) and TooLargeError, each with the line.
+    """
+    return ObjFile(data)
+
+
+class ObjFile:
+    """An opened OBJ file; see ``base.MeshFile`` for the attributes."""
+
+    format = "obj"
+    encoding = "ascii"
+    precision = "text"
+
+    def __init__(self, data: Buffer) -> None:
+        self._data = data
+        self._content: Content = content(data)
+        self.vertices = self._content.vertices
+        self.faces = self._content.faces
+        self.n_polygons = len(self._content.sizes)
+        self.properties = obj_words.properties(self._content)
+        self.references = obj_words.references(data, self._content)
+        self.warnings = obj_words.warnings(data, self._content)
+
+    def polygons(self) -> list[Any] | NDArray[np.int32]:
+        """The faces as the file has them: (m, k) int32 if all have k corners, else m arrays."""
+        corners, sizes = self._content.corners, self._content.sizes
+        if (sizes == sizes[0]).all():
+            return corners.reshape(-1, int(sizes[0]))
+        return np.split(corners, np.cumsum(sizes[:-1], dtype=np.int64))
+
+    def replaced(self, vertices: Floats) -> Buffer:
+        """The file with the coordinates that differ from the stored ones replaced.
+
+        ``vertices`` is (n, 3) in file order.  New positions have as many decimals as the file
+        uses, or as 1e-7 of its extent asks for; the normals of faces that moved are recomputed.
+        With nothing moved the result is the input itself.  Raises InternalError for an array of
+        another shape or with values that are not finite.
+        """
+        vertices = self._accepted(vertices)
+        if np.array_equal(vertices, self.vertices):
+            return self._data
+        return self._patched(vertices, self._decimals(), self._normal_decimals(), False)
+
+    def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
+        """The file with every position written in a precision.
+
+        ``encoding`` is ``same`` or ``ascii``; ``binary`` raises UnsupportedError.  ``precision``
+        ``float32`` or ``float64`` writes each number as the shortest text that is read back as
+        the same number of that type; ``same`` is ``replaced``.  Raises ContentError
+        (``E_RANGE``) for a position beyond float32.
+        """
+        from msal_cli.core.obj_patch import SHORTEST_DOUBLE, SHORTEST_SINGLE
+
+        if encoding == "binary":
+            raise UnsupportedError(
+                "OBJ is text; it has no binary encoding",
+                hint="leave --encoding away, or write PLY with --to ply --encoding binary",
+            )
+        if precision == "same":
+            return self.replaced(vertices)
+        vertices = self._accepted(vertices)
+        style = SHORTEST_SINGLE if precision == "float32" else SHORTEST_DOUBLE
+        if precision == "float32":
+            beyond = np.abs(vertices).max(axis=1) > float(np.finfo(np.float32).max)
+            if beyond.any():
+                raise ContentError(
+                    "a position is too large for float32",
+                    where=f"vertex {int(np.argmax(beyond)) + 1}",
+                    hint="use --precision float64",
+                    code="E_RANGE",
+                )
+        return self._patched(vertices, style, style, True)
+
+    def check(self, output: Buffer, vertices: Floats) -> None:
+        """Raise InternalError unless ``output`` is this file with only numbers of ``v`` and ``vn``
+        replaced: positions by ``vertices`` within half a unit of the last decimal, unmoved ones
+        in their very bytes, normals kept or of unit length."""
+        from msal_cli.core import obj_patch
+        from msal_cli.core.text import as_bytes
+
+        vertices = self._accepted(vertices)
+        parsed = self._content
+        decimals = self._decimals()
+        exact = decimals == obj_patch.SHORTEST_DOUBLE
+        tolerance = 0.0 if exact else 0.5 * 10.0**-decimals * (1.0 + 1e-9)
+        has_moved = not np.array_equal(vertices, self.vertices)
+        unit = _NORMAL_SLACK if has_moved and parsed.face_normals is not None else -1.0
+        walk = np.zeros(obj_patch.N_WALK, dtype=np.int64)
+        after = as_bytes(output)
+        while True:
+            result = obj_patch.compared(
+                as_bytes(self._data),
+                after,
+                walk,
+                parsed.vertex_at,
+                parsed.vertices,
+                vertices,
+                tolerance,
+                parsed.normal_at,
+                unit,
+            )
+            vertex, axis = int(walk[obj_patch.VERTEX]), int(walk[obj_patch.AXIS])
+            if result != obj_patch.ASIDE:
+                break
+            word = after[int(walk[obj_patch.BEGIN]) : int(walk[obj_patch.END])].tobytes()
+            wanted = float(vertices[vertex, axis])
+            if abs(float(word) - wanted) > tolerance + 4.5e-16 * abs(wanted):
+                result = obj_patch.WRONG_VALUE
+                break
+            walk[obj_patch.AXIS] += 1
+        if result == obj_patch.WRONG_VALUE:
+            raise InternalError(
+                "the output holds another number than it should", where=f"near vertex {vertex + 1}"
+            )
+        if result == obj_patch.DIFFERENT:
+            raise InternalError(
+                "the output differs from the input in more than positions and normals",
+                where=f"near vertex {vertex + 1}",
+            )
+
+    def _accepted(self, vertices: Floats) -> Floats:
+        """``vertices`` as the kernels take them."""
+        if vertices.shape != self.vertices.shape:
+            raise InternalError(
+                f"positions of shape {vertices.shape} for a file with {len(self.vertices)} vertices"
+            )
+        if not np.isfinite(vertices).all():
+            bad = int(np.argmin(np.isfinite(vertices).all(axis=1)))
+            raise InternalError("a new position is not finite", where=f"vertex {bad + 1}")
+        # A read-only array would make numba compile every kernel once more.
+        return np.require(vertices, np.float64, ("C", "W"))
+
+    def _decimals(self) -> int:
+        """Decimals of new positions: as many as the file uses, or as its extent asks for."""
+        from msal_cli.core import obj_patch, obj_scan
+        from msal_cli.core.digits import FIXED_BELOW, MOST_DECIMALS
+
+        used = min(int(self._content.state[obj_scan.DECIMALS]), MOST_DECIMALS)
+        low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        extent = math.hypot(*(high * 0.5 - low * 0.5).tolist()) * 2.0
+        step = extent * _FAR_FINER
+        needed = math.ceil(-math.log10(step)) if 0.0 < step < math.inf else 0
+        largest = max(float(np.abs(low).max()), float(np.abs(high).max()))
+        if needed > MOST_DECIMALS or largest >= FIXED_BELOW:
+            return obj_patch.SHORTEST_DOUBLE
+        return max(used, needed)
+
+    def _normal_decimals(self) -> int:
+        from msal_cli.core import obj_scan
+        from msal_cli.core.digits import MOST_DECIMALS
+
+        used = int(self._content.state[obj_scan.NORMAL_DECIMALS])
+        return min(max(used, NORMAL_DECIMALS), MOST_DECIMALS)
+
+    def _patched(
+        self, vertices: Floats, decimals: int, normal_decimals: int, is_forced: bool
+    ) -> memoryview:
+        """The file with new numbers: every position if ``is_forced``, else those that differ."""
+        from msal_cli.core import obj_patch
+        from msal_cli.core.digits import WIDEST_SHORTEST
+        from msal_cli.core.text import as_bytes, fixed_width, shortest
+
+        parsed = self._content
+        normals = parsed.normals
+        if parsed.face_normals is not None:
+            from msal_cli.core.geometry import regrouped_normals
+
+            normals, _ = regrouped_normals(
+                parsed.vertices, vertices, parsed.faces, parsed.face_normals, parsed.normals
+            )
+        largest = max(float(vertices.max()), -float(vertices.min()))
+        width = max(fixed_width(largest, min(decimals, 17)), WIDEST_SHORTEST)
+        count = vertices.size if is_forced else int(np.count_nonzero(vertices != parsed.vertices))
+        count += int(np.count_nonzero(normals != parsed.normals))
+        buf = as_bytes(self._data)
+        out = np.empty(len(buf) + count * width, dtype=np.uint8)
+        walk = np.zeros(obj_patch.N_WALK, dtype=np.int64)
+        style = np.array([decimals, normal_decimals, is_forced], dtype=np.int64)
+        while (
+            obj_patch.patched(
+                buf,
+                walk,
+                parsed.vertex_at,
+                parsed.vertices,
+                vertices,
+                parsed.normal_at,
+                parsed.normals,
+                normals,
+                style,
+                out,
+            )
+            == obj_patch.ASIDE
+        ):
+            is_normal = bool(walk[obj_patch.IS_NORMAL])
+            row = int(walk[obj_patch.NORMAL if is_normal else obj_patch.VERTEX])
+            value = float((normals if is_normal else vertices)[row, int(walk[obj_patch.AXIS])])
+            text = shortest(value, decimals == obj_patch.SHORTEST_SINGLE).encode()
+            at = int(walk[obj_patch.NEW])
+            out[at : at + len(text)] = np.frombuffer(text, dtype=np.uint8)
+            walk[obj_patch.NEW] += len(text)
+            walk[obj_patch.AXIS] += 1
+        return out[: int(walk[obj_patch.NEW])].data
