@@ -66,9 +66,9 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
 
 
 def _faces(record: InfoRecord) -> str:
+    sizes = sorted(record.polygon_sizes.items(), key=lambda item: (len(item[0]), item[0]))
     parts = [
-        f"{count:,} {_SHAPES.get(size, f'polygons of {shown(size)}')}"
-        for size, count in sorted(record.polygon_sizes.items())
+        f"{count:,} {_SHAPES.get(size, f'with {shown(size)} corners')}" for size, count in sizes
     ]
     return _count(record.faces) + (f" ({', '.join(parts)})" if parts else "")
 

@@ -1,0 +1,97 @@
+"""Records of every kind, made from the types of their fields."""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+
+from hypothesis import strategies as st
+
+from msal_cli.records import (
+    Displacement,
+    Failure,
+    MeshRecord,
+    MethodUsed,
+    Seconds,
+    Volume,
+)
+from msal_cli.report.document import Run
+
+TEXT = st.text(
+    st.characters(codec="utf-8") | st.characters(min_codepoint=0xD800, max_codepoint=0xDFFF),
+    max_size=12,
+) | st.sampled_from(["=1+1", "\\udcff", "\\u005c", "a\r\nb", "'quoted", 'a"b,c', "\u2028", ""])
+VALUES = st.integers() | st.floats() | TEXT
+
+
+def of(kind):
+    """A strategy for a type as the records use it."""
+    simple = {
+        str: TEXT,
+        int: st.integers(0, 2**53),
+        float: st.floats(),
+        bool: st.booleans(),
+        typing.Any: VALUES,
+        type(None): st.none(),
+    }
+    if kind in simple:
+        return simple[kind]
+    if dataclasses.is_dataclass(kind):
+        hints = typing.get_type_hints(kind)
+        fields = {
+            one.name: st.just(one.default) if one.name == "schema" else of(hints[one.name])
+            for one in dataclasses.fields(kind)
+        }
+        return st.builds(kind, **fields)
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if origin is typing.Literal:
+        return st.sampled_from(inner)
+    if origin in (types.UnionType, typing.Union):
+        return st.one_of([of(one) for one in inner])
+    if origin is tuple and inner[-1] is Ellipsis:
+        return st.lists(of(inner[0]), max_size=3).map(tuple)
+    if origin is tuple:
+        return st.tuples(*[of(one) for one in inner])
+    return st.dictionaries(of(inner[0]), of(inner[1]), max_size=3)
+
+
+RUN = Run(
+    version="1.2.3",
+    command=("msal", "denoise", "scans", "-o", "out"),
+    settings={"method": "msal", "parameters": {"K": 0.5}, "to": None},
+    started="2026-01-02T03:04:05.678Z",
+    finished="2026-01-02T03:04:15.678Z",
+    seconds=10.0,
+)
+
+
+def written(name="scan.ply", **changes):
+    """The record of a file that went well, with ``changes``."""
+    values = {
+        "input": name,
+        "status": "written",
+        "output": f"out/{name}",
+        "version": "1.2.3",
+        "format": "ply",
+        "encoding": "ascii",
+        "precision": "float32",
+        "vertices": 35947,
+        "faces": 69451,
+        "triangles": 69451,
+        "components": 1,
+        "boundary_edges": 0,
+        "non_manifold_edges": 0,
+        "volume": Volume(10.0, 9.9734, -0.0266, -0.266, True, ""),
+        "displacement": Displacement(0.1, 0.2, 0.3, 0.4, 0.11, 0.22, 0.33, 0.44, 35000),
+        "method": MethodUsed("msal", {"iterations": 4, "K": 0.5}),
+        "seconds": Seconds(0.1, 0.2, 0.05, 0.3, 0.1, 0.2, 0.95),
+        "vertices_per_second": 37838.9,
+    }
+    return MeshRecord(**(values | changes))
+
+
+def failed(name="bad.ply", **changes):
+    """The record of a file that failed."""
+    failure = Failure("E_NONFINITE", "position is not finite", "repair it", "vertex 17")
+    return MeshRecord(**({"input": name, "status": "failed", "error": failure} | changes))
