@@ -33,6 +33,8 @@ FORMAT = 1
 # and more than there are lines that count.
 _SPARE_LINES = 1000
 
+_LARGEST_BLOCK = 1 << 20
+
 _log = logging.getLogger("msal.batch")
 
 
@@ -97,10 +99,11 @@ def _plain(value: Any) -> Any:
 def file_sha256(path: str, is_stopped: Callable[[], bool] = lambda: False) -> str:
     """SHA-256 of a file; an empty string if it cannot be read or ``is_stopped`` became true."""
     digest = hashlib.sha256()
-    block = bytearray(1 << 20)
-    view = memoryview(block)
     try:
         with open(path, "rb", buffering=0) as file:
+            # A block of full size for each of many small files would cost more than the hashing.
+            block = bytearray(min(_LARGEST_BLOCK, os.fstat(file.fileno()).st_size + 1))
+            view = memoryview(block)
             while length := file.readinto(view):
                 if is_stopped():
                     return ""

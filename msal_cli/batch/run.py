@@ -101,13 +101,24 @@ class _Run:
 
     def rehearsed(self) -> list[MeshRecord]:
         """What would happen, with nothing touched."""
-        self._manifests = {home: Manifest.read(home) for home in self._homes}
-        for index in self._unsettled():
-            self._settle(index, self._planned(index))
+        with signals.noticed(signals.raise_for):
+            self._manifests = {home: Manifest.read(home) for home in self._homes}
+            for index in self._unsettled():
+                self._settle(index, self._planned(index))
         return self._in_order()
 
     def performed(self, stack: ExitStack) -> list[MeshRecord]:
         """What happened; ``stack`` lets go of locks and manifests, however this ends."""
+        with signals.noticed(signals.raise_for):
+            todo = self._prepared(stack)
+        if len(self._plan.tasks) == 1:
+            self._work_here(todo)
+        elif todo:
+            self._work_elsewhere(todo)
+        return self._in_order()
+
+    def _prepared(self, stack: ExitStack) -> list[int]:
+        """Take hold of the folders, settle what is current; the indices of what is to be done."""
         for home in self._homes:
             _make_folder(home)
             stack.enter_context(FolderLock(home))
@@ -115,7 +126,7 @@ class _Run:
             stack.callback(manifest.close)
             self._manifests[home] = manifest
         folders = {Path(task.output).parent for task in self._plan.tasks}
-        temporaries.sweep(folders.union(self._homes))
+        temporaries.sweep(folders.union(map(Path, self._homes)))
         restored: list[Task] = []
         todo = self._unsettled(restored)
         for manifest in self._manifests.values():
@@ -125,11 +136,7 @@ class _Run:
         self._note(
             (index, intent(key, self._plan.tasks[index].input)) for index, key in self._keys(todo)
         )
-        if len(self._plan.tasks) == 1:
-            self._work_here(todo)
-        elif todo:
-            self._work_elsewhere(todo)
-        return self._in_order()
+        return todo
 
     # What is to be done
 
