@@ -137,21 +137,32 @@ def _draw(
 
 
 def write_png(path: Path, image: Array) -> None:
-    """Write (height, width, 3) uint8 ``image``; every row is stored as its change from the last."""
-    height, width, _ = image.shape
-    above = np.concatenate([np.zeros((1, width, 3), np.uint8), image[:-1]])
-    rows = np.concatenate(
-        [np.full((height, 1), 2, np.uint8), (image - above).reshape(height, -1)], axis=1
-    )
+    """Write (height, width, 3) uint8 ``image`` with a palette of its 256 most frequent colours."""
+    palette, index = _indexed(image)
+    height, width = index.shape
+    rows = np.concatenate([np.zeros((height, 1), np.uint8), index], axis=1)
 
     def chunk(kind: bytes, body: bytes) -> bytes:
         check = zlib.crc32(kind + body)
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", check)
 
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    header = struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)
     path.write_bytes(
         b"\x89PNG\r\n\x1a\n"
         + chunk(b"IHDR", header)
+        + chunk(b"PLTE", palette.tobytes())
         + chunk(b"IDAT", zlib.compress(rows.tobytes(), 9))
         + chunk(b"IEND", b"")
     )
+
+
+def _indexed(image: Array) -> tuple[Array, Array]:
+    """Palette (k, 3) uint8, k <= 256, and the number of the nearest colour for each pixel."""
+    coarse = np.minimum(np.round(image / 5.0) * 5.0, 255.0)
+    colours, which, count = np.unique(
+        coarse.reshape(-1, 3), axis=0, return_inverse=True, return_counts=True
+    )
+    kept = colours[np.argsort(-count, kind="stable")[:256]]
+    gaps = ((colours[:, None, :] - kept[None]) ** 2).sum(axis=2)
+    index = gaps.argmin(axis=1)[which.reshape(-1)].reshape(image.shape[:2])
+    return kept.astype(np.uint8), index.astype(np.uint8)
