@@ -237,7 +237,9 @@ def prepared(vertices: Floats, faces: Ints) -> Prepared:
         faces = np.where(flip[:, None], faces[:, ::-1], faces)
 
     corners = vertices[used] if n_unreferenced and not n_welded else vertices
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    # Column by column: numpy reduces the first of two axes slowly.
+    low = np.array([corners[:, axis].min() for axis in range(3)])
+    high = np.array([corners[:, axis].max() for axis in range(3)])
     with np.errstate(over="ignore"):
         extent = float((high - low).max())
     if not 1.0 / LARGEST_EXTENT < extent < LARGEST_EXTENT:
