@@ -6,6 +6,7 @@ reads, since compiled code does not check bounds.  Offsets are bytes from the st
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
 
 from msal_cli.core.text import parse_integer
@@ -24,11 +25,12 @@ TOO_MANY = 4
 
 @njit(cache=True, nogil=True)
 def _whole_number(data, at, size, is_signed, big_endian):  # type: ignore[no-untyped-def]
-    value = 0
+    value = np.int64(0)
     for k in range(size):
-        value = (value << 8) | data[at + k if big_endian else at + size - 1 - k]
+        value = (value << 8) | np.int64(data[at + k if big_endian else at + size - 1 - k])
+    # Eight bytes fill the word: their sign is right already.
     if is_signed and size < 8 and value >> (8 * size - 1):
-        value -= 1 << (8 * size)
+        value -= np.int64(1) << (8 * size)
     return value
 
 

@@ -8,19 +8,21 @@ vertices and faces around them, differ.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.errors import ContentError, FormatError, InternalError
+from msal_cli.errors import ContentError, FormatError, InputError, InternalError
 from msal_cli.files import ply_layout
 from msal_cli.files.base import Buffer
 from msal_cli.files.ply_faces import CORNERS, Surface, corner_list, surface
 from msal_cli.files.ply_header import Element, Header, parsed
 from msal_cli.files.ply_layout import Bytes, Flags, Floats, Lines, Section, located
 from msal_cli.files.ply_text import (
+    WHOLE,
     Edit,
     edited,
     is_same_but_for,
@@ -33,10 +35,6 @@ NORMAL = ("nx", "ny", "nz")
 
 _CHUNK = 1 << 22
 """Bytes compared at a time, so that a comparison needs no temporary as large as the file."""
-
-
-_UNIT = 1e-4
-"""How far the length of a recomputed normal may be from 1 once it is rounded for the file."""
 
 
 class Change(NamedTuple):
@@ -81,12 +79,19 @@ class PlyFile:
         sections, self._end = located(self._bytes, self._header, _wanted)
         self._sections: dict[str, Section] = sections
         self.vertices: Floats = _finite(sections["vertex"])
+        # Read here, so that a word that is no number is found before any work is done.
+        self._normals = {
+            name: section.numbers(NORMAL)
+            for name, section in sections.items()
+            if name in ("vertex", "face") and _has_normals(section.element)
+        }
         self._surface: Surface = surface(sections, len(self.vertices))
         self.faces: NDArray[np.int32] = self._surface.triangles
         self.n_polygons: int = self._surface.n_polygons
         self.precision: str = _precision(self._header, vertex)
         self.properties: tuple[str, ...] = _properties(self._header)
-        self._decimals_known: dict[tuple[str, tuple[str, ...]], tuple[int, ...]] = {}
+        self._last_normals: tuple[bytes, list[Change]] = (b"", [])
+        self._decimals_known: dict[tuple[str, tuple[str, ...]], int] = {}
         self.references: tuple[str, ...] = self._header.textures
         self.warnings: tuple[str, ...] = (
             *_header_warnings(self._header, vertex),
@@ -96,11 +101,8 @@ class PlyFile:
 
     def _trailing_warning(self) -> tuple[str, ...]:
         rest = self._bytes[self._end :]
-        if self.encoding == "ascii" and not rest.tobytes().strip():
-            return ()
-        if not len(rest):
-            return ()
-        return (f"{len(rest)} bytes behind the last element are kept as they are",)
+        count = len(rest.tobytes().strip()) if self.encoding == "ascii" else len(rest)
+        return (f"{count} bytes behind the last element are kept as they are",) if count else ()
 
     # Replacing
 
@@ -110,21 +112,12 @@ class PlyFile:
         A coordinate equal to the file's keeps its very bytes.  Raises ContentError (``E_RANGE``)
         where a new one does not fit the file's number type.
         """
-        changed = self._changed(vertices)
-        if not changed.any():
+        changes = self._changes(vertices)
+        if not changes:
             return self._data
-        _require_range(vertices, changed, self._codes(POSITION))
-        changes = [Change(self._sections["vertex"], POSITION, vertices, changed)]
-        changes += self._new_normals(vertices)
+        _require_range(vertices, changes[0].where, self._codes(POSITION))
         if self.encoding == "ascii":
-            return edited(
-                self._bytes,
-                [
-                    Edit(section, names, values, where, self._decimals(section, names))
-                    for section, names, values, where in changes
-                    if isinstance(section, Lines)
-                ],
-            )
+            return self._edited(changes, self._codes(POSITION))
         output = bytearray(self._data)
         target = np.frombuffer(output, dtype=np.uint8)
         for section, names, values, where in changes:
@@ -132,43 +125,76 @@ class PlyFile:
                 section.write(target[section.start : section.stop], names, values, where)
         return output
 
+    def _edited(self, changes: Sequence[Change], codes: Sequence[str]) -> memoryview:
+        """The ascii file with ``changes``; ``codes`` are the number types of x, y and z."""
+        return edited(
+            self._bytes,
+            [
+                Edit(section, names, values, where, self._decimals(section, names, codes))
+                for section, names, values, where in changes
+                if isinstance(section, Lines)
+            ],
+        )
+
     def _changed(self, vertices: Floats) -> Flags:
         """Which coordinates (n, 3) differ from the file's."""
-        if vertices.shape != self.vertices.shape or vertices.dtype != np.float64:
-            raise InternalError(f"positions of shape {vertices.shape} and type {vertices.dtype}")
+        self._require_shape(vertices)
         changed: Flags = vertices != self.vertices
         return changed
 
+    def _require_shape(self, vertices: Floats) -> None:
+        if vertices.shape != self.vertices.shape or vertices.dtype != np.float64:
+            raise InternalError(f"positions of shape {vertices.shape} and type {vertices.dtype}")
+
     def _codes(self, names: Sequence[str]) -> list[str]:
-        element = self._sections["vertex"].element
-        return [element.properties[element.index(name)].code for name in names]
+        return [one.code for one in self._sections["vertex"].element.find_all(names)]
+
+    def _changes(self, vertices: Floats) -> list[Change]:
+        """All that differs for new positions (n, 3), them first; nothing where none differs."""
+        changed = self._changed(vertices)
+        if not changed.any():
+            return []
+        return [
+            Change(self._sections["vertex"], POSITION, vertices, changed),
+            *self._new_normals(vertices),
+        ]
 
     def _new_normals(self, vertices: Floats) -> list[Change]:
-        """The stored normals of vertices and faces that are no longer right for ``vertices``."""
+        """The stored normals of vertices and faces that are no longer right for ``vertices``.
+
+        Remembered for the last positions, which writing and checking ask for in turn.
+        """
+        if not self._normals:
+            return []
+        key = hashlib.sha256(np.ascontiguousarray(vertices).data).digest()
+        if self._last_normals[0] != key:
+            self._last_normals = key, self._computed_normals(vertices)
+        return self._last_normals[1]
+
+    def _computed_normals(self, vertices: Floats) -> list[Change]:
         changes: list[Change] = []
-        moved: Flags = np.asarray(self._changed(vertices).any(axis=1))
-        if not moved.any():
-            return changes
-        if _has_normals(self._header.find("vertex")):
+        if "vertex" in self._normals:
             from msal_cli.core.geometry import regrouped_normals
 
-            section = self._sections["vertex"]
             normals, changed = regrouped_normals(
-                self.vertices, vertices, self.faces, self.faces, section.numbers(NORMAL)
+                self.vertices, vertices, self.faces, self.faces, self._normals["vertex"]
             )
-            changes.append(Change(section, NORMAL, normals, _three(changed)))
+            changes.append(Change(self._sections["vertex"], NORMAL, normals, _three(changed)))
         if self._has_face_normals():
-            section = self._sections["face"]
+            moved: Flags = np.asarray(self._changed(vertices).any(axis=1))
             normals, changed = self._surface.face_normals(
-                self.vertices, vertices, moved, section.numbers(NORMAL)
+                self.vertices, vertices, moved, self._normals["face"]
             )
-            changes.append(Change(section, NORMAL, normals, _three(changed)))
+            changes.append(Change(self._sections["face"], NORMAL, normals, _three(changed)))
         return changes
 
     def _has_face_normals(self) -> bool:
-        return self._surface.n_faces > 0 and _has_normals(self._header.find("face"))
+        return self._surface.n_faces > 0 and "face" in self._normals
 
-    def _decimals(self, section: Lines, names: tuple[str, ...]) -> tuple[int, ...]:
+    def _decimals(
+        self, section: Lines, names: tuple[str, ...], codes: Sequence[str]
+    ) -> tuple[int, ...]:
+        """Digits behind the point for scalars of an ascii element; ``codes`` as in ``_edited``."""
         key = (section.element.name, names)
         if key not in self._decimals_known:
             self._decimals_known[key] = (
@@ -176,88 +202,69 @@ class PlyFile:
                 if names == POSITION
                 else normal_decimals(section, names)
             )
-        return self._decimals_known[key]
+        decimals = self._decimals_known[key]
+        if names != POSITION:
+            return (decimals,) * len(names)
+        return tuple(decimals if code[0] == "f" else WHOLE for code in codes)
 
     # Checking
 
     def check(self, output: Buffer, vertices: Floats) -> None:
         """Raise InternalError unless ``output`` is this file with only positions and normals
         replaced, by ``vertices`` (n, 3) up to the rounding of the file's number type."""
-        changed = self._changed(vertices)
         result: Bytes = np.frombuffer(output, dtype=np.uint8)
         if not np.array_equal(result[: self._header.size], self._bytes[: self._header.size]):
             raise InternalError("the header of the output differs from the input's")
-        touched = self._touched(np.asarray(changed.any(axis=1)))
-        if self.encoding == "ascii":
-            self._check_text(result, vertices, changed, touched)
+        changes = self._changes(vertices)
+        if self.encoding != "ascii":
+            self._check_binary(result, changes)
+        elif not changes:
+            _require_same(self._bytes, result)
         else:
-            self._check_binary(result, vertices, changed, touched)
+            self._check_text(result, changes)
 
-    def _touched(self, moved: Flags) -> dict[str, Flags]:
-        """Which records of the elements with normals may get new ones: those near a move."""
-        touched: dict[str, Flags] = {}
-        if not moved.any():
-            return touched
-        if _has_normals(self._header.find("vertex")):
-            from msal_cli.core.connectivity import welded
-
-            near = np.zeros(len(self.vertices), dtype=bool)
-            near[self.faces[moved[self.faces].any(axis=1)]] = True
-            # The twins of a vertex at a seam share its normal.
-            place = welded(self.vertices, self.faces)
-            near_place = np.zeros(len(near), dtype=bool)
-            near_place[place[near]] = True
-            touched["vertex"] = near_place[place]
-        if self._has_face_normals():
-            touched["face"] = self._surface.touched(moved)
-        return touched
-
-    def _check_binary(
-        self, result: Bytes, vertices: Floats, changed: Flags, touched: dict[str, Flags]
-    ) -> None:
-        if len(result) != len(self._bytes):
-            raise InternalError("the output is not as long as the input")
+    def _check_binary(self, result: Bytes, changes: list[Change]) -> None:
         at = self._header.size
-        for name, section in self._sections.items():
-            if isinstance(section, Lines) or (name != "vertex" and name not in touched):
+        _require_same(self._bytes[:at], result[:at])
+        for section in self._sections.values():
+            own = [change for change in changes if change.section is section]
+            if isinstance(section, Lines) or not own:
                 continue
             _require_same(self._bytes[at : section.start], result[at : section.start])
             restored = result[section.start : section.stop].copy()
-            if name == "vertex":
-                stored = section.numbers(POSITION, restored)
-                for k, code in enumerate(self._codes(POSITION)):
-                    expected = ply_layout.stored(vertices[:, k], np.dtype(code))
-                    if not np.array_equal(stored[:, k], expected):
-                        raise InternalError("a coordinate of the output is not the computed one")
-                section.write(restored, POSITION, self.vertices, changed)
-            if name in touched:
-                old, new = section.numbers(NORMAL), section.numbers(NORMAL, restored)
-                _require_normals(old, new, touched[name])
-                section.write(restored, NORMAL, old, _three(touched[name]))
+            if len(restored) != section.stop - section.start:
+                raise InternalError("the output is shorter than the input")
+            for _, names, values, where in own:
+                stored = section.numbers(names, restored)
+                for k, one in enumerate(section.element.find_all(names)):
+                    expected = ply_layout.stored(values[:, k], np.dtype(one.code))
+                    if (where[:, k] & (stored[:, k] != expected)).any():
+                        raise InternalError(f"an {one.name} of the output is not the computed one")
+                section.write(restored, names, section.numbers(names), where)
             _require_same(self._bytes[section.start : section.stop], restored)
             at = section.stop
         _require_same(self._bytes[at:], result[at:])
 
-    def _check_text(
-        self, result: Bytes, vertices: Floats, changed: Flags, touched: dict[str, Flags]
-    ) -> None:
-        last = [name for name in self._sections if name == "vertex" or name in touched][-1]
+    def _check_text(self, result: Bytes, changes: list[Change]) -> None:
+        last = [n for n, one in self._sections.items() if any(c.section is one for c in changes)]
         kept: list[tuple[Lines, Lines, Sequence[str], Flags]] = []
-        for name, new in located(result, self._header, _wanted, last)[0].items():
-            old = self._sections[name]
-            if not isinstance(old, Lines) or not isinstance(new, Lines):
-                continue
-            if name == "vertex":
-                stored = new.numbers(POSITION)
-                for k, decimals in enumerate(self._decimals(old, POSITION)):
-                    slack = 0.5 * 10.0**-decimals + np.spacing(np.abs(vertices[:, k]))
-                    off = np.abs(stored[:, k] - vertices[:, k])
-                    if (off > np.where(changed[:, k], slack, 0.0)).any():
-                        raise InternalError("a coordinate of the output is not the computed one")
-                kept.append((old, new, POSITION, changed))
-            if name in touched:
-                _require_normals(old.numbers(NORMAL), new.numbers(NORMAL), touched[name])
-                kept.append((old, new, NORMAL, _three(touched[name])))
+        try:
+            sections, _ = located(result, self._header, _wanted, last[-1])
+            for section, names, values, where in changes:
+                new = sections[section.element.name]
+                if not isinstance(section, Lines) or not isinstance(new, Lines):
+                    continue
+                stored = new.numbers(names)
+                decimals = self._decimals(section, names, self._codes(POSITION))
+                for k, digits in enumerate(decimals):
+                    slack = 0.5 * 10.0 ** -max(digits, 0) + np.spacing(np.abs(values[:, k]))
+                    # Written so that NaN fails.
+                    right = np.abs(stored[:, k] - values[:, k]) <= slack
+                    if (where[:, k] & ~right).any():
+                        raise InternalError(f"an {names[k]} of the output is not the computed one")
+                kept.append((section, new, names, where))
+        except InputError as error:
+            raise InternalError(f"the output cannot be read again: {error}") from error
         if not is_same_but_for(self._bytes, result, kept):
             raise InternalError("the output differs from the input outside its positions")
 
@@ -282,23 +289,23 @@ class PlyFile:
         from msal_cli.files.ply_encode import Recoding
 
         retypable: dict[str, tuple[str, ...]] = {"vertex": POSITION}
-        if _has_normals(self._header.find("vertex")):
+        if "vertex" in self._normals:
             retypable["vertex"] = POSITION + NORMAL
         if self._has_face_normals():
             retypable["face"] = NORMAL
         recoding = Recoding(self._bytes, self._header, encoding, precision, retypable)
-        changed = self._changed(vertices)
         if recoding.is_same:
             return self.replaced(vertices)
-        element = self._sections["vertex"].element
-        codes = [recoding.code(element.properties[element.index(name)]) for name in POSITION]
-        _require_range(vertices, np.ones_like(changed), codes)
+        self._require_shape(vertices)
+        codes = [recoding.code(one) for one in self._sections["vertex"].element.find_all(POSITION)]
+        _require_range(vertices, np.ones(vertices.shape, dtype=bool), codes)
         if self.encoding == recoding.encoding == "ascii":
-            text = np.frombuffer(self.replaced(vertices), dtype=np.uint8)[self._header.size :]
-            return recoding.header() + text.tobytes()
+            changes = self._changes(vertices)
+            text = self._edited(changes, codes) if changes else self._bytes.data
+            return recoding.header() + text[self._header.size :]
         values = {("vertex", name): vertices[:, k] for k, name in enumerate(POSITION)}
         for section, names, normals, where in self._new_normals(vertices):
-            kept = np.where(where, normals, section.numbers(names))
+            kept = np.where(where, normals, self._normals[section.element.name])
             values |= {(section.element.name, name): kept[:, k] for k, name in enumerate(names)}
         return recoding.encoded(values, self._end)
 
@@ -332,21 +339,11 @@ def _three(flags: Flags) -> Flags:
 
 
 def _require_same(before: Bytes, after: Bytes) -> None:
+    if len(before) != len(after):
+        raise InternalError("the output is not as long as the input")
     for at in range(0, len(before), _CHUNK):
         if not np.array_equal(before[at : at + _CHUNK], after[at : at + _CHUNK]):
             raise InternalError("the output differs from the input outside its positions")
-
-
-def _require_normals(old: Floats, new: Floats, touched: Flags) -> None:
-    """Raise InternalError unless new normals (k, 3) differ from the old ones only where
-    ``touched`` (k,), and are unit vectors there."""
-    differs = ~((old == new) | (np.isnan(old) & np.isnan(new))).all(axis=1)
-    if (differs & ~touched).any():
-        raise InternalError("a normal was changed away from every moved vertex")
-    fresh = new[differs]
-    # Written so that NaN fails.
-    if not (np.abs((fresh * fresh).sum(axis=1) - 1.0) < _UNIT).all():
-        raise InternalError("a recomputed normal has not the length 1")
 
 
 def _wanted(element: Element) -> Sequence[str]:
@@ -358,10 +355,8 @@ def _wanted(element: Element) -> Sequence[str]:
     return CORNERS if element.name == "tristrips" else ()
 
 
-def _has_normals(element: Element | None) -> bool:
+def _has_normals(element: Element) -> bool:
     """Whether the element has nx, ny, nz as floating-point scalars."""
-    if element is None:
-        return False
     found = [element.find(name) for name in NORMAL]
     return all(one is not None and not one.is_list and one.code[0] == "f" for one in found)
 

@@ -70,14 +70,18 @@ class Surface:
         and so is that of a face without moved corners or with no area.
         """
         cut, face = self._fans()
-        before, _ = _area_vectors(old_vertices, cut, face, self.n_faces)
-        after, scale = _area_vectors(vertices, cut, face, self.n_faces)
-        length = np.sqrt((after * after).sum(axis=1))
         usable = np.isfinite(old_normals).all(axis=1) & (old_normals != 0.0).any(axis=1)
-        changed = self.touched(moved) & usable & (length > _FLAT * scale)
-        opposed = (before * np.where(usable[:, None], old_normals, 0.0)).sum(axis=1) < 0.0
-        factor = np.where(opposed, -1.0, 1.0) / np.where(changed, length, 1.0)
-        return np.where(changed[:, None], after * factor[:, None], old_normals), changed
+        # Faces whose area overflows or underflows keep their normals.
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            before, _ = _area_vectors(old_vertices, cut, face, self.n_faces)
+            after, scale = _area_vectors(vertices, cut, face, self.n_faces)
+            length = np.sqrt((after * after).sum(axis=1))
+            changed = self.touched(moved) & usable & (length > _FLAT * scale)
+            changed &= np.isfinite(length)
+            opposed = (before * np.where(usable[:, None], old_normals, 0.0)).sum(axis=1) < 0.0
+        sense = np.where(opposed, -1.0, 1.0)[:, None]
+        unit = np.where(changed[:, None], after, 0.0) / np.where(changed, length, 1.0)[:, None]
+        return np.where(changed[:, None], unit * sense, old_normals), changed
 
     def polygons(self) -> list[Any] | Triangles:
         """The faces with all their corners: (m, k) int32 where all agree, else a list."""
@@ -261,7 +265,7 @@ def _record_of(section: Section, name: str, item: int) -> int:
 
 def _bad_index(section: Section, name: str, item: int, n_vertices: int) -> ContentError:
     record = _record_of(section, name, item)
-    value = int(section.items(name)[0].reshape(-1)[item].item())
+    value = section.items(name)[0].reshape(-1)[item].item()
     return ContentError(
         f"{section.element.name} {record} names vertex {value}, but the vertices go from 0 to "
         f"{n_vertices - 1}",

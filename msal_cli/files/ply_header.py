@@ -7,6 +7,7 @@ CR LF or CR; which of them is told by the first line.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from msal_cli.errors import FormatError, TooLargeError, TruncatedError, UnsupportedError
@@ -95,6 +96,10 @@ class Element:
     def index(self, name: str) -> int:
         """Position of the property of that name among the properties."""
         return next(k for k, one in enumerate(self.properties) if one.name == name)
+
+    def find_all(self, names: Sequence[str]) -> list[Property]:
+        """The properties of these names, which all must be there."""
+        return [self.properties[self.index(name)] for name in names]
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,9 @@ Flags = NDArray[np.bool_]
 Wanted = Callable[[Element], Sequence[str]]
 """The properties of an element whose places are to be kept where that costs memory."""
 
+_SAMPLE = 4_096
+"""Bytes behind an ascii header that are searched for signs of binary data when a line is wrong."""
+
 _CUT_HINT = "the file was cut short or its header counts are wrong; copy or export it again"
 
 
@@ -73,8 +76,10 @@ class Fixed:
     def numbers(self, names: Sequence[str], within: Bytes | None = None) -> Floats:
         """The scalars of ``names`` as (count, len(names)) float64."""
         values = np.empty((self.element.count, len(names)))
-        for k, name in enumerate(names):
-            values[:, k] = self.column(name, within)
+        # A signalling NaN is reported elsewhere, as what it is.
+        with np.errstate(invalid="ignore"):
+            for k, name in enumerate(names):
+                values[:, k] = self.column(name, within)
         return values
 
     def write(self, within: Bytes, names: Sequence[str], values: Floats, where: Flags) -> None:
@@ -138,7 +143,8 @@ class Varied:
                 gather(self.data, starts, sizes, packed)
             else:
                 gather(within, starts - self.start, sizes, packed)
-            values[:, k] = packed.view(dtype)
+            with np.errstate(invalid="ignore"):
+                values[:, k] = packed.view(dtype)
         return values
 
     def write(self, within: Bytes, names: Sequence[str], values: Floats, where: Flags) -> None:
@@ -300,7 +306,7 @@ def _records(
     size = element.count * stride
     if size <= len(data) - at:
         fixed = Fixed(data, element, header.byte_order, at, at + size, stride, places)
-        if all(
+        if not element.count or all(
             (np.ndarray((element.count,), code, data, at + place, (stride,)) == length).all()
             for place, length, code in counts
         ):
@@ -349,7 +355,7 @@ def _varied(
             hint="the file is damaged, or an element before this one is not what the header says",
         )
     if status == CUT:
-        missing = int(items) * int(size) - (len(data) - stop)
+        missing = int(items) * int(size) - (len(data) - int(stop))
         raise TruncatedError(
             f"the file ends within element '{element.name}': {place} of {element.count} needs at "
             f"least {missing} more bytes",
@@ -384,7 +390,7 @@ def _walked(
     outputs: tuple[Longs, Longs, Longs],
 ) -> int:
     """Fill ``outputs`` (starts, stops, lengths) and return the end of the element's last line."""
-    from msal_cli.core.ply_scan import BAD_COUNT, CUT, TOO_FEW, TOO_MANY, walk_text
+    from msal_cli.core.ply_scan import BAD_COUNT, CUT, TOO_FEW, TOO_MANY, WHOLE, walk_text
 
     listed = element.properties
     records, stop, status = walk_text(
@@ -395,6 +401,12 @@ def _walked(
         np.array([columns.get(one.name, -1) for one in listed]),
         *outputs,
     )
+    if status != WHOLE and (data[header.size : header.size + _SAMPLE] == 0).any():
+        raise FormatError(
+            "the header says ascii, but binary data follow",
+            where=f"line {header.format_line + 1}",
+            hint="correct the format line, or export the file again",
+        )
     place = f"{element.name} {records}, line {line_at(data, stop, header.newline)}"
     if status == CUT or (status == TOO_FEW and stop == len(data)):
         missing = element.count - records

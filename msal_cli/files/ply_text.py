@@ -18,10 +18,14 @@ SHORTEST = 18
 """In place of a number of decimals: the shortest text that reads back as the same double."""
 
 
+WHOLE = -1
+"""In place of a number of decimals: rounded to a whole number, a half to the even one."""
+
+
 @dataclass(frozen=True)
 class Edit:
     """New ``values`` (count, k) for the scalars ``names`` of a section, written where ``where``
-    (count, k), with ``decimals`` (k) digits behind the point."""
+    (count, k), with ``decimals`` (k,) digits behind the point, or ``SHORTEST`` or ``WHOLE``."""
 
     section: Lines
     names: Sequence[str]
@@ -30,27 +34,29 @@ class Edit:
     decimals: Sequence[int]
 
 
-def position_decimals(section: Lines, names: Sequence[str], vertices: Floats) -> tuple[int, ...]:
-    """Decimals for each coordinate: as many as the file uses, or enough for 1e-7 of its extent.
+def position_decimals(section: Lines, names: Sequence[str], vertices: Floats) -> int:
+    """Decimals for coordinates: as many as the file uses, or enough for 1e-7 of its extent.
 
-    ``vertices`` (n, 3) gives the extent, the diagonal of the bounding box.  Whole-number types
-    have none; where more than 17 decimals were needed the answer is ``SHORTEST``.
+    ``vertices`` (n, 3) gives the extent, the diagonal of the bounding box.  Where more than 17
+    decimals were needed, or nothing tells the scale, the answer is ``SHORTEST``.
     """
     from msal_cli.core.text import decimals_used
 
     used = decimals_used(section.data, *section.spans(_in_file_order(section, names)))
-    extent = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
-    needed = math.ceil(-math.log10(extent * 1e-7)) if 0.0 < extent < math.inf else 0
-    decimals = max(used, min(needed, SHORTEST))
-    return tuple(decimals if _is_float(section, name) else 0 for name in names)
+    with np.errstate(over="ignore"):
+        extent = math.hypot(*(vertices.max(axis=0) - vertices.min(axis=0)).tolist())
+    needed = SHORTEST
+    if extent > 0.0:
+        needed = math.ceil(-math.log10(min(extent, 1e300) * 1e-7))
+    return max(used, min(needed, SHORTEST))
 
 
-def normal_decimals(section: Lines, names: Sequence[str]) -> tuple[int, ...]:
+def normal_decimals(section: Lines, names: Sequence[str]) -> int:
     """Decimals for normals: as many as the file uses, and at least ``NORMAL_DECIMALS``."""
     from msal_cli.core.text import decimals_used
 
     used = decimals_used(section.data, *section.spans(_in_file_order(section, names)))
-    return (max(used, NORMAL_DECIMALS),) * len(names)
+    return max(used, NORMAL_DECIMALS)
 
 
 def edited(data: Bytes, edits: Sequence[Edit]) -> memoryview:
@@ -65,14 +71,17 @@ def edited(data: Bytes, edits: Sequence[Edit]) -> memoryview:
             names = _in_file_order(section, names)
             pick = [list(edit.names).index(name) for name in names]
             values, chosen = edit.values[:, pick], edit.where[:, pick].copy()
-            for k, name in enumerate(names):
-                if not _is_float(section, name):
-                    values[:, k] = np.rint(values[:, k])
-                    chosen[:, k] &= values[:, k] != section.numbers([name])[:, 0]
+            if decimals == WHOLE:
+                values = np.rint(values)
+                chosen &= values != section.numbers(names)
             starts, stops = section.spans(names)
             flat = chosen.reshape(-1)
             new = values.reshape(-1)[flat]
-            text = printed_shortest(new, False) if decimals == SHORTEST else printed(new, decimals)
+            text = (
+                printed_shortest(new, False)
+                if decimals == SHORTEST
+                else printed(new, max(decimals, 0))
+            )
             pieces.append((starts[flat], stops[flat], *text))
     return spliced(data, *_merged(pieces)).data
 
@@ -113,10 +122,6 @@ def is_same_but_for(
         else (joined := np.concatenate(spans, axis=1))[:, np.argsort(joined[0])]
     )
     return bool(same_outside(data, a_starts, a_stops, result, b_starts, b_stops))
-
-
-def _is_float(section: Lines, name: str) -> bool:
-    return section.element.properties[section.element.index(name)].code[0] == "f"
 
 
 def _in_file_order(section: Lines, names: Sequence[str]) -> list[str]:
