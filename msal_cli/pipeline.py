@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
@@ -137,10 +136,10 @@ def denoise_file(
         with run.stage("write"):
             if task.in_place and task.backup:
                 _keep_backup(task, data)
+            _make_folder_of(task.output)
             notes = (
                 () if task.in_place else sidecars.carried(run.references, task.input, task.output)
             )
-            Path(os.path.dirname(os.path.abspath(task.output))).mkdir(parents=True, exist_ok=True)
             files.write_whole(
                 task.output, [output], mode_like=task.input if task.in_place else None
             )
@@ -159,6 +158,18 @@ def denoise_bytes(
         return output, run.finished(None)
     except Exception as error:
         return None, run.failed(error)
+
+
+def _make_folder_of(path: str) -> None:
+    """Make the folder that a file is to be written to, if it is not there."""
+    folder = os.path.dirname(path) or os.curdir
+    try:
+        os.makedirs(folder, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"the folder {folder!r} cannot be made: {error.strerror}",
+            hint="choose another output, or mend the permissions",
+        ) from None
 
 
 def _keep_backup(task: Task, data: bytes) -> None:

@@ -1,0 +1,372 @@
+"""One file from start to end: bytes kept, records told, failures that leave nothing behind."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msal_cli import files, methods, pipeline
+from msal_cli.pipeline import Settings, Task
+from tests.shapes import grid, noisy, torus
+
+
+def settings(method="msal", **given):
+    own = {key: given.pop(key) for key in list(given) if key in Settings.__dataclass_fields__}
+    return Settings(method, methods.find(method).settled(given), **own)
+
+
+def obj_text(vertices, faces):
+    lines = ["# a scan", "mtllib none.mtl"]
+    lines += ["v " + " ".join(f"{x:.6f}" for x in vertex) for vertex in vertices]
+    lines += ["g part", "usemtl skin"]
+    lines += ["f " + " ".join(str(i + 1) for i in face) for face in faces]
+    return "\n".join(lines).encode() + b"\n"
+
+
+def ply_binary(vertices, faces):
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment made by a test\n"
+        f"element vertex {len(vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\nproperty float quality\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    body = b"".join(struct.pack("<4f", *vertex, 0.5) for vertex in vertices)
+    return header.encode() + body + b"".join(struct.pack("<B3i", 3, *face) for face in faces)
+
+
+def ply_ascii(vertices, faces):
+    header = (
+        f"ply\nformat ascii 1.0\nelement vertex {len(vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    lines = [" ".join(f"{x:.6f}" for x in vertex) for vertex in vertices]
+    lines += ["3 " + " ".join(str(i) for i in face) for face in faces]
+    return header.encode() + "\n".join(lines).encode() + b"\n"
+
+
+def stl_binary(vertices, faces):
+    out = b"made by a test".ljust(80) + struct.pack("<I", len(faces))
+    for face in faces:
+        a, b, c = vertices[face].astype(np.float32).astype(np.float64)
+        normal = np.cross(b - a, c - a)
+        normal /= np.linalg.norm(normal)
+        out += struct.pack("<12fH", *normal, *a, *b, *c, 7)
+    return out
+
+
+def stl_ascii(vertices, faces):
+    lines = ["solid test"]
+    for face in faces:
+        lines.append("  facet normal 0 0 0")
+        lines.append("    outer loop")
+        lines += ["      vertex " + " ".join(f"{x:.6e}" for x in vertices[i]) for i in face]
+        lines += ["    endloop", "  endfacet"]
+    return "\n".join([*lines, "endsolid test"]).encode() + b"\n"
+
+
+WRITERS = {
+    "scan.obj": obj_text,
+    "scan.ply": ply_binary,
+    "ascii.ply": ply_ascii,
+    "scan.stl": stl_binary,
+    "ascii.stl": stl_ascii,
+}
+
+
+@pytest.fixture(params=WRITERS)
+def scan(request, tmp_path):
+    """A noisy torus in a file of each format."""
+    vertices, faces = torus()
+    path = tmp_path / "in" / request.param
+    path.parent.mkdir()
+    path.write_bytes(WRITERS[request.param](noisy(vertices, 1, 0.1), faces))
+    return path
+
+
+def denoised(path, out, **given):
+    return pipeline.denoise_file(Task(str(path), str(out), path.name), settings(**given))
+
+
+def test_a_scan_is_denoised_and_told_of(scan, tmp_path):
+    out = tmp_path / "deep" / "er" / scan.name
+    record = denoised(scan, out)
+    assert record.error is None
+    assert record.status == "written"
+    assert record.output == str(out)
+    assert (record.vertices, record.faces) in {(288, 576), (3 * 576, 576)}
+    assert record.components == 1
+    assert record.volume.valid
+    assert record.volume.after < record.volume.before
+    assert record.seam_gap == 0.0
+    assert 0 < record.displacement.mean < record.displacement.p95 < record.displacement.max
+    assert record.displacement.max_edges == pytest.approx(
+        record.displacement.max / record.mean_edge_length
+    )
+    assert record.normal_change.mean_deg > 1
+    assert record.method.parameters["K"] == 0.5
+    assert record.input_sha256 == hashlib.sha256(scan.read_bytes()).hexdigest()
+    assert record.output_sha256 == hashlib.sha256(out.read_bytes()).hexdigest()
+    stages = record.seconds
+    parts = (
+        stages.read + stages.connectivity + stages.normals + stages.sweeps + stages.measure
+    ) + stages.write
+    assert parts <= stages.total
+    assert [entry.name for entry in out.parent.iterdir()] == [out.name]
+
+
+def test_the_output_holds_what_the_method_made(scan, tmp_path):
+    out = tmp_path / scan.name
+    denoised(scan, out)
+    before = files.open_mesh(scan.read_bytes(), scan.name)
+    after = files.open_mesh(out.read_bytes(), out.name)
+    from msal_cli.mesh import prepared
+
+    ready = prepared(before.vertices, before.faces)
+    method = methods.find("msal")
+    result = method.denoised(ready.mesh, method.settled({}))
+    expected = ready.scattered(result.vertices, before.vertices)
+    assert (after.faces == before.faces).all()
+    assert np.abs(after.vertices - expected).max() < 1e-6
+
+
+def test_zero_iterations_return_the_very_bytes(scan, tmp_path):
+    out = tmp_path / scan.name
+    record = denoised(scan, out, iterations=0)
+    assert record.status == "unchanged"
+    assert out.read_bytes() == scan.read_bytes()
+    assert record.input_sha256 == record.output_sha256
+
+
+def test_gz_stays_gz(scan, tmp_path):
+    packed = scan.with_name(scan.name + ".gz")
+    packed.write_bytes(gzip.compress(scan.read_bytes(), mtime=12345))
+    out, plain = tmp_path / packed.name, tmp_path / "plain" / scan.name
+    assert denoised(packed, out).error is None
+    assert denoised(scan, plain).error is None
+    assert gzip.decompress(out.read_bytes()) == plain.read_bytes()
+    untouched = tmp_path / "same" / packed.name
+    denoised(packed, untouched, iterations=0)
+    assert untouched.read_bytes() == packed.read_bytes()
+    unpacked = tmp_path / "unpacked" / scan.name
+    denoised(packed, unpacked, iterations=0)
+    assert unpacked.read_bytes() == scan.read_bytes()
+
+
+def test_the_same_command_gives_the_same_bytes(scan, tmp_path, monkeypatch):
+    outs = [tmp_path / str(i) / scan.name for i in range(2)]
+    denoised(scan, outs[0])
+    monkeypatch.setenv("MSAL_THREADS", "3")
+    denoised(scan, outs[1])
+    assert outs[0].read_bytes() == outs[1].read_bytes()
+
+
+def test_a_pipe_gives_what_a_file_gives(scan, tmp_path):
+    out = tmp_path / scan.name
+    denoised(scan, out)
+    data, record = pipeline.denoise_bytes(
+        scan.read_bytes(), "standard input", settings(format=scan.suffix[1:])
+    )
+    assert record.error is None
+    assert bytes(data) == out.read_bytes()
+
+
+@pytest.mark.parametrize("target", ["ply", "obj", "stl", "off", "vtk"])
+def test_conversion_by_option_and_by_name(scan, tmp_path, target):
+    by_option = tmp_path / "a" / pipeline.output_name(scan.name, target)
+    record = denoised(scan, by_option, to=target)
+    assert record.error is None
+    by_name = tmp_path / "b" / by_option.name
+    assert denoised(scan, by_name).error is None
+    assert by_option.read_bytes() == by_name.read_bytes()
+    again = files.open_mesh(by_option.read_bytes(), by_option.name)
+    assert len(again.faces) == 576
+
+
+def test_strict_refuses_losses(tmp_path):
+    vertices, faces = torus()
+    path = tmp_path / "scan.ply"
+    path.write_bytes(ply_binary(vertices, faces))
+    out = tmp_path / "out" / "scan.stl"
+    record = denoised(path, out, strict=True)
+    assert record.status == "failed"
+    assert record.error.code == "E_LOSS"
+    assert "quality" in record.error.message
+    assert not out.exists()
+    assert any("quality" in warning for warning in denoised(path, out).warnings)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+@pytest.mark.parametrize("precision", ["same", "float32"])
+def test_re_encoding(scan, tmp_path, encoding, precision):
+    out = tmp_path / scan.name
+    record = denoised(scan, out, encoding=encoding, precision=precision)
+    if scan.suffix == ".obj" and encoding == "binary":
+        assert record.error.code == "E_UNSUPPORTED"
+        return
+    assert record.error is None
+    again = files.open_mesh(out.read_bytes(), out.name)
+    assert again.encoding.startswith(encoding)
+
+
+def test_in_place_with_and_without_a_backup(scan):
+    original = scan.read_bytes()
+    scan.chmod(0o640)
+    task = Task(str(scan), str(scan), scan.name, in_place=True, backup=".orig")
+    record = pipeline.denoise_file(task, settings())
+    assert record.error is None
+    backup = scan.with_name(scan.name + ".orig")
+    assert backup.read_bytes() == original
+    assert scan.read_bytes() != original
+    if os.name == "posix":
+        assert scan.stat().st_mode & 0o777 == 0o640
+    again = pipeline.denoise_file(task, settings())
+    assert again.error.code == "E_WRITE"
+    assert backup.read_bytes() == original
+
+
+def test_a_failure_leaves_the_old_output(scan, tmp_path):
+    out = tmp_path / scan.name
+    out.write_bytes(b"old")
+    scan.write_bytes(scan.read_bytes()[: len(scan.read_bytes()) // 2])
+    record = denoised(scan, out)
+    if record.error is None:  # half an OBJ or an ascii STL can be whole
+        assert record.status == "written"
+        return
+    assert out.read_bytes() == b"old"
+    assert record.error.hint
+    assert [entry.name for entry in tmp_path.iterdir()] == ["in", out.name] or len(
+        list(tmp_path.iterdir())
+    ) == 2
+
+
+def test_a_missing_input_and_a_blocked_output(tmp_path):
+    record = denoised(tmp_path / "none.ply", tmp_path / "out.ply")
+    assert record.error.code == "E_READ"
+    vertices, faces = torus()
+    path = tmp_path / "a.ply"
+    path.write_bytes(ply_binary(vertices, faces))
+    (tmp_path / "file").write_bytes(b"")
+    record = denoised(path, tmp_path / "file" / "out.ply")
+    assert record.error.code == "E_WRITE"
+
+
+def test_open_surfaces_have_no_valid_volume(tmp_path):
+    vertices, faces = grid(9, 9)
+    path = tmp_path / "a.ply"
+    path.write_bytes(ply_binary(noisy(vertices, 1, 0.1), faces))
+    record = denoised(path, tmp_path / "b.ply")
+    assert not record.volume.valid
+    assert record.volume.reason == "open (32 boundary edges)"
+
+
+def test_an_unexpected_error_is_a_record_too(scan, tmp_path, monkeypatch):
+    def broken(*_):
+        raise ZeroDivisionError("oops")
+
+    monkeypatch.setattr("msal_cli.metrics.volume.area_and_volume", broken)
+    record = denoised(scan, tmp_path / "out.ply")
+    assert record.error.code == "E_INTERNAL"
+    assert "ZeroDivisionError: oops" in record.error.message
+    assert not (tmp_path / "out.ply").exists()
+
+
+def test_a_method_that_misbehaves_is_caught(scan, tmp_path, monkeypatch):
+    from msal_cli.methods import _contract
+
+    def nonfinite(self, mesh, parameters, on_sweep=None):
+        vertices = mesh.vertices.copy()
+        vertices[5, 1] = np.nan
+        return _contract.Result(vertices)
+
+    monkeypatch.setattr(_contract.Method, "denoised", nonfinite)
+    record = denoised(scan, tmp_path / scan.name)
+    assert record.error.code == "E_INTERNAL"
+    assert record.error.where == "vertex 5"
+    assert not (tmp_path / scan.name).exists()
+
+
+def test_interruption_passes(scan, tmp_path):
+    def stop(stage, done, total):
+        if stage == "sweeps" and done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pipeline.denoise_file(
+            Task(str(scan), str(tmp_path / scan.name), scan.name), settings(), stop
+        )
+    assert not (tmp_path / scan.name).exists()
+
+
+def test_inspection(scan):
+    info = pipeline.inspect_file(str(scan))
+    assert info.error is None
+    assert info.closed
+    assert info.winding == "consistent"
+    assert info.triangles == 576
+    assert info.polygon_sizes == {"3": 576}
+    assert info.volume_valid
+    assert info.bytes == scan.stat().st_size
+    assert info.noise_estimate.mean_edges > 0
+    assert pipeline.inspect_file(str(scan.parent / "none.ply")).error.code == "E_READ"
+
+
+@pytest.mark.parametrize(
+    ("name", "to", "expected"),
+    [
+        ("a.ply", None, "a.ply"),
+        ("a.ply", "obj", "a.obj"),
+        ("a.PLY.gz", "stl", "a.stl.gz"),
+        ("dir/a.b.stl", ".PLY", "dir/a.b.ply"),
+        ("noext", "ply", "noext.ply"),
+        (".hidden", "ply", ".hidden.ply"),
+    ],
+)
+def test_output_names(name, to, expected):
+    assert pipeline.output_name(name, to) == expected
+
+
+def test_mesh_names():
+    assert pipeline.is_mesh_name("a.PLY")
+    assert pipeline.is_mesh_name("a.stl.gz")
+    assert pipeline.is_mesh_name("a.off")
+    for name in ("a.txt", "a.mtl", "a", ".ply", "a.gz", "ply"):
+        assert not pipeline.is_mesh_name(name)
+
+
+REAL = [
+    "scans/angel.obj",
+    "scans/face000.ply",
+    "scans/dragon_vrip_res2.ply.gz",
+    "clean/igea.ply",
+    "clean/fandisk.obj",
+    "clean/stanford-bunny.obj",
+    "textured/bunny10k_textured.obj",
+    "textured/colored_airplane.ply",
+]
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_files(real_data, tmp_path, name):
+    path = real_data / name
+    out = tmp_path / Path(name).name
+    record = denoised(path, out)
+    assert record.error is None
+    assert record.status == "written"
+    assert record.seam_gap == 0.0
+    assert 0 < record.displacement.mean_edges < 0.2
+    plain = [files.expanded(p.read_bytes(), p.name)[0] for p in (path, out)]
+    before, after = (files.open_mesh(data, "x." + record.format) for data in plain)
+    assert (before.faces == after.faces).all()
+    assert np.linalg.norm(before.vertices - after.vertices, axis=1).max() == pytest.approx(
+        record.displacement.max, rel=1e-3
+    )
+    same = tmp_path / "same" / out.name
+    denoised(path, same, iterations=0)
+    assert same.read_bytes() == path.read_bytes()
