@@ -1,0 +1,253 @@
+"""The pages say what the program does: commands, options, outputs, links, fields and codes."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import shlex
+import subprocess
+import sys
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+from click.exceptions import Exit
+
+from msal_cli import records
+from msal_cli.cli import exit_codes
+from msal_cli.cli.main import program
+from msal_cli.report.document import Run, Totals
+
+ROOT = Path(__file__).resolve().parents[1]
+README = ROOT / "README.md"
+PAGES = (README, *sorted((ROOT / "docs").glob("*.md")))
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+OPTION = re.compile(r"(?<![\w-])(--[a-z][a-z-]*|-[a-zA-Z])(?![\w-])")
+PLACEHOLDERS = {"INPUT...": "in.ply", "SHELL": "bash", "[NAME]": "al", "NAME": "al"}
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def shell_lines(text: str) -> Iterator[str]:
+    """Lines of the shell blocks and inline code that calls msal, comments cut off."""
+    for language, body in FENCE.findall(text):
+        if language == "sh":
+            yield from body.replace("\\\n", " ").splitlines()
+    prose = FENCE.sub("", text)
+    yield from re.findall(r"`((?:python -m msal_cli|msal) [^`]+)`", prose)
+
+
+def msal_commands(text: str) -> Iterator[list[str]]:
+    """The arguments of every call of msal in a page."""
+    for line in shell_lines(text):
+        lexer = shlex.shlex(line, posix=True, punctuation_chars="|&;<>")
+        lexer.whitespace_split = True
+        call: list[str] | None = None
+        skip = False
+        for word in (*lexer, ";"):
+            if set(word) <= set("|&;"):
+                if call is not None:
+                    yield [PLACEHOLDERS.get(one, one) for one in call]
+                call = None
+            elif set(word) <= set("<>"):
+                skip = True
+            elif skip:
+                skip = False
+            elif call is not None:
+                call.append(word)
+            elif word == "msal" or word.endswith(("/msal", "msal_cli")):
+                call = []
+
+
+PROSE = [call for p in PAGES for call in msal_commands(FENCE.sub("", p.read_text("utf-8")))]
+COMMANDS = [(name_of(p), call) for p in PAGES for call in msal_commands(p.read_text("utf-8"))]
+
+
+def known_commands() -> dict[str, click.Command]:
+    context = click.Context(program)
+    found = {name: program.get_command(context, name) for name in program.list_commands(context)}
+    return {name: command for name, command in found.items() if command is not None}
+
+
+def options_of(command: click.Command) -> set[str]:
+    with click.Context(command) as context:
+        given = [one for one in command.get_params(context) if isinstance(one, click.Option)]
+    return {word for one in given for word in (*one.opts, *one.secondary_opts)}
+
+
+def known_options() -> set[str]:
+    return set().union(options_of(program), *map(options_of, known_commands().values()))
+
+
+@pytest.mark.parametrize(("page", "call"), COMMANDS, ids=lambda v: v if isinstance(v, str) else "")
+def test_every_documented_command_parses(page: str, call: list[str]) -> None:
+    if call and not call[0].startswith("-"):
+        assert call[0] in known_commands(), f"{page}: msal {shlex.join(call)}"
+        command, words = known_commands()[call[0]], call[1:]
+    else:
+        command, words = program, call
+    parent = click.Context(program, info_name="msal")
+    try:
+        command.make_context(call[0] if call else "msal", list(words), parent=parent)
+    except Exit as ending:
+        assert ending.exit_code == 0
+    except click.MissingParameter:
+        # Running text may speak of `msal info --json`; what stands in a block can be pasted.
+        assert call in PROSE, f"{page}: msal {shlex.join(call)} lacks an argument"
+    except click.UsageError as error:
+        pytest.fail(f"{page}: msal {shlex.join(call)}: {error.format_message()}")
+
+
+def test_the_pages_show_commands() -> None:
+    assert sum(page == "docs/usage.md" for page, _ in COMMANDS) > 20
+    assert sum(page == "README.md" for page, _ in COMMANDS) > 2
+    shown = {call[0] for _, call in COMMANDS if call}
+    assert set(known_commands()) <= shown
+
+
+def test_usage_documents_every_option() -> None:
+    text = (ROOT / "docs/usage.md").read_text("utf-8")
+    missing = {word for word in known_options() if f"{word}" not in OPTION.findall(text)}
+    assert missing - {"-h", "--help"} == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_documented_option_exists(page: Path) -> None:
+    prose = FENCE.sub("", page.read_text("utf-8"))
+    code = [span for span in re.findall(r"`([^`\n]+)`", prose) if span.startswith(("-", "msal "))]
+    named = {word for span in code for word in OPTION.findall(span)}
+    # --meth is shown as an example of what is refused.
+    assert named - known_options() - {"--meth"} == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_links_lead_somewhere(page: Path) -> None:
+    text = FENCE.sub("", page.read_text("utf-8"))
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        there = (page.parent / path).resolve() if path else page
+        assert there.exists(), f"{name_of(page)} links to {target}"
+        if anchor:
+            assert anchor in anchors(there), f"{name_of(page)} links to {target}"
+        if there.suffix == ".png":
+            assert there.stat().st_size < 300_000, target
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as code hosts make them."""
+    headings = re.findall(r"^#+ +(.+)$", FENCE.sub("", page.read_text("utf-8")), re.MULTILINE)
+    plain = (re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings)
+    return {one.strip().replace(" ", "-") for one in plain}
+
+
+SHOWN = [
+    (page, *found)
+    for page in PAGES
+    for found in re.findall(
+        r"<!-- output: msal (.+?) -->\n```\w*\n(.*?)^```$",
+        page.read_text("utf-8"),
+        re.MULTILINE | re.DOTALL,
+    )
+]
+
+
+@pytest.mark.parametrize(("page", "words", "shown"), SHOWN, ids=[words for _, words, _ in SHOWN])
+def test_shown_output_is_real(page: Path, words: str, shown: str) -> None:
+    ran = subprocess.run(
+        [sys.executable, "-m", "msal_cli", *shlex.split(words)],
+        cwd=ROOT,
+        capture_output=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr.decode()
+    assert ran.stdout.decode().replace("\r\n", "\n") == shown
+
+
+def test_outputs_are_shown() -> None:
+    assert {words.split()[0] for _, words, _ in SHOWN} >= {"info", "methods"}
+
+
+def readme_block(name: str) -> str:
+    found = re.search(
+        rf"^<!-- ci: {name} -->\n```sh\n(.+?)^```$", README.read_text("utf-8"), re.M | re.DOTALL
+    )
+    assert found is not None, name
+    return found[1].strip()
+
+
+def test_ci_runs_the_commands_of_the_readme() -> None:
+    script = (ROOT / ".ci/run").read_text("utf-8")
+    set_up, tests = readme_block("set-up"), readme_block("tests")
+    assert "\n" not in set_up and "\n" not in tests, "one command each"
+    for name in ("set-up", "tests"):
+        assert f"run_block {name}" in script
+    # The commands themselves stand in the README only, so that they cannot drift apart.
+    assert "pytest" not in script
+    assert set_up not in script
+    assert "-m venv .venv" in set_up and "msal denoise sample_meshes" in set_up
+    assert "-m pytest" in tests
+
+
+def fields(kind: type[Any], prefix: str = "") -> set[str]:
+    """Names of a record's fields; those of an inner record follow with a dot."""
+    names = set()
+    hints = typing.get_type_hints(kind)
+    for one in dataclasses.fields(kind):
+        names.add(prefix + one.name)
+        for inner in typing.get_args(hints[one.name]):
+            if dataclasses.is_dataclass(inner) and not prefix and kind is records.MeshRecord:
+                names |= fields(typing.cast("type[Any]", inner), f"{one.name}.")
+    return names
+
+
+def test_report_page_has_every_field_and_no_other() -> None:
+    text = (ROOT / "docs/report.md").read_text("utf-8")
+    sections = re.split(r"^#+ ", text, flags=re.MULTILINE)
+
+    def listed(*titles: str) -> set[str]:
+        parts = [part for part in sections if part.partition("\n")[0] in titles]
+        assert len(parts) == len(titles)
+        return {row for part in parts for row in re.findall(r"^\| `([\w.]+)` \|", part, re.M)}
+
+    kinds = {name.partition(".")[0] for name in fields(records.MeshRecord) if "." in name}
+    inner = [f"`{kind}`" for kind in kinds]
+    assert listed("The record", *inner) == fields(records.MeshRecord)
+    assert listed("`msal info --json`") == fields(records.InfoRecord)
+    assert listed("`totals`") == fields(Totals)
+    assert listed("The run (JSON only)") == fields(Run) | {"schema", "totals", "records"}
+
+
+def test_every_error_code_is_documented() -> None:
+    used = set()
+    for path in (ROOT / "msal_cli").rglob("*.py"):
+        used |= set(re.findall(r"\"(E_[A-Z_]+)\"", path.read_text("utf-8")))
+    text = (ROOT / "docs/formats.md").read_text("utf-8")
+    listed = set(re.findall(r"^\| `(E_[A-Z_]+)` \|", text, re.MULTILINE))
+    # Classes of codes that no error is ever raised with itself.
+    assert listed == used - {"E_INPUT"}
+
+
+def test_exit_statuses_are_documented() -> None:
+    text = (ROOT / "docs/usage.md").read_text("utf-8")
+    part = text.partition("## Exit status")[2].partition("\n## ")[0]
+    listed = {int(number) for number in re.findall(r"^\| (\d+) \|", part, re.MULTILINE)}
+    known = {v for k, v in vars(exit_codes).items() if k.isupper() and isinstance(v, int)}
+    assert listed == known | {143}
+
+
+def test_every_parameter_of_every_method_is_explained() -> None:
+    from msal_cli import methods
+
+    text = (ROOT / "docs/algorithm.md").read_text("utf-8")
+    for name in methods.names():
+        assert f"--method {name}" in text
+        for spec in methods.find(name).parameters:
+            words = {f"`{spec.name}`", f"--{spec.name}", f"{spec.name}=", f"`{spec.name}` "}
+            assert any(word in text for word in words) or spec.name == "iterations", spec.name
