@@ -1,0 +1,189 @@
+"""Files to meshes and back: one codec per format, and whole files in and out of the disk."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.files.base import Buffer, MeshFile
+from msal_cli.files.streams import compressed, expanded, is_gzip_name, read_whole
+from msal_cli.files.writing import swept, write_whole
+
+__all__ = [
+    "Buffer",
+    "MeshFile",
+    "compressed",
+    "content_format",
+    "converted",
+    "expanded",
+    "format_of_name",
+    "open_mesh",
+    "read_whole",
+    "readable_suffixes",
+    "swept",
+    "writable_formats",
+    "write_whole",
+]
+
+OWN_FORMATS = ("ply", "obj", "stl")
+"""Formats with a codec of our own, which keeps everything but positions and normals."""
+
+_LOOKED_AT = 1 << 16
+_NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_OBJ_VERTEX = re.compile(rb"^[ \t]*v(?:[ \t]+" + _NUMBER + rb"){3}", re.MULTILINE)
+_OBJ_LINE = re.compile(
+    rb"(?:\#.*|v|vt|vn|vp|f|l|p|o|g|s|mg|usemtl|mtllib|usemap|maplib|vertexcolor)?(?:[ \t].*)?"
+)
+_BEGINNINGS = (
+    (re.compile(rb"ply[ \t]*[\r\n]"), "ply"),
+    (re.compile(rb"glTF"), "glb"),
+    (re.compile(rb"PK\x03\x04"), "3mf"),
+    (re.compile(rb"# vtk DataFile"), "vtk"),
+    (re.compile(rb"\s*\$MeshFormat"), "msh"),
+    (re.compile(rb"\s*(?:ST)?C?N?4?OFF\b"), "off"),
+    (re.compile(rb"\s*MeshVersionFormatted"), "mesh"),
+    (re.compile(rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile"), "vtu"),
+    (re.compile(rb"(?:\xef\xbb\xbf)?\s*solid\b.*?\b(?:facet|endsolid)\b", re.I | re.DOTALL), "stl"),
+)
+
+
+def readable_suffixes() -> tuple[str, ...]:
+    """Suffixes, with their dot, of the files that can be read; each may be followed by ``.gz``."""
+    from msal_cli.files import other
+
+    return tuple(f".{name}" for name in (*OWN_FORMATS, *other.readable()))
+
+
+def writable_formats() -> tuple[str, ...]:
+    """Formats that ``converted`` can write here; some depend on packages that are installed."""
+    from msal_cli.files import convert
+
+    return convert.writable()
+
+
+def format_of_name(name: str) -> str:
+    """The format that a file name stands for, ``.gz`` disregarded; empty if none that is known."""
+    stem = name[: -len(".gz")] if is_gzip_name(name) else name
+    suffix = re.search(r"\.[^./\\]*$", stem)
+    known = suffix is not None and suffix[0].lower() in readable_suffixes()
+    return suffix[0][1:].lower() if suffix and known else ""
+
+
+def content_format(data: Buffer) -> str:
+    """The format that the bytes themselves look like; empty if none can be told."""
+    head = bytes(memoryview(data)[:_LOOKED_AT])
+    if len(data) >= 134 and len(data) == 84 + 50 * int.from_bytes(head[80:84], "little"):
+        return "stl"
+    for pattern, name in _BEGINNINGS:
+        if pattern.match(head):
+            return name
+    # Every line of an OBJ file begins with a keyword: the last one looked at may be cut off, and
+    # the rest of a continued line is no line of its own.
+    lines = re.sub(rb"\\\r?\n", b" ", head.removeprefix(b"\xef\xbb\xbf")).splitlines()
+    if len(data) > _LOOKED_AT:
+        lines = lines[:-1]
+    if all(_OBJ_LINE.fullmatch(line.strip()) for line in lines) and _OBJ_VERTEX.search(head):
+        return "obj"
+    return ""
+
+
+def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
+    """Read a mesh from the bytes of its file.
+
+    Parameters
+    ----------
+    data : the content, not compressed (see ``expanded``).
+    name : the file's name; its suffix says the format, in any case and before ``.gz``.
+    format : the format's name, over the suffix; needed for a stream whose content does not tell.
+
+    Raises
+    ------
+    UnsupportedError
+        for a format, or a feature of one, that is not read.
+    FormatError, TruncatedError, ContentError, TooLargeError
+        for a file that is not what it should be; a content of another format than the name says
+        is a FormatError.
+    """
+    wanted = _wanted(data, name, format)
+    if not len(data):
+        raise TruncatedError("the file is empty", hint="copy or export it again")
+    found = content_format(data)
+    if found and found != wanted and (wanted in OWN_FORMATS or found != "obj"):
+        said = "--format" if format else "the name"
+        raise FormatError(
+            f"this is {_article(found)} {found.upper()} file, but {said} says {wanted.upper()}",
+            where="byte 0",
+            hint=f"rename the file to .{found}, or pass --format {found}",
+        )
+    # Codecs are imported where they are used, so that one bad format costs only its own time.
+    if wanted == "ply":
+        from msal_cli.files import ply
+
+        return ply.read(data, name)
+    if wanted == "obj":
+        from msal_cli.files import obj
+
+        return obj.read(data, name)
+    if wanted == "stl":
+        from msal_cli.files import stl
+
+        return stl.read(data, name)
+    from msal_cli.files import other
+
+    return other.read(data, name, wanted)
+
+
+def _wanted(data: Buffer, name: str, format: str | None) -> str:
+    """The format to read, by the option, the suffix or, where there is no suffix, the content."""
+    known = tuple(suffix[1:] for suffix in readable_suffixes())
+    if format is not None:
+        wanted = format.lower().removeprefix(".")
+        if wanted not in known:
+            raise UnsupportedError(
+                f"the format {format!r} is not known", hint=f"known are: {', '.join(known)}"
+            )
+        return wanted
+    wanted = format_of_name(name)
+    if wanted:
+        return wanted
+    found = content_format(data) if len(data) else ""
+    stem = name[: -len(".gz")] if is_gzip_name(name) else name
+    suffix = re.search(r"[^./\\](\.[^./\\]+)$", stem)
+    if suffix:
+        raise UnsupportedError(
+            f"files that end in {suffix[1]!r} are not read",
+            hint=f"it looks like {found.upper()}; pass --format {found}"
+            if found
+            else f"known are: {', '.join(known)}",
+        )
+    if not len(data):
+        raise TruncatedError("the input is empty", hint="check the program that writes it")
+    if not found:
+        raise FormatError(
+            "neither a suffix nor the content says which format this is",
+            hint=f"pass --format with one of: {', '.join(known)}",
+        )
+    return found
+
+
+def _article(format: str) -> str:
+    return "an" if format[0] in "aeiomsfx" and format not in ("mesh", "med", "fem") else "a"
+
+
+def converted(
+    mesh_file: MeshFile,
+    vertices: NDArray[np.float64],
+    to: str,
+    encoding: str = "same",
+    precision: str = "same",
+) -> tuple[Buffer, tuple[str, ...]]:
+    """The mesh with ``vertices`` (n, 3) in another format, and what that format cannot carry.
+
+    See ``convert.converted``.
+    """
+    from msal_cli.files import convert
+
+    return convert.converted(mesh_file, vertices, to, encoding, precision)

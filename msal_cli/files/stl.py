@@ -121,7 +121,7 @@ def _properties(data: Buffer, facets: NDArray[np.void]) -> tuple[str, ...]:
     return tuple(found)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class StlFile:
     """A binary STL file; see ``files.base.MeshFile``.
 
@@ -137,11 +137,10 @@ class StlFile:
     encoding: str = "binary_little_endian"
     precision: str = "float32"
     references: tuple[str, ...] = ()
+    n_polygons: int = field(init=False)
 
-    @property
-    def n_polygons(self) -> int:
-        """Number of facets."""
-        return len(self.faces)
+    def __post_init__(self) -> None:
+        self.n_polygons = len(self.faces)
 
     @property
     def _facets(self) -> NDArray[np.void]:

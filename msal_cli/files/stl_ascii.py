@@ -184,7 +184,7 @@ def _line(buf: Buffer | NDArray[np.uint8], at: int) -> int:
     return 1 + (feeds or int(np.count_nonzero(before == 13)))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class StlTextFile:
     """An ascii STL file; see ``files.base.MeshFile``.
 
@@ -201,23 +201,19 @@ class StlTextFile:
     encoding: str = "ascii"
     precision: str = "text"
     references: tuple[str, ...] = ()
+    n_polygons: int = field(init=False)
+    properties: tuple[str, ...] = field(init=False)
 
-    @property
-    def n_polygons(self) -> int:
-        """Number of facets."""
-        return len(self.faces)
+    def __post_init__(self) -> None:
+        self.n_polygons = len(self.faces)
+        named = tuple(f"solid {name!r}" for name in self.solids if name)
+        several = (f"{self.found.n_solids} solids",) if self.found.n_solids > 1 else ()
+        self.properties = ("facet normals", *several, *named)
 
     @property
     def solids(self) -> tuple[str, ...]:
         """Names of the first solids."""
         return self.found.names
-
-    @property
-    def properties(self) -> tuple[str, ...]:
-        """What the file has besides positions."""
-        named = tuple(f"solid {name!r}" for name in self.solids if name)
-        several = (f"{self.found.n_solids} solids",) if self.found.n_solids > 1 else ()
-        return ("facet normals", *several, *named)
 
     def polygons(self) -> NDArray[np.int32]:
         """The facets as an (m, 3) array."""

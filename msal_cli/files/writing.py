@@ -12,7 +12,7 @@ import stat
 import sys
 import time
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from msal_cli.errors import OutputError
@@ -66,16 +66,43 @@ def write_whole(
     OutputError
         if the system refuses, with the reason.
     """
-    target = Path(path)
     try:
-        _write(target, _pieces(buffers), mode_like)
+        _write(Path(path), _pieces(buffers), mode_like, _move)
     except (OSError, ValueError) as failure:
-        reason = getattr(failure, "strerror", None) or str(failure)
-        raise OutputError(
-            f"the file cannot be written: {reason}",
-            path=os.fspath(path),
-            hint=_HINTS.get(getattr(failure, "errno", None) or 0, ""),
-        ) from failure
+        raise _not_written(path, failure) from failure
+
+
+def write_new(
+    path: str | os.PathLike[str],
+    buffers: Buffer | Iterable[Buffer],
+    *,
+    mode_like: str | os.PathLike[str] | None = None,
+) -> bool:
+    """Write a file whole unless there is one already; whether it was written.
+
+    Of several processes that write the same new file one succeeds, and the others find it whole.
+
+    Raises
+    ------
+    OutputError
+        if the system refuses, with the reason.
+    """
+    try:
+        _write(Path(path), _pieces(buffers), mode_like, _place)
+    except FileExistsError:
+        return False
+    except (OSError, ValueError) as failure:
+        raise _not_written(path, failure) from failure
+    return True
+
+
+def _not_written(path: str | os.PathLike[str], failure: OSError | ValueError) -> OutputError:
+    reason = getattr(failure, "strerror", None) or str(failure)
+    return OutputError(
+        f"the file cannot be written: {reason}",
+        path=os.fspath(path),
+        hint=_HINTS.get(getattr(failure, "errno", None) or 0, ""),
+    )
 
 
 def _pieces(buffers: Buffer | Iterable[Buffer]) -> Iterable[Buffer]:
@@ -85,7 +112,10 @@ def _pieces(buffers: Buffer | Iterable[Buffer]) -> Iterable[Buffer]:
 
 
 def _write(
-    target: Path, buffers: Iterable[Buffer], mode_like: str | os.PathLike[str] | None
+    target: Path,
+    buffers: Iterable[Buffer],
+    mode_like: str | os.PathLike[str] | None,
+    publish: Callable[[Path, Path], None],
 ) -> None:
     mode = _permissions(target, mode_like)
     temporary = target.with_name(_temporary_name(target.name))
@@ -109,7 +139,7 @@ def _write(
             os.close(handle)
         if mode is not None:
             temporary.chmod(mode)
-        _move(temporary, target)
+        publish(temporary, target)
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink()
@@ -154,6 +184,24 @@ def _move(temporary: Path, target: Path) -> None:
         except PermissionError:
             time.sleep(wait_s)
     temporary.replace(target)
+
+
+def _place(temporary: Path, target: Path) -> None:
+    """Give the file its name, or raise FileExistsError if the name is taken."""
+    if os.name == "nt":
+        temporary.rename(target)  # which does not replace there
+        return
+    try:
+        os.link(temporary, target)
+    except FileExistsError:
+        raise
+    except OSError:
+        # A file system without hard links; then two processes can only be kept apart this far.
+        if os.path.lexists(target):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
+        temporary.replace(target)
+    else:
+        temporary.unlink()
 
 
 def _flush_folder(folder: Path) -> None:
