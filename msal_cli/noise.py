@@ -29,11 +29,10 @@ def noise_level(mesh: Mesh) -> float:
     if not inner.any():
         inner = valence > 0
     normals = mesh.vertex_normals("uniform", 1)
-    heights = sum(
-        normals[:, axis]
-        * (ring_means(mesh.vertices[:, axis].copy(), *rings) - mesh.vertices[:, axis])
-        for axis in range(3)
-    )
+    heights = np.zeros(len(mesh.vertices))
+    for axis in range(3):
+        along = mesh.vertices[:, axis].copy()
+        heights += normals[:, axis] * (ring_means(along, *rings) - along)
     second = (ring_means(heights, *rings) - heights)[inner]
     deviation = np.median(np.abs(second - np.median(second)))
     return float(1.4826 * deviation / WHITE_NOISE_GAIN)

@@ -2,12 +2,13 @@
 
 An operator is called with the current positions x (n, 3) and returns a ``Step``.  One that moves
 vertices along fixed normals returns heights; the sweep engine then keeps each vertex on its
-normal line, so that it cannot drift tangentially.
+normal line, so that it cannot drift tangentially.  Others return vectors.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numba import njit
@@ -33,12 +34,31 @@ class Step:
 
     Attributes
     ----------
-    heights : (n,), the displacement d along each vertex's normal, file units.
-    sigma : (n,), the local scale of eq. (4), file units; zero where the one-ring is planar.
+    move : the displacement dx before time step and fidelity, file units: (n,) heights along each
+        vertex's normal, or (n, 3).
+    sigma : (n,), the local scale of eq. (4), file units, zero where the one-ring is planar; None
+        from an operator that does not compute it.
     """
 
-    heights: Floats
-    sigma: Floats
+    move: Floats
+    sigma: Floats | None = None
+
+
+class Operator(Protocol):
+    """What a sweep adds to each vertex: the dx of equation (2).
+
+    ``normals`` are the fixed unit normals (n, 3) along which the operator moves, zeros where a
+    vertex must not move; None if it moves vertices freely.
+    """
+
+    @property
+    def normals(self) -> Floats | None:
+        """Fixed unit normals (n, 3), or None."""
+        ...
+
+    def __call__(self, positions: Floats) -> Step:
+        """The step at ``positions`` (n, 3), every vertex from these same positions."""
+        ...
 
 
 @njit(cache=True, nogil=True)
@@ -127,7 +147,7 @@ class AnisotropicLaplacian:
     def __call__(self, positions: Floats) -> Step:
         """Heights and sigma at ``positions`` (n, 3), all from the same positions."""
         n = len(positions)
-        step = Step(np.empty(n), np.empty(n))
+        heights, sigma = np.empty(n), np.empty(n)
         over_ranges(
             _anisotropic_laplacian,
             n,
@@ -137,7 +157,7 @@ class AnisotropicLaplacian:
             self.ring,
             self.free,
             max(SMALLEST_SIGMA * self.mean_edge_length, np.finfo(np.float64).tiny ** 0.5),
-            step.heights,
-            step.sigma,
+            heights,
+            sigma,
         )
-        return step
+        return Step(heights, sigma)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,27 +12,71 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Pace:
+    """One sweep's tau and lambda: lambda_i = constant + per_sigma * sigma_i.
+
+    ``per_sigma`` is in reciprocal file units, the others are pure numbers.
+    """
+
+    time_step: float
+    constant: float = 0.0
+    per_sigma: float = 0.0
+
+
+class Schedule(Protocol):
+    """Gives the pace of every sweep; ``uses_sigma`` tells whether it looks at sigma."""
+
+    @property
+    def uses_sigma(self) -> bool:
+        """Whether ``sigma`` must be given."""
+        ...
+
+    def __call__(self, sweep: int, sigma: Floats | None) -> Pace:
+        """The pace of sweep 0, 1, ..., from sigma (n,) at its start."""
+        ...
+
+
+@dataclass(frozen=True)
 class Plain:
     """The same time step tau at every sweep and no fidelity, lambda = 0 (section 2)."""
 
     time_step: float = 1.0
+    uses_sigma = False
 
-    def __call__(self, sweep: int, sigma: Floats) -> tuple[float, float]:
-        """tau, and the factor that makes lambda of sigma."""
-        return self.time_step, 0.0
+    def __call__(self, sweep: int, sigma: Floats | None) -> Pace:
+        """tau and no fidelity."""
+        return Pace(self.time_step)
+
+
+@dataclass(frozen=True)
+class Constant:
+    """The same time step tau and the same lambda > 0 at every sweep and vertex (section 3)."""
+
+    time_step: float = 1.0
+    fidelity: float = 0.1
+    uses_sigma = False
+
+    def __call__(self, sweep: int, sigma: Floats | None) -> Pace:
+        """tau and lambda."""
+        return Pace(self.time_step, constant=self.fidelity)
 
 
 @dataclass(frozen=True)
 class Multiscale:
-    """tau = K^j (eq. 6) and lambda = sigma / max sigma (eq. 7), anew at every sweep j = 0, 1, ...
+    """tau = tau_0 K^j (eq. 6) and lambda = sigma / max sigma (eq. 7), anew at every sweep j.
 
-    With ``decay`` K below 1 later sweeps smooth less, the sooner the smaller K is.  On a mesh with
-    sigma = 0 everywhere lambda is zero.
+    With ``decay`` K below 1 later sweeps smooth less, the sooner the smaller K is; tau_0, the
+    ``time_step``, is 1 in the paper.  On a mesh with sigma = 0 everywhere lambda is zero.
     """
 
     decay: float = 0.5
+    time_step: float = 1.0
+    uses_sigma = True
 
-    def __call__(self, sweep: int, sigma: Floats) -> tuple[float, float]:
-        """tau, and the factor that makes lambda of sigma: 1 / max sigma."""
-        largest = float(sigma.max(initial=0.0))
-        return self.decay**sweep, 1.0 / largest if largest > 0.0 else 0.0
+    def __call__(self, sweep: int, sigma: Floats | None) -> Pace:
+        """tau and 1 / max sigma."""
+        largest = 0.0 if sigma is None else float(sigma.max(initial=0.0))
+        return Pace(
+            self.time_step * self.decay**sweep,
+            per_sigma=1.0 / largest if largest > 0.0 else 0.0,
+        )

@@ -55,6 +55,14 @@ class MeshFile(Protocol):
         replaced, by ``vertices`` up to the rounding that the file's number type asks for."""
         ...
 
+    def encoded(self, vertices: NDArray[np.float64], encoding: str, precision: str) -> Buffer:
+        """The file in the same format with new positions, re-encoded.
+
+        ``encoding`` is ``same``, ``ascii`` or ``binary``, ``precision`` ``same``, ``float32`` or
+        ``float64``.  Raises UnsupportedError where the format cannot.
+        """
+        ...
+
     def polygons(self) -> list[Any] | NDArray[np.int32]:
         """The faces as the file has them, for conversion: an (m, k) array or a list of arrays."""
         ...

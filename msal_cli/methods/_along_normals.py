@@ -6,7 +6,8 @@ import time
 from dataclasses import dataclass
 
 from msal_cli.core.operators import AnisotropicLaplacian
-from msal_cli.core.sweeps import Schedule, swept
+from msal_cli.core.schedules import Schedule
+from msal_cli.core.sweeps import swept
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 

@@ -77,7 +77,7 @@ def test_one_sweep_worked_by_hand():
     step = AnisotropicLaplacian(up, links.ring_start, links.ring, free, 1.0)(ready.mesh.vertices)
     near, far = np.exp(-1 / 18), np.exp(-25 / 18)
     assert step.sigma[0] == pytest.approx(3.0, rel=1e-15)
-    assert step.heights[0] == pytest.approx((3 * near + 5 * far) / (3 * near + far), rel=1e-14)
+    assert step.move[0] == pytest.approx((3 * near + 5 * far) / (3 * near + far), rel=1e-14)
 
 
 def test_sigma_zero_is_the_plain_mean():
