@@ -240,7 +240,8 @@ class PlyFile:
                     expected = ply_layout.stored(values[:, k], np.dtype(one.code))
                     if (where[:, k] & (stored[:, k] != expected)).any():
                         raise InternalError(f"an {one.name} of the output is not the computed one")
-                section.write(restored, names, section.numbers(names), where)
+                old = self.vertices if names == POSITION else self._normals[section.element.name]
+                section.write(restored, names, old, where)
             _require_same(self._bytes[section.start : section.stop], restored)
             at = section.stop
         _require_same(self._bytes[at:], result[at:])

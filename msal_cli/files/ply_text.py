@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.files.ply_layout import Bytes, Flags, Floats, Lines, Longs
 
@@ -70,10 +69,12 @@ def edited(data: Bytes, edits: Sequence[Edit]) -> memoryview:
             names = [n for n, d in zip(edit.names, edit.decimals, strict=True) if d == decimals]
             names = _in_file_order(section, names)
             pick = [list(edit.names).index(name) for name in names]
-            values, chosen = edit.values[:, pick], edit.where[:, pick].copy()
+            values, chosen = edit.values, edit.where
+            if pick != list(range(values.shape[1])):
+                values, chosen = values[:, pick], chosen[:, pick]
             if decimals == WHOLE:
                 values = np.rint(values)
-                chosen &= values != section.numbers(names)
+                chosen = chosen & (values != section.numbers(names))
             starts, stops = section.spans(names)
             flat = chosen.reshape(-1)
             new = values.reshape(-1)[flat]
@@ -110,18 +111,18 @@ def is_same_but_for(
     """Whether two files agree outside tokens: (old section, new section, names, where)."""
     from msal_cli.core.text import same_outside
 
-    spans: list[NDArray[np.int64]] = []
+    spans: list[list[Longs]] = []
     for old, new, names, where in kept:
         ordered = _in_file_order(old, names)
         chosen = where[:, [list(names).index(name) for name in ordered]].reshape(-1)
-        both = [*old.spans(ordered), *new.spans(ordered)]
-        spans.append(np.stack([one[chosen] for one in both]))
-    a_starts, a_stops, b_starts, b_stops = (
-        spans[0]
-        if len(spans) == 1
-        else (joined := np.concatenate(spans, axis=1))[:, np.argsort(joined[0])]
-    )
-    return bool(same_outside(data, a_starts, a_stops, result, b_starts, b_stops))
+        spans.append([one[chosen] for one in (*old.spans(ordered), *new.spans(ordered))])
+    ranges = spans[0]
+    if len(spans) > 1:
+        joined = [np.concatenate(parts) for parts in zip(*spans, strict=True)]
+        order = np.argsort(joined[0])
+        ranges = [one[order] for one in joined]
+    a_starts, a_stops, b_starts, b_stops = ranges
+    return same_outside(data, a_starts, a_stops, result, b_starts, b_stops)
 
 
 def _in_file_order(section: Lines, names: Sequence[str]) -> list[str]:

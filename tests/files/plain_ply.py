@@ -26,6 +26,7 @@ PACK = {
     "double": "d",
     "float64": "d",
 }
+ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
 FLOATS = ("float", "float32", "double", "float64")
 
 

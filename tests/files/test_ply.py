@@ -177,6 +177,18 @@ def test_whole_number_coordinates_are_rounded_with_a_warning(encoding):
     assert [row[2] for row in wide.element("vertex").rows] == [1.5, 1.2, 256.0]
 
 
+def test_whole_number_tokens_that_round_to_themselves_are_kept():
+    file = Ply(
+        "ascii",
+        [
+            Element("vertex", [(axis, "int", "") for axis in "xyz"], [["+5", "007", "-0"]] * 3),
+            Element("face", LIST, [[[0, 1, 2]]]),
+        ],
+    )
+    mesh = read(file)
+    assert bytes(mesh.replaced(mesh.vertices + 0.4)) == plain_ply.written(file)
+
+
 def test_positions_beyond_float32_are_refused():
     mesh = read(plain_ply.cube())
     vertices = mesh.vertices.copy()
@@ -322,6 +334,17 @@ def test_normals_that_are_not_three_floats_are_kept_with_a_warning(encoding):
     assert "kept, not recomputed" in mesh.warnings[0]
     output = plain_ply.read(bytes(mesh.replaced(mesh.vertices + np.arange(24.0).reshape(8, 3))))
     assert [row[4:] for row in output.element("vertex").rows] == [[0, 0, 127]] * 8
+
+
+def test_normals_belong_to_the_positions_given_last():
+    vertices, faces = grid(4, 4)
+    file = mesh_file(LE, vertices, faces, normals=np.tile([0.0, 0.0, 1.0], (len(vertices), 1)))
+    mesh = read(file)
+    first, second = vertices + np.sin(vertices), vertices + np.cos(3 * vertices)
+    before = bytes(mesh.replaced(first))
+    assert bytes(mesh.replaced(second)) == bytes(read(file).replaced(second)) != before
+    with pytest.raises(InternalError):
+        mesh.check(before, second)
 
 
 def test_a_nan_among_the_normals_stays_and_passes_the_check():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import random
 import struct
@@ -11,6 +12,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from msal_cli.core import ply_scan
 from msal_cli.errors import InternalError, MsalError
 from msal_cli.files import ply
 from tests.files import plain_ply
@@ -615,3 +617,29 @@ def test_every_prefix_is_refused_or_is_a_whole_mesh(number):
         if survives(data[:size]):
             # Nothing but the line end and digits of the very last word can be missing unseen.
             assert len(data[size:].strip()) < len(data.split()[-1])
+
+
+@pytest.mark.filterwarnings("ignore:overflow")
+@pytest.mark.parametrize("encoding", plain_ply.ENCODINGS)
+def test_no_kernel_reads_beyond_the_end(encoding, monkeypatch):
+    # Compiled kernels do not notice an index beyond an array; uncompiled ones raise IndexError.
+    for name, kernel in list(vars(ply_scan).items()):
+        if hasattr(kernel, "py_func"):
+            monkeypatch.setattr(ply_scan, name, kernel.py_func)
+    rows = [[*corner, [7] * k] for k, corner in enumerate(CORNERS)]
+    faces = [[5, [0, 1, 2]], [6, [0, 1, 2, 3]]]
+    file = Ply(
+        encoding,
+        [
+            Element("vertex", [*XYZ, ("near", "double", "int")], rows),
+            Element("face", [("flag", "short", ""), ("vertex_index", "int", "int")], faces),
+            Element("tristrips", [("vertex_indices", "int", "int")], [[[0, 1, 2, 3]], [[3, 2]]]),
+        ],
+    )
+    data = plain_ply.written(file)
+    for size in range(len(plain_ply.header(file)), len(data)):
+        # Text that lacks only its last digits is whole.
+        expected = contextlib.suppress if encoding == "ascii" else pytest.raises
+        with expected(MsalError):
+            ply.read(data[:size], "cut.ply")
+    assert ply.read(data, "whole.ply").faces.tolist() == plain_ply.triangles(file)
