@@ -193,12 +193,8 @@ def _long(buf, start, stop, decimals):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def read_number(buf, start, stop):  # type: ignore[no-untyped-def]
-    """The number that begins at ``start``: value, status, end, decimals.
-
-    ``end`` is the first byte that does not belong to it; whether a token may end there is the
-    caller's to say.  ``decimals`` are the digits behind the point, the exponent counted in.
-    """
+def _read_any(buf, start, stop):  # type: ignore[no-untyped-def]
+    """``read_number`` for every number."""
     at = start
     negative = False
     if at < stop and (buf[at] == 45 or buf[at] == 43):
@@ -245,6 +241,46 @@ def read_number(buf, start, stop):  # type: ignore[no-untyped-def]
     else:
         value, status = _scaled(mantissa, -decimals)
     return -value if negative else value, status, at, max(decimals, 0)
+
+
+@njit(cache=True, nogil=True)
+def read_number(buf, start, stop):  # type: ignore[no-untyped-def]
+    """The number that begins at ``start``: value, status, end, decimals.
+
+    ``end`` is the first byte that does not belong to it; whether a token may end there is the
+    caller's to say.  ``decimals`` are the digits behind the point, the exponent counted in.
+    """
+    # Short and small, for the numbers that nearly all files consist of.
+    at = start
+    negative = at < stop and buf[at] == 45
+    if negative:
+        at += 1
+    first = at
+    mantissa = np.int64(0)
+    decimals = np.int64(0)
+    while at < stop:
+        digit = np.int64(buf[at]) - 48
+        if digit < 0 or digit > 9:
+            break
+        mantissa = mantissa * 10 + digit
+        at += 1
+    n_digits = at - first
+    if at < stop and buf[at] == 46:
+        at += 1
+        point = at
+        while at < stop:
+            digit = np.int64(buf[at]) - 48
+            if digit < 0 or digit > 9:
+                break
+            mantissa = mantissa * 10 + digit
+            at += 1
+        decimals = at - point
+        n_digits += decimals
+    # 18 digits cannot overflow, and a letter may be an exponent or the beginning of a word.
+    if 0 < n_digits <= 18 and mantissa <= 1 << 53 and (at >= stop or buf[at] < 65):
+        value = np.float64(mantissa) / _FLOAT_POWERS[decimals]
+        return -value if negative else value, EXACT, at, decimals
+    return _read_any(buf, start, stop)
 
 
 # Printing

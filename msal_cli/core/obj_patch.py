@@ -50,6 +50,31 @@ def _written(value, decimals, out, at):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def _patched_statement(  # type: ignore[no-untyped-def]
+    buf, begin, axis, old, new, is_forced, decimals, out, done, at
+):
+    """Copy up to the last number of one statement that is replaced, from ``axis`` on.
+
+    ``old`` and ``new`` are the three numbers: as tuples, because an array that is handed on for
+    every statement costs more than the work itself.  Returns the axis that Python must write (3
+    for none), and the bytes of ``buf`` and ``out`` that are dealt with.
+    """
+    while axis < 3:
+        begin = past_blanks(buf, begin)
+        end = past_word(buf, begin)
+        if is_forced or new[axis] != old[axis]:
+            at = _copied(buf, done, begin, out, at)
+            done = end
+            stop = _written(new[axis], decimals, out, at)
+            if stop < 0:
+                break
+            at = stop
+        begin = end
+        axis += 1
+    return axis, done, at
+
+
+@njit(cache=True, nogil=True)
 def patched(  # type: ignore[no-untyped-def]
     buf, walk, vertex_at, vertices, new_vertices, normal_at, normals, new_normals, style, out
 ):
@@ -67,41 +92,29 @@ def patched(  # type: ignore[no-untyped-def]
     """
     i, j, axis = walk[VERTEX], walk[NORMAL], walk[AXIS]
     done, at = walk[OLD], walk[NEW]
+    is_forced = style[2] == 1
     result = DONE
     while i < len(vertex_at) or j < len(normal_at):
         is_vertex = j == len(normal_at) or (i < len(vertex_at) and vertex_at[i] < normal_at[j])
+        # ``done`` lies within the statement where the walk was interrupted in it.
         if is_vertex:
-            old, new, row = vertices, new_vertices, i
-            begin, decimals = vertex_at[i] + 1, style[0]
+            begin, decimals, forced = vertex_at[i] + 1, style[0], is_forced
+            old = (vertices[i, 0], vertices[i, 1], vertices[i, 2])
+            new = (new_vertices[i, 0], new_vertices[i, 1], new_vertices[i, 2])
         else:
-            old, new, row = normals, new_normals, j
-            begin, decimals = normal_at[j] + 2, style[1]
-        is_forced = is_vertex and style[2] == 1
-        if (
-            is_forced
-            or new[row, 0] != old[row, 0]
-            or new[row, 1] != old[row, 1]
-            or new[row, 2] != old[row, 2]
-        ):
-            # ``done`` lies within this statement where the walk was interrupted in it.
+            begin, decimals, forced = normal_at[j] + 2, style[1], False
+            old = (normals[j, 0], normals[j, 1], normals[j, 2])
+            new = (new_normals[j, 0], new_normals[j, 1], new_normals[j, 2])
+        if forced or new[0] != old[0] or new[1] != old[1] or new[2] != old[2]:
             begin = max(begin, done)
-            while axis < 3:
-                begin = past_blanks(buf, begin)
-                end = past_word(buf, begin)
-                value = new[row, axis]
-                if is_forced or value != old[row, axis]:
-                    at = _copied(buf, done, begin, out, at)
-                    done = end
-                    stop = _written(value, decimals, out, at)
-                    if stop < 0:
-                        walk[IS_NORMAL] = not is_vertex
-                        result = ASIDE
-                        break
-                    at = stop
-                begin = end
-                axis += 1
-            if result == ASIDE:
-                break
+            axis, done, at = _patched_statement(
+                buf, begin, axis, old, new, forced, decimals, out, done, at
+            )
+            if axis < 3:
+                result = ASIDE
+        if result == ASIDE:
+            walk[IS_NORMAL] = not is_vertex
+            break
         axis = 0
         if is_vertex:
             i += 1

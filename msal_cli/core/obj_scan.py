@@ -68,18 +68,16 @@ _MTLLIB = np.uint64(int.from_bytes(b"mtllib", "big"))
 @njit(cache=True, nogil=True)
 def counted(buf):  # type: ignore[no-untyped-def]
     """At least as many v, vn and f statements as there are; hardly more in any real file."""
-    n_vertices = n_normals = n_faces = np.int64(1)
-    for start in range(1, len(buf) - 1, 248):
-        v = n = f = np.uint8(0)
-        for i in range(start, min(start + 248, len(buf) - 1)):
-            ends = np.uint8(buf[i + 1] <= 32) | np.uint8(buf[i + 1] == 92)
-            begins = np.uint8(buf[i - 1] <= 32)
-            v += np.uint8(buf[i] == 118) & begins & ends
-            f += np.uint8(buf[i] == 102) & begins & ends
-            n += np.uint8(buf[i] == 110) & np.uint8(buf[i - 1] == 118) & ends
-        n_vertices += np.int64(v)
-        n_normals += np.int64(n)
-        n_faces += np.int64(f)
+    n_vertices = n_normals = n_faces = 1
+    # One plain sum each, so that they become vector code.
+    for i in range(1, len(buf) - 1):
+        n_vertices += (
+            (buf[i] == 118) & (buf[i - 1] <= 32) & ((buf[i + 1] <= 32) | (buf[i + 1] == 92))
+        )
+    for i in range(1, len(buf) - 1):
+        n_faces += (buf[i] == 102) & (buf[i - 1] <= 32) & ((buf[i + 1] <= 32) | (buf[i + 1] == 92))
+    for i in range(1, len(buf) - 1):
+        n_normals += (buf[i - 1] == 118) & (buf[i] == 110)
     return n_vertices, n_normals, n_faces
 
 
@@ -105,17 +103,22 @@ def is_word_end(buf, at):  # type: ignore[no-untyped-def]
     if at >= len(buf):
         return True
     c = buf[at]
+    if c == 32 or c == 10:
+        return True
     if c == 92:
         return at + 1 < len(buf) and (buf[at + 1] == 10 or buf[at + 1] == 13)
-    return c == 32 or 9 <= c <= 13
+    return 9 <= c <= 13
 
 
 @njit(cache=True, nogil=True)
 def past_word(buf, at):  # type: ignore[no-untyped-def]
     """The end of the word at ``at``."""
-    while not is_word_end(buf, at):
+    while True:
+        while at < len(buf) and buf[at] > 32 and buf[at] != 92:
+            at += 1
+        if is_word_end(buf, at):
+            return at
         at += 1
-    return at
 
 
 @njit(cache=True, nogil=True)
@@ -325,6 +328,25 @@ def scanned(  # type: ignore[no-untyped-def]
             first_corner, word = n_corners, at
             textured, before_first = state[TEXTURED], state[BEFORE_FIRST]
             while True:
+                # Short and small, for the corners v that many files have nothing else but.
+                if at + 1 < len(buf) and buf[at] == 32 and n_corners < len(corners):
+                    number = np.int64(0)
+                    end = at + 1
+                    while end < len(buf):
+                        digit = np.int64(buf[end]) - 48
+                        if digit < 0 or digit > 9:
+                            break
+                        number = number * 10 + digit
+                        end += 1
+                    # Ten digits at most, so that nothing has overflowed.
+                    if 0 < number and end - at <= 11 and end < len(buf) and buf[end] in (32, 10):
+                        largest = max(largest, number - 1)
+                        corners[n_corners] = min(number, 1 << 31) - 1
+                        if len(corner_normals):
+                            corner_normals[n_corners] = -1
+                        n_corners += 1
+                        at = end
+                        continue
                 at = past_blanks(buf, at)
                 if _is_statement_end(buf, at):
                     break

@@ -237,18 +237,18 @@ def spliced(buf: Bytes, starts: Offsets, stops: Offsets, text: Bytes, text_stops
 @njit(cache=True, nogil=True)
 def is_same(a, a_start, b, b_start, count):  # type: ignore[no-untyped-def]
     """Whether ``count`` bytes of a and b are equal."""
-    block = 64
     done = 0
     while done < count:
-        # No branch inside the block, so that it becomes vector code.
-        different = np.uint8(0)
-        stop = min(done + block, count)
-        for k in range(done, stop):
-            different |= a[a_start + k] ^ b[b_start + k]
-        if different != 0:
+        # Slices and a plain sum without a branch in the block, so that it becomes vector code.
+        size = min(4096, count - done)
+        a_block = a[a_start + done : a_start + done + size]
+        b_block = b[b_start + done : b_start + done + size]
+        different = 0
+        for k in range(size):
+            different += a_block[k] != b_block[k]
+        if different:
             return False
-        done = stop
-        block = 4096
+        done += size
     return True
 
 
