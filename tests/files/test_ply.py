@@ -412,6 +412,34 @@ def test_the_check_wants_the_positions_it_is_given(encoding):
 # Conversion
 
 
+def test_text_is_the_same_in_chunks_of_any_size(monkeypatch):
+    file = mesh_file(LE, *grid(4, 3))
+    file.elements[1].rows[3][0] = [0, 1, 4, 3]
+    mesh = read(file)
+    whole = bytes(mesh.encoded(mesh.vertices, "ascii", "same"))
+    for size in (1, 5, 12):
+        monkeypatch.setattr("msal_cli.files.ply_encode._CHUNK", size)
+        assert bytes(mesh.encoded(mesh.vertices, "ascii", "same")) == whole
+    assert plain_ply.read(whole).elements == file.elements
+
+
+def test_a_list_longer_than_its_count_type_does_not_become_binary():
+    file = mesh_file("ascii", *grid(3, 3))
+    file.elements[1].properties = [("vertex_indices", "int", "char")]
+    file.elements[1].rows[2][0] = [0, 1, 4] * 43
+    mesh = read(file)
+    with pytest.raises(ContentError, match="face 2"):
+        mesh.encoded(mesh.vertices, "binary", "same")
+
+
+def test_text_has_no_more_digits_than_the_type_tells_apart():
+    file = plain_ply.cube()
+    file.element("camera").rows[0] = [0.1, 0.1]
+    mesh = read(file)
+    output = bytes(mesh.encoded(mesh.vertices + 0.7, "ascii", "same")).split(b"end_header\n")[1]
+    assert output.split(b"\n")[:2] == [b"0.1 0.1", b"0.7 0.7 0.7 0"]
+
+
 def test_unknown_words_for_encoding_and_precision_are_wrong_use():
     mesh = read(plain_ply.cube())
     for words in (("little", "same"), ("same", "float16")):
