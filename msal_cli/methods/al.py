@@ -24,27 +24,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from msal_cli.core.schedules import Plain
 from msal_cli.mesh import Mesh
-from msal_cli.methods._along_normals import NormalParameters, swept_along_normals
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._contract import OnSweep, Result
+from msal_cli.methods._sweeps import ScheduledParameters, anisotropic_laplacian, run
 
 
 @dataclass(frozen=True)
-class Parameters(NormalParameters):
+class Parameters(ScheduledParameters):
     """Parameters of the anisotropic Laplacian."""
-
-    time_step: float = parameter(
-        1.0,
-        "share of the way to the weighted mean that a sweep goes",
-        symbol="tau",
-        low=0.0,
-        high=1.0,
-        low_open=True,
-        more="smoother",
-    )
 
 
 def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """AL of ``mesh``; see the module's description."""
-    return swept_along_normals(mesh, parameters, Plain(parameters.time_step), on_sweep)
+    return run(
+        mesh,
+        parameters,
+        lambda: anisotropic_laplacian(mesh, parameters),
+        parameters.chosen_schedule(),
+        on_sweep,
+    )

@@ -25,8 +25,8 @@ from dataclasses import dataclass
 
 from msal_cli.core.schedules import Multiscale
 from msal_cli.mesh import Mesh
-from msal_cli.methods._along_normals import NormalParameters, swept_along_normals
 from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._sweeps import NormalParameters, anisotropic_laplacian, run
 
 
 @dataclass(frozen=True)
@@ -46,4 +46,10 @@ class Parameters(NormalParameters):
 
 def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """MSAL of ``mesh``; see the module's description."""
-    return swept_along_normals(mesh, parameters, Multiscale(parameters.K), on_sweep)
+    return run(
+        mesh,
+        parameters,
+        lambda: anisotropic_laplacian(mesh, parameters),
+        Multiscale(parameters.K),
+        on_sweep,
+    )

@@ -1,0 +1,145 @@
+"""What the methods of equation (2) share: their parameters, the schedule, and the run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.core.operators import AnisotropicLaplacian, Operator
+from msal_cli.core.schedules import Constant, Multiscale, Plain, Schedule
+from msal_cli.core.sweeps import swept
+from msal_cli.mesh import Mesh
+from msal_cli.methods._contract import OnSweep, Result, parameter
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NormalParameters:
+    """Iterations, and the vertex normals that heights, and sigma of eq. (4), are measured along."""
+
+    iterations: int = parameter(
+        4,
+        "sweeps over all vertices",
+        symbol="n",
+        low=0,
+        high=1000,
+        more="smoother; under the multiscale schedule many sweeps lead back to the input",
+    )
+    mollify: int = parameter(
+        1,
+        "passes that average the normals over the one-ring before the first sweep",
+        low=0,
+        high=100,
+        more="smoother normals: flatter flats under heavy noise, softer edges",
+    )
+    normals: str = parameter(
+        "uniform",
+        "how face normals count in a vertex normal: alike, or by face area",
+        choices=("uniform", "area"),
+    )
+    boundary: str = parameter(
+        "free",
+        "vertices at open edges: filtered like the others with the neighbours they have, or fixed",
+        choices=("free", "fixed"),
+    )
+
+
+@dataclass(frozen=True)
+class ScheduledParameters(NormalParameters):
+    """Parameters of a method whose operator can run under any schedule of equation (2)."""
+
+    time_step: float = parameter(
+        1.0,
+        "share of the operator's step that the first sweep takes",
+        symbol="tau",
+        low=0.0,
+        high=1.0,
+        low_open=True,
+        more="smoother",
+    )
+    schedule: str = parameter(
+        "plain",
+        "how the sweeps go on: alike; with a constant pull to the data; or multiscale, as in msal",
+        choices=("plain", "constant", "multiscale"),
+    )
+    fidelity: float = parameter(
+        0.1,
+        "constant schedule: pull towards the scanned position at every sweep",
+        symbol="lambda",
+        low=0.0,
+        high=1.0,
+        more="closer to the input",
+    )
+    K: float = parameter(
+        0.5,
+        "multiscale schedule: factor by which the smoothing shrinks from sweep to sweep",
+        symbol="K",
+        low=0.0,
+        high=1.0,
+        low_open=True,
+        more="smoother; less keeps more texture, and more noise",
+    )
+
+    def chosen_schedule(self) -> Schedule:
+        """The schedule that these parameters describe."""
+        if self.schedule == "constant":
+            return Constant(self.time_step, self.fidelity)
+        if self.schedule == "multiscale":
+            return Multiscale(self.K, self.time_step)
+        return Plain(self.time_step)
+
+
+def free_vertices(mesh: Mesh, boundary: str) -> NDArray[np.bool_]:
+    """Which vertices (n,) may move, for the parameter ``boundary``."""
+    edge = mesh.links.boundary
+    free: NDArray[np.bool_] = ~edge if boundary == "fixed" else np.ones_like(edge)
+    return free
+
+
+def anisotropic_laplacian(mesh: Mesh, parameters: NormalParameters) -> AnisotropicLaplacian:
+    """The operator of eq. (5) along the mesh's own normals."""
+    return AnisotropicLaplacian(
+        mesh.vertex_normals(parameters.normals, parameters.mollify),
+        mesh.links.ring_start,
+        mesh.links.ring,
+        free_vertices(mesh, parameters.boundary),
+        mesh.mean_edge_length,
+    )
+
+
+def run(
+    mesh: Mesh,
+    parameters: NormalParameters,
+    operator: Callable[[], Operator],
+    schedule: Schedule,
+    on_sweep: OnSweep | None,
+) -> Result:
+    """Sweeps of the operator that ``operator()`` makes, under ``schedule``.
+
+    Making it counts as the stage ``normals``.  For a schedule that needs sigma over an operator
+    that does not compute it, sigma is that of eq. (4) along the mesh's vertex normals.  The
+    result's field ``fidelity`` is lambda of the first sweep.
+    """
+    started = time.perf_counter()
+    made = operator()
+    laplacian = anisotropic_laplacian(mesh, parameters) if schedule.uses_sigma else None
+
+    def scale(positions: Floats) -> Floats:
+        assert laplacian is not None
+        sigma = laplacian(positions).sigma
+        assert sigma is not None
+        return sigma
+
+    ready = time.perf_counter()
+    result = swept(mesh.vertices, made, schedule, parameters.iterations, on_sweep, scale)
+    finished = time.perf_counter()
+    return Result(
+        result.vertices,
+        fields={"fidelity": result.fidelity},
+        seconds={"normals": ready - started, "sweeps": finished - ready},
+    )
