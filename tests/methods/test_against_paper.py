@@ -181,3 +181,20 @@ def test_rotation_and_scale_change_nothing_else():
     for name in ("al", "msal"):
         plain = run(name, vertices, faces)
         assert np.allclose(run(name, 1000 * vertices @ turn, faces), 1000 * plain @ turn, atol=1e-9)
+
+
+def test_multiscale_over_al_is_msal():
+    vertices, faces = torus()
+    vertices = noisy(vertices, 14, 0.1)
+    composed = run("al", vertices, faces, schedule="multiscale", K=0.3)
+    assert (composed == run("msal", vertices, faces, K=0.3)).all()
+
+
+def test_constant_fidelity_worked_by_hand():
+    # One vertex with heights 0.3: d = 0.3, then x <- x + d - 0.25 t with t the offset so far.
+    vertices, faces = fan([0.3] * 6)
+    given = {"schedule": "constant", "fidelity": 0.25, "mollify": 0, "boundary": "fixed"}
+    first = run("al", vertices, faces, n=1, **given)
+    second = run("al", vertices, faces, n=2, **given)
+    assert first[0, 2] == pytest.approx(0.3)
+    assert second[0, 2] == pytest.approx(0.3 + 0.0 - 0.25 * 0.3)
