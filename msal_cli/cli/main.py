@@ -16,7 +16,7 @@ from click.exceptions import Exit
 from msal_cli import __version__
 from msal_cli.cli import exit_codes, talk
 from msal_cli.cli.words import COMPLETE_VARIABLE
-from msal_cli.errors import MsalError
+from msal_cli.errors import MsalError, OutputError
 
 _COMMANDS = ("denoise", "info", "methods", "completion")
 
@@ -134,12 +134,12 @@ def _internal_error(error: Exception) -> int:
 def _flushed(status: int) -> int:
     """``status``, or 1 if what was printed cannot be delivered."""
     try:
-        if sys.stdout is not None:
-            sys.stdout.flush()
+        talk.flush()
     except BrokenPipeError:
         return exit_codes.worst(status, _abandoned_output())
-    except OSError as error:
-        talk.say(f"msal: error: the output cannot be written: {error.strerror} (E_WRITE)", "bad")
+    except OutputError as error:
+        if status == exit_codes.SUCCESS:
+            talk.say_error(error)
         return exit_codes.worst(status, _abandoned_output())
     return status
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.cli import talk
+from msal_cli.report.names import padded, shortened, shown
 
 if TYPE_CHECKING:
     from msal_cli.batch.events import Event
@@ -17,6 +20,10 @@ _FORMAT = "{desc} {percentage:3.0f} %|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{rem
 
 # Nobody needs a bar for what is over in the blink of an eye (seconds).
 _DELAY_S = 0.4
+_BETWEEN_S = 0.1
+
+# ... and a file of this size is not over in one; reading it alone takes longer.
+_LARGE_BYTES = 8 << 20
 
 
 class Silent:
@@ -35,9 +42,12 @@ class Silent:
 class SweepBar:
     """A bar for one mesh: the stage it is at, and the sweeps."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, *, is_large: bool = False) -> None:
+        delay = 0.0 if is_large else _DELAY_S
         self._name = _short(name)
-        self._bar = _bar(total=1, bar_format="{desc}", delay=_DELAY_S)
+        self._stage = ""
+        self._bar = _bar(total=1, bar_format="{desc}", delay=delay)
+        self._wakes = time.monotonic() + delay
 
     def on_event(self, event: Event) -> None:
         """Follow the one file of a run."""
@@ -48,14 +58,16 @@ class SweepBar:
 
     def on_progress(self, stage: str, done: int, total: int) -> None:
         """Show ``done`` of ``total`` steps of ``stage``; only sweeps are counted."""
-        is_counted = stage == "sweeps" and total > 1
-        self._bar.bar_format = _FORMAT if is_counted else "{desc}"
+        is_counted = stage == "sweeps" and done > 0
+        if stage != self._stage or is_counted != (self._bar.bar_format == _FORMAT):
+            self._stage = stage
+            self._bar.bar_format = _FORMAT if is_counted else "{desc}"
+            self._bar.set_description_str(f"{self._name}: {stage}", refresh=False)
+            if time.monotonic() >= self._wakes:
+                self._bar.refresh()
         if is_counted:
             self._bar.total = total
-            self._bar.n = done
-        self._bar.set_description_str(f"{self._name}: {stage}", refresh=False)
-        self._bar.update(0)
-        self._bar.refresh()
+            self._bar.update(done - self._bar.n)
 
     def close(self) -> None:
         """Take the bar away."""
@@ -66,21 +78,26 @@ class FileBar:
     """A bar over many files, with the file in hand and how many have failed."""
 
     def __init__(self, tasks: Sequence[Task]) -> None:
-        self._tasks = tasks
         self._n_failed = 0
         self._bar = _bar(total=len(tasks), bar_format=_FORMAT)
+        self._shown = 0.0
 
     def on_event(self, event: Event) -> None:
         """Show what happened to one file."""
         from msal_cli.batch.events import Finished, Started
 
         if isinstance(event, Started):
-            self._bar.set_description_str(_short(event.task.relative))
+            name = padded(_short(event.task.relative), _NAME_WIDTH // 2)
+            self._bar.set_description_str(name, refresh=False)
         elif isinstance(event, Finished):
             if event.record.status == "failed":
                 self._n_failed += 1
                 self._bar.set_postfix_str(f"{self._n_failed} failed", refresh=False)
             self._bar.update(1)
+        # A folder of small files must not spend its time on a bar.
+        if time.monotonic() >= self._shown + _BETWEEN_S:
+            self._shown = time.monotonic()
+            self._bar.refresh()
 
     def on_progress(self, stage: str, done: int, total: int) -> None:
         """The steps within a file are not shown."""
@@ -97,7 +114,9 @@ def bar(tasks: Sequence[Task], *, quiet: bool) -> Bar:
     """The bar for a run; Silent with ``quiet`` or where standard error is no terminal."""
     if quiet or not tasks or not talk.is_terminal(sys.stderr):
         return Silent()
-    return SweepBar(tasks[0].relative) if len(tasks) == 1 else FileBar(tasks)
+    if len(tasks) > 1:
+        return FileBar(tasks)
+    return SweepBar(tasks[0].relative, is_large=_size(tasks[0].input) >= _LARGE_BYTES)
 
 
 def stream_bar(name: str, *, quiet: bool) -> Bar:
@@ -117,11 +136,15 @@ def heard_by(*listeners: Callable[[Event], None]) -> Callable[[Event], None]:
     return tell
 
 
-def _short(name: str) -> str:
-    from msal_cli.report.names import padded, shortened, shown
+def _size(path: str) -> int:
+    try:
+        return Path(path).stat().st_size
+    except (OSError, ValueError):
+        return 0
 
-    text = shortened(shown(name), _NAME_WIDTH)
-    return padded(text, min(_NAME_WIDTH, 20))
+
+def _short(name: str) -> str:
+    return shortened(shown(name), _NAME_WIDTH)
 
 
 def _bar(**options: Any) -> Any:
@@ -132,4 +155,4 @@ def _bar(**options: Any) -> Any:
     # tqdm's own lock and monitor would bring a semaphore of the system and a thread.
     tqdm.set_lock(threading.RLock())
     tqdm.monitor_interval = 0
-    return tqdm(file=sys.stderr, leave=False, dynamic_ncols=True, mininterval=0.1, **options)
+    return tqdm(file=sys.stderr, leave=False, dynamic_ncols=True, mininterval=_BETWEEN_S, **options)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, TextIO
 
 import click
@@ -76,13 +77,13 @@ def put(text: str) -> None:
     Raises
     ------
     OutputError
-        if standard output is closed.
+        if standard output is closed, or its disk is full.
+    BrokenPipeError
+        if nobody reads it.
     """
     stream = _standard_output()
-    try:
-        stream.write(text)
-    except UnicodeEncodeError:
-        encoding = stream.encoding or "ascii"
+    encoding = stream.encoding or "ascii"
+    with _told_apart():
         stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
 
 
@@ -95,30 +96,30 @@ def put_lines(lines: Iterable[Line]) -> None:
 
 
 def put_bytes(data: bytes | bytearray | memoryview) -> None:
-    """Bytes as data to standard output.
-
-    Raises
-    ------
-    OutputError
-        if standard output is closed, or its disk is full.
-    BrokenPipeError
-        if nobody reads it.
-    """
+    """Bytes as data to standard output, at once; the errors are those of ``put``."""
     stream = _standard_output()
-    try:
+    with _told_apart():
         stream.flush()
         stream.buffer.write(data)
         stream.buffer.flush()
+
+
+def flush() -> None:
+    """Hand on what was put to standard output; the errors are those of ``put``."""
+    if sys.stdout is not None:
+        with _told_apart():
+            sys.stdout.flush()
+
+
+@contextmanager
+def _told_apart() -> Iterator[None]:
+    """A reader that has gone away is no error to talk about; whatever else goes wrong is."""
+    try:
+        yield
     except BrokenPipeError:
         raise
     except OSError as error:
         raise OutputError(f"standard output cannot be written: {error.strerror}") from None
-
-
-def flush() -> None:
-    """Hand on what was put to standard output."""
-    if sys.stdout is not None:
-        sys.stdout.flush()
 
 
 def width() -> int:

@@ -1,0 +1,73 @@
+"""Small scans on disk, and the program to run over them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from click.testing import CliRunner
+
+from msal_cli.cli.main import program
+from tests.shapes import grid, noisy, torus
+
+MSAL = (sys.executable, "-m", "msal_cli")
+
+
+def ply_text(vertices, faces):
+    """An ASCII PLY file as bytes."""
+    header = (
+        f"ply\nformat ascii 1.0\ncomment a scan\nelement vertex {len(vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    lines = [" ".join(f"{x:.6f}" for x in vertex) for vertex in vertices]
+    lines += ["3 " + " ".join(str(i) for i in face) for face in faces]
+    return header.encode() + "\n".join(lines).encode() + b"\n"
+
+
+def closed_scan(seed=0):
+    """A noisy torus as PLY; 288 vertices."""
+    vertices, faces = torus()
+    return ply_text(noisy(vertices, seed, 0.05), faces)
+
+
+def open_scan():
+    """A noisy open grid as PLY; 30 vertices."""
+    vertices, faces = grid()
+    return ply_text(noisy(vertices, 1, 0.05), faces)
+
+
+BAD_SCAN = closed_scan().replace(b"\n3 0", b"\n3 9999", 1)
+
+
+def folder_of(path, **files):
+    """A folder with files; ``a="x"`` becomes ``a.ply`` with these bytes."""
+    path.mkdir(parents=True, exist_ok=True)
+    for name, data in files.items():
+        (path / f"{name}.ply").write_bytes(data)
+    return path
+
+
+def msal(*arguments):
+    """Run a command line in this process; has .exit_code, .stdout, .stderr, .stdout_bytes."""
+    return CliRunner().invoke(program, [str(one) for one in arguments])
+
+
+def msal_on(data, *arguments):
+    """Run a command line in this process with ``data`` on standard input."""
+    return CliRunner().invoke(program, [str(one) for one in arguments], input=data)
+
+
+def process(*arguments, **options):
+    """Run the real command to its end."""
+    options = {"capture_output": True, "timeout": 120} | options
+    environment = {**os.environ, "NUMBA_NUM_THREADS": "1", **options.pop("env", {})}
+    words = [one if isinstance(one, bytes) else str(one) for one in (*MSAL, *arguments)]
+    return subprocess.run(words, env=environment, check=False, **options)
+
+
+def lines_of(path):
+    """A text file's lines."""
+    return Path(path).read_text().splitlines()

@@ -1,0 +1,427 @@
+"""`msal denoise` over files: what it writes, says, reports and refuses."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from msal_cli.batch import run as run_module
+from msal_cli.batch.events import Finished
+from msal_cli.batch.signals import Terminated
+from msal_cli.errors import OutputError
+from msal_cli.report.schema import report_schema
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, open_scan, process
+
+
+@pytest.fixture
+def scan(tmp_path):
+    return folder_of(tmp_path / "a folder", scan=closed_scan()) / "scan.ply"
+
+
+@pytest.fixture
+def mixed(tmp_path):
+    """A folder of two good files and a bad one."""
+    folder = folder_of(tmp_path / "scans", bad=BAD_SCAN, closed=closed_scan())
+    folder_of(folder / "below", open=open_scan())
+    return folder
+
+
+def tree(folder):
+    found = (one for one in Path(folder).rglob("*") if one.is_file())
+    return sorted(one.relative_to(folder).as_posix() for one in found)
+
+
+# One file
+
+
+def test_one_file_is_written_and_told(scan, tmp_path):
+    output = tmp_path / "out.ply"
+    made = msal("denoise", scan, "-o", output)
+    assert made.exit_code == 0
+    assert made.stdout == ""
+    assert made.stderr.startswith(f"{scan} -> {output}\n")
+    assert "288 vertices, 576 faces, 1 component, ply ascii" in made.stderr
+    assert "vertices/s" in made.stderr
+    before, after = scan.read_bytes(), output.read_bytes()
+    assert before != after
+    header = before.index(b"end_header")
+    assert before[:header] == after[:header]
+    assert before[before.index(b"\n3 ") :] == after[after.index(b"\n3 ") :]
+
+
+def test_a_bad_file_is_an_error_with_place_code_and_hint(mixed, tmp_path):
+    output = tmp_path / "out.ply"
+    made = msal("denoise", mixed / "bad.ply", "-o", output)
+    assert made.exit_code == 1
+    error, hint = made.stderr.splitlines()
+    assert error.startswith(f"msal: error: {mixed / 'bad.ply'}: ")
+    assert "9999" in error
+    assert error.endswith("(E_INDEX)")
+    assert hint.startswith("hint: ")
+    assert not output.exists()
+
+
+def test_zero_sweeps_give_the_very_bytes_back(scan, tmp_path):
+    output = tmp_path / "out.ply"
+    made = msal("denoise", scan, "-o", output, "-n", "0")
+    assert made.exit_code == 0
+    assert "byte for byte as it was" in made.stderr
+    assert output.read_bytes() == scan.read_bytes()
+
+
+def test_options_reach_the_method(scan, tmp_path):
+    output = tmp_path / "out.ply"
+    made = msal(
+        *("denoise", scan, "-o", output, "--json", "-q", "-n", "2", "-K", "0.25", "--mollify", "0"),
+        *("--set", "normals=area", "--set", "n=2"),
+    )
+    assert made.exit_code == 0
+    assert made.stderr == ""
+    data = json.loads(made.stdout)
+    Draft202012Validator(report_schema()).validate(data)
+    expected = {"iterations": 2, "K": 0.25, "mollify": 0, "normals": "area", "boundary": "free"}
+    assert data["settings"]["parameters"] == expected
+    assert data["records"][0]["method"] == {"name": "msal", "parameters": expected}
+    assert data["command"][:2] == ["msal", "denoise"]
+    assert data["started"] <= data["finished"]
+    assert data["started"].endswith("Z")
+
+
+def test_another_method(scan, tmp_path):
+    one, other = tmp_path / "1.ply", tmp_path / "2.ply"
+    assert msal("denoise", scan, "-o", one).exit_code == 0
+    assert msal("denoise", scan, "-o", other, "--method", "al").exit_code == 0
+    assert one.read_bytes() != other.read_bytes()
+
+
+# Wrong use: status 2, a word on what to do, and nothing is touched
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "hint"),
+    [
+        ([], "there is no output", "-o OUT, or replace the inputs with --in-place"),
+        (["-o", "OUT", "--method", "msaal"], "there is no method 'msaal'", "did you mean msal"),
+        (["-o", "OUT", "-K", "2"], "K = 2 is not allowed", "0 < K <= 1"),
+        (["-o", "OUT", "-K", "nan"], "K = nan is not allowed", "0 < K <= 1"),
+        (["-o", "OUT", "-n", "-1"], "iterations = -1 is not allowed", "0 <= iterations"),
+        (["-o", "OUT", "-n", "two"], "iterations = two is not allowed", "whole number"),
+        (["-o", "OUT", "--set", "K"], "--set K is not NAME=VALUE", "for example"),
+        (["-o", "OUT", "--set", "k=1"], "msal has no parameter 'k'", ""),
+        (["-o", "OUT", "-n", "3", "--set", "iterations=4"], "two different values", "once"),
+        (["-o", "OUT", "--in-place"], "contradict each other", "one of them"),
+        (["-o", "OUT", "--backup", ".b"], "--backup needs --in-place", ""),
+        (["-o", "OUT", "--no-backup"], "--no-backup needs --in-place", ""),
+        (["--in-place", "--backup", ".b", "--no-backup"], "contradict each other", ""),
+        (["--in-place", "--to", "stl"], "cannot change the format", "-o"),
+        (["--in-place", "--backup", ".ply"], "would be inputs of the next run", ".orig"),
+        (["-o", "OUT", "--to", "plz"], "--to plz: there is no such format", "did you mean ply"),
+        (["-o", "OUT", "--format", "ob"], "--format ob: there is no such", "obj"),
+        (["-o", "OUT", "--encoding", "hex"], "'hex' is not one of", "denoise --help"),
+        (["-o", "OUT", "-j", "0"], "neither auto nor a whole number", "denoise --help"),
+        (["-o", "OUT", "--report", "r.xml"], "r.xml' says no known format", ".jsonl"),
+        (["-o", "OUT", "--report", "SCAN.json", "--report", "SCAN.json"], "given twice", ""),
+        (["-o", "OUT", "-q", "-v"], "contradict each other", ""),
+        (["-o", "OUT", "nowhere.ply"], "there is no file or folder 'nowhere.ply'", ""),
+        (["-o", "SCAN"], "overwritten by its own output", "--in-place"),
+        (["-o", "OUT.ply", "--to", "stl"], "", ""),
+    ],
+)
+def test_wrong_use(scan, tmp_path, arguments, error, hint):
+    words = [
+        one.replace("SCAN", str(scan)).replace("OUT", str(tmp_path / "out")) for one in arguments
+    ]
+    before = scan.read_bytes()
+    made = msal("denoise", scan, *words)
+    assert made.exit_code == 2, made.stderr
+    assert made.stdout == ""
+    assert made.stderr.startswith("msal: error: ")
+    assert error in made.stderr.splitlines()[0]
+    if hint:
+        assert hint in made.stderr.splitlines()[1]
+    assert tree(tmp_path) == ["a folder/scan.ply"]
+    assert scan.read_bytes() == before
+
+
+def test_no_input_at_all():
+    made = msal("denoise", "-o", "out")
+    assert made.exit_code == 2
+    assert "Missing argument 'INPUT...'" in made.stderr
+
+
+def test_nothing_matched(mixed, tmp_path):
+    made = msal("denoise", mixed, "-o", tmp_path / "out", "--include", "*.stl")
+    assert made.exit_code == 5
+    assert "(E_NOTHING_MATCHED)" in made.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_inputs_with_one_output_are_refused(tmp_path):
+    one = folder_of(tmp_path / "one", a=closed_scan()) / "a.ply"
+    two = folder_of(tmp_path / "two", a=closed_scan()) / "a.ply"
+    made = msal("denoise", one, two, "-o", tmp_path / "out")
+    assert made.exit_code == 2
+    assert "would both be written to" in made.stderr
+    assert not (tmp_path / "out").exists()
+
+
+# Folders
+
+
+def test_one_bad_file_is_one_failed_row(mixed, tmp_path):
+    output = tmp_path / "out"
+    reports = [tmp_path / f"r.{suffix}" for suffix in ("json", "jsonl", "csv")]
+    made = msal(
+        "denoise", mixed, "-o", output, *(word for one in reports for word in ("--report", one))
+    )
+    assert made.exit_code == 3
+    assert made.stdout == ""
+    assert "failed: 1\n" in made.stderr
+    assert f"  {mixed / 'bad.ply'}: " in made.stderr
+    assert "3 files: 2 written, 1 failed; 318 vertices in " in made.stderr
+    assert [one for one in tree(output) if one.endswith(".ply")] == ["below/open.ply", "closed.ply"]
+
+    data = json.loads(reports[0].read_bytes())
+    Draft202012Validator(report_schema()).validate(data)
+    states = {Path(one["input"]).name: one["status"] for one in data["records"]}
+    assert states == {"bad.ply": "failed", "closed.ply": "written", "open.ply": "written"}
+    lines = [json.loads(line) for line in reports[1].read_bytes().splitlines()]
+    assert lines == data["records"]
+    with reports[2].open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["input"] for row in rows] == [one["input"] for one in lines]
+    by_name = {Path(row["input"]).name: row for row in rows}
+    assert by_name["closed.ply"]["volume.valid"] == "true"
+    assert by_name["open.ply"]["volume.valid"] == "false"
+    assert by_name["bad.ply"]["error.code"] == "E_INDEX"
+
+
+def test_a_second_run_finds_everything_up_to_date(mixed, tmp_path):
+    output = tmp_path / "out"
+    (mixed / "bad.ply").unlink()
+    assert msal("denoise", mixed, "-o", output).exit_code == 0
+    times = {one: (output / one).stat().st_mtime_ns for one in ("closed.ply", "below/open.ply")}
+    made = msal("denoise", mixed, "-o", output)
+    assert made.exit_code == 0
+    assert made.stderr.splitlines()[-1] == "2 files: 2 up to date"
+    assert times == {one: (output / one).stat().st_mtime_ns for one in times}
+    again = msal("denoise", mixed, "-o", output, "--fresh", "-j", "1")
+    assert "2 files: 2 written" in again.stderr
+
+
+def test_all_failed_is_fatal(tmp_path):
+    folder = folder_of(tmp_path / "in", a=BAD_SCAN, b=BAD_SCAN)
+    made = msal("denoise", folder, "-o", tmp_path / "out", "-q")
+    assert made.exit_code == 1
+    assert made.stdout == ""
+    lines = made.stderr.splitlines()
+    assert lines[0] == "failed: 2"
+    assert [line for line in lines if "(E_INDEX)" in line] == lines[1::2]
+
+
+def test_include_and_exclude(mixed, tmp_path):
+    output = tmp_path / "out"
+    made = msal("denoise", mixed, "-o", output, "--exclude", "bad.*", "--include", "*.ply")
+    assert made.exit_code == 0
+    assert [one for one in tree(output) if one.endswith(".ply")] == ["below/open.ply", "closed.ply"]
+
+
+def test_a_foreign_file_in_the_output_is_replaced_only_by_force(scan, tmp_path):
+    output = folder_of(tmp_path / "out", scan=b"precious")
+    made = msal("denoise", scan.parent, "-o", output)
+    assert made.exit_code == 2
+    assert "--force" in made.stderr
+    assert (output / "scan.ply").read_bytes() == b"precious"
+    assert msal("denoise", scan.parent, "-o", output, "--force").exit_code == 0
+    assert (output / "scan.ply").read_bytes() != b"precious"
+
+
+def test_in_place_keeps_the_original(scan):
+    before = scan.read_bytes()
+    assert msal("denoise", scan, "--in-place").exit_code == 0
+    assert scan.read_bytes() != before
+    assert scan.with_name("scan.ply.orig").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("options", "names"),
+    [(["--backup", "~"], ["scan.ply", "scan.ply~"]), (["--no-backup"], ["scan.ply"])],
+)
+def test_in_place_with_another_backup(scan, options, names):
+    before = scan.read_bytes()
+    assert msal("denoise", scan, "--in-place", *options).exit_code == 0
+    assert scan.read_bytes() != before
+    assert tree(scan.parent) == names
+
+
+def test_another_format(scan, tmp_path):
+    output = tmp_path / "out"
+    made = msal("denoise", scan.parent, "-o", output, "--to", "obj")
+    assert made.exit_code == 0, made.stderr
+    assert b"\nf " in (output / "scan.obj").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [(["--encoding", "binary"], b"format binary_little_endian")]
+    + [(["--precision", "float64"], b"property double x")],
+)
+def test_another_encoding(scan, tmp_path, options, word):
+    output = tmp_path / "out.ply"
+    made = msal("denoise", scan, "-o", output, *options)
+    assert made.exit_code == 0, made.stderr
+    assert word in output.read_bytes()[:200]
+
+
+def test_a_file_whose_name_does_not_tell_its_format(scan, tmp_path):
+    odd = scan.rename(scan.with_name("scan.dat"))
+    output = tmp_path / "out.ply"
+    assert msal("denoise", odd, "-o", output, "--format", "ply").exit_code == 0
+    assert output.exists()
+
+
+# Dry run
+
+
+def test_a_dry_run_lists_and_touches_nothing(mixed, tmp_path):
+    output = tmp_path / "out"
+    before = tree(tmp_path)
+    made = msal("denoise", mixed, "-o", output, "--dry-run", "--report", tmp_path / "r.json")
+    assert made.exit_code == 0
+    assert f"{mixed / 'closed.ply'} -> {output / 'closed.ply'}" in made.stdout.splitlines()
+    assert len(made.stdout.splitlines()) == 3
+    assert made.stderr == "dry run: no report is written\n"
+    assert tree(tmp_path) == before
+
+
+def test_a_dry_run_as_json(mixed, tmp_path):
+    made = msal("denoise", mixed, "-o", tmp_path / "out", "--dry-run", "--json", "-q")
+    assert made.exit_code == 0
+    assert {one["status"] for one in json.loads(made.stdout)["records"]} == {"planned"}
+
+
+def test_a_dry_run_tells_what_is_up_to_date(scan, tmp_path):
+    msal("denoise", scan.parent, "-o", tmp_path / "out")
+    made = msal("denoise", scan.parent, "-o", tmp_path / "out", "--dry-run")
+    assert made.stdout == f"{tmp_path / 'out' / 'scan.ply'} is up to date\n"
+
+
+# Talk
+
+
+def test_quiet_says_nothing_when_all_is_well(scan, tmp_path):
+    made = msal("denoise", scan, "-o", tmp_path / "out.ply", "-q")
+    assert (made.exit_code, made.output) == (0, "")
+
+
+def test_the_log_file_gets_everything(scan, tmp_path):
+    log = tmp_path / "msal.log"
+    made = msal("denoise", tmp_path, "-o", tmp_path / "out", "--log-file", log, "-q")
+    assert made.exit_code == 0
+    assert log.exists()
+
+
+def test_a_crash_is_traced_only_on_demand(scan, tmp_path, monkeypatch):
+    monkeypatch.setattr("msal_cli.mesh.prepared", lambda *given: 1 / 0)
+    log = tmp_path / "msal.log"
+    made = msal("denoise", scan, "-o", tmp_path / "out.ply", "--log-file", log)
+    assert made.exit_code == 1
+    assert "ZeroDivisionError" in made.stderr
+    assert "(E_INTERNAL)" in made.stderr
+    assert "Traceback" not in made.stderr
+    assert "Traceback" in log.read_text()
+    assert "Traceback" in msal("denoise", scan, "-o", tmp_path / "out.ply", "-v").stderr
+
+
+# What ends a run
+
+
+class Ending:
+    """A run that is ended after its first file."""
+
+    def __init__(self, error):
+        self.error = error
+        self.run = run_module.run
+
+    def __call__(self, plan, settings, *, on_event, **options):
+        def heard(event):
+            on_event(event)
+            if isinstance(event, Finished):
+                raise self.error
+
+        return self.run(plan, settings, on_event=heard, **options)
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "words"),
+    [
+        (OutputError("the disk is full"), 1, "msal: error: the disk is full (E_WRITE)"),
+        (KeyboardInterrupt(), 130, "msal: interrupted"),
+        (Terminated(signal.SIGTERM), 143, "msal: interrupted"),
+    ],
+)
+def test_a_run_that_is_ended_reports_what_was_done(
+    mixed, tmp_path, monkeypatch, error, status, words
+):
+    (mixed / "bad.ply").unlink()
+    report = tmp_path / "r.json"
+    with monkeypatch.context() as patched:
+        patched.setattr(run_module, "run", Ending(error))
+        made = msal("denoise", mixed, "-o", tmp_path / "out", "-j", "1", "--report", report)
+    assert made.exit_code == status
+    lines = made.stderr.splitlines()
+    assert lines[-1] == words
+    assert lines[-2] == "the same command again goes on from here"
+    assert any("1 written, 1 not done" in line for line in lines)
+    data = json.loads(report.read_bytes())
+    Draft202012Validator(report_schema()).validate(data)
+    assert data["interrupted"] is True
+    assert sorted(one["status"] for one in data["records"]) == ["planned", "written"]
+    again = msal("denoise", mixed, "-o", tmp_path / "out")
+    assert "1 written, 1 up to date" in again.stderr
+
+
+def test_an_interrupt_wins_over_a_report_that_cannot_be_written(mixed, tmp_path, monkeypatch):
+    def full(*given):
+        raise OutputError("the disk is full")
+
+    monkeypatch.setattr(run_module, "run", Ending(KeyboardInterrupt()))
+    monkeypatch.setattr("msal_cli.cli.reports.write", full)
+    made = msal("denoise", mixed, "-o", tmp_path / "out", "--report", tmp_path / "r.json")
+    assert made.exit_code == 130
+    assert "the disk is full" in made.stderr
+
+
+def test_a_report_that_cannot_be_written_is_fatal_but_json_is_printed(scan, tmp_path, monkeypatch):
+    def full(*given):
+        raise OutputError("the disk is full")
+
+    monkeypatch.setattr("msal_cli.cli.reports.write", full)
+    made = msal("denoise", scan, "-o", tmp_path / "o.ply", "--json", "--report", tmp_path / "r.csv")
+    assert made.exit_code == 1
+    assert json.loads(made.stdout)["totals"]["written"] == 1
+    assert (tmp_path / "o.ply").exists()
+
+
+def test_a_folder_with_a_space_in_a_real_process(scan, tmp_path):
+    made = process("denoise", scan.parent, "-o", tmp_path / "an output")
+    assert made.returncode == 0
+    assert made.stdout == b""
+    assert (tmp_path / "an output" / "scan.ply").read_bytes() != scan.read_bytes()
+    assert not any(os.path.exists(one) for one in ("an", "output"))
+
+
+def test_a_folder_in_use_is_refused(scan, tmp_path):
+    from msal_cli.batch.lock import FolderLock
+
+    (tmp_path / "out").mkdir()
+    with FolderLock(str(tmp_path / "out")):
+        made = msal("denoise", scan.parent, "-o", tmp_path / "out")
+    assert made.exit_code == 2
+    assert "(E_LOCKED)" in made.stderr

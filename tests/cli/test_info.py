@@ -1,0 +1,83 @@
+"""`msal info`."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from msal_cli.report.schema import info_schema
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on, open_scan
+
+
+@pytest.fixture
+def scans(tmp_path):
+    folder = folder_of(tmp_path, bad=BAD_SCAN, closed=closed_scan())
+    folder_of(folder / "below", open=open_scan())
+    return folder
+
+
+def test_a_closed_file(scans):
+    made = msal("info", scans / "closed.ply")
+    assert made.exit_code == 0
+    assert made.stderr == ""
+    lines = made.stdout.splitlines()
+    assert lines[0] == str(scans / "closed.ply")
+    told = {line[2:17].strip(): line[18:] for line in lines[1:]}
+    assert told["vertices"] == "288"
+    assert told["faces"] == "576 (576 triangles)"
+    assert told["surface"] == "closed"
+    assert float(told["volume"]) == pytest.approx(59, rel=0.1)
+
+
+def test_folders_are_searched_and_failures_counted(scans):
+    made = msal("info", scans)
+    assert made.exit_code == 3
+    assert "closed.ply" in made.stdout
+    assert "open, 18 boundary edges" in made.stdout
+    assert "\n\n" in made.stdout
+    assert made.stderr.startswith(f"msal: error: {scans / 'bad.ply'}: ")
+
+
+def test_the_only_file_that_fails_is_fatal(scans):
+    made = msal("info", scans / "bad.ply")
+    assert (made.exit_code, made.stdout) == (1, "")
+    assert "(E_INDEX)" in made.stderr
+
+
+@pytest.mark.parametrize(
+    ("names", "status"), [(["closed.ply"], 0), (["bad.ply"], 1), (["bad.ply", "closed.ply"], 3)]
+)
+def test_json_has_one_shape_for_one_file_and_for_many(scans, names, status):
+    made = msal("info", "--json", *(scans / name for name in names))
+    assert made.exit_code == status
+    data = json.loads(made.stdout)
+    Draft202012Validator(info_schema()).validate(data)
+    assert [one["input"] for one in data["records"]] == [str(scans / name) for name in names]
+    assert ("bad.ply" in made.stderr) == ("bad.ply" in names)
+    for record in data["records"]:
+        assert (record["error"] is None) == record["input"].endswith("closed.ply")
+
+
+def test_standard_input():
+    made = msal_on(closed_scan(), "info", "-", "--json")
+    (record,) = json.loads(made.stdout)["records"]
+    assert (record["input"], record["vertices"]) == ("-", 288)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status"),
+    [(["-", "FOLDER"], 2), (["-", "--include", "*"], 2), (["nowhere.ply"], 2), ([], 2)]
+    + [(["FOLDER", "--include", "*.stl"], 5), (["FOLDER", "--format", "zzz"], 2)],
+)
+def test_wrong_use(scans, arguments, status):
+    made = msal("info", *(one.replace("FOLDER", str(scans)) for one in arguments))
+    assert (made.exit_code, made.stdout) == (status, "")
+    assert "msal: error: " in made.stderr
+
+
+def test_include_and_exclude(scans):
+    made = msal("info", scans, "--exclude", "bad.ply", "--exclude", "below", "--json")
+    assert made.exit_code == 0
+    assert len(json.loads(made.stdout)["records"]) == 1

@@ -1,0 +1,72 @@
+"""The log: warnings to people, traces only on demand, all of it to a file."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+
+from msal_cli.cli import logs
+from msal_cli.errors import UsageError
+
+LOG = logging.getLogger("msal.batch")
+
+
+def speak():
+    LOG.debug("detail")
+    LOG.info("step")
+    LOG.warning("careful")
+    LOG.error("Traceback (most recent call last): in a worker")
+
+
+@pytest.mark.parametrize(
+    ("verbosity", "heard"),
+    [(-1, []), (0, ["careful"]), (1, ["step", "careful", "Traceback"])]
+    + [(2, ["detail", "step", "careful", "Traceback"])],
+)
+def test_what_is_said(capsys, verbosity, heard):
+    with logs.configured(verbosity, None):
+        speak()
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == len(heard)
+    assert all(word in line for word, line in zip(heard, said, strict=True))
+
+
+def test_everything_goes_to_the_file(tmp_path, capsys):
+    path = tmp_path / "msal.log"
+    for _ in range(2):
+        with logs.configured(-1, str(path)):
+            speak()
+            LOG.warning("name a\udcff")
+    lines = path.read_text().splitlines()
+    assert len(lines) == 10
+    assert "msal.batch: detail" in lines[0]
+    assert "name a\\udcff" in lines[4]
+    assert capsys.readouterr().err == ""
+
+
+def test_an_unexpected_exception_is_traced_there_only(tmp_path, capsys):
+    path = tmp_path / "msal.log"
+    with pytest.raises(ZeroDivisionError), logs.configured(0, str(path)):
+        1 / 0  # noqa: B018
+    assert "ZeroDivisionError: division by zero" in path.read_text()
+    assert capsys.readouterr().err == ""
+
+
+def test_an_error_of_ours_is_not_traced(tmp_path):
+    path = tmp_path / "msal.log"
+    with pytest.raises(UsageError), logs.configured(0, str(path)):
+        raise UsageError("x")
+    assert path.read_text() == ""
+
+
+def test_handlers_do_not_pile_up():
+    before = list(logs.logger.handlers)
+    with logs.configured(0, None):
+        assert len(logs.logger.handlers) == len(before) + 1
+    assert logs.logger.handlers == before
+
+
+def test_a_log_file_that_cannot_be_opened(tmp_path):
+    with pytest.raises(UsageError, match="log file"), logs.configured(0, str(tmp_path)):
+        pytest.fail("the block must not run")

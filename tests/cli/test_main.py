@@ -1,0 +1,272 @@
+"""The program as a whole: help without numpy, errors in one line, pipes, signals."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import msal_cli
+from msal_cli import methods
+from msal_cli.cli import main as main_module
+from tests.cli.scans import (
+    BAD_SCAN,
+    MSAL,
+    closed_scan,
+    folder_of,
+    msal,
+    ply_text,
+    process,
+)
+from tests.shapes import noisy, torus
+
+POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and pipes of POSIX")
+
+HEAVY = "('numpy', 'numba', 'trimesh', 'meshio', 'tqdm')"
+
+
+def heavy_modules_after(*arguments):
+    code = f"""
+import sys
+from msal_cli.cli.main import program
+try:
+    program.main({list(arguments)!r})
+except SystemExit as end:
+    print(end.code, [name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
+"""
+    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return made.stderr.strip()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--help"], ["--version"], ["denoise", "--help"], ["info", "-h"], ["methods", "--help"]]
+    + [["completion", "--help"]],
+    ids=" ".join,
+)
+def test_help_imports_nothing_heavy(arguments):
+    assert heavy_modules_after(*arguments) == "0 []"
+
+
+def test_help_is_instant():
+    def seconds():
+        # Time on the processor: what else runs on the machine must not fail the test.
+        before = os.times()
+        process("--help")
+        after = os.times()
+        return (after.children_user + after.children_system) - (
+            before.children_user + before.children_system
+        )
+
+    assert min(seconds() for _ in range(5)) < 0.1
+
+
+def test_version():
+    assert msal("--version").stdout == f"msal {msal_cli.__version__}\n"
+
+
+def test_help_names_all_commands_and_statuses():
+    said = msal("--help").stdout
+    for word in ("denoise", "info", "methods", "completion", "Exit status: 0 done", "143"):
+        assert word in said
+
+
+def test_without_a_command_help_is_said_and_the_status_is_that_of_wrong_use():
+    made = msal()
+    assert made.exit_code == 2
+    assert made.stdout == ""
+    assert "Usage: msal" in made.stderr
+
+
+@pytest.mark.parametrize("arguments", [["denose"], ["frob"], ["--iterations"], ["den"]])
+def test_no_such_command_or_option(arguments):
+    made = msal(*arguments)
+    assert made.exit_code == 2
+    assert made.stdout == ""
+    assert made.stderr.startswith("msal: error: ")
+    assert made.stderr.endswith("hint: msal --help tells how it is used\n")
+    if arguments == ["denose"]:
+        assert "did you mean 'denoise'?" in made.stderr
+
+
+@pytest.mark.parametrize("option", ["--iter=3", "--meth=al", "--out=x", "--dry", "--jso"])
+def test_options_have_no_abbreviations(tmp_path, option):
+    folder_of(tmp_path, a=closed_scan())
+    made = msal("denoise", tmp_path / "a.ply", "-o", tmp_path / "b.ply", option)
+    assert made.exit_code == 2
+    assert option.partition("=")[0] in made.stderr
+    assert not (tmp_path / "b.ply").exists()
+
+
+def test_the_help_of_denoise_tells_the_real_defaults():
+    said = " ".join(msal("denoise", "--help").stdout.split())
+    defaults = methods.find("msal").settled({})
+    for option, name in (("-n,", "iterations"), ("-K", "K"), ("--mollify", "mollify")):
+        after = said[said.index(f"{option} ") :]
+        assert after[after.index("[default: ") :].startswith(f"[default: {defaults[name]}]")
+
+
+def test_an_internal_error_is_one_line(monkeypatch, tmp_path):
+    monkeypatch.setattr("msal_cli.pipeline.inspect_file", lambda *given: 1 / 0)
+    folder_of(tmp_path, a=closed_scan())
+    made = msal("info", tmp_path)
+    assert made.exit_code == 1
+    assert made.stdout == ""
+    assert made.stderr == (
+        "msal: internal error: ZeroDivisionError: division by zero; please report it "
+        "(-v shows where)\n"
+    )
+    assert "Traceback" in msal("info", "-v", tmp_path).stderr
+
+
+def test_memory_that_ran_out_is_said(monkeypatch, tmp_path):
+    def ran_out(*given):
+        raise MemoryError
+
+    monkeypatch.setattr("msal_cli.pipeline.inspect_file", ran_out)
+    folder_of(tmp_path, a=closed_scan())
+    made = msal("info", tmp_path)
+    assert (made.exit_code, made.stderr) == (1, "msal: error: not enough memory (E_MEMORY)\n")
+
+
+def test_every_command_is_a_module():
+    for name in main_module._COMMANDS:
+        assert main_module.program.get_command(None, name).name == name
+
+
+# The real process
+
+
+@POSIX
+def test_a_name_that_is_no_unicode_goes_in_and_out(tmp_path):
+    folder = os.fsencode(tmp_path) + b"/in"
+    os.mkdir(folder)
+    with open(folder + b"/s\xff can\n.ply", "wb") as file:
+        file.write(closed_scan())
+    with open(folder + b"/bad\xfe\x1b[2J.ply", "wb") as file:
+        file.write(BAD_SCAN)
+    made = process(
+        "denoise", folder, "-o", folder + b"/../o\xfd", "--report", tmp_path / "r.json", "--json"
+    )
+    assert made.returncode == 3, made.stderr
+    assert os.path.exists(folder + b"/../o\xfd/s\xff can\n.ply")
+    assert b"\x1b" not in made.stderr
+    assert b"s\\xff can\\n.ply" in made.stderr
+    assert b"bad\\xfe\\x1b[2J.ply: " in made.stderr
+    records = json.loads(made.stdout)["records"]
+    assert [one["input"].rpartition("/")[2] for one in records] == [
+        "bad\\udcfe\x1b[2J.ply",
+        "s\\udcff can\n.ply",
+    ]
+    assert json.loads((tmp_path / "r.json").read_bytes())["records"] == records
+
+
+@POSIX
+def test_a_reader_that_goes_away_is_no_noise(tmp_path):
+    scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
+    for arguments in (["denoise", scan, "-o", "-"], ["info", "--json", scan], ["methods"]):
+        read, write = os.pipe()
+        os.close(read)
+        made = process(*arguments, capture_output=False, stdout=write, stderr=subprocess.PIPE)
+        os.close(write)
+        assert made.returncode == 1
+        assert b"rror" not in made.stderr
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
+@pytest.mark.parametrize("command", ["denoise", "info", "methods"])
+def test_an_output_that_cannot_be_written_is_fatal(tmp_path, command):
+    scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
+    arguments = {"denoise": [scan, "-o", "-"], "info": [scan], "methods": []}[command]
+    with open("/dev/full", "wb") as full:
+        made = process(
+            command, *arguments, capture_output=False, stdout=full, stderr=subprocess.PIPE
+        )
+    assert made.returncode == 1
+    assert b"No space left on device (E_WRITE)" in made.stderr
+    assert b"Traceback" not in made.stderr
+    assert b"Exception ignored" not in made.stderr
+
+
+def interrupted(arguments, signum, ready, folder):
+    """Send a signal once ``ready`` holds; status and standard error."""
+    running = subprocess.Popen(
+        [*MSAL, *map(str, arguments)],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stdin=subprocess.PIPE,
+        cwd=folder,
+    )
+    try:
+        deadline = time.monotonic() + 60
+        while not ready() and running.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.02)
+        running.send_signal(signum)
+        said = running.communicate(timeout=60)[1].decode()
+    finally:
+        running.kill()
+        running.wait()
+    return running.returncode, said
+
+
+@POSIX
+@pytest.mark.parametrize(("signum", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_batch_that_is_interrupted_leaves_whole_files_and_goes_on(tmp_path, signum, status):
+    vertices, faces = torus(60, 30)
+    folder = folder_of(
+        tmp_path / "in", **{f"s{at}": ply_text(noisy(vertices, at, 0.05), faces) for at in range(3)}
+    )
+    output = tmp_path / "out"
+    arguments = ["denoise", folder, "-o", output, "-j", "1"]
+    # So many sweeps make a file slow enough to be caught in the middle.
+    slow = [*arguments, "--method", "al", "-n", "1000", "--report", tmp_path / "r.json"]
+    manifest = output / ".msal-manifest.jsonl"
+
+    def is_one_done():
+        return manifest.exists() and b'"kind":"done"' in manifest.read_bytes()
+
+    made = interrupted(slow, signum, is_one_done, tmp_path)
+    assert made[0] == status, made[1]
+    assert "Traceback" not in made[1]
+    assert made[1].endswith("the same command again goes on from here\nmsal: interrupted\n")
+    whole = sorted(one.name for one in output.glob("*.ply"))
+    assert 1 <= len(whole) < 3
+    report = json.loads((tmp_path / "r.json").read_bytes())
+    assert report["interrupted"] is True
+    n_noted = report["totals"]["written"]
+    # A file may be in its place although nobody has come to hear of it.
+    assert 1 <= n_noted <= len(whole)
+    assert report["totals"]["planned"] == 3 - n_noted
+    assert [one.name for one in output.iterdir() if one.suffix == ".tmp"] == []
+    again = process(*slow)
+    assert again.returncode == 0
+    assert f"{n_noted} up to date".encode() in again.stderr
+
+
+@POSIX
+@pytest.mark.parametrize(("signum", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stream_that_is_interrupted(tmp_path, signum, status):
+    log = tmp_path / "log"
+    ready = [0.0]
+
+    def is_waiting():
+        # The log file is opened shortly before standard input is read.
+        ready[0] = ready[0] or (time.monotonic() if log.exists() else 0.0)
+        return ready[0] and time.monotonic() > ready[0] + 0.5
+
+    made = interrupted(["denoise", "-", "--log-file", log], signum, is_waiting, tmp_path)
+    assert made == (status, "msal: interrupted\n")
+
+
+@POSIX
+def test_a_closed_standard_output(tmp_path):
+    scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
+    command = " ".join(f"'{one}'" for one in (*MSAL, "info", scan))
+    made = subprocess.run(["sh", "-c", f"{command} >&-"], capture_output=True, check=False)
+    assert made.returncode == 1
+    assert b"standard output is closed" in made.stderr

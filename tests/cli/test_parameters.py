@@ -1,0 +1,52 @@
+"""--set and its shortcuts."""
+
+from __future__ import annotations
+
+import pytest
+
+from msal_cli import methods
+from msal_cli.cli.parameters import assignment, settled
+from msal_cli.errors import UsageError
+
+MSAL = methods.find("msal")
+
+
+def test_everything_is_settled_and_what_is_given_counts():
+    values = settled(MSAL, [assignment("K=0.25"), ("-n 7", "iterations", "7")])
+    assert values["K"] == 0.25
+    assert values["iterations"] == 7
+    assert set(values) == {spec.name for spec in MSAL.parameters}
+
+
+def test_symbols_are_names_too():
+    assert settled(MSAL, [assignment("n=9")])["iterations"] == 9
+
+
+@pytest.mark.parametrize("text", ["K", "=1", "K=", " = ", ""])
+def test_no_assignment(text):
+    with pytest.raises(UsageError, match="is not NAME=VALUE"):
+        assignment(text)
+
+
+def test_the_same_value_twice_is_no_contradiction():
+    assert settled(MSAL, [assignment("K=0.5"), ("-K .50", "K", ".50")])["K"] == 0.5
+
+
+@pytest.mark.parametrize("second", [assignment("iterations=5"), assignment("n = 5")])
+def test_two_values_for_one_parameter(second):
+    with pytest.raises(UsageError, match=r"-n 4 and --set \S+.* give iterations two different"):
+        settled(MSAL, [("-n 4", "iterations", "4"), second])
+
+
+@pytest.mark.parametrize("given", ["K=2", "K=nan", "iterations=1.5", "iterations=-1", "normals=x"])
+def test_values_that_are_not_allowed(given):
+    with pytest.raises(UsageError, match="is not allowed"):
+        settled(MSAL, [assignment(given)])
+
+
+def test_unknown_parameters_get_a_suggestion():
+    with pytest.raises(UsageError, match="no parameter 'iteratons'") as caught:
+        settled(MSAL, [assignment("iteratons=3")])
+    assert "iterations" in caught.value.hint
+    with pytest.raises(UsageError, match="al has no parameter 'K'"):
+        settled(methods.find("al"), [("-K 1", "K", "1")])

@@ -1,0 +1,171 @@
+"""Bars: on a terminal only, with the file in hand and the failures, never in the data."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from msal_cli.batch.events import Finished, Progress, Started
+from msal_cli.cli import progress, talk
+from msal_cli.pipeline import Task
+from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of
+from tests.report.made import failed, written
+
+POSIX = pytest.mark.skipif(os.name != "posix", reason="terminals of POSIX")
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def on_a_terminal(monkeypatch):
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.setattr(progress, "_DELAY_S", 0.0)
+    monkeypatch.setattr(progress, "_BETWEEN_S", 0.0)
+    return stream
+
+
+def tasks(*names):
+    return [Task(f"in/{name}", f"out/{name}", name) for name in names]
+
+
+def frames(stream):
+    return [one.strip() for one in re.split(r"[\r\n]", stream.getvalue()) if one.strip()]
+
+
+@pytest.mark.parametrize("names", [("a.ply",), ("a.ply", "b.ply")])
+def test_no_bar_off_a_terminal_or_when_quiet(monkeypatch, names):
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    assert isinstance(progress.bar(tasks(*names), quiet=False), progress.Silent)
+    on_a_terminal(monkeypatch)
+    assert isinstance(progress.bar(tasks(*names), quiet=True), progress.Silent)
+    assert isinstance(progress.stream_bar("-", quiet=True), progress.Silent)
+    assert not isinstance(progress.bar(tasks(*names), quiet=False), progress.Silent)
+
+
+def test_a_bar_over_files_shows_the_file_in_hand_and_the_failures(monkeypatch):
+    stream = on_a_terminal(monkeypatch)
+    todo = tasks("folder/first\x1b.ply", "second.ply", "third.ply")
+    bar = progress.bar(todo, quiet=False)
+    bar.on_event(Started(0, todo[0]))
+    assert "folder/first\\x1b.ply" in frames(stream)[-1]
+    assert "0/3" in frames(stream)[-1]
+    bar.on_event(Finished(0, written()))
+    assert "1/3" in frames(stream)[-1]
+    assert "failed" not in frames(stream)[-1]
+    bar.on_event(Started(1, todo[1]))
+    bar.on_event(Progress(1, "sweeps", 1, 4))
+    bar.on_event(Finished(1, failed()))
+    assert "second.ply" in frames(stream)[-1]
+    assert "2/3" in frames(stream)[-1]
+    assert "1 failed" in frames(stream)[-1]
+    bar.close()
+    assert "\x1b.ply" not in stream.getvalue()
+
+
+def test_words_come_above_the_bar(monkeypatch):
+    stream = on_a_terminal(monkeypatch)
+    bar = progress.bar(tasks("a.ply", "b.ply"), quiet=False)
+    talk.say("hear me")
+    bar.close()
+    lines = stream.getvalue().split("\n")
+    assert "hear me" in lines[0]
+    assert re.search(r"(^|\r)hear me$", lines[0])
+
+
+def test_a_bar_over_sweeps(monkeypatch):
+    stream = on_a_terminal(monkeypatch)
+    (task,) = todo = tasks("scan.ply")
+    bar = progress.bar(todo, quiet=False)
+    bar.on_event(Started(0, task))
+    bar.on_event(Progress(0, "read", 0, 1))
+    assert frames(stream)[-1] == "scan.ply: read"
+    bar.on_event(Progress(0, "sweeps", 0, 1))
+    for done in (1, 2, 3):
+        bar.on_event(Progress(0, "sweeps", done, 4))
+        assert f"{done}/4" in frames(stream)[-1]
+        assert frames(stream)[-1].startswith(f"scan.ply: sweeps {25 * done:3} %|")
+    bar.on_event(Progress(0, "measure", 0, 1))
+    assert frames(stream)[-1] == "scan.ply: measure"
+    bar.on_event(Finished(0, written()))
+    bar.close()
+
+
+def test_a_small_file_shows_no_bar(monkeypatch):
+    stream = on_a_terminal(monkeypatch)
+    monkeypatch.setattr(progress, "_DELAY_S", 60.0)
+    bar = progress.bar(tasks("scan.ply"), quiet=False)
+    bar.on_progress("read", 0, 1)
+    bar.on_progress("sweeps", 2, 4)
+    assert frames(stream) == []
+
+
+def test_a_large_file_shows_a_bar_at_once(monkeypatch, tmp_path):
+    stream = on_a_terminal(monkeypatch)
+    monkeypatch.setattr(progress, "_DELAY_S", 60.0)
+    monkeypatch.setattr(progress, "_LARGE_BYTES", 3)
+    (tmp_path / "a.ply").write_bytes(b"abc")
+    bar = progress.bar([Task(str(tmp_path / "a.ply"), "out", "a.ply")], quiet=False)
+    bar.on_progress("read", 0, 1)
+    assert frames(stream)[-1] == "a.ply: read"
+
+
+def test_all_listeners_hear():
+    heard = []
+    progress.heard_by(heard.append, heard.append)(Finished(0, failed()))
+    assert len(heard) == 2
+
+
+def seen_on_a_terminal(*arguments, **options):
+    """What the real command shows on a terminal of 100 columns; and its standard output."""
+    import fcntl
+    import pty
+    import struct
+    import termios
+
+    master, slave = pty.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 100, 0, 0))
+    running = subprocess.Popen(
+        [*MSAL, *map(str, arguments)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=slave,
+        env={**os.environ, "TERM": "xterm", **options},
+    )
+    os.close(slave)
+    seen = b""
+    while True:
+        try:
+            part = os.read(master, 65536)
+        except OSError:
+            break
+        if not part:
+            break
+        seen += part
+    os.close(master)
+    return running.wait(), seen.decode(), running.stdout.read()
+
+
+@POSIX
+def test_a_real_terminal(tmp_path):
+    folder = folder_of(tmp_path / "in", good=closed_scan(), bad=BAD_SCAN)
+    made = ("denoise", folder, "-o", tmp_path / "out", "--json", "-j", "1")
+    status, seen, data = seen_on_a_terminal(*made)
+    assert status == 3
+    assert data.startswith(b"{") and data.endswith(b"}\n")
+    assert re.search(r"\r\S+\.ply .*\|.*\| \d/2 \[", seen)
+    assert "\x1b[31mfailed: 1" in seen
+    status, seen, _ = seen_on_a_terminal(*made, NO_COLOR="1")
+    assert "failed: 1" in seen
+    assert "\x1b[3" not in seen
+    assert "\x1b[2" not in seen
+    status, seen, _ = seen_on_a_terminal(*made, "-q")
+    assert "%|" not in seen

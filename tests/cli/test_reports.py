@@ -1,0 +1,63 @@
+"""Reports: refused before any work, written whole."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+
+from msal_cli.cli import reports
+from msal_cli.errors import OutputError, UsageError
+from tests.report.made import RUN, written
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("r.txt", "no known format"),
+        ("r", "no known format"),
+        ("-", "needs the name of a file"),
+        ("folder.json", "is a folder"),
+        ("mesh.json", "would replace the mesh"),
+        ("./mesh.json", "would replace the mesh"),
+        ("file/below.json", "cannot be written to the folder"),
+    ],
+)
+def test_what_is_refused(tmp_path, monkeypatch, name, words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder.json").mkdir()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match=words):
+        reports.check([name], ["mesh.json", "other.ply"])
+
+
+def test_a_report_given_twice_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match="given twice"):
+        reports.check(["a.json", str(tmp_path / "a.json")], [])
+
+
+def test_a_folder_that_is_not_writable_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with pytest.raises(UsageError, match="cannot be written to the folder"):
+        reports.check([str(tmp_path / "a.json")], [])
+
+
+def test_reports_are_written_with_their_folder(tmp_path):
+    names = [str(tmp_path / "new" / f"r{suffix}") for suffix in (".json", ".JSONL", ".csv")]
+    reports.check(names, [])
+    assert not (tmp_path / "new").exists()
+    reports.write(names, RUN, [written()])
+    assert json.loads((tmp_path / "new" / "r.json").read_bytes())["totals"]["files"] == 1
+    assert len((tmp_path / "new" / "r.JSONL").read_bytes().splitlines()) == 1
+    assert (tmp_path / "new" / "r.csv").read_bytes().startswith(b"input,")
+    assert len(list((tmp_path / "new").iterdir())) == 3
+
+
+def test_one_that_cannot_be_written_does_not_keep_back_the_others(tmp_path):
+    (tmp_path / "file").write_text("")
+    good = tmp_path / "good.json"
+    with pytest.raises(OutputError, match="folder of the report"):
+        reports.write([str(tmp_path / "file" / "a.json"), str(good)], RUN, [written()])
+    assert good.exists()
