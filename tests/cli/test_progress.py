@@ -142,16 +142,18 @@ def seen_on_a_terminal(*arguments, **options):
     )
     os.close(slave)
     seen = b""
-    while True:
-        try:
-            part = os.read(master, 65536)
-        except OSError:
-            break
-        if not part:
-            break
-        seen += part
+    with running:
+        while True:
+            try:
+                part = os.read(master, 65536)
+            except OSError:
+                break
+            if not part:
+                break
+            seen += part
+        data = running.stdout.read()
     os.close(master)
-    return running.wait(), seen.decode(), running.stdout.read()
+    return running.returncode, seen.decode(), data
 
 
 @POSIX
@@ -163,9 +165,9 @@ def test_a_real_terminal(tmp_path):
     assert data.startswith(b"{") and data.endswith(b"}\n")
     assert re.search(r"\r\S+\.ply .*\|.*\| \d/2 \[", seen)
     assert "\x1b[31mfailed: 1" in seen
-    status, seen, _ = seen_on_a_terminal(*made, NO_COLOR="1")
+    _, seen, _ = seen_on_a_terminal(*made, NO_COLOR="1")
     assert "failed: 1" in seen
     assert "\x1b[3" not in seen
     assert "\x1b[2" not in seen
-    status, seen, _ = seen_on_a_terminal(*made, "-q")
+    _, seen, _ = seen_on_a_terminal(*made, "-q")
     assert "%|" not in seen
