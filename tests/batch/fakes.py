@@ -1,7 +1,8 @@
 """Work for worker processes to do, and to die of.
 
 A fake mesh file is text; a line ``die <how> [once]`` in it is an order to the worker that reads
-it, where ``once`` leaves a mark beside the file and spares whoever comes second.
+it, where ``once`` leaves a mark beside the file and spares whoever comes second.  ``hang`` is
+always once.
 """
 
 from __future__ import annotations
@@ -52,6 +53,10 @@ def work(task, common, on_progress):
     if action == "sleep":
         time.sleep(argument)
         return argument
+    if action == "present":
+        (Path(argument) / str(os.getpid())).touch()
+        time.sleep(0.05)
+        return None
     if action == "progress":
         for done in range(argument + 1):
             on_progress("sweeps", done, argument)
@@ -99,6 +104,11 @@ def denoise(task, settings, on_progress=None):
     for line in data.decode().splitlines():
         if line.startswith("sleep "):
             time.sleep(float(line.split()[1]))
+        if line.startswith("hang"):
+            mark = Path(task.input + ".hung")
+            if not mark.exists():
+                mark.touch()
+                time.sleep(60)
         if line.startswith("fail"):
             return MeshRecord(
                 input=task.input, status="failed", error=Failure("E_FORMAT", "made to fail")

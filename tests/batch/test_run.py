@@ -492,6 +492,8 @@ class TestInterrupts:
         return status, taken
 
     def check_rerun(self, folders, at_least):
+        for source in (folders / "in").glob("*.ply"):
+            Path(f"{source}.hung").touch()
         written = tree(folders / "out")
         for name, data in written.items():
             if not name.startswith("."):
@@ -509,7 +511,7 @@ class TestInterrupts:
         ("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)]
     )
     def test_a_signal_ends_all_and_keeps_what_is_finished(self, folders, name, status):
-        fill(folders, 12, f06="sleep 0.5", f07="sleep 0.5")
+        fill(folders, 12, f06="hang", f07="hang")
         number = getattr(signal, name)
         got, taken = self.interrupted(folders, lambda one: one.send_signal(number), 6)
         assert got == status and taken < 2.0
@@ -518,19 +520,19 @@ class TestInterrupts:
         self.check_rerun(folders, 6)
 
     def test_ctrl_c_goes_to_the_whole_group_and_only_the_parent_obeys(self, folders):
-        fill(folders, 12, f06="sleep 0.5", f07="sleep 0.5")
+        fill(folders, 12, f06="hang", f07="hang")
         got, taken = self.interrupted(folders, lambda one: os.killpg(one.pid, signal.SIGINT), 6)
         assert got == 130 and taken < 2.0
         self.check_rerun(folders, 6)
 
     def test_kill_9_of_the_run(self, folders):
-        fill(folders, 12, f06="sleep 0.5", f07="sleep 0.5")
+        fill(folders, 12, f06="hang", f07="hang")
         got, _ = self.interrupted(folders, lambda one: one.kill(), 6)
         assert got == -9
         self.check_rerun(folders, 6)
 
     def test_a_single_file_here_is_interrupted_too(self, folders):
-        fill(folders, 0, f00="sleep 30")
+        fill(folders, 0, f00="hang")
         with self.start(folders) as process:
             assert process.stdout.readline().startswith("started")
             process.send_signal(signal.SIGTERM)
