@@ -56,9 +56,10 @@ def _renewed(start, stop, old, new, normals, changed):  # type: ignore[no-untype
         sense = 1.0
         if sx / largest * ox + sy / largest * oy + sz / largest * oz < 0.0:
             sense = -1.0
-        normals[f, 0] = sense * nx
-        normals[f, 1] = sense * ny
-        normals[f, 2] = sense * nz
+        # The sum makes a plain zero of a negative one.
+        normals[f, 0] = sense * nx + 0.0
+        normals[f, 1] = sense * ny + 0.0
+        normals[f, 2] = sense * nz + 0.0
         changed[f] = True
 
 

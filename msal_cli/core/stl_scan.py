@@ -88,10 +88,12 @@ def _number(buf, at):  # type: ignore[no-untyped-def]
     first = at
     if first < end and (buf[first] == 45 or buf[first] == 43):
         first += 1
-    if first < end and ((buf[first] | 32) == 110 or (buf[first] | 32) == 105):
-        return np.nan, end, 0
-    for k in range(first, end):
-        if buf[k] == 35:
+    if first + 3 <= end:
+        a, b, c = buf[first] | 32, buf[first + 1] | 32, buf[first + 2] | 32
+        if (a == 110 and b == 97 and c == 110) or (a == 105 and b == 110 and c == 102):
+            return np.nan, end, 0
+        # 1.#QNAN, 1.#INF, 1.#IND
+        if buf[first] == 49 and buf[first + 1] == 46 and buf[first + 2] == 35:
             return np.nan, end, 0
     return 0.0, -1, 0
 

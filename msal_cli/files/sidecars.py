@@ -80,7 +80,7 @@ def carried(
 def _from(library: str, name: str) -> str:
     """A texture's name relative to the mesh; in the library it is relative to the library."""
     folder = library.replace("\\", "/").rpartition("/")[0]
-    return f"{folder}/{name}" if folder and not _is_absolute(name) else name
+    return name if folder in ("", ".") or _is_absolute(name) else f"{folder}/{name}"
 
 
 def _is_absolute(reference: str) -> bool:
@@ -111,6 +111,8 @@ def _carried(reference: str, source_folder: Path, target_folder: Path) -> str:
     source, target = source_folder / relative, target_folder / relative
     if not _is_file(source):
         return f"warning: {reference} is missing beside the input"
+    if not os.access(source, os.R_OK):
+        return f"warning: {reference} may not be read"
     try:
         if target.exists() and target.samefile(source):
             return ""

@@ -32,6 +32,7 @@ FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u
 _FIRST_FACET = HEADER_BYTES + 4
 _LOOKED_AT = 1024
 _AT_ONCE = 1 << 15
+_PADDING = 8
 
 
 def read(data: Buffer, name: str) -> StlFile | stl_ascii.StlTextFile:
@@ -80,8 +81,12 @@ def read(data: Buffer, name: str) -> StlFile | stl_ascii.StlTextFile:
 
 
 def _is_text(head: bytes) -> bool:
-    """Whether the beginning of a file is text, of which ascii STL is made."""
-    return not any(c < 32 and c not in b"\t\n\v\f\r" for c in head.rstrip(b"\0\x1a"))
+    """Whether the beginning of a file is text, of which ascii STL is made.
+
+    A few bytes of padding at the end do not count; a header filled with zeros is not text.
+    """
+    shown = head[:-_PADDING] + head[-_PADDING:].rstrip(b"\0\x1a")
+    return bool(shown) and not any(c < 32 and c not in b"\t\n\v\f\r" for c in shown)
 
 
 def _read_binary(data: Buffer, count: int) -> StlFile:
@@ -108,7 +113,7 @@ def _properties(data: Buffer, facets: NDArray[np.void]) -> tuple[str, ...]:
     """What a binary file has besides positions."""
     header = bytes(memoryview(data).cast("B")[:HEADER_BYTES])
     found = []
-    if facets["normal"].any():
+    if (_bits(facets["normal"]) & 0x7FFFFFFF).any():  # neither zero nor minus zero
         found.append("facet normals")
     if facets["attribute"].any():
         found.append("facet attribute words")
