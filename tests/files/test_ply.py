@@ -440,6 +440,27 @@ def test_text_has_no_more_digits_than_the_type_tells_apart():
     assert output.split(b"\n")[:2] == [b"0.1 0.1", b"0.7 0.7 0.7 0"]
 
 
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
+def test_text_has_the_line_ends_of_the_header(newline):
+    file = replace(plain_ply.cube(), newline=newline)
+    mesh = read(file)
+    output = bytes(mesh.encoded(mesh.vertices, "ascii", "same"))
+    assert plain_ply.read(output) == replace(file, encoding="ascii")
+    assert output.count(newline.encode()) == len(output.splitlines())
+
+
+def test_long_integers_are_exact_there_and_back():
+    file = plain_ply.cube()
+    camera = file.element("camera")
+    camera.properties = [("id", "uint64", ""), ("sums", "int64", "uchar")]
+    camera.rows = [[2**64 - 1, [2**53 + 1, -(2**63), 2**63 - 1, 0]]]
+    mesh = read(file)
+    output = bytes(mesh.encoded(mesh.vertices, "ascii", "same"))
+    assert b"\n18446744073709551615 4 9007199254740993 -9223372036854775808 " in output
+    again = ply.read(output, "again.ply")
+    assert bytes(again.encoded(again.vertices, "binary", "same")) == plain_ply.written(file)
+
+
 def test_unknown_words_for_encoding_and_precision_are_wrong_use():
     mesh = read(plain_ply.cube())
     for words in (("little", "same"), ("same", "float16")):

@@ -74,6 +74,14 @@ HEADERS = {
         "E_TOO_LARGE",
         "",
     ),
+    "end_header at the limit": (
+        GOOD.replace(
+            b"element vertex",
+            b"comment " + b"x" * (65_535 - GOOD.index(b"\nend_header") - 19) + b"\nelement vertex",
+        ),
+        "E_TOO_LARGE",
+        "",
+    ),
     "no format": (GOOD.replace(b"format ascii 1.0\n", b""), "E_FORMAT", "header"),
     "format twice": (
         GOOD.replace(b"format ascii 1.0\n", b"format ascii 1.0\n" * 2),
