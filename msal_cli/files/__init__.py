@@ -28,7 +28,7 @@ __all__ = [
     "write_whole",
 ]
 
-OWN_FORMATS = ("ply", "obj", "stl")
+OWN_FORMATS = ("ply", "obj", "stl", "glb")
 """Formats with a codec of our own, which keeps everything but positions and normals."""
 
 _LOOKED_AT = 1 << 16
@@ -131,6 +131,10 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
         from msal_cli.files import stl
 
         return stl.read(data, name)
+    if wanted == "glb":
+        from msal_cli.files import glb
+
+        return glb.read(data, name)
     from msal_cli.files import other
 
     return other.read(data, name, wanted)

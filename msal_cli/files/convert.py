@@ -20,7 +20,7 @@ from msal_cli.files.colours import vertex_colours
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-_NORMAL_PROPERTIES = re.compile(r"vertex\.n[xyz]( |$)|normals$|point\.normals?$", re.IGNORECASE)
+_NORMAL_PROPERTIES = re.compile(r"vertex\.(n[xyz]( |$)|normal$)|normals$|point\.normals?$", re.IGNORECASE)
 _COLOUR_PROPERTIES = re.compile(
     r"vertex\.(diffuse_)?(red|green|blue|alpha)( |$)|vertex colours$", re.IGNORECASE
 )
@@ -325,7 +325,7 @@ def _through_library(content: _Content, to: str, encoding: str, single: bool) ->
     from msal_cli.files import other
 
     points = _positions(content, single)
-    if to in other.THROUGH_TRIMESH:
+    if to == "glb" or to in other.THROUGH_TRIMESH:
         return other.surface_written(points, content.faces, content.colours, to)
     return other.cells_written(
         points.astype(np.float32) if single else points, content.faces, to, encoding

@@ -66,8 +66,8 @@ def guarded(call: Callable[[], T], library: str, what: str, size: int) -> tuple[
     limit_s = LEAST_S + size / SLOWEST_BYTES_PER_S
     talk = io.StringIO()
     try:
-        with _silenced(talk), _watched(limit_s):
-            result = call()
+        with _silenced(talk):
+            result = _limited(call, limit_s)
     except MsalError:
         raise
     except _OutOfTimeError:
@@ -136,9 +136,8 @@ def _silenced(talk: io.StringIO) -> Iterator[None]:
         logger.disabled = was_disabled
 
 
-@contextlib.contextmanager
-def _watched(limit_s: float) -> Iterator[None]:
-    """Raise ``_OutOfTimeError`` in this thread if the block takes longer.
+def _limited(call: Callable[[], T], limit_s: float) -> T:
+    """The result of ``call()``, or ``_OutOfTimeError`` in this thread if it takes longer.
 
     The readers' endless loops are loops in Python, into which CPython can raise from another
     thread, on every system; a child process per file would cost more than most files take.
@@ -156,16 +155,21 @@ def _watched(limit_s: float) -> Iterator[None]:
             # Once may not be enough: a bare ``except`` in the library swallows it.
             wait_s = 1.0
 
-    watcher = threading.Thread(target=watch, name="msal-guard", daemon=True)
-    watcher.start()
-    try:
-        yield
-    finally:
-        # An exception that arrives between the end of the block and here would escape into the
-        # caller, so it is taken back under the lock.
+    def stop() -> None:
         with lock:
             ended.set()
-            _raise_in(thread, None)
+            _raise_in(thread, None)  # takes back one that is pending
+
+    watcher = threading.Thread(target=watch, name="msal-guard", daemon=True)
+    try:
+        watcher.start()
+        return call()
+    finally:
+        # It may still arrive while the watch is called off, but no second time within a second.
+        try:
+            stop()
+        except _OutOfTimeError:
+            stop()
         watcher.join()
 
 

@@ -38,7 +38,7 @@ THROUGH_MESHIO = {
 }
 """Suffixes and meshio's names for their formats."""
 
-THROUGH_TRIMESH = ("off", "glb", "3mf", "dae")
+THROUGH_TRIMESH = ("off", "3mf", "dae")
 
 _NEEDED = {"med": ("h5py",), "xdmf": ("h5py",), "3mf": ("lxml", "networkx"), "dae": ("collada",)}
 
@@ -59,7 +59,7 @@ def writable() -> tuple[str, ...]:
     """Formats that can be written here, with the packages that are installed."""
     return tuple(
         name
-        for name in readable()
+        for name in (*readable(), "glb")
         if all(importlib.util.find_spec(package) for package in _NEEDED.get(name, ()))
     )
 
@@ -378,8 +378,8 @@ def _from_scene(data: Buffer, format: str) -> OtherFile:
         data,
         scene,
         format,
-        "binary" if format in ("glb", "3mf") else "ascii",
-        "float32" if format == "glb" else "text",
+        "binary" if format == "3mf" else "ascii",
+        "text",
         vertices,
         faces.astype(np.int32),
         len(faces),
@@ -407,7 +407,6 @@ def _is_skewed(matrix: Floats) -> bool:
 def _trimesh_losses(format: str) -> str:
     lost = {
         "off": "polygons are triangulated; colours and comments are not kept",
-        "glb": "animations, skins, cameras and extensions are not kept",
         "3mf": "print settings, colours and thumbnails are not kept",
         "dae": "animations, cameras and extra data are not kept",
     }
