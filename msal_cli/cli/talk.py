@@ -123,11 +123,11 @@ def _told_apart() -> Iterator[None]:
 
 
 def width() -> int:
-    """Columns for a table on standard error; 100 where that is no terminal."""
+    """Columns for a table on standard error; 140 where that is no terminal, as in a log."""
     import shutil
 
     if not is_terminal(sys.stderr):
-        return 100
+        return 140
     return max(60, shutil.get_terminal_size((100, 24)).columns)
 
 
