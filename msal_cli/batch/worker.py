@@ -122,9 +122,7 @@ def _do(assignment: Assignment, index: int, task: Any, outgoing: _Outgoing) -> N
         result = assignment.function(task, assignment.common, on_progress)
         outgoing.send("returned", index, result, resident_bytes())
     except MemoryError:
-        # What is left of the heap cannot be trusted with another file.
         outgoing.send("exhausted", index)
-        os._exit(1)
     except BaseException as error:
         # SystemExit included: a library must not end the worker in silence.
         logging.getLogger("msal.batch").error("%s", traceback.format_exc())

@@ -271,6 +271,7 @@ class Crew:
             self._finish(worker, 0)
             return [Lost(index, "exception", reason, "this is a defect of msal; please report it")]
         elif kind == "exhausted":
+            # What is left of its heap cannot be trusted with another file: it is replaced too.
             return self._lost(
                 worker,
                 "memory",

@@ -127,6 +127,16 @@ def test_lines_are_on_the_disk_before_append_returns(tmp_path, monkeypatch):
     manifest.close()
 
 
+@pytest.mark.skipif(os.name != "posix", reason="folders are synced on POSIX only")
+def test_the_name_of_a_new_manifest_outlives_a_power_cut(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda handle: synced.append(os.fstat(handle).st_ino))
+    opened(tmp_path).close()
+    assert synced == [tmp_path.stat().st_ino]
+    opened(tmp_path).close()
+    assert len(synced) == 1
+
+
 def test_outdated_lines_are_dropped_when_they_outweigh(tmp_path, monkeypatch):
     monkeypatch.setattr(manifests, "_SPARE_LINES", 10)
     last = noted(tmp_path, *(intent(f"{n % 3}", "in") for n in range(13)))
