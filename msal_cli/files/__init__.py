@@ -82,10 +82,11 @@ def content_format(data: Buffer) -> str:
             return name
     # Every line of an OBJ file begins with a keyword: the last one looked at may be cut off, and
     # the rest of a continued line is no line of its own.
-    lines = re.sub(rb"\\\r?\n", b" ", head.removeprefix(b"\xef\xbb\xbf")).splitlines()
+    head = re.sub(rb"\\\r?\n", b" ", head.removeprefix(b"\xef\xbb\xbf"))
+    lines = head.splitlines()
     if len(data) > _LOOKED_AT:
         lines = lines[:-1]
-    if all(_OBJ_LINE.fullmatch(line.strip()) for line in lines) and _OBJ_VERTEX.search(head):
+    if _OBJ_VERTEX.search(head) and all(_OBJ_LINE.fullmatch(line.strip()) for line in lines):
         return "obj"
     return ""
 

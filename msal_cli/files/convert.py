@@ -20,7 +20,9 @@ from msal_cli.files.colours import vertex_colours
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-_NORMAL_PROPERTIES = re.compile(r"vertex\.(n[xyz]( |$)|normal$)|normals$|point\.normals?$", re.IGNORECASE)
+_NORMAL_PROPERTIES = re.compile(
+    r"vertex\.(n[xyz]( |$)|normal$)|normals$|point\.normals?$", re.IGNORECASE
+)
 _COLOUR_PROPERTIES = re.compile(
     r"vertex\.(diffuse_)?(red|green|blue|alpha)( |$)|vertex colours$", re.IGNORECASE
 )

@@ -108,7 +108,7 @@ class GlbFile:
     def _positions(self, vertices: Floats) -> Iterator[NDArray[np.float32]]:
         """What each part is to store: unmoved vertices exactly what they have."""
         for part, frame, rows in zip(self.parts, self.frames, self._rows(), strict=True):
-            back: Floats = np.linalg.inv(frame)
+            back = np.linalg.inv(frame).astype(np.float64)
             own = _moved_by(back, vertices[rows])
             moved = (vertices[rows] != self.vertices[rows]).any(axis=1)
             stored = part.positions.stored(self.data)
@@ -147,8 +147,8 @@ class GlbFile:
         restored = bytearray(memoryview(output).cast("B")[there.binary_at :])
         rest = bytearray(memoryview(self.data).cast("B")[self.document.binary_at :])
         new = [part.positions.shifted(shift) for part in self.parts]
-        for accessor, expected in zip(new, self._positions(vertices), strict=True):
-            if accessor.stored(output).tobytes() != expected.tobytes():
+        for accessor, rows in zip(new, self._positions(vertices), strict=True):
+            if accessor.stored(output).tobytes() != rows.tobytes():
                 raise InternalError("a position of a GLB file was not written right")
         for part in self.parts:
             for own in (part.positions, part.normals):
@@ -157,17 +157,15 @@ class GlbFile:
                     place.store(restored, own.stored(self.data))
         if restored != rest:
             raise InternalError("data other than positions and normals changed in a GLB file")
-        for accessor, expected in self._normals(vertices):
-            if accessor.shifted(shift).stored(output).tobytes() != expected.tobytes():
+        for accessor, rows in self._normals(vertices):
+            if accessor.shifted(shift).stored(output).tobytes() != rows.tobytes():
                 raise InternalError("a normal of a GLB file was not written right")
-        bounds = json.loads(json.dumps(there.content))
+        expected = json.loads(json.dumps(self.document.content))
         for accessor in new:
-            for word, value in self.document.bounds(accessor.index).items():
-                if bounds["accessors"][accessor.index].get(word) != accessor.bound(output, word):
-                    raise InternalError("the bounds in a GLB file do not fit its positions")
-                bounds["accessors"][accessor.index][word] = value
-        if bounds != self.document.content:
-            raise InternalError("the description in a GLB file changed")
+            for word in self.document.bounds(accessor.index):
+                expected["accessors"][accessor.index][word] = accessor.bound(output, word)
+        if there.content != expected:
+            raise InternalError("the description in a GLB file is not what it should be")
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with ``vertices`` (n, 3); GLB has one encoding and one precision.

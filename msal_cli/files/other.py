@@ -17,7 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.errors import (
+    ContentError,
+    FormatError,
+    InternalError,
+    MsalError,
+    UnsupportedError,
+)
 from msal_cli.files.base import Buffer
 from msal_cli.files.guard import guarded
 
@@ -45,6 +51,8 @@ _NEEDED = {"med": ("h5py",), "xdmf": ("h5py",), "3mf": ("lxml", "networkx"), "da
 _FLAT = {"triangle": 3, "quad": 4, "polygon": 0}
 """Surface cells and their corners; a polygon has any number."""
 
+_OFF = re.compile(rb"(?:\s|#[^\r\n]*)*(?:ST)?C?N?(4?n?)OFF\b(?:[ \t]+(BINARY))?")
+_CONVERT = "convert it to PLY"
 _CURVED = re.compile(r"(triangle|quad)\d+$")
 _ENTITIES = "gmsh:dim_tags"
 _NORMALS = ("normals", "normal", "point_normals", "vertex_normals")
@@ -290,7 +298,8 @@ def _meshio_options(head: bytes, format: str, encoding: str) -> tuple[str, dict[
     binary = encoding != "ascii"
     if format == "vtk":
         found = re.match(rb"# vtk DataFile Version (\d+)", head)
-        return ("vtk42" if found and int(found[1]) < 5 else "vtk51"), {"binary": binary}
+        # Not "vtk51", under which meshio writes 4.2; new files get the version that more can read.
+        return ("vtk" if found and int(found[1]) >= 5 else "vtk42"), {"binary": binary}
     if format == "msh":
         found = re.search(rb"\$MeshFormat\s+(\d+)", head)
         return ("gmsh22" if found and int(found[1]) < 4 else "gmsh"), {"binary": binary}
@@ -391,7 +400,23 @@ def _from_scene(data: Buffer, format: str) -> OtherFile:
 def _trimesh_read(data: Buffer, format: str) -> Any:
     import trimesh
 
-    return trimesh.load_scene(io.BytesIO(bytes(data)), file_type=format, process=False)
+    content = bytes(data)
+    if format == "off":
+        _refuse_strange_off(content)
+        # Only comments hold other letters, and for these trimesh wants one more package.
+        content = content.decode("ascii", "replace").replace("\ufffd", "?").encode()
+    return trimesh.load_scene(io.BytesIO(content), file_type=format, process=False)
+
+
+def _refuse_strange_off(content: bytes) -> None:
+    """The kinds of OFF that trimesh takes for the plain one, or for no OFF at all."""
+    found = _OFF.match(content)
+    if not found:
+        raise FormatError("the file does not begin with OFF", where="line 1", hint=_CONVERT)
+    if found[1]:
+        raise UnsupportedError(f"{found[0].split()[-1].decode()} files are not read", hint=_CONVERT)
+    if found[2]:
+        raise UnsupportedError("binary OFF is not read", hint=_CONVERT)
 
 
 def _parts(scene: Any) -> list[Any]:
