@@ -76,7 +76,7 @@ def counted(buf):  # type: ignore[no-untyped-def]
         )
     for i in range(1, len(buf) - 1):
         n_faces += (buf[i] == 102) & (buf[i - 1] <= 32) & ((buf[i + 1] <= 32) | (buf[i + 1] == 92))
-    for i in range(1, len(buf) - 1):
+    for i in range(1, len(buf)):
         n_normals += (buf[i - 1] == 118) & (buf[i] == 110)
     return n_vertices, n_normals, n_faces
 
@@ -339,9 +339,9 @@ def scanned(  # type: ignore[no-untyped-def]
                         number = number * 10 + digit
                         end += 1
                     # Ten digits at most, so that nothing has overflowed.
-                    if 0 < number and end - at <= 11 and end < len(buf) and buf[end] in (32, 10):
+                    if number > 0 and end - at <= 11 and end < len(buf) and buf[end] in (32, 10):
                         largest = max(largest, number - 1)
-                        corners[n_corners] = min(number, 1 << 31) - 1
+                        corners[n_corners] = _resolved(number, n_vertices)
                         if len(corner_normals):
                             corner_normals[n_corners] = -1
                         n_corners += 1

@@ -26,7 +26,7 @@ BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 _LOOKED_AT = 4096
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
-_BEGUN = re.compile(rb"[-+.\deE/]*")
+_BEGUN = re.compile(rb"[-+.\deE/\\]*")
 _NEVER = 1 << 62
 
 
