@@ -238,6 +238,7 @@ class TestHostileNames:
             relatives(tmp_path)
         assert relatives(tmp_path, exclude=["locked"]) == ["a.ply"]
 
+    @pytest.mark.slow
     def test_a_very_deep_tree_does_not_exhaust_the_stack(self, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
         for _ in range(1100):

@@ -72,7 +72,7 @@ def test_any_number_of_jobs_writes_the_bytes_that_one_file_alone_would_get(scans
         if data is not None:
             alone[path.relative_to(scans).as_posix()] = bytes(data)
     assert len(alone) == 9
-    for jobs in (1, 3):
+    for jobs in (1, 2):
         records = run(plan_of(scans, f"out{jobs}"), settings(), jobs=jobs)
         failed = [record for record in records if record.status == "failed"]
         assert [Path(record.input).name for record in failed] == ["bad.obj"]
@@ -97,7 +97,6 @@ def test_a_rerun_redoes_what_changed_and_its_records_tell_the_same(scans):
             )
     after = outputs(scans.parent / "out")
     assert [name for name in before if before[name] != after[name]] == ["b/4.obj"]
-    assert {one.status for one in run(plan_of(scans), settings(iterations=2))} == {"written"}
 
 
 def test_a_changed_suffix_is_mirrored(scans):
