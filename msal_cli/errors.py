@@ -13,6 +13,8 @@
     |-- ResourceError       the worker crashed, ran out of memory or out of time
     `-- InternalError       a check on our own result failed: a defect of msal
 
+``batch`` adds NothingMatched (no input file is selected; exit status 5).
+
 An error carries a stable ``code``, what happened, ``where`` in the file (element, index or line),
 a ``hint`` on what to do, and the ``path``.  Only ``cli`` turns it into words and an exit status.
 """
@@ -57,7 +59,7 @@ def _rebuilt(
 
 
 class UsageError(MsalError):
-    """Wrong use or configuration; raised before any work."""
+    """Wrong use or configuration, or another run at work (``E_LOCKED``); raised before any work."""
 
     code = "E_USAGE"
 
@@ -115,7 +117,7 @@ class OutputError(MsalError):
 
 
 class ResourceError(MsalError):
-    """The worker crashed (``E_CRASH``), ran out of memory (``E_MEMORY``) or time (``E_TIMEOUT``)."""
+    """The worker crashed (``E_CRASH``), or memory (``E_MEMORY``) or time (``E_TIMEOUT``) ran out."""
 
     code = "E_CRASH"
 

@@ -34,6 +34,7 @@ class Request:
     iterations: str | None
     factor: str | None
     mollify: str | None
+    schedule: str | None
     assignments: tuple[str, ...]
     include: tuple[str, ...]
     exclude: tuple[str, ...]
@@ -100,6 +101,12 @@ _PATH = click.Path(readable=False, allow_dash=True)
     metavar="N",
     help="Passes that average the normals first; more gives flatter flats and softer edges, "
     "0 suits lightly noisy scans.  [default: 1]",
+)
+@click.option(
+    "--schedule",
+    type=click.Choice(["plain", "constant", "multiscale"]),
+    help="How the sweeps of al, umbrella and the like go on: alike, with a constant pull to the "
+    "data, or multiscale as in msal.  [default: plain]",
 )
 @click.option(
     "--set",
@@ -408,6 +415,7 @@ def _settings(request: Request) -> Settings:
         ("-n", "iterations", request.iterations),
         ("-K", "K", request.factor),
         ("--mollify", "mollify", request.mollify),
+        ("--schedule", "schedule", request.schedule),
     )
     given = [
         (f"{option} {value}", name, value) for option, name, value in shortcuts if value is not None
@@ -424,6 +432,12 @@ def _settings(request: Request) -> Settings:
     )
 
 
+def _backup_suffix(request: Request) -> str | None:
+    if request.no_backup:
+        return None
+    return _DEFAULT_BACKUP if request.backup is None else request.backup
+
+
 def _plan(request: Request, settings: Settings) -> Plan:
     from msal_cli.batch import inputs, plan
 
@@ -434,7 +448,7 @@ def _plan(request: Request, settings: Settings) -> Plan:
         output,
         to=settings.to,
         in_place=request.in_place,
-        backup=None if request.no_backup else request.backup or _DEFAULT_BACKUP,
+        backup=_backup_suffix(request),
         force=request.force,
         fresh=request.fresh,
     )
