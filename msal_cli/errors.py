@@ -117,7 +117,7 @@ class OutputError(MsalError):
 
 
 class ResourceError(MsalError):
-    """The worker crashed (``E_CRASH``), or memory (``E_MEMORY``) or time (``E_TIMEOUT``) ran out."""
+    """A worker crashed (``E_CRASH``), or memory (``E_MEMORY``) or time (``E_TIMEOUT``) ran out."""
 
     code = "E_CRASH"
 

@@ -200,8 +200,8 @@ def _type_hints(kind: Hashable) -> dict[str, Any]:
 
 
 def from_data(kind: type[Any], data: dict[str, Any]) -> Any:
-    """The record that ``as_data`` made ``data`` from; fields unknown to this version are dropped."""
-    hints: dict[str, Any] = _type_hints(kind)
+    """The record that ``as_data`` made ``data`` from; fields that it does not know are dropped."""
+    hints: dict[str, Any] = _type_hints(typing.cast(Hashable, kind))
     values: dict[str, Any] = {}
     for one in dataclasses.fields(kind):
         if one.name not in data:

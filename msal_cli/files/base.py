@@ -21,7 +21,7 @@ class MeshFile(Protocol):
     ----------
     format : ``"ply"``, ``"obj"``, ``"stl"``, or the suffix of a format read by a library.
     encoding : ``"ascii"``, ``"binary_little_endian"``, ``"binary_big_endian"`` or ``"binary"``.
-    precision : ``"float32"``, ``"float64"`` or ``"text"``: how the file stores positions.
+    precision : ``"float32"``, ``"float64"``, ``"text"`` or ``"integer"``: how positions are stored.
     vertices : (n, 3) float64, file units, in file order, exactly the values that the file stores.
     faces : (m, 3) int32, indices into ``vertices``, counter-clockwise seen from outside; polygons
         are cut into triangles and strips are unrolled, for the mathematics only.
