@@ -122,8 +122,6 @@ def _carried(reference: str, source_folder: Path, target_folder: Path) -> str:
         return f"warning: {reference} cannot be compared: {failure.strerror}"
     if not _is_within(target, target_folder):
         return f"warning: {reference} lies outside the output folder and is not found from there"
-    if os.path.lexists(target):
-        raise _taken(source, target)
     _copy(source, target)
     return f"copied {reference}"
 

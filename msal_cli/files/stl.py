@@ -38,9 +38,9 @@ _PADDING = 8
 def read(data: Buffer, name: str) -> StlFile | stl_ascii.StlTextFile:
     """Read an STL file, binary or ascii.
 
-    A file whose length is exactly what its count asks for is binary, whatever it begins with;
-    else one that begins with ``solid`` and looks like text is ascii; anything else is a binary
-    file with a wrong length.
+    A file whose first kilobyte is text is ascii.  In a binary file, whatever it begins with, that
+    kilobyte holds the count and the first numbers, and with them control characters: the count
+    alone has some unless it is beyond 500 million.
 
     Raises
     ------
@@ -55,8 +55,6 @@ def read(data: Buffer, name: str) -> StlFile | stl_ascii.StlTextFile:
     head = bytes(memoryview(data).cast("B")[:_LOOKED_AT])
     count = int.from_bytes(head[HEADER_BYTES:_FIRST_FACET], "little")
     wanted = _FIRST_FACET + FACET.itemsize * count
-    if size == wanted and size >= _FIRST_FACET and not (count == 0 and _is_text(head)):
-        return _read_binary(data, count)
     if _is_text(head):
         return stl_ascii.read(data, name)
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):

@@ -246,17 +246,27 @@ def test_many_processes_may_carry_the_same_files(scene):
     assert tree(target.parent) == expected
 
 
-def test_whoever_comes_second_with_another_file_fails(tmp_path, monkeypatch):
-    for folder, content in (("a", b"one"), ("b", b"two")):
+def test_whoever_comes_second_with_another_file_fails(tmp_path):
+    for folder, content in (("a", b"one"), ("b", b"two"), ("c", b"one")):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "t.png").write_bytes(content)
-    # The other worker's file appears after the check and before the copy.
-    monkeypatch.setattr(sidecars.os.path, "lexists", lambda _: False)
-    assert carried(["t.png"], tmp_path / "a/m.obj", tmp_path / "o/m.obj") == ("copied t.png",)
+    target = tmp_path / "o" / "t.png"
+    # As if each had found the place free a moment before.
+    sidecars._copy(tmp_path / "a/t.png", target)
+    sidecars._copy(tmp_path / "c/t.png", target)
     with pytest.raises(OutputError) as caught:
-        sidecars._copy(tmp_path / "b/t.png", tmp_path / "o/t.png")
+        sidecars._copy(tmp_path / "b/t.png", target)
     assert caught.value.code == "E_SIDECAR"
-    assert (tmp_path / "o/t.png").read_bytes() == b"one"
+    assert target.read_bytes() == b"one"
+
+
+def test_size_and_time_alone_do_not_make_files_the_same(tmp_path):
+    for folder, content in (("in", b"one"), ("out", b"two")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "t.png").write_bytes(content)
+        os.utime(tmp_path / folder / "t.png", (1e9, 1e9))
+    with pytest.raises(OutputError):
+        carried(["t.png"], tmp_path / "in/m.obj", tmp_path / "out/m.obj")
 
 
 def test_the_real_textured_scan(real_data, tmp_path):

@@ -80,6 +80,7 @@ DAMAGED = {
     "text that is no STL": (b"hello world, this is a letter\n" * 9, "E_FORMAT", "facet 0, line 1"),
     "misspelt facet": (line(9, "facets normal 0 0 1"), "E_FORMAT", "facet 1, line 9"),
     "misspelt normal": (line(2, "facet norm 0 0 1"), "E_FORMAT", "facet 0, line 2"),
+    "glued words": (line(2, "facetnormal 0 0 1"), "E_FORMAT", "facet 0, line 2"),
     "two normal numbers": (line(2, "facet normal 0 0"), "E_FORMAT", "facet 0, line 3"),
     "four normal numbers": (line(2, "facet normal 0 0 1 1"), "E_FORMAT", "facet 0, line 2"),
     "two coordinates": (line(4, "vertex 0 0"), "E_FORMAT", "facet 0, line 5"),
