@@ -201,6 +201,8 @@ def interrupted(arguments, signum, ready, folder):
         stdout=subprocess.PIPE,
         stdin=subprocess.PIPE,
         cwd=folder,
+        # Whoever runs the tests in the background has SIGINT ignored, and so would the child.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     try:
         deadline = time.monotonic() + 60
