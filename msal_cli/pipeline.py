@@ -137,13 +137,15 @@ def denoise_file(
             if task.in_place and task.backup:
                 _keep_backup(task, data)
             _make_folder_of(task.output)
-            notes = (
-                () if task.in_place else sidecars.carried(run.references, task.input, task.output)
-            )
+            notes: tuple[str, ...] = ()
+            if run.references and not task.in_place:
+                notes = tuple(sidecars.carried(run.references, task.input, task.output))
+                marked = (note for note in notes if note.startswith("warning: "))
+                run.warn(*(note.removeprefix("warning: ") for note in marked))
             files.write_whole(
                 task.output, [output], mode_like=task.input if task.in_place else None
             )
-        return run.finished(task.output, sidecars=tuple(notes))
+        return run.finished(task.output, sidecars=notes)
     except Exception as error:
         return run.failed(error)
 
@@ -192,6 +194,7 @@ class _Run:
 
     def __init__(self, name: str, settings: Settings, on_progress: OnProgress | None) -> None:
         self.settings = settings
+        # Files that the output names too; a conversion drops them.
         self.references: tuple[str, ...] = ()
         self._on_progress = on_progress or (lambda stage, done, total: None)
         self._started = time.perf_counter()
@@ -234,7 +237,6 @@ class _Run:
             self.know(input_sha256=hashlib.sha256(data).hexdigest())
             plain, is_compressed = files.expanded(data, name)
             mesh_file = files.open_mesh(plain, name, settings.format)
-            self.references = mesh_file.references
             self.know(
                 format=mesh_file.format,
                 encoding=mesh_file.encoding,
@@ -297,7 +299,9 @@ class _Run:
                 )
             self.warn(*(f"lost in {target}: {loss}" for loss in losses))
             self._check_reopened(output, target, mesh_file, vertices)
-        elif as_is:
+            return files.compressed(output) if compress else output
+        self.references = mesh_file.references
+        if as_is:
             if (vertices == mesh_file.vertices).all():
                 if compress == is_compressed:
                     return data

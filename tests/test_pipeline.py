@@ -370,3 +370,23 @@ def test_real_files(real_data, tmp_path, name):
     same = tmp_path / "same" / out.name
     denoised(path, same, iterations=0)
     assert same.read_bytes() == path.read_bytes()
+
+
+def test_materials_travel_with_the_mesh_but_not_into_another_format(tmp_path):
+    vertices, faces = torus()
+    source = tmp_path / "in"
+    source.mkdir()
+    (source / "scan.obj").write_bytes(obj_text(noisy(vertices), faces).replace(b"none", b"skin"))
+    (source / "skin.mtl").write_bytes(b"newmtl skin\nmap_Kd wood.png\n")
+    (source / "wood.png").write_bytes(b"picture")
+    same = denoised(source / "scan.obj", tmp_path / "same" / "scan.obj")
+    assert (tmp_path / "same" / "skin.mtl").read_bytes() == b"newmtl skin\nmap_Kd wood.png\n"
+    assert (tmp_path / "same" / "wood.png").read_bytes() == b"picture"
+    assert len(same.sidecars) == 2
+    other = denoised(source / "scan.obj", tmp_path / "other" / "scan.ply")
+    assert [entry.name for entry in (tmp_path / "other").iterdir()] == ["scan.ply"]
+    assert other.sidecars == ()
+    (source / "skin.mtl").unlink()
+    lost = denoised(source / "scan.obj", tmp_path / "lost" / "scan.obj")
+    assert lost.status == "written"
+    assert any("skin.mtl is missing" in warning for warning in lost.warnings)
