@@ -86,15 +86,15 @@ _PATH = click.Path(readable=False, allow_dash=True)
     "-n",
     "--iterations",
     metavar="N",
-    help="Sweeps over the mesh; more is smoother with al, while msal comes back to the input "
-    "after many.  [default: 4]",
+    help="Sweeps over the mesh; more is smoother, while msal comes back to the input after many. "
+    "Other methods may have other defaults.  [default: 4]",
 )
 @click.option(
     "-K",
     "factor",
     metavar="K",
-    help="msal: factor by which the smoothing shrinks from sweep to sweep, 0 < K <= 1; "
-    "greater is smoother, less keeps more texture.  [default: 0.5]",
+    help="msal, or --schedule multiscale: factor by which the smoothing shrinks from sweep to "
+    "sweep, 0 < K <= 1; greater is smoother, less keeps more texture.  [default: 0.5]",
 )
 @click.option(
     "--mollify",

@@ -15,7 +15,12 @@ if TYPE_CHECKING:
 
 SCHEMA = "msal.methods/1"
 
-_SHORTCUTS = {"iterations": "-n", "K": "-K", "mollify": "--mollify"}
+_SHORTCUTS = {
+    "iterations": "-n",
+    "K": "-K",
+    "mollify": "--mollify",
+    "schedule": "--schedule",
+}
 
 
 @click.command("methods", short_help="List the methods, or explain one.")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.methods import Method
+    from msal_cli.methods import Method, ParameterSpec
 
 Given = tuple[str, str, str]
 """The option as the user wrote it (for messages), the parameter's name or symbol, the value."""
@@ -30,18 +30,35 @@ def settled(method: Method, given: Iterable[Given]) -> dict[str, Any]:
     UsageError
         for an unknown name, a value that is not allowed, or one parameter with two values.
     """
-    canonical = {spec.symbol: spec.name for spec in method.parameters if spec.symbol}
-    canonical |= {spec.name: spec.name for spec in method.parameters}
-    values: dict[str, str] = {}
+    values: dict[str, Any] = {}
     said: dict[str, str] = {}
     for words, word, value in given:
-        name = canonical.get(word, word)
-        one = method.settled({name: value})
-        if name in values and one[name] != method.settled({name: values[name]})[name]:
+        spec = _spec(method, words, word)
+        one = spec.settled(value)
+        if values.setdefault(spec.name, one) != one:
             raise UsageError(
-                f"{said[name]} and {words} give {name} two different values",
+                f"{said[spec.name]} and {words} give {spec.name} two different values",
                 hint="give it once",
             )
-        values.setdefault(name, value)
-        said.setdefault(name, words)
+        said.setdefault(spec.name, words)
     return method.settled(values)
+
+
+def _spec(method: Method, words: str, word: str) -> ParameterSpec:
+    """The parameter that ``word`` names; for a shortcut the refusal says which methods have it."""
+    try:
+        return method.spec(word)
+    except UsageError:
+        from msal_cli import methods
+
+        others = [
+            name
+            for name in methods.names()
+            if any(word == spec.name for spec in methods.find(name).parameters)
+        ]
+        if words.startswith("--set") or not others:
+            raise
+        raise UsageError(
+            f"{words} does not go with {method.name}, which has no parameter '{word}'",
+            hint=f"methods that have it: {', '.join(others)}",
+        ) from None

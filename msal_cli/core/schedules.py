@@ -80,3 +80,16 @@ class Multiscale:
             self.time_step * self.decay**sweep,
             per_sigma=1.0 / largest if largest > 0.0 else 0.0,
         )
+
+
+@dataclass(frozen=True)
+class Alternating:
+    """A step ``shrink`` > 0 at even sweeps, ``inflate`` < 0 at odd ones, no fidelity (Taubin)."""
+
+    shrink: float = 0.5
+    inflate: float = -0.53
+    uses_sigma = False
+
+    def __call__(self, sweep: int, sigma: Floats | None) -> Pace:
+        """One of the two steps."""
+        return Pace(self.inflate if sweep % 2 else self.shrink)

@@ -172,23 +172,30 @@ class Method:
             for one in dataclasses.fields(self.module.Parameters)
         )
 
+    def spec(self, word: str) -> ParameterSpec:
+        """The parameter with that name or symbol; UsageError if there is none."""
+        specs = {spec.symbol: spec for spec in self.parameters if spec.symbol}
+        specs |= {spec.name: spec for spec in self.parameters}
+        if word not in specs:
+            names = [spec.name for spec in self.parameters]
+            close = difflib.get_close_matches(word, names, n=1)
+            raise UsageError(
+                f"{self.name} has no parameter '{word}'",
+                hint=f"did you mean {close[0]}?" if close else f"it has: {', '.join(names)}",
+            )
+        return specs[word]
+
     def settled(self, given: Mapping[str, object]) -> dict[str, Any]:
         """Every parameter, those in ``given`` (by name or symbol) checked and in their place.
 
-        Raises UsageError for an unknown name or a value out of range.
+        Raises UsageError for an unknown name, a value out of range, or values that do not go
+        together, for which ``Parameters`` may look when it is made.
         """
-        specs = {spec.name: spec for spec in self.parameters}
-        by_symbol = {spec.symbol: spec for spec in self.parameters if spec.symbol}
         values = {spec.name: spec.default for spec in self.parameters}
         for word, value in given.items():
-            spec = specs.get(word) or by_symbol.get(word)
-            if spec is None:
-                close = difflib.get_close_matches(word, specs, n=1)
-                raise UsageError(
-                    f"{self.name} has no parameter '{word}'",
-                    hint=f"did you mean {close[0]}?" if close else f"it has: {', '.join(specs)}",
-                )
+            spec = self.spec(word)
             values[spec.name] = spec.settled(value)
+        self.module.Parameters(**values)
         return values
 
     def denoised(

@@ -13,6 +13,10 @@ volume shrinks far less than under AL.  It is at its best for fine texture with 
 tenth of the mean edge length; for strong noise choose a larger K, or ``al``.  Many sweeps lead
 back to the input: four are a stable default.  A sweep costs about as much as one of AL.
 
+``weights`` and ``deviation`` are choices of the weights and of sigma, as in ``al``, and with them
+of lambda.  The multiscale schedule over the operators that are scaled for mixed triangle sizes is
+``al`` with ``schedule=multiscale`` and a ``scaling``; section 4.3 finds that it is rarely needed.
+
 On a mesh that is planar everywhere (max sigma = 0) lambda is zero.
 
 Source: H. Huang and U. Ascher, Fast denoising of surface meshes with intrinsic texture, Inverse
@@ -26,11 +30,12 @@ from dataclasses import dataclass
 from msal_cli.core.schedules import Multiscale
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sweeps import NormalParameters, anisotropic_laplacian, run
+from msal_cli.methods._heights import HeightParameters, height_operator
+from msal_cli.methods._sweeps import run
 
 
 @dataclass(frozen=True)
-class Parameters(NormalParameters):
+class Parameters(HeightParameters):
     """Parameters of the multiscale anisotropic Laplacian."""
 
     K: float = parameter(
@@ -49,7 +54,7 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
     return run(
         mesh,
         parameters,
-        lambda: anisotropic_laplacian(mesh, parameters),
+        lambda: height_operator(mesh, parameters),
         Multiscale(parameters.K),
         on_sweep,
     )

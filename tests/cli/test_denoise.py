@@ -11,9 +11,11 @@ from pathlib import Path
 import pytest
 from jsonschema import Draft202012Validator
 
+from msal_cli import methods
 from msal_cli.batch import run as run_module
 from msal_cli.batch.events import Finished
 from msal_cli.batch.signals import Terminated
+from msal_cli.cli.denoise import command
 from msal_cli.errors import OutputError
 from msal_cli.report.schema import report_schema
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, open_scan, process
@@ -85,12 +87,39 @@ def test_options_reach_the_method(scan, tmp_path):
     assert made.stderr == ""
     data = json.loads(made.stdout)
     Draft202012Validator(report_schema()).validate(data)
-    expected = {"iterations": 2, "K": 0.25, "mollify": 0, "normals": "area", "boundary": "free"}
+    given = {"iterations": 2, "K": 0.25, "mollify": 0, "normals": "area"}
+    expected = methods.find("msal").settled({}) | given
     assert data["settings"]["parameters"] == expected
     assert data["records"][0]["method"] == {"name": "msal", "parameters": expected}
     assert data["command"][:2] == ["msal", "denoise"]
     assert data["started"] <= data["finished"]
     assert data["started"].endswith("Z")
+
+
+def test_the_multiscale_schedule_over_al_is_msal(scan, tmp_path):
+    one, other, plain = (tmp_path / name for name in ("1.ply", "2.ply", "3.ply"))
+    assert msal("denoise", scan, "-o", one, "-K", "0.3").exit_code == 0
+    as_al = ("denoise", scan, "--method", "al", "-K", "0.3")
+    assert msal(*as_al, "-o", other, "--schedule", "multiscale").exit_code == 0
+    assert msal(*as_al, "-o", plain, "--schedule", "plain").exit_code == 0
+    assert one.read_bytes() == other.read_bytes() != plain.read_bytes()
+
+
+def test_the_schedules_offered_are_those_of_the_methods():
+    (option,) = [one for one in command.params if one.name == "schedule"]
+    assert tuple(option.type.choices) == methods.find("al").spec("schedule").choices
+
+
+def test_a_method_without_schedules_refuses_one(scan, tmp_path):
+    for method in ("msal", "hc", "taubin"):
+        made = msal(
+            *("denoise", scan, "-o", tmp_path / "out.ply", "--method", method),
+            *("--schedule", "constant"),
+        )
+        assert made.exit_code == 2
+        assert f"--schedule constant does not go with {method}, which has no" in made.stderr
+        assert "hint: methods that have it: al, " in made.stderr
+        assert not (tmp_path / "out.ply").exists()
 
 
 def test_another_method(scan, tmp_path):

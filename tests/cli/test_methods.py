@@ -30,7 +30,8 @@ def test_a_page_tells_parameters_ranges_directions_and_source(name):
         assert spec.help in made.stdout
         assert f"allowed: {spec.range_text}" in made.stdout
         assert not spec.more or f"more is {spec.more}" in made.stdout
-    assert "  iterations = 4   (also -n" in made.stdout
+        also = {"iterations": "-n", "mollify": "--mollify", "schedule": "--schedule"}.get(spec.name)
+        assert not also or f"  {spec.name} = {spec.default}   (also {also}" in made.stdout
 
 
 def test_json():

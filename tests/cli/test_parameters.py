@@ -48,5 +48,23 @@ def test_unknown_parameters_get_a_suggestion():
     with pytest.raises(UsageError, match="no parameter 'iteratons'") as caught:
         settled(MSAL, [assignment("iteratons=3")])
     assert "iterations" in caught.value.hint
-    with pytest.raises(UsageError, match="al has no parameter 'K'"):
-        settled(methods.find("al"), [("-K 1", "K", "1")])
+
+
+def test_a_shortcut_that_a_method_lacks_names_the_methods_that_have_it():
+    with pytest.raises(UsageError, match="-K 1 does not go with hc, which has no para") as caught:
+        settled(methods.find("hc"), [("-K 1", "K", "1")])
+    assert "msal" in caught.value.hint
+    with pytest.raises(UsageError, match="--schedule plain does not go with msal") as caught:
+        settled(MSAL, [("--schedule plain", "schedule", "plain")])
+    assert {"al,", "umbrella"} <= set(caught.value.hint.split())
+    assert not {"msal", "hc", "taubin"} & set(caught.value.hint.replace(",", "").split())
+
+
+def test_values_are_held_against_one_another_only_together():
+    # lambda = 0.1 does not go with mu = -1, but each goes with something.
+    taubin = methods.find("taubin")
+    with pytest.raises(UsageError, match=r"lambda = 0\.1 and mu = -1 amplify") as caught:
+        settled(taubin, [assignment("lambda=0.1"), assignment("mu=-1")])
+    assert "-0.106" in caught.value.hint
+    values = settled(taubin, [assignment("mu=-0.106"), assignment("lambda=0.1")])
+    assert (values["shrink"], values["inflate"]) == (0.1, -0.106)

@@ -1,0 +1,74 @@
+"""Scale-dependent umbrella: Laplacian smoothing that allows for unequal edge lengths.
+
+The umbrella operator takes all edges for equally long, and distorts a mesh of mixed triangle sizes:
+long edges pull as if they were short ones.  Fujiwara's operator divides each edge e by its length
+l:
+
+    L_i = (2 / E_i) sum(e_ik / l_ik),  E_i = sum(l_ik)
+    dx_i = min(tau, t_i) L_i,  t_i = E_i / (2 sum(1 / l_ik))
+
+L has the unit 1 / length, so the step tau is an area: ``time_step`` times the square of the mean
+edge length.  A short edge allows only short steps.  Instead of slowing the whole mesh down to its
+shortest edge, each vertex takes tau or its own limit t_i, whichever is less; at the limit it goes
+to the mean of its neighbours with weights 1 / l, and no step can overshoot.  On a regular mesh a
+time step of 0.25 does the same as ``umbrella`` with 0.5.  Where triangles are larger than the
+average it smooths less, where they are smaller it is held at the limit: such meshes take more
+sweeps.
+
+As with ``umbrella`` edges are smeared, the surface shrinks, and vertices slide, though less along
+the surface where edge lengths differ.  ``schedule`` and the rule at open edges are the same too.
+Edges of length zero are left out; a vertex without any other stays.  The cost of a sweep is
+proportional to the number of edges.
+
+Source: K. Fujiwara, Eigenvalues of Laplacians on a closed Riemannian manifold and its nets,
+Proceedings of the AMS 123 (1995), 2585-2594; as a smoother: M. Desbrun, M. Meyer, P. Schroeder and
+A. Barr, Implicit fairing of irregular meshes using diffusion and curvature flow, SIGGRAPH 1999.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from msal_cli.core.umbrellas import ScaleDependentUmbrella
+from msal_cli.mesh import Mesh
+from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._rings import ScheduledRingParameters, ring_of
+from msal_cli.methods._sweeps import run
+
+
+@dataclass(frozen=True)
+class Parameters(ScheduledRingParameters):
+    """Parameters of the scale-dependent umbrella operator."""
+
+    iterations: int = parameter(
+        4,
+        "sweeps over all vertices",
+        symbol="n",
+        low=0,
+        high=1000,
+        more="smoother, and smaller; under the multiscale schedule many lead back to the input",
+    )
+    time_step: float = parameter(
+        0.25,
+        "time step of the first sweep; vertices with a smaller limit of stability take that",
+        symbol="tau",
+        low=0.0,
+        high=100.0,
+        low_open=True,
+        unit="squared mean edge lengths",
+        more="smoother, up to the limit of each vertex",
+    )
+
+
+def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+    """Scale-dependent umbrella smoothing of ``mesh``; see the module's description."""
+    time_step = parameters.time_step * mesh.mean_edge_length**2
+    return run(
+        mesh,
+        parameters,
+        lambda: ScaleDependentUmbrella(*ring_of(mesh, parameters.boundary), time_step),
+        # The operator has taken its own step; the schedule's is a share of it.
+        dataclasses.replace(parameters, time_step=1.0).chosen_schedule(),
+        on_sweep,
+    )

@@ -1,0 +1,68 @@
+"""Umbrella operator: plain Laplacian smoothing, each vertex towards the mean of its one-ring.
+
+Noise is the part of a surface that changes from vertex to vertex; averaging takes it away first:
+
+    dx_i = (1 / m_i) sum(x_k - x_i)                     eq. (3)
+    x_i <- x_i + tau dx_i + lambda_i (v_i - x_i)        eq. (2)
+
+over the m_i neighbours of vertex i, all vertices at once from the same positions.  The paper's text
+takes tau = 1, a jump to the mean itself; the default here is half of that, as is usual, because a
+full step makes the finest wave on a regular mesh swing to and fro instead of removing it.
+
+It is the yardstick, not the tool of choice: it smears edges, shrinks the surface with every sweep,
+and slides vertices sideways, so that triangles and textures even out.  ``al`` does none of this
+sliding, ``taubin`` and ``hc`` shrink less.  Under ``schedule=multiscale`` lambda is measured from
+the heights of eq. (4), as in ``msal``, and brings much of the volume back.
+
+At open edges a vertex is averaged along the rim only (``boundary=curve``).  A vertex without
+neighbours stays, and so does a boundary vertex that no open edge joins to another.  Degenerate
+faces count with their edges.  The cost of a sweep is proportional to the number of edges.
+
+Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH 1995, 351-358; eq.
+(3) of H. Huang and U. Ascher, Fast denoising of surface meshes with intrinsic texture, Inverse
+Problems 24 (2008).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from msal_cli.core.umbrellas import Umbrella
+from msal_cli.mesh import Mesh
+from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._rings import ScheduledRingParameters, ring_of
+from msal_cli.methods._sweeps import run
+
+
+@dataclass(frozen=True)
+class Parameters(ScheduledRingParameters):
+    """Parameters of the umbrella operator."""
+
+    iterations: int = parameter(
+        3,
+        "sweeps over all vertices",
+        symbol="n",
+        low=0,
+        high=1000,
+        more="smoother, and smaller; under the multiscale schedule many lead back to the input",
+    )
+    time_step: float = parameter(
+        0.5,
+        "share of the way to the mean of the neighbours; 1 in the paper's text",
+        symbol="tau",
+        low=0.0,
+        high=1.0,
+        low_open=True,
+        more="smoother",
+    )
+
+
+def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+    """Umbrella smoothing of ``mesh``; see the module's description."""
+    return run(
+        mesh,
+        parameters,
+        lambda: Umbrella(*ring_of(mesh, parameters.boundary)),
+        parameters.chosen_schedule(),
+        on_sweep,
+    )
