@@ -1,0 +1,145 @@
+"""Mean curvature flow: every point moves along its curvature normal, in explicit or implicit steps.
+
+The area of a surface shrinks fastest if each vertex moves against the gradient of that area, which
+is its curvature normal; small waves go first.  With the cotangents of the two angles that face an
+edge and the area A_i that belongs to a vertex
+
+    K(x_i) = 1 / (2 A_i) sum(w_ik (x_i - x_k)),  w_ik = cot alpha_ik + cot beta_ik
+    explicit:  dx_i = -min(tau, t_i) K(x_i),  t_i = 2 A_i / sum|w_ik|
+    implicit:  (M + tau L) X' = M X,  M = diag(A),  (L X)_i = sum(w_ik (x_i - x_k)) / 2
+
+Unlike the umbrella it moves no vertex within a flat part, however irregular the triangles.  tau is
+an area, ``time_step`` times the square of the mean edge length.  The explicit step measures w and
+A anew at every sweep; where triangles are small or flat a vertex takes its own limit t_i, at which
+it goes to the weighted mean of its neighbours, and the mesh as a whole is not held up by it.  The
+implicit step is stable for every tau: one long step does the work of many sweeps.  It keeps L from
+the input and measures M anew, which is the flow without singularities of Kazhdan and others;
+measuring L anew as well gave angles within 0.2 degrees on four noisy models at the defaults, and
+pinches under long flow.  ``implicit`` with one step of ``time_step=1`` and ``boundary=free`` is
+the implicit fairing that others quote; two steps of 0.25 leave no more noise, and three quarters
+of its vertex error.
+
+It smears edges and shrinks the surface, the more so the longer it flows.  ``volume=restore``
+scales a closed surface back about its centre of mass, once at the end; an open or non-manifold one
+is left as it is, because its volume means nothing.  ``schedule`` works with both variants: the
+multiscale one pulls each vertex back to where it was scanned, see ``msal``.
+
+Boundary vertices are fixed.  With ``boundary=free`` they flow too: an open sheet is a soap film
+without frame and its rim is drawn inwards.  A face whose height is less than 1/20 of its longest
+edge takes part with smaller cotangents, and one without area has none that are infinite; a vertex
+without faces stays.  A non-manifold edge has the cotangents of all its faces.  The cost of a sweep
+is proportional to the number of faces; an implicit step costs 10 to 100 times as much, growing
+with the root of ``time_step``.
+
+Source: M. Desbrun, M. Meyer, P. Schroeder and A. Barr, Implicit fairing of irregular meshes using
+diffusion and curvature flow, SIGGRAPH 1999, 317-324; areas: M. Meyer, M. Desbrun, P. Schroeder and
+A. Barr, Discrete differential-geometry operators for triangulated 2-manifolds, VisMath 2002.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from msal_cli.core.cotangent import cotangent_weights
+from msal_cli.core.mean_curvature import AREAS, ImplicitMeanCurvature, MeanCurvature
+from msal_cli.core.operators import Operator
+from msal_cli.core.rescaled import with_volume_of
+from msal_cli.mesh import Mesh
+from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._sweeps import ScheduledParameters, free_vertices, run
+
+
+@dataclass(frozen=True)
+class Parameters(ScheduledParameters):
+    """Parameters of mean curvature flow."""
+
+    iterations: int = parameter(
+        2,
+        "sweeps over all vertices, or implicit steps",
+        symbol="n",
+        low=0,
+        high=1000,
+        more="smoother, and smaller; under the multiscale schedule many lead back to the input",
+    )
+    mollify: int = parameter(
+        1,
+        "multiscale schedule: passes that average the normals along which sigma is measured",
+        low=0,
+        high=100,
+        more="a lambda that follows the noise less",
+    )
+    normals: str = parameter(
+        "uniform",
+        "multiscale schedule: how face normals count in these normals: alike, or by face area",
+        choices=("uniform", "area"),
+    )
+    boundary: str = parameter(
+        "fixed",
+        "vertices at open edges: fixed, or free to flow, which draws the rim inwards",
+        choices=("fixed", "free"),
+    )
+    time_step: float = parameter(
+        0.25,
+        "time step of the first sweep; explicit: vertices with a smaller limit of stability take "
+        "that",
+        symbol="tau",
+        low=0.0,
+        high=1000.0,
+        low_open=True,
+        unit="squared mean edge lengths",
+        more="smoother; explicit: up to the limit of each vertex",
+    )
+    variant: str = parameter(
+        "implicit",
+        "solve for the end of each step, stable at any length; or step from its start",
+        choices=("implicit", "explicit"),
+    )
+    areas: str = parameter(
+        "mixed",
+        "area of a vertex: its mixed Voronoi area, or a third of its one-ring's",
+        choices=AREAS,
+    )
+    volume: str = parameter(
+        "free",
+        "let a closed surface shrink, or restore its volume at the end",
+        choices=("free", "restore"),
+    )
+
+
+def _operator(mesh: Mesh, parameters: Parameters, on_iteration: Callable[[], object]) -> Operator:
+    free = free_vertices(mesh, parameters.boundary)
+    edge = mesh.mean_edge_length
+    time_step = parameters.time_step * edge**2
+    if parameters.variant == "explicit":
+        return MeanCurvature(mesh.faces, mesh.links, free, time_step, parameters.areas)
+    weights = cotangent_weights(mesh.vertices, mesh.faces, mesh.links)
+    return ImplicitMeanCurvature(
+        mesh.faces, mesh.links, weights, free, time_step, edge, parameters.areas, on_iteration
+    )
+
+
+def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+    """Mean curvature flow of ``mesh``; see the module's description."""
+    finished = 0
+
+    def on_step(done: int, total: int) -> None:
+        nonlocal finished
+        finished = done
+        if on_sweep is not None:
+            on_sweep(done, total)
+
+    result = run(
+        mesh,
+        parameters,
+        lambda: _operator(mesh, parameters, lambda: on_step(finished, parameters.iterations)),
+        # The operator has taken its own step; the schedule's is a share of it.
+        dataclasses.replace(parameters, time_step=1.0).chosen_schedule(),
+        on_step,
+    )
+    closed = not (mesh.links.boundary_edges or mesh.links.non_manifold_edges)
+    if parameters.volume == "restore" and parameters.iterations and closed:
+        vertices = with_volume_of(mesh.vertices, result.vertices, mesh.faces)
+        result = dataclasses.replace(result, vertices=vertices)
+    return result

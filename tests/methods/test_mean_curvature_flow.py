@@ -1,0 +1,288 @@
+"""Mean curvature flow: exact solutions, identities, a literal twin, and measured figures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli import files, methods
+from msal_cli.core.geometry import area_and_volume
+from msal_cli.core.rescaled import with_volume_of
+from msal_cli.mesh import prepared
+from msal_cli.metrics.normals import normal_statistics
+from tests.shapes import cube, grid, noisy, torus
+
+METHOD = methods.find("mean_curvature_flow")
+
+
+def flowed(mesh, on_sweep=None, **given):
+    return METHOD.denoised(mesh, METHOD.settled(given), on_sweep).vertices
+
+
+def sphere(subdivisions=3):
+    """A unit sphere by subdivision of an octahedron."""
+    vertices = np.concatenate([np.eye(3), -np.eye(3)])
+    faces = [(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)]
+    for _ in range(subdivisions):
+        points = [tuple(point) for point in vertices]
+        middle = {}
+        finer = []
+        for face in faces:
+            between = []
+            for k in range(3):
+                pair = tuple(sorted((face[k], face[(k + 1) % 3])))
+                if pair not in middle:
+                    point = vertices[pair[0]] + vertices[pair[1]]
+                    middle[pair] = len(points)
+                    points.append(tuple(point / np.linalg.norm(point)))
+                between.append(middle[pair])
+            (a, b, c), (ab, bc, ca) = face, between
+            finer += [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+        vertices, faces = np.array(points), finer
+    return vertices, np.array(faces, dtype=np.int32)
+
+
+def twin_laplacian(vertices, faces):
+    """Stiffness matrix and mixed areas, face by face."""
+    n = len(vertices)
+    stiffness, areas = np.zeros((n, n)), np.zeros(n)
+    for face in faces:
+        p = vertices[face]
+        cot, edge = np.zeros(3), np.zeros(3)
+        for k in range(3):
+            u, v = p[(k + 1) % 3] - p[k], p[(k + 2) % 3] - p[k]
+            cot[k] = (u @ v) / np.linalg.norm(np.cross(u, v))
+            edge[k] = np.linalg.norm(u - v)
+        area = np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0])) / 2
+        stiff = cot * min(1.0, 2 * area / (0.05 * edge.max() ** 2))
+        for k in range(3):
+            i, j = face[(k + 1) % 3], face[(k + 2) % 3]
+            stiffness[i, j] -= stiff[k] / 2
+            stiffness[j, i] -= stiff[k] / 2
+            stiffness[i, i] += stiff[k] / 2
+            stiffness[j, j] += stiff[k] / 2
+            if cot.min() < 0:
+                areas[face[k]] += area / 2 if cot[k] < 0 else area / 4
+            else:
+                q, r = (k + 1) % 3, (k + 2) % 3
+                areas[face[k]] += (edge[q] ** 2 * cot[q] + edge[r] ** 2 * cot[r]) / 8
+    return stiffness, areas
+
+
+def twin(mesh, variant, time_step, iterations, free):
+    x = mesh.vertices.copy()
+    tau = time_step * mesh.mean_edge_length**2
+    first, _ = twin_laplacian(x, mesh.faces)
+    for _ in range(iterations):
+        stiffness, areas = twin_laplacian(x, mesh.faces)
+        if variant == "explicit":
+            beside = np.abs(2 * (stiffness - np.diag(np.diag(stiffness)))).sum(axis=1)
+            step = np.minimum(tau, 2 * areas / beside)
+            moved = x - (step / areas)[:, None] * (stiffness @ x)
+        else:
+            system = np.diag(areas) + tau * first
+            right = areas[:, None] * x - system[:, ~free] @ x[~free]
+            moved = x.copy()
+            moved[free] = np.linalg.solve(system[np.ix_(free, free)], right[free])
+        x = np.where(free[:, None], moved, x)
+    return x
+
+
+@pytest.mark.parametrize("variant", ["explicit", "implicit"])
+@pytest.mark.parametrize(
+    ("shape", "boundary"), [("torus", "free"), ("grid", "fixed"), ("grid", "free")]
+)
+@pytest.mark.parametrize(("time_step", "iterations"), [(0.1, 1), (0.25, 2), (2.0, 3)])
+def test_it_agrees_with_the_literal_twin(variant, shape, boundary, time_step, iterations):
+    vertices, faces = torus(14, 9) if shape == "torus" else grid(9, 8)
+    mesh = prepared(noisy(vertices, 3, 0.12), faces).mesh
+    free = ~mesh.links.boundary if boundary == "fixed" else np.ones(len(vertices), dtype=bool)
+    expected = twin(mesh, variant, time_step, iterations, free)
+    found = flowed(
+        mesh, variant=variant, boundary=boundary, time_step=time_step, iterations=iterations
+    )
+    size = np.ptp(mesh.vertices, axis=0).max()
+    assert np.abs(found - expected).max() < (1e-12 if variant == "explicit" else 1e-8) * size
+    assert np.abs(found - mesh.vertices).max() > 0.01
+
+
+@pytest.mark.parametrize(("variant", "steps"), [("explicit", 40), ("implicit", 40)])
+def test_a_sphere_shrinks_as_it_must(variant, steps):
+    # x' = -K(x) is r' = -2 / r: after the time t the radius is sqrt(1 - 4 t).
+    vertices, faces = sphere(4)
+    mesh = prepared(vertices, faces).mesh
+    duration = 0.1
+    share = duration / steps / mesh.mean_edge_length**2
+    if variant == "explicit":  # by shorter steps than its limit of stability
+        steps *= 8
+        share /= 8
+    out = flowed(mesh, variant=variant, iterations=steps, time_step=share)
+    radius = np.linalg.norm(out, axis=1)
+    # The implicit flow keeps the stiffness of the input, which does not change as a sphere shrinks.
+    assert radius.mean() == pytest.approx(np.sqrt(1 - 4 * duration), rel=0.01)
+    assert np.ptp(radius) < 0.02
+
+
+def test_a_cylinder_without_ends_moves_inwards_only():
+    # The same speed 1 / r at every point of a long tube, here a torus of large radius.
+    vertices, faces = torus(120, 24, radius=20.0)
+    mesh = prepared(vertices, faces).mesh
+    out = flowed(mesh, variant="explicit", iterations=1, time_step=0.01)
+    tau = 0.01 * mesh.mean_edge_length**2
+    middle = mesh.vertices * [1, 1, 0]
+    middle *= (20.0 / np.linalg.norm(middle, axis=1))[:, None]
+    speed = 1 - np.linalg.norm(out - middle, axis=1)
+    assert np.allclose(speed / tau, 1.0, rtol=0.15)
+
+
+@pytest.mark.parametrize("variant", ["explicit", "implicit"])
+def test_vertices_do_not_slide_within_a_plane(variant):
+    vertices, faces = grid(10, 10)
+    vertices = vertices + np.random.default_rng(0).uniform(-0.25, 0.25, (100, 3)) * [1, 1, 0]
+    mesh = prepared(vertices, faces).mesh
+    out = flowed(mesh, variant=variant, iterations=5, time_step=1.0)
+    assert np.abs(out - mesh.vertices).max() < 1e-7
+
+
+@pytest.mark.parametrize("variant", ["explicit", "implicit"])
+def test_the_area_shrinks_with_every_step(variant):
+    vertices, faces = torus()
+    mesh = prepared(noisy(vertices, 1, 0.1), faces).mesh
+    areas = [
+        area_and_volume(flowed(mesh, variant=variant, iterations=n), faces)[0] for n in range(5)
+    ]
+    assert (np.diff(areas) < -0.1).all()
+
+
+def test_long_steps_and_many_are_stable():
+    vertices, faces = torus()
+    mesh = prepared(noisy(vertices, 2, 0.3), faces).mesh
+    for given in (
+        {"variant": "explicit", "iterations": 300, "time_step": 1000.0},
+        {"variant": "implicit", "iterations": 10, "time_step": 1000.0},
+    ):
+        out = flowed(mesh, **given)
+        assert np.isfinite(out).all()
+        assert np.abs(out).max() <= np.abs(mesh.vertices).max()
+
+
+def test_a_small_step_is_the_same_both_ways():
+    vertices, faces = torus()
+    mesh = prepared(noisy(vertices, 4, 0.05), faces).mesh
+    explicit = flowed(mesh, variant="explicit", iterations=1, time_step=1e-4) - mesh.vertices
+    implicit = flowed(mesh, variant="implicit", iterations=1, time_step=1e-4) - mesh.vertices
+    assert np.abs(explicit - implicit).max() < 0.02 * np.abs(explicit).max()
+
+
+def test_ring_areas_are_another_flow():
+    vertices, faces = torus()
+    mesh = prepared(noisy(vertices, 4, 0.1), faces).mesh
+    for variant in ("explicit", "implicit"):
+        one = flowed(mesh, variant=variant, areas="mixed", time_step=0.05)
+        two = flowed(mesh, variant=variant, areas="ring", time_step=0.05)
+        assert 1e-4 < np.abs(one - two).max() < 0.1
+
+
+def test_boundary_is_fixed_or_free():
+    vertices, faces = grid(9, 8)
+    mesh = prepared(noisy(vertices, 5, 0.1), faces).mesh
+    edge = mesh.links.boundary
+    for variant in ("explicit", "implicit"):
+        fixed = flowed(mesh, variant=variant, boundary="fixed")
+        free = flowed(mesh, variant=variant, boundary="free")
+        assert (fixed[edge] == mesh.vertices[edge]).all()
+        assert (fixed[~edge] != mesh.vertices[~edge]).any(axis=1).all()
+        assert (free[edge] != mesh.vertices[edge]).any(axis=1).all()
+        assert area_and_volume(free, faces)[0] < area_and_volume(fixed, faces)[0]
+
+
+def test_volume_is_restored_about_the_centre_of_mass():
+    vertices, faces = torus(40, 20)
+    mesh = prepared(noisy(vertices, 6, 0.05) + [5.0, 1.0, 0.0], faces).mesh
+    free = flowed(mesh, iterations=3)
+    restored = flowed(mesh, iterations=3, volume="restore")
+    before = area_and_volume(mesh.vertices, faces)[1]
+    assert area_and_volume(free, faces)[1] < 0.97 * before
+    assert area_and_volume(restored, faces)[1] == pytest.approx(before, rel=1e-12)
+    grown = (restored - restored.mean(axis=0)) / (free - free.mean(axis=0))
+    assert np.ptp(grown) < 1e-9 * grown.mean()
+
+
+def test_the_fixed_point_of_the_scaling_is_the_centre_of_mass():
+    vertices, faces = cube()
+    original = 2.0 * vertices
+    # A cube with a finely divided corner: the mean of its vertices is not its centre of mass.
+    pyramid = np.concatenate([vertices, [[0.1, 0.1, 0.0], [0.05, 0.05, 0.0]]])
+    split = [f for f in faces if set(f.tolist()) != {0, 1, 2} and set(f.tolist()) != {0, 2, 3}]
+    split += [f for f in faces.tolist() if set(f) in ({0, 2, 3}, {0, 1, 2})]
+    split = np.array(split, dtype=np.int32)
+    out = with_volume_of(np.concatenate([original, pyramid[8:]]), pyramid, split)
+    assert np.allclose(out[:8], 0.5 + 2.0 * (vertices - 0.5), atol=1e-14)
+    assert (out[8:] == pyramid[8:]).all()  # no face has them
+
+
+def test_an_open_surface_is_not_scaled():
+    vertices, faces = grid(9, 8)
+    mesh = prepared(noisy(vertices, 5, 0.1), faces).mesh
+    assert (flowed(mesh, volume="restore") == flowed(mesh)).all()
+    inside_out = np.ascontiguousarray(cube()[1][:, ::-1])
+    assert (with_volume_of(2 * cube()[0], cube()[0], inside_out) == cube()[0]).all()
+
+
+def test_multiscale_pulls_back_to_the_input():
+    vertices, faces = torus()
+    mesh = prepared(noisy(vertices, 7, 0.1), faces).mesh
+    for variant in ("explicit", "implicit"):
+        plain = flowed(mesh, variant=variant, iterations=4)
+        pulled = flowed(mesh, variant=variant, iterations=4, schedule="multiscale")
+        there = np.abs(plain - mesh.vertices).mean()
+        assert 0.05 * there < np.abs(pulled - mesh.vertices).mean() < 0.9 * there
+
+
+def test_a_long_solve_reports_and_can_be_ended():
+    vertices, faces = torus()
+    mesh = prepared(noisy(vertices, 8, 0.1), faces).mesh
+    told = []
+    flowed(mesh, lambda *at: told.append(at), iterations=1, time_step=10.0)
+    assert told.count((0, 1)) > 10
+    assert told[-1] == (1, 1)
+
+
+IMPLICIT_FAIRING = {
+    "Fandisk0.3": 11.71,
+    "SharpSphere0.3": 11.82,
+    "Bunny0.2": 6.89,
+    "Julius0.2": 7.94,
+}
+
+
+@pytest.fixture(params=IMPLICIT_FAIRING)
+def pair(request, real_data):
+    """Name, prepared noisy mesh and the original with its vertices about the same origin."""
+    folder = real_data / "pairs" / request.param
+    noisy_file, original = (
+        files.open_mesh(files.read_whole(str(folder / name)), name)
+        for name in ("Noisy.obj", "Original.obj")
+    )
+    ready = prepared(noisy_file.vertices, noisy_file.faces)
+    return request.param, ready.mesh, ready.mesh.moved(original.vertices - ready.origin)
+
+
+def test_implicit_fairing_as_measured_elsewhere(pair):
+    name, mesh, original = pair
+    out = flowed(mesh, time_step=1.0, iterations=1, boundary="free")
+    found = normal_statistics(original, mesh.moved(out)).mean_angular_error_deg
+    assert found == pytest.approx(IMPLICIT_FAIRING[name], abs=0.02)
+
+
+def test_the_defaults_leave_no_more_noise_and_less_error(pair):
+    name, mesh, original = pair
+    out = flowed(mesh)
+    long = flowed(mesh, time_step=1.0, iterations=1, boundary="free")
+    found = normal_statistics(original, mesh.moved(out)).mean_angular_error_deg
+    assert found < 1.005 * IMPLICIT_FAIRING[name]
+
+    def error(vertices):
+        return np.linalg.norm(vertices - original.vertices, axis=1).mean()
+
+    assert error(out) < 0.8 * error(long)
