@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import errno
 import os
 import sys
 from collections.abc import Sequence
@@ -126,6 +127,9 @@ def _say_usage(error: click.UsageError) -> None:
 def _internal_error(error: Exception) -> int:
     from msal_cli.report.names import shown
 
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+        talk.say(f"msal: error: the output cannot be written: {error.strerror} (E_WRITE)", "bad")
+        return exit_codes.FATAL
     words = f"{type(error).__name__}: {error}"
     talk.say(f"msal: internal error: {shown(words)}; please report it (-v shows where)", "bad")
     return exit_codes.FATAL

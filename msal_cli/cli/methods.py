@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -97,8 +96,8 @@ def _parameter_data(spec: ParameterSpec) -> dict[str, Any]:
         "symbol": spec.symbol,
         "kind": spec.kind.__name__,
         "default": spec.default,
-        "low": spec.low if math.isfinite(spec.low) else None,
-        "high": spec.high if math.isfinite(spec.high) else None,
+        "low": spec.low,
+        "high": spec.high,
         "low_open": spec.low_open,
         "high_open": spec.high_open,
         "choices": spec.choices,

@@ -64,6 +64,8 @@ def process(*arguments, **options):
     """Run the real command to its end."""
     options = {"capture_output": True, "timeout": 120} | options
     environment = {**os.environ, "NUMBA_NUM_THREADS": "1", **options.pop("env", {})}
+    # Unbuffered, errors of standard output would come earlier than users meet them.
+    environment.pop("PYTHONUNBUFFERED", None)
     words = [one if isinstance(one, bytes) else str(one) for one in (*MSAL, *arguments)]
     return subprocess.run(words, env=environment, check=False, **options)
 

@@ -240,8 +240,8 @@ def test_a_second_run_finds_everything_up_to_date(mixed, tmp_path):
     assert made.exit_code == 0
     assert made.stderr.splitlines()[-1] == "2 files: 2 up to date"
     assert times == {one: (output / one).stat().st_mtime_ns for one in times}
-    again = msal("denoise", mixed, "-o", output, "--fresh", "-j", "1")
-    assert "2 files: 2 written" in again.stderr
+    again = msal("denoise", mixed, "-o", output, "--fresh", "--dry-run")
+    assert again.stdout.count(" -> ") == 2
 
 
 def test_all_failed_is_fatal(tmp_path):
@@ -255,10 +255,11 @@ def test_all_failed_is_fatal(tmp_path):
 
 
 def test_include_and_exclude(mixed, tmp_path):
-    output = tmp_path / "out"
-    made = msal("denoise", mixed, "-o", output, "--exclude", "bad.*", "--include", "*.ply")
+    patterns = ("--exclude", "bad.*", "--include", "*.ply")
+    made = msal("denoise", mixed, "-o", tmp_path / "out", "--dry-run", *patterns)
     assert made.exit_code == 0
-    assert [one for one in tree(output) if one.endswith(".ply")] == ["below/open.ply", "closed.ply"]
+    inputs = {line.partition(" -> ")[0] for line in made.stdout.splitlines()}
+    assert inputs == {str(mixed / "below" / "open.ply"), str(mixed / "closed.ply")}
 
 
 def test_a_foreign_file_in_the_output_is_replaced_only_by_force(scan, tmp_path):
@@ -313,6 +314,31 @@ def test_a_file_whose_name_does_not_tell_its_format(scan, tmp_path):
     output = tmp_path / "out.ply"
     assert msal("denoise", odd, "-o", output, "--format", "ply").exit_code == 0
     assert output.exists()
+
+
+def test_what_reaches_the_run(scan, tmp_path, monkeypatch):
+    heard = []
+
+    def run(plan, settings, **options):
+        heard.append((settings, options))
+        return []
+
+    monkeypatch.setattr(run_module, "run", run)
+    msal("denoise", scan, "-o", tmp_path / "o.ply", "-j", "3", "--strict", "--precision", "float32")
+    msal("denoise", scan, "-o", tmp_path / "o.ply")
+    (settings, options), (others, defaults) = heard
+    assert (settings.strict, settings.precision, options["jobs"]) == (True, "float32", 3)
+    assert (others.strict, others.precision, defaults["jobs"]) == (False, "same", None)
+
+
+def test_a_report_never_replaces_a_mesh(scan, tmp_path):
+    odd = scan.rename(scan.with_name("scan.json"))
+    before = odd.read_bytes()
+    arguments = ("denoise", odd, "--format", "ply", "-o", tmp_path / "o.ply", "--report", odd)
+    made = msal(*arguments)
+    assert made.exit_code == 2
+    assert "would replace the mesh" in made.stderr
+    assert odd.read_bytes() == before
 
 
 # Dry run

@@ -179,10 +179,10 @@ def test_a_reader_that_goes_away_is_no_noise(tmp_path):
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
-@pytest.mark.parametrize("command", ["denoise", "info", "methods"])
+@pytest.mark.parametrize("command", ["denoise", "info", "methods", "--help"])
 def test_an_output_that_cannot_be_written_is_fatal(tmp_path, command):
     scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
-    arguments = {"denoise": [scan, "-o", "-"], "info": [scan], "methods": []}[command]
+    arguments = {"denoise": [scan, "-o", "-"], "info": [scan], "methods": []}.get(command, [])
     with open("/dev/full", "wb") as full:
         made = process(
             command, *arguments, capture_output=False, stdout=full, stderr=subprocess.PIPE
@@ -263,6 +263,22 @@ def test_a_stream_that_is_interrupted(tmp_path, signum, status):
 
     made = interrupted(["denoise", "-", "--log-file", log], signum, is_waiting, tmp_path)
     assert made == (status, "msal: interrupted\n")
+
+
+@POSIX
+def test_an_info_that_is_terminated(tmp_path):
+    fifo = tmp_path / "log"
+    os.mkfifo(fifo)
+    code = (
+        "import sys; from msal_cli import pipeline; from msal_cli.cli.main import program\n"
+        f"def wait(*given): open({str(fifo)!r}, 'w').close(); import time; time.sleep(60)\n"
+        "pipeline.inspect_file = wait; program.main(['info', sys.argv[1]])"
+    )
+    scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
+    running = subprocess.Popen([sys.executable, "-c", code, scan], stderr=subprocess.PIPE)
+    fifo.read_bytes()  # returns when the command is in the middle of its work
+    running.terminate()
+    assert (running.communicate()[1], running.returncode) == (b"msal: interrupted\n", 143)
 
 
 @POSIX

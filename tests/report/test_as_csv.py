@@ -6,7 +6,7 @@ import csv
 import io
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli.records import MeshRecord, MethodUsed
@@ -24,6 +24,7 @@ def raw(records):
     return as_csv.encoded(RUN, records)
 
 
+@settings(max_examples=40, deadline=None)
 @given(st.lists(of(MeshRecord), max_size=4))
 def test_any_records_can_be_read_back(records):
     text = raw(records).decode("utf-8")
@@ -36,6 +37,7 @@ def test_any_records_can_be_read_back(records):
     ]
 
 
+@settings(max_examples=40, deadline=None)
 @given(st.lists(of(MeshRecord), min_size=1, max_size=3))
 def test_no_text_begins_like_a_formula(records):
     for row in rows(records):

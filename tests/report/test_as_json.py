@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli.records import MeshRecord, from_data
@@ -21,6 +21,7 @@ def strict(data):
     return json.loads(data.decode("utf-8"), parse_constant=refuse)
 
 
+@settings(max_examples=40, deadline=None)
 @given(st.lists(of(MeshRecord), max_size=3))
 def test_any_records_make_strict_json(records):
     data = as_json.encoded(RUN, records)
@@ -30,6 +31,7 @@ def test_any_records_make_strict_json(records):
     ]
 
 
+@settings(max_examples=40, deadline=None)
 @given(st.lists(of(MeshRecord), max_size=4))
 def test_any_records_make_one_ascii_line_each(records):
     data = as_jsonl.encoded(RUN, records)

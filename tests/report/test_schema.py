@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
@@ -32,11 +32,13 @@ def test_the_schemas_are_schemas(make):
     Draft202012Validator.check_schema(make())
 
 
+@settings(max_examples=40, deadline=None)
 @given(st.lists(of(MeshRecord), max_size=2))
 def test_every_report_fits(records):
     REPORT.validate(json.loads(as_json.encoded(RUN, records)))
 
 
+@settings(max_examples=40, deadline=None)
 @given(of(InfoRecord))
 def test_every_info_fits(record):
     data = {"schema": "msal.info/1", "version": "1", "records": [plain_record(record)]}
