@@ -1,0 +1,150 @@
+"""Bilateral filter: heights along the normal, averaged by closeness and by similarity.
+
+A vertex moves along its normal n by a weighted mean of the heights h of its neighbours over its
+tangent plane.  A neighbour counts less the farther away it is, and less the higher it stands:
+
+    h_k = (x_k - x_i) . n_i,  t_k = |x_k - x_i|
+    w_k = exp(-t_k^2 / (2 sigma_c^2)) exp(-h_k^2 / (2 sigma_s^2))
+    d_i = sum(w h) / sum(w),  x_i <- x_i + tau d_i n_i
+
+all vertices at once from the same positions.  The second Gaussian is what spares edges, as in
+``al``, whose weights are this Gaussian alone with another width.
+
+``variant=one_ring`` is what Huang and Ascher call "our BF": the neighbours are the one-ring,
+sigma_s is the standard deviation of their heights, and the normals are those of the input,
+mollified and kept, so that no vertex drifts sideways.  They leave sigma_c open; here it is the mean
+edge length.
+It differs little from ``al``: somewhat less smoothing in a sweep, a little more cost.
+
+``variant=fleishman`` is the filter of Fleishman, Drori and Cohen-Or: the neighbours are the vertex
+itself and the vertices within the radius rho, reached from it along edges within that radius, the
+normals are measured anew before every sweep, without mollification, and sigma_s is the standard
+deviation of |h| over the neighbours.  They have the user point at a smooth patch of radius rho and
+take sigma_c = rho / 2, so give ``radius`` or ``closeness`` and the other follows.  With neither,
+sigma_c is the length of each vertex's shortest edge and rho twice that, the rule of the public
+implementation that later papers compare with.  It hardly smooths a vertex that has one very short
+edge: on a mesh of uneven triangles give ``closeness=1``, which smooths more and shrinks more.  At
+most 4,096 neighbours beyond the one-ring count.
+
+Vertices at open edges are filtered with the neighbours that they have (``boundary=free``).  One
+without neighbours, or whose normal cannot be told, stays.  Where sigma_s is zero the closest in
+height count.  The cost of a sweep is proportional to the number of edges, for ``fleishman`` to the
+vertices within the radius, about ten times as much.  Neither keeps fine texture under heavy
+smoothing; ``schedule=multiscale`` brings it back as in ``msal``.
+
+Source: S. Fleishman, I. Drori and D. Cohen-Or, Bilateral mesh denoising, ACM Transactions on
+Graphics 22 (SIGGRAPH 2003), 950-953; one-ring variant: H. Huang and U. Ascher, Fast denoising of
+surface meshes with intrinsic texture, Inverse Problems 24 (2008), section 2.3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from msal_cli.core.bilateral import BallBilateral, RingBilateral
+from msal_cli.core.operators import Operator
+from msal_cli.errors import UsageError
+from msal_cli.mesh import Mesh
+from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._sweeps import ScheduledParameters, free_vertices, run
+
+
+@dataclass(frozen=True)
+class Parameters(ScheduledParameters):
+    """Parameters of the bilateral filters."""
+
+    iterations: int = parameter(
+        5,
+        "sweeps over all vertices; 3 in Huang and Ascher, up to 5 in Fleishman et al.",
+        symbol="n",
+        low=0,
+        high=1000,
+        more="smoother; under the multiscale schedule many sweeps lead back to the input",
+    )
+    mollify: int = parameter(
+        1,
+        "one_ring, and the sigma of the multiscale schedule: passes that average the normals over "
+        "the one-ring before the first sweep",
+        low=0,
+        high=100,
+        more="smoother normals: flatter flats under heavy noise, softer edges",
+    )
+    variant: str = parameter(
+        "one_ring",
+        "the neighbours: the one-ring, along normals kept from the input; or the vertices within "
+        "a radius, along normals measured anew at every sweep",
+        choices=("one_ring", "fleishman"),
+    )
+    closeness: float = parameter(
+        0.0,
+        "width of the Gaussian of distances; 0 is automatic: the mean edge length (one_ring); half "
+        "the radius, or without one each vertex's shortest edge (fleishman)",
+        symbol="sigma_c",
+        low=0.0,
+        high=10.0,
+        unit="mean edge lengths",
+        more="smoother; for fleishman also slower",
+    )
+    similarity: float = parameter(
+        0.0,
+        "width of the Gaussian of heights; 0 is automatic: their standard deviation around each "
+        "vertex",
+        symbol="sigma_s",
+        low=0.0,
+        high=100.0,
+        unit="mean edge lengths",
+        more="smoother; edges go",
+    )
+    radius: float = parameter(
+        0.0,
+        "fleishman: distance within which vertices count; 0 is automatic: twice sigma_c",
+        symbol="rho",
+        low=0.0,
+        high=20.0,
+        unit="mean edge lengths",
+        more="smoother, and slower",
+    )
+
+    def __post_init__(self) -> None:
+        if self.radius and self.variant == "one_ring":
+            raise UsageError(
+                f"radius = {self.radius:g} means nothing to the one-ring",
+                hint="set variant=fleishman, or leave the radius out",
+            )
+
+
+def _operator(mesh: Mesh, parameters: Parameters) -> Operator:
+    free = free_vertices(mesh, parameters.boundary)
+    unit = mesh.mean_edge_length
+    similarity = parameters.similarity * unit
+    if parameters.variant == "one_ring":
+        return RingBilateral(
+            mesh.vertex_normals(parameters.normals, parameters.mollify),
+            mesh.links.ring_start,
+            mesh.links.ring,
+            free,
+            unit,
+            (parameters.closeness or 1.0) * unit,
+            similarity,
+        )
+    return BallBilateral(
+        mesh.faces,
+        mesh.links,
+        free,
+        unit,
+        parameters.radius * unit,
+        (parameters.closeness or 0.5 * parameters.radius) * unit,
+        similarity,
+        parameters.normals,
+    )
+
+
+def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+    """Bilateral filtering of ``mesh``; see the module's description."""
+    return run(
+        mesh,
+        parameters,
+        lambda: _operator(mesh, parameters),
+        parameters.chosen_schedule(),
+        on_sweep,
+    )

@@ -1,0 +1,105 @@
+"""Non-iterative bilateral filter: every vertex goes to an average of its projections on planes.
+
+Jones, Durand and Desbrun ask each face around a vertex where the vertex would lie if the surface
+went on flat from there, and average the answers robustly, in a single pass:
+
+    p'  = sum(w P_f(p)) / sum(w),   w = A_f exp(-|c_f - p|^2 / 2 sigma_f^2)
+                                            exp(-|P_f(p) - p|^2 / 2 sigma_g^2)
+
+P_f(p) is the projection of p on the plane through the centroid c_f of face f, A_f the area of the
+face.  The planes have mollified normals: those of the mesh whose vertices went to the mean of the
+centroids around, with weights A_f and a Gaussian of width sigma_f / 2; the mollified positions are
+used for nothing else.  A plane that passes far from the vertex belongs to another side of an edge
+and hardly counts.
+
+The faces asked are those with a centroid within 2 sigma_f of the vertex, reached from it over faces
+that share a vertex and lie within that distance themselves: so the far side of a thin wall does not
+count.  The first paper searches in space instead, which also serves triangles that do not meet.  At
+most 4,096 faces beyond the vertex's own are asked.
+
+One pass, no stop to choose, moderate smoothing that keeps positions well.  The projections lie off
+the vertex's normal, so that it may slide a little; sigma_f much above 2 eats small features, and
+the cost grows with its square.  Where vertices are far denser than elsewhere the mean edge length
+is a wide reach there.  More ``iterations`` repeat the whole filter from the result; any schedule of
+equation (2) composes with it, the displacement p' - p standing for dx.
+
+Where the surface ends nothing is special (``boundary=free``): the faces that are there are asked.
+Faces without area count nothing.  A vertex that has no face's centroid in reach stays.
+
+Source: T. Jones, F. Durand and M. Desbrun, Non-iterative, feature-preserving mesh smoothing, ACM
+Transactions on Graphics 22 (SIGGRAPH 2003), 943-949.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from msal_cli.core.projections import ProjectionAverage
+from msal_cli.mesh import Mesh
+from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._sweeps import ScheduledParameters, free_vertices, run
+
+
+@dataclass(frozen=True)
+class Parameters(ScheduledParameters):
+    """Parameters of the non-iterative bilateral filter."""
+
+    iterations: int = parameter(
+        1,
+        "times that the whole filter is run; 1 in the paper",
+        symbol="n",
+        low=0,
+        high=1000,
+        more="smoother; under the multiscale schedule many lead back to the input",
+    )
+    mollify: int = parameter(
+        1,
+        "multiscale schedule: passes that average the normals along which sigma is measured",
+        low=0,
+        high=100,
+        more="a lambda that follows the noise less",
+    )
+    normals: str = parameter(
+        "uniform",
+        "multiscale schedule: how face normals count in these normals: alike, or by face area",
+        choices=("uniform", "area"),
+    )
+    closeness: float = parameter(
+        1.0,
+        "width of the Gaussian of distances; faces within twice of it count",
+        symbol="sigma_f",
+        low=0.0,
+        high=10.0,
+        low_open=True,
+        unit="mean edge lengths",
+        more="smoother, and dearer; small features go",
+    )
+    similarity: float = parameter(
+        1.0,
+        "width of the Gaussian of distances from planes",
+        symbol="sigma_g",
+        low=0.0,
+        high=10.0,
+        low_open=True,
+        unit="mean edge lengths",
+        more="smoother; edges go",
+    )
+
+
+def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+    """The filter of Jones et al. over ``mesh``; see the module's description."""
+    unit = mesh.mean_edge_length
+    return run(
+        mesh,
+        parameters,
+        lambda: ProjectionAverage(
+            mesh.faces,
+            mesh.links,
+            free_vertices(mesh, parameters.boundary),
+            unit,
+            parameters.closeness * unit,
+            parameters.similarity * unit,
+        ),
+        parameters.chosen_schedule(),
+        on_sweep,
+    )
