@@ -9,26 +9,22 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from msal_cli.core.digits import NOT_A_NUMBER, UNDECIDED, write_fixed, write_shortest
+from msal_cli.core.digits import NOT_A_NUMBER, UNDECIDED
 from msal_cli.core.obj_scan import past_blanks, past_word, read_coordinate
 from msal_cli.core.text import is_same
-
-SHORTEST_DOUBLE, SHORTEST_SINGLE = 18, 19
-"""In place of a number of decimals: the shortest text that is read back as the same number."""
 
 DONE = 0
 """The walk has come to the end of the file."""
 ASIDE = 1
-"""One number has to be written, or read, by Python; then the walk goes on."""
+"""One number has to be read by Python; then the walk goes on."""
 DIFFERENT = 2
 """A byte differs that must be the same."""
 WRONG_VALUE = 3
 """A number is not the one wanted, or none."""
 
-VERTEX, NORMAL, AXIS, OLD, NEW, BEGIN, END, IS_NORMAL, N_WALK = range(9)
-"""The state of a walk: next v and vn, next axis of the statement, bytes of the old and of the new
-file that are dealt with; of a number set ASIDE, where it stands in the new file (to be read) or
-whether it belongs to a normal (to be written)."""
+VERTEX, NORMAL, AXIS, OLD, NEW, BEGIN, END, N_WALK = range(8)
+"""The state of a comparison: next v and vn, next axis of the statement, bytes of the old and of
+the new file that are dealt with, and where a number set ASIDE stands in the new file."""
 
 
 @njit(cache=True, nogil=True)
@@ -40,92 +36,51 @@ def _copied(source, start, stop, target, at):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _written(value, decimals, out, at):  # type: ignore[no-untyped-def]
-    """Write one number; the end, or -1 where Python must write it."""
-    if decimals == SHORTEST_SINGLE:
-        return write_shortest(np.float64(np.float32(value)), True, out, at)
-    if decimals == SHORTEST_DOUBLE:
-        return write_shortest(value, False, out, at)
-    return write_fixed(value, decimals, out, at)
-
-
-@njit(cache=True, nogil=True)
-def _patched_statement(  # type: ignore[no-untyped-def]
-    buf, begin, axis, old, new, is_forced, decimals, out, done, at
-):
-    """Copy up to the last number of one statement that is replaced, from ``axis`` on.
-
-    ``old`` and ``new`` are the three numbers: as tuples, because an array that is handed on for
-    every statement costs more than the work itself.  Returns the axis that Python must write (3
-    for none), and the bytes of ``buf`` and ``out`` that are dealt with.
-    """
-    while axis < 3:
-        begin = past_blanks(buf, begin)
-        end = past_word(buf, begin)
-        if is_forced or new[axis] != old[axis]:
-            at = _copied(buf, done, begin, out, at)
-            done = end
-            stop = _written(new[axis], decimals, out, at)
-            if stop < 0:
-                break
-            at = stop
-        begin = end
-        axis += 1
-    return axis, done, at
-
-
-@njit(cache=True, nogil=True)
 def patched(  # type: ignore[no-untyped-def]
-    buf, walk, vertex_at, vertices, new_vertices, normal_at, normals, new_normals, style, out
+    buf, vertex_at, is_moved, text, stops, normal_at, is_turned, normal_text, normal_stops, out
 ):
-    """Copy ``buf`` to ``out`` with numbers replaced where old and new differ; DONE or ASIDE.
+    """Copy ``buf`` to ``out`` with the numbers of some statements v and vn replaced.
 
     Parameters
     ----------
     buf : (size,) uint8, the file.
-    walk : (N_WALK,) int64, zeros at the start.
-    vertex_at, vertices, new_vertices : (n,) int64 first bytes of the statements v; (n, 3) float64.
-    normal_at, normals, new_normals : the same for vn.
-    style : (3,) int64: decimals of positions, decimals of normals, and 1 to write every position,
-        be it moved or not.
-    out : uint8, long enough; holds ``walk[NEW]`` bytes in the end.
+    vertex_at : (n,) int64, first bytes of the statements v.
+    is_moved : (n, 3) bool, which numbers to replace.
+    text, stops : the new texts one behind the other, uint8, and where each ends, int64.
+    normal_at, is_turned, normal_text, normal_stops : the same for vn.
+    out : uint8, as long as the result is.
     """
-    i, j, axis = walk[VERTEX], walk[NORMAL], walk[AXIS]
-    done, at = walk[OLD], walk[NEW]
-    is_forced = style[2] == 1
-    result = DONE
+    i = j = 0
+    text_i = text_j = 0
+    done = at = begin = 0
     while i < len(vertex_at) or j < len(normal_at):
         is_vertex = j == len(normal_at) or (i < len(vertex_at) and vertex_at[i] < normal_at[j])
-        # ``done`` lies within the statement where the walk was interrupted in it.
         if is_vertex:
-            begin, decimals, forced = vertex_at[i] + 1, style[0], is_forced
-            old = (vertices[i, 0], vertices[i, 1], vertices[i, 2])
-            new = (new_vertices[i, 0], new_vertices[i, 1], new_vertices[i, 2])
-        else:
-            begin, decimals, forced = normal_at[j] + 2, style[1], False
-            old = (normals[j, 0], normals[j, 1], normals[j, 2])
-            new = (new_normals[j, 0], new_normals[j, 1], new_normals[j, 2])
-        if forced or new[0] != old[0] or new[1] != old[1] or new[2] != old[2]:
-            begin = max(begin, done)
-            axis, done, at = _patched_statement(
-                buf, begin, axis, old, new, forced, decimals, out, done, at
-            )
-            if axis < 3:
-                result = ASIDE
-        if result == ASIDE:
-            walk[IS_NORMAL] = not is_vertex
-            break
-        axis = 0
-        if is_vertex:
+            begin = vertex_at[i] + 1
+            flags = (is_moved[i, 0], is_moved[i, 1], is_moved[i, 2])
             i += 1
         else:
+            begin = normal_at[j] + 2
+            flags = (is_turned[j, 0], is_turned[j, 1], is_turned[j, 2])
             j += 1
-    if result == DONE:
-        at = _copied(buf, done, len(buf), out, at)
-        done = len(buf)
-    walk[VERTEX], walk[NORMAL], walk[AXIS] = i, j, axis
-    walk[OLD], walk[NEW] = done, at
-    return result
+        if not (flags[0] or flags[1] or flags[2]):
+            continue
+        for axis in range(3):
+            begin = past_blanks(buf, begin)
+            end = past_word(buf, begin)
+            if flags[axis]:
+                at = _copied(buf, done, begin, out, at)
+                done = end
+                if is_vertex:
+                    start = stops[text_i - 1] if text_i > 0 else 0
+                    at = _copied(text, start, stops[text_i], out, at)
+                    text_i += 1
+                else:
+                    start = normal_stops[text_j - 1] if text_j > 0 else 0
+                    at = _copied(normal_text, start, normal_stops[text_j], out, at)
+                    text_j += 1
+            begin = end
+    return _copied(buf, done, len(buf), out, at)
 
 
 @njit(cache=True, nogil=True)

@@ -35,7 +35,7 @@ NO_CORNERS = 6
     TEXTURE,  # vt statements
     FACES,  # those with three corners and more
     CORNERS,
-    UNDECIDED_NUMBERS,
+    UNDECIDED_ROWS,
     DECIMALS,  # most decimals of a position
     NORMAL_DECIMALS,
     LARGEST_VERTEX,  # largest vertex index of a face, from zero
@@ -167,6 +167,28 @@ def read_coordinate(buf, at):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def _read_three(buf, at):  # type: ignore[no-untyped-def]
+    """The three numbers behind ``at``: values, WHOLE or an error, end, decimals, UNDECIDED or not.
+
+    With an error the end is where the wrong word begins.
+    """
+    x = y = z = 0.0
+    most_decimals = np.int64(0)
+    is_undecided = False
+    for _ in range(3):
+        at = past_blanks(buf, at)
+        value, status, end, decimals = read_coordinate(buf, at)
+        if status == NOT_A_NUMBER:
+            result = FEW_NUMBERS if _is_statement_end(buf, at) else BAD_NUMBER
+            return x, y, z, result, at, most_decimals, is_undecided
+        is_undecided |= status == UNDECIDED
+        most_decimals = max(most_decimals, decimals)
+        x, y, z = y, z, value
+        at = end
+    return x, y, z, WHOLE, at, most_decimals, is_undecided
+
+
+@njit(cache=True, nogil=True)
 def _read_index(buf, at):  # type: ignore[no-untyped-def]
     """A signed whole number: value (0 where there is none) and end; larger ones are cut down."""
     first = at
@@ -218,7 +240,10 @@ def _note_keyword(buf, at, stop, keywords, n_keywords):  # type: ignore[no-untyp
         if n_keywords == len(keywords):
             row -= 1
         else:
-            keywords[row] = (word, 0, at, stop - at)
+            keywords[row, 0] = word
+            keywords[row, 1] = 0
+            keywords[row, 2] = at
+            keywords[row, 3] = stop - at
             n_keywords += 1
     keywords[row, 1] += 1
     return n_keywords
@@ -252,15 +277,15 @@ def scanned(  # type: ignore[no-untyped-def]
     corners, corner_normals : (k,) int32, vertex and normal of each corner, from zero; -1 for no
         normal.  ``corner_normals`` is empty where the file has no normals.
     face_sizes : (m,) int32, corners of each face.
-    undecided : (u, 4) int64, numbers that ``float`` must read: 0 for a position or 1 for a
-        normal, index in the flat array, first byte, end.
+    undecided : (u, 2) int64, statements whose numbers ``float`` must read: 0 for a position or 1
+        for a normal, and its row.
     keywords : (MOST_KEYWORDS, 4) int64, see ``_note_keyword``.
     libraries : (MOST_LIBRARIES,) int64, where the mtllib statements begin.
     """
     at = state[AT]
     n_vertices, n_normals = state[VERTICES], state[NORMALS]
     n_faces, n_corners = state[FACES], state[CORNERS]
-    n_undecided = state[UNDECIDED_NUMBERS]
+    n_undecided = state[UNDECIDED_ROWS]
     largest = state[LARGEST_VERTEX]
     most_decimals = state[DECIMALS]
     last_face = state[LAST_FACE_AT]
@@ -275,27 +300,16 @@ def scanned(  # type: ignore[no-untyped-def]
         if first == 35:
             at = _past_comment(buf, at)
             continue
-        if first == 118 and is_word_end(buf, at + 1):
-            if n_vertices == len(vertex_at) or n_undecided + 3 > len(undecided):
+        second = buf[at + 1] if first == 118 and at + 1 < len(buf) else np.uint8(32)
+        is_normal = second == 110 and is_word_end(buf, at + 2)
+        if first == 118 and (is_normal or is_word_end(buf, at + 1)):
+            rows = len(normal_at) - n_normals if is_normal else len(vertex_at) - n_vertices
+            if rows == 0 or n_undecided == len(undecided):
                 result = FULL
                 break
-            at += 1
-            for axis in range(3):
-                at = past_blanks(buf, at)
-                value, status, end, decimals = read_coordinate(buf, at)
-                if status == NOT_A_NUMBER:
-                    result = FEW_NUMBERS if _is_statement_end(buf, at) else BAD_NUMBER
-                    break
-                if status == UNDECIDED:
-                    undecided[n_undecided, 0] = 0
-                    undecided[n_undecided, 1] = 3 * n_vertices + axis
-                    undecided[n_undecided, 2] = at
-                    undecided[n_undecided, 3] = end
-                    n_undecided += 1
-                vertices[n_vertices, axis] = value
-                most_decimals = max(most_decimals, decimals)
-                at = end
-            if result == WHOLE:
+            at += 2 if is_normal else 1
+            x, y, z, result, at, decimals, is_undecided = _read_three(buf, at)
+            if result == WHOLE and not is_normal:
                 at = past_blanks(buf, at)
                 if not _is_statement_end(buf, at):
                     value, status, end, _ = read_coordinate(buf, at)
@@ -312,8 +326,25 @@ def scanned(  # type: ignore[no-untyped-def]
                 state[WORD] = at
                 at = statement
                 break
-            vertex_at[n_vertices] = statement
-            n_vertices += 1
+            if is_undecided:
+                undecided[n_undecided, 0] = is_normal
+                undecided[n_undecided, 1] = n_normals if is_normal else n_vertices
+                n_undecided += 1
+            if is_normal:
+                normals[n_normals, 0] = x
+                normals[n_normals, 1] = y
+                normals[n_normals, 2] = z
+                normal_at[n_normals] = statement
+                n_normals += 1
+                if decimals > state[NORMAL_DECIMALS]:
+                    state[NORMAL_DECIMALS] = decimals
+            else:
+                vertices[n_vertices, 0] = x
+                vertices[n_vertices, 1] = y
+                vertices[n_vertices, 2] = z
+                vertex_at[n_vertices] = statement
+                n_vertices += 1
+                most_decimals = max(most_decimals, decimals)
             at = _past_line(buf, at)
         elif first == 102 and (
             is_word_end(buf, at + 1) or (buf[at + 1] == 111 and is_word_end(buf, at + 2))
@@ -347,9 +378,12 @@ def scanned(  # type: ignore[no-untyped-def]
                         n_corners += 1
                         at = end
                         continue
-                at = past_blanks(buf, at)
-                if _is_statement_end(buf, at):
-                    break
+                if at + 1 < len(buf) and buf[at] == 32 and buf[at + 1] > 47:
+                    at += 1
+                else:
+                    at = past_blanks(buf, at)
+                    if _is_statement_end(buf, at):
+                        break
                 if n_corners == len(corners):
                     result = FULL
                     break
@@ -409,35 +443,7 @@ def scanned(  # type: ignore[no-untyped-def]
                 n_faces += 1
                 last_face = statement
             at = _past_line(buf, at)
-        elif first == 118 and buf[at + 1] == 110 and is_word_end(buf, at + 2):
-            if n_normals == len(normal_at) or n_undecided + 3 > len(undecided):
-                result = FULL
-                break
-            at += 2
-            for axis in range(3):
-                at = past_blanks(buf, at)
-                value, status, end, decimals = read_coordinate(buf, at)
-                if status == NOT_A_NUMBER:
-                    result = FEW_NUMBERS if _is_statement_end(buf, at) else BAD_NUMBER
-                    break
-                if status == UNDECIDED:
-                    undecided[n_undecided, 0] = 1
-                    undecided[n_undecided, 1] = 3 * n_normals + axis
-                    undecided[n_undecided, 2] = at
-                    undecided[n_undecided, 3] = end
-                    n_undecided += 1
-                normals[n_normals, axis] = value
-                if decimals > state[NORMAL_DECIMALS]:
-                    state[NORMAL_DECIMALS] = decimals
-                at = end
-            if result != WHOLE:
-                state[WORD] = at
-                at = statement
-                break
-            normal_at[n_normals] = statement
-            n_normals += 1
-            at = _past_line(buf, at)
-        elif first == 118 and buf[at + 1] == 116 and is_word_end(buf, at + 2):
+        elif second == 116 and is_word_end(buf, at + 2):
             state[TEXTURE] += 1
             at = _past_line(buf, at)
         else:
@@ -451,7 +457,7 @@ def scanned(  # type: ignore[no-untyped-def]
     state[AT] = at
     state[VERTICES], state[NORMALS] = n_vertices, n_normals
     state[FACES], state[CORNERS] = n_faces, n_corners
-    state[UNDECIDED_NUMBERS] = n_undecided
+    state[UNDECIDED_ROWS] = n_undecided
     state[LARGEST_VERTEX] = largest
     state[LAST_FACE_AT] = last_face
     state[DECIMALS] = most_decimals

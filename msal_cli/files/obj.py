@@ -35,6 +35,9 @@ Floats = NDArray[np.float64]
 NORMAL_DECIMALS = 6
 """Decimals that a recomputed unit normal has at the least."""
 
+SHORTEST_DOUBLE, SHORTEST_SINGLE = 18, 19
+"""In place of a number of decimals: the shortest text that is read back as the same number."""
+
 _NORMAL_SLACK = 1e-5
 """How far the length of a recomputed normal may be from 1 once it is rounded for the file."""
 
@@ -97,8 +100,6 @@ class ObjFile:
         the same number of that type; ``same`` is ``replaced``.  Raises ContentError
         (``E_RANGE``) for a position beyond float32.
         """
-        from msal_cli.core.obj_patch import SHORTEST_DOUBLE, SHORTEST_SINGLE
-
         if encoding == "binary":
             raise UnsupportedError(
                 "OBJ is text; it has no binary encoding",
@@ -129,7 +130,7 @@ class ObjFile:
         vertices = self._accepted(vertices)
         parsed = self._content
         decimals = self._decimals()
-        exact = decimals == obj_patch.SHORTEST_DOUBLE
+        exact = decimals == SHORTEST_DOUBLE
         tolerance = 0.0 if exact else 0.5 * 10.0**-decimals * (1.0 + 1e-9)
         has_moved = not np.array_equal(vertices, self.vertices)
         unit = _NORMAL_SLACK if has_moved and parsed.face_normals is not None else -1.0
@@ -180,7 +181,7 @@ class ObjFile:
 
     def _decimals(self) -> int:
         """Decimals of new positions: as many as the file uses, or as its extent asks for."""
-        from msal_cli.core import obj_patch, obj_scan
+        from msal_cli.core import obj_scan
         from msal_cli.core.digits import FIXED_BELOW, MOST_DECIMALS
 
         used = min(int(self._content.state[obj_scan.DECIMALS]), MOST_DECIMALS)
@@ -190,7 +191,7 @@ class ObjFile:
         needed = math.ceil(-math.log10(step)) if 0.0 < step < math.inf else 0
         largest = max(float(np.abs(low).max()), float(np.abs(high).max()))
         if needed > MOST_DECIMALS or largest >= FIXED_BELOW:
-            return obj_patch.SHORTEST_DOUBLE
+            return SHORTEST_DOUBLE
         return max(used, needed)
 
     def _normal_decimals(self) -> int:
@@ -204,11 +205,11 @@ class ObjFile:
         self, vertices: Floats, decimals: int, normal_decimals: int, is_forced: bool
     ) -> memoryview:
         """The file with new numbers: every position if ``is_forced``, else those that differ."""
-        from msal_cli.core import obj_patch
-        from msal_cli.core.digits import WIDEST_SHORTEST
-        from msal_cli.core.text import as_bytes, fixed_width, shortest
+        from msal_cli.core.obj_patch import patched
+        from msal_cli.core.text import as_bytes
 
         parsed = self._content
+        buf = as_bytes(self._data)
         normals = parsed.normals
         if parsed.face_normals is not None:
             from msal_cli.core.geometry import regrouped_normals
@@ -216,35 +217,31 @@ class ObjFile:
             normals, _ = regrouped_normals(
                 parsed.vertices, vertices, parsed.faces, parsed.face_normals, parsed.normals
             )
-        largest = max(float(vertices.max()), -float(vertices.min()))
-        width = max(fixed_width(largest, min(decimals, 17)), WIDEST_SHORTEST)
-        count = vertices.size if is_forced else int(np.count_nonzero(vertices != parsed.vertices))
-        count += int(np.count_nonzero(normals != parsed.normals))
-        buf = as_bytes(self._data)
-        out = np.empty(len(buf) + count * width, dtype=np.uint8)
-        walk = np.zeros(obj_patch.N_WALK, dtype=np.int64)
-        style = np.array([decimals, normal_decimals, is_forced], dtype=np.int64)
-        while (
-            obj_patch.patched(
-                buf,
-                walk,
-                parsed.vertex_at,
-                parsed.vertices,
-                vertices,
-                parsed.normal_at,
-                parsed.normals,
-                normals,
-                style,
-                out,
-            )
-            == obj_patch.ASIDE
-        ):
-            is_normal = bool(walk[obj_patch.IS_NORMAL])
-            row = int(walk[obj_patch.NORMAL if is_normal else obj_patch.VERTEX])
-            value = float((normals if is_normal else vertices)[row, int(walk[obj_patch.AXIS])])
-            text = shortest(value, decimals == obj_patch.SHORTEST_SINGLE).encode()
-            at = int(walk[obj_patch.NEW])
-            out[at : at + len(text)] = np.frombuffer(text, dtype=np.uint8)
-            walk[obj_patch.NEW] += len(text)
-            walk[obj_patch.AXIS] += 1
-        return out[: int(walk[obj_patch.NEW])].data
+        is_moved = np.ones(vertices.shape, dtype=bool) if is_forced else vertices != self.vertices
+        is_turned = normals != parsed.normals
+        text, stops = _texts(vertices[is_moved], decimals)
+        normal_text, normal_stops = _texts(normals[is_turned], normal_decimals)
+        # The words that go away are counted as empty: a little too long, cut off at the end.
+        out = np.empty(len(buf) + len(text) + len(normal_text), dtype=np.uint8)
+        size = patched(
+            buf,
+            parsed.vertex_at,
+            is_moved,
+            as_bytes(text),
+            stops,
+            parsed.normal_at,
+            is_turned,
+            as_bytes(normal_text),
+            normal_stops,
+            out,
+        )
+        return out[:size].data
+
+
+def _texts(values: Floats, decimals: int) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """New texts, one behind the other, and where each ends."""
+    from msal_cli.core.text import printed, printed_shortest
+
+    if decimals in (SHORTEST_DOUBLE, SHORTEST_SINGLE):
+        return printed_shortest(values, decimals == SHORTEST_SINGLE)
+    return printed(values, decimals)

@@ -141,7 +141,7 @@ class _Reading:
         self.corners = np.empty(3 * self._n_faces, dtype=np.int32)
         self.corner_normals = np.empty(len(self.corners) if has_normals else 0, dtype=np.int32)
         self.sizes = np.empty(self._n_faces, dtype=np.int32)
-        self.undecided = np.empty((64, 4), dtype=np.int64)
+        self.undecided = np.empty((64, 2), dtype=np.int64)
         self.keywords = np.empty((obj_scan.MOST_KEYWORDS, 4), dtype=np.int64)
         self.libraries = np.empty(obj_scan.MOST_LIBRARIES, dtype=np.int64)
         self.state = self._begun()
@@ -221,7 +221,7 @@ class _Reading:
         """Make room in the arrays that are full."""
         scan, state = self._scan, self.state
         n_faces, n_corners = int(state[scan.FACES]), int(state[scan.CORNERS])
-        if state[scan.UNDECIDED_NUMBERS] + 3 > len(self.undecided):
+        if state[scan.UNDECIDED_ROWS] == len(self.undecided):
             self.undecided = _grown(self.undecided, 2 * len(self.undecided))
         elif state[scan.VERTICES] == len(self.vertices):
             self.vertices = _grown(self.vertices, 2 * len(self.vertices) + 1)
@@ -240,10 +240,18 @@ class _Reading:
                 self.corner_normals = _grown(self.corner_normals, room)
 
     def _decide(self, vertices: Floats, normals: Floats) -> None:
-        """Read the numbers that need Python's ``float``."""
-        for kind, index, start, stop in self.undecided[: self.state[self._scan.UNDECIDED_NUMBERS]]:
-            value = float(self._buf[start:stop].tobytes())
-            (normals if kind else vertices).reshape(-1)[index] = value
+        """Read the statements with numbers that need Python's ``float``."""
+        scan = self._scan
+        for is_normal, row in self.undecided[: self.state[scan.UNDECIDED_ROWS]]:
+            at = int(self.normal_at[row] + 2 if is_normal else self.vertex_at[row] + 1)
+            for axis in range(3):
+                at = scan.past_blanks(self._buf, at)
+                stop = scan.past_word(self._buf, at)
+                value, status, _, _ = scan.read_coordinate(self._buf, at)
+                if status == scan.UNDECIDED:
+                    value = float(self._buf[at:stop].tobytes())
+                (normals if is_normal else vertices)[row, axis] = value
+                at = stop
 
     def _triangles(self, corners: Ints, sizes: Ints) -> Ints:
         """(m, 3), the polygons cut into fans; a view where all are triangles."""
