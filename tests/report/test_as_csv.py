@@ -76,6 +76,14 @@ def test_columns_are_those_of_the_record_with_sorted_parameters():
     assert header == raw([failed(method=written().method)]).split(b"\r\n")[0].decode().split(",")
 
 
+def test_the_order_of_parameters_is_not_that_of_chance():
+    names = "zyxwvutsrq"
+    record = written(method=MethodUsed("m", dict.fromkeys(names, 1)))
+    header = raw([record]).split(b"\r\n")[0].decode().split(",")
+    found = [name[-1] for name in header if name.startswith("method.parameters.")]
+    assert found == sorted(names)
+
+
 def test_parameters_of_several_methods_stand_side_by_side():
     other = written("b", method=MethodUsed("al", {"time_step": 1.0}))
     first, second = rows([written("a"), other])
