@@ -378,7 +378,7 @@ def scanned(  # type: ignore[no-untyped-def]
                         n_corners += 1
                         at = end
                         continue
-                if at + 1 < len(buf) and buf[at] == 32 and buf[at + 1] > 47:
+                if at + 1 < len(buf) and buf[at] == 32 and 48 <= buf[at + 1] <= 57:
                     at += 1
                 else:
                     at = past_blanks(buf, at)
