@@ -1,0 +1,322 @@
+"""The variants of AL: weights, deviations and scalings, against a plain twin and on real meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msal_cli import files, methods
+from msal_cli.core.operators import AnisotropicLaplacian
+from msal_cli.core.robust_laplacian import DEVIATIONS, SCALINGS, WEIGHTS, RobustLaplacian
+from msal_cli.mesh import prepared
+from msal_cli.metrics.normals import normal_statistics
+from tests import paper
+from tests.methods.pairs import all_errors, errors, opened
+from tests.shapes import fan, grid, noisy, torus
+
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
+BEAR = opened(SAMPLES / "bear_noisy.obj", SAMPLES / "bear_clean.obj")
+
+
+def weights_of(kind, h, sigma):
+    """g(h) as Black et al. define it, scaled so that h g(h) is greatest at sigma."""
+    if kind == "gauss":  # the largest made 1, which changes no quotient: sigma may be tiny
+        return np.exp((np.min(h**2) - h**2) / (2 * sigma**2))
+    if kind == "tukey":
+        s = np.sqrt(5) * sigma
+        return np.where(np.abs(h) < s, (1 - (h / s) ** 2) ** 2, 0.0)
+    if kind == "lorentz":
+        s = sigma / np.sqrt(2)
+        return 1 / (1 + h**2 / (2 * s**2))
+    if kind == "huber":
+        return np.where(np.abs(h) <= sigma, 1.0, sigma / np.maximum(np.abs(h), 1e-300))
+    return np.ones_like(h)
+
+
+def twin(v, faces, iterations, kind, deviation, scaling, tau, limited=True):
+    """AL with the chosen weights, vertex by vertex; tau in squared units."""
+    normals = paper.normal_field(v, faces, 1)
+    rings = paper.one_rings(len(v), faces)
+    x = v.copy()
+    for _ in range(iterations):
+        d = np.zeros(len(v))
+        areas = np.zeros(len(v))
+        for face in faces.tolist():
+            a, b, c = x[face]
+            areas[face] += np.linalg.norm(np.cross(b - a, c - a)) / 2
+        for i, ring in enumerate(rings):
+            e = x[ring] - x[i]
+            h, length = e @ normals[i], np.linalg.norm(e, axis=1)
+            if deviation == "mean":
+                sigma = 2 * np.mean(np.abs(h - np.mean(h)))
+            else:
+                sigma = 1.4826 * np.median(np.abs(h - np.median(h)))
+            g = weights_of(kind, h, sigma)
+            if not g.any():  # all beyond Tukey's reach
+                g = np.ones_like(h)
+            if scaling == "none":
+                d[i] = (g * h).sum() / g.sum()
+            elif scaling == "mass":
+                limit = areas[i] / 3 if limited else np.inf
+                d[i] = min(tau, limit) * (g * h).sum() / g.sum() / (areas[i] / 3)
+            else:
+                limit = (g * length).sum() / (g / length).sum() if limited else np.inf
+                d[i] = min(tau, limit) * (g * h / length).sum() / (g * length).sum()
+        x = x + d[:, None] * normals
+    return x
+
+
+def run(name, vertices, faces, **given):
+    mesh = prepared(vertices, faces).mesh
+    method = methods.find(name)
+    return mesh, method.denoised(mesh, method.settled(given)).vertices
+
+
+def operator(mesh, **given):
+    free = np.ones(len(mesh.vertices), dtype=bool)
+    normals = mesh.vertex_normals()
+    return RobustLaplacian(normals, mesh.faces, mesh.links, free, mesh.mean_edge_length, **given)
+
+
+SHAPES = {
+    "torus": (noisy(torus()[0], 1, 0.2), torus()[1]),
+    "open": (noisy(grid(9, 8)[0], 2, 0.2), grid(9, 8)[1]),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("scaling", SCALINGS)
+@pytest.mark.parametrize("deviation", DEVIATIONS)
+@pytest.mark.parametrize("kind", WEIGHTS)
+def test_every_combination_agrees_with_the_plain_twin(shape, kind, deviation, scaling):
+    vertices, faces = SHAPES[shape]
+    mesh, out = run(
+        *("al", vertices, faces), iterations=3, weights=kind, deviation=deviation, scaling=scaling
+    )
+    tau = 0.25 * mesh.mean_edge_length**2
+    expected = twin(mesh.vertices, faces, 3, kind, deviation, scaling, tau)
+    assert np.abs(out - expected).max() <= 1e-12 * np.ptp(vertices)
+    assert np.abs(out - mesh.vertices).max() > 1e-2
+
+
+def test_the_variants_differ_from_one_another():
+    vertices, faces = SHAPES["torus"]
+    results = [
+        run("al", vertices, faces, weights=kind, deviation=deviation, scaling=scaling)[1]
+        for kind in WEIGHTS
+        for deviation in DEVIATIONS
+        for scaling in SCALINGS
+        if kind != "none" or deviation == "mean"
+    ]
+    for at, one in enumerate(results):
+        assert all(np.abs(one - other).max() > 1e-4 for other in results[:at])
+
+
+def test_both_kernels_give_the_paper_s_operator():
+    mesh = prepared(*SHAPES["open"]).mesh
+    free = np.ones(len(mesh.vertices), dtype=bool)
+    links = mesh.links
+    one = AnisotropicLaplacian(
+        mesh.vertex_normals(), links.ring_start, links.ring, free, mesh.mean_edge_length
+    )(mesh.vertices)
+    other = operator(mesh)(mesh.vertices)
+    assert np.abs(one.move - other.move).max() < 1e-15
+    assert np.abs(one.sigma - other.sigma).max() < 1e-15
+
+
+def test_the_default_takes_the_paper_s_kernel():
+    from msal_cli.methods._heights import height_operator
+
+    mesh = prepared(*SHAPES["open"]).mesh
+    for name in ("al", "msal"):
+        method = methods.find(name)
+        defaults = method.module.Parameters(**method.settled({}))
+        assert isinstance(height_operator(mesh, defaults), AnisotropicLaplacian)
+
+
+@pytest.mark.parametrize("kind", ["gauss", "tukey", "lorentz", "huber"])
+def test_the_influence_is_greatest_at_sigma(kind):
+    # One neighbour at height h among many within +-1, whose sigma is 1.4826: how much it pulls.
+    def pull(h):
+        heights = [-1.0] * 40 + [0.0] * 3 + [1.0] * 39 + [h]
+        mesh = prepared(*fan(heights)).mesh
+        up = np.tile([0.0, 0.0, 1.0], (len(mesh.vertices), 1))
+        free = np.ones(len(up), dtype=bool)
+        one = RobustLaplacian(up, mesh.faces, mesh.links, free, 1.0, kind, "median")
+        step = one(mesh.vertices)
+        assert step.sigma[0] == pytest.approx(1.4826)
+        return step.move[0]
+
+    at_sigma = pull(1.4826)
+    assert at_sigma > pull(0.6 * 1.4826) + 1e-4
+    if kind == "huber":  # it stays there, but for the weight's share in the denominator
+        assert pull(2 * 1.4826) == pytest.approx(at_sigma, rel=0.02)
+    else:
+        assert at_sigma > pull(1.6 * 1.4826) + 1e-4
+    if kind == "tukey":
+        beyond = pull(100.0)
+        assert pull(1.4826 * 5**0.5 * 1.001) == beyond < pull(1.4826 * 5**0.5 * 0.9)
+
+
+def test_sigma_worked_by_hand():
+    # Heights 1, 1, 1, 5: mean deviation 1.5, median deviation 0; heights 0, 1, 3, 7, 12: 2 and 3.
+    def sigma(heights, deviation):
+        mesh = prepared(*fan(heights)).mesh
+        up = np.tile([0.0, 0.0, 1.0], (len(heights) + 1, 1))
+        free = np.ones(len(up), dtype=bool)
+        one = RobustLaplacian(up, mesh.faces, mesh.links, free, 1.0, "gauss", deviation)
+        return one(mesh.vertices).sigma[0]
+
+    assert sigma([1.0, 1.0, 1.0, 5.0], "mean") == pytest.approx(3.0)
+    assert sigma([1.0, 1.0, 1.0, 5.0], "median") == 0.0
+    assert sigma([0.0, 1.0, 3.0, 7.0, 12.0], "median") == pytest.approx(1.4826 * 3)
+    assert sigma([0.0, 1.0, 3.0, 7.0], "median") == pytest.approx(1.4826 * 1.5)
+
+
+@pytest.mark.parametrize("kind", WEIGHTS)
+@pytest.mark.parametrize("deviation", DEVIATIONS)
+@pytest.mark.parametrize("scaling", SCALINGS)
+def test_equal_heights_give_their_mean_and_nothing_underflows(kind, deviation, scaling):
+    for heights in ([0.3] * 6, [0.3, 0.3, 0.3 + 1e-9, 0.3, 0.3, 0.3 - 1e-9]):
+        vertices, faces = fan(heights)
+        given = {"weights": kind, "deviation": deviation, "scaling": scaling, "scaled_step": 100}
+        mesh, out = run("al", vertices, faces, iterations=1, mollify=0, **given)
+        assert np.isfinite(out).all()
+        assert out[0, 2] - mesh.vertices[0, 2] == pytest.approx(0.3, abs=1e-6)
+
+
+def test_a_hub_of_many_neighbours_takes_no_square_of_time():
+    count = 50_000
+    heights = np.random.default_rng(0).normal(size=count)
+    heights[: count // 2] = np.sort(heights[: count // 2])
+    mesh = prepared(*fan(heights)).mesh
+    up = np.tile([0.0, 0.0, 1.0], (count + 1, 1))
+    one = RobustLaplacian(
+        up, mesh.faces, mesh.links, np.ones(count + 1, dtype=bool), 1.0, "tukey", "median"
+    )
+    expected = 1.4826 * np.median(np.abs(heights - np.median(heights)))
+    assert one(mesh.vertices).sigma[0] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("scaling", ["mass", "edge"])
+def test_no_scaled_step_overshoots(scaling):
+    # On triangles of very different sizes the default step is too long for most vertices.
+    noisy_bear, clean = BEAR
+    before, _ = errors(noisy_bear, clean, "al", n=0)
+    for c in (0.25, 1.0, 100.0):
+        after, _ = errors(noisy_bear, clean, "al", n=8, scaling=scaling, scaled_step=c)
+        assert after < 0.4 * before
+    tau = 0.25 * noisy_bear.mean_edge_length**2
+    unlimited = noisy_bear.moved(
+        twin(noisy_bear.vertices, noisy_bear.faces, 4, "gauss", "mean", scaling, tau, limited=False)
+    )
+    assert normal_statistics(clean, unlimited).mean_angular_error_deg > 1.1 * before
+
+
+@pytest.mark.parametrize("kind", WEIGHTS)
+@pytest.mark.parametrize("scaling", SCALINGS)
+def test_a_vertex_never_passes_its_farthest_neighbour(kind, scaling):
+    # Whatever the step, the height is a mean of the ring's with positive weights.
+    for shape in SHAPES.values():
+        mesh = prepared(*shape).mesh
+        normals = mesh.vertex_normals()
+        step = operator(mesh, weights=kind, scaling=scaling, time_step=1e9)(mesh.vertices)
+        for i, ring in enumerate(paper.one_rings(len(normals), mesh.faces)):
+            h = (mesh.vertices[ring] - mesh.vertices[i]) @ normals[i]
+            assert h.min() - 1e-12 <= step.move[i] <= h.max() + 1e-12
+
+
+@pytest.mark.parametrize("scaling", ["mass", "edge"])
+def test_scaled_operators_need_smaller_steps_and_more_sweeps(scaling):
+    # Fig. 10: AL moves the vertices of large triangles too far; scaled, they stay in place, but
+    # at the step that the smallest triangles allow it takes many more sweeps; MSAL goes without.
+    noisy_bear, clean = BEAR
+    before, _ = errors(noisy_bear, clean, "al", n=0)
+
+    def farthest(name, **given):
+        method = methods.find(name)
+        out = method.denoised(noisy_bear, method.settled(given)).vertices
+        return np.linalg.norm(out - clean.vertices, axis=1).max() / clean.mean_edge_length
+
+    assert farthest("al", n=3) > 5
+    assert farthest("msal", n=3, K=1 / 3) < 3
+    assert farthest("al", n=8, scaling=scaling) < 0.5
+    # The step that the shortest edge allows, for all vertices alike.
+    edges = np.linalg.norm(
+        noisy_bear.vertices[noisy_bear.links.ring]
+        - np.repeat(noisy_bear.vertices, np.diff(noisy_bear.links.ring_start), axis=0),
+        axis=1,
+    )
+    smallest = (edges.min() / noisy_bear.mean_edge_length) ** 2
+    assert smallest < 0.02
+    few, many = (
+        errors(noisy_bear, clean, "al", n=n, scaling=scaling, scaled_step=smallest)[0]
+        for n in (3, 24)
+    )
+    one_sweep_of_al, _ = errors(noisy_bear, clean, "al", n=1)
+    assert before > few > 1.5 * many
+    assert few > one_sweep_of_al
+
+
+def test_msal_takes_the_weights_too():
+    vertices, faces = SHAPES["torus"]
+    for given in ({"weights": "tukey"}, {"deviation": "median"}):
+        _, one = run("msal", vertices, faces, K=0.4, **given)
+        _, other = run("al", vertices, faces, K=0.4, schedule="multiscale", **given)
+        _, plain = run("msal", vertices, faces, K=0.4)
+        assert (one == other).all()
+        assert np.abs(one - plain).max() > 1e-3
+
+
+@pytest.mark.parametrize("scaling", SCALINGS)
+def test_fixed_vertices_stay_and_have_a_sigma(scaling):
+    vertices, faces = SHAPES["open"]
+    mesh, out = run("al", vertices, faces, boundary="fixed", scaling=scaling, weights="tukey")
+    edge = mesh.links.boundary
+    assert (out[edge] == mesh.vertices[edge]).all()
+    assert (out[~edge] != mesh.vertices[~edge]).any(axis=1).all()
+    assert (operator(mesh)(mesh.vertices).sigma > 0).all()
+
+
+# Figures on real meshes
+
+
+def test_reference_figures_of_al_and_msal(real_data):
+    for name, given, angles, distances in (
+        ("al", {"mollify": 0}, [10.41, 12.38, 6.31, 6.99], [14.4, 16.2, 10.8, 8.2]),
+        ("al", {"mollify": 1}, [9.77, 11.31, 5.91, 6.04], [13.8, 16.2, 10.3, 7.3]),
+        ("msal", {"mollify": 0}, [15.09, 14.63, 7.75, 9.38], [14.3, 13.7, 8.7, 8.1]),
+    ):
+        found = np.array(all_errors(real_data, name, n=3, **given))
+        assert found[:, 0] == pytest.approx(angles, abs=0.006)
+        assert found[:, 1] == pytest.approx(distances, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("deviation", "expected"),
+    [("mean", [9.74, 9.30, 8.13, 8.40, 8.43]), ("median", [9.74, 7.33, 5.55, 5.28, 5.64])],
+)
+def test_weights_keep_edges_under_weak_noise(real_data, deviation, expected):
+    # Fandisk with normal noise of a tenth of the mean edge: degrees after three sweeps.
+    path = str(real_data / "clean" / "fandisk.obj")
+    one = files.open_mesh(files.read_whole(path), path)
+    clean = prepared(one.vertices, one.faces).mesh
+    rng = np.random.default_rng(0)
+    along = rng.normal(0, 0.1 * clean.mean_edge_length, (len(clean.vertices), 1))
+    noisy_one = clean.moved(clean.vertices + along * clean.vertex_normals())
+    found = [
+        errors(noisy_one, clean, "al", n=3, weights=kind, deviation=deviation)[0]
+        for kind in ("none", "huber", "lorentz", "gauss", "tukey")
+    ]
+    assert found == pytest.approx(expected, rel=0.015)
+    assert found[0] > found[1] > max(found[2:])
+
+
+def test_the_median_leaves_strong_noise(real_data):
+    kinds = ("none", "huber", "lorentz", "gauss", "tukey")
+    found = [
+        all_errors(real_data, "al", n=3, weights=kind, deviation="median")[0][0] for kind in kinds
+    ]
+    assert found == pytest.approx([10.8, 9.75, 9.63, 11.0, 11.9], rel=0.02)

@@ -1,0 +1,84 @@
+"""The HC algorithm against its plain twin, hand-worked cases and reference figures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli import methods
+from msal_cli.mesh import prepared
+from msal_cli.metrics.volume import area_and_volume
+from tests.methods.pairs import all_errors
+from tests.methods.plain_rings import hc, rows
+from tests.shapes import fan, grid, noisy, torus
+
+METHOD = methods.find("hc")
+
+
+def run(vertices, faces, **given):
+    mesh = prepared(vertices, faces).mesh
+    return mesh, METHOD.denoised(mesh, METHOD.settled(given)).vertices
+
+
+def test_one_step_worked_by_hand():
+    # With a fixed rim only vertex 0 moves: p = 0.3 up, b = 0.3, pushed back by 0.6 of it.
+    vertices, faces = fan([0.3] * 6)
+    mesh, out = run(vertices, faces, iterations=1, boundary="fixed")
+    assert out[0, 2] - mesh.vertices[0, 2] == pytest.approx(0.4 * 0.3)
+    # Then p = 0.18 up again, b = 0.3 - (0.1 * 0 + 0.9 * 0.12) = 0.192.
+    _, out = run(vertices, faces, iterations=2, boundary="fixed")
+    assert out[0, 2] - mesh.vertices[0, 2] == pytest.approx(0.3 - 0.6 * 0.192)
+
+
+@pytest.mark.parametrize("boundary", ["curve", "free", "fixed"])
+@pytest.mark.parametrize(("alpha", "beta"), [(0.1, 0.6), (0.0, 0.5), (0.7, 0.9)])
+def test_it_agrees_with_the_plain_twin(boundary, alpha, beta):
+    vertices, faces = grid(9, 8)
+    vertices = noisy(vertices, 2, 0.2)
+    mesh, out = run(vertices, faces, boundary=boundary, alpha=alpha, beta=beta)
+    expected = hc(mesh.vertices, rows(len(vertices), faces, boundary), 10, alpha, beta)
+    assert np.abs(out - expected).max() <= 1e-12 * np.ptp(mesh.vertices)
+    assert np.abs(out - mesh.vertices).max() > 1e-2
+
+
+def test_vertices_that_cannot_move_keep_their_very_position():
+    vertices, faces = grid(7, 7)
+    vertices = np.concatenate([noisy(vertices, 8, 0.2), [[9.0, 9.0, 9.0]]])
+    mesh, out = run(vertices, faces, iterations=50, boundary="fixed")
+    still = mesh.links.boundary | (np.diff(mesh.links.ring_start) == 0)
+    assert still.sum() == 25
+    assert (out[still] == mesh.vertices[still]).all()
+    assert (out[~still] != mesh.vertices[~still]).any(axis=1).all()
+
+
+def test_pushing_back_its_own_correction_alone_undoes_everything():
+    # beta = 1, alpha = 0: q = p - (p - q).
+    vertices, faces = torus()
+    mesh, out = run(noisy(vertices), faces, alpha=0.0, beta=1.0)
+    assert np.abs(out - mesh.vertices).max() < 1e-13
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.1, 1.0])
+@pytest.mark.parametrize("beta", [0.5, 0.6, 1.0])
+def test_it_converges_in_the_range_allowed(alpha, beta):
+    vertices, faces = torus()
+    mesh, out = run(noisy(vertices, 0, 0.3), faces, iterations=1000, alpha=alpha, beta=beta)
+    assert np.linalg.norm(out) <= (1 + 1e-12) * np.linalg.norm(mesh.vertices)
+
+
+def test_it_shrinks_less_than_the_umbrella():
+    vertices, faces = torus(60, 30)
+    mesh, out = run(noisy(vertices, 0, 0.03), faces)
+    umbrella = methods.find("umbrella")
+    other = umbrella.denoised(mesh, umbrella.settled({"iterations": 10})).vertices
+
+    def volume(positions):
+        return area_and_volume(mesh.moved(positions))[1]
+
+    lost, by_umbrella = (1 - volume(one) / volume(mesh.vertices) for one in (out, other))
+    assert abs(lost) < by_umbrella / 10
+
+
+def test_reference_figures(real_data):
+    angles = [angle for angle, _ in all_errors(real_data, "hc", boundary="free")]
+    assert angles == pytest.approx([9.8, 11.2, 6.2, 6.7], abs=0.06)
