@@ -49,7 +49,8 @@ def _product(start, stop, diagonal, row_start, columns, values, x, product):  # 
         sy = own * x[i, 1]
         sz = own * x[i, 2]
         for at in range(row_start[i], row_start[i + 1]):
-            k = columns[at]
+            # Unsigned, so that no index is looked at for being negative: a quarter of the time.
+            k = np.uint64(columns[at])
             value = values[at]
             sx += value * x[k, 0]
             sy += value * x[k, 1]

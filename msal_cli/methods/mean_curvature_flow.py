@@ -28,7 +28,7 @@ Boundary vertices are fixed.  With ``boundary=free`` they flow too: an open shee
 without frame and its rim is drawn inwards.  A face whose height is less than 1/20 of its longest
 edge takes part with smaller cotangents, and one without area has none that are infinite; a vertex
 without faces stays.  A non-manifold edge has the cotangents of all its faces.  The cost of a sweep
-is proportional to the number of faces; an implicit step costs 10 to 100 times as much, growing
+is proportional to the number of faces; an implicit step costs 3 to 100 times as much, growing
 with the root of ``time_step``.
 
 Source: M. Desbrun, M. Meyer, P. Schroeder and A. Barr, Implicit fairing of irregular meshes using
