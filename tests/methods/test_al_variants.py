@@ -202,17 +202,18 @@ def test_a_hub_of_many_neighbours_takes_no_square_of_time():
 
 @pytest.mark.parametrize("scaling", ["mass", "edge"])
 def test_no_scaled_step_overshoots(scaling):
-    # On triangles of very different sizes the default step is too long for most vertices.
+    # On triangles of very different sizes even half a squared mean edge is too long a step for
+    # most vertices; without the limit of each, the sweeps would make noise.
     noisy_bear, clean = BEAR
     before, _ = errors(noisy_bear, clean, "al", n=0)
-    for c in (0.25, 1.0, 100.0):
+    for c in (0.25, 0.5, 100.0):
         after, _ = errors(noisy_bear, clean, "al", n=8, scaling=scaling, scaled_step=c)
         assert after < 0.4 * before
-    tau = 0.25 * noisy_bear.mean_edge_length**2
+    tau = 0.5 * noisy_bear.mean_edge_length**2
     unlimited = noisy_bear.moved(
-        twin(noisy_bear.vertices, noisy_bear.faces, 4, "gauss", "mean", scaling, tau, limited=False)
+        twin(noisy_bear.vertices, noisy_bear.faces, 2, "gauss", "mean", scaling, tau, limited=False)
     )
-    assert normal_statistics(clean, unlimited).mean_angular_error_deg > 1.1 * before
+    assert normal_statistics(clean, unlimited).mean_angular_error_deg > 1.5 * before
 
 
 @pytest.mark.parametrize("kind", WEIGHTS)

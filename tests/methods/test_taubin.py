@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
+from msal_cli.core.schedules import Alternating
 from msal_cli.errors import UsageError
 from msal_cli.mesh import prepared
 from msal_cli.metrics.volume import area_and_volume
@@ -31,6 +32,11 @@ def test_the_steps_are_the_common_ones():
     assert step_of(pass_band=0.1, shrink=0.6307) == pytest.approx(-0.6732, abs=5e-5)
     assert step_of(mu=-0.6) == -0.6
     assert step_of(pass_band=0.0) == -0.5
+
+
+def test_the_first_step_goes_inwards():
+    schedule = Alternating(0.5, -0.53)
+    assert [schedule(sweep, None).time_step for sweep in range(4)] == [0.5, -0.53, 0.5, -0.53]
 
 
 def test_a_wave_is_multiplied_by_the_transfer_function():
