@@ -42,7 +42,6 @@ NO_CORNERS = 6
     LARGEST_TEXTURE,  # largest vt and vn numbers, from one
     LARGEST_NORMAL,
     BEFORE_FIRST,  # vt and vn numbers of faces that are zero or lie before the first
-    TEXTURED,  # corners with a vt
     SHORT,  # faces of one or two corners
     SHORT_AT,
     LAST_SHORT_AT,
@@ -54,7 +53,7 @@ NO_CORNERS = 6
     LIBRARIES,  # mtllib statements
     WORD,  # with an error: first byte of the word that is wrong
     N_STATE,
-) = range(25)
+) = range(24)
 
 MOST_KEYWORDS = 64
 """Different other keywords that are told apart; the last row takes the rest."""
@@ -357,7 +356,7 @@ def scanned(  # type: ignore[no-untyped-def]
                 break
             at += 1 if is_word_end(buf, at + 1) else 2
             first_corner, word = n_corners, at
-            textured, before_first = state[TEXTURED], state[BEFORE_FIRST]
+            before_first = state[BEFORE_FIRST]
             while True:
                 # Short and small, for the corners v that many files have nothing else but.
                 if at + 1 < len(buf) and buf[at] == 32 and n_corners < len(corners):
@@ -397,7 +396,6 @@ def scanned(  # type: ignore[no-untyped-def]
                     begin = at + 1
                     number_t, at = _read_index(buf, begin)
                     if at > begin:
-                        state[TEXTURED] += 1
                         if number_t > state[LARGEST_TEXTURE]:
                             state[LARGEST_TEXTURE] = number_t
                         if _resolved(number_t, state[TEXTURE]) < 0:
@@ -428,7 +426,7 @@ def scanned(  # type: ignore[no-untyped-def]
                 result = NO_CORNERS
             if result != WHOLE:
                 state[WORD] = word
-                state[TEXTURED], state[BEFORE_FIRST] = textured, before_first
+                state[BEFORE_FIRST] = before_first
                 n_corners = first_corner
                 at = statement
                 break

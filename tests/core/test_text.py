@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -89,6 +90,21 @@ def test_a_seeded_campaign_near_the_middle_of_two_doubles() -> None:
     values, bad = text.numbers_at(*tokens([word.encode() for word in words]))
     assert bad == -1
     assert values.tolist() == [float(word) for word in words]
+
+
+@pytest.mark.parametrize("shift", range(-12, 12))
+def test_the_middle_of_two_doubles_and_its_neighbours(shift: int) -> None:
+    """The hardest tokens: exact ties, to all their digits, and a hair above and below."""
+    for low in (2**53 + 1, 2**53 + 3, 2**54 - 1):
+        tie = Fraction(low) * Fraction(2) ** shift
+        digits = str(int(tie * 10**12))
+        assert tie * 10**12 == int(digits)
+        for word in (digits, f"{digits}1", f"{int(digits) - 1}9", f"{digits}000", f"{digits}001"):
+            written = f"{word}e{len(digits) - len(word) - 12}"
+            assert same_bits(value_of(written.encode()), float(written)), written
+        short = digits.rstrip("0")
+        written = f"{short}0e{len(digits) - len(short) - 13}"
+        assert same_bits(value_of(written.encode()), float(written)), written
 
 
 @pytest.mark.parametrize(
@@ -251,6 +267,11 @@ def test_shortest_at_every_power() -> None:
     for word, single in zip(words, singles, strict=True):
         more = n_digits(word) - n_digits(str(single))
         assert more == 0 or (more == 1 and is_between_two_singles(str(single))), (word, single)
+
+
+def test_shortest_single_keeps_clear_of_the_middle() -> None:
+    # 6.034581e7 is the middle of two float32: right only for readers that take the even one.
+    assert split(*text.printed_shortest(np.array([60345808.0]), True)) == ["60345808"]
 
 
 def test_shortest_beyond_float32_is_infinite() -> None:

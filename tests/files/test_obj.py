@@ -326,6 +326,12 @@ def test_faces_of_many_corners() -> None:
     assert obj.read(with_normals, "").properties == ("normals",)
 
 
+def test_what_is_counted_in_a_face_is_counted_once() -> None:
+    corners = b" ".join(b"%d/0" % (k + 1) for k in range(300))
+    data = b"".join(b"v %d 0 %d\n" % (k, k * k) for k in range(300)) + b"f " + corners + b"\n"
+    assert "(300 corners)" in obj.read(data, "").warnings[0]
+
+
 def test_many_numbers_of_many_digits() -> None:
     long = b"0.50000000000000000000000000000000001"
     data = b"".join(b"v %d %s 1e-200\n" % (k, long) for k in range(400)) + b"f 1 2 3\n"
