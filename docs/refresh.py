@@ -1,9 +1,9 @@
-"""Bring the pages up to date with the program: shown outputs, and the page of methods.
+"""Bring the pages up to date with the program: shown outputs, and the pages of methods.
 
     python docs/refresh.py
 
-Every block that follows ``<!-- output: msal ... -->`` is replaced by what that command prints.
-``methods.md`` gets one such block for each method.  A test fails where this was forgotten.
+Every block that follows ``<!-- output: msal ... -->`` is replaced by what that command prints, and
+the pages of ``methods/`` are made anew.  A test fails where this was forgotten.
 """
 
 from __future__ import annotations
@@ -14,16 +14,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from msal_cli import methods
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import make_method_pages
 
 ROOT = Path(__file__).resolve().parents[1]
 SHOWN = re.compile(r"^<!-- output: msal (.+?) -->\n```\w*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-
-METHODS_HEAD = """# Methods
-
-What `msal methods NAME` prints, for every method. [algorithm.md](algorithm.md) has the formulas of
-`al` and `msal` in full, and tells which setting to choose.
-"""
 
 
 def printed(words: str) -> str:
@@ -31,15 +27,6 @@ def printed(words: str) -> str:
     command = [sys.executable, "-m", "msal_cli", *shlex.split(words)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
     return done.stdout.decode().replace("\r\n", "\n")
-
-
-def methods_page() -> str:
-    """The page of methods, its blocks still empty."""
-    sections = [
-        f"\n## {name}\n\n<!-- output: msal methods {name} -->\n```\n```\n"
-        for name in methods.names()
-    ]
-    return METHODS_HEAD + "".join(sections)
 
 
 def refreshed(text: str) -> str:
@@ -50,7 +37,7 @@ def refreshed(text: str) -> str:
 
 
 def main() -> None:
-    (ROOT / "docs/methods.md").write_text(methods_page(), encoding="utf-8")
+    make_method_pages.main()
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         text = page.read_text(encoding="utf-8")
         if refreshed(text) != text:

@@ -14,12 +14,13 @@ if TYPE_CHECKING:
 
 SCHEMA = "msal.methods/1"
 
-_SHORTCUTS = {
+SHORTCUTS = {
     "iterations": "-n",
     "K": "-K",
     "mollify": "--mollify",
     "schedule": "--schedule",
 }
+"""Options of ``msal denoise`` that set a parameter."""
 
 
 @click.command("methods", short_help="List the methods, or explain one.")
@@ -57,7 +58,7 @@ def _page(method: Method) -> Iterator[str]:
 
 
 def _parameter(spec: ParameterSpec) -> Iterator[str]:
-    also = [word for word in (_SHORTCUTS.get(spec.name), _other_symbol(spec)) if word]
+    also = [word for word in (SHORTCUTS.get(spec.name), _other_symbol(spec)) if word]
     yield f"  {spec.name} = {spec.default}" + (f"   (also {', '.join(also)})" if also else "")
     yield f"      {spec.help}"
     yield f"      allowed: {spec.range_text}" + (f"; unit: {spec.unit}" if spec.unit else "")

@@ -1,0 +1,148 @@
+"""Make the pages of ``methods/`` from what the methods say of themselves.
+
+    python docs/make_method_pages.py
+
+Every method found by name gets a page, from its docstring and its table of parameters, and a row in
+the index.  The pages depend on nothing else; a test fails where this was forgotten.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from msal_cli import methods
+from msal_cli.cli.methods import SHORTCUTS
+from msal_cli.methods import Method, ParameterSpec
+
+FOLDER = Path(__file__).resolve().parent / "methods"
+MADE = "<!-- made by docs/make_method_pages.py: change the method and run it again -->\n"
+
+INDEX = """# Methods
+
+`msal denoise scan.ply -o smooth.ply --method NAME` runs the method of that name, `--set NAME=VALUE`
+sets any of its parameters, and `msal methods NAME` prints what its page tells.
+[algorithm.md](../algorithm.md) has the formulas of `al` and `msal` in full, and says which
+setting suits which surface.
+
+"""
+
+
+def inline(text: str, link_from: str = "") -> str:
+    """A paragraph of a docstring as Markdown, in one line.
+
+    Code stands between pairs of backticks; the name of another method than ``link_from`` leads to
+    its page.
+    """
+    parts = re.split(r"``(.+?)``", " ".join(text.split()))
+    for at, part in enumerate(parts):
+        if at % 2 == 0:
+            parts[at] = re.sub(r"([*\\`|]|<(?=[A-Za-z/!]))", r"\\\1", part)
+        elif link_from and part != link_from and part in methods.names():
+            parts[at] = f"[`{part}`]({part}.md)"
+        else:
+            parts[at] = f"`{part}`"
+    return "".join(parts)
+
+
+def prose(description: str, name: str) -> Iterator[str]:
+    """The blocks of a docstring as Markdown: indented ones are formulas."""
+    for block in filter(None, re.split(r"\n\s*\n", description)):
+        lines = block.strip("\n").split("\n")
+        if all(line.startswith("    ") for line in lines):
+            body = "\n".join(line[4:] for line in lines)
+            yield f"```\n{body}\n```\n"
+        elif lines[0].startswith("- "):
+            items = re.split(r"^- ", block.strip("\n"), flags=re.MULTILINE)[1:]
+            yield "".join(f"- {inline(item, name)}\n" for item in items)
+        else:
+            yield f"{inline(block, name)}\n"
+
+
+def row(spec: ParameterSpec) -> str:
+    """The table's row of a parameter."""
+    names = [f"`{spec.name}`"]
+    if spec.name in SHORTCUTS:
+        names.append(f"`{SHORTCUTS[spec.name]}`")
+    if spec.symbol and spec.symbol != spec.name:
+        names.append(f"`{spec.symbol}`")
+    allowed = ", ".join(f"`{word}`" for word in spec.choices) or f"`{spec.range_text}`"
+    cells = (
+        ", ".join(names),
+        f"`{spec.default}`",
+        allowed,
+        inline(spec.help) + (f" ({spec.unit})" if spec.unit else ""),
+        inline(spec.more),
+    )
+    return f"| {' | '.join(cells)} |\n"
+
+
+def page(method: Method) -> str:
+    """All about one method."""
+    before, _, rest = method.description.partition("Source:")
+    _, _, body = before.partition("\n")
+    _, _, after = rest.partition("\n\n")
+    blocks = [*prose(body.strip("\n"), method.name), *prose(after.strip("\n"), method.name)]
+    return "\n".join(
+        [
+            MADE,
+            f"# `{method.name}`\n",
+            f"**{inline(method.summary)}**\n",
+            f"```sh\nmsal denoise scan.ply -o smooth.ply --method {method.name}\n```\n",
+            *blocks,
+            "## Parameters\n",
+            "Further names in the first column are options, and symbols that `--set` takes too.\n",
+            "| parameter | default | allowed | meaning | more is |\n|---|---|---|---|---|\n"
+            + "".join(row(spec) for spec in method.parameters),
+            "## Source\n",
+            f"{inline(method.source)}\n",
+        ]
+    )
+
+
+def index(all_methods: list[Method]) -> str:
+    """The table of all methods, and which of them take a schedule."""
+    rows = "".join(
+        f"| [`{one.name}`]({one.name}.md) | {inline(one.summary)} | {inline(one.source)} |\n"
+        for one in all_methods
+    )
+    scheduled = [
+        f"[`{one.name}`]({one.name}.md)"
+        for one in all_methods
+        if any(spec.name == "schedule" for spec in one.parameters)
+    ]
+    return (
+        MADE
+        + "\n"
+        + INDEX
+        + "| method | what it does | source |\n|---|---|---|\n"
+        + rows
+        + "\n`--schedule plain|constant|multiscale` composes the iteration of `msal` with another "
+        f"operator: {', '.join(scheduled)} take it.\n"
+    )
+
+
+def pages() -> dict[str, str]:
+    """Every page by its file name."""
+    found = [methods.find(name) for name in methods.names()]
+    return {"README.md": index(found)} | {f"{one.name}.md": page(one) for one in found}
+
+
+def committed() -> dict[str, str]:
+    """The pages that this script once made, by file name."""
+    texts = {path.name: path.read_text(encoding="utf-8") for path in FOLDER.glob("*.md")}
+    return {name: text for name, text in texts.items() if text.startswith(MADE)}
+
+
+def main() -> None:
+    """Write every page, and remove those of methods that are no more."""
+    FOLDER.mkdir(exist_ok=True)
+    for name in committed().keys() - pages().keys():
+        (FOLDER / name).unlink()
+    for name, text in pages().items():
+        (FOLDER / name).write_text(text, encoding="utf-8", newline="\n")
+
+
+if __name__ == "__main__":
+    main()
