@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-MOST_FOUND = 4096
-"""Items at which a flood stops: a disk of some 30 mean edge lengths on an even mesh."""
+MOST_FOUND = 2048
+"""Items at which a flood stops: vertices within 23 mean edge lengths of one on an even mesh."""
 
 MOST_LOOKS = 4 * MOST_FOUND
 """Neighbours that a flood looks at beyond the first row: those of a hub would be too many."""

@@ -24,7 +24,7 @@ take sigma_c = rho / 2, so give ``radius`` or ``closeness`` and the other follow
 sigma_c is the length of each vertex's shortest edge and rho twice that, the rule of the public
 implementation that later papers compare with.  It hardly smooths a vertex that has one very short
 edge: on a mesh of uneven triangles give ``closeness=1``, which smooths more and shrinks more.  At
-most 4,096 neighbours beyond the one-ring count.
+most 2,048 neighbours beyond the one-ring count.
 
 Vertices at open edges are filtered with the neighbours that they have (``boundary=free``).  One
 without neighbours, or whose normal cannot be told, stays.  Where sigma_s is zero the closest in

@@ -15,7 +15,7 @@ and hardly counts.
 The faces asked are those with a centroid within 2 sigma_f of the vertex, reached from it over faces
 that share a vertex and lie within that distance themselves: so the far side of a thin wall does not
 count.  The first paper searches in space instead, which also serves triangles that do not meet.  At
-most 4,096 faces beyond the vertex's own are asked.
+most 2,048 faces beyond the vertex's own are asked.
 
 One pass, no stop to choose, moderate smoothing that keeps positions well.  The projections lie off
 the vertex's normal, so that it may slide a little; sigma_f much above 2 eats small features, and
@@ -69,7 +69,7 @@ class Parameters(ScheduledParameters):
         "width of the Gaussian of distances; faces within twice of it count",
         symbol="sigma_f",
         low=0.0,
-        high=10.0,
+        high=8.0,
         low_open=True,
         unit="mean edge lengths",
         more="smoother, and dearer; small features go",
