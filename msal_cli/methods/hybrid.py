@@ -1,12 +1,12 @@
 """Hybrid filter for machined parts: vertices in clusters, edges kept, flat parts evened out.
 
-After the hybrid algorithm of Huang and Ascher, which is for the large sharp edges of machined parts:
-``al`` rounds them off, ``msal`` leaves noise on the flats beside them.  Vertices are clustered, and
-each cluster has its own operator.  This is a reconstruction, not a reproduction.  Of that paper only
-the outline could be read: K-means and geometric clustering, creases found where the tangent plane
-jumps, the umbrella operator to regularise flat parts, MSAL elsewhere.  Which quantity it clusters,
-into how many clusters, with which thresholds, how it prunes and extends creases, and what it does
-to a crease vertex could not be recovered; all of this is this project's own.
+After the hybrid algorithm of Huang and Ascher, which is for the large sharp edges of machined
+parts: ``al`` rounds them off, ``msal`` leaves noise on the flats beside them.  Vertices are
+clustered, and each cluster has its own operator.  This is a reconstruction, not a reproduction.  Of
+that paper only the outline could be read: K-means and geometric clustering, creases found where the
+tangent plane jumps, the umbrella operator to regularise flat parts, MSAL elsewhere.  Which quantity
+it clusters, into how many clusters, with which thresholds, how it prunes and extends creases, and
+what it does to a crease vertex could not be recovered; all of this is this project's own.
 
 1. ``presmooth`` sweeps of AL over a copy of the mesh, and as many of MSAL over another.
 2. On the first copy each vertex has a spread s = mean(1 - n_f . n) of the normals n_f of its faces
@@ -28,10 +28,10 @@ curved parts from shrinking much.  By r flat vertices slide until triangles are 
 of their distance from where they were scanned; ``regularize=0`` does without.
 
 It is made for parts with flat or gently curved sides and sharp edges under strong noise: with noise
-of 0.3 mean edge lengths it leaves two thirds of the angles that ``al`` leaves, and less than half of
-those of ``msal``, which is the better of the three with noise of 0.1.  Texture it takes for noise
-and flattens; a scan without sharp edges is served better by ``al`` or ``msal``.  Far more sweeps
-wear everything down.
+of 0.3 mean edge lengths it leaves two thirds of the angles that ``al`` leaves, and half of those of
+``msal``, which is the best of the three under noise of 0.1.  Texture it takes for noise and
+flattens; a scan without sharp edges is served better by ``al`` or ``msal``.  Far more sweeps wear
+everything down.
 
 At open edges vertices move along their normals only, never along the surface, so that the rim is
 not drawn inwards (``boundary=free``).  A vertex without neighbours, or whose normal cannot be told,
