@@ -14,10 +14,10 @@ of the tangent plane hardly counts, which is what keeps edges.  Three or four sw
 further one smooths more and shrinks the surface a little more.  Where texture matters use ``msal``.
 
 Choices beside the paper's defaults: ``weights`` decides how a neighbour counts less the higher it
-stands; each kind is scaled so that its influence h g(h) is greatest at sigma.  Gauss and Tukey keep
-edges best; with ``none`` the filter is the umbrella along normals.  ``deviation=median`` takes
-sigma = 1.4826 median|h - median h|: sharper edges under weak noise, but strong noise is taken for
-features.
+stands; each kind is scaled so that its influence h g(h) is greatest at sigma.  Gauss, Tukey and
+Lorentz keep edges about alike, Huber less; with ``none`` the filter is the umbrella along the
+normals.  ``deviation=median`` takes sigma = 1.4826 median|h - median h|: sharper edges under weak
+noise, but strong noise is taken for features.
 
 On a mesh of mixed triangle sizes vertices beside large triangles move faster than others.  Section
 4.3 scales for this, by the lumped mass A/3 with A the area of the faces around the vertex, or by
@@ -32,10 +32,10 @@ that instead, so that no step diverges.  The steps are smaller: take about 8 swe
 or 4.  ``msal`` does without, at less cost, unless triangle sizes differ a lot.
 
 Where sigma is zero all heights are equal and d is their mean; by the median most of them are, and
-the flattest count.  Where every neighbour is beyond Tukey's reach all count alike.  A vertex without
-neighbours, or whose normal cannot be told, stays.  Vertices at open edges are filtered with the
-neighbours that they have (``boundary=free``).  The cost of a sweep is proportional to the number of
-edges.
+the flattest count.  Where every neighbour is beyond Tukey's reach all count alike.  A vertex
+without neighbours, or whose normal cannot be told, stays.  Vertices at open edges are filtered with
+the neighbours that they have (``boundary=free``).  The cost of a sweep is proportional to the
+number of edges.
 
 Source: H. Huang and U. Ascher, Fast denoising of surface meshes with intrinsic texture, Inverse
 Problems 24 (2008), sections 2.3 and 4.3; weights after M. Black, G. Sapiro, D. Marimont and D.

@@ -12,10 +12,10 @@ falls off beyond: the shape below the pass band stays, the noise above it goes. 
 k_PB = 0.1132 give mu = -0.53, a pair of values that several programs share.  Some of them count
 passes rather than pairs: their 20 is 10 here.
 
-The volume is kept well, but edges are smeared and vertices slide along the surface, so that they
-end farther from where they were scanned than the small angles between normals suggest.  Very many
-iterations let the waves below the pass band grow.  mu = -lambda has no pass band and shrinks
-slowly.  Steps that would amplify most of the noise are refused.
+The volume is kept, or grows a little, but edges are smeared and vertices slide along the surface,
+so that they end farther from where they were scanned than the small angles between normals suggest.
+Very many iterations let the waves below the pass band grow.  mu = -lambda has no pass band and
+shrinks slowly.  Steps that would amplify most of the noise are refused.
 
 At open edges a vertex is averaged along the rim only (``boundary=curve``).  A vertex without
 neighbours stays.  An iteration costs two passes over the edges.
@@ -71,7 +71,7 @@ class Parameters:
     )
     inflate: float = parameter(
         0.0,
-        "the step outwards, negative and a little greater than lambda; 0 takes it from pass_band",
+        "the step outwards, negative, in size a little above lambda; 0 takes it from pass_band",
         symbol="mu",
         low=-1.0,
         high=0.0,

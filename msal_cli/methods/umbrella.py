@@ -15,8 +15,8 @@ sliding, ``taubin`` and ``hc`` shrink less.  Under ``schedule=multiscale`` lambd
 the heights of eq. (4), as in ``msal``, and brings much of the volume back.
 
 At open edges a vertex is averaged along the rim only (``boundary=curve``).  A vertex without
-neighbours stays, and so does a boundary vertex that no open edge joins to another.  Degenerate
-faces count with their edges.  The cost of a sweep is proportional to the number of edges.
+neighbours stays.  Degenerate faces count with their edges.  The cost of a sweep is proportional to
+the number of edges.
 
 Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH 1995, 351-358; eq.
 (3) of H. Huang and U. Ascher, Fast denoising of surface meshes with intrinsic texture, Inverse
