@@ -1,0 +1,79 @@
+"""Every method with a schedule, found by name, composes with each of them as equation (2) says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli import methods
+from msal_cli.mesh import prepared
+from tests.shapes import noisy, torus
+
+SCHEDULED = [
+    name
+    for name in methods.names()
+    if any(spec.name == "schedule" for spec in methods.find(name).parameters)
+]
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    vertices, faces = torus()
+    return prepared(noisy(vertices, 0, 0.05), faces).mesh
+
+
+@pytest.fixture(params=SCHEDULED)
+def run(request, mesh):
+    method = methods.find(request.param)
+    return lambda **given: method.denoised(mesh, method.settled(given)).vertices
+
+
+def moved(mesh, vertices):
+    return np.linalg.norm(vertices - mesh.vertices, axis=1)
+
+
+def test_the_operators_of_the_paper_are_among_them():
+    assert {"al", "umbrella", "scale_dependent_umbrella", "mean_curvature_flow", "bilateral"} <= (
+        set(SCHEDULED)
+    )
+
+
+def test_the_plain_schedule_is_the_default_and_looks_at_neither_k_nor_lambda(run):
+    assert (run(schedule="plain", K=0.1, fidelity=0.9) == run()).all()
+
+
+def test_a_constant_pull_of_zero_is_the_plain_schedule(run):
+    assert (run(schedule="constant", fidelity=0.0) == run()).all()
+
+
+def test_a_pull_of_one_keeps_the_last_step_only(run, mesh):
+    # x + dx + (v - x) = v + dx: nothing adds up from sweep to sweep.
+    once, often, plain = (
+        moved(mesh, run(n=n, schedule=schedule, fidelity=1.0)).max()
+        for n, schedule in ((1, "constant"), (12, "constant"), (12, "plain"))
+    )
+    assert often < 3 * once
+    assert often < plain
+
+
+def test_the_stronger_the_pull_the_closer_to_the_input(run, mesh):
+    distances = [
+        moved(mesh, run(n=8, schedule="constant", fidelity=pull)).mean() for pull in (0, 0.1, 0.5)
+    ]
+    assert distances[0] > distances[1] > distances[2] > 0
+
+
+def test_multiscale_starts_with_the_full_step(run):
+    assert np.allclose(run(n=1, schedule="multiscale", K=0.3), run(n=1), rtol=0, atol=1e-15)
+
+
+def test_multiscale_smooths_less_the_smaller_k_is(run, mesh):
+    plain = moved(mesh, run(n=4)).mean()
+    large, small = (moved(mesh, run(n=4, schedule="multiscale", K=K)).mean() for K in (0.9, 0.2))
+    assert plain > large > small > 0
+
+
+def test_multiscale_comes_back_to_the_input(run, mesh):
+    # Section 3: as sweeps go on the process converges to the data, over any operator.
+    few, many = (moved(mesh, run(n=n, schedule="multiscale")).max() for n in (4, 200))
+    assert many < 1e-3 * few
