@@ -509,6 +509,7 @@ def test_the_check_sees_every_foreign_byte() -> None:
         lambda d: d.replace(b"2.2500000", b"2.2500001"), lambda d: d.replace(b"2.2500000", b"x"),
         lambda d: d.replace(b"2.2500000", b"nan"), lambda d: d.replace(b"2.2500000", b""),
         lambda d: d.replace(b"2.2500000", b"2.2500000 1"),
+        lambda d: d.replace(b"2.2500000 1 ", b"2.2500000 1.0 "),
         lambda d: d.replace(b"v 0 0 0", b"v 0 0 1"),
         lambda d: d.replace(b"\n", b"\r\n"), lambda d: d.replace(b"f 4", b"f 3"),
         lambda d: re.sub(rb"vn [-.\d]+", b"vn 3", d, count=1),
