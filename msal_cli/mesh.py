@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-LARGEST_EXTENT = 1e100
-"""Squares and sixth powers of larger extents overflow, of the reciprocal's vanish."""
+LARGEST_EXTENT = 1e60
+"""Fourth powers of much larger extents overflow, and of the reciprocal's vanish."""
 
 
 @dataclass(frozen=True, eq=False)
