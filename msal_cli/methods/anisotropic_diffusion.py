@@ -1,0 +1,153 @@
+"""Anisotropic mean curvature diffusion: flattens and straightens, and keeps edges and corners.
+
+The mean curvature of a triangle mesh sits in its edges: an edge e between faces with unit normals m
+and n has the curvature vector H(e) = e x (n - m), whose length 2 |e| sin(phi / 2) grows with the
+angle phi between them.  Half their sum around a vertex is the gradient of the area, along which
+``mean_curvature_flow`` moves.  Here an edge that is bent more than a threshold lambda counts less:
+
+    H_A(x_i) = 1/2 sum(w(H(e)) H(e)),  w = 1 where |H| <= lambda
+                                       w = lambda^2 / (r (lambda - |H|)^2 + lambda^2) beyond
+    variant=amc:  x_i <- x_i - tau / M_i H_A(x_i)
+    variant=pmc:  x_i <- x_i - tau / M_i (H_A(x_i) - f_i V_A(x_i))
+
+with M_i a third of the area around the vertex.  ``amc`` is anisotropic mean curvature flow: it
+spares edges but shrinks all that is round, so that some ten steps are its best.  ``pmc`` flows
+towards a curvature f that is prescribed and smooth, and so keeps the volume nearly as it is and
+stays good for a hundred steps.  V_A is the gradient of the volume; at a feature, a vertex with an
+edge beyond lambda, it has that length, and the direction of H_A averaged with the mean of its
+neighbours' H_A.  The curvatures H_A . V_A / |V_A|^2 are averaged over the neighbours, a feature's
+over those that are features as well.
+
+lambda decides what an edge is.  By itself it is the median of |H| in the input, which is right for
+objects with sharp edges, or with ``shape=organic`` that plus 1.4826 times the median absolute
+deviation from it.  ``threshold`` sets it by hand.  A mesh without noise whose edges are flat for
+the greater part has lambda = 0 and is left alone.
+
+This differs from the paper in what the paper leaves to the user or to a scale: lambda follows the
+noise, tau is an area in units of the squared mean edge length, and where triangles are small or
+flat a vertex takes the step that is stable for it.  Averages over neighbours are weighted by |V_A|,
+not by angles, so that a fold, where V_A vanishes, cannot throw its neighbours out.  f is measured
+anew at every step; that of the noisy input gave 8.2 degrees on one model in place of 4.5.
+
+``schedule`` works with both variants; the multiscale one pulls each vertex back to where it was
+scanned, see ``msal``.  Boundary vertices are fixed; with ``boundary=free`` they move by the edges
+that have two faces.  Open edges, edges with more than two faces, and those of a face without area
+have no curvature here.  A vertex without others stays.  The cost of a step is proportional to the
+number of edges, about that of three sweeps of ``al``.
+
+Source: K. Hildebrandt and K. Polthier, Anisotropic filtering of non-linear surface features,
+Computer Graphics Forum 23 (3), Eurographics 2004, 391-400.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from msal_cli.core.anisotropic_curvature import AnisotropicCurvature, curvature_threshold
+from msal_cli.core.flaps import flaps
+from msal_cli.mesh import Mesh
+from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._sweeps import ScheduledParameters, free_vertices, run
+
+DEVIATIONS = {"cad": 0.0, "organic": 1.0}
+"""Standard deviations above the median at which lambda stands by itself."""
+
+
+@dataclass(frozen=True)
+class Parameters(ScheduledParameters):
+    """Parameters of anisotropic mean curvature diffusion."""
+
+    iterations: int = parameter(
+        40,
+        "steps; about 10 for variant=amc",
+        symbol="n",
+        low=0,
+        high=1000,
+        more="smoother; under the multiscale schedule many lead back to the input",
+    )
+    mollify: int = parameter(
+        1,
+        "multiscale schedule: passes that average the normals along which sigma is measured",
+        low=0,
+        high=100,
+        more="a lambda that follows the noise less",
+    )
+    normals: str = parameter(
+        "uniform",
+        "multiscale schedule: how face normals count in these normals: alike, or by face area",
+        choices=("uniform", "area"),
+    )
+    boundary: str = parameter(
+        "fixed",
+        "vertices at open edges: fixed, or free to move by the edges that have two faces",
+        choices=("fixed", "free"),
+    )
+    time_step: float = parameter(
+        0.1,
+        "time step of the first sweep; vertices with a smaller limit of stability take that",
+        symbol="tau",
+        low=0.0,
+        high=1000.0,
+        low_open=True,
+        unit="squared mean edge lengths",
+        more="smoother, up to the limit of each vertex",
+    )
+    variant: str = parameter(
+        "pmc",
+        "flow towards a smooth prescribed mean curvature, or plain anisotropic mean curvature flow",
+        choices=("pmc", "amc"),
+    )
+    threshold: float = parameter(
+        0.0,
+        "curvature |H| beyond which an edge is kept; 0 measures it on the input",
+        low=0.0,
+        high=1000.0,
+        unit="mean edge lengths",
+        more="smoother, fewer edges kept; but for 0",
+    )
+    shape: str = parameter(
+        "cad",
+        "with threshold=0: an object with sharp edges, or a rounded one, where fewer are kept",
+        choices=tuple(DEVIATIONS),
+    )
+    falloff: float = parameter(
+        10.0,
+        "how fast the weight of an edge falls beyond the threshold",
+        symbol="r",
+        low=0.0,
+        high=1e6,
+        low_open=True,
+        more="sharper edges, and more noise taken for an edge",
+    )
+
+
+def _operator(mesh: Mesh, parameters: Parameters) -> AnisotropicCurvature:
+    corners = flaps(mesh.faces, mesh.links)
+    edge = mesh.mean_edge_length
+    threshold = parameters.threshold * edge
+    if threshold == 0.0:
+        deviations = DEVIATIONS[parameters.shape]
+        threshold = curvature_threshold(mesh.vertices, corners, deviations)
+    return AnisotropicCurvature(
+        mesh.faces,
+        mesh.links,
+        corners,
+        free_vertices(mesh, parameters.boundary),
+        threshold,
+        parameters.falloff,
+        parameters.time_step * edge**2,
+        parameters.variant == "pmc",
+    )
+
+
+def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+    """Anisotropic diffusion of ``mesh``; see the module's description."""
+    return run(
+        mesh,
+        parameters,
+        lambda: _operator(mesh, parameters),
+        # The operator has taken its own step; the schedule's is a share of it.
+        dataclasses.replace(parameters, time_step=1.0).chosen_schedule(),
+        on_sweep,
+    )
