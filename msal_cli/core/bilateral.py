@@ -13,7 +13,7 @@ from msal_cli.core.exponential import exponentials
 from msal_cli.core.geometry import vertex_normals
 from msal_cli.core.operators import BLOCK_EDGES, SMALLEST_SIGMA, Step
 from msal_cli.core.parallel import over_ranges
-from msal_cli.core.reach import room, vertices_within
+from msal_cli.core.reach import room, vertices_around
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -183,7 +183,7 @@ def _ball_bilateral(  # type: ignore[no-untyped-def]
             continue
         width = max(width, floor)
         reach = radius if radius > 0.0 else 2.0 * width
-        count = vertices_within(i, x, ring_start, ring, reach * reach, mark, found, squares)
+        count = vertices_around(i, x, ring_start, ring, reach * reach, mark, found, squares)
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
         mean = 0.0
         for at in range(count):

@@ -10,16 +10,20 @@ from numpy.typing import NDArray
 
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.exponential import exponentials
-from msal_cli.core.geometry import face_normals, face_normals_and_areas
+from msal_cli.core.geometry import face_normals_and_areas
 from msal_cli.core.operators import SMALLEST_SIGMA, Step
 from msal_cli.core.parallel import over_ranges
-from msal_cli.core.reach import faces_within, room
+from msal_cli.core.reach import faces_around, room
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
 _CENTROIDS, _PROJECTIONS = range(2)
+
+SMALLEST_AREA = 1e-12
+"""Area of a mollified face, in squared mean edge lengths, up to which its normal is rounding: a
+triangle that no other touches shrinks to a point."""
 
 
 @njit(cache=True, nogil=True)
@@ -58,7 +62,7 @@ def _projected(  # type: ignore[no-untyped-def]
         moves[i, 0] = moves[i, 1] = moves[i, 2] = 0.0
         if not free[i]:
             continue
-        count = faces_within(
+        count = faces_around(
             i,
             x,
             centroids,
@@ -113,8 +117,8 @@ class ProjectionAverage:
     P(x) is the projection of x on the plane through a face's centroid c along its mollified
     normal, A the face's area, f and g Gaussians of widths ``closeness`` and ``similarity`` (Jones,
     Durand and Desbrun 2003).  Mollified normals are those of the faces after every vertex went to
-    the average of the centroids, with weights A f, f half as wide; where that leaves a face
-    without a normal its own is taken.  The faces are those with a centroid within 2 closeness
+    the average of the centroids, with weights A f, f half as wide; where that leaves nothing of a
+    face its own normal is taken.  The faces are those with a centroid within 2 closeness
     that such faces join to the vertex; one without any does not move.
 
     Attributes
@@ -144,8 +148,10 @@ class ProjectionAverage:
         smooth = positions + self._average(
             positions, centroids, areas, own, everywhere, 0.5 * self.closeness, _CENTROIDS
         )
-        normals = face_normals(smooth, self.faces)
-        normals = np.where((normals != 0.0).any(axis=1)[:, None], normals, own)
+        normals, smooth_areas = face_normals_and_areas(smooth, self.faces)
+        told = smooth_areas > SMALLEST_AREA * self.mean_edge_length**2
+        told &= (normals != 0.0).any(axis=1)
+        normals = np.where(told[:, None], normals, own)
         return Step(
             self._average(
                 positions, centroids, areas, normals, self.free, self.closeness, _PROJECTIONS

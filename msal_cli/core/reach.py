@@ -26,7 +26,7 @@ def room(start, stop, row_start):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def vertices_within(i, x, ring_start, ring, square_radius, mark, found, squares):  # type: ignore[no-untyped-def]
+def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares):  # type: ignore[no-untyped-def]
     """Vertices that edges join to i through vertices no farther from it than the radius.
 
     x positions.  ``mark`` (n,) must not hold i; ``found`` and ``squares`` have room for all.
@@ -63,7 +63,7 @@ def vertices_within(i, x, ring_start, ring, square_radius, mark, found, squares)
 
 
 @njit(cache=True, nogil=True)
-def faces_within(  # type: ignore[no-untyped-def]
+def faces_around(  # type: ignore[no-untyped-def]
     i,
     x,
     centroids,

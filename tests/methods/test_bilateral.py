@@ -1,0 +1,222 @@
+"""The bilateral filters: hand-worked, against a plain twin, and with published figures."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from msal_cli import methods
+from msal_cli.core.bilateral import BallBilateral, RingBilateral
+from msal_cli.errors import UsageError
+from msal_cli.mesh import prepared
+from tests import paper
+from tests.methods.pairs import all_errors
+from tests.shapes import cube, fan, grid, noisy, torus
+
+
+def run(vertices, faces, **given):
+    """File positions after the filter."""
+    ready = prepared(vertices, faces)
+    method = methods.find("bilateral")
+    return ready.scattered(method.denoised(ready.mesh, method.settled(given)).vertices, vertices)
+
+
+def mean_edge(v, rings):
+    return np.mean([np.linalg.norm(v[k] - v[i]) for i, ring in enumerate(rings) for k in ring])
+
+
+def flooded(x, rings, i, radius):
+    """Vertices that edges join to i through vertices within the radius, i itself among them."""
+    found, waiting = {i}, [i]
+    while waiting:
+        for k in rings[waiting.pop()]:
+            if k not in found and np.linalg.norm(x[k] - x[i]) <= radius:
+                found.add(k)
+                waiting.append(k)
+    return sorted(found)
+
+
+def twin(
+    v, faces, iterations, variant, mollify=1, closeness=0.0, similarity=0.0, radius=0.0, K=None
+):
+    """Both variants as their papers have them, vertex by vertex; under eqs. (6), (7) with K."""
+    rings = paper.one_rings(len(v), faces)
+    unit = mean_edge(v, rings)
+    fixed = paper.normal_field(v, faces, mollify)
+    x = v.copy()
+    for j in range(iterations):
+        n = fixed if variant == "one_ring" else paper.normal_field(x, faces, 0)
+        start, d, sigma = x, np.zeros(len(v)), np.zeros(len(v))
+        for i, ring in enumerate(rings):
+            over = (x[ring] - x[i]) @ fixed[i]
+            sigma[i] = 2 * np.mean(np.abs(over - np.mean(over)))
+            if variant == "one_ring":
+                near, sigma_c = ring, (closeness or 1.0) * unit
+                h = (x[near] - x[i]) @ n[i]
+                sigma_s = similarity * unit or np.std(h)
+            else:
+                sigma_c = (closeness or radius / 2) * unit
+                if not sigma_c:
+                    sigma_c = min(np.linalg.norm(x[k] - x[i]) for k in ring)
+                near = flooded(x, rings, i, radius * unit or 2 * sigma_c)
+                h = (x[near] - x[i]) @ n[i]
+                sigma_s = similarity * unit or np.std(np.abs(h))
+            if sigma_s <= 1e-9 * unit:
+                sigma_s = 1e-9 * unit  # a limit that the papers leave out
+            exponent = ((x[near] - x[i]) ** 2).sum(axis=1) / (2 * sigma_c**2) + h**2 / (
+                2 * sigma_s**2
+            )
+            w = np.exp(exponent.min() - exponent)
+            d[i] = (w * h).sum() / w.sum()
+        move = d[:, None] * n
+        x = x + (1.0 if K is None else K**j) * move
+        if K is not None:
+            x = x + (sigma / sigma.max())[:, None] * (v - start)
+    return x
+
+
+SHAPES = {
+    "torus": (noisy(torus()[0], 1, 0.15), torus()[1]),
+    "open grid": (noisy(grid(9, 8)[0], 2, 0.2), grid(9, 8)[1]),
+    "cube": (noisy(cube()[0], 3, 0.1), cube()[1]),
+    "tiny": (noisy(torus()[0], 5) * 1e-6, torus()[1]),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"variant": "one_ring"},
+        {"variant": "one_ring", "mollify": 0, "closeness": 0.4},
+        {"variant": "one_ring", "similarity": 0.05},
+        {"variant": "fleishman"},
+        {"variant": "fleishman", "closeness": 0.8},
+        {"variant": "fleishman", "radius": 2.5},
+        {"variant": "fleishman", "radius": 1.2, "closeness": 1.5, "similarity": 0.1},
+    ],
+    ids=lambda given: "-".join(map(str, given.values())),
+)
+def test_kernels_agree_with_the_papers(shape, given):
+    vertices, faces = SHAPES[shape]
+    expected = twin(vertices, faces, 3, **given)
+    actual = run(vertices, faces, iterations=3, **given)
+    size = np.ptp(vertices, axis=0).max()
+    assert np.abs(actual - expected).max() <= 1e-12 * size
+    assert np.abs(actual - vertices).max() > 1e-3 * size  # it did something
+
+
+@pytest.mark.parametrize("variant", ["one_ring", "fleishman"])
+def test_the_multiscale_schedule_goes_over_both(variant):
+    vertices, faces = SHAPES["torus"]
+    expected = twin(vertices, faces, 4, variant, K=0.4)
+    actual = run(vertices, faces, iterations=4, variant=variant, schedule="multiscale", K=0.4)
+    assert np.abs(actual - expected).max() <= 1e-12 * np.ptp(vertices)
+
+
+def test_the_one_ring_worked_by_hand():
+    # Heights 1, 1, 1, 5 and distances sqrt(2), sqrt(2), sqrt(2), sqrt(26) about an upright normal:
+    # the variance of the heights is (1 + 1 + 1 + 9) / 4 = 3, and sigma_c is 2.
+    vertices, faces = fan([1.0, 1.0, 1.0, 5.0])
+    mesh = prepared(vertices, faces).mesh
+    up = np.tile([0.0, 0.0, 1.0], (5, 1))
+    free = np.ones(5, dtype=bool)
+    ring = mesh.links.ring_start, mesh.links.ring
+    step = RingBilateral(up, *ring, free, 1.0, 2.0)(mesh.vertices)
+    near, far = np.exp(-2 / 8 - 1 / 6), np.exp(-26 / 8 - 25 / 6)
+    assert step.move[0] == pytest.approx((3 * near + 5 * far) / (3 * near + far), rel=1e-14)
+    assert step.sigma[0] == pytest.approx(3.0, rel=1e-15)  # that of eq. (4)
+
+
+def test_the_ball_worked_by_hand():
+    # Six neighbours at height 0.3, the vertex itself at 0: |h| has the mean 1.8 / 7 and the
+    # standard deviation 0.3 sqrt(6) / 7; edges to the vertex are longer than those of the ring.
+    vertices, faces = fan([0.3] * 6)
+    mesh = prepared(vertices, faces).mesh
+    free = np.ones(7, dtype=bool)
+    move = BallBilateral(mesh.faces, mesh.links, free, 1.0)(mesh.vertices).move[0]
+    w = np.exp(-0.5 - 0.5 * 0.3**2 / (0.3**2 * 6 / 49))
+    assert move == pytest.approx([0.0, 0.0, 6 * w * 0.3 / (6 * w + 1)], abs=1e-15)
+
+
+def test_with_endless_widths_it_is_the_mean():
+    vertices, faces = SHAPES["torus"]
+    mesh = prepared(vertices, faces).mesh
+    normals = mesh.vertex_normals("uniform", 1)
+    free = np.ones(len(vertices), dtype=bool)
+    ring = mesh.links.ring_start, mesh.links.ring
+    heights = RingBilateral(normals, *ring, free, 1.0, 1e9, 1e9)(mesh.vertices).move
+    umbrella = [
+        np.mean((mesh.vertices[ring] - x) @ n)
+        for ring, x, n in zip(
+            paper.one_rings(len(vertices), faces), mesh.vertices, normals, strict=True
+        )
+    ]
+    assert heights == pytest.approx(umbrella, abs=1e-14)
+
+
+@pytest.mark.parametrize("variant", ["one_ring", "fleishman"])
+@pytest.mark.parametrize("width", [1e-300, 1e-12])
+def test_tiny_widths_do_not_underflow(variant, width):
+    vertices, faces = SHAPES["torus"]
+    out = run(vertices, faces, variant=variant, closeness=width, similarity=width)
+    assert np.isfinite(out).all()
+
+
+def test_the_one_ring_drifts_along_its_normals_only():
+    vertices, faces = SHAPES["torus"]
+    mesh = prepared(vertices, faces).mesh
+    normals = mesh.vertex_normals("uniform", 1)
+    drift = np.cross(run(vertices, faces, iterations=50) - vertices, normals)
+    assert np.abs(drift).max() <= 4 * np.finfo(float).eps * np.abs(vertices).max()
+
+
+@pytest.mark.parametrize("variant", ["one_ring", "fleishman"])
+def test_boundary_is_free_or_fixed(variant):
+    vertices, faces = SHAPES["open grid"]
+    edge = prepared(vertices, faces).mesh.links.boundary
+    free = run(vertices, faces, variant=variant, closeness=1)
+    fixed = run(vertices, faces, variant=variant, closeness=1, boundary="fixed")
+    assert (free[edge] != vertices[edge]).any(axis=1).all()
+    assert (fixed[edge] == vertices[edge]).all()
+    assert (fixed[~edge] != vertices[~edge]).any(axis=1).all()
+
+
+def test_a_short_edge_stops_the_automatic_width_but_not_a_given_one():
+    # The middle of a fan stands out by 0.2 and has one neighbour at a hundredth of an edge.
+    vertices, faces = fan([0.0] * 8)
+    vertices[0, 2] = 0.2
+    vertices[1] = [0.01, 0.0, 0.2]
+    automatic = run(vertices, faces, variant="fleishman", iterations=1)
+    given = run(vertices, faces, variant="fleishman", iterations=1, closeness=1)
+    assert abs(automatic[0, 2] - 0.2) < 0.01
+    assert given[0, 2] < 0.18
+
+
+def test_vertices_without_an_edge_of_length_stay():
+    vertices, faces = fan([0.0] * 3)
+    mesh = dataclasses.replace(prepared(vertices, faces).mesh, vertices=np.zeros((4, 3)))
+    free = np.ones(4, dtype=bool)
+    assert (BallBilateral(faces, mesh.links, free, 1.0)(mesh.vertices).move == 0).all()
+
+
+def test_a_radius_needs_the_variant_that_has_one():
+    with pytest.raises(UsageError, match="radius") as caught:
+        methods.find("bilateral").settled({"radius": "2"})
+    assert "fleishman" in caught.value.hint
+    methods.find("bilateral").settled({"rho": "2", "variant": "fleishman"})
+
+
+def test_published_figures(real_data):
+    errors = all_errors(real_data, "bilateral", variant="fleishman")
+    assert [angle for angle, _ in errors] == pytest.approx([11.11, 16.74, 8.51, 10.29], abs=0.006)
+    assert [error for _, error in errors] == pytest.approx([14.1, 16.3, 9.6, 9.0], abs=0.06)
+
+
+def test_the_one_ring_is_no_better_than_al(real_data):
+    # "our BF does not generate significantly better results than AL" (section 2.3).
+    ours = np.array(all_errors(real_data, "bilateral"))
+    al = np.array(all_errors(real_data, "al", iterations=3))
+    assert np.abs(ours[:, 0] / al[:, 0] - 1).max() < 0.04

@@ -1,0 +1,193 @@
+"""The filter of Jones et al.: hand-worked, against a plain twin, and with published figures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli import methods
+from msal_cli.core.projections import ProjectionAverage
+from msal_cli.mesh import prepared
+from tests import paper
+from tests.methods.pairs import all_errors
+from tests.methods.test_bilateral import mean_edge
+from tests.shapes import cube, grid, noisy, torus
+
+
+def run(vertices, faces, **given):
+    """File positions after the filter."""
+    ready = prepared(vertices, faces)
+    method = methods.find("bilateral_non_iterative")
+    return ready.scattered(method.denoised(ready.mesh, method.settled(given)).vertices, vertices)
+
+
+def unit_normals(x, faces):
+    crossed = np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]])
+    return crossed / np.linalg.norm(crossed, axis=1)[:, None]
+
+
+def flooded(i, x, faces, centroids, radius):
+    """Faces within the radius of i that meet it, or a face found, at a vertex."""
+    near = np.linalg.norm(centroids - x[i], axis=1) <= radius
+    corners, found = {i}, set()
+    while True:
+        more = {
+            f
+            for f in np.flatnonzero(near).tolist()
+            if f not in found and corners & set(faces[f].tolist())
+        }
+        if not more:
+            return sorted(found)
+        found |= more
+        corners |= set(faces[sorted(more)].reshape(-1).tolist())
+
+
+def gauss(t, width):
+    return np.exp(-(t**2) / (2 * width**2))
+
+
+def twin(v, faces, sigma_f, sigma_g):
+    """One pass as the paper has it, vertex by vertex; widths in mean edge lengths."""
+    unit = mean_edge(v, paper.one_rings(len(v), faces))
+    sigma_f, sigma_g = sigma_f * unit, sigma_g * unit
+    c = v[faces].mean(axis=1)
+    area = (
+        np.linalg.norm(
+            np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]]), axis=1
+        )
+        / 2
+    )
+    around = [flooded(i, v, faces, c, 2 * sigma_f) for i in range(len(v))]
+    smooth = v.copy()
+    for i, near in enumerate(around):
+        if near:  # a limit that the paper leaves out
+            w = area[near] * gauss(np.linalg.norm(c[near] - v[i], axis=1), sigma_f / 2)
+            smooth[i] = (w[:, None] * c[near]).sum(axis=0) / w.sum()
+    n = unit_normals(smooth, faces)
+    out = v.copy()
+    for i, near in enumerate(around):
+        if near:
+            s = ((v[i] - c[near]) * n[near]).sum(axis=1)
+            w = area[near] * gauss(np.linalg.norm(c[near] - v[i], axis=1), sigma_f)
+            w *= gauss(s, sigma_g)
+            out[i] = (w[:, None] * (v[i] - s[:, None] * n[near])).sum(axis=0) / w.sum()
+    return out
+
+
+SHAPES = {
+    "torus": (noisy(torus()[0], 1, 0.15), torus()[1]),
+    "open grid": (noisy(grid(9, 8)[0], 2, 0.2), grid(9, 8)[1]),
+    "cube": (noisy(cube()[0], 3, 0.1), cube()[1]),
+    "tiny": (noisy(torus()[0], 5) * 1e-6, torus()[1]),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("widths", [(1.0, 1.0), (0.5, 0.2), (1.8, 0.7)])
+def test_kernels_agree_with_the_paper(shape, widths):
+    vertices, faces = SHAPES[shape]
+    expected = twin(vertices, faces, *widths)
+    actual = run(vertices, faces, closeness=widths[0], similarity=widths[1])
+    size = np.ptp(vertices, axis=0).max()
+    assert np.abs(actual - expected).max() <= 1e-12 * size
+    assert np.abs(actual - vertices).max() > 1e-3 * size  # it did something
+
+
+def test_with_endless_widths_it_is_the_mean_by_area():
+    # All mollified positions are one point then, so that faces keep their own normals.
+    vertices, faces = cube()
+    vertices[:, 0] *= 2.0
+    mesh = prepared(vertices, faces).mesh
+    free = np.ones(8, dtype=bool)
+    moves = ProjectionAverage(mesh.faces, mesh.links, free, 1.0, 1e9, 1e9)(mesh.vertices).move
+    # Of the area 10 the sides across x have 2, the others 4 each; from each vertex half of these
+    # are on its own planes, and the other halves are a side length away.
+    signs = -np.sign(mesh.vertices)
+    assert moves == pytest.approx(signs * [2 * 1 / 10, 1 * 2 / 10, 1 * 2 / 10], abs=1e-8)
+
+
+def test_a_vertex_far_from_every_centroid_stays():
+    # A strip of small triangles with one very long one at its end.
+    vertices, faces = grid(3, 12)
+    vertices = noisy(vertices, 1, 0.1)
+    vertices = np.concatenate([vertices, [[-30.0, 0.0, 5.0]]])
+    faces = np.concatenate([faces, [[0, 12, 36]]]).astype(np.int32)
+    out = run(vertices, faces)
+    assert (out[36] == vertices[36]).all()
+    assert (out[:36] != vertices[:36]).any(axis=1).all()
+
+
+def test_a_plane_far_off_hardly_counts():
+    # The vertices next to the ridge of a roof are well above or below the other side's plane: a
+    # wide sigma_g draws them towards it, a narrow one does not.
+    vertices, faces = grid(15, 15)
+    vertices[:, 2] = -2.0 * np.abs(vertices[:, 0] - 7.0)
+    wide, narrow = (
+        (run(vertices, faces, similarity=width) - vertices).reshape(15, 15, 3)[7, 8, 2]
+        for width in (5.0, 0.1)
+    )
+    assert abs(narrow) < 0.1 * abs(wide)
+
+
+def test_more_iterations_repeat_the_filter():
+    vertices, faces = SHAPES["torus"]
+    once = run(vertices, faces)
+    ready = prepared(vertices, faces)
+    operator = ProjectionAverage(
+        ready.mesh.faces,
+        ready.mesh.links,
+        np.ones(len(vertices), dtype=bool),
+        ready.mesh.mean_edge_length,
+        ready.mesh.mean_edge_length,
+        ready.mesh.mean_edge_length,
+    )
+    again = once + operator(once - ready.origin).move
+    assert run(vertices, faces, iterations=2) == pytest.approx(again, abs=1e-13)
+
+
+def test_the_multiscale_schedule_goes_over_it():
+    # Algorithm 1 with the displacement of the filter for dx.
+    vertices, faces = SHAPES["torus"]
+    rings = paper.one_rings(len(vertices), faces)
+    normals = paper.normal_field(vertices, faces, 1)
+    first = twin(vertices, faces, 1.0, 1.0)
+    sigma = np.zeros(len(vertices))
+    for i, ring in enumerate(rings):
+        h = (first[ring] - first[i]) @ normals[i]
+        sigma[i] = 2 * np.mean(np.abs(h - h.mean()))
+    scale = mean_edge(vertices, rings) / mean_edge(first, rings)
+    second = first + 0.25 * (twin(first, faces, scale, scale) - first)
+    second += (sigma / sigma.max())[:, None] * (vertices - first)
+    actual = run(vertices, faces, iterations=2, schedule="multiscale", K=0.25)
+    assert np.abs(actual - second).max() <= 1e-12 * np.ptp(vertices)
+
+
+@pytest.mark.parametrize("width", [1e-300, 1e-12])
+def test_tiny_widths_do_not_underflow(width):
+    vertices, faces = SHAPES["torus"]
+    assert (run(vertices, faces, closeness=width) == vertices).all()
+    assert np.isfinite(run(vertices, faces, similarity=width)).all()
+
+
+def test_boundary_is_free_or_fixed():
+    vertices, faces = SHAPES["open grid"]
+    edge = prepared(vertices, faces).mesh.links.boundary
+    free = run(vertices, faces)
+    fixed = run(vertices, faces, boundary="fixed")
+    assert (free[edge] != vertices[edge]).any(axis=1).all()
+    assert (fixed[edge] == vertices[edge]).all()
+    assert (fixed[~edge] == free[~edge]).all()
+
+
+def test_triangles_that_nothing_touches_are_their_own_planes():
+    # Each shrinks to a point when it is mollified, up to rounding: no direction may come of that.
+    corners = np.random.default_rng(0).normal(size=(200, 3, 3))
+    vertices = (corners + 50.0 * np.arange(200)[:, None, None]).reshape(-1, 3)
+    out = run(vertices, np.arange(600, dtype=np.int32).reshape(-1, 3))
+    assert np.abs(out - vertices).max() < 1e-9
+
+
+def test_published_figures(real_data):
+    errors = all_errors(real_data, "bilateral_non_iterative")
+    assert [angle for angle, _ in errors] == pytest.approx([10.99, 15.03, 6.50, 7.86], abs=0.006)
+    assert [error for _, error in errors] == pytest.approx([14.8, 15.7, 8.4, 8.9], abs=0.06)

@@ -1,0 +1,181 @@
+"""The hybrid filter: against a plain twin, on edges, rims and flats, and on real pairs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli import methods
+from msal_cli.mesh import prepared
+from tests import paper
+from tests.core.test_tangent_planes import roof
+from tests.methods.pairs import all_errors
+from tests.shapes import cube, grid, noisy, torus
+
+
+def result(vertices, faces, **given):
+    ready = prepared(vertices, faces)
+    method = methods.find("hybrid")
+    return ready, method.denoised(ready.mesh, method.settled(given))
+
+
+def run(vertices, faces, **given):
+    """File positions after the filter."""
+    ready, out = result(vertices, faces, **given)
+    return ready.scattered(out.vertices, vertices)
+
+
+def lloyd(values, count):
+    """K-means from the middle values of ``count`` equal parts, by the slowest means."""
+    order = sorted(values)
+    centres = [order[(2 * j + 1) * len(order) // (2 * count)] for j in range(count)]
+    while True:
+        label = [min(range(count), key=lambda j, x=x: (abs(x - centres[j]), j)) for x in values]
+        mine = [[x for x, one in zip(values, label, strict=True) if one == j] for j in range(count)]
+        moved = [np.mean(m) if m else c for m, c in zip(mine, centres, strict=True)]
+        if np.allclose(moved, centres, rtol=0, atol=1e-13):
+            return np.array(label)
+        centres = moved
+
+
+def twin(v, faces, sweeps, presmooth=3, count=3, angle=25.0, K=0.5, r=0.25, rim=frozenset()):
+    """The method's description, vertex by vertex; also which vertices are features."""
+    rings = paper.one_rings(len(v), faces)
+    first = min(presmooth, sweeps)
+    x = paper.algorithm_1(v, faces, first, None, 1)
+    n = paper.normal_field(x, faces, 0)
+    s = np.zeros(len(v))
+    for i in range(len(v)):
+        around = x[faces[(faces == i).any(axis=1)]]
+        crossed = np.cross(around[:, 1] - around[:, 0], around[:, 2] - around[:, 0])
+        unit = crossed / np.linalg.norm(crossed, axis=1)[:, None]
+        s[i] = np.mean(1 - unit @ n[i])
+    label = lloyd(np.log(np.maximum(s, 1e-6)).tolist(), count)
+    highest = (label == count - 1) & (s > 1 - np.cos(np.radians(angle) / 2))
+    feature = np.array([highest[i] and highest[rings[i]].any() for i in range(len(v))])
+    x[feature] = paper.algorithm_1(v, faces, first, K, 1)[feature]
+    for j in range(sweeps - first):
+        n = paper.normal_field(x, faces, 0)
+        U = np.array([np.mean(x[ring] - x[i], axis=0) for i, ring in enumerate(rings)])
+        u = (U * n).sum(axis=1)
+        out = x.copy()
+        for i, ring in enumerate(rings):
+            if feature[i]:
+                out[i] += K**j * np.mean([n[k] * ((x[k] - x[i]) @ n[k]) for k in ring], axis=0)
+            else:
+                t = np.zeros(3) if i in rim else U[i] - u[i] * n[i]
+                out[i] += 0.5 * (u[i] - 0.5 * np.mean(u[ring])) * n[i] + 0.5 * r * t
+        x = out
+    return x, feature
+
+
+ROOF = noisy(roof(0.7)[0], 2, 0.1), roof(0.7)[1]
+SHAPES = {
+    "torus": (noisy(torus()[0], 1, 0.15), torus()[1]),
+    "roof": ROOF,
+    "cube": (noisy(cube()[0], 3, 0.02), cube()[1]),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"K": 0.8, "r": 0.0},
+        {"count": 2, "angle": 0.0, "r": 1.0},
+        {"presmooth": 1, "angle": 40.0},
+    ],
+    ids=str,
+)
+def test_it_does_what_it_says(shape, given):
+    vertices, faces = SHAPES[shape]
+    mesh = prepared(vertices, faces).mesh
+    rim = set(np.flatnonzero(mesh.links.boundary).tolist())
+    expected, feature = twin(vertices, faces, 6, rim=rim, **given)
+    names = {"count": "clusters", "angle": "crease_angle_deg", "r": "regularize"}
+    ready, out = result(vertices, faces, **{names.get(k, k): x for k, x in given.items()})
+    assert (out.fields["feature"] == feature).all()
+    size = np.ptp(vertices, axis=0).max()
+    assert np.abs(out.vertices + ready.origin - expected).max() <= 1e-12 * size
+
+
+def test_the_shapes_of_the_twin_have_features_and_flats():
+    shares = [result(*SHAPES[shape])[1].fields["feature"].mean() for shape in ("torus", "roof")]
+    assert all(0.05 < share < 0.8 for share in shares)
+
+
+def test_features_are_the_ridge():
+    vertices, faces = roof(0.7)
+    _, out = result(noisy(vertices, 5, 0.03), faces)
+    feature = out.fields["feature"].reshape(7, 7)
+    assert feature[1:-1, 3].all()
+    assert not feature[:, [0, 1, 5, 6]].any()
+    assert (out.fields["cluster"][feature.reshape(-1) > 0] == 2).all()
+
+
+def test_a_ridge_stays_sharper_than_under_al():
+    vertices, faces = roof(0.7)
+    scan = noisy(vertices, 5, 0.05)
+    al = methods.find("al")
+    by_al = al.denoised(prepared(scan, faces).mesh, al.settled({"n": 3})).vertices
+    by_al = prepared(scan, faces).scattered(by_al, scan)
+
+    def sunk(out):
+        return -out.reshape(7, 7, 3)[1:-1, 3, 2].mean()
+
+    assert sunk(by_al) > 0.1
+    assert abs(sunk(run(scan, faces))) < 0.3 * sunk(by_al)
+
+
+def test_without_features_or_further_sweeps_it_is_al():
+    vertices, faces = SHAPES["torus"]
+    al = methods.find("al")
+    mesh = prepared(vertices, faces).mesh
+    expected = al.denoised(mesh, al.settled({"n": 3})).vertices
+    out = result(vertices, faces, iterations=3, crease_angle_deg=180)[1]
+    assert (out.vertices == expected).all()
+    assert not out.fields["feature"].any()
+
+
+def test_flat_triangles_become_even_and_the_rim_stays():
+    # Vertices pushed about within a plane: there is nothing to denoise.
+    vertices, faces = grid(8, 8)
+    flat = noisy(vertices, 6, 0.2) * [1.0, 1.0, 0.0]
+    edge = prepared(flat, faces).mesh.links.boundary
+    inner = ~edge
+    for share in (0.0, 0.25, 1.0):
+        out = run(flat, faces, regularize=share, iterations=10)
+        assert (out[edge] == flat[edge]).all()
+        assert (out[:, 2] == 0).all()
+        off = np.linalg.norm((out - vertices)[inner], axis=1).mean()
+        if share == 0.0:
+            assert (out == flat).all()
+            before = off
+        else:
+            assert off < 0.85 * before
+            before = off
+
+
+def test_a_fixed_rim_stays():
+    vertices, faces = ROOF
+    edge = prepared(vertices, faces).mesh.links.boundary
+    fixed = run(vertices, faces, boundary="fixed")
+    assert (fixed[edge] == vertices[edge]).all()
+    assert (fixed[~edge] != vertices[~edge]).any(axis=1).all()
+    assert (run(vertices, faces)[edge] != vertices[edge]).any(axis=1).all()
+
+
+def test_vertices_whose_normal_cannot_be_told_stay():
+    # Two triangles folded flat onto each other.
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0.0, 1, 0], [0.5, 1, 0]], dtype=float)
+    faces = np.array([[0, 1, 2], [1, 0, 3]], dtype=np.int32)
+    out = run(vertices, faces, mollify=0)
+    assert (out[:2] == vertices[:2]).all()
+
+
+def test_measured_figures(real_data):
+    # Angles of al: 9.77, 11.31, 5.91, 6.04.  Parts with edges gain, the others must not lose much.
+    errors = np.array(all_errors(real_data, "hybrid"))
+    assert errors[:, 0] == pytest.approx([6.07, 7.60, 6.01, 5.98], abs=0.02)
+    assert errors[:, 1] == pytest.approx([10.9, 14.7, 12.3, 10.9], abs=0.1)
