@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,6 @@ from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import free_vertices
 
 Floats = NDArray[np.float64]
-
-OnPass = Callable[[], None]
-"""Called after every pass over faces or vertices, and amid long ones; may end the run."""
 
 
 @dataclass(frozen=True)
@@ -51,33 +48,47 @@ class NormalFilterParameters:
     )
 
 
+@dataclass
+class Passes:
+    """Progress of a run: its passes of either kind are equal shares of ``iterations``.
+
+    What ``on_sweep`` raises ends the run.
+    """
+
+    on_sweep: OnSweep | None
+    iterations: int
+    passes: int
+    done: int = field(default=0, init=False)
+
+    def passed(self) -> None:
+        """One more pass is done."""
+        self.done += 1
+        self.going_on()
+
+    def going_on(self) -> None:
+        """Still within the same pass: time to look for an interruption."""
+        if self.on_sweep is not None:
+            self.on_sweep(self.iterations * self.done // self.passes, self.iterations)
+
+
 def run(
     mesh: Mesh,
     parameters: NormalFilterParameters,
-    filtered_normals: Callable[[OnPass], Floats],
+    filtered_normals: Callable[[Passes], Floats],
     on_sweep: OnSweep | None,
     normal_passes: int | None = None,
 ) -> Result:
     """The two stages: ``filtered_normals`` gives the normals (m, 3) that the vertices then fit.
 
-    ``filtered_normals`` calls its argument after each of its ``normal_passes``, by default
-    ``iterations``.  Progress is told in iterations: each pass of either stage is an equal share
-    of them.
+    It tells its argument of each of its ``normal_passes``, by default ``iterations``.
     """
-    total = parameters.iterations
-    if not total:
+    if not parameters.iterations:
         return Result(mesh.vertices.copy(), seconds={"normals": 0.0, "sweeps": 0.0})
-    first = total if normal_passes is None else normal_passes
-    done = 0
-
-    def on_pass() -> None:
-        nonlocal done
-        done += 1
-        if on_sweep is not None:
-            on_sweep(total * done // (first + parameters.vertex_iterations), total)
-
+    if normal_passes is None:
+        normal_passes = parameters.iterations
+    passes = Passes(on_sweep, parameters.iterations, normal_passes + parameters.vertex_iterations)
     started = time.perf_counter()
-    normals = filtered_normals(on_pass)
+    normals = filtered_normals(passes)
     ready = time.perf_counter()
     vertices = updated_vertices(
         mesh.vertices,
@@ -86,7 +97,7 @@ def run(
         mesh.links,
         free_vertices(mesh, parameters.boundary),
         parameters.vertex_iterations,
-        on_pass,
+        passes.passed,
     )
     finished = time.perf_counter()
     return Result(vertices, seconds={"normals": ready - started, "sweeps": finished - ready})

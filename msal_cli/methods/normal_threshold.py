@@ -67,12 +67,12 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
     return run(
         mesh,
         parameters,
-        lambda on_pass: threshold_averages(
+        lambda passes: threshold_averages(
             face_normals(mesh.vertices, mesh.faces),
             *face_rings(mesh.faces, mesh.links, parameters.neighbours),
             parameters.threshold,
             parameters.iterations,
-            on_pass,
+            passes.passed,
         ),
         on_sweep,
     )
