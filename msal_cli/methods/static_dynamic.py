@@ -1,0 +1,182 @@
+"""Static/dynamic filter: face normals of least energy, by a guide and by their own likeness.
+
+Where two near faces belong together is told by two Gaussians at once: a static one of their guide
+normals g, made from the mesh as it is, and a dynamic one of the normals n that are sought.  With
+the given normals n0, areas A and centroids c the energy
+
+    sum_i A_i |n_i - n0_i|^2 + lambda' sum_ij w_ij (1 - exp(-|n_i - n_j|^2 / (2 nu^2)))
+    w_ij = (A_i + A_j) exp(-|c_i - c_j|^2 / (2 eta^2)) exp(-|g_i - g_j|^2 / (2 mu^2))
+
+is brought near a minimum by steps that replace all normals by the normalised sums
+
+    2 nu^2 / lambda' A_i n0_i + sum_j w_ij exp(-|n_i - n_j|^2 / (2 nu^2)) n_j
+
+until their change, the root of its area-weighted mean square, is at most ``tolerance_deg``, or 100
+steps are done.  The second sum runs over faces within 3 eta, joined through others that are, and
+lambda' = lambda sum(A) / sum(w without its last factor).  The guide is that of ``guided_normal``:
+the mean normal of the most consistent patch around.  Then ``vertex_iterations`` passes fit the
+vertices,
+
+    x_i <- x_i + mean over the faces f around i of (n_f . (c_f - x_i)) n_f
+
+and the whole starts anew from the mesh as it is now, ``iterations`` times.
+
+That vertex update is the one that all filters of normals here share.  The authors' own, which
+solves for the vertices whose faces are nearest to planes of the wanted normals, leaves slivers and
+flipped faces at noise of 0.2 to 0.3 mean edge lengths: at the same parameters its mean angles are
+greater by a third to three quarters.
+
+Against ``guided_normal`` the faces that count reach twice as far, and the result stays tied to the
+normals of the mesh.  The default suits machined parts with large flats.  Organic and finely meshed
+shapes want less: lambda 0.5, eta 1 and 3 iterations, or lambda 0.2 and 5 under weaker noise.  Fine
+texture goes: for scans whose noise is weak take ``msal``.
+
+At most 256 faces are near one, the first ones met along the surface.  A vertex or an edge with more
+than 64 faces does not make its faces neighbours.  Faces without area have no normal to keep, and
+take on the mean of those around.  Where a sum vanishes the normal is kept.  Boundary vertices move
+with the faces that they have, unless ``boundary=fixed``.  A vertex without faces stays.  The cost
+is proportional to the number of faces, and its memory too: about 1 KB a face.
+
+Source: J. Zhang, B. Deng, Y. Hong, Y. Peng, W. Qin and L. Liu, Static/dynamic filtering for mesh
+geometry, IEEE Transactions on Visualization and Computer Graphics 25 (2019), 1774-1787; vertex
+update after X. Sun, P. Rosin, R. Martin and F. Langbein, the same journal 13 (2007), 925-938.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+from msal_cli.core.face_guides import patches
+from msal_cli.core.face_reach import faces_within
+from msal_cli.core.face_rings import face_centroids, mean_centroid_distance
+from msal_cli.core.geometry import face_normals_and_areas
+from msal_cli.core.static_dynamic import minimising_normals, pair_weights
+from msal_cli.core.vertex_update import updated_vertices
+from msal_cli.mesh import Mesh
+from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._sweeps import free_vertices
+
+MOST_NEAR = 256
+"""Faces near one at most; fifty are usual."""
+
+MOST_STEPS = 100
+"""Towards the minimum of the energy."""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of the static/dynamic filter."""
+
+    iterations: int = parameter(
+        5,
+        "filterings of the normals, each with its passes over the vertices",
+        symbol="n",
+        low=0,
+        high=1000,
+        more="smoother, with sharper edges; fine features go",
+    )
+    strength: float = parameter(
+        2.0,
+        "weight of the likeness of near normals, against keeping them as they are",
+        symbol="lambda",
+        low=0.0,
+        high=1e6,
+        more="smoother",
+    )
+    closeness: float = parameter(
+        1.5,
+        "width of the Gaussian of the distances between centroids; faces within 3 of it count",
+        symbol="eta",
+        low=0.0,
+        high=10.0,
+        low_open=True,
+        unit="mean distances of the centroids of faces that share an edge",
+        more="smoother, and dearer with its square; small features go",
+    )
+    guidance: float = parameter(
+        1.5,
+        "width of the Gaussian of the differences between guide normals",
+        symbol="mu",
+        low=0.0,
+        high=100.0,
+        low_open=True,
+        more="the guide matters less",
+    )
+    similarity: float = parameter(
+        0.3,
+        "width of the Gaussian of the differences between the normals themselves",
+        symbol="nu",
+        low=0.0,
+        high=100.0,
+        low_open=True,
+        more="smoother; blunt edges go",
+    )
+    tolerance_deg: float = parameter(
+        0.2,
+        "mean change of the normals in a step at which a filtering ends",
+        low=0.0,
+        high=90.0,
+        unit="degrees",
+        more="faster, less smooth",
+    )
+    vertex_iterations: int = parameter(
+        10,
+        "passes that fit the vertices to the normals, after each filtering",
+        low=0,
+        high=1000,
+        more="faces closer to their normals, vertices farther from the scan",
+    )
+    boundary: str = parameter(
+        "free",
+        "vertices at open edges: fitted like the others to the faces that they have, or fixed",
+        choices=("free", "fixed"),
+    )
+
+
+def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+    """Static/dynamic filtering of ``mesh``; see the module's description."""
+    started = time.perf_counter()
+    faces, links = mesh.faces, mesh.links
+    around = patches(faces, links)
+    free = free_vertices(mesh, parameters.boundary)
+    # The change of a unit vector that turns by the angle.
+    tolerance = 2.0 * math.sin(math.radians(parameters.tolerance_deg) / 2.0)
+    ready = time.perf_counter()
+
+    positions = mesh.vertices.copy()
+    for iteration in range(parameters.iterations):
+
+        def still(done: int = iteration) -> None:
+            # Amid a long filtering: no more is done, but the caller may end the run.
+            if on_sweep is not None:
+                on_sweep(done, parameters.iterations)
+
+        normals, areas = face_normals_and_areas(positions, faces)
+        centroids = face_centroids(positions, faces)
+        unit = mean_centroid_distance(centroids, around.edge_start, around.edge_ring)
+        # Without neighbours there is no unit, and nothing that it would measure.
+        eta = parameters.closeness * (unit or mesh.mean_edge_length)
+        near = faces_within(centroids, around.ring_start, around.ring, 3.0 * eta, MOST_NEAR)
+        weights, share = pair_weights(
+            around.guides(normals, areas), centroids, areas, *near, eta, parameters.guidance
+        )
+        wanted = minimising_normals(
+            normals,
+            areas,
+            *near,
+            weights,
+            parameters.strength * share,
+            parameters.similarity,
+            tolerance,
+            MOST_STEPS,
+            still,
+        )
+        positions = updated_vertices(
+            positions, wanted, faces, links, free, parameters.vertex_iterations
+        )
+        if on_sweep is not None:
+            on_sweep(iteration + 1, parameters.iterations)
+    finished = time.perf_counter()
+    return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})
