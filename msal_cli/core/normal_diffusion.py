@@ -13,8 +13,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.exponential import exponentials
 from msal_cli.core.face_rings import face_centroids
 from msal_cli.core.geometry import VANISHED, face_normals_and_areas
+from msal_cli.core.operators import BLOCK_EDGES
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.robust_laplacian import PER_MEDIAN
 
@@ -60,22 +62,43 @@ def _shares(start, stop, x, faces, centroids, areas, ring_start, ring, time_step
 
 @njit(cache=True, nogil=True)
 def _diffused(start, stop, normals, shares, inverse, ring_start, ring, result):  # type: ignore[no-untyped-def]
+    """Faces are taken in blocks: first the exponents of all, then the exponentials, then sums."""
+    widest = 0
     for f in range(start, stop):
-        nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
-        sx, sy, sz = nx, ny, nz
-        for at in range(ring_start[f], ring_start[f + 1]):
-            g = ring[at]
-            dx, dy, dz = normals[g, 0] - nx, normals[g, 1] - ny, normals[g, 2] - nz
-            weight = shares[at] * np.exp(-(dx * dx + dy * dy + dz * dz) * inverse)
-            sx += weight * dx
-            sy += weight * dy
-            sz += weight * dz
-        length = np.sqrt(sx * sx + sy * sy + sz * sz)
-        if length > VANISHED:
-            nx, ny, nz = sx / length, sy / length, sz / length
-        result[f, 0] = nx
-        result[f, 1] = ny
-        result[f, 2] = nz
+        widest = max(widest, ring_start[f + 1] - ring_start[f])
+    capacity = max(BLOCK_EDGES, widest)
+    weights = np.empty(capacity)
+    scratch = np.empty(capacity)
+    scratch_bits = scratch.view(np.int64)
+    f = start
+    while f < stop:
+        first = f
+        origin = ring_start[f]
+        while f < stop and ring_start[f + 1] - origin <= capacity:
+            nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
+            for at in range(ring_start[f], ring_start[f + 1]):
+                # Unsigned, so that no index is looked at for being negative.
+                g = np.uint64(ring[at])
+                dx, dy, dz = normals[g, 0] - nx, normals[g, 1] - ny, normals[g, 2] - nz
+                weights[at - origin] = -(dx * dx + dy * dy + dz * dz) * inverse
+            f += 1
+        exponentials(weights, scratch, scratch_bits, ring_start[f] - origin)
+        for own in range(first, f):
+            nx, ny, nz = normals[own, 0], normals[own, 1], normals[own, 2]
+            sx = sy = sz = 0.0
+            for at in range(ring_start[own], ring_start[own + 1]):
+                g = np.uint64(ring[at])
+                weight = shares[at] * weights[at - origin]
+                sx += weight * (normals[g, 0] - nx)
+                sy += weight * (normals[g, 1] - ny)
+                sz += weight * (normals[g, 2] - nz)
+            sx, sy, sz = nx + sx, ny + sy, nz + sz
+            length = np.sqrt(sx * sx + sy * sy + sz * sz)
+            if length > VANISHED:
+                nx, ny, nz = sx / length, sy / length, sz / length
+            result[own, 0] = nx
+            result[own, 1] = ny
+            result[own, 2] = nz
 
 
 def difference_width(normals: Floats, ring_start: Ints, ring: Ints) -> float:
