@@ -154,7 +154,7 @@ def test_normals_that_no_face_uses_stay() -> None:
 
 
 def test_normals_without_length_or_number_stay() -> None:
-    data = ROOF.replace(b"0.0 0.7 0.7", b"nan 0 1e999").replace(b"0.00 -0.71 0.71", b"0 0 0")
+    data = ROOF.replace(b"0.0 0.7 0.7", b"NaN 0 1e999").replace(b"0.00 -0.71 0.71", b"0 0 0")
     file = obj.read(data, "")
     vertices = moved(file)
     output = bytes(file.replaced(vertices))

@@ -84,6 +84,8 @@ MALFORMED: dict[str, tuple[bytes, type[InputError], str, str, str]] = {
     "32 bits": (V + b"f 1 2 4294967297\n", ContentError, "E_INDEX", "line 4, face 1", "2147"),
     "very negative": (V + b"f 1 2 -" + b"9" * 20 + b"\n", ContentError, "E_INDEX", "line 4", "-99"),
     "index 0 in a short one": (V + F + b"f 0 1\n", ContentError, "E_INDEX", "line 5, face 2", "0"),
+    "behind a short one": (V + b"f 1 2\nf 0 1 2\n", ContentError, "E_INDEX", "line 5, face 2", "0"),
+    "bad behind short": (V + b"f 1\nf 1 2 x\n", FormatError, "E_FORMAT", "line 5, face 2", "x"),
     "no corners": (V + b"f\n" + F, FormatError, "E_FORMAT", "line 4, face 1", "no corners"),
     "comment only": (V + b"f # 1 2 3\n" + F, FormatError, "E_FORMAT", "line 4, face 1", "corners"),
     "not whole": (V + b"f 1.0 2 3\n" + F, FormatError, "E_FORMAT", "line 4, face 1", "'1.0'"),
@@ -158,7 +160,7 @@ def test_every_prefix_of_a_file_is_whole_or_refused() -> None:
 
 def test_claims_do_not_take_memory() -> None:
     # Counted as statements at first sight, and none of them is one.
-    data = V + F + b"#" + b" v f vn" * 200_000 + b"\n"
+    data = V + F + b"#" + b" v" * 300_000 + b" f" * 300_000 + b"\n"
     file = obj.read(data, "")
     assert (len(file.vertices), len(file.faces)) == (3, 1)
     base = file.vertices.base
