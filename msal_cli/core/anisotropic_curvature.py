@@ -41,7 +41,9 @@ def _edge_curvatures(  # type: ignore[no-untyped-def]
     round.  Zeros beside a degenerate face.
     """
     for e in range(start, stop):
-        p1, p2, p3, p4 = corners[e, 0], corners[e, 1], corners[e, 2], corners[e, 3]
+        # Unsigned, so that no index is looked at for being negative.
+        p1, p2 = np.uint64(corners[e, 0]), np.uint64(corners[e, 1])
+        p3, p4 = np.uint64(corners[e, 2]), np.uint64(corners[e, 3])
         ex, ey, ez = x[p3, 0] - x[p1, 0], x[p3, 1] - x[p1, 1], x[p3, 2] - x[p1, 2]
         bx, by, bz = x[p2, 0] - x[p1, 0], x[p2, 1] - x[p1, 1], x[p2, 2] - x[p1, 2]
         dx, dy, dz = x[p4, 0] - x[p1, 0], x[p4, 1] - x[p1, 1], x[p4, 2] - x[p1, 2]
@@ -54,10 +56,12 @@ def _edge_curvatures(  # type: ignore[no-untyped-def]
         dd, de = dx * dx + dy * dy + dz * dz, dx * ex + dy * ey + dz * ez
         hx = hy = hz = slope_1 = slope_3 = 0.0
         if m > DEGENERATE * max(ee, bb) and n > DEGENERATE * max(ee, dd):
+            # Not by reciprocals: equal normals are to cancel without a rest.
             qx, qy, qz = nx / n - mx / m, ny / n - my / m, nz / n - mz / m
             hx, hy, hz = ey * qz - ez * qy, ez * qx - ex * qz, ex * qy - ey * qx
-            slope_1 = max(abs(ee - be) / m, LEAST) + max(abs(ee - de) / n, LEAST)
-            slope_3 = max(abs(be) / m, LEAST) + max(abs(de) / n, LEAST)
+            m, n = 1.0 / m, 1.0 / n
+            slope_1 = max(abs(ee - be) * m, LEAST) + max(abs(ee - de) * n, LEAST)
+            slope_3 = max(abs(be) * m, LEAST) + max(abs(de) * n, LEAST)
         size = np.sqrt(hx * hx + hy * hy + hz * hz)
         bent[e] = size > threshold
         if bent[e]:
@@ -115,8 +119,11 @@ def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> f
 
 
 @njit(cache=True, nogil=True)
-def _edge_rows(corners, edge_start, ends):  # type: ignore[no-untyped-def]
-    """Rows of the flaps e whose edge ends at each vertex: 2 e where it is p1, 2 e + 1 for p3."""
+def _edge_rows(corners, edge_start, ends, beside):  # type: ignore[no-untyped-def]
+    """Rows of the flaps e whose edge ends at each vertex: 2 e where it is p1, 2 e + 1 for p3.
+
+    ``beside`` is the vertex at the other end.
+    """
     for e in range(len(corners)):
         edge_start[corners[e, 0] + 1] += 1
         edge_start[corners[e, 2] + 1] += 1
@@ -127,6 +134,7 @@ def _edge_rows(corners, edge_start, ends):  # type: ignore[no-untyped-def]
         for end in range(2):
             i = corners[e, 2 * end]
             ends[edge_start[i]] = 2 * e + end
+            beside[edge_start[i]] = corners[e, 2 - 2 * end]
             edge_start[i] += 1
     for i in range(len(edge_start) - 1, 0, -1):
         edge_start[i] = edge_start[i - 1]
@@ -171,7 +179,7 @@ def _gathered(  # type: ignore[no-untyped-def]
         hx = hy = hz = stiffness = 0.0
         feature[i] = False
         for at in range(edge_start[i], edge_start[i + 1]):
-            e, end = ends[at] >> 1, ends[at] & 1
+            e, end = np.uint64(ends[at] >> 1), np.uint64(ends[at] & 1)
             hx += curvatures[e, 0]
             hy += curvatures[e, 1]
             hz += curvatures[e, 2]
@@ -182,7 +190,7 @@ def _gathered(  # type: ignore[no-untyped-def]
         total[i, 2] = 0.5 * hz
         ax = ay = az = area = 0.0
         for at in range(face_start[i], face_start[i + 1]):
-            f = incident[at]
+            f = np.uint64(incident[at])
             ax += vectors[f, 0]
             ay += vectors[f, 1]
             az += vectors[f, 2]
@@ -200,7 +208,7 @@ def _gathered(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _directions(  # type: ignore[no-untyped-def]
-    start, stop, corners, edge_start, ends, total, outward, feature, along, products
+    start, stop, edge_start, beside, total, outward, feature, along, products
 ):
     """V_A of length |grad volume|, the product H_A . V_A / |V_A|, and |V_A|."""
     for i in range(start, stop):
@@ -209,7 +217,7 @@ def _directions(  # type: ignore[no-untyped-def]
         if feature[i]:
             sx = sy = sz = 0.0
             for at in range(edge_start[i], edge_start[i + 1]):
-                k = corners[ends[at] >> 1, 2 - 2 * (ends[at] & 1)]
+                k = np.uint64(beside[at])
                 sx += total[k, 0]
                 sy += total[k, 1]
                 sz += total[k, 2]
@@ -232,14 +240,12 @@ def _directions(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _prescribed(  # type: ignore[no-untyped-def]
-    start, stop, corners, edge_start, ends, along, products, feature, total
-):
+def _prescribed(start, stop, edge_start, beside, along, products, feature, total):  # type: ignore[no-untyped-def]
     """Take f V_A from H_A."""
     for i in range(start, stop):
         product = length = 0.0
         for at in range(edge_start[i], edge_start[i + 1]):
-            k = corners[ends[at] >> 1, 2 - 2 * (ends[at] & 1)]
+            k = np.uint64(beside[at])
             if feature[k] or not feature[i]:
                 product += products[k, 0]
                 length += products[k, 1]
@@ -283,17 +289,18 @@ class AnisotropicCurvature:
     normals: None = None
 
     @functools.cached_property
-    def _rows(self) -> tuple[Ints, Ints]:
-        """The flaps whose edge ends at each vertex, in compressed rows."""
+    def _rows(self) -> tuple[Ints, Ints, Ints]:
+        """The flaps whose edge ends at each vertex, in compressed rows; see ``_edge_rows``."""
         edge_start = np.zeros(len(self.free) + 1, dtype=np.int32)
         ends = np.empty(2 * len(self.corners), dtype=np.int32)
-        _edge_rows(self.corners, edge_start, ends)
-        return edge_start, ends
+        beside = np.empty_like(ends)
+        _edge_rows(self.corners, edge_start, ends, beside)
+        return edge_start, ends, beside
 
     def __call__(self, positions: Floats) -> Step:
         """The moves (n, 3) at ``positions``, all from the same positions."""
         n = len(positions)
-        around = self._rows
+        edge_start, ends, beside = self._rows
         vectors = np.empty((len(self.faces), 4))
         over_ranges(_area_vectors, len(self.faces), positions, self.faces, vectors)
         total, outward, rate = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
@@ -302,7 +309,8 @@ class AnisotropicCurvature:
             _gathered,
             n,
             *_weighted_curvatures(positions, self.corners, self.threshold, self.falloff),
-            *around,
+            edge_start,
+            ends,
             vectors,
             self.links.face_start,
             self.links.incident_faces,
@@ -315,8 +323,7 @@ class AnisotropicCurvature:
         )
         if self.prescribed:
             along, products = np.empty((n, 3)), np.empty((n, 2))
-            over_ranges(
-                _directions, n, self.corners, *around, total, outward, feature, along, products
-            )
-            over_ranges(_prescribed, n, self.corners, *around, along, products, feature, total)
+            rows = edge_start, beside
+            over_ranges(_directions, n, *rows, total, outward, feature, along, products)
+            over_ranges(_prescribed, n, *rows, along, products, feature, total)
         return Step(-rate[:, None] * total)
