@@ -25,6 +25,9 @@ Ints = NDArray[np.int32]
 MOST_AROUND = 64
 """Faces around an edge or a vertex beyond which sharing it does not make neighbours."""
 
+MOST_PAIRS = 2**31 - 1
+"""Entries that 32-bit rows can number."""
+
 
 @njit(cache=True, nogil=True)
 def _circles(faces, face_start, incident, following):  # type: ignore[no-untyped-def]
@@ -111,7 +114,7 @@ def face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, In
     Raises
     ------
     TooLargeError
-        where the faces have 2^31 neighbours or more in all.
+        where the faces have more than ``MOST_PAIRS`` neighbours in all.
     """
     around = (faces, links.face_start, links.incident_faces)
     following = np.empty(3 * len(faces), dtype=np.int32)
@@ -123,7 +126,7 @@ def face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, In
     counted = (*around, following, at_corners, sizes)
     over_ranges(_neighbours, len(faces), *counted, ring_start, ring)
     total = int(sizes.sum(dtype=np.int64))
-    if total > np.iinfo(np.int32).max:
+    if total > MOST_PAIRS:
         raise TooLargeError(
             f"the {len(faces)} faces have {total} neighbours, too many to number",
             hint="cut the mesh into parts",
