@@ -46,9 +46,13 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from msal_cli.core.face_guides import patches
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.core.face_guides import Patches, patches
 from msal_cli.core.face_reach import faces_within
 from msal_cli.core.face_rings import face_centroids, mean_centroid_distance
 from msal_cli.core.geometry import face_normals_and_areas
@@ -57,6 +61,9 @@ from msal_cli.core.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import free_vertices
+
+Floats = NDArray[np.float64]
+OnStep = Callable[[], object]
 
 MOST_NEAR = 256
 """Faces near one at most; fifty are usual."""
@@ -135,14 +142,41 @@ class Parameters:
     )
 
 
+def _filtered_normals(
+    vertices: Floats, mesh: Mesh, around: Patches, parameters: Parameters, on_step: OnStep
+) -> Floats:
+    """Normals (m, 3) for the faces of ``mesh`` with its vertices at ``vertices`` (n, 3).
+
+    A function of its own, so that the rows of one filtering are gone when the next makes its own.
+    """
+    normals, areas = face_normals_and_areas(vertices, mesh.faces)
+    centroids = face_centroids(vertices, mesh.faces)
+    unit = mean_centroid_distance(centroids, around.edge_start, around.edge_ring)
+    # Without neighbours there is no unit, and nothing that it would measure.
+    eta = parameters.closeness * (unit or mesh.mean_edge_length)
+    near = faces_within(centroids, around.ring_start, around.ring, 3.0 * eta, MOST_NEAR)
+    weights, share = pair_weights(
+        around.guides(normals, areas), centroids, areas, *near, eta, parameters.guidance
+    )
+    return minimising_normals(
+        normals,
+        areas,
+        *near,
+        weights,
+        strength=parameters.strength * share,
+        nu=parameters.similarity,
+        # The change of a unit vector that turns by the angle.
+        tolerance=2.0 * math.sin(math.radians(parameters.tolerance_deg) / 2.0),
+        most_steps=MOST_STEPS,
+        on_step=on_step,
+    )
+
+
 def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """Static/dynamic filtering of ``mesh``; see the module's description."""
     started = time.perf_counter()
-    faces, links = mesh.faces, mesh.links
-    around = patches(faces, links)
+    around = patches(mesh.faces, mesh.links)
     free = free_vertices(mesh, parameters.boundary)
-    # The change of a unit vector that turns by the angle.
-    tolerance = 2.0 * math.sin(math.radians(parameters.tolerance_deg) / 2.0)
     ready = time.perf_counter()
 
     positions = mesh.vertices.copy()
@@ -153,28 +187,13 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
             if on_sweep is not None:
                 on_sweep(done, parameters.iterations)
 
-        normals, areas = face_normals_and_areas(positions, faces)
-        centroids = face_centroids(positions, faces)
-        unit = mean_centroid_distance(centroids, around.edge_start, around.edge_ring)
-        # Without neighbours there is no unit, and nothing that it would measure.
-        eta = parameters.closeness * (unit or mesh.mean_edge_length)
-        near = faces_within(centroids, around.ring_start, around.ring, 3.0 * eta, MOST_NEAR)
-        weights, share = pair_weights(
-            around.guides(normals, areas), centroids, areas, *near, eta, parameters.guidance
-        )
-        wanted = minimising_normals(
-            normals,
-            areas,
-            *near,
-            weights,
-            parameters.strength * share,
-            parameters.similarity,
-            tolerance,
-            MOST_STEPS,
-            still,
-        )
         positions = updated_vertices(
-            positions, wanted, faces, links, free, parameters.vertex_iterations
+            positions,
+            _filtered_normals(positions, mesh, around, parameters, still),
+            mesh.faces,
+            mesh.links,
+            free,
+            parameters.vertex_iterations,
         )
         if on_sweep is not None:
             on_sweep(iteration + 1, parameters.iterations)
