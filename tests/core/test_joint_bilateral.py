@@ -37,7 +37,8 @@ def test_where_the_sum_vanishes_the_normal_is_kept():
 
 
 def test_guides_far_apart_do_not_mix():
-    assert (filtered([X, Y], [X, Y], sigma_r=0.01) == [X, Y]).all()
+    # Exponents end at -700.
+    assert np.abs(filtered([X, Y], [X, Y], sigma_r=0.01) - [X, Y]).max() < 1e-300
 
 
 def test_without_neighbours_nothing_changes():
