@@ -13,7 +13,7 @@ angle phi between them.  Half their sum around a vertex is the gradient of the a
 with M_i a third of the area around the vertex.  ``amc`` is anisotropic mean curvature flow: it
 spares edges but shrinks all that is round, so that some ten steps are its best.  ``pmc`` flows
 towards a curvature f that is prescribed and smooth, and so keeps the volume nearly as it is and
-stays good for a hundred steps.  V_A is the gradient of the volume; at a feature, a vertex with an
+stays good for far more.  V_A is the gradient of the volume; at a feature, a vertex with an
 edge beyond lambda, it has that length, and the direction of H_A averaged with the mean of its
 neighbours' H_A.  The curvatures H_A . V_A / |V_A|^2 are averaged over the neighbours, a feature's
 over those that are features as well.
@@ -33,7 +33,7 @@ anew at every step; that of the noisy input gave 8.2 degrees on one model in pla
 scanned, see ``msal``.  Boundary vertices are fixed; with ``boundary=free`` they move by the edges
 that have two faces.  Open edges, edges with more than two faces, and those of a face without area
 have no curvature here.  A vertex without others stays.  The cost of a step is proportional to the
-number of edges, about that of three sweeps of ``al``.
+number of edges, about that of four sweeps of ``al``.
 
 Source: K. Hildebrandt and K. Polthier, Anisotropic filtering of non-linear surface features,
 Computer Graphics Forum 23 (3), Eurographics 2004, 391-400.

@@ -64,10 +64,11 @@ def test_a_ridge_points_out_and_a_valley_in(angle, side):
 def test_an_edge_beside_a_face_without_area_has_none():
     vertices, _ = roof(1.0)
     corners = np.array([[0, 1, 2, 3]], dtype=np.int32)
-    vertices[3] = [0, 0.3, 0]
-    assert (edge_curvatures(vertices, corners) == 0.0).all()
-    vertices[3] = [0, 1, 0]
-    assert (edge_curvatures(vertices, corners) == 0.0).all()
+    for beside in ([0, 0.3, 0], [0, 1, 0], [-1e-13, 0.3, 0]):
+        vertices[3] = beside
+        assert (edge_curvatures(vertices, corners) == 0.0).all()
+    vertices[3] = [-1e-9, 0.3, 0]
+    assert (edge_curvatures(vertices, corners) != 0.0).any()
 
 
 def test_the_threshold_is_the_median_and_deviations_above_it():

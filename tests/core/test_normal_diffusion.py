@@ -90,9 +90,10 @@ def conductances(vertices, faces, normals, similarity):
     return sides, total
 
 
-def test_a_face_without_area_has_no_say():
+@pytest.mark.parametrize("height", [0.0, 1e-13])
+def test_a_face_without_area_has_no_say(height):
     vertices, faces = roof(1.0)
-    vertices = np.concatenate([vertices, [vertices[1] / 2 + vertices[2] / 2]])
+    vertices = np.concatenate([vertices, [vertices[1] / 2 + vertices[2] / 2 + [0, 0, height]]])
     faces = np.concatenate([faces, [[2, 1, 4]]]).astype(np.int32)
     rings = rings_of(vertices, faces)
     found = diffused_normals(vertices, faces, *rings, 0.5, 0.01, 1)
