@@ -9,6 +9,7 @@ the index.  The pages depend on nothing else; a test fails where this was forgot
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -47,15 +48,14 @@ def inline(text: str, link_from: str = "") -> str:
 
 
 def prose(description: str, name: str) -> Iterator[str]:
-    """The blocks of a docstring as Markdown: indented ones are formulas."""
+    """The blocks of a docstring as Markdown: formulas where they are indented, lists, prose."""
     for block in filter(None, re.split(r"\n\s*\n", description)):
-        lines = block.strip("\n").split("\n")
-        if all(line.startswith("    ") for line in lines):
-            body = "\n".join(line[4:] for line in lines)
-            yield f"```\n{body}\n```\n"
-        elif lines[0].startswith("- "):
-            items = re.split(r"^- ", block.strip("\n"), flags=re.MULTILINE)[1:]
-            yield "".join(f"- {inline(item, name)}\n" for item in items)
+        items = re.split(r"^(-|\d+\.) +", block, flags=re.MULTILINE)
+        if all(line.startswith("    ") for line in block.splitlines()):
+            yield f"```\n{textwrap.dedent(block)}\n```\n"
+        elif not items[0] and len(items) > 1:
+            pairs = zip(items[1::2], items[2::2], strict=True)
+            yield "".join(f"{mark} {inline(item, name)}\n" for mark, item in pairs)
         else:
             yield f"{inline(block, name)}\n"
 

@@ -55,7 +55,8 @@ def test_a_page_tells_everything(name: str) -> None:
         assert row[1].strip() == f"`{spec.default}`"
         assert MAKER.inline(spec.help) in row[3]
         assert row[4].strip() == MAKER.inline(spec.more)
-    formulas = re.findall(r"^    (\S.*)$", method.description, re.MULTILINE)
+    indented = re.findall(r"^\n((?: {4}.*\n)+)$", method.description, re.MULTILINE)
+    formulas = [line.strip() for block in indented for line in block.splitlines()]
     blocks = "\n".join(re.findall(r"^```(?:sh)?\n(.*?)^```$", text, re.MULTILINE | re.DOTALL))
     assert all(formula in blocks for formula in formulas)
 
@@ -74,9 +75,10 @@ def test_names_of_other_methods_are_links() -> None:
 
 
 def test_indented_blocks_are_formulas_and_dashes_are_lists() -> None:
-    text = "First\nline:\n\n    a * b\n      c\n\n- one\n  more\n- two"
+    text = "First\nline:\n\n    a * b\n      c\n\n- one\n  more\n- two\n\n1.  up\n    to\n2. 3.4 x"
     assert list(MAKER.prose(text, "al")) == [
         "First line:\n",
         "```\na * b\n  c\n```\n",
         "- one more\n- two\n",
+        "1. up to\n2. 3.4 x\n",
     ]
