@@ -71,7 +71,7 @@ class Parameters(ScheduledParameters):
         "multiscale schedule: passes that average the normals along which sigma is measured",
         low=0,
         high=100,
-        more="a lambda that follows the noise less",
+        more="a fidelity that follows the noise less",
     )
     normals: str = parameter(
         "uniform",
