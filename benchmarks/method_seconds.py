@@ -3,8 +3,8 @@
     MSAL_DATA=FOLDER python benchmarks/method_seconds.py [--repeats 2]
 
 FOLDER holds clean/igea.ply (134,345 vertices); it gets Gaussian noise of 0.2 mean edge lengths
-along its normals.  Printed are the best of the repeats, kernels compiled before, reading and writing
-left out, beside what C++ implementations took for the same on a machine of the same kind.
+along its normals.  Printed are the best of the repeats, kernels compiled before, without reading
+and writing, beside what C++ implementations took for the same on a machine of the same kind.
 """
 
 from __future__ import annotations
