@@ -179,8 +179,6 @@ def _ball_bilateral(  # type: ignore[no-untyped-def]
         width = closeness
         if width == 0.0:
             width = _shortest_edge(i, x, ring_start, ring, floor)
-        if width == 0.0:
-            continue
         width = max(width, floor)
         reach = radius if radius > 0.0 else 2.0 * width
         count = vertices_around(i, x, ring_start, ring, reach * reach, mark, found, squares)

@@ -29,7 +29,7 @@ most 2,048 neighbours beyond the one-ring count.
 Vertices at open edges are filtered with the neighbours that they have (``boundary=free``).  One
 without neighbours, or whose normal cannot be told, stays.  Where sigma_s is zero the closest in
 height count.  The cost of a sweep is proportional to the number of edges, for ``fleishman`` to the
-vertices within the radius, about ten times as much.  Neither keeps fine texture under heavy
+vertices within the radius, seven times as much and up.  Neither keeps fine texture under heavy
 smoothing; ``schedule=multiscale`` brings it back as in ``msal``.
 
 Source: S. Fleishman, I. Drori and D. Cohen-Or, Bilateral mesh denoising, ACM Transactions on

@@ -23,6 +23,11 @@ def test_centres_move():
     assert clusters(values, 2).tolist() == [0, 0, 0, 0, 0, 0, 1]
 
 
+def test_a_value_between_two_centres_joins_the_lower():
+    # Seeds 0 and 2; 1 joins 0, and their mean 0.5 keeps it.
+    assert clusters(np.array([0.0, 1.0, 2.0]), 2).tolist() == [0, 0, 1]
+
+
 @pytest.mark.parametrize("count", [2, 3, 7])
 def test_equal_values_are_the_lowest_cluster(count):
     assert clusters(np.full(5, 0.3), count).tolist() == [0] * 5

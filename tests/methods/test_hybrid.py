@@ -167,11 +167,13 @@ def test_a_fixed_rim_stays():
 
 
 def test_vertices_whose_normal_cannot_be_told_stay():
-    # Two triangles folded flat onto each other.
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [0.0, 1, 0], [0.5, 1, 0]], dtype=float)
-    faces = np.array([[0, 1, 2], [1, 0, 3]], dtype=np.int32)
-    out = run(vertices, faces, mollify=0)
-    assert (out[:2] == vertices[:2]).all()
+    # A disk folded flat along x through its middle, vertex 0: two of its faces look up, two down.
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0.2, 1, 0], [-1, 0, 0], [-0.2, 1, 0]], dtype=float)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]], dtype=np.int32)
+    mesh = prepared(vertices, faces).mesh
+    assert not mesh.links.boundary[0]
+    assert (mesh.vertex_normals()[0] == 0).all()
+    assert (run(vertices, faces, regularize=1.0)[0] == vertices[0]).all()
 
 
 def test_measured_figures(real_data):
