@@ -14,10 +14,10 @@ scan:
 
     (1 - lambda) sum|n'_i - sum(w_ij n'_j) / sum(w_ij)|^2 + lambda sum|n'_i - n_i|^2 -> min
 
-and normalises them: one linear system, solved by conjugate gradients to 2e-5; ``iterations`` does
-not matter to it, unless it is 0.  Then the vertices are moved until the faces have these normals,
-in passes that each add the mean of a vertex's ways to the planes of its faces through their
-centroids:
+and normalises them: one linear system, solved by conjugate gradients, to 2e-5 on the mean;
+``iterations`` does not matter to it, unless it is 0.  Then the vertices are moved until the faces
+have these normals, in passes that each add the mean of a vertex's ways to the planes of its faces
+through their centroids:
 
     x_i <- x_i + mean((n'_f . (c_f - x_i)) n'_f)
 
@@ -59,7 +59,7 @@ from msal_cli.methods._normal_filters import NormalFilterParameters, Passes, run
 Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-4
-"""Residual of the global solution over lambda; the normals are then right to 1e-5 or 2e-5."""
+"""Residual of the global solution over lambda; normals are then right to 2e-5 on the mean."""
 
 MOST_ITERATIONS = 5000
 """Of the conjugate gradients: 100 at the default lambda, 1000 at the least that is allowed."""
