@@ -24,7 +24,7 @@ Flags = NDArray[np.bool_]
 CHUNK = 4096
 """Rows that are summed up together: sums over chunks do not depend on how threads share them."""
 
-OnIteration = Callable[[int, float], None]
+OnIteration = Callable[[int, float], object]
 """Called as ``on_iteration(done, residual)`` after every iteration; what it raises ends the run."""
 
 
