@@ -133,11 +133,12 @@ def test_the_defaults_are_the_authors():
     assert np.abs(run(vertices, faces, variant="global") - expected).max() <= 1e-4 / least
 
 
-def system(vertices, faces, sharing="vertex"):
+def system(vertices, faces, sharing="vertex", area_unit=1.0):
     links = connectivity(len(vertices), faces)
     normals, areas = face_normals_and_areas(vertices, faces)
     rows = face_rings(faces, links, sharing)
     distances = distance_exponents(face_centroids(vertices, faces), *rows, 0.7)
+    areas *= area_unit
     return normals, areas, normal_system(normals, areas, distances, *rows, 0.35, 0.01)
 
 
@@ -174,9 +175,19 @@ def test_the_matrix_is_the_formula(sharing):
     assert np.abs(matrix.diagonal - expected.diagonal()).max() < 1e-13
 
 
-def test_a_face_without_area_stays_out_of_the_system():
+def test_the_matrix_does_not_depend_on_the_unit_of_areas():
+    vertices, faces = grid(5, 4)
+    vertices = noisy(vertices, 3, 0.2)
+    expected = dense(system(vertices, faces)[2], len(faces))
+    for unit in (2.0**-700, 2.0**700):
+        found = dense(system(vertices, faces, area_unit=unit)[2], len(faces))
+        assert np.abs(found - expected).max() < 1e-15
+
+
+@pytest.mark.parametrize("height", [0.0, 1e-14])
+def test_a_face_without_a_normal_stays_out_of_the_system(height):
     vertices, faces = grid(4, 4)
-    vertices = np.concatenate([vertices, [[0.5, 0.0, 0.0]]])
+    vertices = np.concatenate([vertices, [[0.5, height, 0.0]]])
     faces = np.concatenate([faces, [[0, 16, 1]]]).astype(np.int32)
     _, _, matrix = system(vertices, faces)
     found = dense(matrix, len(faces))

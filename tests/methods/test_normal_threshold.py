@@ -116,6 +116,16 @@ def test_a_sharp_edge_is_kept_where_flat_parts_are_smoothed():
     assert error[:, 6].mean() < start.mean()  # the ridge itself
 
 
+def test_passes_of_both_stages_are_equal_shares_of_the_progress():
+    vertices, faces = torus(7, 5)
+    told = []
+    mesh = prepared(vertices, faces).mesh
+    METHOD.denoised(
+        mesh, METHOD.settled({"n": 2, "vertex_iterations": 3}), lambda *at: told.append(at)
+    )
+    assert told == [(0, 2), (0, 2), (1, 2), (1, 2), (2, 2)]
+
+
 @pytest.mark.parametrize("T", ["1", "-0.1", "nan"])
 def test_thresholds_that_leave_nothing_are_refused(T):
     with pytest.raises(UsageError, match="threshold"):
