@@ -27,7 +27,8 @@ class Plan:
     ----------
     tasks : one per input file, in the order of the inputs.
     homes : for each task the folder whose manifest notes it, or None where there is none (one
-        file into one file).  It is the output folder or, in place, the folder that was searched.
+        file into one file).  It is the output folder or, in place, the folder that was searched
+        or holds the file.
     fresh : do every file again, even where its output is current.
     """
 
@@ -117,28 +118,25 @@ def _in_place(
                 hint=f"take a suffix that is no mesh format, such as {DEFAULT_BACKUP}",
             )
     tasks, homes = [], []
-    has_home = len(found) > 1 or any(one.root for one in found)
     for one in found:
         path = Path(one.path)
         real = _real(path)
-        if one.root and path.is_symlink() and not real.is_relative_to(_real(Path(one.root))):
+        root = Path(one.root) if one.root else None
+        if root is not None and path.is_symlink() and not real.is_relative_to(_real(root)):
             raise UsageError(
                 f"{one.path!r} leads out of {one.root!r} to {str(real)!r}",
                 hint="leave it out with --exclude, or name it as an input itself",
                 path=one.path,
             )
-        # A link stays a link: the file that it leads to is the one to replace.
-        target = real if path.is_symlink() else path
-        home = str(_home_of(target, one.root))
+        # A link stays a link: the file that it leads to is the one to replace.  It is named from
+        # the folder that was searched, so that there is one manifest for all in it.
+        target = path
+        if path.is_symlink():
+            target = real if root is None else root / real.relative_to(_real(root))
         tasks.append(Task(str(target), str(target), one.relative, in_place=True, backup=backup))
-        homes.append(home if has_home else None)
+        # Also a single file has a manifest: without it a second run would denoise it twice.
+        homes.append(str(target.parent if root is None else root))
     return Plan(tuple(tasks), tuple(homes), fresh)
-
-
-def _home_of(target: Path, root: str) -> Path:
-    if not root:
-        return target.parent
-    return Path(root) if target.is_relative_to(root) else _real(Path(root))
 
 
 def _is_file_output(

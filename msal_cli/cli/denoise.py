@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from msal_cli.pipeline import Settings
     from msal_cli.records import MeshRecord
     from msal_cli.report.document import Run
+
+_log = logging.getLogger("msal.denoise")
 
 _DEFAULT_BACKUP = ".orig"
 
@@ -255,6 +258,7 @@ class _Session:
             record = pipe.denoised(one, settings, bar.on_progress)
         finally:
             bar.close()
+        _log_record(record)
         return self._concluded(settings, [record])
 
     # Files
@@ -273,7 +277,9 @@ class _Session:
         def keep(event: Event) -> None:
             if isinstance(event, Finished):
                 finished[event.index] = event.record
+                _log_record(event.record)
 
+        _log.info("%s files, method %s %s", len(plan.tasks), settings.method, settings.parameters)
         bar = progress.bar(plan.tasks, quiet=request.quiet or request.dry_run)
         try:
             records = run(
@@ -299,8 +305,6 @@ class _Session:
         """
         from msal_cli.records import MeshRecord
 
-        if not finished:
-            return
         records = [
             finished.get(index) or MeshRecord(task.input, "planned", task.output)
             for index, task in enumerate(plan.tasks)
@@ -430,6 +434,18 @@ def _settings(request: Request) -> Settings:
         strict=request.strict,
         format=words.settled_format(request.format, files.readable_suffixes, "--format"),
     )
+
+
+def _log_record(record: MeshRecord) -> None:
+    """One line of the log per file; a failure is told elsewhere too, so it is no warning here."""
+    if record.error is not None:
+        why = f"{record.error.code}: {record.error.where}: {record.error.message}"
+        _log.info("%s: failed: %s", record.input, why)
+        return
+    seconds = record.seconds.total if record.seconds is not None else 0.0
+    _log.info("%s: %s in %.3f s -> %s", record.input, record.status, seconds, record.output)
+    for warning in record.warnings:
+        _log.info("%s: %s", record.input, warning)
 
 
 def _backup_suffix(request: Request) -> str | None:

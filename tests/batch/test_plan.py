@@ -280,12 +280,22 @@ class TestInPlace:
         assert plan.key(1) == "b/c.ply"
         assert planned([tmp_path / "in"], None, in_place=True, backup=None).tasks[0].backup is None
 
-    def test_one_file_needs_no_manifest(self, tmp_path):
+    def test_one_file_has_a_manifest_too(self, tmp_path):
+        # Without it a second run would denoise the file once more.
         made(tmp_path, "in/a.ply", "in/b.ply")
         one = planned([tmp_path / "in/a.ply"], None, in_place=True)
         both = planned([tmp_path / "in/a.ply", tmp_path / "in/b.ply"], None, in_place=True)
-        assert one.homes == (None,)
+        assert one.homes == (str(tmp_path / "in"),)
         assert both.homes == (str(tmp_path / "in"),) * 2
+
+    @pytest.mark.skipif(os.name == "nt", reason="links need rights there")
+    def test_links_within_the_folder_share_its_manifest(self, tmp_path, monkeypatch):
+        made(tmp_path, "in/a.ply", "in/b.ply")
+        (tmp_path / "in/link.ply").symlink_to("b.ply")
+        monkeypatch.chdir(tmp_path)
+        plan = planned(["in"], None, in_place=True)
+        assert set(plan.homes) == {"in"}
+        assert sorted(task.output for task in plan.tasks) == ["in/a.ply", "in/b.ply"]
 
     def test_what_makes_no_sense_is_refused(self, tmp_path, refuses):
         made(tmp_path, "a.ply")

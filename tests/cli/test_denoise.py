@@ -286,8 +286,22 @@ def test_in_place_keeps_the_original(scan):
 def test_in_place_with_another_backup(scan, options, names):
     before = scan.read_bytes()
     assert msal("denoise", scan, "--in-place", *options).exit_code == 0
-    assert scan.read_bytes() != before
-    assert tree(scan.parent) == names
+    once = scan.read_bytes()
+    assert once != before
+    assert tree(scan.parent) == [".msal-manifest.jsonl", *names]
+    again = msal("denoise", scan, "--in-place", *options)
+    assert again.exit_code == 0
+    assert scan.read_bytes() == once, "it was denoised twice"
+
+
+def test_the_log_file_tells_every_file(scan, tmp_path):
+    (scan.parent / "bad.ply").write_bytes(b"ply\n")
+    log = tmp_path / "night.log"
+    msal("denoise", scan.parent, "-o", tmp_path / "out", "-q", "--log-file", log)
+    text = log.read_text()
+    assert "scan.ply: written" in text
+    assert "bad.ply: failed: E_" in text
+    assert "2 files" in text
 
 
 def test_another_format(scan, tmp_path):
