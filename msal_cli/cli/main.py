@@ -120,7 +120,9 @@ def _say_usage(error: click.UsageError) -> None:
     from msal_cli.report.names import shown
 
     command = error.ctx.command_path if error.ctx is not None else "msal"
-    talk.say(f"msal: error: {shown(error.format_message())}", "bad")
+    # Click lists choices one below the other.
+    message = error.format_message().replace("\n\t", " ")
+    talk.say(f"msal: error: {shown(message)}", "bad")
     talk.say(f"hint: {command} --help tells how it is used")
 
 

@@ -28,20 +28,22 @@ OUT_OF_REACH = 1e300
 
 
 @njit(cache=True, nogil=True)
-def _distances(start, stop, centroids, falloff, ring_start, ring, exponents):  # type: ignore[no-untyped-def]
+def _distances(start, stop, centroids, falloff, handicaps, ring_start, ring, exponents):  # type: ignore[no-untyped-def]
     for f in range(start, stop):
         for at in range(ring_start[f], ring_start[f + 1]):
             g = ring[at]
             dx = centroids[g, 0] - centroids[f, 0]
             dy = centroids[g, 1] - centroids[f, 1]
             dz = centroids[g, 2] - centroids[f, 2]
-            exponents[at] = (dx * dx + dy * dy + dz * dz) * falloff
+            exponents[at] = (dx * dx + dy * dy + dz * dz) * falloff + handicaps[g]
 
 
-def distance_exponents(centroids: Floats, ring_start: Ints, ring: Ints, closeness: float) -> Floats:
-    """|c_i - c_j|^2 / (2 sigma_c^2) of all pairs in the rows, (pairs,).
+def distance_exponents(
+    centroids: Floats, ring_start: Ints, ring: Ints, closeness: float, handicaps: Floats
+) -> Floats:
+    """|c_i - c_j|^2 / (2 sigma_c^2) + handicap_j of all pairs in the rows, (pairs,).
 
-    ``closeness`` is sigma_c > 0, in the unit of the centroids (m, 3).
+    ``closeness`` is sigma_c > 0, in the unit of the centroids (m, 3); ``handicaps`` are (m,).
     """
     exponents = np.empty(len(ring))
     over_ranges(
@@ -49,6 +51,7 @@ def distance_exponents(centroids: Floats, ring_start: Ints, ring: Ints, closenes
         len(centroids),
         centroids,
         0.5 / closeness**2,
+        handicaps,
         ring_start,
         ring,
         exponents,
@@ -110,9 +113,10 @@ def _averaged(start, stop, normals, exponents, falloff, ring_start, ring, result
 def bilateral_averages(
     normals: Floats,
     areas: Floats,
-    distances: Floats,
+    centroids: Floats,
     ring_start: Ints,
     ring: Ints,
+    closeness: float,
     similarity: float,
     passes: int,
     on_pass: Callable[[], object],
@@ -126,15 +130,16 @@ def bilateral_averages(
     Parameters
     ----------
     normals, areas : (m, 3) unit normals, zeros for faces without, and (m,), any unit.
-    distances : (pairs,), of ``distance_exponents``.
+    centroids : (m, 3), file units.
     ring_start, ring : rows of neighbouring faces.
+    closeness : sigma_c > 0, file units.
     similarity : sigma_s > 0, a length of differences of unit normals.
     on_pass : called after every pass; what it raises ends the run.
     """
     usable = (normals != 0.0).any(axis=1) & (areas > 0.0)
-    logarithms = np.full(len(areas), -OUT_OF_REACH)
-    logarithms[usable] = np.log(areas[usable])
-    exponents = distances - logarithms[ring]
+    handicaps = np.full(len(areas), OUT_OF_REACH)
+    handicaps[usable] = -np.log(areas[usable])
+    exponents = distance_exponents(centroids, ring_start, ring, closeness, handicaps)
     falloff = 1.0 / similarity**2
     for _ in range(passes):
         result = np.empty_like(normals)

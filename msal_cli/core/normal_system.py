@@ -16,14 +16,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.bilateral_normals import BLOCK_PAIRS, distance_exponents
 from msal_cli.core.exponential import exponentials
 from msal_cli.core.parallel import over_ranges
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
-
-BLOCK_PAIRS = 1024
-"""Pairs whose exponentials are taken at a time: they fit a first-level cache."""
 
 ALONE = 1e-200
 """A face whose neighbours weigh less, in mean face areas, is taken as one without neighbours."""
@@ -143,9 +141,10 @@ class NormalSystem:
 def normal_system(
     normals: Floats,
     areas: Floats,
-    distances: Floats,
+    centroids: Floats,
     ring_start: Ints,
     ring: Ints,
+    closeness: float,
     similarity: float,
     fidelity: float,
 ) -> NormalSystem:
@@ -153,7 +152,9 @@ def normal_system(
 
     Parameters
     ----------
-    distances : (pairs,), of ``bilateral_normals.distance_exponents``.
+    centroids : (m, 3), file units.
+    ring_start, ring : rows of neighbouring faces.
+    closeness : sigma_c > 0, file units.
     similarity : sigma_s > 0, a length of differences of unit normals.
     fidelity : lambda, 0 < lambda <= 1.
     """
@@ -162,7 +163,7 @@ def normal_system(
     relative = np.where(usable, areas, 0.0)
     mean = float(relative.mean())
     relative /= mean if mean > 0.0 else 1.0
-    values = distances.copy()
+    values = distance_exponents(centroids, ring_start, ring, closeness, np.zeros(m))
     totals = np.empty(m)
     over_ranges(
         _gaussians, m, normals, relative, 1.0 / similarity**2, ring_start, ring, values, totals

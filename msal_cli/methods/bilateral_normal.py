@@ -47,7 +47,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.core.bilateral_normals import bilateral_averages, distance_exponents
+from msal_cli.core.bilateral_normals import bilateral_averages
 from msal_cli.core.conjugate_gradient import conjugate_gradients
 from msal_cli.core.face_rings import face_centroids, face_rings, mean_centroid_distance
 from msal_cli.core.geometry import VANISHED, face_normals_and_areas
@@ -107,15 +107,12 @@ def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Flo
     across_edges = face_rings(mesh.faces, mesh.links, "edge")
     centroids = face_centroids(mesh.vertices, mesh.faces)
     unit = mean_centroid_distance(centroids, *across_edges) or mesh.mean_edge_length
-    distances = distance_exponents(centroids, *rows, parameters.closeness * unit)
-    similarity = parameters.similarity
+    faces = (normals, areas, centroids, *rows, parameters.closeness * unit, parameters.similarity)
     if parameters.variant == "local":
-        return bilateral_averages(
-            normals, areas, distances, *rows, similarity, parameters.iterations, passes.passed
-        )
+        return bilateral_averages(*faces, parameters.iterations, passes.passed)
     fidelity = parameters.fidelity
     solved = conjugate_gradients(
-        normal_system(normals, areas, distances, *rows, similarity, fidelity),
+        normal_system(*faces, fidelity),
         fidelity * normals,
         normals,
         tolerance=TOLERANCE * fidelity,

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli import methods
-from msal_cli.core.bilateral_normals import bilateral_averages, distance_exponents
+from msal_cli.core.bilateral_normals import bilateral_averages
 from msal_cli.core.connectivity import connectivity
 from msal_cli.core.face_rings import face_centroids, face_rings
 from msal_cli.core.geometry import face_normals_and_areas
@@ -28,17 +28,18 @@ def run(vertices, faces, on_sweep=None, **given):
     return METHOD.denoised(ready.mesh, METHOD.settled(given), on_sweep).vertices + ready.origin
 
 
-def averaged(normals, areas, distances, similarity):
-    """One pass over faces in a row of neighbours of the first; ``distances`` are exponents."""
+def averaged(normals, areas, exponents, similarity):
+    """One pass over faces all of which neighbour the first; the exponents of their distances."""
     others = len(normals) - 1
-    start = np.array([0, others] + [others] * others, dtype=np.int32)
-    ring = np.arange(1, others + 1, dtype=np.int32)
+    centroids = np.zeros((others + 1, 3))
+    centroids[1:, 0] = np.sqrt(2.0 * np.asarray(exponents))  # sigma_c = 1
     return bilateral_averages(
         np.array(normals, dtype=float),
         np.array(areas, dtype=float),
-        np.array(distances, dtype=float),
-        start,
-        ring,
+        centroids,
+        np.array([0, others] + [others] * others, dtype=np.int32),
+        np.arange(1, others + 1, dtype=np.int32),
+        1.0,
         similarity,
         1,
         lambda: None,
@@ -137,9 +138,9 @@ def system(vertices, faces, sharing="vertex", area_unit=1.0):
     links = connectivity(len(vertices), faces)
     normals, areas = face_normals_and_areas(vertices, faces)
     rows = face_rings(faces, links, sharing)
-    distances = distance_exponents(face_centroids(vertices, faces), *rows, 0.7)
+    centroids = face_centroids(vertices, faces)
     areas *= area_unit
-    return normals, areas, normal_system(normals, areas, distances, *rows, 0.35, 0.01)
+    return normals, areas, normal_system(normals, areas, centroids, *rows, 0.7, 0.35, 0.01)
 
 
 def dense(matrix, m):
