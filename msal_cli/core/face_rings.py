@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from msal_cli.core.connectivity import Connectivity
+from msal_cli.core.geometry import mean_edge_length
 from msal_cli.core.parallel import over_ranges
 from msal_cli.errors import TooLargeError
 
@@ -153,26 +154,9 @@ def face_centroids(vertices: Floats, faces: Ints) -> Floats:
     return centroids
 
 
-@njit(cache=True, nogil=True)
-def _distance_sum(centroids, ring_start, ring):  # type: ignore[no-untyped-def]
-    total = 0.0
-    count = 0
-    for f in range(len(ring_start) - 1):
-        for at in range(ring_start[f], ring_start[f + 1]):
-            g = ring[at]
-            if g > f:
-                dx = centroids[g, 0] - centroids[f, 0]
-                dy = centroids[g, 1] - centroids[f, 1]
-                dz = centroids[g, 2] - centroids[f, 2]
-                total += np.sqrt(dx * dx + dy * dy + dz * dz)
-                count += 1
-    return total, count
-
-
 def mean_centroid_distance(centroids: Floats, ring_start: Ints, ring: Ints) -> float:
     """Mean distance of the centroids (m, 3) of neighbours, file units; zero without neighbours.
 
     Over the pairs of the rows; those of edges are usual.
     """
-    total, count = _distance_sum(centroids, ring_start, ring)
-    return float(total / count) if count else 0.0
+    return mean_edge_length(centroids, ring_start, ring)
