@@ -119,6 +119,7 @@ class Crew:
     growth_bytes : ... or once it holds so much more memory than after its first task.
     on_death : called with the process id of every worker that has ended and the index of the task
         that it had in hand, to clear away what it left.
+    stays : when all is done the workers wait for what ``add`` brings, until ``interrupt``.
     """
 
     def __init__(
@@ -132,8 +133,10 @@ class Crew:
         files_per_worker: int = 1000,
         growth_bytes: int = 512 << 20,
         on_death: Callable[[int, int], None] = lambda pid, index: None,
+        stays: bool = False,
     ) -> None:
         self._tasks = tasks
+        self._stays = stays
         self._assignment = Assignment(function, common, _log.getEffectiveLevel())
         self._jobs = max(1, min(jobs, len(tasks)))
         self._cores = cores
@@ -150,6 +153,10 @@ class Crew:
     def stop(self) -> None:
         """Hand out no task that was not begun; those in hand, and second tries, go on."""
         self._waiting.clear()
+
+    def add(self, tasks: dict[int, Any]) -> None:
+        """Bring more tasks to a crew that stays; may be called from another thread."""
+        self._heard.put((None, ("more", tasks)))
 
     def interrupt(self) -> None:
         """Give up what is in hand and end; may be called from a signal handler."""
@@ -171,11 +178,13 @@ class Crew:
             while True:
                 if messages:
                     yield messages
-                if not (self._is_busy() or self._waiting or self._again):
+                if not (self._stays or self._has_work()):
                     return
                 messages, is_interrupted = [], False
                 for worker, message in self._all_heard():
-                    if worker is None:
+                    if worker is None and message:
+                        self._take(message[1])
+                    elif worker is None:
                         is_interrupted = True
                     else:
                         messages += self._understood(worker, message)
@@ -188,6 +197,18 @@ class Crew:
             self._end()
 
     # Handing out
+
+    def _take(self, tasks: dict[int, Any]) -> None:
+        if self._has_work():
+            self._tasks = self._tasks | tasks
+        else:
+            # Nothing that is done with is kept, so that a crew can stay for ever.
+            self._tasks = tasks
+            self._earlier.clear()
+        self._waiting.extend(tasks)
+
+    def _has_work(self) -> bool:
+        return bool(self._is_busy() or self._waiting or self._again)
 
     def _is_busy(self) -> bool:
         return any(worker.in_hand is not None for worker in self._workers)

@@ -193,6 +193,28 @@ def test_interrupt_ends_all_within_two_seconds_and_keeps_what_was_done():
     assert children() == []
 
 
+@posix
+def test_a_crew_that_stays_keeps_its_worker_from_one_lot_of_tasks_to_the_next():
+    one = crew([("pid", 0)], jobs=1, stays=True)
+    lots = [{7: ("pid", 0), 8: ("double", 4)}, {7: ("kill", 0)}, {7: ("double", 5)}]
+    wanted, results_of_lots, messages = 1, [], []
+    with pytest.raises(Interrupt):
+        for batch in one.batches():
+            messages += batch
+            if len(results(messages)) + len(lost(messages)) == wanted:
+                results_of_lots.append((results(messages), set(lost(messages))))
+                messages = []
+                if lots:
+                    wanted = len(lots[0])
+                    one.add(lots.pop(0))
+                else:
+                    one.interrupt()
+    (first, _), (second, _), third, fourth = results_of_lots
+    assert first[0] == second[7] and second[8] == 8
+    assert third == ({}, {7}) and fourth == ({7: 10}, set())
+    assert children() == []
+
+
 def test_leaving_the_loop_ends_all():
     batches = crew([("sleep", 60)] * 3).batches()
     next(batches)
