@@ -103,6 +103,14 @@ class Failure:
 
 
 @dataclass(frozen=True)
+class ObjectMark:
+    """Size in bytes and entity tag of an object in a store; the tag is empty if none is given."""
+
+    size: int
+    tag: str
+
+
+@dataclass(frozen=True)
 class MeshRecord:
     """One row per file; fields that could not be determined are None.
 
@@ -144,6 +152,8 @@ class MeshRecord:
     peak_memory_bytes: int | None = None
     input_sha256: str | None = None
     output_sha256: str | None = None
+    input_object: ObjectMark | None = None
+    output_object: ObjectMark | None = None
     sidecars: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     error: Failure | None = None

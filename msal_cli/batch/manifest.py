@@ -24,7 +24,7 @@ from msal_cli import __version__
 from msal_cli.batch.temporaries import temporary_name
 from msal_cli.errors import OutputError
 from msal_cli.pipeline import Settings
-from msal_cli.records import MeshRecord, as_data, from_data
+from msal_cli.records import MeshRecord, ObjectMark, as_data, from_data
 
 NAME = ".msal-manifest.jsonl"
 FORMAT = 1
@@ -61,7 +61,8 @@ class Entry:
 
     ``name`` is the output below the folder of the manifest, written with ``/``.  An entry that is
     not ``is_done`` tells only that a run set out to write this output, from an input that then had
-    the mark ``input_mark``.  ``text`` is the whole line, for the record in it.
+    the mark ``input_mark``.  Objects in a store have an ``input_object`` or ``output_object``
+    instead of a mark.  ``text`` is the whole line, for the record in it.
     """
 
     name: str
@@ -72,6 +73,8 @@ class Entry:
     output_sha256: str = ""
     input_mark: FileMark | None = None
     output_mark: FileMark | None = None
+    input_object: ObjectMark | None = None
+    output_object: ObjectMark | None = None
     text: bytes = b""
 
     def record(self) -> MeshRecord | None:
@@ -142,7 +145,7 @@ class Manifest:
             if not line:
                 continue
             manifest._n_lines += 1
-            entry = _entry(line)
+            entry = entry_of(line)
             if entry is not None:
                 manifest._entries[entry.name] = entry
         return manifest
@@ -178,7 +181,7 @@ class Manifest:
 
         Raises OutputError if they cannot be written.
         """
-        text = b"".join(_line(line) for line in lines)
+        text = b"".join(line_of(line) for line in lines)
         if not text:
             return
         try:
@@ -229,27 +232,35 @@ def done(name: str, settings: str, record: MeshRecord, input_path: str) -> dict[
         "version": __version__,
         "settings": settings,
         "status": record.status,
-        "input": _mark_data(FileMark.of(input_path), record.input_sha256 or ""),
+        "input": _mark_data(
+            record.input_object or FileMark.of(input_path), record.input_sha256 or ""
+        ),
         "output": (
-            None if output is None else _mark_data(FileMark.of(output), record.output_sha256 or "")
+            None
+            if output is None
+            else _mark_data(record.output_object or FileMark.of(output), record.output_sha256 or "")
         ),
         "record": as_data(record),
     }
 
 
-def _mark_data(mark: FileMark | None, sha256: str) -> dict[str, Any]:
+def _mark_data(mark: FileMark | ObjectMark | None, sha256: str) -> dict[str, Any]:
     data: dict[str, Any] = {"sha256": sha256}
-    if mark is not None:
+    if isinstance(mark, ObjectMark):
+        data |= {"size": mark.size, "tag": mark.tag}
+    elif mark is not None:
         data |= {"size": mark.size, "mtime_ns": mark.mtime_ns}
     return data
 
 
-def _line(data: Mapping[str, Any]) -> bytes:
+def line_of(data: Mapping[str, Any]) -> bytes:
+    """The line for what ``intent`` or ``done`` made, with its end."""
     # ASCII with escapes carries names that are not valid Unicode, and no name can break a line.
     return json.dumps(data, separators=(",", ":")).encode("ascii") + b"\n"
 
 
-def _entry(line: bytes) -> Entry | None:
+def entry_of(line: bytes) -> Entry | None:
+    """What a line says; None if it is torn or makes no sense."""
     try:
         data = json.loads(line)
         if data["kind"] not in ("intent", "done") or data.get("format", FORMAT) != FORMAT:
@@ -264,6 +275,8 @@ def _entry(line: bytes) -> Entry | None:
             output_sha256=output.get("sha256", ""),
             input_mark=_mark(data["input"]),
             output_mark=_mark(output),
+            input_object=_object_mark(data["input"]),
+            output_object=_object_mark(output),
             text=line,
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
@@ -275,6 +288,11 @@ def _entry(line: bytes) -> Entry | None:
 def _mark(data: Mapping[str, Any]) -> FileMark | None:
     size, mtime_ns = data.get("size"), data.get("mtime_ns")
     return FileMark(size, mtime_ns) if isinstance(size, int) and isinstance(mtime_ns, int) else None
+
+
+def _object_mark(data: Mapping[str, Any]) -> ObjectMark | None:
+    size, tag = data.get("size"), data.get("tag")
+    return ObjectMark(size, tag) if isinstance(size, int) and isinstance(tag, str) else None
 
 
 def _sync_folder(folder: Path) -> None:

@@ -16,13 +16,15 @@ from msal_cli.batch.manifest import (
     FileMark,
     Manifest,
     done,
+    entry_of,
     file_sha256,
     intent,
+    line_of,
     settings_hash,
 )
 from msal_cli.errors import OutputError
 from msal_cli.pipeline import Settings
-from msal_cli.records import MeshRecord, Volume
+from msal_cli.records import MeshRecord, ObjectMark, Volume
 
 SETTINGS = Settings("msal", {"K": 0.5, "iterations": 4})
 
@@ -209,3 +211,21 @@ def test_a_line_is_plain_ascii_json(tmp_path):
     noted(tmp_path, done("\u00e9\udcff", "h", record(tmp_path), "in"))
     data = json.loads((tmp_path / NAME).read_text("ascii"))
     assert data["name"] == "\u00e9\udcff" and data["version"] == msal_cli.__version__
+
+
+def test_an_object_in_a_store_is_known_by_size_and_tag(tmp_path):
+    record = MeshRecord(
+        input="s3://scans/a.ply",
+        status="written",
+        output="s3://out/a.ply",
+        input_sha256="1" * 64,
+        output_sha256="2" * 64,
+        input_object=ObjectMark(10, "in"),
+        output_object=ObjectMark(20, "out"),
+    )
+    line = line_of(done("a.ply", "settings", record, record.input))
+    entry = entry_of(line)
+    assert entry.input_object == ObjectMark(10, "in")
+    assert entry.output_object == ObjectMark(20, "out")
+    assert (entry.input_mark, entry.output_mark) == (None, None)
+    assert entry.record() == record
