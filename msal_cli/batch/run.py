@@ -22,6 +22,7 @@ from msal_cli.pipeline import Settings, Task, denoise_file
 from msal_cli.records import Failure, MeshRecord, MethodUsed
 
 if TYPE_CHECKING:
+    from msal_cli.batch.engine import EngineFor
     from msal_cli.batch.events import OnEvent
     from msal_cli.batch.workers import Message
 
@@ -42,6 +43,7 @@ def run(
     dry_run: bool = False,
     stop_after_failures: int | None = None,
     denoise: Denoise = denoise_file,
+    engine: EngineFor | None = None,
 ) -> list[MeshRecord]:
     """One record per task, in the plan's order; the same bytes for any number of jobs.
 
@@ -55,11 +57,12 @@ def run(
     dry_run : touch nothing; records are ``planned`` or ``up-to-date``.
     stop_after_failures : hand out no more files once so many have failed; the rest is ``planned``.
     denoise : what does one file, a module-level function.
+    engine : hands out the files, a single one too; None is ``engine.crew_for``.
 
     Raises
     ------
-    UsageError : another run works on the output folder (``E_LOCKED``), or a backup that differs
-        from the file to be replaced is in the way; nothing was touched.
+    UsageError : another run works on the output folder (``E_LOCKED``), a backup that differs from
+        the file to be replaced is in the way, or the engine cannot be used; no file was touched.
     OutputError : the output folder or its manifest cannot be written.
     ResourceError : no worker process can be started.
     KeyboardInterrupt, signals.Terminated : a signal asked to end; all workers are gone, finished
@@ -74,6 +77,7 @@ def run(
     with ExitStack() as stack:
         one = _Run(plan, settings, jobs, on_event or (lambda event: None), denoise)
         one.stop_after_failures = stop_after_failures
+        one.engine = engine
         return one.rehearsed() if dry_run else one.performed(stack)
 
 
@@ -87,6 +91,7 @@ class _Run:
         denoise: Denoise,
     ) -> None:
         self.stop_after_failures: int | None = None
+        self.engine: EngineFor | None = None
         self._plan = plan
         self._settings = settings
         self._cores = usable_cores()
@@ -111,7 +116,7 @@ class _Run:
         """What happened; ``stack`` lets go of locks and manifests, however this ends."""
         with signals.noticed(signals.raise_for):
             todo = self._prepared(stack)
-        if len(self._plan.tasks) == 1:
+        if len(self._plan.tasks) == 1 and self.engine is None:
             self._work_here(todo)
         elif todo:
             self._work_elsewhere(todo)
@@ -188,28 +193,31 @@ class _Run:
                 self._finish([(index, record)])
 
     def _work_elsewhere(self, todo: list[int]) -> None:
-        from msal_cli.batch.workers import Crew, Interrupt
+        from msal_cli.batch.engine import Work, crew_for
+        from msal_cli.batch.workers import Interrupt
 
         received: list[int] = []
-        crew = Crew(
+        work = Work(
             {index: self._plan.tasks[index] for index in todo},
             do_one,
             (self._denoise, self._settings),
             jobs=self._jobs,
             cores=self._cores,
+            folders=tuple(self._homes),
             on_death=self._clear_away,
         )
+        engine = (self.engine or crew_for)(work)
 
         def on_signal(signum: int) -> None:
             received.append(signum)
-            crew.interrupt()
+            engine.interrupt()
 
-        with signals.noticed(on_signal), closing(crew.batches()) as batches:
+        with signals.noticed(on_signal), closing(engine.batches()) as batches:
             try:
                 for messages in batches:
                     self._hear(messages)
                     if self.stop_after_failures and self._n_failed >= self.stop_after_failures:
-                        crew.stop()
+                        engine.stop()
             except Interrupt:
                 signals.raise_for(received[0])
 

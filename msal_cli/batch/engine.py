@@ -1,0 +1,79 @@
+"""What a run asks of whoever hands out its files, be it worker processes or a cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from msal_cli.batch.workers import Message
+    from msal_cli.pipeline import Task
+
+
+class Engine(Protocol):
+    """Does many tasks and tells what becomes of each; ``workers.Crew`` is one.
+
+    Every task that was begun gets exactly one ``Returned`` or ``Lost``, unless it is interrupted.
+    """
+
+    def batches(self) -> Generator[list[Message], None, None]:
+        """What happens, as it happens; nothing of the engine is left when the iteration ends.
+
+        Raises
+        ------
+        workers.Interrupt : after ``interrupt``, once all work is given up.
+        UsageError : the engine cannot be used like this; no file was begun.
+        ResourceError : it cannot go on; what was given before is whole.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Hand out nothing more; what was handed out goes on."""
+        ...
+
+    def interrupt(self) -> None:
+        """Give up what is in hand and end; may be called from a signal handler."""
+        ...
+
+
+@dataclass(frozen=True)
+class Work:
+    """What an engine is to do.
+
+    Attributes
+    ----------
+    tasks : the tasks by their index in the plan.
+    function : module-level; called in some process as ``function(task, common, on_progress)``.
+    common : picklable second argument of every call.
+    jobs : tasks at the same time on this machine.
+    cores : cores of this machine to share.
+    folders : folders with a manifest, where outputs go; they exist.
+    on_death : called with the process id of a worker of this machine that has ended, and the index
+        of the task that it had in hand, to clear away what it left.
+    """
+
+    tasks: dict[int, Task]
+    function: Callable[..., Any]
+    common: Any
+    jobs: int
+    cores: int
+    folders: tuple[str, ...] = ()
+    on_death: Callable[[int, int], None] = lambda pid, index: None
+
+
+EngineFor = Callable[[Work], Engine]
+
+
+def crew_for(work: Work) -> Engine:
+    """Supervised worker processes on this machine."""
+    from msal_cli.batch.workers import Crew
+
+    return Crew(
+        dict(work.tasks),
+        work.function,
+        work.common,
+        jobs=work.jobs,
+        cores=work.cores,
+        on_death=work.on_death,
+    )
