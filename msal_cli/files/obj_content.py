@@ -123,6 +123,7 @@ class _Reading:
         self._buf = buf
         size = len(buf)
         n_vertices, n_normals, n_faces = obj_scan.counted(buf)
+        has_normals = n_normals > 1
         # No statement is shorter than "v 0 0 0" and its line end: the counts cannot exceed this,
         # whatever the bytes say.
         most = (size + 1) // 8 + 1
@@ -133,7 +134,6 @@ class _Reading:
                 f"{size:,} bytes are more than an OBJ file may have here",
                 hint="convert the mesh to binary PLY",
             )
-        has_normals = n_normals > 1
         self.vertices = np.empty((n_vertices, 3))
         self.vertex_at = np.empty(n_vertices, dtype=np.int64)
         self.normals = np.empty((n_normals if has_normals else 0, 3))

@@ -70,6 +70,7 @@ MALFORMED: dict[str, tuple[bytes, type[InputError], str, str, str]] = {
     "old inf": (V + b"v 0 0 -1.#INF\n" + F, ContentError, "E_NONFINITE", "line 4", "not finite"),
     # normals
     "short normal": (V + b"vn 0 1\n" + F, FormatError, "E_FORMAT", "line 4, normal 1", "three"),
+    "bad normal alone": (b"vn \xff\n", FormatError, "E_FORMAT", "line 1, normal 1", "number"),
     "bad normal": (V + b"vn 0 0 up\n" + F, FormatError, "E_FORMAT", "line 4, normal 1", "'up'"),
     # faces
     "index 0": (V + b"f 0 1 2\n", ContentError, "E_INDEX", "line 4, face 1", "vertex 0"),
