@@ -248,7 +248,7 @@ def _as_indices(items: NDArray[np.generic], section: Section, name: str) -> Tria
             record = _record_of(section, name, int(np.argmin(whole.reshape(-1))))
             raise FormatError("a corner is not a whole number", where=section.where(record))
         items = np.clip(values, -2.0, 2.0**31 - 1.0)
-    elif size == 8 and len(items):
+    elif size == 8 and items.size:
         items = items.astype(items.dtype.newbyteorder("="), copy=False)
         low, high = (0 if kind == "u" else -2), MOST_VERTICES
         if items.min() < low or items.max() > high:

@@ -447,6 +447,13 @@ BODIES = {
 }
 
 
+BODIES["empty lists of 64-bit indices"] = (
+    binary(V4 + "element face 2\nproperty list uchar uint64 vertex_indices\n", V4_BYTES + bytes(2)),
+    "E_NO_FACES",
+    "element face",
+)
+
+
 @pytest.mark.parametrize("name", [*HEADERS, *BODIES])
 def test_a_malformed_file_has_its_own_error(name):
     data, code, where = (HEADERS | BODIES)[name]
