@@ -32,7 +32,7 @@ OWN_FORMATS = ("ply", "obj", "stl", "glb")
 """Formats with a codec of our own, which keeps everything but positions and normals."""
 
 _LOOKED_AT = 1 << 16
-_NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_NUMBER = rb"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _OBJ_VERTEX = re.compile(rb"^[ \t]*v(?:[ \t]+" + _NUMBER + rb"){3}", re.MULTILINE)
 _OBJ_LINE = re.compile(
     rb"(?:\#.*|v|vt|vn|vp|f|l|p|o|g|s|mg|usemtl|mtllib|usemap|maplib|vertexcolor)?(?:[ \t].*)?"

@@ -124,6 +124,11 @@ def test_text_that_is_no_obj(data):
     assert content_format(data) == ""
 
 
+def test_a_number_without_end_takes_linear_time():
+    # Two ways to read every digit would make two billion of this.
+    assert content_format(b"v " + b"1" * 60_000 + b"\n") == ""
+
+
 def test_importing_costs_only_numpy():
     code = (
         "import sys, msal_cli.files\n"
