@@ -15,7 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.errors import ContentError, FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import (
+    ContentError,
+    FormatError,
+    TooLargeError,
+    TruncatedError,
+    UnsupportedError,
+)
 from msal_cli.files.base import Buffer
 
 Floats = NDArray[np.float64]
@@ -26,6 +32,12 @@ _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _DEEPEST = 200
 _STEEPEST = 1e6
+_LARGEST = 1e30
+"""Larger entries of a frame could take float32 positions beyond what can be computed with."""
+
+_ALWAYS_READ = 1 << 16
+"""Corners that are read however often the same ones are named; see ``_require_room``."""
+
 _HINT = "the file is damaged; export it again"
 _PLAIN = "export it without compression, or convert it to PLY"
 
@@ -161,16 +173,21 @@ class Document:
         assert isinstance(index, int)
         return Accessor(index, at, stride, count)
 
-    def _corners(self, primitive: dict[str, Any], count: int, where: str) -> NDArray[np.int64]:
-        """The vertex numbers (k,) of a primitive, strips and fans not yet unrolled."""
+    def _corners(
+        self, primitive: dict[str, Any], count: int, where: str, room: int
+    ) -> NDArray[np.int64]:
+        """The vertex numbers (k,) of a primitive, strips and fans not yet unrolled, k <= room."""
         if "indices" not in primitive:
+            _require_room(count, room, where)
             return np.arange(count, dtype=np.int64)
         index = primitive["indices"]
-        code = _INDEX_TYPES.get(self.entry("accessors", index).get("componentType", 0))
+        component = self.entry("accessors", index).get("componentType")
+        code = _INDEX_TYPES.get(component) if isinstance(component, int) else None
         if code is None:
             raise FormatError("the indices have no integer type", where=where, hint=_HINT)
         width = np.dtype(code).itemsize
         at, stride, length = self._region(index, width, where)
+        _require_room(length, room, where)
         found = np.ndarray((length,), code, self.data, at, (stride,)).astype(np.int64)
         if length and int(found.max()) >= count:
             raise ContentError(
@@ -183,13 +200,15 @@ class Document:
 
     def parts(self) -> tuple[list[Part], tuple[str, ...]]:
         """All surfaces, those over one list of positions together; and what to tell of them."""
-        found: dict[int, Part] = {}
+        found: dict[int, list[Part]] = {}
         told: dict[str, None] = {}
+        room = max(self.data_size, _ALWAYS_READ)
         for number in range(len(_list(self.content.get("meshes")))):
             primitives = self.entry("meshes", number).get("primitives")
             for k, primitive in enumerate(_list(primitives)):
-                self._add(found, told, number, _dict(primitive), f"mesh {number}, primitive {k}")
-        parts = _apart(list(found.values()), told)
+                where = f"mesh {number}, primitive {k}"
+                room -= self._add(found, told, number, _dict(primitive), where, room)
+        parts = _apart([_joined(pieces, told) for pieces in found.values()], self.data_size, told)
         if not sum(len(part.faces) for part in parts):
             raise ContentError(
                 "the file has no triangles",
@@ -200,27 +219,29 @@ class Document:
 
     def _add(
         self,
-        found: dict[int, Part],
+        found: dict[int, list[Part]],
         told: dict[str, None],
         mesh: int,
         primitive: dict[str, Any],
         where: str,
-    ) -> None:
+        room: int,
+    ) -> int:
+        """Note a primitive; the number of its corners, of which there may be ``room``."""
         if "KHR_draco_mesh_compression" in _dict(primitive.get("extensions")):
             raise UnsupportedError("Draco compression is not read", where=where, hint=_PLAIN)
         mode = primitive.get("mode", _TRIANGLES)
         attributes = _dict(primitive.get("attributes"))
         if mode not in (_TRIANGLES, _STRIP, _FAN):
             told["points and lines are kept as they are"] = None
-            return
+            return 0
         if "POSITION" not in attributes:
-            return
+            return 0
         positions = self._triples(attributes["POSITION"], where)
         if positions is not None and not positions.count:
-            return
+            return 0
         if positions is None:
             raise UnsupportedError("quantised positions are not read", where=where, hint=_PLAIN)
-        corners = self._corners(primitive, positions.count, where)
+        corners = self._corners(primitive, positions.count, where, room)
         normals = None
         if "NORMAL" in attributes:
             normals = self._triples(attributes["NORMAL"], where)
@@ -231,14 +252,9 @@ class Document:
             told["tangents are kept as they are"] = None
         if primitive.get("targets"):
             told["the displacements of morph targets are kept as they are"] = None
-        faces = _triangles(corners, mode)
-        before = found.get(positions.index)
-        if before is not None:
-            faces = np.concatenate([before.faces, faces])
-            if before.normals != normals:
-                told["normals of parts that share positions are kept as they are"] = None
-                normals = None
-        found[positions.index] = Part(positions, faces, mesh, normals)
+        part = Part(positions, _triangles(corners, mode), mesh, normals)
+        found.setdefault(positions.index, []).append(part)
+        return len(corners)
 
     def properties(self, parts: list[Part]) -> tuple[str, ...]:
         """What is carried along."""
@@ -263,14 +279,40 @@ class Document:
                 content["accessors"][accessor.index][word] = accessor.bound(output, word)
         if content == self.content:
             return bytes(output)
-        text = json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
+        text = _as_json(content)
         text += b" " * (-len(text) % 4)
         rest = memoryview(output)[self.binary_at :]
         head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
         return b"".join([head, struct.pack("<II", len(text), _JSON), text, rest])
 
 
-def _apart(parts: list[Part], told: dict[str, None]) -> list[Part]:
+def _require_room(count: int, room: int, where: str) -> None:
+    """Raise TooLargeError for more corners than ``room``.
+
+    Any number of primitives may name the same indices, so that a small file can ask for more
+    faces than a machine has memory.
+    """
+    if count > room:
+        raise TooLargeError(
+            "the primitives together have more corners than the file has bytes",
+            where=where,
+            hint="the file repeats the same faces; remove the copies",
+        )
+
+
+def _joined(pieces: list[Part], told: dict[str, None]) -> Part:
+    """Primitives over the same positions as one part."""
+    if len(pieces) == 1:
+        return pieces[0]
+    normals = pieces[0].normals
+    if any(one.normals != normals for one in pieces):
+        told["normals of parts that share positions are kept as they are"] = None
+        normals = None
+    faces = np.concatenate([one.faces for one in pieces])
+    return Part(pieces[0].positions, faces, pieces[-1].mesh, normals)
+
+
+def _apart(parts: list[Part], data_size: int, told: dict[str, None]) -> list[Part]:
     """The parts, without normals that two of them share; UnsupportedError if rows overlap."""
     used: set[int] = set()
     for k, part in enumerate(parts):
@@ -280,13 +322,24 @@ def _apart(parts: list[Part], told: dict[str, None]) -> list[Part]:
         elif part.normals is not None:
             used.add(part.normals.index)
     regions = [own for part in parts for own in (part.positions, part.normals) if own is not None]
-    if len(regions) > 1:
+    # Rows that do not fit beside one another are not compared: there may be very many.
+    is_overlap = sum(12 * own.count for own in regions) > data_size
+    if len(regions) > 1 and not is_overlap:
         starts = [own.at + own.stride * np.arange(own.count, dtype=np.int64) for own in regions]
-        if (np.diff(np.sort(np.concatenate(starts))) < 12).any():
-            raise UnsupportedError(
-                "lists of positions or normals overlap", where="accessors", hint=_PLAIN
-            )
+        is_overlap = bool((np.diff(np.sort(np.concatenate(starts))) < 12).any())
+    if is_overlap:
+        raise UnsupportedError(
+            "lists of positions or normals overlap", where="accessors", hint=_PLAIN
+        )
     return parts
+
+
+def _as_json(content: dict[str, Any]) -> bytes:
+    """The description as UTF-8; half a surrogate pair, which has none, stays an escape."""
+    try:
+        return json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        return json.dumps(content, separators=(",", ":")).encode()
 
 
 def _dict(value: object) -> dict[str, Any]:
@@ -342,7 +395,7 @@ def parsed(data: Buffer) -> Document:
             hint="the file was cut short; copy or export it again",
         )
     try:
-        content = json.loads(bytes(view[20 : 20 + size]))
+        content = json.loads(bytes(view[20 : 20 + size]).decode("utf-8-sig"))
         json.dumps(content)  # what is nested too deeply to be written is refused at once
     except (ValueError, RecursionError) as failure:
         raise FormatError(
@@ -391,11 +444,17 @@ def placed(document: Document, parts: list[Part]) -> list[Floats]:
                 shows.setdefault(node["mesh"], number)
         with np.errstate(all="ignore"):
             frames = [_frame(document, above, shows.get(part.mesh)) for part in parts]
-            if not all(np.linalg.cond(frame[:3, :3]) < _STEEPEST for frame in frames):
+            if not all(_can_be_undone(frame) for frame in frames):
                 return own
     except (TypeError, ValueError, OverflowError, FormatError, np.linalg.LinAlgError):
         return own
     return frames
+
+
+def _can_be_undone(frame: Floats) -> bool:
+    """Whether positions can be taken through a frame and back without harm."""
+    largest = np.abs(frame).max()
+    return bool(largest < _LARGEST and np.linalg.cond(frame[:3, :3]) < _STEEPEST)
 
 
 def _frame(document: Document, above: dict[int, int], node: int | None) -> Floats:

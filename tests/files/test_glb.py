@@ -6,6 +6,7 @@ import copy
 import io
 import random
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -190,6 +191,8 @@ def test_frames_of_parents_count():
         {"matrix": "identity"},
         {"rotation": [0, 0, None, 1]},
         {"scale": [1e300, 1e300, 1e300], "matrix": [float("nan")] * 16},
+        {"translation": [0, 1e40, 0]},
+        {"scale": [1.5e308, 1.5e308, 1.5e308]},
         {"children": [1]},
     ],
 )
@@ -336,6 +339,22 @@ DAMAGED = {
         edited(setting("accessors", 3, "componentType", value=5126)),
         "E_FORMAT",
     ),
+    "index type is a list": (
+        edited(setting("accessors", 3, "componentType", value=[5123])),
+        "E_FORMAT",
+    ),
+    "index type is a word": (
+        edited(setting("accessors", 3, "componentType", value="u2")),
+        "E_FORMAT",
+    ),
+    "the same faces very often": (
+        edited(
+            lambda content: content["meshes"][0]["primitives"].extend(
+                content["meshes"][0]["primitives"] * 6_000
+            )
+        ),
+        "E_TOO_LARGE",
+    ),
     "index out of range": (
         edited(setting("accessors", 0, "count", value=7)),
         "E_INDEX",
@@ -358,6 +377,38 @@ def test_damaged_files_and_their_errors(name):
     with pytest.raises(MsalError) as caught:
         open_mesh(data, "a.glb")
     assert caught.value.code == code
+
+
+def test_half_a_surrogate_pair_survives_new_bounds():
+    scene = simple()
+    scene.content["extras"] = {"name": "\ud800"}
+    file = glb.read(scene.data(), "")
+    vertices = file.vertices * 0.5
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    assert content_of(output)[0]["extras"] == {"name": "\ud800"}
+
+
+def test_very_many_lists_over_the_same_bytes_are_refused_at_once():
+    scene = simple()
+    rows = 20_000
+    first = scene.positions(np.zeros((rows, 3)))
+    view = scene.content["accessors"][first]
+    scene.content["accessors"] += [dict(view, count=rows) for _ in range(1_000)]
+    index = scene.content["meshes"][0]["primitives"][0]["indices"]
+    scene.mesh(
+        *({"attributes": {"POSITION": first + k}, "indices": index} for k in range(1, 1_001))
+    )
+    data = scene.data()
+    with pytest.raises(MsalError, match="overlap"):
+        glb.read(data, "")
+    tracemalloc.start()
+    with pytest.raises(MsalError, match="overlap"):
+        glb.read(data, "")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # One number for each row of each list would be 160 MB.
+    assert peak < 40_000_000
 
 
 def test_json_that_is_nested_too_deeply():
