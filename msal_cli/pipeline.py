@@ -6,6 +6,7 @@ fault: whatever goes wrong becomes a failed record, and the output appears whole
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import logging
 import os
@@ -22,7 +23,7 @@ from msal_cli.errors import (
     MsalError,
     OutputError,
     ResourceError,
-    UsageError,
+    TooLargeError,
 )
 from msal_cli.records import (
     Area,
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from msal_cli.files.base import Buffer, MeshFile
+    from msal_cli.files.forecast import Forecast
     from msal_cli.mesh import Prepared
 
     Floats = NDArray[np.float64]
@@ -74,6 +76,28 @@ class Settings:
     precision: str = "same"
     strict: bool = False
     format: str | None = None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one file may take; None is no limit.  Limits never change the bytes of an output.
+
+    Attributes
+    ----------
+    timeout_s : seconds of wall time, held by whoever supervises the worker.
+    memory_bytes : resident memory of the process that denoises it.
+    max_faces : faces as the file counts them.
+    """
+
+    timeout_s: float | None = None
+    memory_bytes: int | None = None
+    max_faces: int | None = None
+
+
+NO_LIMITS = Limits()
+
+FORECAST = "forecast"
+"""The ``where`` of an ``E_MEMORY`` that was foreseen: trying again would not help."""
 
 
 @dataclass(frozen=True)
@@ -121,16 +145,50 @@ def _suffix(name: str) -> str:
     return os.path.splitext(base.removesuffix(".gz"))[1]
 
 
+def forecast(task: Task, settings: Settings) -> Forecast:
+    """What a file will ask for, from its size and its first bytes; it never raises for a file."""
+    from msal_cli import methods
+    from msal_cli.files import forecast
+
+    told = _suffix(task.output).lstrip(".") if is_mesh_name(task.output) else None
+    to = settings.to or told
+    is_same = to in (None, _suffix(task.input).lstrip("."))
+    if is_same and settings.encoding == "same" and settings.precision == "same":
+        to = None
+    return forecast.forecast(
+        task.input,
+        format=settings.format,
+        to=to,
+        method_bytes_per_face=methods.find(settings.method).bytes_per_face,
+    )
+
+
+def least_memory_bytes() -> int:
+    """What denoising takes however small the file is: no memory limit can be less."""
+    from msal_cli.files.forecast import BASE_BYTES
+
+    return BASE_BYTES
+
+
 def denoise_file(
-    task: Task, settings: Settings, on_progress: OnProgress | None = None
+    task: Task,
+    settings: Settings,
+    on_progress: OnProgress | None = None,
+    limits: Limits = NO_LIMITS,
 ) -> MeshRecord:
-    """Denoise one file and tell what happened; only KeyboardInterrupt and SystemExit pass."""
-    run = _Run(task.input, settings, on_progress)
+    """Denoise one file and tell what happened; only KeyboardInterrupt and SystemExit pass.
+
+    A file beyond ``limits`` is refused before it is loaded, as far as its header tells:
+    ``E_MEMORY`` or ``E_TOO_LARGE``.
+    """
+    run = _Run(task.input, settings, on_progress, limits)
     try:
         from msal_cli import files
         from msal_cli.files import sidecars
 
         with run.stage("read"):
+            if limits.memory_bytes is not None or limits.max_faces is not None:
+                run.admit(forecast(task, settings))
             data = files.read_whole(task.input)
         output = run.denoise(data, task.output)
         with run.stage("write"):
@@ -151,10 +209,17 @@ def denoise_file(
 
 
 def denoise_bytes(
-    data: bytes, name: str, settings: Settings, on_progress: OnProgress | None = None
+    data: bytes,
+    name: str,
+    settings: Settings,
+    on_progress: OnProgress | None = None,
+    limits: Limits = NO_LIMITS,
 ) -> tuple[Buffer | None, MeshRecord]:
-    """Denoise a file that came through a pipe; the output is None if the record is a failure."""
-    run = _Run(name, settings, on_progress)
+    """Denoise a file that came through a pipe; the output is None if the record is a failure.
+
+    Of ``limits`` only ``max_faces`` counts: the file is in memory already.
+    """
+    run = _Run(name, settings, on_progress, limits)
     try:
         output = run.denoise(data, None)
         return output, run.finished(None)
@@ -192,8 +257,11 @@ def _keep_backup(task: Task, data: bytes) -> None:
 class _Run:
     """The state of one file on its way: what is known so far ends up in the record."""
 
-    def __init__(self, name: str, settings: Settings, on_progress: OnProgress | None) -> None:
+    def __init__(
+        self, name: str, settings: Settings, on_progress: OnProgress | None, limits: Limits
+    ) -> None:
         self.settings = settings
+        self._limits = limits
         # Files that the output names too; a conversion drops them.
         self.references: tuple[str, ...] = ()
         self._on_progress = on_progress or (lambda stage, done, total: None)
@@ -226,6 +294,27 @@ class _Run:
         """Add warnings to the record."""
         self.know(warnings=self._record.warnings + warnings)
 
+    def admit(self, told: Forecast) -> None:
+        """Refuse a file that is foreseen to go beyond the limits."""
+        self._check_faces(told.faces)
+        limit = self._limits.memory_bytes
+        if limit is not None and told.memory_bytes is not None and told.memory_bytes > limit:
+            raise ResourceError(
+                f"denoising this file takes up to {_megabytes(told.memory_bytes)}, "
+                f"and the limit is {_megabytes(limit)}",
+                code="E_MEMORY",
+                where=FORECAST,
+                hint="raise --memory-limit if the machine has more, or cut the mesh into parts",
+            )
+
+    def _check_faces(self, n_faces: int | None) -> None:
+        most = self._limits.max_faces
+        if most is not None and n_faces is not None and n_faces > most:
+            raise TooLargeError(
+                f"the file has {n_faces:,} faces, and --max-faces allows {most:,}",
+                hint="raise --max-faces, or leave it out",
+            )
+
     def denoise(self, data: bytes, output_path: str | None) -> Buffer:
         """The bytes of the output file for the bytes of the input file."""
         from msal_cli import files, methods
@@ -246,6 +335,7 @@ class _Run:
                 triangles=len(mesh_file.faces),
             )
             self.warn(*mesh_file.warnings)
+            self._check_faces(mesh_file.n_polygons)
         with self.stage("connectivity"):
             ready = prepared(mesh_file.vertices, mesh_file.faces)
             self._know_defects(ready)
@@ -444,14 +534,14 @@ class _Run:
 
     def failed(self, error: Exception) -> MeshRecord:
         """The record of a file that was not written, for any error."""
-        if isinstance(error, UsageError | MsalError):
-            known: MsalError = error
-        elif isinstance(error, MemoryError):
-            known = ResourceError(
-                "not enough memory",
+        if _is_want_of_memory(error):
+            known: MsalError = ResourceError(
+                error.message if isinstance(error, MsalError) else "not enough memory",
                 code="E_MEMORY",
                 hint="run fewer jobs at once, or a machine with more memory",
             )
+        elif isinstance(error, MsalError):
+            known = error
         else:
             log.exception("internal error at %r", self._record.input)
             known = InternalError(
@@ -563,6 +653,26 @@ def _noise_estimate(ready: Prepared) -> NoiseEstimate:
 
     level = noise_level(ready.mesh)
     return NoiseEstimate(level / ready.mesh.mean_edge_length, level)
+
+
+def _is_want_of_memory(error: BaseException | None) -> bool:
+    """Whether an error, or what it was raised from, comes of memory that was not given."""
+    while error is not None:
+        said = str(error)
+        if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
+            return True
+        if isinstance(error, ImportError) and "allocate memory" in said:
+            return True
+        if isinstance(error, RuntimeError) and "can't start new thread" in said:
+            return True
+        error = error.__cause__
+    return False
+
+
+def _megabytes(n_bytes: int) -> str:
+    """``499 MB`` or ``3.21 GB``, rounded up so that what is refused never looks as if it fitted."""
+    megabytes = -(-n_bytes // 10**6)
+    return f"{megabytes} MB" if megabytes < 1000 else f"{-(-megabytes // 10) / 100:.2f} GB"
 
 
 def _peak_memory_bytes() -> int | None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from msal_cli import files, methods, pipeline
-from msal_cli.pipeline import Settings, Task
+from msal_cli.pipeline import Limits, Settings, Task, denoise_bytes, denoise_file
 from tests.shapes import grid, noisy, torus
 
 
@@ -390,3 +390,70 @@ def test_materials_travel_with_the_mesh_but_not_into_another_format(tmp_path):
     lost = denoised(source / "scan.obj", tmp_path / "lost" / "scan.obj")
     assert lost.status == "written"
     assert any("skin.mtl is missing" in warning for warning in lost.warnings)
+
+
+class TestLimits:
+    @pytest.fixture
+    def path(self, tmp_path):
+        vertices, faces = torus()
+        lines = ["v {} {} {}".format(*one) for one in vertices]
+        lines += ["f {} {} {}".format(*one) for one in faces + 1]
+        (tmp_path / "a.obj").write_text("\n".join(lines) + "\n")
+        return tmp_path / "a.obj"
+
+    def done(self, path, **limits):
+        task = Task(str(path), str(path.with_name("out" + path.suffix)), path.name)
+        return denoise_file(task, Settings("msal"), limits=Limits(**limits))
+
+    def test_a_forecast_beyond_the_limit_is_refused_before_anything_is_read(
+        self, path, monkeypatch
+    ):
+        monkeypatch.setattr(files, "read_whole", None)
+        record = self.done(path, memory_bytes=100_000_000)
+        assert record.error.code == "E_MEMORY" and record.error.where == "forecast"
+        assert "186 MB" in record.error.message and "100 MB" in record.error.message
+        assert "--memory-limit" in record.error.hint
+        assert record.input_sha256 is None
+        assert not path.with_name("out.obj").exists()
+
+    def test_faces_are_counted_by_the_header_and_else_after_reading(self, path, monkeypatch):
+        assert self.done(path, max_faces=576).error is None
+        record = self.done(path, max_faces=575)
+        assert record.error.code == "E_TOO_LARGE" and "576 faces" in record.error.message
+        assert record.vertices == 288
+        opened = files.open_mesh(path.read_bytes(), "a.obj")
+        as_ply = path.with_suffix(".ply")
+        as_ply.write_bytes(files.converted(opened, opened.vertices, "ply")[0])
+        monkeypatch.setattr(files, "read_whole", None)
+        record = self.done(as_ply, max_faces=575)
+        assert record.error.code == "E_TOO_LARGE" and record.vertices is None
+
+    def test_a_stream_has_a_limit_of_faces(self, path):
+        output, record = denoise_bytes(
+            path.read_bytes(), "a.obj", Settings("msal"), limits=Limits(max_faces=3)
+        )
+        assert output is None and record.error.code == "E_TOO_LARGE"
+
+    @pytest.mark.parametrize(
+        "failure",
+        [
+            MemoryError(),
+            OSError(12, "Cannot allocate memory"),
+            RuntimeError("can't start new thread"),
+            ImportError("x.so: failed to map segment from shared object: Cannot allocate memory"),
+        ],
+    )
+    def test_want_of_memory_has_one_code_whatever_it_shows_itself_as(
+        self, path, failure, monkeypatch
+    ):
+        def starved(*arguments, **options):
+            raise failure
+
+        monkeypatch.setattr(files, "open_mesh", starved)
+        assert self.done(path).error.code == "E_MEMORY"
+
+    def test_limits_do_not_change_the_output(self, path):
+        assert self.done(path, memory_bytes=10**12, max_faces=10**9, timeout_s=1.0).error is None
+        limited = path.with_name("out.obj").read_bytes()
+        assert self.done(path).error is None
+        assert path.with_name("out.obj").read_bytes() == limited

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-_GROUPS = Path("/sys/fs/cgroup")
+from msal_cli.batch import control_groups
 
 
 def usable_cores() -> int:
@@ -14,32 +14,15 @@ def usable_cores() -> int:
         cores = len(os.sched_getaffinity(0))
     else:
         cores = os.cpu_count() or 1
-    quota = _quota(_GROUPS, Path("/proc/self/cgroup"))
+    quota = _quota(control_groups.GROUPS, control_groups.MEMBERSHIP)
     # A quota of 1.5 cores is used up better by two workers than by one.
     return max(1, cores if quota is None else min(cores, -(-quota // 1000)))
 
 
 def _quota(groups: Path, membership: Path) -> int | None:
     """The tightest quota of this process's control groups in thousandths of a core, if any."""
-    quotas: list[int] = []
-    try:
-        lines = membership.read_text(errors="replace").splitlines()
-    except OSError:
-        return None
-    for line in lines:
-        _, controllers, path = (line.split(":", 2) + ["", ""])[:3]
-        base = groups if not controllers else groups / controllers
-        if controllers and "cpu" not in controllers.split(","):
-            continue
-        inner = base / path.lstrip("/")
-        # A container often sees its own group at the top although it is told the host's path.
-        for folder in [inner, *inner.parents]:
-            if not folder.is_relative_to(base):
-                break
-            quota = _quota_of(folder)
-            if quota is not None:
-                quotas.append(quota)
-    return min(quotas, default=None)
+    told = (_quota_of(folder) for folder in control_groups.folders("cpu", groups, membership))
+    return min((one for one in told if one is not None), default=None)
 
 
 def _quota_of(folder: Path) -> int | None:

@@ -4,7 +4,8 @@ A module of this folder whose name does not start with an underscore is a method
 
 - a docstring whose first line is the summary and which holds a ``Source:`` line,
 - a frozen dataclass ``Parameters`` whose fields are made by ``parameter``,
-- a function ``denoised(mesh, parameters, on_sweep) -> Result``.
+- a function ``denoised(mesh, parameters, on_sweep) -> Result``,
+- ``BYTES_PER_FACE``, if it needs more memory than ``al`` does (see ``Method.bytes_per_face``).
 
 Validation, ``--set``, ``msal methods``, the docs table and the reports are all made from these.
 """
@@ -162,6 +163,15 @@ class Method:
         """The publication, from the description's ``Source:`` line."""
         _, _, rest = self.description.partition("Source:")
         return " ".join(rest.partition("\n\n")[0].split())
+
+    @property
+    def bytes_per_face(self) -> int:
+        """Bytes of memory per triangle that it needs at its peak beyond what every method needs.
+
+        Measured by benchmarks/peak_memory.py at the default parameters; 0 for methods that stay
+        within what reading and measuring a mesh takes.
+        """
+        return int(getattr(self.module, "BYTES_PER_FACE", 0))
 
     @property
     def parameters(self) -> tuple[ParameterSpec, ...]:

@@ -71,6 +71,9 @@ MOST_NEAR = 256
 MOST_STEPS = 100
 """Towards the minimum of the energy."""
 
+BYTES_PER_FACE = 1080
+"""Memory beyond what every method needs, measured at the defaults; see ``Method``."""
+
 
 @dataclass(frozen=True)
 class Parameters:
