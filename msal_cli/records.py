@@ -115,8 +115,10 @@ class MeshRecord:
     """One row per file; fields that could not be determined are None.
 
     ``status`` is ``written``; ``unchanged`` (written, but no vertex moved, so the bytes are the
-    input's); ``up-to-date`` (the output of an earlier run is current); ``planned`` (--dry-run);
-    or ``failed`` (see ``error``).  Lengths are in file units unless the name says otherwise.
+    input's); ``up-to-date`` (the output of an earlier run is current); ``planned`` (--dry-run, or
+    the run ended before); or ``failed`` (see ``error``; if it is ``remembered`` the file failed in
+    an earlier run, and was not tried again).  Lengths are in file units unless the name says
+    otherwise.
     """
 
     input: str
@@ -156,6 +158,7 @@ class MeshRecord:
     output_object: ObjectMark | None = None
     sidecars: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    remembered: bool = False
     error: Failure | None = None
 
 

@@ -1,12 +1,18 @@
 """The memory of an output folder: what was written there, from what, with which settings.
 
 ``.msal-manifest.jsonl`` holds one JSON object a line and only ever grows at its end, so a run
-that is killed costs at most its last line.  There are two kinds of line:
+that is killed costs at most its last line.  Each shard writes a manifest of its own,
+``.msal-manifest-K-of-N.jsonl``.  There are four kinds of line:
 
+``run``     when a run starts: version, command, settings, shard, process and machine.
 ``intent``  before a run starts on a file: whatever appears under this name is ours.
 ``done``    after the output was moved into place (or the file failed): hashes and the record.
+``end``     when a run ends in good order, or by a signal.
 
-The last line for a name counts.
+All manifests of a folder are read, whoever wrote them.  Of the lines for a name the newest counts:
+within a manifest the last, between manifests the one with the greatest ``at``.  That is the time
+in nanoseconds when the line was made, but always more than that of every line that was read before,
+so that clocks of several machines need not agree.
 """
 
 from __future__ import annotations
@@ -15,23 +21,30 @@ import hashlib
 import json
 import logging
 import os
-from collections.abc import Callable, Iterable, Mapping
+import re
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from msal_cli import __version__
+from msal_cli.batch.shards import Shard
 from msal_cli.batch.temporaries import temporary_name
 from msal_cli.errors import OutputError
 from msal_cli.pipeline import Settings
 from msal_cli.records import MeshRecord, ObjectMark, as_data, from_data
 
 NAME = ".msal-manifest.jsonl"
+_ANY = re.compile(r"\.msal-manifest(?:-\d{1,9}-of-\d{1,9})?\.jsonl")
 FORMAT = 1
 
 # Lines that no longer count are dropped at the start of a run once there are this many of them
 # and more than there are lines that count.
 _SPARE_LINES = 1000
+
+# Lines about runs are kept for reports, but not without end.
+_RUN_LINES_KEPT = 100
 
 _LARGEST_BLOCK = 1 << 20
 
@@ -62,11 +75,13 @@ class Entry:
     ``name`` is the output below the folder of the manifest, written with ``/``.  An entry that is
     not ``is_done`` tells only that a run set out to write this output, from an input that then had
     the mark ``input_mark``.  Objects in a store have an ``input_object`` or ``output_object``
-    instead of a mark.  ``text`` is the whole line, for the record in it.
+    instead of a mark.  ``at`` orders entries, 0 where that is not told (see above), and ``text`` is
+    the whole line, for the record in it.
     """
 
     name: str
     is_done: bool
+    at: int = 0
     settings: str = ""
     status: str = ""
     input_sha256: str = ""
@@ -117,38 +132,55 @@ def file_sha256(path: str, is_stopped: Callable[[], bool] = lambda: False) -> st
 
 
 class Manifest:
-    """The manifest of one folder."""
+    """The manifests of one folder, all to be read and one to be written.
 
-    def __init__(self, folder: str) -> None:
+    ``shard`` says whose is written; without it, it is that of runs that are no shards.
+    """
+
+    def __init__(self, folder: str, shard: Shard | None = None) -> None:
         self.folder = folder
-        self._path = Path(folder) / NAME
+        self._path = Path(folder) / name_for(shard)
         self._entries: dict[str, Entry] = {}
+        # What counts within the manifest that is written, whatever others say since.
+        self._own: dict[str, Entry] = {}
+        self._own_runs: list[bytes] = []
         self._n_lines = 0
+        self._newest = 0
         self._file: Any = None
 
     @classmethod
-    def read(cls, folder: str) -> Manifest:
-        """The manifest of ``folder``; an empty one where there is none.
+    def read(cls, folder: str, shard: Shard | None = None) -> Manifest:
+        """What the manifests of ``folder`` say; nothing where there are none.
 
         A line that is torn or makes no sense is passed over: its file is done again.
 
-        Raises OutputError if it is there but cannot be read.
+        Raises OutputError if one is there but cannot be read.
         """
-        manifest = cls(folder)
-        try:
-            text = manifest._path.read_bytes()
-        except (FileNotFoundError, NotADirectoryError):
-            return manifest
-        except OSError as error:
-            raise _unwritable(manifest._path, error) from None
-        for line in text.split(b"\n"):
-            if not line:
-                continue
-            manifest._n_lines += 1
+        manifest = cls(folder, shard)
+        for path in paths_in(folder):
+            manifest._take_in(path)
+        return manifest
+
+    def _take_in(self, path: Path) -> None:
+        is_own = path == self._path
+        some: dict[str, Entry] = {}
+        for line in lines_of(path):
+            self._n_lines += is_own
             entry = entry_of(line)
             if entry is not None:
-                manifest._entries[entry.name] = entry
-        return manifest
+                some[entry.name] = entry
+                self._newest = max(self._newest, entry.at)
+            elif is_own and kind_of(line) in ("run", "end"):
+                self._own_runs.append(line)
+        if is_own:
+            self._own = some
+        if not self._entries:
+            self._entries = dict(some) if is_own else some
+            return
+        for name, entry in some.items():
+            other = self._entries.get(name)
+            if other is None or (entry.at, entry.is_done) >= (other.at, other.is_done):
+                self._entries[name] = entry
 
     def get(self, name: str) -> Entry | None:
         """What is known of an output."""
@@ -164,7 +196,8 @@ class Manifest:
         Raises OutputError if the manifest cannot be written.
         """
         try:
-            if self._n_lines - len(self._entries) > max(_SPARE_LINES, len(self._entries)):
+            n_kept = len(self._own) + min(len(self._own_runs), _RUN_LINES_KEPT)
+            if self._n_lines - n_kept > max(_SPARE_LINES, n_kept):
                 self._compact()
             is_new = not self._path.exists()
             self._file = self._path.open("ab")
@@ -177,11 +210,12 @@ class Manifest:
             raise _unwritable(self._path, error) from None
 
     def append(self, lines: Iterable[Mapping[str, Any]]) -> None:
-        """Add lines made by ``intent`` and ``done``; they are on the disk when this returns.
+        """Add lines made by ``intent``, ``done`` and the like; they are on the disk on return.
 
         Raises OutputError if they cannot be written.
         """
-        text = b"".join(line_of(line) for line in lines)
+        at = max(time.time_ns(), self._newest + 1)
+        text = b"".join(line_of({**line, "at": at}) for line in lines)
         if not text:
             return
         try:
@@ -190,6 +224,7 @@ class Manifest:
             os.fsync(self._file.fileno())
         except OSError as error:
             raise _unwritable(self._path, error) from None
+        self._newest = at
         self._n_lines += text.count(b"\n")
 
     def close(self) -> None:
@@ -201,28 +236,82 @@ class Manifest:
     def _compact(self) -> None:
         """Rewrite the manifest with the lines that count; whole or not at all."""
         temporary = self._path.with_name(temporary_name("manifest"))
+        runs = self._own_runs[-_RUN_LINES_KEPT:]
         try:
             with temporary.open("xb") as file:
-                file.write(b"".join(entry.text + b"\n" for entry in self._entries.values()))
+                for line in runs:
+                    file.write(line + b"\n")
+                for entry in self._own.values():
+                    file.write(entry.text + b"\n")
                 file.flush()
                 os.fsync(file.fileno())
             temporary.replace(self._path)
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-        _log.debug(
-            "manifest of %r: %d lines became %d", self.folder, self._n_lines, len(self._entries)
-        )
-        self._n_lines = len(self._entries)
+        n_kept = len(runs) + len(self._own)
+        _log.debug("manifest of %r: %d lines became %d", self.folder, self._n_lines, n_kept)
+        self._own_runs = runs
+        self._n_lines = n_kept
 
 
-def intent(name: str, input_path: str) -> dict[str, Any]:
+def name_for(shard: Shard | None) -> str:
+    """The name of a shard's manifest, or of that of runs that are no shards."""
+    return NAME if shard is None else f".msal-manifest-{shard.file_part}.jsonl"
+
+
+def paths_in(folder: str) -> list[Path]:
+    """The manifests in a folder, by name; OutputError if the folder cannot be listed."""
+    try:
+        with os.scandir(folder) as entries:
+            names = sorted(entry.name for entry in entries if _ANY.fullmatch(entry.name))
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:
+        raise _unwritable(Path(folder), error) from None
+    return [Path(folder) / name for name in names]
+
+
+def lines_of(path: Path) -> Iterator[bytes]:
+    """The lines of a manifest without their ends, empty ones left out.
+
+    Raises OutputError if it cannot be read; a file that is not there has no lines.
+    """
+    try:
+        with path.open("rb") as file:
+            for line in file:
+                if plain := line.rstrip(b"\n"):
+                    yield plain
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except OSError as error:
+        raise _unwritable(path, error) from None
+
+
+def kind_of(line: bytes) -> str:
+    """What a line says that it is; empty if it makes no sense."""
+    try:
+        kind = json.loads(line)["kind"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return ""
+    return kind if isinstance(kind, str) else ""
+
+
+def intent(name: str, input_path: str, output_path: str = "") -> dict[str, Any]:
     """The line that says: a run is about to write the output ``name`` from this input."""
     mark = _mark_data(FileMark.of(input_path), "")
-    return {"kind": "intent", "name": name, "format": FORMAT, "input": mark}
+    return {
+        "kind": "intent",
+        "name": name,
+        "format": FORMAT,
+        "input": mark,
+        "paths": [input_path, output_path],
+    }
 
 
-def done(name: str, settings: str, record: MeshRecord, input_path: str) -> dict[str, Any]:
+def done(
+    name: str, settings: str, record: MeshRecord, input_path: str, output_path: str = ""
+) -> dict[str, Any]:
     """The line for a finished or failed file; ``settings`` is their hash."""
     output = None if record.error is not None or record.output is None else record.output
     return {
@@ -240,6 +329,7 @@ def done(name: str, settings: str, record: MeshRecord, input_path: str) -> dict[
             if output is None
             else _mark_data(record.output_object or FileMark.of(output), record.output_sha256 or "")
         ),
+        "paths": [input_path, output_path],
         "record": as_data(record),
     }
 
@@ -256,19 +346,21 @@ def _mark_data(mark: FileMark | ObjectMark | None, sha256: str) -> dict[str, Any
 def line_of(data: Mapping[str, Any]) -> bytes:
     """The line for what ``intent`` or ``done`` made, with its end."""
     # ASCII with escapes carries names that are not valid Unicode, and no name can break a line.
-    return json.dumps(data, separators=(",", ":")).encode("ascii") + b"\n"
+    return json.dumps(data, separators=(",", ":"), default=_plain).encode("ascii") + b"\n"
 
 
 def entry_of(line: bytes) -> Entry | None:
-    """What a line says; None if it is torn or makes no sense."""
+    """What a line tells of an output; None if it does not, or makes no sense."""
     try:
         data = json.loads(line)
         if data["kind"] not in ("intent", "done") or data.get("format", FORMAT) != FORMAT:
             return None
         output = data.get("output") or {}
+        at = data.get("at", 0)
         entry = Entry(
             name=data["name"],
             is_done=data["kind"] == "done",
+            at=at if type(at) is int else 0,
             settings=data.get("settings", ""),
             status=data.get("status", ""),
             input_sha256=data["input"]["sha256"],

@@ -6,11 +6,12 @@ import os
 import tempfile
 import unicodedata
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from msal_cli.batch.inputs import Found
 from msal_cli.batch.manifest import Manifest
+from msal_cli.batch.shards import Shard
 from msal_cli.errors import UsageError
 from msal_cli.pipeline import Task
 from msal_cli.pipeline import is_mesh_name as known_suffix
@@ -30,11 +31,21 @@ class Plan:
         file into one file).  It is the output folder or, in place, the folder that was searched
         or holds the file.
     fresh : do every file again, even where its output is current.
+    retry_failed : do files again that failed before, even where they would fail again.
+    shard, whole : which part this is, and of what, where it is a part (see ``shards.part``).
     """
 
     tasks: tuple[Task, ...]
     homes: tuple[str | None, ...]
     fresh: bool = False
+    retry_failed: bool = False
+    shard: Shard | None = None
+    whole: Plan | None = None
+
+    def folders(self) -> list[str]:
+        """All homes, each once; of a part those of the whole, for it works under their locks."""
+        homes = self.homes if self.whole is None else self.whole.homes
+        return sorted({home for home in homes if home is not None})
 
     def key(self, index: int) -> str:
         """The name by which the manifest knows a task: its output below its home, with ``/``."""
@@ -53,6 +64,7 @@ def built(
     backup: str | None = DEFAULT_BACKUP,
     force: bool = False,
     fresh: bool = False,
+    retry_failed: bool = False,
     is_mesh_name: Callable[[str], bool] = known_suffix,
     output_name: Callable[[str, str | None], str] = with_suffix_of,
 ) -> Plan:
@@ -66,7 +78,7 @@ def built(
     ``backup`` is the suffix of the copy that keeps the original; None keeps none.
 
     ``force`` allows files in the output folder to be replaced that no earlier run put there;
-    ``fresh`` does every file again.
+    ``fresh`` does every file again, ``retry_failed`` those that failed before.
 
     Raises
     ------
@@ -83,7 +95,7 @@ def built(
     else:
         tasks = tuple(_mirrored(one, output, to, output_name) for one in found)
         plan = Plan(tasks, (output,) * len(tasks), fresh)
-    plan = _without_repeats(plan)
+    plan = replace(_without_repeats(plan), retry_failed=retry_failed)
     _refuse_collisions(plan)
     if not in_place:
         _refuse_inputs_as_outputs(plan)

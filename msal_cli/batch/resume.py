@@ -17,6 +17,21 @@ from msal_cli.errors import OutputError
 from msal_cli.pipeline import Task
 from msal_cli.records import Failure, MeshRecord
 
+# What a file brings on itself comes again with the same file, settings and version.  All other
+# failures (crashes, memory, time, disks, what is not installed) may go away by themselves.
+_FAULTS_OF_FILES = frozenset(
+    {
+        "E_FORMAT",
+        "E_TRUNCATED",
+        "E_CONTENT",
+        "E_NONFINITE",
+        "E_INDEX",
+        "E_NO_FACES",
+        "E_RANGE",
+        "E_LOSS",
+    }
+)
+
 # Hashing is as fast as a disk; more threads than this only make the disk seek.
 _MOST_THREADS = 8
 
@@ -25,7 +40,8 @@ _MOST_THREADS = 8
 class Standing:
     """What is to be done about one task.
 
-    ``record`` is set if there is nothing to do: the output is current, or the file cannot be done.
+    ``record`` is set if there is nothing to do: the output is current, or the file cannot be done,
+    as may be known from an earlier run.
     ``objection`` is a reason to refuse the whole run.  With ``restores`` the input is first to be
     put back from its backup, because a run was killed right after it replaced it.
     """
@@ -80,8 +96,11 @@ class _Judge:
 
     def standing(self, index: int) -> Standing:
         task, entry = self._plan.tasks[index], self._entry(index)
-        if entry is not None and not self._plan.fresh and self._is_current(task, entry):
-            return Standing(index, record=_up_to_date(task, entry))
+        if entry is not None and not self._plan.fresh:
+            if self._is_current(task, entry):
+                return Standing(index, record=_up_to_date(task, entry))
+            if record := self._failed_before(task, entry):
+                return Standing(index, record=record)
         return self._in_place_standing(index, task, entry) if task.in_place else Standing(index)
 
     def _is_current(self, task: Task, entry: Entry) -> bool:
@@ -92,6 +111,19 @@ class _Judge:
         if not self._is_same(task.output, entry.output_mark, entry.output_sha256):
             return False
         return task.in_place or self._is_same(task.input, entry.input_mark, entry.input_sha256)
+
+    def _failed_before(self, task: Task, entry: Entry) -> MeshRecord | None:
+        """The record of a failure that would come again, because the file itself is at fault."""
+        if self._plan.retry_failed or entry.status != "failed" or not entry.is_done:
+            return None
+        if entry.settings != self._settings:
+            return None
+        record = entry.record()
+        if record is None or record.error is None or record.error.code not in _FAULTS_OF_FILES:
+            return None
+        if not self._is_same(task.input, entry.input_mark, entry.input_sha256):
+            return None
+        return replace(record, input=task.input, output=None, remembered=True)
 
     def _is_same(self, path: str, mark: FileMark | None, sha256: str) -> bool:
         now = FileMark.of(path)

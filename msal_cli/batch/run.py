@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from msal_cli import __version__
 from msal_cli.batch import signals, temporaries
 from msal_cli.batch.cores import usable_cores
 from msal_cli.batch.events import Finished, Progress, Started
+from msal_cli.batch.history import RunNote
 from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import Manifest, done, intent, settings_hash
 from msal_cli.batch.plan import Plan
@@ -42,13 +43,15 @@ def run(
     on_event: OnEvent | None = None,
     dry_run: bool = False,
     stop_after_failures: int | None = None,
+    command: Sequence[str] = (),
     denoise: Denoise = denoise_file,
     engine: EngineFor | None = None,
 ) -> list[MeshRecord]:
     """One record per task, in the plan's order; the same bytes for any number of jobs.
 
     What an earlier run has written and is still current is not done again (status
-    ``up-to-date``).  A plan of one task runs in this process, others in supervised workers.
+    ``up-to-date``), and neither is what failed through its own fault and would fail again.  A plan
+    of one task runs in this process, others, and parts of a plan, in supervised workers.
 
     Parameters
     ----------
@@ -56,6 +59,7 @@ def run(
     on_event : called in this thread with events.Started, Progress and Finished.
     dry_run : touch nothing; records are ``planned`` or ``up-to-date``.
     stop_after_failures : hand out no more files once so many have failed; the rest is ``planned``.
+    command : how the run was called, for the manifests and the reports made of them.
     denoise : what does one file, a module-level function.
     engine : hands out the files, a single one too; None is ``engine.crew_for``.
 
@@ -78,6 +82,7 @@ def run(
         one = _Run(plan, settings, jobs, on_event or (lambda event: None), denoise)
         one.stop_after_failures = stop_after_failures
         one.engine = engine
+        one.command = tuple(command)
         return one.rehearsed() if dry_run else one.performed(stack)
 
 
@@ -92,6 +97,7 @@ class _Run:
     ) -> None:
         self.stop_after_failures: int | None = None
         self.engine: EngineFor | None = None
+        self.command: tuple[str, ...] = ()
         self._plan = plan
         self._settings = settings
         self._cores = usable_cores()
@@ -99,8 +105,10 @@ class _Run:
         self._on_event = on_event
         self._denoise = denoise
         self._hash = settings_hash(settings)
-        self._homes = sorted({home for home in plan.homes if home is not None})
+        self._homes = plan.folders()
         self._manifests: dict[str, Manifest] = {}
+        # Those that the start of this run is noted in.
+        self._begun: list[Manifest] = []
         self._records: dict[int, MeshRecord] = {}
         self._n_failed = 0
 
@@ -114,20 +122,37 @@ class _Run:
 
     def performed(self, stack: ExitStack) -> list[MeshRecord]:
         """What happened; ``stack`` lets go of locks and manifests, however this ends."""
-        with signals.noticed(signals.raise_for):
-            todo = self._prepared(stack)
-        if len(self._plan.tasks) == 1 and self.engine is None:
-            self._work_here(todo)
-        elif todo:
-            self._work_elsewhere(todo)
+        note = RunNote.now(self._plan, self._settings, self.command)
+        try:
+            with signals.noticed(signals.raise_for):
+                todo = self._prepared(stack, note)
+            if self._is_single():
+                self._work_here(todo)
+            elif todo:
+                self._work_elsewhere(todo)
+        except BaseException:
+            # Why it ended matters more than that it cannot be noted.
+            with suppress(OutputError):
+                self._note_end(note, interrupted=True)
+            raise
+        self._note_end(note, interrupted=False)
         return self._in_order()
 
-    def _prepared(self, stack: ExitStack) -> list[int]:
+    def _is_single(self) -> bool:
+        is_part = self._plan.shard is not None
+        return len(self._plan.tasks) == 1 and self.engine is None and not is_part
+
+    def _note_end(self, note: RunNote, *, interrupted: bool) -> None:
+        for manifest in self._begun:
+            manifest.append([note.end(interrupted=interrupted)])
+
+    def _prepared(self, stack: ExitStack, note: RunNote) -> list[int]:
         """Take hold of the folders, settle what is current; the indices of what is to be done."""
+        shard = self._plan.shard
         for home in self._homes:
             _make_folder(home)
-            stack.enter_context(FolderLock(home))
-            manifest = Manifest.read(home)
+            stack.enter_context(FolderLock(home, shard))
+            manifest = Manifest.read(home, shard)
             stack.callback(manifest.close)
             self._manifests[home] = manifest
         folders = {Path(task.output).parent for task in self._plan.tasks}
@@ -136,10 +161,14 @@ class _Run:
         todo = self._unsettled(restored)
         for manifest in self._manifests.values():
             manifest.open()
+            manifest.append([note.line()])
+            self._begun.append(manifest)
         for task in restored:
             restore(task)
+        tasks = self._plan.tasks
         self._note(
-            (index, intent(key, self._plan.tasks[index].input)) for index, key in self._keys(todo)
+            (index, intent(key, tasks[index].input, tasks[index].output))
+            for index, key in self._keys(todo)
         )
         return todo
 
@@ -249,9 +278,9 @@ class _Run:
 
     def _finish(self, finished: list[tuple[int, MeshRecord]]) -> None:
         """Note files in the manifests, then tell."""
-        records = dict(finished)
+        records, tasks = dict(finished), self._plan.tasks
         self._note(
-            (index, done(key, self._hash, records[index], self._plan.tasks[index].input))
+            (index, done(key, self._hash, records[index], tasks[index].input, tasks[index].output))
             for index, key in self._keys(records)
         )
         for index, record in finished:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -53,6 +54,8 @@ class Request:
     dry_run: bool
     force: bool
     fresh: bool
+    retry_failed: bool
+    shard: str | None
     reports: tuple[str, ...]
     as_json: bool
     quiet: bool
@@ -184,6 +187,17 @@ _PATH = click.Path(readable=False, allow_dash=True)
 )
 @click.option("--fresh", is_flag=True, help="Denoise again what an earlier run has done already.")
 @click.option(
+    "--retry-failed",
+    is_flag=True,
+    help="Try again what failed in an earlier run and would fail again.",
+)
+@click.option(
+    "--shard",
+    metavar="K/N|auto",
+    help="Take only the K-th of N parts of the files; N such runs do them all, on one machine or "
+    "many. auto asks Slurm, AWS Batch or Kubernetes; auto/N gives N where they do not.",
+)
+@click.option(
     "--report",
     "reports",
     metavar="FILE",
@@ -270,7 +284,7 @@ class _Session:
         from msal_cli.cli import progress, reports
 
         request = self._request
-        paths = [path for task in plan.tasks for path in (task.input, task.output)]
+        paths = [path for task in (plan.whole or plan).tasks for path in (task.input, task.output)]
         reports.check(request.reports, paths)
         finished: dict[int, MeshRecord] = {}
 
@@ -280,6 +294,8 @@ class _Session:
                 _log_record(event.record)
 
         _log.info("%s files, method %s %s", len(plan.tasks), settings.method, settings.parameters)
+        if plan.shard is not None and plan.whole is not None and not request.quiet:
+            talk.say(f"shard {plan.shard}: {len(plan.tasks):,} of {len(plan.whole.tasks):,} files")
         bar = progress.bar(plan.tasks, quiet=request.quiet or request.dry_run)
         try:
             records = run(
@@ -288,6 +304,7 @@ class _Session:
                 jobs=request.jobs,
                 on_event=progress.heard_by(keep, bar.on_event),
                 dry_run=request.dry_run,
+                command=("msal", *self._arguments),
             )
         except (KeyboardInterrupt, OutputError, ResourceError):
             bar.close()
@@ -399,6 +416,8 @@ def _refuse_for_streams(request: Request, one: Pipe) -> None:
         "--include": request.include,
         "--exclude": request.exclude,
         "--dry-run": request.dry_run,
+        "--shard": request.shard,
+        "--retry-failed": request.retry_failed,
     }
     for word, value in given.items():
         if value:
@@ -455,11 +474,12 @@ def _backup_suffix(request: Request) -> str | None:
 
 
 def _plan(request: Request, settings: Settings) -> Plan:
-    from msal_cli.batch import inputs, plan
+    from msal_cli.batch import inputs, plan, shards
 
     output = request.output
+    shard = None if request.shard is None else shards.settled(request.shard, os.environ)
     found = inputs.found(request.inputs, request.include, request.exclude, output=output)
-    return plan.built(
+    everything = plan.built(
         found,
         output,
         to=settings.to,
@@ -467,4 +487,7 @@ def _plan(request: Request, settings: Settings) -> Plan:
         backup=_backup_suffix(request),
         force=request.force,
         fresh=request.fresh,
+        retry_failed=request.retry_failed,
     )
+    # Everything is checked first, so that each shard refuses what a whole run would.
+    return everything if shard is None else shards.part(everything, shard)

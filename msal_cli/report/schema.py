@@ -39,7 +39,7 @@ DESCRIPTIONS: dict[str, str] = {
     "Totals.written": "files written with some vertex moved, or in another form",
     "Totals.unchanged": "files written byte for byte as they were, because no vertex moved",
     "Totals.up_to_date": "files whose output of an earlier run is current",
-    "Totals.planned": "files not dealt with (dry run)",
+    "Totals.planned": "files not dealt with: by a dry run, or because the run ended before",
     "Totals.failed": "files that failed",
     "Totals.vertices": "vertices of the files denoised in this run",
     "Totals.work_seconds": "sum of the seconds of the files denoised in this run",
@@ -91,6 +91,10 @@ DESCRIPTIONS: dict[str, str] = {
     "MeshRecord.sidecars": "what was done about files that the input refers to",
     "MeshRecord.warnings": "what a user should know although the file was written",
     "MeshRecord.error": "why the file failed; null if it did not",
+    "MeshRecord.remembered": (
+        "true if the file failed in an earlier run with the same content, settings and version, "
+        "and was not tried again"
+    ),
     # Parts of a MeshRecord
     "Volume.before": "signed volume before, cubed file units",
     "Volume.after": "signed volume after, cubed file units",

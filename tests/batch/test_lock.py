@@ -63,12 +63,12 @@ def test_a_lock_file_removed_while_we_waited_is_not_the_lock(tmp_path, monkeypat
     real = lock._is_locked_by_us
     calls = []
 
-    def slow(handle):
+    def slow(handle, **how):
         calls.append(handle)
         if len(calls) == 1:
             # The last holder lets go between our opening the file and our locking it.
             (tmp_path / NAME).unlink()
-        return real(handle)
+        return real(handle, **how)
 
     monkeypatch.setattr(lock, "_is_locked_by_us", slow)
     with FolderLock(str(tmp_path)):
@@ -82,7 +82,7 @@ class TestWithoutLocks:
 
     @pytest.fixture(autouse=True)
     def no_locks(self, monkeypatch):
-        def unsupported(handle):
+        def unsupported(handle, **how):
             raise OSError(38, "Function not implemented")
 
         monkeypatch.setattr(lock, "_is_locked_by_us", unsupported)
