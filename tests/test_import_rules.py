@@ -42,6 +42,7 @@ MAY_IMPORT = {
 }
 
 ONLY_IN = {
+    "llvmlite": {"core"},
     "numba": {"core"},
     "trimesh": {"files"},
     "meshio": {"files"},

@@ -1,5 +1,4 @@
 """Arrays in, new arrays out: connectivity, geometry, operators and the kernels below them.
 
-Modules that hold numba kernels import numba when they are imported; everything above imports
-them only inside the function that needs them.
+Kernels are compiled, or their machine code loaded, at their first call (see ``compiled``).
 """

@@ -11,9 +11,9 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.geometry import DEGENERATE
 from msal_cli.core.operators import Step
@@ -31,7 +31,7 @@ LEAST = 0.25
 """Least slope: beyond a right angle a bent flap pulls, though a flat one would not begin to."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _edge_curvatures(  # type: ignore[no-untyped-def]
     start, stop, x, corners, threshold, falloff, curvatures, slopes, bent
 ):
@@ -118,7 +118,7 @@ def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> f
     return float(middle + deviations * PER_MEDIAN * np.median(np.abs(lengths - middle)))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _edge_rows(corners, edge_start, ends, beside):  # type: ignore[no-untyped-def]
     """Rows of the flaps e whose edge ends at each vertex: 2 e where it is p1, 2 e + 1 for p3.
 
@@ -141,7 +141,7 @@ def _edge_rows(corners, edge_start, ends, beside):  # type: ignore[no-untyped-de
     edge_start[0] = 0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _area_vectors(start, stop, x, faces, vectors):  # type: ignore[no-untyped-def]
     """Normal of every face with its area for length, and the area, both times two."""
     for f in range(start, stop):
@@ -155,7 +155,7 @@ def _area_vectors(start, stop, x, faces, vectors):  # type: ignore[no-untyped-de
         vectors[f, 3] = np.sqrt(nx * nx + ny * ny + nz * nz)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _gathered(  # type: ignore[no-untyped-def]
     start,
     stop,
@@ -206,7 +206,7 @@ def _gathered(  # type: ignore[no-untyped-def]
                 rate[i] = 6.0 * time_step / area
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _directions(  # type: ignore[no-untyped-def]
     start, stop, edge_start, beside, total, outward, feature, along, products
 ):
@@ -239,7 +239,7 @@ def _directions(  # type: ignore[no-untyped-def]
         products[i, 1] = length
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _prescribed(start, stop, edge_start, beside, along, products, feature, total):  # type: ignore[no-untyped-def]
     """Take f V_A from H_A."""
     for i in range(start, stop):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.exponential import exponentials
 from msal_cli.core.geometry import vertex_normals
@@ -20,7 +20,7 @@ Ints = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _ring_bilateral(  # type: ignore[no-untyped-def]
     start, stop, x, normals, ring_start, ring, free, closeness, similarity, floor, heights, sigma
 ):
@@ -135,7 +135,7 @@ class RingBilateral:
         return Step(heights, sigma)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _shortest_edge(i, x, ring_start, ring, floor):  # type: ignore[no-untyped-def]
     """Length of the shortest edge at i that is longer than the floor; 0 if none is."""
     shortest = np.inf
@@ -148,7 +148,7 @@ def _shortest_edge(i, x, ring_start, ring, floor):  # type: ignore[no-untyped-de
     return np.sqrt(shortest) if shortest < np.inf else 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _ball_bilateral(  # type: ignore[no-untyped-def]
     start,
     stop,

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.exponential import exponentials
 from msal_cli.core.geometry import VANISHED
 from msal_cli.core.parallel import over_ranges
@@ -27,7 +27,7 @@ OUT_OF_REACH = 1e300
 """Exponent of a neighbour that must not count; finite, so that differences are numbers."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _distances(start, stop, centroids, falloff, handicaps, ring_start, ring, exponents):  # type: ignore[no-untyped-def]
     for f in range(start, stop):
         for at in range(ring_start[f], ring_start[f + 1]):
@@ -59,7 +59,7 @@ def distance_exponents(
     return exponents
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _averaged(start, stop, normals, exponents, falloff, ring_start, ring, result):  # type: ignore[no-untyped-def]
     """Faces are taken in blocks: the exponents of all, all exponentials, then the sums."""
     widest = 0

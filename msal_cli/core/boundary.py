@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 
 Ints = NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _open_neighbours(faces, face_start, incident, boundary, kept, row_start, row):  # type: ignore[no-untyped-def]
     """Neighbours of every boundary vertex along edges with one face; counted where not kept."""
     n = len(boundary)

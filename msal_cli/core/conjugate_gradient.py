@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.parallel import over_ranges
 
 Floats = NDArray[np.float64]
@@ -41,7 +41,7 @@ class SymmetricMatrix(Protocol):
         ...
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _product(start, stop, diagonal, row_start, columns, values, x, product):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         own = diagonal[i]
@@ -94,7 +94,7 @@ class RowMatrix:
 # A range of rows works on the chunks whose first row it holds, as a whole.
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _dot(start, stop, a, b, sums):  # type: ignore[no-untyped-def]
     for chunk in range(-(-start // CHUNK), -(-stop // CHUNK)):
         total = 0.0
@@ -103,7 +103,7 @@ def _dot(start, stop, a, b, sums):  # type: ignore[no-untyped-def]
         sums[chunk] = total
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _stepped(start, stop, length, p, q, inverse, x, r, sums):  # type: ignore[no-untyped-def]
     """x and r after a step of that length along p, q = A p; sums of r . r / diagonal."""
     for chunk in range(-(-start // CHUNK), -(-stop // CHUNK)):
@@ -119,7 +119,7 @@ def _stepped(start, stop, length, p, q, inverse, x, r, sums):  # type: ignore[no
         sums[chunk] = total
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _turned(start, stop, share, r, inverse, p):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         scale = inverse[i]

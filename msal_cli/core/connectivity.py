@@ -9,14 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from msal_cli.core.compiled import compiled
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _welded(bits, used, table, first):  # type: ignore[no-untyped-def]
     mask = len(table) - 1
     merged = 0
@@ -68,7 +69,7 @@ def welded(vertices: Floats, faces: Ints) -> Ints:
     return first_alike(vertices, used)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _numbered(left, right, table, number, first):  # type: ignore[no-untyped-def]
     mask = len(table) - 1
     found = 0
@@ -107,7 +108,7 @@ def numbered(left: Ints, right: Ints) -> tuple[Ints, Ints]:
     return number, first[:found].copy()
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _incident_faces(faces, face_start, incident):  # type: ignore[no-untyped-def]
     for f in range(len(faces)):
         for corner in range(3):
@@ -125,7 +126,7 @@ def _incident_faces(faces, face_start, incident):  # type: ignore[no-untyped-def
     face_start[0] = 0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _neighbours_in_face(faces, f, i):  # type: ignore[no-untyped-def]
     """The vertex after i and the vertex before i in face f."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -136,7 +137,7 @@ def _neighbours_in_face(faces, f, i):  # type: ignore[no-untyped-def]
     return a, b
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _ring_sizes(faces, face_start, incident, ring_start):  # type: ignore[no-untyped-def]
     n = len(ring_start) - 1
     seen = np.full(n, -1, dtype=np.int32)
@@ -154,7 +155,7 @@ def _ring_sizes(faces, face_start, incident, ring_start):  # type: ignore[no-unt
     return total
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _rings(faces, face_start, incident, ring_start, ring, boundary):  # type: ignore[no-untyped-def]
     """Fill the rings; count (boundary, inconsistent, non-manifold) edges; mark the boundary."""
     n = len(ring_start) - 1
@@ -237,7 +238,7 @@ def connectivity(n_vertices: int, faces: Ints) -> Connectivity:
     return Connectivity(face_start, incident, ring_start, ring, boundary, *map(int, counts))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _duplicates(corners, table, duplicate):  # type: ignore[no-untyped-def]
     mask = len(table) - 1
     found = 0
@@ -271,7 +272,7 @@ def duplicate_faces(faces: Ints) -> NDArray[np.bool_]:
     return duplicate
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _root(parent, item):  # type: ignore[no-untyped-def]
     while parent[item] != item:
         parent[item] = parent[parent[item]]
@@ -279,7 +280,7 @@ def _root(parent, item):  # type: ignore[no-untyped-def]
     return item
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _count_components(faces, used, parent):  # type: ignore[no-untyped-def]
     components = 0
     for i in range(len(parent)):
@@ -306,7 +307,7 @@ def count_components(n_vertices: int, faces: Ints, used: NDArray[np.bool_]) -> i
     return int(_count_components(faces, used, np.empty(n_vertices, dtype=np.int32)))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _root_and_parity(parent, parity, face):  # type: ignore[no-untyped-def]
     """Root of a face and whether the face is wound against it; paths are shortened."""
     root = face
@@ -324,7 +325,7 @@ def _root_and_parity(parent, parity, face):  # type: ignore[no-untyped-def]
     return root, against
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _to_flip(faces, face_start, incident, ring_start, flip):  # type: ignore[no-untyped-def]
     n = len(ring_start) - 1
     m = len(faces)

@@ -7,9 +7,9 @@ an edge has the cotangents of as many corners as look at it.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.geometry import face_normals_and_areas
 from msal_cli.core.parallel import over_ranges
@@ -24,7 +24,7 @@ About three degrees in the smallest angle of an isosceles face; no cotangent exc
 """
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _corner_dots(vertices, a, b, c):  # type: ignore[no-untyped-def]
     """Dot products of the edges that leave each corner, doubled area, longest edge squared."""
     ux = vertices[b, 0] - vertices[a, 0]
@@ -45,7 +45,7 @@ def _corner_dots(vertices, a, b, c):  # type: ignore[no-untyped-def]
     return at_a, at_b, at_c, doubled, longest
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _corner_cotangents(start, stop, vertices, faces, cotangents):  # type: ignore[no-untyped-def]
     for f in range(start, stop):
         at_a, at_b, at_c, doubled, longest = _corner_dots(
@@ -71,7 +71,7 @@ def corner_cotangents(vertices: Floats, faces: Ints) -> Floats:
     return cotangents
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _cotangent_weights(  # type: ignore[no-untyped-def]
     start, stop, cotangents, faces, face_start, incident, ring_start, ring, weights
 ):
@@ -121,7 +121,7 @@ def cotangent_weights(vertices: Floats, faces: Ints, links: Connectivity) -> Flo
     return weights
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _corner_areas(start, stop, vertices, faces, areas):  # type: ignore[no-untyped-def]
     for f in range(start, stop):
         at_a, at_b, at_c, doubled, _ = _corner_dots(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
@@ -143,7 +143,7 @@ def _corner_areas(start, stop, vertices, faces, areas):  # type: ignore[no-untyp
             areas[f, 2] = of_bc + of_ca
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _mixed_areas(start, stop, corner_areas, faces, face_start, incident, areas):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         total = 0.0
@@ -177,7 +177,7 @@ def mixed_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
     return areas
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _ring_areas(start, stop, face_areas, face_start, incident, areas):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         total = 0.0

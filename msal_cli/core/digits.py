@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from msal_cli.core.compiled import compiled
 
 EXACT, NOT_A_NUMBER, UNDECIDED = 0, 1, 2
 """What became of a token: its value is exact; it is no number; ``float`` must decide."""
@@ -58,7 +59,7 @@ _POWERS = np.array([10**q for q in range(20)], dtype=np.uint64)
 # Reading
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _product(a, b):  # type: ignore[no-untyped-def]
     """High and low word of the product of two uint64."""
     low32 = np.uint64(0xFFFFFFFF)
@@ -73,7 +74,7 @@ def _product(a, b):  # type: ignore[no-untyped-def]
     return high, (middle << by32) | (p00 & low32)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _bit_length(word):  # type: ignore[no-untyped-def]
     """Bits of a uint64 that is not zero."""
     length = 1
@@ -84,7 +85,7 @@ def _bit_length(word):  # type: ignore[no-untyped-def]
     return length
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _times_power(word, exponent):  # type: ignore[no-untyped-def]
     """The leading 128 bits of word * 10**exponent, at most two units too small.
 
@@ -103,7 +104,7 @@ def _times_power(word, exponent):  # type: ignore[no-untyped-def]
     return high, total, _POWER_EXPONENTS[row] + 64 - left
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _scaled(mantissa, exponent):  # type: ignore[no-untyped-def]
     """mantissa * 10**exponent, correctly rounded, and EXACT or UNDECIDED; mantissa is uint64."""
     if mantissa == np.uint64(0):
@@ -133,7 +134,7 @@ def _scaled(mantissa, exponent):  # type: ignore[no-untyped-def]
     return math.ldexp(np.float64(np.int64(rounded)), int(power + 64 + cut + 1)), EXACT
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _letter(buf, at, stop):  # type: ignore[no-untyped-def]
     """The byte at ``at`` in lower case, 0 beyond the end."""
     if at >= stop:
@@ -144,7 +145,7 @@ def _letter(buf, at, stop):  # type: ignore[no-untyped-def]
     return c
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _word(buf, at, stop):  # type: ignore[no-untyped-def]
     """nan, nan(...), inf or infinity: value, status and end."""
     if _letter(buf, at, stop) == 110:
@@ -166,7 +167,7 @@ def _word(buf, at, stop):  # type: ignore[no-untyped-def]
     return np.inf, EXACT, at + 8
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _long(buf, start, stop, decimals):  # type: ignore[no-untyped-def]
     """Value and status of twenty digits and more, with a point among them, times 10**-decimals.
 
@@ -192,7 +193,7 @@ def _long(buf, start, stop, decimals):  # type: ignore[no-untyped-def]
     return below, EXACT if status == EXACT and below == above else UNDECIDED
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _read_any(buf, start, stop):  # type: ignore[no-untyped-def]
     """``read_number`` for every number."""
     at = start
@@ -243,7 +244,7 @@ def _read_any(buf, start, stop):  # type: ignore[no-untyped-def]
     return -value if negative else value, status, at, max(decimals, 0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def read_number(buf, start, stop):  # type: ignore[no-untyped-def]
     """The number that begins at ``start``: value, status, end, decimals.
 
@@ -286,7 +287,7 @@ def read_number(buf, start, stop):  # type: ignore[no-untyped-def]
 # Printing
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _write_digits(word, n_digits, out, at):  # type: ignore[no-untyped-def]
     """Write a uint64 with exactly ``n_digits`` digits; returns the end."""
     ten = np.uint64(10)
@@ -297,7 +298,7 @@ def _write_digits(word, n_digits, out, at):  # type: ignore[no-untyped-def]
     return at + n_digits
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _n_digits(word):  # type: ignore[no-untyped-def]
     """Decimal digits of a uint64, one for zero."""
     n = 1
@@ -306,7 +307,7 @@ def _n_digits(word):  # type: ignore[no-untyped-def]
     return n
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _parts(value):  # type: ignore[no-untyped-def]
     """Integer mantissa (uint64) and exponent e of a finite |value| = mantissa * 2**e."""
     bits = np.float64(value).view(np.uint64)
@@ -317,7 +318,7 @@ def _parts(value):  # type: ignore[no-untyped-def]
     return mantissa | np.uint64(1 << 52), biased - 1075
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def write_fixed(value, decimals, out, at):  # type: ignore[no-untyped-def]
     """Write ``value`` with ``decimals`` (at most 17) digits behind the point; returns the end.
 
@@ -374,7 +375,7 @@ def write_fixed(value, decimals, out, at):  # type: ignore[no-untyped-def]
     return at
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _rounded_to(value, n_digits, exponent):  # type: ignore[no-untyped-def]
     """Nearest integer (up to a tie) to value * 10**(n_digits - 1 - exponent), value > 0."""
     mantissa, power = _parts(value)
@@ -385,7 +386,7 @@ def _rounded_to(value, n_digits, exponent):  # type: ignore[no-untyped-def]
     return (doubled + np.uint64(1)) >> np.uint64(1)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _reads_back(mantissa, exponent, value, single):  # type: ignore[no-untyped-def]
     """Whether mantissa * 10**exponent is read as ``value``: 1, 0, or -1 where it is unsure."""
     back, status = _scaled(mantissa, exponent)
@@ -399,7 +400,7 @@ def _reads_back(mantissa, exponent, value, single):  # type: ignore[no-untyped-d
     return 1 if below == value and above == value else 0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def write_shortest(value, single, out, at):  # type: ignore[no-untyped-def]
     """Write the shortest decimal that is read back as ``value``; returns the end.
 

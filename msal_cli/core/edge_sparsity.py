@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.conjugate_gradient import RowMatrix
 from msal_cli.core.parallel import over_ranges
 
@@ -25,7 +25,7 @@ LARGEST = 100.0
 """Coefficients beyond it, of a flap on a needle, are scaled down: they would rule all others."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _bends(start, stop, x, corners, threshold, coefficients, deltas):  # type: ignore[no-untyped-def]
     """c by areas as in He & Schaefer, section 3.2; S134 times 2 is s_one, S123 times 2 is s_two."""
     for e in range(start, stop):
@@ -71,7 +71,7 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):  # type: i
             deltas[e, 2] = vz
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _incidences(corners, start, incident):  # type: ignore[no-untyped-def]
     for e in range(len(corners)):
         for place in range(4):
@@ -88,7 +88,7 @@ def _incidences(corners, start, incident):  # type: ignore[no-untyped-def]
     start[0] = 0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _pattern(corners, start, incident, row_start, columns, slots):  # type: ignore[no-untyped-def]
     """Columns of every row, and the place in it of each corner of each incident flap."""
     n = len(start) - 1
@@ -112,7 +112,7 @@ def _pattern(corners, start, incident, row_start, columns, slots):  # type: igno
     return total
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _assembled(  # type: ignore[no-untyped-def]
     start,
     stop,

@@ -7,7 +7,8 @@ the first-level cache it takes a third of the time, and gives the same bits on e
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from msal_cli.core.compiled import compiled
 
 _PER_LN2 = 1.4426950408889634  # 1 / ln 2
 # ln 2 in two parts (Cody and Waite): the first has few enough bits for exact products.
@@ -20,7 +21,7 @@ SMALLEST_ARGUMENT = -700.0
 """Arguments below are taken as this: exp(-700) is 1e-304, nothing beside a weight of 1."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def exponentials(values, scratch, scratch_bits, count):  # type: ignore[no-untyped-def]
     """Replace ``values[:count]``, none above zero, by their exponentials, within 1 ulp or so.
 

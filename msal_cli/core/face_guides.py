@@ -14,9 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.face_rings import face_rings
 from msal_cli.core.geometry import VANISHED
@@ -29,7 +29,7 @@ LongInts = NDArray[np.int64]
 EPSILON = 1e-9
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _pairs(edge_start, edge_ring, first_pair, pairs):  # type: ignore[no-untyped-def]
     """Number the pairs f < g of neighbours in the order of the rows."""
     found = 0
@@ -44,7 +44,7 @@ def _pairs(edge_start, edge_ring, first_pair, pairs):  # type: ignore[no-untyped
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _inner(  # type: ignore[no-untyped-def]
     start, stop, ring_start, ring, first_pair, pairs, sizes, inner_start, inner
 ):
@@ -67,7 +67,7 @@ def _inner(  # type: ignore[no-untyped-def]
         sizes[f] = count
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _jumps(start, stop, normals, pairs, jumps):  # type: ignore[no-untyped-def]
     """|n_a - n_b| of every pair; zero where either has no normal."""
     for pair in range(start, stop):
@@ -81,7 +81,7 @@ def _jumps(start, stop, normals, pairs, jumps):  # type: ignore[no-untyped-def]
             jumps[pair] = np.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _scored(  # type: ignore[no-untyped-def]
     start, stop, normals, areas, ring_start, ring, jumps, inner_start, inner, scores, means
 ):
@@ -131,7 +131,7 @@ def _scored(  # type: ignore[no-untyped-def]
         scores[f] = np.sqrt(widest_square) * greatest / (EPSILON + total)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _chosen(start, stop, normals, ring_start, ring, scores, means, guides):  # type: ignore[no-untyped-def]
     for f in range(start, stop):
         best = f

@@ -7,9 +7,9 @@ and no search tree is needed.  It goes on through faces whose centroids are with
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.parallel import over_ranges
 
 Floats = NDArray[np.float64]
@@ -17,7 +17,7 @@ Ints = NDArray[np.int32]
 LongInts = NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _reached(  # type: ignore[no-untyped-def]
     start, stop, centroids, ring_start, ring, square_radius, most, sizes, near_start, near
 ):

@@ -12,9 +12,9 @@ makes no neighbours: the faces of a wide fan still neighbour the next ones acros
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.geometry import mean_edge_length
 from msal_cli.core.parallel import over_ranges
@@ -30,7 +30,7 @@ MOST_PAIRS = 2**31 - 1
 """Entries that 32-bit rows can number."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _circles(faces, face_start, incident, following):  # type: ignore[no-untyped-def]
     """Link each side of a face to the next side along the same edge, round in a circle.
 
@@ -61,7 +61,7 @@ def _circles(faces, face_start, incident, following):  # type: ignore[no-untyped
                 following[side] = first[k]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _neighbours(  # type: ignore[no-untyped-def]
     start, stop, faces, face_start, incident, following, at_corners, sizes, ring_start, ring
 ):
@@ -139,7 +139,7 @@ def face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, In
     return ring_start, ring
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _centroids(start, stop, vertices, faces, centroids):  # type: ignore[no-untyped-def]
     for f in range(start, stop):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.geometry import DEGENERATE
 from msal_cli.core.parallel import over_ranges
 
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _normal(corners, f):  # type: ignore[no-untyped-def]
     """Unit normal of facet f by the right-hand rule, zeros if it is degenerate."""
     ux = corners[f, 3] - corners[f, 0]
@@ -34,7 +34,7 @@ def _normal(corners, f):  # type: ignore[no-untyped-def]
     return nx / length, ny / length, nz / length
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _renewed(start, stop, old, new, normals, changed):  # type: ignore[no-untyped-def]
     for f in range(start, stop):
         changed[f] = False

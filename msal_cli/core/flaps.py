@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.parallel import over_ranges
 
@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _flaps(faces, face_start, incident, ring_start, ring, result):  # type: ignore[no-untyped-def]
     n = len(ring_start) - 1
     # Positions in ``ring`` only grow, so a slot at or above a row's start belongs to that row.
@@ -66,7 +66,7 @@ def flaps(faces: Ints, links: Connectivity) -> Ints:
     return result
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _dihedral_angles(start, stop, x, corners, angles):  # type: ignore[no-untyped-def]
     for e in range(start, stop):
         p1, p2, p3, p4 = corners[e, 0], corners[e, 1], corners[e, 2], corners[e, 3]

@@ -8,9 +8,9 @@ normal, and a zero vector stands in its place.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.parallel import over_ranges
 
 Floats = NDArray[np.float64]
@@ -23,7 +23,7 @@ VANISHED = 1e-10
 """A sum of k unit vectors shorter than this times k has no direction."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _doubled_area_normal(vertices, a, b, c):  # type: ignore[no-untyped-def]
     """Unit normal (zeros if degenerate) and doubled area of one triangle."""
     ux = vertices[b, 0] - vertices[a, 0]
@@ -47,7 +47,7 @@ def _doubled_area_normal(vertices, a, b, c):  # type: ignore[no-untyped-def]
     return nx / length, ny / length, nz / length, length
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _face_normals(start, stop, vertices, faces, normals, doubled_areas):  # type: ignore[no-untyped-def]
     for f in range(start, stop):
         nx, ny, nz, doubled = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
@@ -71,7 +71,7 @@ def face_normals(vertices: Floats, faces: Ints) -> Floats:
     return face_normals_and_areas(vertices, faces)[0]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _vertex_normals(  # type: ignore[no-untyped-def]
     start, stop, unit_normals, areas, face_start, incident_faces, by_area, normals
 ):
@@ -133,7 +133,7 @@ def vertex_normals(
     return normals
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _mollified(start, stop, normals, ring_start, ring, result):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         sx = sy = sz = 0.0
@@ -166,7 +166,7 @@ def mollified(normals: Floats, ring_start: Ints, ring: Ints, passes: int) -> Flo
     return normals
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _area_and_volume(vertices, faces):  # type: ignore[no-untyped-def]
     doubled_area = 0.0
     sixfold_volume = 0.0
@@ -191,7 +191,7 @@ def area_and_volume(vertices: Floats, faces: Ints) -> tuple[float, float]:
     return float(area), float(volume)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _angles_between(start, stop, before, after, faces, angles):  # type: ignore[no-untyped-def]
     for f in range(start, stop):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -218,7 +218,7 @@ def normal_angles(before: Floats, after: Floats, faces: Ints) -> Floats:
     return angles
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _edge_length_sum(vertices, ring_start, ring):  # type: ignore[no-untyped-def]
     total = 0.0
     count = 0
@@ -240,7 +240,7 @@ def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
     return float(total / count) if count else 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _ring_means(start, stop, values, ring_start, ring, result):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         m = ring_start[i + 1] - ring_start[i]
@@ -257,7 +257,7 @@ def ring_means(values: Floats, ring_start: Ints, ring: Ints) -> Floats:
     return result
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _entry_sums(  # type: ignore[no-untyped-def]
     old_unit, new_unit, faces, moved, group, old_sums, new_sums, touched
 ):

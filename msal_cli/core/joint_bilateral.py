@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.exponential import exponentials
 from msal_cli.core.geometry import VANISHED
 from msal_cli.core.parallel import over_ranges
@@ -15,7 +15,7 @@ Ints = NDArray[np.int32]
 LongInts = NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _filtered(  # type: ignore[no-untyped-def]
     start, stop, n, g, c, areas, near_start, near, per_distance, per_guide, result
 ):

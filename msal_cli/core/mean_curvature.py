@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.conjugate_gradient import RowMatrix, conjugate_gradients
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.cotangent import cotangent_weights, mixed_areas, ring_areas
@@ -38,7 +38,7 @@ def vertex_areas(vertices: Floats, faces: Ints, links: Connectivity, areas: str)
     return ring_areas(vertices, faces, links) / 3.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _curvature_step(start, stop, x, weights, areas, ring_start, ring, free, time_step, moves):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         sx = sy = sz = 0.0

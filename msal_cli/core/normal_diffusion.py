@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.exponential import exponentials
 from msal_cli.core.face_rings import face_centroids
 from msal_cli.core.geometry import VANISHED, face_normals_and_areas
@@ -30,7 +30,7 @@ LEAST_SIMILARITY = 1e-6
 """Floor of the width mu: differences of normals below it are rounding."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _shares(start, stop, x, faces, centroids, areas, ring_start, ring, time_step, shares):  # type: ignore[no-untyped-def]
     """min(tau / A, limit) l / d: edge length l, way between centroids d, own area A, 0 for none."""
     for f in range(start, stop):
@@ -60,7 +60,7 @@ def _shares(start, stop, x, faces, centroids, areas, ring_start, ring, time_step
             shares[at] *= step
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _diffused(start, stop, normals, shares, inverse, ring_start, ring, result):  # type: ignore[no-untyped-def]
     """Faces are taken in blocks: first the exponents of all, then the exponentials, then sums."""
     widest = 0

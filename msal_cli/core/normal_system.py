@@ -13,10 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from msal_cli.core.bilateral_normals import BLOCK_PAIRS, distance_exponents
+from msal_cli.core.compiled import compiled
 from msal_cli.core.exponential import exponentials
 from msal_cli.core.parallel import over_ranges
 
@@ -27,7 +27,7 @@ ALONE = 1e-200
 """A face whose neighbours weigh less, in mean face areas, is taken as one without neighbours."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, totals):  # type: ignore[no-untyped-def]
     """Turn distance exponents into w_ij / A_j, which is symmetric; sum up w_ij for every i."""
     scratch = np.empty(BLOCK_PAIRS)
@@ -51,7 +51,7 @@ def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, t
         totals[f] = total
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _diagonal(start, stop, areas, inverse, ring_start, ring, values, squares):  # type: ignore[no-untyped-def]
     for f in range(start, stop):
         total = 0.0
@@ -61,7 +61,7 @@ def _diagonal(start, stop, areas, inverse, ring_start, ring, values, squares):  
         squares[f] = total
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _differences(  # type: ignore[no-untyped-def]
     start, stop, values, ring_start, ring, inner, outer, own, x, weight, base, base_weight, result
 ):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.geometry import VANISHED
 from msal_cli.core.parallel import over_ranges
 
@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _averaged(start, stop, normals, threshold, ring_start, ring, result):  # type: ignore[no-untyped-def]
     for f in range(start, stop):
         nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]

@@ -7,8 +7,8 @@ bytes, merged on the way, so that nothing has to be kept per number.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.digits import NOT_A_NUMBER, UNDECIDED
 from msal_cli.core.obj_scan import past_blanks, past_word, read_coordinate
 from msal_cli.core.text import is_same
@@ -27,7 +27,7 @@ VERTEX, NORMAL, AXIS, OLD, NEW, BEGIN, END, N_WALK = range(8)
 the new file that are dealt with, and where a number set ASIDE stands in the new file."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _copied(source, start, stop, target, at):  # type: ignore[no-untyped-def]
     """Copy source[start:stop] to target at ``at``; returns the end."""
     for k in range(stop - start):
@@ -35,7 +35,7 @@ def _copied(source, start, stop, target, at):  # type: ignore[no-untyped-def]
     return at + stop - start
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def patched(  # type: ignore[no-untyped-def]
     buf, vertex_at, is_moved, text, stops, normal_at, is_turned, normal_text, normal_stops, out
 ):
@@ -83,7 +83,7 @@ def patched(  # type: ignore[no-untyped-def]
     return _copied(buf, done, len(buf), out, at)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def compared(  # type: ignore[no-untyped-def]
     a, b, walk, vertex_at, vertices, new_vertices, tolerance, normal_at, unit
 ):

@@ -9,8 +9,8 @@ compiled code does not check bounds: every step here compares with the end of th
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.digits import NOT_A_NUMBER, UNDECIDED, read_number
 
 WHOLE = 0
@@ -64,7 +64,7 @@ MOST_LIBRARIES = 1024
 _MTLLIB = np.uint64(int.from_bytes(b"mtllib", "big"))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def counted(buf):  # type: ignore[no-untyped-def]
     """At least as many v, vn and f statements as there are; hardly more in any real file."""
     n_vertices = n_normals = n_faces = 1
@@ -80,7 +80,7 @@ def counted(buf):  # type: ignore[no-untyped-def]
     return n_vertices, n_normals, n_faces
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def past_blanks(buf, at):  # type: ignore[no-untyped-def]
     """The next byte that is no blank; a continued line goes on behind its end."""
     while at < len(buf):
@@ -96,7 +96,7 @@ def past_blanks(buf, at):  # type: ignore[no-untyped-def]
     return at
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def is_word_end(buf, at):  # type: ignore[no-untyped-def]
     """Whether a word ends before ``at``: a blank, the end of a line, or a continuation."""
     if at >= len(buf):
@@ -109,7 +109,7 @@ def is_word_end(buf, at):  # type: ignore[no-untyped-def]
     return 9 <= c <= 13
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def past_word(buf, at):  # type: ignore[no-untyped-def]
     """The end of the word at ``at``."""
     while True:
@@ -120,13 +120,13 @@ def past_word(buf, at):  # type: ignore[no-untyped-def]
         at += 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _is_statement_end(buf, at):  # type: ignore[no-untyped-def]
     """Whether no word begins at ``at``, which is no blank: the line ends or a comment begins."""
     return at >= len(buf) or buf[at] == 10 or buf[at] == 13 or buf[at] == 35
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _past_line(buf, at):  # type: ignore[no-untyped-def]
     """The end of the line, or of the lines that continue it; ``at`` lies behind a word."""
     is_comment = False
@@ -143,7 +143,7 @@ def _past_line(buf, at):  # type: ignore[no-untyped-def]
     return at
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _past_comment(buf, at):  # type: ignore[no-untyped-def]
     """The end of the line, whatever stands before it."""
     while at < len(buf) and buf[at] != 10 and buf[at] != 13:
@@ -151,7 +151,7 @@ def _past_comment(buf, at):  # type: ignore[no-untyped-def]
     return at
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def read_coordinate(buf, at):  # type: ignore[no-untyped-def]
     """The number at ``at``, which must be a whole word: value, status, end, decimals.
 
@@ -165,7 +165,7 @@ def read_coordinate(buf, at):  # type: ignore[no-untyped-def]
     return value, status, end, decimals
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _read_three(buf, at):  # type: ignore[no-untyped-def]
     """The three numbers behind ``at``: values, WHOLE or an error, end, decimals, UNDECIDED or not.
 
@@ -187,7 +187,7 @@ def _read_three(buf, at):  # type: ignore[no-untyped-def]
     return x, y, z, WHOLE, at, most_decimals, is_undecided
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _read_index(buf, at):  # type: ignore[no-untyped-def]
     """A signed whole number: value (0 where there is none) and end; larger ones are cut down."""
     first = at
@@ -209,7 +209,7 @@ def _read_index(buf, at):  # type: ignore[no-untyped-def]
     return -value if negative else value, at
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _resolved(number, count):  # type: ignore[no-untyped-def]
     """The index, from zero, that a face means by ``number`` behind ``count`` entries; or -1."""
     if number > 0:
@@ -219,7 +219,7 @@ def _resolved(number, count):  # type: ignore[no-untyped-def]
     return np.int64(-1)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _packed(buf, at, stop):  # type: ignore[no-untyped-def]
     """The first eight bytes of a keyword as one number."""
     word = np.uint64(0)
@@ -228,7 +228,7 @@ def _packed(buf, at, stop):  # type: ignore[no-untyped-def]
     return word
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _note_keyword(buf, at, stop, keywords, n_keywords):  # type: ignore[no-untyped-def]
     """Count a keyword in its row (word, times, first byte, size); returns the rows in use."""
     word = np.int64(_packed(buf, at, stop))
@@ -248,7 +248,7 @@ def _note_keyword(buf, at, stop, keywords, n_keywords):  # type: ignore[no-untyp
     return n_keywords
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def scanned(  # type: ignore[no-untyped-def]
     buf,
     state,
@@ -462,7 +462,7 @@ def scanned(  # type: ignore[no-untyped-def]
     return result
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def fans(corners, sizes, triangles):  # type: ignore[no-untyped-def]
     """Cut polygons into triangles about their first corners.
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.exponential import exponentials
 from msal_cli.core.parallel import over_ranges
 
@@ -61,7 +61,7 @@ class Operator(Protocol):
         ...
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
     start, stop, x, normals, ring_start, ring, free, floor, heights, sigma
 ):

@@ -7,8 +7,8 @@ reads, since compiled code does not check bounds.  Offsets are bytes from the st
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.text import parse_integer
 
 WHOLE = 0
@@ -23,7 +23,7 @@ TOO_MANY = 4
 """An ascii line goes on after the last value of its record."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _whole_number(data, at, size, is_signed, big_endian):  # type: ignore[no-untyped-def]
     value = np.int64(0)
     for k in range(size):
@@ -34,7 +34,7 @@ def _whole_number(data, at, size, is_signed, big_endian):  # type: ignore[no-unt
     return value
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def walk_binary(  # type: ignore[no-untyped-def]
     data, at, count, sizes, count_sizes, signed, big_endian, columns, starts, lengths
 ):
@@ -70,7 +70,7 @@ def walk_binary(  # type: ignore[no-untyped-def]
     return count, at, WHOLE, 0, 0, 0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _skipped_blanks(data, at):  # type: ignore[no-untyped-def]
     """First byte from ``at`` on that is no blank; line ends are not blanks."""
     while at < len(data) and (data[at] == 32 or data[at] == 9 or data[at] == 11 or data[at] == 12):
@@ -78,14 +78,14 @@ def _skipped_blanks(data, at):  # type: ignore[no-untyped-def]
     return at
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _token_end(data, at):  # type: ignore[no-untyped-def]
     while at < len(data) and (data[at] > 32 or data[at] < 9 or 13 < data[at] < 32):
         at += 1
     return at
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def walk_text(data, at, count, is_list, columns, starts, stops, lengths):  # type: ignore[no-untyped-def]
     """Find the fields of ``count`` ascii records, one to a line; blank lines are skipped.
 
@@ -128,7 +128,7 @@ def walk_text(data, at, count, is_list, columns, starts, stops, lengths):  # typ
     return count, at, WHOLE
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def list_tokens(data, stops, lengths, item_starts, item_stops):  # type: ignore[no-untyped-def]
     """Places of the items of lists that ``walk_text`` found: ``stops`` of their counts (n,),
     ``lengths`` (n,) -> ``item_starts``, ``item_stops`` (sum of lengths,)."""
@@ -143,7 +143,7 @@ def list_tokens(data, stops, lengths, item_starts, item_stops):  # type: ignore[
             k += 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def list_integers(data, stops, lengths, items):  # type: ignore[no-untyped-def]
     """The whole numbers of lists that ``walk_text`` found, into ``items`` (sum of lengths,).
 
@@ -162,7 +162,7 @@ def list_integers(data, stops, lengths, items):  # type: ignore[no-untyped-def]
     return -1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def gather(data, starts, sizes, packed):  # type: ignore[no-untyped-def]
     """Copy the pieces ``data[starts[i] : starts[i] + sizes[i]]`` one behind another."""
     k = 0
@@ -173,7 +173,7 @@ def gather(data, starts, sizes, packed):  # type: ignore[no-untyped-def]
         k += sizes[i]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def scatter(data, starts, sizes, packed):  # type: ignore[no-untyped-def]
     """The reverse of ``gather``: copy packed pieces to their places in ``data``."""
     k = 0
@@ -184,7 +184,7 @@ def scatter(data, starts, sizes, packed):  # type: ignore[no-untyped-def]
         k += sizes[i]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def fans(items, lengths, triangles):  # type: ignore[no-untyped-def]
     """Cut polygons into triangles that share each polygon's first corner.
 
@@ -200,7 +200,7 @@ def fans(items, lengths, triangles):  # type: ignore[no-untyped-def]
         first += lengths[f]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def unrolled_strips(items, lengths, triangles):  # type: ignore[no-untyped-def]
     """Triangles of strips: -1 restarts a strip, every second triangle is turned round, and
     those that name a vertex twice are dropped.  Returns the number of triangles."""

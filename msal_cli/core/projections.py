@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.exponential import exponentials
 from msal_cli.core.geometry import face_normals_and_areas
@@ -26,7 +26,7 @@ SMALLEST_AREA = 1e-12
 triangle that no other touches shrinks to a point."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _projected(  # type: ignore[no-untyped-def]
     start,
     stop,

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.parallel import over_ranges
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _averaged(start, stop, o, q, ring_start, ring, alpha, p, b):  # type: ignore[no-untyped-def]
     """o input, q previous, p averaged positions, b corrections; letters of Vollmer et al."""
     for i in range(start, stop):
@@ -34,7 +34,7 @@ def _averaged(start, stop, o, q, ring_start, ring, alpha, p, b):  # type: ignore
         b[i, 2] = share * sz - alpha * (o[i, 2] - qz)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _pushed(start, stop, p, b, ring_start, ring, beta, q):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         m = ring_start[i + 1] - ring_start[i]

@@ -7,7 +7,8 @@ and no search tree is needed.  The kernels are called for one vertex at a time f
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from msal_cli.core.compiled import compiled
 
 MOST_FOUND = 2048
 """Items at which a flood stops: vertices within 23 mean edge lengths of one on an even mesh."""
@@ -16,7 +17,7 @@ MOST_LOOKS = 4 * MOST_FOUND
 """Neighbours that a flood looks at beyond the first row: those of a hub would be too many."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def room(start, stop, row_start):  # type: ignore[no-untyped-def]
     """Items that a flood from any of these vertices can find: first rows are taken whole."""
     widest = 0
@@ -25,7 +26,7 @@ def room(start, stop, row_start):  # type: ignore[no-untyped-def]
     return np.int64(max(MOST_FOUND, widest) + 1)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares):  # type: ignore[no-untyped-def]
     """Vertices that edges join to i through vertices no farther from it than the radius.
 
@@ -62,7 +63,7 @@ def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares)
     return count
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def faces_around(  # type: ignore[no-untyped-def]
     i,
     x,

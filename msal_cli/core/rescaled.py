@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.geometry import area_and_volume
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _volume_moment(vertices, faces, moment):  # type: ignore[no-untyped-def]
     """Integral of the position over the volume, and the volume, times 24."""
     volume = 0.0

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.exponential import exponentials
 from msal_cli.core.geometry import face_normals_and_areas
@@ -34,7 +34,7 @@ PER_MEDIAN = 1.4826
 """Standard deviation of a normal distribution per median absolute deviation."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _median(values, count):  # type: ignore[no-untyped-def]
     """Median of ``values[:count]``, which are sorted on the way, by Shell's method.
 
@@ -58,7 +58,7 @@ def _median(values, count):  # type: ignore[no-untyped-def]
     return 0.5 * (values[middle - 1] + values[middle])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _sigma(h, m, deviation, scratch):  # type: ignore[no-untyped-def]
     """Twice the mean, or 1.4826 times the median absolute deviation of the heights h[:m]."""
     if deviation == _MEDIAN:
@@ -78,7 +78,7 @@ def _sigma(h, m, deviation, scratch):  # type: ignore[no-untyped-def]
     return 2.0 * total / m
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _weigh(h, lengths, m, weights, sigma, g, scratch, scratch_bits):  # type: ignore[no-untyped-def]
     """g(h[:m]), up to a factor; all alike where every neighbour is beyond Tukey's reach."""
     if weights == _GAUSS:
@@ -111,7 +111,7 @@ def _weigh(h, lengths, m, weights, sigma, g, scratch, scratch_bits):  # type: ig
             g[at] = 1.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _robust_laplacian(  # type: ignore[no-untyped-def]
     start,
     stop,
@@ -174,7 +174,7 @@ def _robust_laplacian(  # type: ignore[no-untyped-def]
             heights[i] *= 3.0 * time_step / ring_areas[i]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _ring_areas(start, stop, areas, face_start, incident_faces, sums):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         total = 0.0

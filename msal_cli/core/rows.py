@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.text import as_bytes
 
 Bytes = NDArray[np.uint8]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _lines(text, stops, row_stops, prefix, doubled, out):  # type: ignore[no-untyped-def]
     to = 0
     start = 0

@@ -15,9 +15,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.exponential import exponentials
 from msal_cli.core.geometry import VANISHED
 from msal_cli.core.parallel import over_ranges
@@ -27,7 +27,7 @@ Ints = NDArray[np.int32]
 LongInts = NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _widest(start, stop, near_start):  # type: ignore[no-untyped-def]
     widest = 0
     for i in range(start, stop):
@@ -35,7 +35,7 @@ def _widest(start, stop, near_start):  # type: ignore[no-untyped-def]
     return widest
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _weighed(  # type: ignore[no-untyped-def]
     start, stop, g, c, areas, near_start, near, per_distance, per_guide, weights, sums
 ):
@@ -104,7 +104,7 @@ def pair_weights(
     return weights, float(areas.sum()) / total if total > 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _stepped(  # type: ignore[no-untyped-def]
     start, stop, n, pull, near_start, near, weights, per_difference, areas, result, changes
 ):

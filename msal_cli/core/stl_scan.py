@@ -10,8 +10,8 @@ with the end of the data before it reads.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.digits import EXACT, UNDECIDED, read_number, write_fixed
 from msal_cli.core.text import is_same
 
@@ -39,26 +39,26 @@ MOST_SOLIDS = 16
 """Solids whose names are looked at."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _is_space(c):  # type: ignore[no-untyped-def]
     return c == 32 or 9 <= c <= 13
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _past_spaces(buf, at):  # type: ignore[no-untyped-def]
     while at < len(buf) and _is_space(buf[at]):
         at += 1
     return at
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _token_stop(buf, at):  # type: ignore[no-untyped-def]
     while at < len(buf) and not _is_space(buf[at]):
         at += 1
     return at
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _past_word(buf, at, word):  # type: ignore[no-untyped-def]
     """The end of ``word``, in any case, if it stands whole at ``at``; else -1."""
     stop = at + _LENGTHS[word]
@@ -72,7 +72,7 @@ def _past_word(buf, at, word):  # type: ignore[no-untyped-def]
     return stop
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _number(buf, at):  # type: ignore[no-untyped-def]
     """The number at ``at``: value, end (-1 for none), decimals.
 
@@ -98,7 +98,7 @@ def _number(buf, at):  # type: ignore[no-untyped-def]
     return 0.0, -1, 0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: ignore[no-untyped-def]
     """Read facets from ``buf`` (size,) uint8 until the arrays are full or the text ends.
 
@@ -171,7 +171,7 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
         n += 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def patched(buf, facet_at, offsets, replace, numbers, decimals, out):  # type: ignore[no-untyped-def]
     """Copy ``buf`` to ``out`` with the tokens that ``replace`` (n, 12) marks printed anew.
 
@@ -195,7 +195,7 @@ def patched(buf, facet_at, offsets, replace, numbers, decimals, out):  # type: i
     return to + len(buf) - copied
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def same_but_for(  # type: ignore[no-untyped-def]
     buf, facet_at, offsets, other, other_facet_at, other_offsets, replace
 ):
@@ -217,7 +217,7 @@ def same_but_for(  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def facets_as_text(pieces, piece_stops, text, text_stops, out):  # type: ignore[no-untyped-def]
     """Write facets to ``out``: the 13 fixed ``pieces`` around the 12 texts of each; its length."""
     to = 0

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.operators import Operator
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.schedules import Pace, Schedule
@@ -36,7 +36,7 @@ class Swept:
     fidelity: Floats
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _moved_along_normals(  # type: ignore[no-untyped-def]
     start, stop, v, normals, heights, sigma, tau, constant, per_sigma, offsets, x
 ):
@@ -49,7 +49,7 @@ def _moved_along_normals(  # type: ignore[no-untyped-def]
         x[i, 2] = v[i, 2] + t * normals[i, 2]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _moved_freely(start, stop, v, moves, sigma, tau, constant, per_sigma, x):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         fidelity = constant + per_sigma * sigma[i]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.geometry import face_normals
 from msal_cli.core.parallel import over_ranges
@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _normal_spread(start, stop, unit_normals, normals, face_start, incident, spread):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         total = count = 0.0
@@ -46,7 +46,7 @@ def normal_spread(positions: Floats, faces: Ints, links: Connectivity, normals: 
     return spread
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _towards_planes(start, stop, x, normals, ring_start, ring, moves):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         mx = my = mz = 0.0

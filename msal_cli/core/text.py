@@ -8,9 +8,9 @@ here takes without being compiled a second time.  Every value is exact: see ``di
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.digits import (
     EXACT,
     FIXED_BELOW,
@@ -41,7 +41,7 @@ def as_bytes(buffer: bytes | bytearray | memoryview | Bytes) -> Bytes:
 # Reading
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def parse_number(buf, start, stop):  # type: ignore[no-untyped-def]
     """The value of a whole token and its status.
 
@@ -54,7 +54,7 @@ def parse_number(buf, start, stop):  # type: ignore[no-untyped-def]
     return value, status
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def parse_integer(buf, start, stop):  # type: ignore[no-untyped-def]
     """The int64 value of a whole token and its status; UNDECIDED where it does not fit."""
     at = start
@@ -78,7 +78,7 @@ def parse_integer(buf, start, stop):  # type: ignore[no-untyped-def]
     return -value if negative else value, status
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _numbers_at(buf, starts, stops, values, undecided):  # type: ignore[no-untyped-def]
     n_undecided = 0
     for i in range(len(starts)):
@@ -106,7 +106,7 @@ def numbers_at(buf: Bytes, starts: Offsets, stops: Offsets) -> tuple[Floats, int
     return values, int(bad)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _decimals_used(buf, starts, stops):  # type: ignore[no-untyped-def]
     most = 0
     for i in range(len(starts)):
@@ -127,7 +127,7 @@ def decimals_used(buf: Bytes, starts: Offsets, stops: Offsets) -> int:
 # Printing
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _printed(values, first, decimals, out, at, stops):  # type: ignore[no-untyped-def]
     for i in range(first, len(values)):
         end = write_fixed(values[i], decimals, out, at)
@@ -169,7 +169,7 @@ def _put(out: Bytes, at: int, text: str) -> int:
     return end
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _printed_shortest(values, first, single, out, at, stops):  # type: ignore[no-untyped-def]
     for i in range(first, len(values)):
         end = write_shortest(values[i], single, out, at)
@@ -206,7 +206,7 @@ def printed_shortest(values: Floats, single: bool) -> tuple[Bytes, Offsets]:
 # Tokens replaced inside a text
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _copied(source, start, stop, target, at):  # type: ignore[no-untyped-def]
     """Copy source[start:stop] to target at ``at``; returns the end."""
     for k in range(stop - start):
@@ -214,7 +214,7 @@ def _copied(source, start, stop, target, at):  # type: ignore[no-untyped-def]
     return at + stop - start
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _spliced(buf, starts, stops, text, text_stops, out):  # type: ignore[no-untyped-def]
     done = at = text_start = 0
     for i in range(len(starts)):
@@ -234,7 +234,7 @@ def spliced(buf: Bytes, starts: Offsets, stops: Offsets, text: Bytes, text_stops
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def is_same(a, a_start, b, b_start, count):  # type: ignore[no-untyped-def]
     """Whether ``count`` bytes of a and b are equal."""
     done = 0
@@ -252,7 +252,7 @@ def is_same(a, a_start, b, b_start, count):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _same_outside(a, a_starts, a_stops, b, b_starts, b_stops):  # type: ignore[no-untyped-def]
     a_done = b_done = 0
     for i in range(len(a_starts)):

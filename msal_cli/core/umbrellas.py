@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.operators import Step
 from msal_cli.core.parallel import over_ranges
 
@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _umbrella(start, stop, x, ring_start, ring, moves):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         m = ring_start[i + 1] - ring_start[i]
@@ -55,7 +55,7 @@ class Umbrella:
         return Step(moves)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _scale_dependent_umbrella(start, stop, x, ring_start, ring, time_step, moves):  # type: ignore[no-untyped-def]
     """l edge lengths of the row; edges without length have no direction and do not count."""
     for i in range(start, stop):

@@ -14,9 +14,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.parallel import over_ranges
 
@@ -25,7 +25,7 @@ Ints = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _offsets(start, stop, x, faces, planes):  # type: ignore[no-untyped-def]
     """x positions; a plane is its normal n' and n' . c, in this order."""
     for f in range(start, stop):
@@ -39,7 +39,7 @@ def _offsets(start, stop, x, faces, planes):  # type: ignore[no-untyped-def]
         planes[f, 3] = offset
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _moved(start, stop, planes, face_start, incident, share, x):  # type: ignore[no-untyped-def]
     """x positions; the sum of the ways to the planes counts by ``share``."""
     for i in range(start, stop):

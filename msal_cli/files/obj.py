@@ -176,7 +176,7 @@ class ObjFile:
         if not np.isfinite(vertices).all():
             bad = int(np.argmin(np.isfinite(vertices).all(axis=1)))
             raise InternalError("a new position is not finite", where=f"vertex {bad + 1}")
-        # A read-only array would make numba compile every kernel once more.
+        # A read-only array would have every kernel compiled once more.
         return np.require(vertices, np.float64, ("C", "W"))
 
     def _decimals(self) -> int:

@@ -1,0 +1,251 @@
+"""Machine code of kernels: kept on the disk, found again, and loaded without numba.
+
+A file holds the object code that numba made of one kernel for one combination of argument types.
+It is written under another name and moved, and is checked by a hash before it is loaded, so that
+any number of processes may start at once on an empty cache, and a torn file is only made again.
+
+The cache lies beside this package where that can be written, else in the user's cache folder;
+``MSAL_CACHE_DIR`` in the environment names another place for it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import importlib.util
+import json
+import os
+import sys
+import types
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+_MAGIC = b"msal machine code 1\n"
+_SUFFIX = ".msal-kernel"
+
+_C_TYPES: dict[str, Any] = {
+    "bool": ctypes.c_uint8,
+    "int8": ctypes.c_int8,
+    "int16": ctypes.c_int16,
+    "int32": ctypes.c_int32,
+    "int64": ctypes.c_int64,
+    "uint8": ctypes.c_uint8,
+    "uint16": ctypes.c_uint16,
+    "uint32": ctypes.c_uint32,
+    "uint64": ctypes.c_uint64,
+    "float32": ctypes.c_float,
+    "float64": ctypes.c_double,
+}
+
+
+@dataclass(frozen=True)
+class Code:
+    """The object code of a kernel.
+
+    Attributes
+    ----------
+    symbol : the function's name in it.
+    results : name of the type of its result, several for a tuple, None for no result.
+    code : the object file.
+    """
+
+    symbol: str
+    results: list[str] | str | None
+    code: bytes
+
+
+# On the disk
+
+
+def found(name: str, said: str) -> Code | None:
+    """The code that was kept for the kernel ``name`` under the key ``said``, if any is whole."""
+    for folder in _folders():
+        code = _read(folder / _file_name(name, said))
+        if code is not None:
+            return code
+    return None
+
+
+def keep(name: str, said: str, code: Code) -> None:
+    """Keep code for later processes, in the first place that can be written, if there is one."""
+    header = json.dumps({"symbol": code.symbol, "results": code.results}).encode()
+    body = header + b"\n" + code.code
+    data = _MAGIC + hashlib.sha256(body).digest() + body
+    for folder in _folders():
+        try:
+            _write(folder, _file_name(name, said), data)
+        except OSError:
+            continue
+        return
+
+
+def _file_name(name: str, said: str) -> str:
+    digest = hashlib.sha256(f"{_machine()} {said}".encode()).hexdigest()
+    return f"{name}-{digest[:32]}{_SUFFIX}"
+
+
+def _folders() -> list[Path]:
+    chosen = os.environ.get("MSAL_CACHE_DIR")
+    if chosen:
+        return [Path(chosen)]
+    folders = [Path(__file__).parent / "__pycache__"]
+    home = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME")
+    if home or os.path.expanduser("~") != "~":
+        folders.append(Path(home or os.path.expanduser("~/.cache")) / "msal")
+    return folders
+
+
+def _read(path: Path) -> Code | None:
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    start = len(_MAGIC) + hashlib.sha256().digest_size
+    body = data[start:]
+    if data[:start] != _MAGIC + hashlib.sha256(body).digest():
+        return None
+    header, _, code = body.partition(b"\n")
+    return Code(**json.loads(header), code=code)
+
+
+def _write(folder: Path, name: str, data: bytes) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    temporary = folder / f".{name}.{os.getpid()}.tmp"
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(folder / name)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+@functools.cache
+def _machine() -> str:
+    """What machine code depends on beside its source."""
+    import llvmlite
+    import llvmlite.binding as llvm
+
+    settings = {name: value for name, value in os.environ.items() if name.startswith("NUMBA_")}
+    said = (
+        sys.version,
+        (_numba_folder() / "_version.py").read_text(errors="replace"),
+        llvmlite.__version__,
+        llvm.get_process_triple(),
+        llvm.get_host_cpu_name(),
+        llvm.get_host_cpu_features().flatten(),
+        sorted(settings.items()),
+    )
+    return hashlib.sha256(repr(said).encode()).hexdigest()
+
+
+# In memory
+
+
+def loaded(code: Code, kinds: tuple[Any, ...]) -> Callable[..., Any]:
+    """A function that runs ``code`` with arguments of these kinds (see ``compiled.kind``).
+
+    It raises RuntimeError where the kernel raises an exception.
+    """
+    import llvmlite.binding as llvm
+
+    # An engine owns its target machine, and frees it in the end.
+    machine = _target().create_target_machine(jit=True)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code.code))
+    engine.finalize_object()
+    function = _prototype(kinds)(engine.get_function_address(code.symbol))
+    names = [code.results] if isinstance(code.results, str) else code.results or []
+    result_type = _structure(tuple(names))
+    fields = [f"r{at}" for at in range(len(names))]
+    is_tuple = isinstance(code.results, list)
+    are_arrays = [not isinstance(one, str) for one in kinds]
+
+    # The engine owns the code: it must live as long as whoever calls it.
+    def call(*arguments: Any, engine: Any = engine) -> Any:
+        failure = ctypes.c_void_p()
+        result = result_type()
+        passed: list[Any] = [ctypes.addressof(result), ctypes.addressof(failure)]
+        for argument, is_array in zip(arguments, are_arrays, strict=True):
+            if is_array:
+                passed += (None, None, argument.size, argument.itemsize, argument.ctypes.data)
+                passed += argument.shape
+                passed += argument.strides
+            else:
+                # A number of numpy's is none of ctypes'.
+                passed.append(argument.item() if hasattr(argument, "item") else argument)
+        if function(*passed):
+            raise RuntimeError(f"the kernel {code.symbol} failed")
+        if not fields:
+            return None
+        values = [getattr(result, field) for field in fields]
+        return tuple(values) if is_tuple else values[0]
+
+    return call
+
+
+def _prototype(kinds: tuple[Any, ...]) -> Any:
+    """How numba's functions are called: where the result goes, where a failure goes, arguments.
+
+    An array becomes its owner and parent (unused here), size, item size, address, shape, strides.
+    """
+    size = ctypes.c_ssize_t
+    slots: list[Any] = [ctypes.c_void_p, ctypes.c_void_p]
+    for one in kinds:
+        if isinstance(one, str):
+            slots.append(_C_TYPES[one])
+        else:
+            slots += [ctypes.c_void_p, ctypes.c_void_p, size, size, ctypes.c_void_p]
+            slots += [size] * (2 * one[1])
+    return ctypes.CFUNCTYPE(ctypes.c_int32, *slots)
+
+
+@functools.cache
+def _structure(names: tuple[str, ...]) -> Any:
+    fields = [
+        (f"r{at}", ctypes.c_bool if name == "bool" else _C_TYPES[name])
+        for at, name in enumerate(names)
+    ]
+    # Code without a result still clears the place where it would be.
+    return type("Result", (ctypes.Structure,), {"_fields_": fields or [("none", ctypes.c_void_p)]})
+
+
+@functools.cache
+def _target() -> Any:
+    """LLVM, ready to load; what numba's code calls in numba's own libraries is made known to it."""
+    import llvmlite.binding as llvm
+
+    for module, path, prefix in (
+        ("numba.core.runtime._nrt_python", "core/runtime/_nrt_python", "NRT_"),
+        ("numba._helperlib", "_helperlib", "numba_"),
+    ):
+        library = sys.modules.get(module) or _extension(path)
+        for name, address in library.c_helpers.items():
+            llvm.add_symbol(name if name.startswith("_") else prefix + name, address)
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm.Target.from_default_triple()
+
+
+def _numba_folder() -> Path:
+    spec = importlib.util.find_spec("numba")
+    if spec is None or spec.origin is None:
+        raise ImportError("numba is not installed", name="numba")
+    return Path(spec.origin).parent
+
+
+def _extension(path: str) -> types.ModuleType:
+    """A compiled module of numba without the package around it, whose import takes the time."""
+    from importlib.machinery import EXTENSION_SUFFIXES
+
+    files = [_numba_folder() / f"{path}{suffix}" for suffix in EXTENSION_SUFFIXES]
+    file = next((one for one in files if one.exists()), None)
+    if file is None:
+        raise ImportError(f"numba has no {path}", name="numba")
+    spec = importlib.util.spec_from_file_location(file.name.partition(".")[0], file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
