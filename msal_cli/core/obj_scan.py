@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.digits import NOT_A_NUMBER, UNDECIDED, read_number
+from msal_cli.core.digits import EXACT, NOT_A_NUMBER, UNDECIDED, read_number
 
 WHOLE = 0
 """All of the text is read."""
@@ -160,7 +160,7 @@ def read_coordinate(buf, at):  # type: ignore[no-untyped-def]
     value, status, end, decimals = read_number(buf, at, len(buf))
     if not is_word_end(buf, end):
         if status != NOT_A_NUMBER and buf[end] == 35 and buf[end - 1] == 46:
-            return np.nan, status, past_word(buf, end), 0
+            return np.nan, EXACT, past_word(buf, end), 0
         return value, NOT_A_NUMBER, end, 0
     return value, status, end, decimals
 

@@ -67,6 +67,10 @@ MALFORMED: dict[str, tuple[bytes, type[InputError], str, str, str]] = {
     "infinite": (b"v 0 0 inf\n" + V + F, ContentError, "E_NONFINITE", "line 1, vertex 1", "inf"),
     "too large": (V + b"v 0 1e999 0\n" + F, ContentError, "E_NONFINITE", "line 4, vertex 4", "inf"),
     "old nan": (V + b"v 1.#QNAN 0 0\n" + F, ContentError, "E_NONFINITE", "line 4", "not finite"),
+    "old nan behind many digits": (
+        b"v 0 " + b"8" * 30 + b".#IND 0\n" + V + F, ContentError, "E_NONFINITE", "line 1",
+        "not finite",
+    ),
     "old inf": (V + b"v 0 0 -1.#INF\n" + F, ContentError, "E_NONFINITE", "line 4", "not finite"),
     # normals
     "short normal": (V + b"vn 0 1\n" + F, FormatError, "E_FORMAT", "line 4, normal 1", "three"),
