@@ -189,7 +189,7 @@ def denoise_file(
         with run.stage("read"):
             if limits.memory_bytes is not None or limits.max_faces is not None:
                 run.admit(forecast(task, settings))
-            data = files.read_whole(task.input)
+            data = files.read_input(task.input, settings.format)
         output = run.denoise(data, task.output)
         with run.stage("write"):
             if task.in_place and task.backup:
@@ -562,7 +562,7 @@ def inspect_file(path: str, format: str | None = None) -> InfoRecord:
     from msal_cli import files
 
     try:
-        return inspect_bytes(files.read_whole(path), path, format)
+        return inspect_bytes(files.read_input(path, format), path, format)
     except MsalError as error:
         return _inspection_failure(path, error)
 

@@ -104,7 +104,9 @@ def denoised(
         method=MethodUsed(settings.method, dict(settings.parameters)),
     )
     try:
-        output, record = denoise_bytes(_read(one.source), one.source, settings, on_progress)
+        output, record = denoise_bytes(
+            _read(one.source, settings.format), one.source, settings, on_progress
+        )
         if output is None:
             return record
         if one.target == STREAM:
@@ -128,10 +130,10 @@ def read_stream() -> bytes:
         ) from None
 
 
-def _read(source: str) -> bytes:
+def _read(source: str, format: str | None) -> bytes:
     from msal_cli import files
 
-    return read_stream() if source == STREAM else files.read_whole(source)
+    return read_stream() if source == STREAM else files.read_input(source, format)
 
 
 def _written(output: Buffer, record: MeshRecord, target: str) -> MeshRecord:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 from msal_cli.files.base import Buffer, MeshFile
+from msal_cli.files.first_look import read_input
 from msal_cli.files.streams import compressed, expanded, is_gzip_name, read_whole
 from msal_cli.files.writing import swept, write_whole
 
@@ -21,6 +22,7 @@ __all__ = [
     "expanded",
     "format_of_name",
     "open_mesh",
+    "read_input",
     "read_whole",
     "readable_suffixes",
     "swept",

@@ -32,6 +32,10 @@ _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _DEEPEST = 200
 _STEEPEST = 1e6
+MOST_JSON = 64 << 20
+"""Longest description that is read; those of very large scenes have a few megabytes, and in memory
+it may take thirty times its size."""
+
 _LARGEST = 1e30
 """Larger entries of a frame could take float32 positions beyond what can be computed with."""
 
@@ -376,24 +380,11 @@ def parsed(data: Buffer) -> Document:
 
     Raises
     ------
-    FormatError, TruncatedError, UnsupportedError
+    FormatError, TruncatedError, TooLargeError, UnsupportedError
     """
     view = memoryview(data).cast("B")
-    if len(view) < 20:
-        raise TruncatedError(f"the file has only {len(view)} bytes", hint=_HINT)
-    magic, version, length, size, kind = struct.unpack_from("<4sIIII", view)
-    if magic != b"glTF" or (version == 2 and kind != _JSON):
-        raise FormatError("the file does not begin as a GLB file does", where="byte 0", hint=_HINT)
-    if version != 2:
-        raise UnsupportedError(
-            f"glTF version {version} is not read", hint="convert it to version 2"
-        )
-    if length > len(view) or 20 + size > length:
-        raise TruncatedError(
-            f"the file should have {max(length, 20 + size)} bytes but has {len(view)}",
-            where=f"byte {len(view)}",
-            hint="the file was cut short; copy or export it again",
-        )
+    length = wanted_bytes(view, len(view))
+    (size,) = struct.unpack_from("<I", view, 12)
     try:
         content = json.loads(bytes(view[20 : 20 + size]).decode("utf-8-sig"))
         json.dumps(content)  # what is nested too deeply to be written is refused at once
@@ -405,6 +396,37 @@ def parsed(data: Buffer) -> Document:
         raise FormatError("the description is not a JSON object", where="JSON chunk", hint=_HINT)
     data_at, data_size = _binary_chunk(view, 20 + size, length)
     return Document(content, 20 + size, data_at, data_size, data)
+
+
+def wanted_bytes(head: memoryview, total: int) -> int:
+    """The bytes that a file of ``total`` bytes that begins with ``head`` should have.
+
+    Raises
+    ------
+    FormatError, TruncatedError, TooLargeError, UnsupportedError
+    """
+    if total < 20:
+        raise TruncatedError(f"the file has only {total} bytes", hint=_HINT)
+    magic, version, length, size, kind = struct.unpack_from("<4sIIII", head)
+    if magic != b"glTF" or (version == 2 and kind != _JSON):
+        raise FormatError("the file does not begin as a GLB file does", where="byte 0", hint=_HINT)
+    if version != 2:
+        raise UnsupportedError(
+            f"glTF version {version} is not read", hint="convert it to version 2"
+        )
+    if length > total or 20 + size > length:
+        raise TruncatedError(
+            f"the file should have {max(length, 20 + size)} bytes but has {total}",
+            where=f"byte {total}",
+            hint="the file was cut short; copy or export it again",
+        )
+    if size > MOST_JSON:
+        raise TooLargeError(
+            f"the description has {size:,} bytes, more than the {MOST_JSON:,} that are read",
+            where="JSON chunk",
+            hint="it holds more than a mesh; export the mesh alone",
+        )
+    return int(length)
 
 
 def _binary_chunk(view: memoryview, at: int, end: int) -> tuple[int, int]:

@@ -76,11 +76,11 @@ def content(data: Buffer) -> Content:
     """
     from msal_cli.core.text import as_bytes
 
-    _refuse_binary(data)
+    refuse_binary(data)
     return _Reading(data, as_bytes(data)).content()
 
 
-def _refuse_binary(data: Buffer) -> None:
+def refuse_binary(data: Buffer) -> None:
     """Raise unless ``data`` can be the text of an OBJ file."""
     if not len(data):
         raise TruncatedError("the file is empty", hint="copy or export it again")

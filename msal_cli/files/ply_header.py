@@ -76,6 +76,17 @@ class Property:
     def is_list(self) -> bool:
         return bool(self.count_type)
 
+    def least_bytes(self) -> int:
+        """Bytes in a binary record at the least: of a list, its count."""
+        return int((self.count_code or self.code)[1])
+
+    def most_bytes(self) -> int:
+        """Bytes in a binary record at the most."""
+        if not self.is_list:
+            return int(self.code[1])
+        bits = 8 * int(self.count_code[1]) - (self.count_code[0] == "i")
+        return int(self.count_code[1]) + ((1 << bits) - 1) * int(self.code[1])
+
     def __str__(self) -> str:
         kind = f"list {self.count_type} {self.type}" if self.is_list else self.type
         return f"{self.name} {kind}"
@@ -100,6 +111,17 @@ class Element:
     def find_all(self, names: Sequence[str]) -> list[Property]:
         """The properties of these names, which all must be there."""
         return [self.properties[self.index(name)] for name in names]
+
+    def least_bytes(self, is_text: bool) -> int:
+        """Bytes that the element takes at the least, its lists empty."""
+        if is_text:
+            # One digit and one separator for each value.
+            return 2 * self.count * len(self.properties)
+        return self.count * sum(one.least_bytes() for one in self.properties)
+
+    def most_bytes(self) -> int:
+        """Bytes that the element takes at the most in a binary file, its lists full."""
+        return self.count * sum(one.most_bytes() for one in self.properties)
 
 
 @dataclass(frozen=True)
@@ -128,6 +150,16 @@ class Header:
     def find(self, name: str) -> Element | None:
         """The element of that name, or None."""
         return next((one for one in self.elements if one.name == name), None)
+
+    def least_bytes(self) -> int:
+        """Bytes that a file with this header has at the least."""
+        is_text = self.encoding == "ascii"
+        # The last value of a text needs no separator.
+        return self.size + sum(one.least_bytes(is_text) for one in self.elements) - is_text
+
+    def most_bytes(self) -> int:
+        """Bytes that the header and all elements take at the most in a binary file."""
+        return self.size + sum(one.most_bytes() for one in self.elements)
 
     @property
     def byte_order(self) -> str:
@@ -290,8 +322,8 @@ class _Parser:
             raise self.fail(f"the header line {_shown(text)} is not understood")
 
 
-def parsed(data: memoryview) -> Header:
-    """The header of the PLY file ``data`` (bytes).
+def parsed(data: memoryview, is_whole: bool = True) -> Header:
+    """The header of the PLY file ``data`` (bytes), or of its beginning if not ``is_whole``.
 
     Raises FormatError (not PLY, or a line that is not understood, with its number),
     UnsupportedError (another version), TruncatedError (the file ends within the header) and
@@ -299,7 +331,7 @@ def parsed(data: memoryview) -> Header:
     """
     head = bytes(data[:MOST_BYTES])
     newline = _first_line_end(head)
-    lines, size = _split(head, newline, whole=len(head) == len(data))
+    lines, size = _split(head, newline, whole=is_whole and len(head) == len(data))
     parser = _Parser()
     for parser.line, text in enumerate(lines):
         if 0 < parser.line < len(lines) - 1:

@@ -53,10 +53,17 @@ def read(data: Buffer, name: str) -> StlFile | stl_ascii.StlTextFile:
     """
     size = len(memoryview(data).cast("B"))
     head = bytes(memoryview(data).cast("B")[:_LOOKED_AT])
-    count = int.from_bytes(head[HEADER_BYTES:_FIRST_FACET], "little")
-    wanted = _FIRST_FACET + FACET.itemsize * count
-    if _is_text(head):
+    if is_text(head):
         return stl_ascii.read(data, name)
+    wanted = wanted_bytes(head, size)
+    return _read_binary(data, (wanted - _FIRST_FACET) // FACET.itemsize)
+
+
+def wanted_bytes(head: bytes, size: int) -> int:
+    """The bytes that a binary file of ``size`` bytes that begins with ``head`` should have.
+
+    Raises FormatError for text of another kind and TruncatedError for a file that has fewer.
+    """
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise FormatError(
             "the file is UTF-16 text", where="byte 0", hint="save it as ASCII or UTF-8"
@@ -67,6 +74,8 @@ def read(data: Buffer, name: str) -> StlFile | stl_ascii.StlTextFile:
             where=f"byte {size}",
             hint="the file was cut short; copy or export it again",
         )
+    count = int.from_bytes(head[HEADER_BYTES:_FIRST_FACET], "little")
+    wanted = _FIRST_FACET + FACET.itemsize * count
     if size < wanted:
         whole = (size - _FIRST_FACET) // FACET.itemsize
         raise TruncatedError(
@@ -75,14 +84,15 @@ def read(data: Buffer, name: str) -> StlFile | stl_ascii.StlTextFile:
             where=f"byte {size}",
             hint="the file was cut short, or is not STL; copy or export it again",
         )
-    return _read_binary(data, count)
+    return wanted
 
 
-def _is_text(head: bytes) -> bool:
-    """Whether the beginning of a file is text, of which ascii STL is made.
+def is_text(head: bytes) -> bool:
+    """Whether the first kilobyte of ``head`` is text, of which ascii STL is made.
 
     A few bytes of padding at the end do not count; a header filled with zeros is not text.
     """
+    head = head[:_LOOKED_AT]
     shown = head[:-_PADDING] + head[-_PADDING:].rstrip(b"\0\x1a")
     return bool(shown) and not any(c < 32 and c not in b"\t\n\v\f\r" for c in shown)
 

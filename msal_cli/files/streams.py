@@ -88,7 +88,7 @@ def expanded(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer,
     position = 0
     while position < len(view):
         # Zero bytes behind the last member are padding (tape blocks), as for gzip itself.
-        if pieces and view[position] == 0 and not any(view[position:]):
+        if pieces and view[position] == 0 and _is_zero(view[position:]):
             break
         if pieces and bytes(view[position : position + 2]) not in (GZIP_MAGIC, GZIP_MAGIC[:1]):
             raise FormatError(
@@ -125,6 +125,12 @@ def expanded(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer,
             position += len(part) - len(member.unused_data)
             piece = min(2 * piece, _LARGEST_PIECE)
     return b"".join(pieces), True
+
+
+def _is_zero(view: memoryview) -> bool:
+    """Whether all bytes are zero; a piece at a time, since there may be gigabytes."""
+    pieces = (view[at : at + _LARGEST_PIECE] for at in range(0, len(view), _LARGEST_PIECE))
+    return not any(bytes(piece).strip(b"\0") for piece in pieces)
 
 
 def compressed(data: Buffer) -> bytes:
