@@ -1,0 +1,62 @@
+"""What every file must end in, however it is damaged: an error of msal's own, or a whole result.
+
+The fuzz driver, the mutants and the kept corpus all ask ``outcome``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from msal_cli import files
+from msal_cli.errors import InternalError, MsalError
+from msal_cli.mesh import prepared
+
+FORMATS = ("ply", "obj", "stl", "glb", "gz")
+"""The formats with a codec of our own, and gzip around any of them."""
+
+_PREPARED_UP_TO = 2_000
+"""Faces; the mathematics behind the gate is not what is tested here."""
+
+
+def outcome(data: bytes, format: str) -> str:
+    """The code of the error that ``data`` ends in, or ``"ok"`` for a mesh that is read, prepared,
+    written with vertices moved, checked and read again.
+
+    Anything but an MsalError comes out as it is, and so does an InternalError.
+    """
+    try:
+        return _outcome(data, format)
+    except InternalError:
+        raise
+    except MsalError as error:
+        assert error.message and not error.message.endswith("."), error
+        assert error.code != InternalError.code
+        return error.code
+
+
+def _outcome(data: bytes, format: str) -> str:
+    whole, _ = files.expanded(data, f"scan.{format}")
+    if format == "gz":
+        # Formats that libraries read are not ours to bend.
+        if files.content_format(whole) not in files.OWN_FORMATS:
+            return "other"
+        format = ""
+    name = f"scan.{format}" if format else "scan"
+    file = files.open_mesh(whole, name)
+    vertices, faces = file.vertices, file.faces
+    assert np.isfinite(vertices).all()
+    assert len(faces) and faces.min() >= 0 and faces.max() < len(vertices)
+    assert bytes(file.replaced(vertices.copy())) == bytes(whole)
+    file.polygons()
+    if len(faces) <= _PREPARED_UP_TO:
+        ready = prepared(vertices, faces)
+        scattered = ready.scattered(ready.mesh.vertices, vertices)
+        assert np.array_equal(scattered, vertices)
+    moved = vertices.copy()
+    moved[::2] += 0.0078125 * np.abs(vertices).max() + 0.125
+    output = file.replaced(moved)
+    file.check(output, moved)
+    again = files.open_mesh(bytes(output), name, file.format)
+    assert np.array_equal(again.faces, faces)
+    assert again.vertices.shape == vertices.shape
+    return "ok"
