@@ -5,6 +5,7 @@ Errors count vertices and faces as the file does, from one.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import TypeVar
@@ -27,6 +28,7 @@ BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _LOOKED_AT = 4096
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 _BEGUN = re.compile(rb"[-+.\deE/\\]*")
+_WORD = re.compile(rb"(?:[ \t\v\f]|\\(?:\r\n?|\n))*((?:[^\s\\]|\\(?![\r\n]))+)")
 _NEVER = 1 << 62
 
 
@@ -241,17 +243,14 @@ class _Reading:
 
     def _decide(self, vertices: Floats, normals: Floats) -> None:
         """Read the statements with numbers that need Python's ``float``."""
-        scan = self._scan
-        for is_normal, row in self.undecided[: self.state[scan.UNDECIDED_ROWS]]:
+        view = memoryview(self._data)
+        for is_normal, row in self.undecided[: self.state[self._scan.UNDECIDED_ROWS]].tolist():
             at = int(self.normal_at[row] + 2 if is_normal else self.vertex_at[row] + 1)
             for axis in range(3):
-                at = scan.past_blanks(self._buf, at)
-                stop = scan.past_word(self._buf, at)
-                value, status, _, _ = scan.read_coordinate(self._buf, at)
-                if status == scan.UNDECIDED:
-                    value = float(self._buf[at:stop].tobytes())
-                (normals if is_normal else vertices)[row, axis] = value
-                at = stop
+                word = _WORD.match(view, at)
+                assert word is not None  # the walk has seen three numbers here
+                at = word.end()
+                (normals if is_normal else vertices)[row, axis] = _number(word[1])
 
     def _triangles(self, corners: Ints, sizes: Ints) -> Ints:
         """(m, 3), the polygons cut into fans; a view where all are triangles."""
@@ -370,6 +369,14 @@ class _Reading:
         place = self._place(int(again[scan.LAST_FACE_AT]))
         shown = "2147483648 or more" if number >= 2**31 else str(number)
         raise _bad_index(shown, f"{place}, face {number_of_face}", n_vertices)
+
+
+def _number(word: bytes) -> float:
+    """A number of any length; NaN as old run-time libraries print it has no other form."""
+    try:
+        return float(word)
+    except ValueError:
+        return math.nan
 
 
 def _bad_index(number: str, where: str, n_vertices: int) -> ContentError:

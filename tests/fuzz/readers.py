@@ -3,13 +3,15 @@
     pip install atheris
     python -m tests.fuzz.readers ply FOUND tests/fuzz/corpus/ply -runs=100000
     python -m tests.fuzz.readers ply FOUND tests/fuzz/corpus/ply -runs=100000 --interpreted
+    python -m tests.fuzz.readers ply FOUND tests/fuzz/corpus/ply -runs=100000 --shipped
 
 Formats are those of ``survival.FORMATS``.  FOUND is a folder that receives every file that reaches
 something new; the corpus that is kept beside this file is only read.  Further options go to
-libFuzzer.  The scanners are compiled kernels that atheris cannot see into, so that there are two
-ways to run, which can share their corpus: ``--interpreted`` runs the kernels as Python, several
-times slower, with coverage of their branches and with every index checked; without it they are
-compiled, and coverage is that of the code around them.
+libFuzzer.  The scanners are compiled kernels that atheris cannot see into, so that there are
+three ways to run, which can share their corpus: ``--interpreted`` runs the kernels as Python,
+several times slower, with coverage of their branches and with every index checked; without it
+they are compiled and called by numba, and coverage is that of the code around them; ``--shipped``
+calls them as msal itself does, which starts sooner but takes some forty times as long a call.
 
 A crash is anything but an error of msal's own, more than 2 s of processor time for one file, or
 memory beyond ``MOST_MEMORY``.  libFuzzer then writes the file as ``crash-...`` and stops.  Every
@@ -18,6 +20,7 @@ hundred thousand files a line says what they ended in.
 
 from __future__ import annotations
 
+import functools
 import gzip
 import os
 import random
@@ -28,6 +31,7 @@ import time
 import zlib
 from collections import Counter
 from collections.abc import Callable
+from typing import Any
 
 MOST_SECONDS = 2.0
 MOST_MEMORY = 3 << 30
@@ -57,10 +61,12 @@ def main(arguments: list[str]) -> None:
     import atheris
 
     format, *options = arguments
-    is_interpreted = "--interpreted" in options
-    options = [option for option in options if option != "--interpreted"]
+    is_interpreted, is_shipped = "--interpreted" in options, "--shipped" in options
+    options = [option for option in options if option not in ("--interpreted", "--shipped")]
     if is_interpreted:
         os.environ["NUMBA_DISABLE_JIT"] = "1"
+    elif not is_shipped:
+        _call_by_numba()
     seen = ["msal_cli.files"] + [f"msal_cli.core.{name}" for name in _SCANNERS * is_interpreted]
     # What numba compiles must not be instrumented: it does not know the calls that are put in.
     with atheris.instrument_imports(include=seen):
@@ -106,6 +112,28 @@ def main(arguments: list[str]) -> None:
     fixed = ["-timeout=60", "-rss_limit_mb=2500", "-print_final_stats=1", f"-dict={words}"]
     atheris.Setup([sys.argv[0], *fixed, *options], one, **extra)
     atheris.Fuzz()
+
+
+def _call_by_numba() -> None:
+    """Let numba call the kernels that it compiles, and cache them for every source of theirs."""
+    import hashlib
+    from pathlib import Path
+
+    from msal_cli.core import compiled
+
+    sources = sorted(Path(compiled.__file__).parent.glob("*.py"))
+    key = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
+    os.environ["NUMBA_CACHE_DIR"] = os.path.join(tempfile.gettempdir(), f"msal-fuzz-{key[:16]}")
+
+    class Called(compiled.Kernel):
+        @functools.cached_property
+        def by_numba(self) -> Any:
+            return self._for_numba(cache=True)
+
+        def __call__(self, *arguments: Any) -> Any:
+            return self.by_numba(*arguments)
+
+    compiled.Kernel = Called  # type: ignore[misc]
 
 
 def _limit_memory() -> None:
