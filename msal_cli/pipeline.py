@@ -34,6 +34,7 @@ from msal_cli.records import (
     MethodUsed,
     NoiseEstimate,
     NormalChange,
+    ObjectMark,
     Seconds,
     Volume,
 )
@@ -102,10 +103,11 @@ FORECAST = "forecast"
 
 @dataclass(frozen=True)
 class Task:
-    """One file to denoise; paths are text as ``os.fsdecode`` gives it.
+    """One file to denoise; paths are text as ``os.fsdecode`` gives it, or URLs.
 
     ``relative`` is the name by which reports and the manifest know the file.  With ``in_place``
-    the output is the input, and ``backup``, a suffix, keeps the original beside it.
+    the output is the input, and ``backup``, a suffix, keeps the original beside it.  An input in a
+    store has the mark that it had when it was found.
     """
 
     input: str
@@ -113,6 +115,7 @@ class Task:
     relative: str
     in_place: bool = False
     backup: str | None = None
+    input_mark: ObjectMark | None = None
 
 
 def is_mesh_name(name: str) -> bool:
@@ -187,6 +190,8 @@ def denoise_file(
         from msal_cli.files import sidecars
 
         with run.stage("read"):
+            # The mark is older than the bytes: an object that changes in between is done again.
+            run.know(input_object=task.input_mark)
             if limits.memory_bytes is not None or limits.max_faces is not None:
                 run.admit(forecast(task, settings))
             data = files.read_input(task.input, settings.format)
@@ -200,9 +205,10 @@ def denoise_file(
                 notes = tuple(sidecars.carried(run.references, task.input, task.output))
                 marked = (note for note in notes if note.startswith("warning: "))
                 run.warn(*(note.removeprefix("warning: ") for note in marked))
-            files.write_whole(
+            mark = files.write_whole(
                 task.output, [output], mode_like=task.input if task.in_place else None
             )
+            run.know(output_object=None if mark is None else ObjectMark(*mark))
         return run.finished(task.output, sidecars=notes)
     except Exception as error:
         return run.failed(error)
@@ -228,7 +234,11 @@ def denoise_bytes(
 
 
 def _make_folder_of(path: str) -> None:
-    """Make the folder that a file is to be written to, if it is not there."""
+    """Make the folder that a file is to be written to, if it is not there; stores have none."""
+    from msal_cli.files import is_url
+
+    if is_url(path):
+        return
     folder = os.path.dirname(path) or os.curdir
     try:
         os.makedirs(folder, exist_ok=True)

@@ -11,6 +11,7 @@ from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 from msal_cli.files.base import Buffer, MeshFile
 from msal_cli.files.first_look import read_input
 from msal_cli.files.streams import compressed, expanded, is_gzip_name, read_whole
+from msal_cli.files.urls import is_url
 from msal_cli.files.writing import swept, write_whole
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "converted",
     "expanded",
     "format_of_name",
+    "is_url",
     "open_mesh",
     "read_input",
     "read_whole",

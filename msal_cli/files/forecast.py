@@ -17,6 +17,7 @@ from msal_cli.errors import MsalError
 from msal_cli.files import content_format, format_of_name, ply_header
 from msal_cli.files.ply_header import Element, Header
 from msal_cli.files.streams import ALWAYS_EXPANDED, GZIP_MAGIC, LARGEST_RATIO
+from msal_cli.files.urls import is_url
 
 LOOKED_AT = 1 << 16
 """Bytes of a file's beginning that are read, and that a compressed beginning is expanded to."""
@@ -93,10 +94,15 @@ def forecast(
         ``Method.bytes_per_face``.
     """
     try:
-        with Path(path).open("rb") as file:
-            head = file.read(LOOKED_AT)
-            size = max(file.seek(0, 2), len(head))
-    except (OSError, ValueError):
+        if is_url(path):
+            from msal_cli.files import remote
+
+            head, size = remote.beginning(path, LOOKED_AT)
+        else:
+            with Path(path).open("rb") as file:
+                head = file.read(LOOKED_AT)
+                size = max(file.seek(0, 2), len(head))
+    except (OSError, ValueError, MsalError):
         return Forecast()
     return of_beginning(
         head, size, path, format=format, to=to, method_bytes_per_face=method_bytes_per_face

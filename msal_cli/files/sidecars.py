@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from msal_cli.errors import OutputError
+from msal_cli.files.urls import is_url
 from msal_cli.files.writing import write_new
 
 LARGEST_MATERIAL = 16 << 20
@@ -41,7 +42,8 @@ def carried(
     Each is copied to the same place relative to the output as it has relative to the input, byte
     for byte; textures that a copied ``.mtl`` names come along.  A file that is there already with
     the same content is left alone.  An absolute reference needs nothing; one that leaves the
-    output folder, and one whose file is missing, is only told of.
+    output folder, and one whose file is missing, is only told of.  To and from URLs nothing is
+    copied.
 
     Parameters
     ----------
@@ -57,6 +59,8 @@ def carried(
     OutputError
         with code ``E_SIDECAR`` if another file has the place; with ``E_WRITE`` if copying fails.
     """
+    if any(isinstance(path, str) and is_url(path) for path in (input_path, output_path)):
+        return _left_behind(references)
     source_folder = Path(input_path).parent
     target_folder = Path(output_path).parent
     notes: list[str] = []
@@ -75,6 +79,16 @@ def carried(
         if reference.lower().endswith(".mtl") and source is not None:
             waiting.extend(_from(reference, name) for name in _textures(source_folder / source))
     return tuple(note for note in notes if note)
+
+
+def _left_behind(references: Sequence[str]) -> tuple[str, ...]:
+    """Between stores nothing is carried: who comes second could not tell whose a place is."""
+    names = [name for name in dict.fromkeys(references) if not _is_absolute(name)]
+    if not names:
+        return ()
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    said = f"{', '.join(names[:3])}{more}"
+    return (f"warning: not copied to or from an object store: {said}",)
 
 
 def _from(library: str, name: str) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from msal_cli.errors import FormatError, InputError, TooLargeError, TruncatedError
 from msal_cli.files.base import Buffer
+from msal_cli.files.urls import is_url
 
 GZIP_SUFFIX = ".gz"
 GZIP_MAGIC = b"\x1f\x8b"
@@ -24,13 +25,17 @@ _LARGEST_PIECE = 1 << 20
 
 
 def read_whole(path: str | os.PathLike[str]) -> bytes:
-    """The bytes of a file.
+    """The bytes of a file, or of an object behind a URL.
 
     Raises
     ------
     InputError
         with code ``E_READ`` if the system cannot read it.
     """
+    if isinstance(path, str) and is_url(path):
+        from msal_cli.files import remote
+
+        return remote.read_whole(path)
     try:
         return Path(path).read_bytes()
     except (OSError, ValueError) as failure:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from msal_cli.errors import OutputError
 from msal_cli.files.base import Buffer
+from msal_cli.files.urls import is_url
 
 LONGEST_NAME = 140
 """Bytes in the name of a temporary file; some encrypting file systems allow only 143."""
@@ -45,7 +46,7 @@ def write_whole(
     buffers: Buffer | Iterable[Buffer],
     *,
     mode_like: str | os.PathLike[str] | None = None,
-) -> None:
+) -> tuple[int, str] | None:
     """Write a file so that it is seen whole or not at all, even after a crash.
 
     The bytes go to a temporary file in the same folder, are flushed to the disk and counted, and
@@ -57,19 +58,28 @@ def write_whole(
 
     Parameters
     ----------
-    path : the file to write; its folder must exist.
+    path : the file to write; its folder must exist.  A URL is an object, see ``remote``.
     buffers : the content, in one piece or in several.
     mode_like : an existing file whose permission bits a new file gets.
+
+    Returns
+    -------
+    Size and entity tag of an object; nothing for a file.
 
     Raises
     ------
     OutputError
         if the system refuses, with the reason.
     """
+    if isinstance(path, str) and is_url(path):
+        from msal_cli.files import remote
+
+        return remote.write_whole(path, buffers)
     try:
         _write(Path(path), _pieces(buffers), mode_like, _move)
     except (OSError, ValueError) as failure:
         raise _not_written(path, failure) from failure
+    return None
 
 
 def write_new(

@@ -1,0 +1,152 @@
+"""URLs as text: telling them from paths, joining them, and keeping passwords out of them.
+
+A URL is ``protocol://`` and a path whose parts are names as they are: nothing in them is escaped,
+``%``, ``#``, spaces and line breaks stand for themselves.  What is secret in a URL (a password, the
+query of a signed link) is taken out before anybody sees it, and put back only to open it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from typing import Any
+
+from msal_cli.errors import UsageError
+
+SECRETS = "MSAL_URL_SECRETS"
+"""Environment variable that hands secrets down to worker processes: JSON, by URL without them."""
+
+_URL = re.compile(r"(?P<protocol>[A-Za-z][A-Za-z0-9+.-]+)://(?P<rest>.*)", re.DOTALL)
+_FILES = ("file", "local")
+_WEB = ("http", "https")
+_ALIASES = {"s3a": "s3", "gcs": "gs", "https": "http"}
+_PASSWORD = re.compile(r"(://[^/@\s:]*):[^/\s]*@")
+_QUERY = re.compile(r"(https?://[^?\s]*)\?\S*", re.IGNORECASE)
+_ODD = {"": "%2F", ".": "%2E", "..": "%2E%2E"}
+
+
+def is_url(text: str) -> bool:
+    """Whether ``text`` names an object behind a protocol, and not a file of this machine."""
+    match = _URL.match(text)
+    return match is not None and match["protocol"].lower() not in _FILES
+
+
+def settled(text: str) -> str:
+    """A path or URL as everything else here takes it: ``file://`` gone, secrets put away.
+
+    Raises UsageError if two signed links differ in nothing but their signature.
+    """
+    match = _URL.match(text)
+    if match is None:
+        return text
+    protocol, rest = match["protocol"].lower(), match["rest"]
+    if protocol in _FILES:
+        return rest.removeprefix("/") if os.name == "nt" and re.match("/[A-Za-z]:", rest) else rest
+    place, slash, path = rest.partition("/")
+    user, at, host = place.rpartition("@")
+    name, colon, password = user.partition(":")
+    if at and colon:
+        place = f"{name}@{host}"
+        _keep(f"{protocol}://{place}", password)
+    if protocol in _WEB and "?" in path:
+        path, _, query = path.partition("?")
+        _keep(f"{protocol}://{place}/{path}", query)
+    return f"{protocol}://{place}{slash}{path}"
+
+
+def settled_in(options: dict[str, Any], *names: str) -> dict[str, Any]:
+    """``options`` with every path or URL under these names, alone or in a tuple, ``settled``."""
+
+    def of(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(map(settled, value))
+        return value if value is None else settled(value)
+
+    return options | {name: of(options[name]) for name in names}
+
+
+def redacted(text: str) -> str:
+    """``text``, such as a word of a command line or a message, without what is secret in it."""
+    text = _QUERY.sub(r"\1?***", _PASSWORD.sub(r"\1:***@", text))
+    for secret in _kept().values():
+        if len(secret) > 3:
+            text = text.replace(secret, "***")
+    return text
+
+
+def opened_as(url: str) -> str:
+    """The URL with its secrets back in it."""
+    secrets = _kept()
+    if not secrets:
+        return url
+    query = secrets.get(url)
+    protocol, path = split(url)
+    place, slash, rest = path.partition("/")
+    password = secrets.get(f"{protocol}://{place}")
+    if password is not None:
+        name, _, host = place.rpartition("@")
+        place = f"{name}:{password}@{host}"
+    return f"{protocol}://{place}{slash}{rest}" + ("" if query is None else f"?{query}")
+
+
+def _kept() -> dict[str, str]:
+    text = os.environ.get(SECRETS)
+    kept: dict[str, str] = json.loads(text) if text else {}
+    return kept
+
+
+def _keep(url: str, secret: str) -> None:
+    secrets = _kept()
+    if secrets.setdefault(url, secret) != secret:
+        raise UsageError(
+            f"{url!r} is given twice, with different secrets", hint="give it once, or in two runs"
+        )
+    os.environ[SECRETS] = json.dumps(secrets)
+
+
+def split(url: str) -> tuple[str, str]:
+    """Protocol and path."""
+    protocol, _, path = url.partition("://")
+    return protocol, path
+
+
+def joined(url: str, relative: str) -> str:
+    """The URL of ``relative``, written with ``/``, below a URL."""
+    return f"{folder(url)}{relative}"
+
+
+def folder(url: str) -> str:
+    """The URL of a folder, with one slash at its end, so that other URLs may begin with it."""
+    protocol, path = split(url)
+    # All the slashes of memory:// belong to it.
+    path = path.rstrip("/")
+    return f"{protocol}://{path}/" if path else f"{protocol}://"
+
+
+def name(url: str) -> str:
+    """The last part of a URL that is not empty."""
+    return split(url)[1].rstrip("/").rpartition("/")[2]
+
+
+def identity(url: str) -> str:
+    """Equal for URLs that are the same object by another spelling of the protocol."""
+    protocol, path = split(url)
+    return f"{_ALIASES.get(protocol, protocol)}://{path.lstrip('/')}"
+
+
+def harmless(relative: str, *, is_local: bool) -> str:
+    """An object's name below its folder as a name below another folder, never out of it.
+
+    An object may be called ``../x`` or ``a//b``, which a file system, and many a server, takes for
+    another place.  Parts that are ``..``, ``.`` or empty get the escapes of a URL instead, and for
+    a file (``is_local``) so does what no file name of this system may hold.
+    """
+    parts = [_ODD.get(part, part) for part in relative.split("/")]
+    if is_local:
+        forbidden = '\0\\:*?"<>|' if os.name == "nt" else "\0"
+        parts = [
+            "".join(f"%{ord(one):02X}" if one in forbidden else one for one in part)
+            for part in parts
+        ]
+    return "/".join(parts)
