@@ -14,9 +14,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from msal_cli.batch import remote_inputs
 from msal_cli.batch.patterns import Patterns, has_magic
 from msal_cli.batch.temporaries import is_own
 from msal_cli.errors import MsalError, UsageError
+from msal_cli.files.urls import is_url, name, settled
+from msal_cli.records import ObjectMark
 
 _log = logging.getLogger("msal.batch")
 
@@ -32,12 +35,14 @@ class Found:
     """One input file.
 
     ``path`` opens it; ``relative`` is where it belongs below an output folder, written with ``/``;
-    ``root`` is the folder that was searched, or ``""`` for a file that was named itself.
+    ``root`` is the folder that was searched, or ``""`` for a file that was named itself.  An
+    object in a store has the ``mark`` that the store told when it was found.
     """
 
     path: str
     relative: str
     root: str
+    mark: ObjectMark | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +62,9 @@ def found(
     output: str | None = None,
 ) -> tuple[Found, ...]:
     """The files that ``inputs`` stand for, each once, in a fixed order.
+
+    What is written as ``protocol://...`` is an object, a folder of objects or a pattern in a store
+    (see `remote_inputs`).
 
     A file is taken as it is, whatever its name.  A folder is searched through all its subfolders
     for names that ``is_mesh_name`` accepts (default: every suffix that msal reads); hidden files
@@ -81,12 +89,23 @@ def found(
 
         is_mesh_name = known_suffix
     included, excluded = Patterns(include), Patterns(exclude)
-    kinds = [_kind(text) for text in inputs]
-    folders = {Path(text) for text, kind in zip(inputs, kinds, strict=True) if kind == "folder"}
-    own_output = _real(Path(output)) if output is not None else None
+    inputs = [settled(text) for text in inputs]
+    places = {text: remote_inputs.place(text, is_mesh_name) for text in inputs if is_url(text)}
+    kinds = [places[text].kind if text in places else _kind(text) for text in inputs]
+    folders = {
+        text if text in places else str(Path(text))
+        for text, kind in zip(inputs, kinds, strict=True)
+        if kind == "folder"
+    }
+    output = None if output is None else settled(output)
+    own_output = _real(Path(output)) if output is not None and not is_url(output) else None
     everything: dict[tuple[str, str], Found] = {}
     for text, kind in zip(inputs, kinds, strict=True):
-        if kind == "file":
+        if text in places:
+            prefix = f"{name(text)}/" if kind == "folder" and len(folders) > 1 else ""
+            objects = remote_inputs.found(places[text], prefix, is_mesh_name, output)
+            some = [Found(one.url, one.relative, one.root, one.mark) for one in objects]
+        elif kind == "file":
             some = [Found(str(Path(text)), Path(text).name, "")]
         elif kind == "folder":
             prefix = f"{_folder_name(Path(text))}/" if len(folders) > 1 else ""

@@ -43,8 +43,9 @@ FORMAT = 1
 # and more than there are lines that count.
 _SPARE_LINES = 1000
 
-# Lines about runs are kept for reports, but not without end.
-_RUN_LINES_KEPT = 100
+RUN_KINDS = ("run", "end")
+RUN_LINES_KEPT = 100
+"""Lines about runs are kept for reports, but not without end."""
 
 _LARGEST_BLOCK = 1 << 20
 
@@ -170,7 +171,7 @@ class Manifest:
             if entry is not None:
                 some[entry.name] = entry
                 self._newest = max(self._newest, entry.at)
-            elif is_own and kind_of(line) in ("run", "end"):
+            elif is_own and kind_of(line) in RUN_KINDS:
                 self._own_runs.append(line)
         if is_own:
             self._own = some
@@ -196,7 +197,7 @@ class Manifest:
         Raises OutputError if the manifest cannot be written.
         """
         try:
-            n_kept = len(self._own) + min(len(self._own_runs), _RUN_LINES_KEPT)
+            n_kept = len(self._own) + min(len(self._own_runs), RUN_LINES_KEPT)
             if self._n_lines - n_kept > max(_SPARE_LINES, n_kept):
                 self._compact()
             is_new = not self._path.exists()
@@ -236,7 +237,7 @@ class Manifest:
     def _compact(self) -> None:
         """Rewrite the manifest with the lines that count; whole or not at all."""
         temporary = self._path.with_name(temporary_name("manifest"))
-        runs = self._own_runs[-_RUN_LINES_KEPT:]
+        runs = self._own_runs[-RUN_LINES_KEPT:]
         try:
             with temporary.open("xb") as file:
                 for line in runs:

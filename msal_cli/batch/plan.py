@@ -5,17 +5,20 @@ from __future__ import annotations
 import os
 import tempfile
 import unicodedata
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
+from msal_cli.batch.homes import manifest_of, objects_at
 from msal_cli.batch.inputs import Found
-from msal_cli.batch.manifest import Manifest
 from msal_cli.batch.shards import Shard
 from msal_cli.errors import UsageError
+from msal_cli.files import remote, urls
+from msal_cli.files.urls import is_url
 from msal_cli.pipeline import Task
 from msal_cli.pipeline import is_mesh_name as known_suffix
 from msal_cli.pipeline import output_name as with_suffix_of
+from msal_cli.records import ObjectMark
 
 DEFAULT_BACKUP = ".orig"
 
@@ -33,6 +36,7 @@ class Plan:
     fresh : do every file again, even where its output is current.
     retry_failed : do files again that failed before, even where they would fail again.
     shard, whole : which part this is, and of what, where it is a part (see ``shards.part``).
+    objects : where the outputs go to a store, the marks of those that are there, by URL.
     """
 
     tasks: tuple[Task, ...]
@@ -41,17 +45,29 @@ class Plan:
     retry_failed: bool = False
     shard: Shard | None = None
     whole: Plan | None = None
+    objects: Mapping[str, ObjectMark] = field(default_factory=dict)
 
     def folders(self) -> list[str]:
         """All homes, each once; of a part those of the whole, for it works under their locks."""
         homes = self.homes if self.whole is None else self.whole.homes
         return sorted({home for home in homes if home is not None})
 
+    @property
+    def stays_here(self) -> bool:
+        """Whether no other process could do the work: the objects live in this one."""
+        return any(
+            is_url(path) and remote.is_in_process(path)
+            for task in self.tasks
+            for path in (task.input, task.output)
+        )
+
     def key(self, index: int) -> str:
         """The name by which the manifest knows a task: its output below its home, with ``/``."""
         home = self.homes[index]
         if home is None:
             raise ValueError(f"task {index} has no manifest")
+        if is_url(home):
+            return self.tasks[index].output.removeprefix(urls.folder(home))
         return Path(self.tasks[index].output).relative_to(home).as_posix()
 
 
@@ -85,13 +101,15 @@ def built(
     UsageError : two inputs have one output; an output is an input, a folder, lies outside the
         output folder or would replace a file that is not ours; options contradict each other.
     """
+    output = None if output is None else urls.settled(output)
     if in_place:
         plan = _in_place(found, output, to, backup, fresh, is_mesh_name)
     elif output is None:
         raise UsageError("there is no output", hint="name one with -o, or give --in-place")
     elif _is_file_output(found, output, is_mesh_name):
         _refuse_contradiction(output, to, is_mesh_name, output_name)
-        plan = Plan((Task(found[0].path, output, found[0].relative),), (None,), fresh)
+        task = Task(found[0].path, output, found[0].relative, input_mark=found[0].mark)
+        plan = Plan((task,), (None,), fresh)
     else:
         tasks = tuple(_mirrored(one, output, to, output_name) for one in found)
         plan = Plan(tasks, (output,) * len(tasks), fresh)
@@ -99,9 +117,13 @@ def built(
     _refuse_collisions(plan)
     if not in_place:
         _refuse_inputs_as_outputs(plan)
-        _refuse_folders_as_outputs(plan)
+        if output is None or not is_url(output):
+            _refuse_folders_as_outputs(plan)
     if plan.homes[:1] != (None,) and not in_place and output is not None:
-        _refuse_escapes(plan, output)
+        if is_url(output):
+            plan = replace(plan, objects=objects_at(output, plan.tasks))
+        else:
+            _refuse_escapes(plan, output)
         if not force:
             _refuse_foreign_files(plan, output)
     return plan
@@ -131,6 +153,12 @@ def _in_place(
             )
     tasks, homes = [], []
     for one in found:
+        if is_url(one.path):
+            raise UsageError(
+                f"--in-place is for files, and {one.path!r} is in a store",
+                hint="name another place with -o: a store cannot keep the original safe",
+                path=one.path,
+            )
         path = Path(one.path)
         real = _real(path)
         root = Path(one.root) if one.root else None
@@ -156,6 +184,8 @@ def _is_file_output(
 ) -> bool:
     if len(found) != 1 or found[0].root or output.endswith(("/", os.sep)):
         return False
+    if is_url(output):
+        return is_mesh_name(urls.name(output))
     path = Path(output)
     if path.is_dir():
         return False
@@ -181,6 +211,12 @@ def _refuse_contradiction(
 def _mirrored(
     one: Found, output: str, to: str | None, output_name: Callable[[str, str | None], str]
 ) -> Task:
+    if is_url(one.path) or is_url(output):
+        name = urls.harmless(one.relative, is_local=not is_url(output))
+        folder, slash, last = name.rpartition("/")
+        name = folder + slash + output_name(last, to)
+        place = urls.joined(output, name) if is_url(output) else str(Path(output) / name)
+        return Task(one.path, place, one.relative, input_mark=one.mark)
     relative = PurePosixPath(one.relative)
     if relative.is_absolute() or ".." in relative.parts or Path(one.relative).drive:
         raise UsageError(f"{one.relative!r} is no path below the output folder", path=one.path)
@@ -195,8 +231,11 @@ def _real(path: Path) -> Path:
         return Path.cwd() / path
 
 
-def _identity(path: Path) -> tuple[int, int] | str | None:
+def _identity(name: str) -> tuple[int, int] | str | None:
     """What tells files apart, links of both kinds followed; None where there is no file."""
+    if is_url(name):
+        return urls.identity(name)
+    path = Path(name)
     try:
         status = path.stat()
     except (OSError, ValueError):
@@ -208,7 +247,7 @@ def _without_repeats(plan: Plan) -> Plan:
     """One task for a file that was found twice (by two inputs, or in place by a link)."""
     kept: dict[tuple[object, ...], int] = {}
     for index, task in enumerate(plan.tasks):
-        source = _identity(Path(task.input)) or task.input
+        source = _identity(task.input) or task.input
         target = source if task.in_place else task.output
         kept.setdefault((source, target), index)
     chosen = tuple(kept.values())
@@ -228,6 +267,9 @@ def _refuse_collisions(plan: Plan) -> None:
         other = seen.setdefault(task.output, task)
         if other is not task:
             raise _collision(other, task, f"would both be written to {task.output!r}")
+        if is_url(task.output):
+            # A store has no folders, and every letter of a name counts.
+            continue
         twin = folded.setdefault(_folded(task.output), task)
         if twin is not task:
             twins.append((twin, task))
@@ -280,10 +322,10 @@ def _ignores_case(folder: Path) -> bool:
 def _refuse_inputs_as_outputs(plan: Plan) -> None:
     inputs = {}
     for task in plan.tasks:
-        inputs[_identity(Path(task.input)) or str(_real(Path(task.input)))] = task.input
+        inputs[_identity(task.input) or str(_real(Path(task.input)))] = task.input
     for task in plan.tasks:
         output = Path(task.output)
-        victim = inputs.get(_identity(output) or str(_real(output)))
+        victim = inputs.get(_identity(task.output) or str(_real(output)))
         if victim is None:
             continue
         if victim == task.input:
@@ -336,10 +378,14 @@ def _refuse_escapes(plan: Plan, output: str) -> None:
 
 
 def _refuse_foreign_files(plan: Plan, output: str) -> None:
-    existing = [index for index, task in enumerate(plan.tasks) if _is_there(Path(task.output))]
+    existing = [
+        index
+        for index, task in enumerate(plan.tasks)
+        if task.output in plan.objects or (not is_url(output) and _is_there(Path(task.output)))
+    ]
     if not existing:
         return
-    explained = Manifest.read(output).names()
+    explained = manifest_of(output).names()
     foreign = [plan.tasks[index] for index in existing if plan.key(index) not in explained]
     if foreign:
         raise UsageError(

@@ -14,8 +14,9 @@ from msal_cli.batch.manifest import Entry, FileMark, Manifest, file_sha256
 from msal_cli.batch.plan import Plan
 from msal_cli.batch.temporaries import temporary_name
 from msal_cli.errors import OutputError
+from msal_cli.files.urls import is_url
 from msal_cli.pipeline import Task
-from msal_cli.records import Failure, MeshRecord
+from msal_cli.records import Failure, MeshRecord, ObjectMark
 
 # What a file brings on itself comes again with the same file, settings and version.  All other
 # failures (crashes, memory, time, disks, what is not installed) may go away by themselves.
@@ -108,9 +109,13 @@ class _Judge:
             return False
         if entry.status not in ("written", "unchanged"):
             return False
-        if not self._is_same(task.output, entry.output_mark, entry.output_sha256):
+        if is_url(task.output):
+            there = self._plan.objects.get(task.output)
+            if not _is_same_object(there, entry.output_object):
+                return False
+        elif not self._is_same(task.output, entry.output_mark, entry.output_sha256):
             return False
-        return task.in_place or self._is_same(task.input, entry.input_mark, entry.input_sha256)
+        return task.in_place or self._is_same_input(task, entry)
 
     def _failed_before(self, task: Task, entry: Entry) -> MeshRecord | None:
         """The record of a failure that would come again, because the file itself is at fault."""
@@ -121,9 +126,14 @@ class _Judge:
         record = entry.record()
         if record is None or record.error is None or record.error.code not in _FAULTS_OF_FILES:
             return None
-        if not self._is_same(task.input, entry.input_mark, entry.input_sha256):
+        if not self._is_same_input(task, entry):
             return None
         return replace(record, input=task.input, output=None, remembered=True)
+
+    def _is_same_input(self, task: Task, entry: Entry) -> bool:
+        if is_url(task.input):
+            return _is_same_object(task.input_mark, entry.input_object)
+        return self._is_same(task.input, entry.input_mark, entry.input_sha256)
 
     def _is_same(self, path: str, mark: FileMark | None, sha256: str) -> bool:
         now = FileMark.of(path)
@@ -155,6 +165,11 @@ class _Judge:
         if was_interrupted and mark and original and mark.size == original.size:
             return Standing(index, restores=True)
         return Standing(index, objection=str(backup))
+
+
+def _is_same_object(now: ObjectMark | None, then: ObjectMark | None) -> bool:
+    # Without a tag an object of the same size may be another.
+    return now is not None and now == then and bool(now.tag)
 
 
 def backup_path(task: Task) -> Path:

@@ -6,15 +6,13 @@ import logging
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
-from msal_cli.batch import signals, temporaries
+from msal_cli.batch import homes, signals, temporaries
 from msal_cli.batch.cores import usable_cores
 from msal_cli.batch.events import Finished, Progress, Started
 from msal_cli.batch.history import RunNote
-from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import Manifest, done, intent, settings_hash
 from msal_cli.batch.plan import Plan
 from msal_cli.batch.resume import restore, standings
@@ -115,7 +113,7 @@ class _Run:
     def rehearsed(self) -> list[MeshRecord]:
         """What would happen, with nothing touched."""
         with signals.noticed(signals.raise_for):
-            self._manifests = {home: Manifest.read(home) for home in self._homes}
+            self._manifests = {home: homes.manifest_of(home) for home in self._homes}
             for index in self._unsettled():
                 self._settle(index, self._planned(index))
         return self._in_order()
@@ -126,7 +124,7 @@ class _Run:
         try:
             with signals.noticed(signals.raise_for):
                 todo = self._prepared(stack, note)
-            if self._is_single():
+            if self._is_single() or self._plan.stays_here:
                 self._work_here(todo)
             elif todo:
                 self._work_elsewhere(todo)
@@ -150,13 +148,11 @@ class _Run:
         """Take hold of the folders, settle what is current; the indices of what is to be done."""
         shard = self._plan.shard
         for home in self._homes:
-            _make_folder(home)
-            stack.enter_context(FolderLock(home, shard))
-            manifest = Manifest.read(home, shard)
+            homes.hold(home, stack, shard)
+            manifest = homes.manifest_of(home, shard)
             stack.callback(manifest.close)
             self._manifests[home] = manifest
-        folders = {Path(task.output).parent for task in self._plan.tasks}
-        temporaries.sweep(folders.union(map(Path, self._homes)))
+        temporaries.sweep(homes.folders(self._plan.tasks, self._homes))
         restored: list[Task] = []
         todo = self._unsettled(restored)
         for manifest in self._manifests.values():
@@ -319,7 +315,8 @@ class _Run:
         return replace(self._planned(index), output=None, status="failed", error=failure)
 
     def _clear_away(self, pid: int, index: int) -> None:
-        temporaries.sweep_after(pid, Path(self._plan.tasks[index].output).parent)
+        for folder in homes.folders([self._plan.tasks[index]]):
+            temporaries.sweep_after(pid, folder)
 
 
 def do_one(task: Task, common: tuple[Denoise, Settings], on_progress: OnProgress) -> MeshRecord:
@@ -330,12 +327,3 @@ def do_one(task: Task, common: tuple[Denoise, Settings], on_progress: OnProgress
     if record.error is not None and record.error.code == "E_MEMORY":
         raise MemoryError(record.error.message)
     return record
-
-
-def _make_folder(folder: str) -> None:
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"the output folder {folder!r} cannot be made: {error.strerror}", path=folder
-        ) from None

@@ -217,13 +217,15 @@ _PATH = click.Path(readable=False, allow_dash=True)
 def command(arguments: tuple[str, ...], /, **options: Any) -> int:
     """Denoise mesh files; the outputs are the inputs with their positions replaced.
 
-    INPUT is a file, a folder (with all its subfolders), a pattern such as 'scans/*.ply', or - for
-    standard input. Faces, texture coordinates, colours, properties, comments and the order of
-    everything stay as they are. What an earlier run has finished is not done again.
+    INPUT is a file, a folder (with all its subfolders), a pattern such as 'scans/*.ply', a URL such
+    as s3://bucket/scans, or - for standard input. Faces, texture coordinates, colours, properties,
+    comments and the order of everything stay as they are. What an earlier run has finished is not
+    done again.
     """
     from msal_cli.cli import logs
+    from msal_cli.files import urls
 
-    request = Request(**options)
+    request = Request(**urls.settled_in(options, "inputs", "output", "reports"))
     if request.quiet and request.verbose:
         raise UsageError("--quiet and --verbose contradict each other", hint="give one of them")
     with logs.configured(-1 if request.quiet else request.verbose, request.log_file):
@@ -378,11 +380,12 @@ class _Session:
         from dataclasses import asdict
 
         from msal_cli import __version__
+        from msal_cli.files import urls
         from msal_cli.report.document import Run
 
         return Run(
             version=__version__,
-            command=("msal", *self._arguments),
+            command=("msal", *map(urls.redacted, self._arguments)),
             settings=asdict(settings),
             started=self._clock.started,
             finished=self._clock.now(),

@@ -52,13 +52,15 @@ def command(
 ) -> int:
     """Tell what is in mesh files: format, counts, defects, size, volume, what is carried along.
 
-    INPUT is a file, a folder (with all its subfolders), a pattern, or - for standard input. Lengths
-    are in file units. Nothing is written.
+    INPUT is a file, a folder (with all its subfolders), a pattern, a URL of one of these, or - for
+    standard input. Lengths are in file units. Nothing is written.
     """
     from msal_cli import files
     from msal_cli.batch import signals
     from msal_cli.cli import logs, words
+    from msal_cli.files import urls
 
+    inputs = tuple(map(urls.settled, inputs))
     with logs.configured(verbose, None), signals.noticed(signals.raise_for):
         known = words.settled_format(format, files.readable_suffixes, "--format")
         records = _inspected(_paths(inputs, include, exclude), known)

@@ -43,8 +43,10 @@ def pipe(inputs: tuple[str, ...], output: str | None) -> Pipe | None:
             "standard input and standard output hold one mesh, not several",
             hint="give one input, or a folder with -o",
         )
+    from msal_cli.files import is_url
+
     (source,) = inputs
-    if source != STREAM and not os.path.isfile(source):
+    if source != STREAM and not is_url(source) and not os.path.isfile(source):
         what = "a folder" if os.path.isdir(source) else "no file"
         raise UsageError(
             f"-o - takes one file, and {source!r} is {what}", hint="name an output folder with -o"
@@ -148,7 +150,8 @@ def _written(output: Buffer, record: MeshRecord, target: str) -> MeshRecord:
     if is_to_be != is_compressed:
         output = files.compressed(plain) if is_to_be else plain
     try:
-        Path(target).absolute().parent.mkdir(parents=True, exist_ok=True)
+        if not files.is_url(target):
+            Path(target).absolute().parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(
             f"the folder of {target!r} cannot be made: {error.strerror}", path=target

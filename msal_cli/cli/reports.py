@@ -48,13 +48,17 @@ def write(names: Sequence[str], run: Run, records: Sequence[MeshRecord]) -> None
 
     One that cannot be written does not keep the others from being written.
     """
-    from msal_cli.files import write_whole
+    from msal_cli.files import is_url, write_whole
 
     first: OutputError | None = None
     for name in names:
         data = report.writer(name)(run, records)
         try:
-            _guarded(lambda name=name: Path(name).parent.mkdir(parents=True, exist_ok=True), name)  # type: ignore[misc]
+            if not is_url(name):
+                _guarded(
+                    lambda name=name: Path(name).parent.mkdir(parents=True, exist_ok=True),  # type: ignore[misc]
+                    name,
+                )
             write_whole(name, [data])
         except OutputError as error:
             first = first or error
@@ -72,6 +76,10 @@ def _guarded(effect: Callable[[], None], name: str) -> None:
 
 
 def _refuse_unwritable(name: str) -> None:
+    from msal_cli.files import is_url
+
+    if is_url(name):
+        return
     path = Path(name)
     if path.is_dir():
         raise UsageError(f"the report {name!r} is a folder", hint="name a file in it")
@@ -85,4 +93,6 @@ def _refuse_unwritable(name: str) -> None:
 
 
 def _real(name: str) -> str:
-    return os.path.normcase(os.path.realpath(name))
+    from msal_cli.files import urls
+
+    return urls.identity(name) if urls.is_url(name) else os.path.normcase(os.path.realpath(name))

@@ -1,0 +1,489 @@
+"""Whole batches of objects in memory, through the real pipeline."""
+
+from __future__ import annotations
+
+import json
+import threading
+
+import pytest
+
+from msal_cli import methods
+from msal_cli.batch import homes, remote_manifest, shards
+from msal_cli.batch.inputs import Found, NothingMatched, found
+from msal_cli.batch.manifest import Manifest, done, intent
+from msal_cli.batch.plan import built
+from msal_cli.batch.remote_manifest import FOLDER, RemoteManifest
+from msal_cli.batch.run import run
+from msal_cli.errors import InputError, OutputError, UsageError
+from msal_cli.files import remote
+from msal_cli.files.remote import listed, read_whole, write_whole
+from msal_cli.pipeline import Settings, denoise_bytes, inspect_file
+from msal_cli.records import MeshRecord, ObjectMark
+from tests.batch.test_whole import obj
+
+pytest.importorskip("fsspec", reason="needs the extra: pip install 'msal-cli[cloud]'")
+
+NAMES = ("a/0.obj", "a/b/1.obj", "2.obj")
+
+
+@pytest.fixture(autouse=True)
+def empty_store():
+    from fsspec.implementations.memory import MemoryFileSystem
+
+    MemoryFileSystem.store.clear()
+    MemoryFileSystem.pseudo_dirs[:] = [""]
+
+
+@pytest.fixture
+def scans():
+    for n, name in enumerate(NAMES):
+        write_whole(f"memory://scans/{name}", obj(n).encode())
+
+
+def settings(**given):
+    return Settings("msal", methods.find("msal").settled(given))
+
+
+def denoised(inputs="memory://scans", output="memory://out", given=None, **options):
+    some = [inputs] if isinstance(inputs, str) else inputs
+    plan = built(found(some, output=output), output, **options)
+    return run(plan, settings(**(given or {})), jobs=2)
+
+
+def states(records):
+    return {record.output.partition("out/")[2]: record.status for record in records}
+
+
+def outputs(folder="memory://out"):
+    return {
+        name: read_whole(f"{folder}/{name}") for name in listed(folder) if not name.startswith(".")
+    }
+
+
+def expected(**given):
+    told = {}
+    for n, name in enumerate(NAMES):
+        told[name] = bytes(denoise_bytes(obj(n).encode(), name, settings(**given))[0])
+    return told
+
+
+def paths(*inputs, **options):
+    return [one.path.partition("scans")[2] for one in found(list(inputs), **options)]
+
+
+# What is found
+
+
+def test_urls_stand_for_objects_folders_and_patterns(scans):
+    for name in (".hidden/x.obj", ".y.obj", "notes.txt", ".msal-manifest/z.obj", "a/.msal-lock"):
+        write_whole(f"memory://scans/{name}", b"")
+    write_whole("memory://scans2/no.obj", b"")
+    assert paths("memory://scans") == ["/2.obj", "/a/0.obj", "/a/b/1.obj"]
+    assert paths("memory://scans/") == paths("memory://scans")
+    assert paths("memory://scans/a/0.obj") == ["/a/0.obj"]
+    assert paths("memory://scans/**/*.obj") == paths("memory://scans")
+    assert paths("memory://scans/*/*.obj") == ["/a/0.obj"]
+    assert paths("memory://scans/*.obj") == ["/2.obj"]
+    assert paths("memory://scans/[ab]") == ["/a/0.obj", "/a/b/1.obj"]
+    assert paths("memory://scans/*.txt") == ["/notes.txt"]
+    assert paths("memory://scans/notes.txt") == ["/notes.txt"]
+    assert paths("memory://scans", include=["a"], exclude=["b"]) == ["/a/0.obj"]
+    assert paths("memory://scans", "memory://scans/a/0.obj") == [
+        *paths("memory://scans"),
+        "/a/0.obj",
+    ]
+    with pytest.raises(NothingMatched):
+        found(["memory://scans/*.stl"])
+
+
+def test_an_object_comes_with_its_mark(scans):
+    (one,) = found(["memory://scans/2.obj"])
+    assert one.mark == ObjectMark(*remote.mark("memory://scans/2.obj"))
+    assert (one.relative, one.root) == ("2.obj", "")
+    marks = {one.relative: one.mark for one in found(["memory://scans"])}
+    assert marks["2.obj"] == one.mark
+
+
+def test_folders_in_one_run_keep_their_names(scans, tmp_path):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here/x.obj").write_text(obj(7))
+    names = [one.relative for one in found(["memory://scans", str(tmp_path / "here")])]
+    assert names == ["scans/2.obj", "scans/a/0.obj", "scans/a/b/1.obj", "here/x.obj"]
+
+
+@pytest.mark.parametrize(
+    "url", ["memory://none", "memory://none.obj", "memory://", "memory:///*.obj", "nosuch://b/x"]
+)
+def test_what_is_not_there_is_refused(url):
+    with pytest.raises(UsageError):
+        found([url])
+
+
+def test_the_output_below_the_input_is_no_input(scans):
+    denoised(output="memory://scans/out")
+    assert len(denoised(output="memory://scans/out")) == 3
+    assert sorted(outputs("memory://scans/out")) == sorted(NAMES)
+
+
+# What goes where
+
+
+def test_an_input_is_never_replaced(scans):
+    for output in ("memory://scans", "memory:///scans/"):
+        with pytest.raises(UsageError, match="own output"):
+            denoised(output=output)
+    with pytest.raises(UsageError, match="in-place"):
+        built(found(["memory://scans"]), None, in_place=True)
+
+
+def test_objects_of_others_are_not_replaced_without_force(scans):
+    write_whole("memory://out/2.obj", b"precious")
+    with pytest.raises(UsageError, match="no run of msal put it there"):
+        denoised()
+    assert read_whole("memory://out/2.obj") == b"precious"
+    assert set(states(denoised(force=True)).values()) == {"written"}
+
+
+def test_odd_names_leave_neither_the_prefix_nor_the_folder(tmp_path):
+    names = ["../up.obj", "a//b.obj", "a/../../../up.obj", "c d%41#?ü.obj", "e\nf.obj", "./g.obj"]
+    for name in names:
+        write_whole(f"memory://scans/{name}", obj(1).encode())
+    told = [
+        "%2E%2E/up.obj",
+        "a/%2F/b.obj",
+        "a/%2E%2E/%2E%2E/%2E%2E/up.obj",
+        "c d%41#?ü.obj",
+        "e\nf.obj",
+        "%2E/g.obj",
+    ]
+    records = denoised()
+    assert {record.status for record in records} == {"written"}
+    assert sorted(outputs()) == sorted(told)
+    folder = tmp_path / "deep/out"
+    assert {record.status for record in denoised(output=str(folder))} == {"written"}
+    here = [
+        path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.obj") if path.is_file()
+    ]
+    assert sorted(here) == sorted(f"deep/out/{name}" for name in told)
+    assert {record.status for record in denoised(output=str(folder))} == {"up-to-date"}
+
+
+def test_an_object_may_be_called_like_a_folder():
+    names = ("a.obj", "a.obj/b.obj", "A.obj")
+    some = [Found(f"memory://scans/{name}", name, "memory://scans") for name in names]
+    assert len(built(some, "memory://out").tasks) == 3
+    with pytest.raises(UsageError, match="file and folder"):
+        built(some, "out")
+
+
+# What comes out
+
+
+def test_from_store_to_store(scans):
+    records = denoised()
+    assert states(records) == dict.fromkeys(NAMES, "written")
+    assert outputs() == expected()
+    for record in records:
+        assert record.input_object == ObjectMark(*remote.mark(record.input))
+        assert record.output_object == ObjectMark(*remote.mark(record.output))
+
+
+def test_to_another_format_and_packed(scans):
+    write_whole("memory://scans/z.obj.gz", __import__("gzip").compress(obj(5).encode()))
+    plan = built(found(["memory://scans"]), "memory://out", to="ply")
+    run(plan, Settings("msal", methods.find("msal").settled({}), to="ply"))
+    assert sorted(outputs()) == ["2.ply", "a/0.ply", "a/b/1.ply", "z.ply.gz"]
+
+
+def test_from_folder_to_store_and_back(scans, tmp_path):
+    assert states(denoised(output=str(tmp_path / "out"))) == dict.fromkeys(NAMES, "written")
+    here = {name: (tmp_path / "out" / name).read_bytes() for name in NAMES}
+    assert here == expected()
+    assert states(denoised(output=str(tmp_path / "out"))) == dict.fromkeys(NAMES, "up-to-date")
+    for name in NAMES:
+        (tmp_path / "scans" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "scans" / name).write_bytes(read_whole(f"memory://scans/{name}"))
+    assert states(denoised(str(tmp_path / "scans"))) == dict.fromkeys(NAMES, "written")
+    assert outputs() == here
+    assert states(denoised(str(tmp_path / "scans"))) == dict.fromkeys(NAMES, "up-to-date")
+    (tmp_path / "scans/2.obj").write_text(obj(9))
+    again = states(denoised(str(tmp_path / "scans")))
+    assert again == dict.fromkeys(NAMES, "up-to-date") | {"2.obj": "written"}
+
+
+def test_one_object_into_one_object(scans):
+    (record,) = denoised("memory://scans/2.obj", "memory://out/x.obj")
+    assert record.output == "memory://out/x.obj"
+    assert read_whole("memory://out/x.obj") == expected()["2.obj"]
+    assert list(listed("memory://out")) == ["x.obj"]
+    (record,) = denoised("memory://scans/2.obj", "memory://folder")
+    assert record.output == "memory://folder/2.obj"
+
+
+def test_what_is_in_an_object_is_told(scans):
+    assert inspect_file("memory://scans/2.obj").vertices == 288
+    assert inspect_file("memory://scans/none.obj").error.code == "E_READ"
+
+
+def test_materials_stay_behind_with_a_warning(scans):
+    write_whole("memory://scans/m.obj", b"mtllib m.mtl\n" + obj(3).encode())
+    (record,) = denoised("memory://scans/m.obj")
+    assert any("m.mtl" in warning for warning in record.warnings)
+
+
+def test_an_object_that_vanished_is_a_row(scans):
+    plan = built(found(["memory://scans"]), "memory://out")
+    remote.removed(["memory://scans/2.obj"])
+    records = run(plan, settings())
+    assert sorted(record.status for record in records) == ["failed", "written", "written"]
+    (failed,) = [record for record in records if record.error is not None]
+    assert failed.error.code == "E_READ"
+    assert "no such object" in failed.error.message
+
+
+def test_an_object_that_cannot_be_written_is_a_row(scans, monkeypatch):
+    real = remote.write_whole
+
+    def refusing(url, data):
+        if url.endswith("2.obj"):
+            raise OutputError("the object cannot be written: access is denied", hint="ask")
+        return real(url, data)
+
+    monkeypatch.setattr(remote, "write_whole", refusing)
+    told = {record.input[-5:]: record.error for record in denoised()}
+    assert told["2.obj"].code == "E_WRITE"
+    assert told["0.obj"] is None
+    monkeypatch.undo()
+    assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date") | {"2.obj": "written"}
+
+
+# What is up to date
+
+
+def test_a_rerun_reads_no_object(scans, monkeypatch):
+    denoised()
+    reads = []
+    real = remote.read_whole
+    monkeypatch.setattr(remote, "read_whole", lambda url: reads.append(url) or real(url))
+    assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date")
+    assert all(FOLDER in url for url in reads)
+
+
+def test_what_changed_is_done_again_and_nothing_else(scans):
+    current = dict.fromkeys(NAMES, "up-to-date")
+    denoised()
+    write_whole("memory://scans/2.obj", obj(9).encode())
+    assert states(denoised()) == current | {"2.obj": "written"}
+    write_whole("memory://out/a/0.obj", b"x" * len(read_whole("memory://out/a/0.obj")))
+    assert states(denoised()) == current | {"a/0.obj": "written"}
+    remote.removed(["memory://out/a/b/1.obj"])
+    assert states(denoised()) == current | {"a/b/1.obj": "written"}
+    assert states(denoised()) == current
+    assert states(denoised(given={"iterations": 2})) == dict.fromkeys(NAMES, "written")
+    assert states(denoised(fresh=True)) == dict.fromkeys(NAMES, "written")
+
+
+def test_an_object_at_fault_is_remembered_until_it_changes(scans):
+    write_whole("memory://scans/2.obj", b"v 1 2\n")
+    (first,) = [record for record in denoised() if record.status == "failed"]
+    assert not first.remembered
+    (again,) = [record for record in denoised() if record.status == "failed"]
+    assert again.remembered
+    write_whole("memory://scans/2.obj", obj(2).encode())
+    assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date") | {"2.obj": "written"}
+
+
+def test_shards_share_a_prefix(scans):
+    for number in (1, 2, 1, 2):
+        plan = built(found(["memory://scans"]), "memory://out")
+        run(shards.part(plan, shards.Shard(number, 2)), settings())
+    assert outputs() == expected()
+    assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date")
+
+
+def test_an_object_that_changes_while_it_is_read_is_done_again(scans, monkeypatch):
+    plan = built(found(["memory://scans"]), "memory://out")
+    write_whole("memory://scans/2.obj", obj(9).encode())
+    run(plan, settings())
+    assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date") | {"2.obj": "written"}
+
+
+def test_without_tags_nothing_is_believed(scans, monkeypatch):
+    monkeypatch.setattr(remote, "_tag", lambda info: "")
+    denoised()
+    assert states(denoised()) == dict.fromkeys(NAMES, "written")
+
+
+# The manifest
+
+
+def line(name, status="written"):
+    record = MeshRecord(input=f"memory://scans/{name}", status=status, input_sha256="1" * 64)
+    return done(name, "settings", record, record.input)
+
+
+def parts():
+    return sorted(listed(f"memory://out/{FOLDER}"))
+
+
+def test_lines_of_all_parts_are_read_and_the_last_counts():
+    for status in ("failed", "written"):
+        manifest = RemoteManifest.read("memory://out")
+        manifest.open()
+        manifest.append([intent("a", "memory://scans/a"), intent(status, "memory://scans/b")])
+        manifest.append([line("a", status)])
+        manifest.close()
+        manifest.close()
+    manifest = homes.manifest_of("memory://out")
+    assert manifest.names() == {"a", "failed", "written"}
+    assert manifest.get("a").status == "written"
+    assert len(parts()) == 4
+
+
+def test_intents_are_there_at_once_and_the_rest_within_seconds(monkeypatch):
+    monkeypatch.setattr(remote_manifest, "BETWEEN_PARTS_S", 0.05)
+    manifest = RemoteManifest.read("memory://out")
+    manifest.open()
+    manifest.append([intent("a", "memory://scans/a")])
+    assert RemoteManifest.read("memory://out").names() == {"a"}
+    manifest.append([line("b")])
+    for _ in range(200):
+        if "b" in RemoteManifest.read("memory://out").names():
+            break
+        threading.Event().wait(0.05)
+    else:
+        raise AssertionError("the line was never written")
+    manifest.close()
+
+
+def test_what_makes_no_sense_is_passed_over():
+    write_whole(f"memory://out/{FOLDER}/notes.txt", b"{")
+    manifest = RemoteManifest.read("memory://out")
+    manifest.open()
+    manifest.append([intent("a", "memory://scans/a")])
+    manifest.close()
+    (part,) = [name for name in parts() if name.endswith(".jsonl")]
+    url = f"memory://out/{FOLDER}/{part}"
+    write_whole(url, b'{"torn\n\n' + read_whole(url) + b'{"kind": "do')
+    assert RemoteManifest.read("memory://out").names() == {"a"}
+
+
+def test_many_parts_become_one_and_no_line_is_lost(monkeypatch):
+    monkeypatch.setattr(remote_manifest, "MOST_PARTS", 3)
+    for n in range(4):
+        manifest = RemoteManifest.read("memory://out")
+        manifest.open()
+        manifest.append([intent(f"{n}", "memory://scans/a")])
+        manifest.append([line(f"{n}")])
+        manifest.close()
+    entries = RemoteManifest.read("memory://out")
+    assert len(parts()) < 8
+    assert entries.names() == {"0", "1", "2", "3"}
+    assert all(entries.get(str(n)).is_done for n in range(4))
+
+
+@pytest.mark.parametrize("killed", ["before", "between"])
+def test_a_merge_that_is_killed_loses_nothing(monkeypatch, killed):
+    manifest = RemoteManifest.read("memory://out")
+    manifest.open()
+    for n in range(5):
+        manifest.append([intent(f"{n}", "memory://scans/a")])
+    manifest.close()
+    monkeypatch.setattr(remote_manifest, "MOST_PARTS", 3)
+
+    def kill(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(remote, "write_whole" if killed == "before" else "removed", kill)
+    with pytest.raises(KeyboardInterrupt):
+        RemoteManifest.read("memory://out").open()
+    monkeypatch.undo()
+    assert RemoteManifest.read("memory://out").names() == set("01234")
+
+
+def test_a_part_that_another_run_merges_meanwhile_is_found_again(monkeypatch):
+    manifest = RemoteManifest.read("memory://out")
+    manifest.open()
+    manifest.append([intent("a", "memory://scans/a")])
+    manifest.close()
+    real, calls = remote.read_many, []
+
+    def late(some):
+        calls.append(some)
+        if len(calls) == 1:
+            raise InputError("there is no such object")
+        return real(some)
+
+    monkeypatch.setattr(remote, "read_many", late)
+    assert RemoteManifest.read("memory://out").names() == {"a"}
+    assert len(calls) == 2
+
+
+def test_a_store_that_fails_for_a_moment_costs_no_line(monkeypatch):
+    monkeypatch.setattr(remote_manifest, "BETWEEN_PARTS_S", 0.01)
+    real, n_failures = remote.write_whole, [3]
+
+    def sometimes(url, data):
+        if n_failures[0]:
+            n_failures[0] -= 1
+            raise OutputError("the store cannot be reached")
+        return real(url, data)
+
+    manifest = RemoteManifest.read("memory://out")
+    manifest.open()
+    monkeypatch.setattr(remote, "write_whole", sometimes)
+    manifest.append([line("a")])
+    threading.Event().wait(0.2)
+    manifest.close()
+    assert RemoteManifest.read("memory://out").names() == {"a"}
+
+
+def test_a_store_that_takes_no_manifest_ends_the_run(scans, monkeypatch):
+    real = remote.write_whole
+
+    def refusing(url, data):
+        if FOLDER in url:
+            raise OutputError("access is denied", hint="ask")
+        return real(url, data)
+
+    monkeypatch.setattr(remote, "write_whole", refusing)
+    with pytest.raises(OutputError, match="access is denied"):
+        denoised()
+    assert not outputs()
+
+
+def test_the_end_of_a_run_that_is_failing_hides_nothing(monkeypatch):
+    manifest = RemoteManifest.read("memory://out")
+    manifest.open()
+
+    def refusing(url, data):
+        raise OutputError("access is denied")
+
+    monkeypatch.setattr(remote, "write_whole", refusing)
+
+    def interrupted():
+        try:
+            raise KeyboardInterrupt
+        finally:
+            manifest.close()
+
+    manifest.append([line("a")])
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    other = RemoteManifest("memory://out")
+    other.open()
+    other.append([line("a")])
+    with pytest.raises(OutputError, match="access is denied"):
+        other.close()
+
+
+def test_the_lines_are_those_of_a_folder(tmp_path):
+    manifest = RemoteManifest.read("memory://out")
+    manifest.open()
+    manifest.append([intent("a", "memory://scans/a"), line("b")])
+    manifest.close()
+    (part,) = parts()
+    text = read_whole(f"memory://out/{FOLDER}/{part}")
+    assert [json.loads(one)["name"] for one in text.splitlines()] == ["a", "b"]
+    (tmp_path / ".msal-manifest.jsonl").write_bytes(text)
+    assert Manifest.read(str(tmp_path)).names() == {"a", "b"}
