@@ -228,7 +228,7 @@ class _Run:
             (self._denoise, self._settings),
             jobs=self._jobs,
             cores=self._cores,
-            folders=tuple(self._homes),
+            folders=tuple(str(one) for one in homes.folders((), self._homes)),
             on_death=self._clear_away,
         )
         engine = (self.engine or crew_for)(work)
