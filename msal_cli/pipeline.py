@@ -150,7 +150,6 @@ def _suffix(name: str) -> str:
 
 def forecast(task: Task, settings: Settings) -> Forecast:
     """What a file will ask for, from its size and its first bytes; it never raises for a file."""
-    from msal_cli import methods
     from msal_cli.files import forecast
 
     told = _suffix(task.output).lstrip(".") if is_mesh_name(task.output) else None
@@ -162,8 +161,17 @@ def forecast(task: Task, settings: Settings) -> Forecast:
         task.input,
         format=settings.format,
         to=to,
-        method_bytes_per_face=methods.find(settings.method).bytes_per_face,
+        method_bytes_per_face=method_bytes_per_face(settings),
     )
+
+
+def method_bytes_per_face(settings: Settings) -> int:
+    """Memory per triangle that the method needs beyond what all do; 0 if there is no such."""
+    from msal_cli import methods
+
+    if settings.method not in methods.names():
+        return 0
+    return methods.find(settings.method).bytes_per_face
 
 
 def least_memory_bytes() -> int:

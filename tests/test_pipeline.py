@@ -411,7 +411,7 @@ class TestLimits:
         monkeypatch.setattr(files, "read_whole", None)
         record = self.done(path, memory_bytes=100_000_000)
         assert record.error.code == "E_MEMORY" and record.error.where == "forecast"
-        assert "186 MB" in record.error.message and "100 MB" in record.error.message
+        assert "111 MB" in record.error.message and "100 MB" in record.error.message
         assert "--memory-limit" in record.error.hint
         assert record.input_sha256 is None
         assert not path.with_name("out.obj").exists()

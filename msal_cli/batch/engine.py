@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
+
+from msal_cli.pipeline import NO_LIMITS, Limits
 
 if TYPE_CHECKING:
     from msal_cli.batch.workers import Message
@@ -51,6 +53,14 @@ class Work:
     folders : folders with a manifest, where outputs go; they exist.
     on_death : called with the process id of a worker of this machine that has ended, and the index
         of the task that it had in hand, to clear away what it left.
+    on_loss : called with the index of a task that was lost, before it is tried again; returns why
+        it must not be, or an empty string.
+    limits : what one task may take.
+    retries : how often a task that was lost with its worker is tried again.
+    weights : bytes of memory that the large tasks are foreseen to take; they go first.
+    light_bytes : what any other is taken to need.
+    budget_bytes : what all tasks in hand may take together on this machine; None is no bound.
+    tells_first : ``stop`` must be in time for the task after the one whose end was told.
     """
 
     tasks: dict[int, Task]
@@ -60,6 +70,13 @@ class Work:
     cores: int
     folders: tuple[str, ...] = ()
     on_death: Callable[[int, int], None] = lambda pid, index: None
+    on_loss: Callable[[int], str] = lambda index: ""
+    limits: Limits = NO_LIMITS
+    retries: int = 1
+    weights: Mapping[int, int] = field(default_factory=dict)
+    light_bytes: int = 0
+    budget_bytes: int | None = None
+    tells_first: bool = False
 
 
 EngineFor = Callable[[Work], Engine]
@@ -67,6 +84,7 @@ EngineFor = Callable[[Work], Engine]
 
 def crew_for(work: Work) -> Engine:
     """Supervised worker processes on this machine."""
+    from msal_cli.batch.schedule import Schedule
     from msal_cli.batch.workers import Crew
 
     return Crew(
@@ -75,5 +93,15 @@ def crew_for(work: Work) -> Engine:
         work.common,
         jobs=work.jobs,
         cores=work.cores,
+        limits=work.limits,
+        schedule=Schedule(
+            work.tasks,
+            weights=work.weights,
+            light_bytes=work.light_bytes,
+            budget_bytes=work.budget_bytes,
+            retries=work.retries,
+        ),
         on_death=work.on_death,
+        on_loss=work.on_loss,
+        tells_first=work.tells_first,
     )

@@ -47,3 +47,28 @@ def ending(code: int) -> str:
     if code >= 0x80000000:
         return f"ended with the exception 0x{code:08X}"
     return f"ended with exit status {code}"
+
+
+def is_near_memory_limit(pid: int) -> bool:
+    """Whether a process on Linux holds nearly all the memory that RLIMIT_DATA grants it."""
+    if not sys.platform.startswith("linux"):
+        return False
+    import resource
+
+    try:
+        limit = resource.prlimit(pid, resource.RLIMIT_DATA)[0]
+    except (OSError, ValueError):
+        return False
+    return limit != resource.RLIM_INFINITY and memory_bytes(pid, "VmData") > 0.85 * limit
+
+
+def memory_bytes(pid: int | str, name: str) -> int:
+    """A figure of ``/proc/PID/status`` such as ``VmRSS``; 0 where it is not told."""
+    try:
+        with open(f"/proc/{pid}/status", "rb") as file:
+            for line in file:
+                if line.startswith(name.encode() + b":"):
+                    return 1024 * int(line.split()[1])
+    except (OSError, ValueError, IndexError):
+        pass
+    return 0

@@ -196,6 +196,30 @@ def restore(task: Task) -> None:
         ) from None
 
 
+def undone(task: Task, mark: FileMark | None) -> str:
+    """Undo what a lost worker may have done to a file in place, which must never be denoised twice.
+
+    A file that was replaced is put back from its backup.  Without one, a file that has not the
+    ``mark`` that it had before the work began may be denoised already: the reason why it must not
+    be tried again is returned, and otherwise an empty string.
+
+    Raises
+    ------
+    OutputError
+        if the original cannot be put back.
+    """
+    if not task.in_place:
+        return ""
+    if task.backup:
+        backup = backup_path(task)
+        if backup.is_file() and file_sha256(str(backup)) not in ("", file_sha256(task.input)):
+            restore(task)
+        return ""
+    if FileMark.of(task.input) == mark:
+        return ""
+    return "the file changed before its worker was lost, and may be denoised already"
+
+
 def _size(path: str) -> int | None:
     mark = FileMark.of(path)
     return None if mark is None else mark.size

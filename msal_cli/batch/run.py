@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, closing, suppress
@@ -13,11 +14,20 @@ from msal_cli.batch import homes, signals, temporaries
 from msal_cli.batch.cores import usable_cores
 from msal_cli.batch.events import Finished, Progress, Started
 from msal_cli.batch.history import RunNote
-from msal_cli.batch.manifest import Manifest, done, intent, settings_hash
+from msal_cli.batch.manifest import FileMark, Manifest, done, intent, settings_hash
 from msal_cli.batch.plan import Plan
-from msal_cli.batch.resume import restore, standings
+from msal_cli.batch.resume import restore, standings, undone
+from msal_cli.batch.weights import weighed
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.pipeline import Settings, Task, denoise_file
+from msal_cli.pipeline import (
+    FORECAST,
+    NO_LIMITS,
+    Limits,
+    Settings,
+    Task,
+    denoise_file,
+    least_memory_bytes,
+)
 from msal_cli.records import Failure, MeshRecord, MethodUsed
 
 if TYPE_CHECKING:
@@ -26,9 +36,15 @@ if TYPE_CHECKING:
     from msal_cli.batch.workers import Message
 
     OnProgress = Callable[[str, int, int], None]
-    Denoise = Callable[[Task, Settings, OnProgress | None], MeshRecord]
+    Denoise = Callable[..., MeshRecord]
 
-_CODES = {"crash": "E_CRASH", "memory": "E_MEMORY", "exception": "E_INTERNAL"}
+_CODES = {
+    "crash": "E_CRASH",
+    "memory": "E_MEMORY",
+    "timeout": "E_TIMEOUT",
+    "exception": "E_INTERNAL",
+    "changed": "E_CHANGED",
+}
 
 _log = logging.getLogger("msal.batch")
 
@@ -40,6 +56,8 @@ def run(
     jobs: int | None = None,
     on_event: OnEvent | None = None,
     dry_run: bool = False,
+    limits: Limits = NO_LIMITS,
+    retries: int = 1,
     stop_after_failures: int | None = None,
     command: Sequence[str] = (),
     denoise: Denoise = denoise_file,
@@ -49,16 +67,21 @@ def run(
 
     What an earlier run has written and is still current is not done again (status
     ``up-to-date``), and neither is what failed through its own fault and would fail again.  A plan
-    of one task runs in this process, others, and parts of a plan, in supervised workers.
+    of one task without limits of time and memory runs in this process, others, and parts of a plan,
+    in supervised workers.
 
     Parameters
     ----------
-    jobs : files at the same time; None is one per usable core.
+    jobs : files at the same time; None is one per usable core, as far as memory allows: large
+        files go first, and one that fits beside no other runs alone on all cores.
     on_event : called in this thread with events.Started, Progress and Finished.
     dry_run : touch nothing; records are ``planned`` or ``up-to-date``.
+    limits : what one file may take; beyond it the file fails with ``E_TIMEOUT``, ``E_MEMORY`` or
+        ``E_TOO_LARGE``.
+    retries : how often a file that was lost to a crash, memory or time is tried again, alone.
     stop_after_failures : hand out no more files once so many have failed; the rest is ``planned``.
     command : how the run was called, for the manifests and the reports made of them.
-    denoise : what does one file, a module-level function.
+    denoise : what does one file, a module-level function; takes ``limits=`` where there are any.
     engine : hands out the files, a single one too; None is ``engine.crew_for``.
 
     Raises
@@ -76,11 +99,17 @@ def run(
         raise UsageError(
             f"the number of failures to stop after must be at least 1, not {stop_after_failures}"
         )
+    if retries < 0:
+        raise UsageError(f"the number of retries must be at least 0, not {retries}")
+    _check_limits(limits)
+    if limits != NO_LIMITS:
+        denoise = functools.partial(denoise, limits=limits)
     with ExitStack() as stack:
         one = _Run(plan, settings, jobs, on_event or (lambda event: None), denoise)
         one.stop_after_failures = stop_after_failures
         one.engine = engine
         one.command = tuple(command)
+        one.limits, one.retries = limits, retries
         return one.rehearsed() if dry_run else one.performed(stack)
 
 
@@ -96,10 +125,12 @@ class _Run:
         self.stop_after_failures: int | None = None
         self.engine: EngineFor | None = None
         self.command: tuple[str, ...] = ()
+        self.limits = NO_LIMITS
+        self.retries = 1
         self._plan = plan
         self._settings = settings
         self._cores = usable_cores()
-        self._jobs = jobs or self._cores
+        self._jobs = jobs
         self._on_event = on_event
         self._denoise = denoise
         self._hash = settings_hash(settings)
@@ -109,6 +140,7 @@ class _Run:
         self._begun: list[Manifest] = []
         self._records: dict[int, MeshRecord] = {}
         self._n_failed = 0
+        self._marks: dict[int, FileMark | None] = {}
 
     def rehearsed(self) -> list[MeshRecord]:
         """What would happen, with nothing touched."""
@@ -126,7 +158,7 @@ class _Run:
                 todo = self._prepared(stack, note)
             if self._is_single() or self._plan.stays_here:
                 self._work_here(todo)
-            elif todo:
+            elif todo and not self._is_given_up():
                 self._work_elsewhere(todo)
         except BaseException:
             # Why it ended matters more than that it cannot be noted.
@@ -138,7 +170,9 @@ class _Run:
 
     def _is_single(self) -> bool:
         is_part = self._plan.shard is not None
-        return len(self._plan.tasks) == 1 and self.engine is None and not is_part
+        is_limited = (self.limits.timeout_s, self.limits.memory_bytes) != (None, None)
+        is_alone = len(self._plan.tasks) == 1 and not is_part
+        return is_alone and self.engine is None and not is_limited
 
     def _note_end(self, note: RunNote, *, interrupted: bool) -> None:
         for manifest in self._begun:
@@ -166,6 +200,9 @@ class _Run:
             (index, intent(key, tasks[index].input, tasks[index].output))
             for index, key in self._keys(todo)
         )
+        for index in todo:
+            if self._plan.tasks[index].in_place:
+                self._marks[index] = FileMark.of(self._plan.tasks[index].input)
         return todo
 
     # What is to be done
@@ -222,14 +259,25 @@ class _Run:
         from msal_cli.batch.workers import Interrupt
 
         received: list[int] = []
+        tasks = {index: self._plan.tasks[index] for index in todo}
+        with signals.noticed(signals.raise_for):
+            weights = weighed(tasks, self._settings, self.limits)
         work = Work(
-            {index: self._plan.tasks[index] for index in todo},
+            tasks,
             do_one,
             (self._denoise, self._settings),
-            jobs=self._jobs,
+            jobs=self._jobs or self._cores,
             cores=self._cores,
             folders=tuple(str(one) for one in homes.folders((), self._homes)),
             on_death=self._clear_away,
+            on_loss=self._set_right,
+            limits=self.limits,
+            retries=self.retries,
+            weights=weights.large,
+            light_bytes=weights.light,
+            # Whoever says how many files at once has thought of the memory.
+            budget_bytes=weights.budget if self._jobs is None else None,
+            tells_first=self.stop_after_failures is not None,
         )
         engine = (self.engine or crew_for)(work)
 
@@ -241,7 +289,7 @@ class _Run:
             try:
                 for messages in batches:
                     self._hear(messages)
-                    if self.stop_after_failures and self._n_failed >= self.stop_after_failures:
+                    if self._is_given_up():
                         engine.stop()
             except Interrupt:
                 signals.raise_for(received[0])
@@ -259,7 +307,9 @@ class _Run:
             elif isinstance(message, Returned):
                 record: MeshRecord = message.result
                 if message.earlier:
-                    note = f"done at the second try: {message.earlier} at the first"
+                    which = "the second try" if self.retries == 1 else "a later try"
+                    before = "at the first" if self.retries == 1 else "at the one before"
+                    note = f"done at {which}: {message.earlier} {before}"
                     record = replace(record, warnings=(*record.warnings, note))
                 finished.append((index, record))
             elif isinstance(message, Lost):
@@ -267,8 +317,11 @@ class _Run:
                 finished.append((index, lost))
             elif isinstance(message, Again):
                 name = self._plan.tasks[index].input
-                _log.warning("%r: %s; it will be tried once more", name, message.reason)
+                _log.warning("%r: %s; it will be tried again", name, message.reason)
         self._finish(finished)
+
+    def _is_given_up(self) -> bool:
+        return self.stop_after_failures is not None and self._n_failed >= self.stop_after_failures
 
     # What came of it
 
@@ -314,6 +367,13 @@ class _Run:
         failure = Failure(_CODES[cause], reason, hint)
         return replace(self._planned(index), output=None, status="failed", error=failure)
 
+    def _set_right(self, index: int) -> str:
+        """Undo what a lost worker did in place; why the file must not be tried again, if so."""
+        try:
+            return undone(self._plan.tasks[index], self._marks.get(index))
+        except OutputError as error:
+            return error.message
+
     def _clear_away(self, pid: int, index: int) -> None:
         for folder in homes.folders([self._plan.tasks[index]]):
             temporaries.sweep_after(pid, folder)
@@ -321,9 +381,24 @@ class _Run:
 
 def do_one(task: Task, common: tuple[Denoise, Settings], on_progress: OnProgress) -> MeshRecord:
     """One file, in a worker.  Memory that ran out is raised again, so that the file gets its
-    second try alone and the worker, whose heap is in pieces, is replaced."""
+    second try alone and the worker, whose heap is in pieces, is replaced.  Memory that was foreseen
+    to run out would do so again."""
     denoise, settings = common
     record = denoise(task, settings, on_progress)
-    if record.error is not None and record.error.code == "E_MEMORY":
-        raise MemoryError(record.error.message)
+    error = record.error
+    if error is not None and error.code == "E_MEMORY" and error.where != FORECAST:
+        raise MemoryError(error.message)
     return record
+
+
+def _check_limits(limits: Limits) -> None:
+    if limits.timeout_s is not None and not limits.timeout_s > 0.0:
+        raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
+    if limits.max_faces is not None and limits.max_faces < 1:
+        raise UsageError(f"no file has {limits.max_faces} faces at most")
+    least = least_memory_bytes()
+    if limits.memory_bytes is not None and limits.memory_bytes < least:
+        raise UsageError(
+            f"a memory limit of {limits.memory_bytes / 1e6:.0f} MB is not enough for any file",
+            hint=f"msal itself takes {least / 1e6:.0f} MB",
+        )

@@ -22,19 +22,25 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from msal_cli.batch.processes import memory_bytes
+
 _LENGTH = struct.Struct("<Q")
 
 # Progress is for eyes: more often than this (seconds) is a waste of both processes' time.
 _BETWEEN_PROGRESS_S = 0.05
 
+_BETWEEN_LOOKS_S = 0.05
+
 
 @dataclass(frozen=True)
 class Assignment:
-    """What a worker is told once: ``function(task, common, on_progress)`` is its work."""
+    """What a worker is told once: ``function(task, common, on_progress)`` is its work, and
+    ``memory_bytes`` what it may hold while it does it."""
 
     function: Callable[[Any, Any, Callable[[str, int, int], None]], Any]
     common: Any
     log_level: int
+    memory_bytes: int | None = None
 
 
 def write_message(handle: int, message: object) -> None:
@@ -77,6 +83,9 @@ def serve() -> None:
     except BaseException:
         outgoing.send("unusable", traceback.format_exc())
         return
+    limit = assignment.memory_bytes
+    if limit is not None and not sys.platform.startswith("linux"):
+        threading.Thread(target=_end_beyond, args=(limit, outgoing), daemon=True).start()
     tasks: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(orders, tasks), daemon=True).start()
     outgoing.send("ready", os.getpid())
@@ -119,14 +128,76 @@ def _do(assignment: Assignment, index: int, task: Any, outgoing: _Outgoing) -> N
             outgoing.send("progress", index, stage, done, total)
 
     try:
+        if assignment.memory_bytes is not None:
+            _hold_to(assignment.memory_bytes)
         result = assignment.function(task, assignment.common, on_progress)
         outgoing.send("returned", index, result, resident_bytes())
     except MemoryError:
-        outgoing.send("exhausted", index)
+        outgoing.send("exhausted")
     except BaseException as error:
         # SystemExit included: a library must not end the worker in silence.
         logging.getLogger("msal.batch").error("%s", traceback.format_exc())
         outgoing.send("raised", index, f"{type(error).__name__}: {error}")
+
+
+def _hold_to(limit: int) -> None:
+    """Have Linux refuse memory once about ``limit`` bytes are resident.
+
+    The system can bound private writable memory (RLIMIT_DATA), touched or not.  Some of it never
+    is (stacks of threads, buffers of libraries), while the code of libraries is resident and not
+    writable, so the difference of the two is allowed for, anew for every file.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    import resource
+
+    own = memory_bytes("self", "VmData") - memory_bytes("self", "VmRSS")
+    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
+    wanted = max(0, limit + own)
+    if hard != resource.RLIM_INFINITY:
+        wanted = min(wanted, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (wanted, hard))
+
+
+def _end_beyond(limit: int, outgoing: _Outgoing) -> None:
+    """Where the system cannot refuse memory: end this process once it has held too much."""
+    while True:
+        time.sleep(_BETWEEN_LOOKS_S)
+        if peak_bytes() > limit:
+            outgoing.send("exhausted")
+            os._exit(1)
+
+
+def peak_bytes() -> int:
+    """The most memory that this process has held so far; 0 where the system does not tell."""
+    if sys.platform == "win32":
+        return _peak_on_windows()
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
+
+
+def _peak_on_windows() -> int:
+    import ctypes
+
+    class Counters(ctypes.Structure):
+        _fields_ = (
+            ("size", ctypes.c_ulong),
+            ("page_faults", ctypes.c_ulong),
+            *((f"field_{n}", ctypes.c_size_t) for n in range(8)),
+        )
+
+    counters = Counters()
+    counters.size = ctypes.sizeof(Counters)
+    kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
+    kernel.GetCurrentProcess.restype = ctypes.c_void_p
+    ask = kernel.K32GetProcessMemoryInfo
+    ask.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ulong)
+    if not ask(kernel.GetCurrentProcess(), ctypes.byref(counters), counters.size):
+        return 0
+    # The first of the eight is the peak of the working set.
+    return int(counters.field_0)
 
 
 def resident_bytes() -> int:

@@ -8,33 +8,44 @@ worker ends when its pipe does, so none outlives the parent.
 
 from __future__ import annotations
 
-import collections
-import json
+import contextlib
 import logging
+import math
 import os
 import queue
+import re
 import subprocess
-import sys
-import threading
 import time
-from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
 from typing import Any
 
-from msal_cli.batch.processes import ending
-from msal_cli.batch.worker import Assignment, read_message, write_message
+from msal_cli.batch import worker_process
+from msal_cli.batch.memory import oom_kills
+from msal_cli.batch.processes import ending, is_near_memory_limit
+from msal_cli.batch.schedule import Schedule
+from msal_cli.batch.worker import Assignment
+from msal_cli.batch.worker_process import Heard, WorkerProcess
 from msal_cli.errors import ResourceError
+from msal_cli.pipeline import NO_LIMITS, Limits
 
-# Without -P the first entry of the search path would be the current folder, which is full of
-# somebody else's files.
-_BOOT = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from msal_cli.batch.worker import serve; serve()"
-)
-_THREAD_VARIABLES = ("MSAL_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _FALSE_STARTS = 3
 _GONE_WITHIN_S = 2.0
-_LAST_WORDS = 40
+
+# Libraries may come from a network disk that everybody reads at once, but not for ever.
+_READY_WITHIN_S = 600.0
+
+# A process that does not end so long after it was killed sits in the kernel, on a dead disk.
+_ENDS_WITHIN_S = 10.0
+
+_BETWEEN_LOOKS_S = 0.1
+_WANT_OF_MEMORY = re.compile(
+    r"bad_alloc|out of memory|cannot allocate memory|failed to map segment|MemoryError|"
+    r"memory allocation",
+    re.IGNORECASE,
+)
+
+_STUCK = "the worker does not even end when it is killed; look at the disks that it works on"
 
 _log = logging.getLogger("msal.batch")
 
@@ -58,7 +69,7 @@ class Advanced:
 
 @dataclass(frozen=True, slots=True)
 class Returned:
-    """The result of task ``index``; ``earlier`` tells what ended a first try, if there was one."""
+    """The result of task ``index``; ``earlier`` tells what ended the try before, if any did."""
 
     index: int
     result: Any
@@ -67,7 +78,11 @@ class Returned:
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """Task ``index`` has no result: ``"crash"`` and ``"memory"`` even at a second try."""
+    """Task ``index`` has no result.
+
+    ``cause`` is ``"crash"``, ``"memory"`` or ``"timeout"``, at every try; ``"exception"``, which
+    another try would not mend; or ``"changed"``, if another try would do harm.
+    """
 
     index: int
     cause: str
@@ -77,28 +92,13 @@ class Lost:
 
 @dataclass(frozen=True, slots=True)
 class Again:
-    """Task ``index`` was lost with its worker and will be tried once more."""
+    """Task ``index`` was lost with its worker and will be tried again."""
 
     index: int
     reason: str
 
 
 Message = Began | Advanced | Returned | Lost | Again
-
-
-@dataclass(eq=False)
-class _Worker:
-    process: subprocess.Popen[bytes]
-    pid: int
-    threads: list[threading.Thread] = field(default_factory=list)
-    is_ready: bool = False
-    is_dismissed: bool = False
-    in_hand: int | None = None
-    n_done: int = 0
-    first_bytes: int = 0
-    last_words: collections.deque[str] = field(
-        default_factory=lambda: collections.deque(maxlen=_LAST_WORDS)
-    )
 
 
 class Interrupt(Exception):  # noqa: N818 - it is a message, not a fault
@@ -115,10 +115,16 @@ class Crew:
     common : picklable second argument of every call.
     jobs : workers at the same time.
     cores : cores to share; each worker is told its part in the environment (``MSAL_THREADS``).
+    limits : seconds that a task may take, and memory that a worker may hold.
+    schedule : the order of the tasks and who may run beside whom; as they come by default.
     files_per_worker : a worker is replaced after so many tasks.
     growth_bytes : ... or once it holds so much more memory than after its first task.
     on_death : called with the process id of every worker that has ended and the index of the task
         that it had in hand, to clear away what it left.
+    on_loss : called with the index of a task that was lost, before it is tried again or given up;
+        returns why it cannot be, or an empty string.
+    tells_first : results are told before the next tasks are handed out, so that ``stop`` is in
+        time for these.
     stays : when all is done the workers wait for what ``add`` brings, until ``interrupt``.
     """
 
@@ -130,29 +136,37 @@ class Crew:
         *,
         jobs: int,
         cores: int,
+        limits: Limits = NO_LIMITS,
+        schedule: Schedule | None = None,
         files_per_worker: int = 1000,
         growth_bytes: int = 512 << 20,
         on_death: Callable[[int, int], None] = lambda pid, index: None,
+        on_loss: Callable[[int], str] = lambda index: "",
+        tells_first: bool = False,
         stays: bool = False,
     ) -> None:
         self._tasks = tasks
         self._stays = stays
-        self._assignment = Assignment(function, common, _log.getEffectiveLevel())
+        self._assignment = Assignment(
+            function, common, _log.getEffectiveLevel(), limits.memory_bytes
+        )
         self._jobs = max(1, min(jobs, len(tasks)))
         self._cores = cores
+        self._limits = limits
         self._files_per_worker = files_per_worker
         self._growth_bytes = growth_bytes
         self._on_death = on_death
-        self._waiting = collections.deque(tasks)
-        self._again: collections.deque[int] = collections.deque()
+        self._on_loss = on_loss
+        self._tells_first = tells_first
+        self._schedule = Schedule(tasks) if schedule is None else schedule
         self._earlier: dict[int, str] = {}
-        self._workers: list[_Worker] = []
-        self._heard: queue.SimpleQueue[tuple[_Worker | None, tuple[Any, ...]]] = queue.SimpleQueue()
+        self._workers: list[WorkerProcess] = []
+        self._heard: Heard = queue.SimpleQueue()
         self._false_starts = 0
 
     def stop(self) -> None:
         """Hand out no task that was not begun; those in hand, and second tries, go on."""
-        self._waiting.clear()
+        self._schedule.drop()
 
     def add(self, tasks: dict[int, Any]) -> None:
         """Bring more tasks to a crew that stays; may be called from another thread."""
@@ -165,7 +179,7 @@ class Crew:
     def batches(self) -> Generator[list[Message], None, None]:
         """What happens, in the order in which it is heard; each list is all that was there.
 
-        A task whose worker dies is tried once more after all others, alone, in a fresh worker.
+        A task whose worker dies is tried again after all others, alone, in a fresh worker.
         Workers are gone when the iteration ends, however it ends.
 
         Raises
@@ -191,6 +205,10 @@ class Crew:
                 if is_interrupted:
                     yield messages + self._last_messages()
                     raise Interrupt
+                messages += self._looked_after()
+                if messages and self._tells_first:
+                    yield messages
+                    messages = []
                 # The next tasks go out before anybody deals with the last results.
                 messages += self._staffed()
         finally:
@@ -205,32 +223,40 @@ class Crew:
             # Nothing that is done with is kept, so that a crew can stay for ever.
             self._tasks = tasks
             self._earlier.clear()
-        self._waiting.extend(tasks)
+            self._schedule.forget()
+        self._schedule.extend(tasks)
 
     def _has_work(self) -> bool:
-        return bool(self._is_busy() or self._waiting or self._again)
+        return self._is_busy() or not self._schedule.is_empty
 
     def _is_busy(self) -> bool:
         return any(worker.in_hand is not None for worker in self._workers)
 
+    def _staff(self) -> list[WorkerProcess]:
+        return [worker for worker in self._workers if not worker.is_dismissed]
+
     def _staffed(self) -> list[Message]:
         """Give tasks to the idle and start workers for the rest."""
-        if not self._waiting and self._again and not self._is_busy():
-            # A second try is alone on the machine: the first may have failed for want of memory.
-            unused = [worker for worker in self._staff() if not worker.n_done]
-            alone = unused[0] if unused else self._started(self._cores)
-            for worker in self._staff():
-                if worker is not alone:
-                    self._dismiss(worker)
-            return self._given(alone, self._again) if alone.is_ready else []
+        if self._schedule.is_next_alone:
+            return [] if self._is_busy() else self._staffed_alone()
+        cores = max(1, self._cores // self._jobs)
         began: list[Message] = []
         for worker in self._staff():
-            if worker.is_ready and worker.in_hand is None and self._waiting:
-                began += self._given(worker, self._waiting)
+            if worker.cores != cores and len(self._schedule):
+                # It had the machine for itself, with a thread for every core.
+                if worker.in_hand is None:
+                    worker.dismiss()
+            elif worker.is_ready and worker.in_hand is None:
+                index = self._schedule.taken(*self._burden(worker))
+                began += [] if index is None else self._given(worker, index)
         n_free = sum(worker.in_hand is None for worker in self._staff())
-        while len(self._staff()) < self._jobs and n_free < len(self._waiting):
+        while (
+            len(self._staff()) < self._jobs
+            and n_free < len(self._schedule)
+            and self._schedule.may_start(*self._burden())
+        ):
             try:
-                self._started(max(1, self._cores // self._jobs))
+                self._start(cores)
             except ResourceError as error:
                 if not self._staff():
                     raise
@@ -239,44 +265,78 @@ class Crew:
             n_free += 1
         return began
 
-    def _staff(self) -> list[_Worker]:
-        return [worker for worker in self._workers if not worker.is_dismissed]
+    def _staffed_alone(self) -> list[Message]:
+        """Give a task that must be alone to a fresh worker that has all cores."""
+        unused = [one for one in self._staff() if not one.n_done and one.cores >= self._cores]
+        alone = unused[0] if unused else self._start(self._cores)
+        for worker in self._staff():
+            if worker is not alone:
+                worker.dismiss()
+        return self._given(alone, self._schedule.taken_alone()) if alone.is_ready else []
 
-    def _given(self, worker: _Worker, queue_of: collections.deque[int]) -> list[Message]:
-        index = queue_of.popleft()
-        try:
-            write_message(worker.process.stdin.fileno(), (index, self._tasks[index]))  # type: ignore[union-attr]
-        except OSError:
+    def _burden(self, but: WorkerProcess | None = None) -> tuple[list[int], int]:
+        """The tasks in hand, and the memory that idle workers hold, one of them left out."""
+        staff = [worker for worker in self._staff() if worker is not but]
+        in_hand = [worker.in_hand for worker in staff if worker.in_hand is not None]
+        return in_hand, sum(worker.held_bytes for worker in staff if worker.in_hand is None)
+
+    def _given(self, worker: WorkerProcess, index: int) -> list[Message]:
+        worker.kills_before = oom_kills()
+        if not worker.send((index, self._tasks[index])):
             # It died idle; the task never reached it, and the news of its end is on the way.
-            queue_of.appendleft(index)
+            self._schedule.put_back(index)
             worker.is_dismissed = True
             return []
         worker.in_hand = index
+        if self._limits.timeout_s is not None:
+            worker.deadline = time.monotonic() + self._limits.timeout_s
         return [Began(index)]
 
     # Listening
 
-    def _all_heard(self) -> list[tuple[_Worker | None, tuple[Any, ...]]]:
-        heard = [self._next_heard()]
-        while True:
-            try:
+    def _all_heard(self) -> list[tuple[WorkerProcess | None, tuple[Any, ...]]]:
+        heard = []
+        with contextlib.suppress(queue.Empty):
+            heard.append(self._heard.get(timeout=self._patience_s()))
+            while True:
                 heard.append(self._heard.get_nowait())
-            except queue.Empty:
-                return heard
+        return heard
 
-    def _next_heard(self) -> tuple[_Worker | None, tuple[Any, ...]]:
-        while True:
-            try:
-                # Windows delivers Ctrl-C to a waiting thread only between two waits.
-                return self._heard.get(timeout=0.2 if os.name == "nt" else None)
-            except queue.Empty:
+    def _patience_s(self) -> float | None:
+        """How long to wait for a word; None is for ever."""
+        first = min((worker.deadline for worker in self._workers), default=math.inf)
+        if self._limits.memory_bytes is not None and self._is_busy():
+            first = min(first, time.monotonic() + _BETWEEN_LOOKS_S)
+        if os.name == "nt":
+            # Windows delivers Ctrl-C to a waiting thread only between two waits.
+            first = min(first, time.monotonic() + 0.2)
+        return None if first == math.inf else max(0.0, first - time.monotonic())
+
+    def _looked_after(self) -> list[Message]:
+        """Kill whoever is overdue, and see who comes near the memory limit."""
+        lost: list[Message] = []
+        now = time.monotonic()
+        for worker in self._workers:
+            if self._limits.memory_bytes is not None and worker.in_hand is not None:
+                worker.is_near_limit = worker.is_near_limit or is_near_memory_limit(worker.pid)
+            if now < worker.deadline:
                 continue
+            if not worker.is_overdue:
+                worker.is_overdue = True
+                worker.deadline = now + _ENDS_WITHIN_S
+                worker.dismiss()
+            elif worker.in_hand is not None:
+                # Nobody knows what it will yet do, so the task is not begun a second time.
+                lost.append(Lost(worker.in_hand, "timeout", self._overdue_text(), _STUCK))
+                worker.in_hand, worker.deadline = None, math.inf
+        return lost
 
-    def _understood(self, worker: _Worker, message: tuple[Any, ...]) -> list[Message]:
+    def _understood(self, worker: WorkerProcess, message: tuple[Any, ...]) -> list[Message]:
         kind, *rest = message
         if kind == "ready":
             worker.is_ready = True
             worker.pid = rest[0]
+            worker.deadline = math.inf
             self._false_starts = 0
         elif kind == "progress":
             return [Advanced(*rest)]
@@ -293,12 +353,8 @@ class Crew:
             return [Lost(index, "exception", reason, "this is a defect of msal; please report it")]
         elif kind == "exhausted":
             # What is left of its heap cannot be trusted with another file: it is replaced too.
-            return self._lost(
-                worker,
-                "memory",
-                "not enough memory",
-                "run fewer jobs at once, or on a machine with more memory",
-            )
+            worker.dismiss()
+            return self._lost(worker, "memory", *self._want_of_memory("not enough memory"))
         elif kind == "unusable":
             raise ResourceError(
                 f"the workers cannot work: {rest[0].strip().splitlines()[-1]}",
@@ -308,28 +364,27 @@ class Crew:
             return self._buried(worker, rest[0])
         return []
 
-    def _finish(self, worker: _Worker, resident: int) -> None:
+    def _finish(self, worker: WorkerProcess, resident: int) -> None:
         worker.in_hand = None
+        worker.deadline = math.inf
         worker.n_done += 1
+        worker.held_bytes = resident
         worker.first_bytes = worker.first_bytes or resident
         if (
             worker.n_done >= self._files_per_worker
             or resident - worker.first_bytes > self._growth_bytes
         ):
-            self._dismiss(worker)
+            worker.dismiss()
 
-    def _buried(self, worker: _Worker, code: int) -> list[Message]:
-        index = worker.in_hand
+    # Losses
+
+    def _buried(self, worker: WorkerProcess, code: int) -> list[Message]:
         self._part_with(worker)
-        if index is not None:
+        if worker.in_hand is not None:
             for line in worker.last_words:
                 _log.info("worker %d, before it ended: %s", worker.pid, line)
-            if code == -9:
-                hint = "the system may have run out of memory: run fewer jobs at once"
-            else:
-                hint = "a library broke on this file; it may be damaged"
-            return self._lost(worker, "crash", f"the worker {ending(code)}", hint)
-        if not worker.is_ready and not worker.is_dismissed:
+            return self._lost(worker, *self._cause_of_death(worker, code))
+        if not worker.is_ready and (worker.is_overdue or not worker.is_dismissed):
             self._false_starts += 1
             if self._false_starts >= _FALSE_STARTS:
                 words = worker.last_words[-1] if worker.last_words else "it said nothing"
@@ -339,91 +394,68 @@ class Crew:
                 )
         return []
 
-    def _lost(self, worker: _Worker, cause: str, reason: str, hint: str) -> list[Message]:
+    def _cause_of_death(self, worker: WorkerProcess, code: int) -> tuple[str, str, str]:
+        """Cause, reason and hint for the task that a worker took along."""
+        if worker.is_overdue:
+            return (
+                "timeout",
+                self._overdue_text(),
+                "raise --timeout, or look at the file: it may be very large, or damaged",
+            )
+        if code == -9 and oom_kills() > worker.kills_before:
+            return (
+                "memory",
+                "the system killed the worker for want of memory",
+                "run fewer jobs at once, or on a machine with more memory",
+            )
+        words = any(map(_WANT_OF_MEMORY.search, worker.last_words))
+        if self._limits.memory_bytes is not None and code != -9 and (worker.is_near_limit or words):
+            return "memory", *self._want_of_memory(f"the worker {ending(code)} for want of memory")
+        hint = "a library broke on this file; it may be damaged"
+        if code == -9:
+            hint = "the system may have run out of memory: run fewer jobs at once"
+        return "crash", f"the worker {ending(code)}", hint
+
+    def _want_of_memory(self, reason: str) -> tuple[str, str]:
+        limit = self._limits.memory_bytes
+        if limit is None:
+            return reason, "run fewer jobs at once, or on a machine with more memory"
+        return (
+            f"{reason}, with a limit of {limit / 1e6:,.0f} MB",
+            "raise --memory-limit if the machine has more",
+        )
+
+    def _overdue_text(self) -> str:
+        return f"it was not done within {self._limits.timeout_s:g} s"
+
+    def _lost(self, worker: WorkerProcess, cause: str, reason: str, hint: str) -> list[Message]:
         index = worker.in_hand
         assert index is not None
         worker.in_hand = None
-        self._dismiss(worker)
-        if index in self._earlier:
-            return [Lost(index, cause, f"{reason}, as at the first try", hint)]
-        self._earlier[index] = reason
-        self._again.append(index)
-        return [Again(index, reason)]
+        worker.is_dismissed = True
+        objection = self._on_loss(index)
+        if objection:
+            return [Lost(index, "changed", f"{objection}; {reason}", hint)]
+        if self._schedule.lose(index):
+            self._earlier[index] = reason
+            return [Again(index, reason)]
+        tries = self._schedule.losses(index)
+        if tries > 1:
+            reason += ", as at the first try" if tries == 2 else f" ({tries} tries)"
+        return [Lost(index, cause, reason, hint)]
 
     # Starting and ending processes
 
-    def _started(self, threads: int) -> _Worker:
-        environment = dict(os.environ)
-        # What the user has set for himself stays.
-        for name in _THREAD_VARIABLES:
-            environment.setdefault(name, str(threads))
-        command = [sys.executable, "-P", "-X", f"utf8={sys.flags.utf8_mode}", "-c", _BOOT]
-        # A group of its own keeps the terminal's Ctrl-C from the worker: the parent decides.
-        grouped: dict[str, Any] = {"process_group": 0}
-        if sys.platform == "win32":
-            grouped = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
-        try:
-            process = subprocess.Popen(
-                [*command, json.dumps(sys.path)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                bufsize=0,
-                env=environment,
-                **grouped,
-            )
-        except OSError as error:
-            raise ResourceError(
-                f"no worker can be started: {error.strerror}",
-                hint="there may not be enough memory, or too many processes",
-            ) from None
-        worker = _Worker(process, process.pid)
+    def _start(self, cores: int) -> WorkerProcess:
+        worker = worker_process.started(self._assignment, cores, self._heard)
+        worker.deadline = time.monotonic() + _READY_WITHIN_S
         self._workers.append(worker)
-        for listen in (self._overhear, self._listen):
-            thread = threading.Thread(target=listen, args=(worker,), daemon=True)
-            worker.threads.append(thread)
-            thread.start()
-        try:
-            write_message(process.stdin.fileno(), self._assignment)  # type: ignore[union-attr]
-        except OSError:
-            # It has died already, which the listening thread will tell.
-            return worker
         return worker
-
-    def _listen(self, worker: _Worker) -> None:
-        handle = worker.process.stdout.fileno()  # type: ignore[union-attr]
-        try:
-            while True:
-                self._heard.put((worker, read_message(handle)))
-        except (EOFError, OSError):
-            code = worker.process.wait()
-            # What it printed last is worth a moment, but a grandchild may hold that pipe for ever.
-            worker.threads[0].join(0.5)
-            self._heard.put((worker, ("gone", code)))
-
-    def _overhear(self, worker: _Worker) -> None:
-        handle = worker.process.stderr.fileno()  # type: ignore[union-attr]
-        rest = b""
-        while part := os.read(handle, 1 << 16):
-            *lines, rest = (rest + part).split(b"\n")
-            rest = rest[-4096:]
-            self._note(worker, lines)
-        self._note(worker, [rest] if rest else [])
-
-    def _note(self, worker: _Worker, lines: Sequence[bytes]) -> None:
-        for line in lines:
-            text = line[:4096].decode(errors="replace").rstrip()
-            worker.last_words.append(text)
-            _log.debug("worker %d prints: %s", worker.process.pid, text)
-
-    def _dismiss(self, worker: _Worker) -> None:
-        worker.is_dismissed = True
-        worker.process.kill()
 
     def _last_messages(self) -> list[Message]:
         """End all workers and hear out what they had sent."""
         for known in self._workers:
-            self._dismiss(known)
+            known.dismiss()
         messages: list[Message] = []
         deadline = time.monotonic() + _GONE_WITHIN_S
         while self._workers:
@@ -452,15 +484,9 @@ class Crew:
                 continue
             self._part_with(worker)
 
-    def _part_with(self, worker: _Worker) -> None:
+    def _part_with(self, worker: WorkerProcess) -> None:
         """Let go of a worker that has ended."""
         self._workers.remove(worker)
-        for thread in worker.threads:
-            thread.join(1.0)
-        if not any(thread.is_alive() for thread in worker.threads):
-            # Otherwise a grandchild holds a pipe, and its number must not be given to another.
-            for pipe in (worker.process.stdin, worker.process.stdout, worker.process.stderr):
-                if pipe is not None:
-                    pipe.close()
+        worker.let_go()
         if worker.in_hand is not None:
             self._on_death(worker.pid, worker.in_hand)

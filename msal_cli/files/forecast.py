@@ -22,9 +22,13 @@ from msal_cli.files.urls import is_url
 LOOKED_AT = 1 << 16
 """Bytes of a file's beginning that are read, and that a compressed beginning is expanded to."""
 
-BASE_BYTES = 185_000_000
+BASE_BYTES = 110_000_000
 """Resident memory of a worker that has denoised a mesh of next to nothing: the interpreter, the
-libraries and the compiled kernels (170 to 176 MB measured)."""
+libraries and the compiled kernels (93 to 99 MB measured; kernels that are yet to be compiled, once
+on a new machine, take twice as much)."""
+
+_LIBRARY_BYTES = 75_000_000
+"""What trimesh and all that it imports take on top, for formats that only it reads."""
 
 # Bytes of resident memory per byte of the file, and per vertex and per triangle together, at the
 # peak of the default method.  From benchmarks/peak_memory.py on a torus with a million faces:
@@ -145,6 +149,8 @@ def of_beginning(
     if to is not None:
         per_face += _CONVERTED_BY_A_LIBRARY.get(to, _CONVERTED)
     needed = BASE_BYTES + per_byte * size + 2 * packed + per_face * triangles
+    if counts.kind not in _PER_BYTE:
+        needed += _LIBRARY_BYTES
     if counts.triangles is not None and counts.vertices is not None:
         elements = counts.vertices + counts.triangles
         needed += _PER_ELEMENT.get(counts.kind, _PER_ELEMENT_ELSE) * elements

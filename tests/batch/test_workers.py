@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch import workers
+from msal_cli.batch import worker_process
 from msal_cli.batch.worker import read_message, write_message
 from msal_cli.batch.workers import Advanced, Again, Began, Crew, Interrupt, Lost, Returned
 from msal_cli.errors import ResourceError
@@ -225,7 +225,9 @@ def test_leaving_the_loop_ends_all():
 
 @posix
 def test_a_worker_that_dies_before_it_starts_is_not_the_files_fault(monkeypatch):
-    monkeypatch.setattr(workers, "_BOOT", "import sys; print('no way', file=sys.stderr); exit(7)")
+    monkeypatch.setattr(
+        worker_process, "_BOOT", "import sys; print('no way', file=sys.stderr); exit(7)"
+    )
     with pytest.raises(ResourceError, match=r"exit status 7; no way"):
         heard(crew([("double", 1)] * 5))
     assert children() == []
@@ -292,9 +294,9 @@ def test_workers_end_when_the_parent_is_killed(tmp_path):
 @posix
 def test_without_the_systems_help_the_end_of_the_pipe_ends_a_busy_worker(monkeypatch):
     monkeypatch.setattr(
-        workers,
+        worker_process,
         "_BOOT",
-        workers._BOOT.replace(
+        worker_process._BOOT.replace(
             "serve; serve()",
             "serve; import msal_cli.batch.worker as w; w._die_with_parent = lambda: None; serve()",
         ),
