@@ -16,6 +16,7 @@ from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from msal_cli.batch.engine import EngineFor
     from msal_cli.batch.events import Event
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.pipe import Pipe
@@ -51,6 +52,8 @@ class Request:
     strict: bool
     format: str | None
     jobs: int | None
+    engine: str
+    scheduler: str | None
     dry_run: bool
     force: bool
     fresh: bool
@@ -179,6 +182,19 @@ _PATH = click.Path(readable=False, allow_dash=True)
     help="Files at the same time; more is faster and takes more memory. auto is one per core. "
     "The results do not depend on it.",
 )
+@click.option(
+    "--engine",
+    type=click.Choice(["workers", "dask"]),
+    default="workers",
+    show_default=True,
+    help="Who does the work: worker processes here, or a Dask cluster (msal-cli[dask]).",
+)
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS|local",
+    help="With --engine dask: the scheduler, such as tcp://host:8786; local starts a cluster of "
+    "-j processes here.",
+)
 @click.option("--dry-run", is_flag=True, help="List what would be written, and touch nothing.")
 @click.option(
     "--force",
@@ -245,6 +261,7 @@ class _Session:
     def done(self) -> int:
         """Check everything, then work; the exit status."""
         from msal_cli.batch import signals
+        from msal_cli.cli import engines
         from msal_cli.cli.pipe import pipe
 
         request = self._request
@@ -255,8 +272,9 @@ class _Session:
             if one is not None:
                 return self._piped(one, settings)
             plan = _plan(request, settings)
+            engine = engines.chosen(request.engine, request.scheduler)
         # The run takes the signals itself, to end its workers in good order.
-        return self._run(plan, settings)
+        return self._run(plan, settings, engine)
 
     # Streams
 
@@ -279,7 +297,7 @@ class _Session:
 
     # Files
 
-    def _run(self, plan: Plan, settings: Settings) -> int:
+    def _run(self, plan: Plan, settings: Settings, engine: EngineFor | None) -> int:
         from msal_cli.batch import signals
         from msal_cli.batch.events import Finished
         from msal_cli.batch.run import run
@@ -307,6 +325,7 @@ class _Session:
                 on_event=progress.heard_by(keep, bar.on_event),
                 dry_run=request.dry_run,
                 command=("msal", *self._arguments),
+                engine=engine,
             )
         except (KeyboardInterrupt, OutputError, ResourceError):
             bar.close()
@@ -395,6 +414,8 @@ class _Session:
 
 
 def _refuse_contradictions(request: Request) -> None:
+    from msal_cli.cli import engines
+
     if request.output is None and not request.in_place and STREAM not in request.inputs:
         raise UsageError(
             "there is no output",
@@ -408,6 +429,9 @@ def _refuse_contradictions(request: Request) -> None:
         )
     if request.backup is not None and request.no_backup:
         raise UsageError("--backup and --no-backup contradict each other", hint="give one of them")
+    engines.refuse_contradictions(
+        request.engine, request.scheduler, request.jobs, in_place=request.in_place
+    )
     if (request.backup is not None or request.no_backup) and not request.in_place:
         word = "--no-backup" if request.no_backup else "--backup"
         raise UsageError(f"{word} needs --in-place", hint="other inputs are never replaced")
@@ -421,6 +445,7 @@ def _refuse_for_streams(request: Request, one: Pipe) -> None:
         "--dry-run": request.dry_run,
         "--shard": request.shard,
         "--retry-failed": request.retry_failed,
+        "--engine dask": request.engine != "workers",
     }
     for word, value in given.items():
         if value:

@@ -24,6 +24,8 @@ DEATHS = {
     "segfault": lambda: ctypes.string_at(0),
     "exit": lambda: os._exit(3),
     "abort": os.abort,
+    # The process that supervises this one.
+    "parent": lambda: (os.kill(os.getppid(), signal.SIGKILL), time.sleep(60)),
 }
 
 
@@ -112,6 +114,10 @@ def denoise(task, settings, on_progress=None):
         if line.startswith("fail"):
             return MeshRecord(
                 input=task.input, status="failed", error=Failure("E_FORMAT", "made to fail")
+            )
+        if line.startswith("unseen"):
+            return MeshRecord(
+                input=task.input, status="failed", error=Failure("E_READ", "no such file")
             )
         if line.startswith("memory"):
             return MeshRecord(

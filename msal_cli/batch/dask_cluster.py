@@ -1,0 +1,340 @@
+"""A Dask cluster at hand: one that somebody runs behind an address, or one of our own.
+
+Nothing here blocks but ``open`` and ``close``; what the cluster has to say goes to ``tell``, which
+Dask's own thread calls.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import multiprocessing
+import os
+import shutil
+import signal
+import tempfile
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from multiprocessing import resource_tracker
+from typing import Any
+
+from msal_cli.batch.dask_worker import (
+    TOPIC,
+    objection_to_blindness,
+    objection_to_version,
+)
+from msal_cli.errors import ResourceError, UsageError
+
+LOCAL = "local"
+
+_CONNECT_S = 10.0
+_ANSWER_S = 30.0
+_SILENCE_S = 5.0
+_BETWEEN_LOOKS_S = 1.0
+_CLOSED_WITHIN_S = 1.5
+# One death may be bad luck; for more, the engine's own second tries find out which file it is.
+_ALLOWED_FAILURES = 1
+
+_log = logging.getLogger("msal.dask")
+
+
+class Cluster:
+    """The way to a Dask scheduler and its workers.
+
+    Parameters
+    ----------
+    scheduler : the scheduler's address, or ``local`` for processes on this machine.
+    jobs : workers of one thread each, if it is ``local``.
+    tell : called from another thread with ``("threads", n)`` every second (n is None while the
+        scheduler does not answer), ``("news", address, run, bytes)`` and ``("answer", number,
+        bytes or exception)``.
+    """
+
+    def __init__(self, scheduler: str, jobs: int, tell: Callable[..., None]) -> None:
+        self.is_local = scheduler == LOCAL
+        self._scheduler = scheduler
+        self._jobs = jobs
+        self._tell = tell
+        self._is_closed = False
+        self._undo = contextlib.ExitStack()
+        self._client: Any = None
+        self._cluster: Any = None
+        self._strangers: list[Any] = []
+
+    # Beginning
+
+    def open(self, patience_s: float) -> None:
+        """Connect, and wait until there is a worker; from a thread of its own, which it changes.
+
+        Raises
+        ------
+        UsageError : Dask is not installed, or there is no scheduler.
+        ResourceError : no worker comes within ``patience_s``, or none can be started.
+        """
+        # A Ctrl-C at the terminal reaches the whole group; ours to handle, not the workers'.
+        # They inherit what is blocked here, through Dask's thread, which this thread starts.
+        if hasattr(signal, "pthread_sigmask"):
+            # Starting its helper would let the signals through again.
+            resource_tracker.ensure_running()
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+        try:
+            import dask
+            import distributed
+        except ImportError as error:
+            raise not_installed() from error
+        self._undo.enter_context(_heard_by_our_log())
+        if self.is_local:
+            self._start(dask, distributed)
+        try:
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                self._client = distributed.Client(
+                    self._cluster or self._scheduler, set_as_default=False, timeout=_CONNECT_S
+                )
+        except (OSError, ValueError, TimeoutError, RuntimeError) as error:
+            raise UsageError(
+                f"there is no Dask scheduler at {self._scheduler}: {error}",
+                hint="`dask scheduler` prints its address when it starts",
+            ) from error
+        for one in caught:
+            # Such as other versions of Dask or Python at the workers, in a table.
+            _log.info("Dask warns: %s", one.message)
+        self._wait_for_workers(patience_s)
+
+    def _start(self, dask: Any, distributed: Any) -> None:
+        scratch = tempfile.mkdtemp(prefix="msal-dask-")
+        self._undo.callback(shutil.rmtree, scratch, ignore_errors=True)
+        quiet = {f"DASK_LOGGING__{name}": "critical" for name in ("DISTRIBUTED", "TORNADO")}
+        spawn = dask.config.get("distributed.nanny.pre-spawn-environ", {})
+        self._undo.enter_context(_environment())
+        self._undo.enter_context(
+            dask.config.set(
+                {
+                    "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
+                    "distributed.nanny.pre-spawn-environ": {**spawn, **quiet},
+                }
+            )
+        )
+        self._strangers = multiprocessing.active_children()
+        # Workers come afterwards, so that there is something to close while they start.
+        self._cluster = distributed.LocalCluster(
+            n_workers=0,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address=None,
+            # Without an address Dask would serve its own state at port 8787.
+            scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+            # Files are loaded in a child of the worker, which has its own limit.
+            memory_limit=None,
+            local_directory=scratch,
+            silence_logs=logging.CRITICAL,
+        )
+        if not self._is_closed:
+            self._cluster.scale(self._jobs)
+
+    def _wait_for_workers(self, patience_s: float) -> None:
+        started = time.monotonic()
+        is_told = False
+        while not self._is_closed:
+            waited = time.monotonic() - started
+            try:
+                if self._asked(self._client.scheduler.ncores()):
+                    return
+            except (OSError, TimeoutError) as error:
+                _log.debug("the scheduler does not answer: %s", error)
+            if waited > patience_s:
+                raise no_workers(self._scheduler, waited)
+            if waited > _SILENCE_S and not is_told:
+                is_told = True
+                _log.warning("waiting for workers at the Dask scheduler %s", self._scheduler)
+            time.sleep(0.1)
+
+    def check(self, version: str, must_exist: tuple[str, ...]) -> None:
+        """Refuse workers that would do something else than this process.
+
+        Raises
+        ------
+        UsageError : a worker has another version of msal, or does not see the files of the run.
+        """
+
+        # Sent by value: a worker may not have msal at all.
+        def told(paths: tuple[str, ...]) -> tuple[str | None, list[str]]:
+            import os
+
+            try:
+                from msal_cli import __version__
+            except ImportError:
+                return None, []
+            return __version__, [path for path in paths if not os.path.exists(path)]
+
+        try:
+            answers = self._asked(
+                self._client.run(told, must_exist, on_error="return", asynchronous=True)
+            )
+        except (OSError, TimeoutError) as error:
+            raise ResourceError(f"the Dask workers do not answer: {error}") from error
+        for address, answer in sorted(answers.items()):
+            if isinstance(answer, Exception):
+                # It may have died this very moment; what matters is checked with every batch.
+                _log.warning("the Dask worker at %s does not answer: %s", address, answer)
+                continue
+            theirs, missing = answer
+            if theirs != version:
+                raise UsageError(
+                    objection_to_version(address, theirs, version),
+                    hint="install the same version of msal-cli everywhere",
+                )
+            if missing:
+                raise UsageError(
+                    objection_to_blindness(address, missing[0]),
+                    hint="inputs and outputs must lie where all machines see them by the same path",
+                )
+
+    def watch(self) -> None:
+        """Begin to tell about workers and news."""
+        self._client.subscribe_topic(TOPIC, self._on_event)
+        self._soon(self._look())
+
+    # Work
+
+    def submit(self, key: str, number: int, version: str, payload: bytes) -> Any:
+        """Hand a batch to Dask; the future must be kept until the answer is told."""
+
+        # Sent by value: the scheduler looks at the function, and needs not have msal.
+        def msal(version: str, payload: bytes) -> bytes:
+            from msal_cli.batch.dask_worker import do_batch
+
+            return do_batch(version, payload)
+
+        future = self._client.submit(msal, version, payload, key=key, pure=False)
+        self._soon(self._follow(future, number))
+        return future
+
+    def cancel(self, future: Any) -> None:
+        """Take a batch back; if it has begun, its worker gives it up soon."""
+        self._client.cancel([future], asynchronous=False)
+
+    async def _follow(self, future: Any, number: int) -> None:
+        answer: Any
+        try:
+            (answer,) = await self._client.gather([future], asynchronous=True)
+        except asyncio.CancelledError as error:
+            answer = error
+        except Exception as error:
+            answer = error
+        self._tell("answer", number, answer)
+
+    async def _look(self) -> None:
+        while not self._is_closed:
+            try:
+                threads = await asyncio.wait_for(self._client.scheduler.ncores(), _CONNECT_S)
+                self._tell("threads", sum(threads.values()))
+            except (Exception, asyncio.CancelledError) as error:
+                if self._is_closed:
+                    return
+                _log.debug("the scheduler does not answer: %s", error)
+                self._tell("threads", None)
+            await asyncio.sleep(_BETWEEN_LOOKS_S)
+
+    def _on_event(self, event: tuple[float, Any]) -> None:
+        _, message = event
+        if isinstance(message, dict) and "news" in message:
+            self._tell("news", message["address"], message["run"], message["news"])
+
+    def _soon(self, coroutine: Any) -> Any:
+        return asyncio.run_coroutine_threadsafe(coroutine, self._client.loop.asyncio_loop)
+
+    def _asked(self, awaitable: Any) -> Any:
+        async def answer() -> Any:
+            return await asyncio.wait_for(awaitable, _ANSWER_S)
+
+        return self._soon(answer()).result()
+
+    # Ending
+
+    def close(self) -> None:
+        """Let go of the cluster; our own workers are killed.  Takes two seconds at most."""
+        self._is_closed = True
+        closing = threading.Thread(target=self._close_dask, daemon=True)
+        closing.start()
+        deadline = time.monotonic() + _CLOSED_WITHIN_S
+        while closing.is_alive() and time.monotonic() < deadline:
+            # Again and again, because one may be about to start.
+            self._kill_workers()
+            closing.join(0.05)
+        if self._cluster is not None:
+            # Otherwise Dask would try once more when Python ends, for ten seconds.
+            self._cluster.shutdown_on_close = False
+        self._undo.close()
+
+    def _close_dask(self) -> None:
+        try:
+            if self._client is not None:
+                self._client.close(timeout=_CLOSED_WITHIN_S)
+            if self._cluster is not None:
+                self._cluster.close(timeout=_CLOSED_WITHIN_S)
+        except Exception as error:
+            # Whatever Dask meets on its way out, the work is done or given up already.
+            _log.debug("at the end of the Dask client: %s", error)
+
+    def _kill_workers(self) -> None:
+        """At once: whoever asks them to end waits for the batches that they have in hand."""
+        if self._cluster is None:
+            return
+        for nanny in list(self._cluster.workers.values()):
+            nanny.auto_restart = False
+        for process in multiprocessing.active_children():
+            if process not in self._strangers:
+                process.kill()
+
+
+def not_installed() -> UsageError:
+    """The error for a Python without Dask distributed."""
+    return UsageError("Dask is not installed", hint="pip install 'msal-cli[dask]'")
+
+
+def no_workers(scheduler: str, waited_s: float) -> ResourceError:
+    """The error for a scheduler that nobody works for."""
+    return ResourceError(
+        f"no worker at the Dask scheduler {scheduler} for {waited_s:.0f} s",
+        hint="start some with `dask worker ADDRESS`, then run the same command again",
+    )
+
+
+@contextlib.contextmanager
+def _environment() -> Any:
+    """Dask changes this process's environment for its workers; put it back at the end."""
+    before = dict(os.environ)
+    try:
+        yield
+    finally:
+        for name in set(os.environ) - set(before):
+            del os.environ[name]
+        os.environ.update(before)
+
+
+class _Overheard(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        _log.debug("%s: %s", record.name, record.getMessage())
+
+
+@contextlib.contextmanager
+def _heard_by_our_log() -> Any:
+    """Dask's loggers print to standard error; have them write to our log meanwhile."""
+    names = ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio")
+    overheard = _Overheard()
+    before = []
+    for logger in map(logging.getLogger, names):
+        before.append((logger, logger.handlers[:], logger.propagate))
+        logger.handlers[:] = [overheard]
+        logger.propagate = False
+    try:
+        yield
+    finally:
+        for logger, handlers, propagates in before:
+            logger.handlers[:] = handlers
+            logger.propagate = propagates

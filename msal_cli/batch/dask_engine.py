@@ -1,0 +1,338 @@
+"""Many files on a Dask cluster: batches of some seconds' work, and a judgement on every death.
+
+Dask gives a batch to another worker when one dies, and gives up (``KilledWorker``) when several
+did.  One file may be at fault, or none; so the files of such a batch are handed out singly, and
+one that seems to kill workers even then gets its second try when nothing else is under way.
+"""
+
+from __future__ import annotations
+
+import collections
+import itertools
+import logging
+import math
+import os
+import pickle
+import queue
+import secrets
+import threading
+import time
+from collections.abc import Generator
+from concurrent.futures import CancelledError
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from msal_cli import __version__
+from msal_cli.batch import temporaries
+from msal_cli.batch.dask_cluster import Cluster, no_workers
+from msal_cli.batch.dask_worker import Answer, Order
+from msal_cli.batch.engine import Work
+from msal_cli.batch.workers import Again, Began, Interrupt, Lost, Message, Returned
+from msal_cli.errors import MsalError, ResourceError, UsageError
+from msal_cli.records import MeshRecord
+
+_FIRST_FILES = 4
+_GROWTH = 4
+_AIM_S = 5.0
+_LEAST_S = 1.0
+_PER_THREAD = 2
+_PATIENCE_S = 60.0
+
+_log = logging.getLogger("msal.dask")
+
+
+@dataclass(frozen=True)
+class _Batch:
+    indices: tuple[int, ...]
+    is_alone: bool
+    future: Any
+
+
+class DaskEngine:
+    """An ``engine.Engine`` on Dask distributed.
+
+    Parameters
+    ----------
+    work : what is to be done; inputs and outputs must be where all workers see them.
+    scheduler : the scheduler's address, or ``local`` for ``work.jobs`` processes on this machine.
+
+    Raises
+    ------
+    UsageError : a task is in place; a batch that is done twice would denoise it twice.
+    """
+
+    def __init__(self, work: Work, scheduler: str) -> None:
+        if any(task.in_place for task in work.tasks.values()):
+            raise UsageError(
+                "files cannot be denoised in place with Dask, which may do a batch twice",
+                hint="name an output folder with -o, or leave --engine dask away",
+            )
+        self._work = work
+        self._run = secrets.token_hex(8)
+        self._scheduler = scheduler
+        self._heard: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
+        jobs = max(1, min(work.jobs, len(work.tasks)))
+        self._cluster = Cluster(scheduler, jobs, lambda *heard: self._heard.put(heard))
+        self._probes: list[str] = []
+        # What is not done yet, and of it: not handed out; suspected; suspected even singly.
+        self._open = set(work.tasks)
+        self._waiting = collections.deque(work.tasks)
+        self._suspects: collections.deque[int] = collections.deque()
+        self._again: collections.deque[int] = collections.deque()
+        self._earlier: dict[int, str] = {}
+        self._begun: set[int] = set()
+        self._flying: dict[int, _Batch] = {}
+        self._numbers = itertools.count()
+        self._threads = 0
+        self._seen_workers = time.monotonic()
+        self._seconds_per_file: float | None = None
+        self._largest = 0
+        self._is_connected = False
+
+    def stop(self) -> None:
+        """Hand out no more; batches that some worker has in hand go on, second tries too."""
+        self._waiting.clear()
+        for number, batch in list(self._flying.items()):
+            if not self._begun.intersection(batch.indices):
+                del self._flying[number]
+                self._cluster.cancel(batch.future)
+
+    def interrupt(self) -> None:
+        """Give up what is in hand and end; may be called from a signal handler."""
+        self._heard.put(("interrupt",))
+
+    def batches(self) -> Generator[list[Message], None, None]:
+        """See ``Engine.batches``."""
+        try:
+            self._leave_probes()
+            threading.Thread(target=self._connect, name="msal-dask", daemon=True).start()
+            while True:
+                messages: list[Message] = []
+                fault: Exception | None = None
+                for kind, *rest in self._all_heard():
+                    try:
+                        if kind == "interrupt":
+                            raise Interrupt
+                        messages += self._understood(kind, rest)
+                    except (Interrupt, MsalError) as error:
+                        fault = fault or error
+                if fault is None:
+                    self._hand_out()
+                if messages:
+                    yield messages
+                if fault is not None:
+                    raise fault
+                if self._is_connected and not (self._flying or self._waiting_any()):
+                    return
+        finally:
+            self._end()
+
+    # Beginning and ending
+
+    def _connect(self) -> None:
+        """In a thread of its own, because it takes seconds in which a signal must be obeyed."""
+        try:
+            self._cluster.open(_PATIENCE_S)
+            if not self._cluster.is_local:
+                self._cluster.check(__version__, self._must_exist())
+            self._heard.put(("connected",))
+            self._cluster.watch()
+        except MsalError as error:
+            self._heard.put(("fault", error))
+        except Exception as error:
+            _log.debug("the way to the Dask cluster", exc_info=True)
+            self._heard.put(("fault", _failed(error)))
+
+    def _leave_probes(self) -> None:
+        """A new file in every folder with a manifest: who sees them shares the file system."""
+        if self._cluster.is_local:
+            return
+        for folder in self._work.folders:
+            probe = os.path.join(os.path.abspath(folder), temporaries.temporary_name("probe"))
+            Path(probe).touch()
+            self._probes.append(probe)
+
+    def _must_exist(self) -> tuple[str, ...]:
+        if all(
+            os.path.isabs(path)
+            for task in self._work.tasks.values()
+            for path in (task.input, task.output)
+        ):
+            return tuple(self._probes)
+        return (*self._probes, os.path.join(os.getcwd(), ""))
+
+    def _end(self) -> None:
+        self._cluster.close()
+        for probe in self._probes:
+            Path(probe).unlink(missing_ok=True)
+        # A worker of this machine that was killed with its Dask worker has nobody to sweep for it.
+        temporaries.sweep({Path(task.output).parent for task in self._work.tasks.values()})
+
+    # Handing out
+
+    def _waiting_any(self) -> bool:
+        return bool(self._waiting or self._suspects or self._again)
+
+    def _hand_out(self) -> None:
+        while self._threads and len(self._flying) < _PER_THREAD * self._threads:
+            if self._waiting:
+                n = self._next_size()
+                self._submit([self._waiting.popleft() for _ in range(n)])
+            elif self._suspects:
+                self._submit([self._suspects.popleft()])
+            elif self._again and not self._flying:
+                self._submit([self._again.popleft()], is_alone=True)
+                return
+            else:
+                return
+
+    def _next_size(self) -> int:
+        """Files in the next batch: some seconds' work, less towards the end."""
+        left = len(self._waiting)
+        fair = math.ceil(left / (_PER_THREAD * self._threads))
+        if self._seconds_per_file is None:
+            return max(1, min(_FIRST_FILES, fair))
+        pace = max(self._seconds_per_file, 1e-4)
+        wanted = min(round(_AIM_S / pace), _GROWTH * max(1, self._largest))
+        return max(1, min(wanted, max(fair, math.ceil(_LEAST_S / pace)), left))
+
+    def _submit(self, indices: list[int], *, is_alone: bool = False) -> None:
+        number = next(self._numbers)
+        work = self._work
+        order = Order(
+            run=self._run,
+            function=work.function,
+            common=work.common,
+            cores=max(1, work.cores // work.jobs) if self._cluster.is_local else 1,
+            log_level=logging.getLogger("msal").getEffectiveLevel(),
+            folder=os.getcwd(),
+            must_exist=self._must_exist(),
+        )
+        payload = pickle.dumps((order, {index: work.tasks[index] for index in indices}))
+        key = f"msal-{self._run}-{number}"
+        future = self._cluster.submit(key, number, __version__, payload)
+        self._flying[number] = _Batch(tuple(indices), is_alone, future)
+        self._begun.difference_update(indices)
+
+    # Listening
+
+    def _all_heard(self) -> list[tuple[Any, ...]]:
+        heard = [self._heard.get()]
+        while True:
+            try:
+                heard.append(self._heard.get_nowait())
+            except queue.Empty:
+                return heard
+
+    def _understood(self, kind: str, rest: list[Any]) -> list[Message]:
+        if kind == "connected":
+            self._is_connected = True
+            self._seen_workers = time.monotonic()
+        elif kind == "fault":
+            raise rest[0]
+        elif kind == "threads":
+            self._note_threads(*rest)
+        elif kind == "news":
+            address, run, news = rest
+            return self._told(address, pickle.loads(news)) if run == self._run else []
+        elif kind == "answer":
+            return self._answered(*rest)
+        return []
+
+    def _note_threads(self, threads: int | None) -> None:
+        if threads:
+            self._threads = threads
+            self._seen_workers = time.monotonic()
+            return
+        waited = time.monotonic() - self._seen_workers
+        if waited > _PATIENCE_S:
+            raise no_workers(self._scheduler, waited)
+
+    def _told(self, address: str, messages: list[Message]) -> list[Message]:
+        """What is new of what a worker says; it says everything twice, now and with the batch."""
+        new: list[Message] = []
+        for one in messages:
+            index = one.index
+            if index not in self._open:
+                continue
+            if isinstance(one, Returned | Lost):
+                self._open.remove(index)
+                if index not in self._begun:
+                    new.append(Began(index))
+                new.append(self._signed(address, one))
+            elif not (isinstance(one, Began) and index in self._begun):
+                self._begun.add(index)
+                new.append(one)
+                if isinstance(one, Again):
+                    self._begun.discard(index)
+        return new
+
+    def _signed(self, address: str, message: Returned | Lost) -> Message:
+        """The message, with what only this side knows."""
+        if not isinstance(message, Returned):
+            return message
+        earlier = self._earlier.get(message.index, message.earlier)
+        record = message.result
+        if isinstance(record, MeshRecord) and record.error and record.error.code == "E_READ":
+            path = self._work.tasks[message.index].input
+            if os.path.exists(path):
+                hint = (
+                    f"this machine sees it, but the Dask worker at {address} does not: "
+                    "inputs must lie where all machines see them by the same path"
+                )
+                record = replace(record, error=replace(record.error, hint=hint))
+        return replace(message, earlier=earlier, result=record)
+
+    def _answered(self, number: int, answer: object) -> list[Message]:
+        batch = self._flying.pop(number, None)
+        if batch is None:
+            return []
+        if isinstance(answer, bytes):
+            return self._done(batch, pickle.loads(answer))
+        if type(answer).__name__ == "KilledWorker":
+            return self._killed(batch, answer)
+        if isinstance(answer, MsalError):
+            raise answer
+        if isinstance(answer, CancelledError):
+            raise ResourceError(
+                f"the Dask scheduler {self._scheduler} was lost, or took the work back",
+                hint="finished files are kept; the same command goes on from there",
+            )
+        raise _failed(answer)
+
+    def _done(self, batch: _Batch, answer: Answer) -> list[Message]:
+        for name, level, text in answer.lines:
+            logging.getLogger(name).log(level, "%s", text)
+        pace = answer.seconds / len(batch.indices)
+        known = self._seconds_per_file
+        self._seconds_per_file = pace if known is None else 0.5 * (known + pace)
+        self._largest = max(self._largest, len(batch.indices))
+        messages = self._told(answer.address, answer.messages)
+        # A batch that its worker gave up although nobody asked for that.
+        self._waiting.extend(index for index in batch.indices if index in self._open)
+        return messages
+
+    def _killed(self, batch: _Batch, error: object) -> list[Message]:
+        left = [index for index in batch.indices if index in self._open]
+        deaths = getattr(error, "allowed_failures", 0) + 1
+        workers = "a Dask worker" if deaths == 1 else f"{deaths} Dask workers"
+        reason = f"{workers} died while at work on it"
+        if batch.is_alone:
+            self._open.difference_update(left)
+            hint = "a library broke on this file, or the machines ran out of memory"
+            return [Lost(index, "crash", f"{reason}, as at the first try", hint) for index in left]
+        if len(batch.indices) > 1:
+            _log.info("%s with a batch of %d files; they go singly now", workers, len(left))
+            self._suspects.extend(left)
+            return []
+        self._again.extend(left)
+        self._earlier.update(dict.fromkeys(left, reason))
+        return [Again(index, reason) for index in left]
+
+
+def _failed(error: object) -> ResourceError:
+    return ResourceError(
+        f"Dask cannot go on: {type(error).__name__}: {error}",
+        hint="finished files are kept; the same command goes on from there",
+    )

@@ -1,0 +1,373 @@
+"""The engine on Dask: a real cluster on this machine, whose workers are killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from msal_cli import methods
+from msal_cli.batch import dask_cluster, dask_engine
+from msal_cli.batch.dask_engine import DaskEngine
+from msal_cli.batch.engine import Work
+from msal_cli.batch.events import Finished, Started
+from msal_cli.batch.inputs import found
+from msal_cli.batch.manifest import NAME
+from msal_cli.batch.plan import built
+from msal_cli.batch.run import run
+from msal_cli.errors import ResourceError, UsageError
+from msal_cli.pipeline import Settings, Task
+from tests.batch import fakes
+from tests.batch.conftest import ROOT
+from tests.batch.test_whole import obj, outputs
+from tests.cli.scans import msal
+
+distributed = pytest.importorskip("distributed", reason="Dask distributed is not installed")
+posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+FAKE = Settings("fake", {"n": 1})
+
+
+def started_cluster(n_workers):
+    import dask
+
+    sys.path.insert(0, str(ROOT))
+    try:
+        # One death is enough for Dask to give up, which then is the engine's business.
+        with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+            return distributed.LocalCluster(
+                n_workers=n_workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address=None,
+                scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+                memory_limit=None,
+                silence_logs=50,
+            )
+    finally:
+        sys.path.remove(str(ROOT))
+
+
+def ended(cluster):
+    for nanny in cluster.workers.values():
+        nanny.auto_restart = False
+        # Asked to end, it would finish what it has in hand.
+        nanny.process.process._process.kill()
+    cluster.close(timeout=5)
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """Somebody's cluster: two workers that come back when they are killed."""
+    cluster = started_cluster(2)
+    yield cluster
+    ended(cluster)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty folder for inputs, named ``in`` from here."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "in").mkdir()
+    return tmp_path
+
+
+def fill(folder, n, **special):
+    for index in range(n):
+        (folder / f"in/{index:02}.ply").write_text(f"mesh {index}")
+    for name, text in special.items():
+        (folder / f"in/{name.removeprefix('f')}.ply").write_text(text)
+
+
+def plan_of(output="out", **options):
+    return built(found(["in"], output=output), output, **options)
+
+
+def ran(cluster, settings=FAKE, output="out", **options):
+    options = {"denoise": fakes.denoise} | options
+    engine = partial(DaskEngine, scheduler=cluster.scheduler_address)
+    return run(plan_of(output), settings, engine=engine, **options)
+
+
+def statuses(records):
+    return [record.status for record in records]
+
+
+def workers_of(cluster):
+    return [nanny.pid for nanny in cluster.workers.values()]
+
+
+def test_files_and_records_are_those_of_one_process(folder, cluster):
+    for n in range(7):
+        (folder / f"in/{n}.obj").write_text(obj(n))
+    (folder / "in/bad.obj").write_text("v 1 2\nf 1 2 3\n")
+    settings = Settings("msal", methods.find("msal").settled({}))
+    here = run(plan_of("here"), settings, jobs=1)
+    events = []
+    engine = partial(DaskEngine, scheduler=cluster.scheduler_address)
+    there = run(plan_of("there"), settings, engine=engine, on_event=events.append)
+    assert outputs(folder / "there") == outputs(folder / "here")
+    assert len(outputs(folder / "there")) == 7
+
+    def timeless(record):
+        output = record.output and Path(record.output).name
+        return replace(
+            record, output=output, seconds=None, vertices_per_second=None, peak_memory_bytes=None
+        )
+
+    assert list(map(timeless, there)) == list(map(timeless, here))
+    assert sorted(one.index for one in events if isinstance(one, Started)) == list(range(8))
+    assert sorted(one.index for one in events if isinstance(one, Finished)) == list(range(8))
+
+
+def test_each_engine_goes_on_where_the_other_was(folder, cluster):
+    fill(folder, 3)
+    assert statuses(ran(cluster)) == ["written"] * 3
+    fill(folder, 5)
+    assert statuses(run(plan_of(), FAKE, jobs=1, denoise=fakes.denoise)) == [
+        *["up-to-date"] * 3,
+        *["written"] * 2,
+    ]
+    assert statuses(ran(cluster)) == ["up-to-date"] * 5
+    (folder / "in/01.ply").write_text("changed")
+    assert statuses(ran(cluster)).count("written") == 1
+
+
+@posix
+def test_what_breaks_a_process_costs_its_file_and_no_dask_worker(folder, cluster):
+    fill(folder, 12, f03="die segfault", f05="die kill once", f07="die midway", f09="die error")
+    before = workers_of(cluster)
+    records = ran(cluster)
+    codes = {Path(one.input).stem: one.error.code for one in records if one.error}
+    assert codes == {"03": "E_CRASH", "07": "E_CRASH", "09": "E_INTERNAL"}
+    assert "SIGSEGV" in records[3].error.message
+    assert "second try" in records[5].warnings[0]
+    assert set(outputs(folder / "out")) == {f"{n:02}.ply" for n in range(12) if n not in (3, 7, 9)}
+    assert workers_of(cluster) == before
+
+
+@posix
+def test_a_dask_worker_killed_in_the_middle_costs_nothing(folder, cluster):
+    fill(folder, 16, **{f"f{n:02}": "sleep 0.05" for n in range(16)})
+    killed = []
+
+    def on_event(event):
+        if isinstance(event, Finished) and not killed:
+            killed.append(workers_of(cluster)[0])
+            os.kill(killed[0], signal.SIGKILL)
+
+    records = ran(cluster, on_event=on_event)
+    assert killed and statuses(records) == ["written"] * 16
+    assert len(outputs(folder / "out")) == 16
+
+
+@posix
+def test_a_file_that_kills_dask_workers_is_found_and_is_one_row(folder, cluster):
+    fill(folder, 10, f04="die parent")
+    again = []
+    records = ran(cluster, on_event=lambda event: again.append(event.index))
+    assert [Path(one.input).stem for one in records if one.status != "written"] == ["04"]
+    assert records[4].error.code == "E_CRASH"
+    assert "died while at work on it, as at the first try" in records[4].error.message
+    assert len(outputs(folder / "out")) == 9
+    assert [path.name for path in folder.joinpath("in").glob("*.died")] == ["04.ply.died"]
+
+
+def test_a_worker_that_does_not_see_an_input(folder, cluster):
+    fill(folder, 2, f01="unseen")
+    first, second = ran(cluster)
+    assert first.status == "written"
+    assert second.error.code == "E_READ"
+    assert "this machine sees it, but the Dask worker at tcp://127.0.0.1:" in second.error.hint
+
+
+class TestRefusals:
+    """Each before any work; no file appears."""
+
+    def test_another_version_at_a_worker(self, folder, cluster, monkeypatch):
+        fill(folder, 2)
+        monkeypatch.setattr(dask_engine, "__version__", "99.0")
+        with pytest.raises(UsageError, match=r"worker at tcp://127\.0\.0\.1:\d+ has msal .*99\.0"):
+            ran(cluster)
+        assert outputs(folder / "out") == {}
+
+    def test_a_late_worker_of_another_version(self, folder, cluster, monkeypatch):
+        fill(folder, 2)
+        monkeypatch.setattr(dask_engine, "__version__", "99.0")
+        monkeypatch.setattr(dask_cluster.Cluster, "check", lambda *arguments: None)
+        with pytest.raises(ResourceError, match=r"has msal .*99\.0"):
+            ran(cluster)
+        assert outputs(folder / "out") == {}
+
+    def test_a_worker_that_does_not_see_the_output_folder(self, folder, cluster, monkeypatch):
+        fill(folder, 2)
+        monkeypatch.setattr(DaskEngine, "_must_exist", lambda self: ("/no/such/probe",))
+        with pytest.raises(UsageError, match="does not see '/no/such'"):
+            ran(cluster)
+        assert outputs(folder / "out") == {}
+
+    def test_in_place(self):
+        task = Task("a.ply", "a.ply", "a.ply", in_place=True)
+        with pytest.raises(UsageError, match="in place"):
+            DaskEngine(Work({0: task}, fakes.denoise, FAKE, jobs=1, cores=1), "local")
+
+    def test_no_scheduler(self, folder, monkeypatch):
+        fill(folder, 1)
+        monkeypatch.setattr(dask_cluster, "_CONNECT_S", 0.2)
+        engine = partial(DaskEngine, scheduler="tcp://127.0.0.1:9")
+        with pytest.raises(UsageError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"):
+            run(plan_of(), FAKE, engine=engine, denoise=fakes.denoise)
+
+    def test_words(self, folder):
+        fill(folder, 1)
+        base = ["denoise", "in", "-o", "out"]
+        dask = [*base, "--engine", "dask"]
+        for words, said in [
+            ([*base, "--scheduler", "local"], "needs --engine dask"),
+            (dask, "needs a scheduler"),
+            ([*dask, "--scheduler", "nonsense"], "not an address"),
+            ([*dask, "--scheduler", "tcp://host:8786", "-j", "2"], "-j is for this machine"),
+            (["denoise", "in", "--in-place", *dask[4:], "--scheduler", "local"], "--in-place"),
+            (["denoise", "-", *dask[4:], "--scheduler", "local"], "--engine dask is for files"),
+        ]:
+            result = msal(*words)
+            assert (result.exit_code, said in result.stderr) == (2, True), result.stderr
+
+    def test_without_dask(self, folder, monkeypatch):
+        fill(folder, 1)
+        monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+        result = msal("denoise", "in", "-o", "out", "--engine", "dask", "--scheduler", "local")
+        assert result.exit_code == 2
+        assert "pip install 'msal-cli[dask]'" in result.stderr
+
+
+def test_no_worker_comes_and_then_the_scheduler_goes(folder, monkeypatch, caplog):
+    fill(folder, 6, **{f"f{n:02}": "sleep 0.3" for n in range(2, 6)})
+    monkeypatch.setattr(dask_engine, "_PATIENCE_S", 0.3)
+    monkeypatch.setattr(dask_cluster, "_SILENCE_S", 0.1)
+    caplog.set_level("WARNING", logger="msal")
+    cluster = started_cluster(0)
+    with pytest.raises(ResourceError, match="no worker at the Dask scheduler"):
+        ran(cluster)
+    assert "waiting for workers" in caplog.text
+    monkeypatch.setattr(dask_engine, "_PATIENCE_S", 60.0)
+    # So long the client would look for a scheduler that has ended in good order.
+    monkeypatch.setattr(dask_cluster, "_CONNECT_S", 1.0)
+    cluster.scale(1)
+    seen = []
+
+    def on_event(event):
+        seen.append(event)
+        if isinstance(event, Finished) and event.index == 1:
+            ended(cluster)
+
+    with pytest.raises(ResourceError, match=r"was lost|no worker"):
+        ran(cluster, on_event=on_event)
+    finished = [one.record for one in seen if isinstance(one, Finished)]
+    assert 2 <= len(finished) < 6
+    again = run(plan_of(), FAKE, jobs=1, denoise=fakes.denoise)
+    assert statuses(again).count("up-to-date") == len(finished)
+    assert set(statuses(again)) == {"up-to-date", "written"}
+
+
+def test_batches_grow_to_some_seconds_and_shrink_towards_the_end():
+    tasks = {n: Task(str(n), str(n), str(n)) for n in range(10_000)}
+    engine = DaskEngine(Work(tasks, fakes.denoise, FAKE, jobs=2, cores=2), "local")
+    engine._threads = 2
+    assert engine._next_size() == 4
+    engine._seconds_per_file, engine._largest = 0.01, 4
+    assert engine._next_size() == 16
+    engine._largest = 300
+    assert engine._next_size() == 500
+    engine._waiting = type(engine._waiting)(range(800))
+    assert engine._next_size() == 200
+    engine._waiting = type(engine._waiting)(range(30))
+    assert engine._next_size() == 30, "a second's work at least"
+    engine._seconds_per_file = 60.0
+    assert engine._next_size() == 1
+
+
+def processes_of(session):
+    text = subprocess.run(["ps", "-eo", "pid,sid,stat"], capture_output=True, text=True).stdout
+    rows = [line.split() for line in text.splitlines()[1:]]
+    return [int(pid) for pid, sid, state in rows if int(sid) == session and state[0] not in "ZX"]
+
+
+@posix
+class TestLocal:
+    """The real command with a cluster of its own."""
+
+    def start(self, folder):
+        for n in range(4):
+            (folder / f"in/{n}.obj").write_text(obj(n))
+        for n in range(3):
+            (folder / f"in/z{n}.obj").write_text(obj(n, 400, 200))
+        command = [sys.executable, "-m", "msal_cli", "denoise", "in", "-o", "out", "-j", "2"]
+        command += ["--engine", "dask", "--scheduler", "local", "--set", "iterations=1000"]
+        return subprocess.Popen(
+            command,
+            stderr=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            start_new_session=True,
+        )
+
+    @pytest.mark.parametrize(
+        ("number", "status"),
+        [
+            (signal.SIGINT, 130),
+            pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow),
+            pytest.param(signal.SIGKILL, -9, marks=pytest.mark.slow),
+        ],
+    )
+    def test_a_signal_leaves_nothing_behind(self, folder, number, status):
+        manifest = folder / "out" / NAME
+        with self.start(folder) as process:
+            deadline = time.monotonic() + 120
+            while time.monotonic() < deadline and process.poll() is None:
+                if manifest.exists() and manifest.read_bytes().count(b'"kind":"done"') >= 4:
+                    break
+                time.sleep(0.02)
+            assert len(processes_of(process.pid)) >= 3
+            started = time.monotonic()
+            if number == signal.SIGINT:
+                os.killpg(process.pid, number)
+            else:
+                process.send_signal(number)
+            assert process.wait(timeout=20) == status
+            # Two seconds on a machine that has nothing else to do.
+            assert time.monotonic() - started < 5.0
+            said = process.stderr.read().decode()
+        deadline = time.monotonic() + 5.0
+        while processes_of(process.pid) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert processes_of(process.pid) == []
+        assert "Traceback" not in said and "distributed" not in said
+        settings = Settings("msal", methods.find("msal").settled({"iterations": 1000}))
+        planned = run(plan_of(), settings, dry_run=True)
+        assert statuses(planned) == ["up-to-date"] * 4 + ["planned"] * 3
+
+
+@pytest.mark.slow
+@posix
+def test_twenty_runs_with_a_worker_killed_in_each_write_every_file(folder, cluster):
+    fill(folder, 200, **{f"f{n:02}": "sleep 0.01" for n in range(0, 100, 7)})
+    for round_ in range(20):
+        killed = []
+
+        def on_event(event, killed=killed, after=9 * round_):
+            if isinstance(event, Finished):
+                killed.append(event.index)
+                if len(killed) == after + 1:
+                    os.kill(workers_of(cluster)[after % 2], signal.SIGKILL)
+
+        output = f"out{round_}"
+        records = ran(cluster, output=output, on_event=on_event)
+        assert statuses(records) == ["written"] * 200
+        assert set(outputs(folder / output)) == {f"{n:02}.ply" for n in range(200)}
