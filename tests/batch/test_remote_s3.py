@@ -1,0 +1,269 @@
+"""The real command against a real S3 server on this machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from msal_cli import methods
+from msal_cli.errors import OutputError
+from msal_cli.files import remote
+from msal_cli.files.remote import listed, read_whole, write_whole
+from msal_cli.pipeline import Settings, denoise_bytes
+from tests.batch.test_whole import obj
+from tests.cli.scans import MSAL, msal
+
+WHY = "needs the extra: pip install 'msal-cli[test]'"
+s3fs = pytest.importorskip("s3fs", reason=WHY)
+pytest.importorskip("moto.server", reason=WHY)
+
+NAMES = ("a/0.obj", "a/b/1.obj", "2.obj", "c d/%41#?ü+&=.obj")
+DENIED = (
+    b"<?xml version='1.0'?><Error><Code>AccessDenied</Code><Message>Access Denied</Message></Error>"
+)
+
+
+class Server:
+    """moto's server, with every request noted, and some held up or denied."""
+
+    def __init__(self):
+        from moto.server import ThreadedMotoServer
+
+        self.requests = []
+        self.is_reached = threading.Event()
+        self.gate = threading.Event()
+        self.is_over = threading.Event()
+        self.held_up = ""
+        self._moto = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+        self._moto.start()
+        self.url = "http://{}:{}".format(*self._moto.get_host_and_port())
+        server = self._moto._server
+        self._app, server.app = server.app, self._answer
+
+    def _answer(self, environ, start_response):
+        method, path = environ["REQUEST_METHOD"], environ["PATH_INFO"]
+        self.requests.append((method, path))
+        if path.startswith("/denied"):
+            start_response("403 Forbidden", [("Content-Type", "application/xml")])
+            return [DENIED]
+        if method == "PUT" and self.held_up and self.held_up in path:
+            self.is_reached.set()
+            self.gate.wait(60)
+            try:
+                return self._app(environ, start_response)
+            finally:
+                self.is_over.set()
+        return self._app(environ, start_response)
+
+    def hold_up(self, path):
+        """Let what is put there wait until ``let_go``; ``is_reached`` tells when it came."""
+        for event in (self.gate, self.is_reached, self.is_over):
+            event.clear()
+        self.held_up = path
+
+    def let_go(self):
+        """Go on with what waits, and wait for its end."""
+        self.held_up = ""
+        self.gate.set()
+        assert self.is_over.wait(60)
+
+    def counted(self, pattern):
+        """How many requests since the last time, as text, match each method and path."""
+        some, self.requests = self.requests, []
+        return sum(re.fullmatch(pattern, f"{method} {path}") is not None for method, path in some)
+
+    def stop(self):
+        self.gate.set()
+        self._moto.stop()
+
+
+@pytest.fixture(scope="module")
+def server():
+    one = Server()
+    given = {
+        "AWS_ENDPOINT_URL": one.url,
+        "AWS_ACCESS_KEY_ID": "key",
+        "AWS_SECRET_ACCESS_KEY": "geheim",
+        "AWS_DEFAULT_REGION": "us-east-1",
+        "AWS_EC2_METADATA_DISABLED": "true",
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in given.items():
+            patch.setenv(name, value)
+        remote._file_systems.clear()
+        s3fs.S3FileSystem.clear_instance_cache()
+        system = s3fs.S3FileSystem()
+        system.mkdir("scans")
+        system.mkdir("out")
+        for n, name in enumerate(NAMES):
+            write_whole(f"s3://scans/{name}", obj(n).encode())
+        yield one
+        remote._file_systems.clear()
+        s3fs.S3FileSystem.clear_instance_cache()
+    one.stop()
+
+
+@pytest.fixture(scope="module")
+def expected():
+    settings = Settings("msal", methods.find("msal").settled({}))
+    return {
+        name: bytes(denoise_bytes(obj(n).encode(), name, settings)[0])
+        for n, name in enumerate(NAMES)
+    }
+
+
+def outputs(folder):
+    return {
+        name: read_whole(f"{folder}/{name}") for name in listed(folder) if not name.startswith(".")
+    }
+
+
+def run(*arguments):
+    return subprocess.run([*MSAL, *arguments], capture_output=True, text=True, timeout=120)
+
+
+def statuses(path):
+    records = json.loads(path.read_text())["records"]
+    return {record["input"].partition("scans/")[2]: record["status"] for record in records}
+
+
+def test_from_bucket_to_bucket(server, expected, tmp_path):
+    command = ["denoise", "s3://scans", "-o", "s3://out/x", "-j", "1", "-q"]
+    report = tmp_path / "report.json"
+    server.requests = []
+    done = run(*command, "--report", str(report))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert statuses(report) == dict.fromkeys(NAMES, "written")
+    assert "geheim" not in report.read_text()
+    some = list(server.requests)
+    n = len(NAMES)
+    assert server.counted("GET /scans/.*") == n
+    server.requests = list(some)
+    assert server.counted(r"(PUT|HEAD) /out/x/[^.].*") == 2 * n
+    server.requests = list(some)
+    # Listings, and the parts of the manifest.
+    assert server.counted(".*") - 3 * n < 15
+    assert outputs("s3://out/x") == expected
+
+    # Nothing is downloaded, and of all objects together there are two listings.
+    server.requests = []
+    assert msal(*command, "--report", report).exit_code == 0
+    assert statuses(report) == dict.fromkeys(NAMES, "up-to-date")
+    requests, server.requests = server.requests, []
+    assert sum(path in ("/scans", "/out") for _, path in requests) == 2 + 2
+    assert not [path for _, path in requests if path.startswith("/scans/")]
+    assert not [path for _, path in requests if re.match(r"/out/x/[^.]", path)]
+    assert len(requests) < 12
+
+    # An object that changed, and an output that somebody else wrote, are done again.
+    write_whole("s3://out/x/2.obj", b"x" * len(expected["2.obj"]))
+    write_whole("s3://scans/a/0.obj", obj(7).encode())
+    try:
+        assert msal(*command, "--report", report).exit_code == 0
+        again = {name for name, status in statuses(report).items() if status == "written"}
+        assert again == {"2.obj", "a/0.obj"}
+    finally:
+        write_whole("s3://scans/a/0.obj", obj(0).encode())
+    assert read_whole("s3://out/x/2.obj") == expected["2.obj"]
+
+
+def test_objects_and_files_in_one_process(server, expected, tmp_path):
+    assert msal("denoise", "s3://scans/2.obj", "-o", "s3://out/one/b.obj").exit_code == 0
+    assert list(listed("s3://out/one")) == ["b.obj"]
+    assert read_whole("s3://out/one/b.obj") == expected["2.obj"]
+    assert msal("denoise", "s3://scans/*.obj", "-o", tmp_path).exit_code == 0
+    assert (tmp_path / "2.obj").read_bytes() == expected["2.obj"]
+    assert msal("denoise", tmp_path / "2.obj", "-o", "s3://out/one/c.obj", "-q").exit_code == 0
+    assert len(listed("s3://out/one")) == 2
+    told = msal("info", "s3://scans/a", "--json")
+    assert told.exit_code == 0
+    assert [one["vertices"] for one in json.loads(told.stdout)["records"]] == [288, 288]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (["s3://missing/scans", "-o", "s3://out/y"], 2, "no object or folder"),
+        (["s3://scans/none.obj", "-o", "s3://out/y"], 2, "no object or folder"),
+        (["s3://scans/*.stl", "-o", "s3://out/y"], 5, "no mesh file"),
+        (["s3://scans", "-o", "s3://missing/y"], 1, "no such bucket"),
+        (["s3://scans/2.obj", "-o", "s3://missing/y.obj"], 1, "no such bucket"),
+        (["s3://scans/2.obj", "-o", "s3://denied/y.obj"], 1, "access is denied"),
+        (["s3://scans", "-o", "s3://denied/y"], 1, "access is denied"),
+        (["s3://denied/scans", "-o", "s3://out/y"], 2, "access is denied"),
+        (["s3://scans", "--in-place"], 2, "--in-place is for files"),
+        (["s3://scans", "-o", "s3://scans"], 2, "own output"),
+    ],
+)
+def test_what_cannot_be_is_told_in_words(server, arguments, status, words):
+    told = msal("denoise", *arguments)
+    assert told.exit_code == status
+    assert words in told.stderr
+    assert "hint:" in told.stderr
+    assert "Traceback" not in told.stderr
+    assert "geheim" not in told.stderr
+    assert not listed("s3://out/y")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+def test_a_killed_run_leaves_whole_objects_and_the_next_does_the_rest(server, expected):
+    command = ["denoise", "s3://scans", "-o", "s3://out/killed", "-j", "1", "-q"]
+    server.hold_up("/out/killed/a/b/1.obj")
+    process = subprocess.Popen([*MSAL, *command], start_new_session=True)
+    try:
+        assert server.is_reached.wait(60)
+        os.killpg(process.pid, signal.SIGKILL)
+        assert process.wait(10) == -signal.SIGKILL
+    finally:
+        server.let_go()
+    there = outputs("s3://out/killed")
+    assert there.items() <= expected.items()
+    assert msal(*command).exit_code == 0
+    assert outputs("s3://out/killed") == expected
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+def test_an_upload_that_is_killed_halfway_leaves_no_object(server):
+    server.hold_up("/out/half.ply")
+    code = (
+        "from msal_cli.files.remote import write_whole; "
+        "write_whole('s3://out/half.ply', bytes(40 << 20))"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code])
+    try:
+        assert server.is_reached.wait(60)
+        process.kill()
+        assert process.wait(10)
+    finally:
+        server.let_go()
+    assert remote.mark("s3://out/half.ply") is None
+
+
+def test_large_objects_go_up_in_parts_and_come_whole_or_not_at_all(server, monkeypatch):
+    system, _ = remote._opened("s3://out/big")
+    real = system.pipe_file
+    monkeypatch.setattr(system, "pipe_file", lambda *given: real(*given, chunksize=5 << 20))
+    data = os.urandom(11 << 20)
+    server.requests = []
+    assert write_whole("s3://out/big.ply", data).tag.endswith("-3")
+    assert read_whole("s3://out/big.ply") == data
+    assert server.counted("(POST|PUT) /out/big.ply") == 5
+    call = type(system)._call_s3
+
+    async def without_end(self, method, *arguments, **options):
+        if method == "complete_multipart_upload":
+            raise PermissionError("Access Denied")
+        return await call(self, method, *arguments, **options)
+
+    monkeypatch.setattr(type(system), "_call_s3", without_end)
+    with pytest.raises(OutputError, match="access is denied"):
+        write_whole("s3://out/big2.ply", data)
+    monkeypatch.undo()
+    assert remote.mark("s3://out/big2.ply") is None
