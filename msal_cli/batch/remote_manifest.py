@@ -49,6 +49,8 @@ class RemoteManifest(Manifest):
     def __init__(self, folder: str, shard: Shard | None = None) -> None:
         super().__init__(folder, shard)
         moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
+        # Of shards that start together one merges: else each would write a copy of everything.
+        self._merges = shard is None or shard.number == 1
         self._run = f"{moment}-{secrets.token_hex(4)}"
         self._parts: list[str] = []
         self._n_written = 0
@@ -99,7 +101,7 @@ class RemoteManifest(Manifest):
 
         Raises OutputError if the store does not take it.
         """
-        if len(self._parts) > MOST_PARTS:
+        if self._merges and len(self._parts) > MOST_PARTS:
             self._merge()
         self._thread = threading.Thread(target=self._write_on, name="msal-manifest", daemon=True)
         self._thread.start()

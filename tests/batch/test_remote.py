@@ -382,6 +382,26 @@ def test_many_parts_become_one_and_no_line_is_lost(monkeypatch):
     assert all(entries.get(str(n)).is_done for n in range(4))
 
 
+def test_of_many_shards_one_merges(monkeypatch):
+    monkeypatch.setattr(remote_manifest, "MOST_PARTS", 0)
+    manifest = RemoteManifest.read("memory://out")
+    manifest.open()
+    manifest.append([intent("a", "memory://scans/a")])
+    manifest.close()
+    before = parts()
+    for number in (2, 3):
+        other = RemoteManifest.read("memory://out", shards.Shard(number, 3))
+        other.open()
+        other.close()
+    assert parts() == before
+    first = RemoteManifest.read("memory://out", shards.Shard(1, 3))
+    first.open()
+    first.close()
+    assert len(parts()) == 1
+    assert parts() != before
+    assert RemoteManifest.read("memory://out").names() == {"a"}
+
+
 @pytest.mark.parametrize("killed", ["before", "between"])
 def test_a_merge_that_is_killed_loses_nothing(monkeypatch, killed):
     manifest = RemoteManifest.read("memory://out")
