@@ -146,8 +146,8 @@ def moment(time_ns: int) -> str:
 def _runs(path: Path, entries: dict[str, Entry]) -> Iterator[RunNote]:
     """The runs of one manifest; ``entries`` is filled with the last entry for every name."""
     run: RunNote | None = None
-    for line in lines_of(path):
-        entry = entry_of(line)
+    for place, line in lines_of(path):
+        entry = entry_of(line, place)
         if entry is not None:
             entries[entry.name] = entry
             if run is not None and run.interrupted and entry.at > run.at:
@@ -198,7 +198,7 @@ def _run(data: Mapping[str, Any]) -> RunNote:
 
 def _row(entry: Entry, folder: Path) -> Row:
     record = entry.record() if entry.is_done else None
-    paths = json.loads(entry.text).get("paths")
+    paths = entry.data().get("paths")
     if isinstance(paths, list) and len(paths) == 2 and all(isinstance(one, str) for one in paths):
         source, target = paths
     else:

@@ -22,6 +22,7 @@ import json
 import logging
 import os
 import re
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -38,6 +39,15 @@ from msal_cli.records import MeshRecord, ObjectMark, as_data, from_data
 NAME = ".msal-manifest.jsonl"
 _ANY = re.compile(r"\.msal-manifest(?:-\d{1,9}-of-\d{1,9})?\.jsonl")
 FORMAT = 1
+
+# Half of the time that reading takes would go into records that nobody looks at yet.
+_USUAL_DONE = re.compile(
+    rb'(\{"kind":"done",.*?),"record":\{.*\},"at":([1-9]\d{0,29})\}', re.DOTALL
+)
+
+_USUAL_NAME = re.compile(
+    rb'\{"kind":"(?:done|intent)","name":("(?:[^"\\]|\\.)*"),"format":1,.*\}$', re.DOTALL
+)
 
 # Lines that no longer count are dropped at the start of a run once there are this many of them
 # and more than there are lines that count.
@@ -63,7 +73,8 @@ class FileMark:
     def of(path: str) -> FileMark | None:
         """The mark of a file now; None where it cannot be asked."""
         try:
-            status = Path(path).stat()
+            # A Path for each of many files would cost more than the question.
+            status = os.stat(path)
         except (OSError, ValueError):
             return None
         return FileMark(status.st_size, status.st_mtime_ns)
@@ -76,8 +87,9 @@ class Entry:
     ``name`` is the output below the folder of the manifest, written with ``/``.  An entry that is
     not ``is_done`` tells only that a run set out to write this output, from an input that then had
     the mark ``input_mark``.  Objects in a store have an ``input_object`` or ``output_object``
-    instead of a mark.  ``at`` orders entries, 0 where that is not told (see above), and ``text`` is
-    the whole line, for the record in it.
+    instead of a mark.  ``at`` orders entries, 0 where that is not told (see above).  ``text`` is
+    the whole line, for the record in it; where it stands in a file, ``place`` says where instead,
+    because all lines of a large manifest take more memory than everything else in a run.
     """
 
     name: str
@@ -92,14 +104,39 @@ class Entry:
     input_object: ObjectMark | None = None
     output_object: ObjectMark | None = None
     text: bytes = b""
+    place: Place | None = None
 
     def record(self) -> MeshRecord | None:
         """The record of the run that wrote the output; None if it cannot be read."""
         try:
-            record: MeshRecord = from_data(MeshRecord, json.loads(self.text)["record"])
-        except (ValueError, KeyError, TypeError):
+            record: MeshRecord = from_data(MeshRecord, self.data().get("record"))
+        except TypeError:
             return None
         return record
+
+    def data(self) -> dict[str, Any]:
+        """All that the line says; empty if it cannot be read (any more)."""
+        try:
+            data = json.loads(self.place.line() if self.place is not None else self.text)
+            # The file may have been rewritten by the shard that it belongs to.
+            return data if data["name"] == self.name and data.get("at", 0) == self.at else {}
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            return {}
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A line in a file: where it begins, and how long it is without its end, in bytes."""
+
+    path: Path
+    start: int
+    length: int
+
+    def line(self) -> bytes:
+        """The line as it is now; OSError if the file cannot be read."""
+        with self.path.open("rb", buffering=0) as file:
+            file.seek(self.start)
+            return file.read(self.length)
 
 
 def settings_hash(settings: Settings) -> str:
@@ -165,9 +202,9 @@ class Manifest:
     def _take_in(self, path: Path) -> None:
         is_own = path == self._path
         some: dict[str, Entry] = {}
-        for line in lines_of(path):
+        for place, line in lines_of(path):
             self._n_lines += is_own
-            entry = entry_of(line)
+            entry = entry_of(line, place)
             if entry is not None:
                 some[entry.name] = entry
                 self._newest = max(self._newest, entry.at)
@@ -242,8 +279,10 @@ class Manifest:
             with temporary.open("xb") as file:
                 for line in runs:
                     file.write(line + b"\n")
-                for entry in self._own.values():
-                    file.write(entry.text + b"\n")
+                counting = {entry.place for entry in self._own.values()}
+                for place, line in lines_of(self._path):
+                    if place in counting:
+                        file.write(line + b"\n")
                 file.flush()
                 os.fsync(file.fileno())
             temporary.replace(self._path)
@@ -273,20 +312,34 @@ def paths_in(folder: str) -> list[Path]:
     return [Path(folder) / name for name in names]
 
 
-def lines_of(path: Path) -> Iterator[bytes]:
-    """The lines of a manifest without their ends, empty ones left out.
+def lines_of(path: Path) -> Iterator[tuple[Place, bytes]]:
+    """The lines of a manifest without their ends and where they are, empty ones left out.
 
     Raises OutputError if it cannot be read; a file that is not there has no lines.
     """
     try:
         with path.open("rb") as file:
+            start = 0
             for line in file:
                 if plain := line.rstrip(b"\n"):
-                    yield plain
+                    yield Place(path, start, len(plain)), plain
+                start += len(line)
     except (FileNotFoundError, NotADirectoryError):
         return
     except OSError as error:
         raise _unwritable(path, error) from None
+
+
+def names_in(folder: str) -> frozenset[str]:
+    """Every output that some run wrote or set out to write in a folder; errors as of ``read``."""
+    names = set()
+    for path in paths_in(folder):
+        for _, line in lines_of(path):
+            if usual := _USUAL_NAME.match(line):
+                names.add(json.loads(usual[1]))
+            elif entry := entry_of(line):
+                names.add(entry.name)
+    return frozenset(names)
 
 
 def kind_of(line: bytes) -> str:
@@ -350,10 +403,10 @@ def line_of(data: Mapping[str, Any]) -> bytes:
     return json.dumps(data, separators=(",", ":"), default=_plain).encode("ascii") + b"\n"
 
 
-def entry_of(line: bytes) -> Entry | None:
+def entry_of(line: bytes, place: Place | None = None) -> Entry | None:
     """What a line tells of an output; None if it does not, or makes no sense."""
     try:
-        data = json.loads(line)
+        data = _parsed(line)
         if data["kind"] not in ("intent", "done") or data.get("format", FORMAT) != FORMAT:
             return None
         output = data.get("output") or {}
@@ -362,20 +415,31 @@ def entry_of(line: bytes) -> Entry | None:
             name=data["name"],
             is_done=data["kind"] == "done",
             at=at if type(at) is int else 0,
-            settings=data.get("settings", ""),
-            status=data.get("status", ""),
+            # The same words stand in many lines.
+            settings=sys.intern(data.get("settings", "")),
+            status=sys.intern(data.get("status", "")),
             input_sha256=data["input"]["sha256"],
             output_sha256=output.get("sha256", ""),
             input_mark=_mark(data["input"]),
             output_mark=_mark(output),
             input_object=_object_mark(data["input"]),
             output_object=_object_mark(output),
-            text=line,
+            text=line if place is None else b"",
+            place=place,
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
     words = (entry.name, entry.settings, entry.status, entry.input_sha256, entry.output_sha256)
     return entry if all(isinstance(word, str) for word in words) else None
+
+
+def _parsed(line: bytes) -> Any:
+    """What a line says, without the record where that can be left out; errors as of JSON."""
+    usual = _USUAL_DONE.fullmatch(line)
+    if usual is None:
+        return json.loads(line)
+    # In a string the quotes would have backslashes, so this is where the record begins.
+    return json.loads(usual[1] + b"}") | {"at": int(usual[2])}
 
 
 def _mark(data: Mapping[str, Any]) -> FileMark | None:

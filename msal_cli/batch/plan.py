@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 
 from msal_cli.batch.homes import manifest_of, objects_at
 from msal_cli.batch.inputs import Found
+from msal_cli.batch.manifest import names_in
 from msal_cli.batch.shards import Shard
 from msal_cli.errors import UsageError
 from msal_cli.files import remote, urls
@@ -68,6 +69,9 @@ class Plan:
             raise ValueError(f"task {index} has no manifest")
         if is_url(home):
             return self.tasks[index].output.removeprefix(urls.folder(home))
+        output, start = self.tasks[index].output, home + os.sep
+        if os.sep == "/" and output.startswith(start) and not home.endswith("/"):
+            return output[len(start) :]
         return Path(self.tasks[index].output).relative_to(home).as_posix()
 
 
@@ -385,7 +389,7 @@ def _refuse_foreign_files(plan: Plan, output: str) -> None:
     ]
     if not existing:
         return
-    explained = manifest_of(output).names()
+    explained = manifest_of(output).names() if is_url(output) else names_in(output)
     foreign = [plan.tasks[index] for index in existing if plan.key(index) not in explained]
     if foreign:
         raise UsageError(

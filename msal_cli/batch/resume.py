@@ -16,7 +16,7 @@ from msal_cli.batch.temporaries import temporary_name
 from msal_cli.errors import OutputError
 from msal_cli.files.urls import is_url
 from msal_cli.pipeline import Task
-from msal_cli.records import Failure, MeshRecord, ObjectMark
+from msal_cli.records import Failure, MeshRecord, MethodUsed, ObjectMark
 
 # What a file brings on itself comes again with the same file, settings and version.  All other
 # failures (crashes, memory, time, disks, what is not installed) may go away by themselves.
@@ -35,6 +35,7 @@ _FAULTS_OF_FILES = frozenset(
 
 # Hashing is as fast as a disk; more threads than this only make the disk seek.
 _MOST_THREADS = 8
+_SHARE = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,12 @@ def standings(
         return
     pool = ThreadPoolExecutor(min(threads, _MOST_THREADS, len(known)))
     try:
-        yield from pool.map(judge.standing, range(len(plan.tasks)))
+        # A hand-over of each file by itself would take longer than the hashing of a small one.
+        shares = [
+            range(len(plan.tasks))[at : at + _SHARE] for at in range(0, len(plan.tasks), _SHARE)
+        ]
+        for some in pool.map(lambda share: list(map(judge.standing, share)), shares):
+            yield from some
     finally:
         is_stopped.set()
         pool.shutdown(wait=True, cancel_futures=True)
@@ -87,6 +93,7 @@ class _Judge:
         self._manifests = manifests
         self._settings = settings
         self._is_stopped = is_stopped
+        self._method: MethodUsed | None = None
 
     def _entry(self, index: int) -> Entry | None:
         home = self._plan.homes[index]
@@ -99,9 +106,12 @@ class _Judge:
         task, entry = self._plan.tasks[index], self._entry(index)
         if entry is not None and not self._plan.fresh:
             if self._is_current(task, entry):
-                return Standing(index, record=_up_to_date(task, entry))
-            if record := self._failed_before(task, entry):
-                return Standing(index, record=record)
+                record = _up_to_date(task, entry)
+                # Equal by the settings' hash; thousands of copies would be much memory.
+                self._method = self._method or record.method
+                return Standing(index, record=replace(record, method=self._method))
+            if failed := self._failed_before(task, entry):
+                return Standing(index, record=failed)
         return self._in_place_standing(index, task, entry) if task.in_place else Standing(index)
 
     def _is_current(self, task: Task, entry: Entry) -> bool:
@@ -226,13 +236,16 @@ def _size(path: str) -> int | None:
 
 
 def _up_to_date(task: Task, entry: Entry) -> MeshRecord:
-    earlier = entry.record() or MeshRecord(
+    earlier = entry.record() or MeshRecord(input=task.input, status="up-to-date")
+    return replace(
+        earlier,
         input=task.input,
+        output=task.output,
         status="up-to-date",
-        input_sha256=entry.input_sha256,
-        output_sha256=entry.output_sha256,
+        # The same text as in the entry, and not a copy.
+        input_sha256=entry.input_sha256 or earlier.input_sha256,
+        output_sha256=entry.output_sha256 or earlier.output_sha256,
     )
-    return replace(earlier, input=task.input, output=task.output, status="up-to-date")
 
 
 def _maybe_done(task: Task) -> MeshRecord:

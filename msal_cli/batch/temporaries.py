@@ -6,6 +6,7 @@ and random part being eight hexadecimal digits each.
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import secrets
@@ -56,9 +57,17 @@ def sweep_after(pid: int, folder: str | Path) -> int:
     return _swept(Path(folder), is_its)
 
 
+@functools.cache
 def _machine() -> str:
-    """Eight hexadecimal digits that tell machines that share a file system apart."""
-    return f"{zlib.crc32(socket.gethostname().encode('utf-8', 'replace')):08x}"
+    """Eight hexadecimal digits that tell machines that share a file system apart.
+
+    Containers may have one host name and yet not see each other's processes.
+    """
+    try:
+        processes = os.readlink("/proc/self/ns/pid")
+    except OSError:
+        processes = ""
+    return f"{zlib.crc32((socket.gethostname() + processes).encode('utf-8', 'replace')):08x}"
 
 
 def _swept(folder: Path, is_to_go: Callable[[re.Match[str], Path], bool]) -> int:

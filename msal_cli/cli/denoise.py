@@ -388,6 +388,8 @@ class _Session:
             talk.put_lines(as_text.listing(records))
         if len(records) == 1 and records[0].error is not None:
             talk.say_failure(records[0].input, records[0].error)
+            if records[0].remembered:
+                talk.say(f"it {as_text.remembered_words()}")
         elif request.quiet:
             talk.say_lines(as_text.failures(records, verbose=False))
         elif not is_listing:

@@ -19,7 +19,7 @@ from msal_cli.cli import exit_codes, talk
 from msal_cli.cli.words import COMPLETE_VARIABLE
 from msal_cli.errors import MsalError, OutputError
 
-_COMMANDS = ("denoise", "info", "methods", "completion")
+_COMMANDS = ("denoise", "info", "methods", "report", "completion")
 
 
 class Msal(click.Group):
@@ -65,6 +65,7 @@ Examples:
   msal denoise scan.ply -o smooth.ply -n 3  one file
   msal denoise - < in.ply > out.ply         a stream
   msal info scan.ply                        what is in a file
+  msal report denoised -o night.csv         what earlier runs did
 \b
 Exit status: 0 done, 1 all failed or fatal, 2 wrong use, 3 some files failed,
 4 a gate failed, 5 nothing matched, 130 and 143 interrupted.

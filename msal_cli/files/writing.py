@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import functools
 import os
 import re
 import secrets
@@ -180,9 +181,17 @@ def _temporary_name(name: str) -> str:
     return f".{name}{suffix}"
 
 
+@functools.cache
 def _machine() -> str:
-    """Eight hexadecimal digits that tell machines that share a file system apart."""
-    return f"{zlib.crc32(socket.gethostname().encode('utf-8', 'replace')) & 0xFFFFFFFF:08x}"
+    """Eight hexadecimal digits that tell machines that share a file system apart.
+
+    Containers may have one host name and yet not see each other's processes.
+    """
+    try:
+        processes = os.readlink("/proc/self/ns/pid")
+    except OSError:
+        processes = ""
+    return f"{zlib.crc32((socket.gethostname() + processes).encode('utf-8', 'replace')):08x}"
 
 
 def _move(temporary: Path, target: Path) -> None:

@@ -38,7 +38,7 @@ def summary(
     every file, warning and failure, however many there are.
     """
     if len(records) == 1:
-        return list(_of_one(records[0]))
+        return list(_of_one(run, records[0]))
     return list(_of_many(run, records, width, verbose))
 
 
@@ -67,13 +67,18 @@ def file_name(name: str) -> str:
 # One file
 
 
-def _of_one(record: MeshRecord) -> Iterator[Line]:
+def _of_one(run: Run, record: MeshRecord) -> Iterator[Line]:
     name = file_name(record.input)
     if record.error is not None:
         yield from _failure(record, "")
+        if record.remembered:
+            yield Line(f"it {remembered_words()}")
         return
     if record.status == "planned":
-        yield Line(f"{name} would be written to {_output_name(record)}")
+        if run.interrupted:
+            yield Line(f"{name} was not finished", "bad")
+        else:
+            yield Line(f"{name} would be written to {_output_name(record)}")
         return
     if record.status == "up-to-date":
         yield Line(f"{_output_name(record)} is up to date", "good")
@@ -235,6 +240,14 @@ def failures(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
         yield from _failure(record, "  ")
     if len(failed) > len(kept):
         yield Line(f"  ... and {len(failed) - len(kept):,} more (-v or --report)", "bad")
+    if n_remembered := sum(record.remembered for record in failed):
+        yield Line(f"  {n_remembered:,} of them {remembered_words(n_remembered)}")
+
+
+def remembered_words(count: int = 1) -> str:
+    """What is said of files that failed in an earlier run."""
+    pronoun = "it" if count == 1 else "them"
+    return f"failed in an earlier run and would fail again; --retry-failed tries {pronoun} anyway"
 
 
 def _failure(record: MeshRecord, indent: str) -> Iterator[Line]:

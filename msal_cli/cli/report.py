@@ -1,0 +1,96 @@
+"""``msal report``: what earlier runs did, from what they left behind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from msal_cli.cli import exit_codes, talk
+from msal_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from msal_cli.cli.earlier import Account
+
+_PATH = click.Path(readable=False, allow_dash=True)
+
+
+@dataclass(frozen=True)
+class Request:
+    """The command line of ``msal report``, as click has read it."""
+
+    runs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    as_json: bool
+    check: bool
+    quiet: bool
+    verbose: int
+
+
+@click.command(
+    "report", short_help="Report on earlier runs.", epilog="Exit status: see msal --help."
+)
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=_PATH)
+@click.option(
+    "-o",
+    "--output",
+    "outputs",
+    metavar="FILE",
+    multiple=True,
+    type=_PATH,
+    help="Write a record of every file, in the format of the suffix; see --report of msal denoise. "
+    "Repeatable.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the JSON report to standard output.")
+@click.option(
+    "--check",
+    is_flag=True,
+    help="Exit with 1 if all files failed, 3 if some failed or are not finished.",
+)
+@click.option("-q", "--quiet", is_flag=True, help="No summary; only errors.")
+@click.option("-v", "--verbose", count=True, help="List every file.")
+def command(**options: Any) -> int:
+    """Tell what earlier runs did, shards and reruns together, each file once.
+
+    RUN is an output folder, a manifest in it, or a report in .json or .jsonl. Of several records
+    of a file the newest counts. A file that a run set out to write and did not finish is planned.
+    """
+    from msal_cli.batch import signals
+
+    request = Request(**options)
+    if request.quiet and request.verbose:
+        raise UsageError("--quiet and --verbose contradict each other", hint="give one of them")
+    with signals.noticed(signals.raise_for):
+        return _reported(request)
+
+
+def _reported(request: Request) -> int:
+    from msal_cli.cli import earlier, reports
+    from msal_cli.report import as_json, as_text
+
+    # A suffix that says nothing is cheaper to refuse before a large folder is read.
+    reports.check(request.outputs, ())
+    told = earlier.account(request.runs)
+    meshes = [path for one in told.records for path in (one.input, one.output) if path is not None]
+    reports.check(request.outputs, [*told.paths, *meshes])
+    if not request.quiet:
+        lines = as_text.summary(
+            told.run, told.records, width=talk.width(), verbose=request.verbose > 0
+        )
+        talk.say_lines(lines)
+    for remark in told.remarks:
+        talk.say(remark, "bad")
+    try:
+        reports.write(request.outputs, told.run, told.records)
+    finally:
+        if request.as_json:
+            talk.put_bytes(as_json.encoded(told.run, told.records))
+    return _status(told) if request.check else exit_codes.SUCCESS
+
+
+def _status(told: Account) -> int:
+    """The status of a run that left this behind; what is not finished counts as failed."""
+    n_lost = sum(record.status in ("failed", "planned") for record in told.records)
+    status = exit_codes.of_files(len(told.records), n_lost)
+    return status if told.is_whole else exit_codes.worst(status, exit_codes.SOME_FAILED)

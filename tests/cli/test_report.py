@@ -1,0 +1,267 @@
+"""``msal report``: runs told from what they left behind."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+
+import pytest
+
+from msal_cli.batch.lock import FolderLock
+from msal_cli.batch.manifest import NAME
+from msal_cli.batch.shards import Shard
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
+
+
+@pytest.fixture
+def scans(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return folder_of(tmp_path / "in", **{f"s{n}": closed_scan(n) for n in range(3)})
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A folder after a run, made once: in, out, r.json and r.jsonl."""
+    folder = tmp_path_factory.mktemp("finished")
+    folder_of(folder / "in", **{f"s{n}": closed_scan(n) for n in range(3)})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        denoised("--report", "r.json", "--report", "r.jsonl")
+    return folder
+
+
+@pytest.fixture
+def done(finished, tmp_path, monkeypatch):
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "in"
+
+
+def ran(*words):
+    one = msal(*words)
+    assert "Traceback" not in one.stderr and "internal error" not in one.stderr, one.stderr
+    return one
+
+
+def denoised(*words, out="out"):
+    return ran("denoise", "in", "-o", out, "-j", "1", *words)
+
+
+def told(*words):
+    one = ran("report", *words, "--json")
+    assert one.exit_code == 0, one.stderr
+    return json.loads(one.stdout)
+
+
+def by_name(document):
+    return {record["input"]: record["status"] for record in document["records"]}
+
+
+def shard_of(name, count):
+    return next(k for k in range(1, count + 1) if Shard(k, count).has(name))
+
+
+class TestOneFolder:
+    def test_it_tells_what_the_run_itself_told(self, scans):
+        (scans / "bad.ply").write_bytes(BAD_SCAN)
+        own = json.loads(denoised("--json").stdout)
+        again = told("out")
+        assert again["records"] == own["records"]
+        for key in ("schema", "version", "command", "settings", "totals", "interrupted"):
+            assert again[key] == own[key], key
+        assert own["started"] <= again["started"] <= again["finished"] <= own["finished"]
+        assert 0.0 < again["seconds"] <= own["seconds"]
+
+    def test_a_rerun_does_not_hide_what_was_done(self, scans):
+        denoised()
+        denoised()
+        document = told("out")
+        assert document["totals"]["written"] == 3 and not document["interrupted"]
+
+    def test_every_format_and_the_summary(self, done):
+        one = ran("report", "out", "-o", "new/r.json", "-o", "r.jsonl", "-o", "r.csv", "--check")
+        assert one.exit_code == 0 and one.stdout == ""
+        assert "3 files: 3 written" in one.stderr
+        with open("r.csv", newline="") as file:
+            rows = list(csv.DictReader(io.StringIO(file.read())))
+        names = [f"in/s{n}.ply" for n in range(3)]
+        assert [row["input"] for row in rows] == names
+        assert list(by_name(told("new/r.json"))) == names
+        assert list(by_name(told("r.jsonl"))) == names
+        assert ran("report", "out", "-q").stderr == ""
+
+    def test_what_was_not_finished_is_seen(self, done):
+        path = done.parent / "out" / NAME
+        lines = path.read_bytes().splitlines(keepends=True)
+        torn, kept = lines[-2], lines[:-3]
+        assert b'"end"' in lines[-1] and b'"done"' in torn
+        path.write_bytes(b"".join(kept) + torn[:-7])
+        document = told("out")
+        assert list(by_name(document)) == ["in/s0.ply", "in/s1.ply", "in/s2.ply"]
+        assert sorted(by_name(document).values()) == ["planned", "planned", "written"]
+        assert document["interrupted"] and document["totals"]["planned"] == 2
+        one = ran("report", "out", "--check")
+        assert one.exit_code == 3
+        assert "2 not done" in one.stderr and "did not come to its end" in one.stderr
+        denoised()
+        assert ran("report", "out", "--check").exit_code == 0
+
+    def test_a_run_at_work_is_named(self, done):
+        with FolderLock("out", Shard(1, 2)):
+            one = ran("report", "out", "--check")
+        assert one.exit_code == 3 and "(shard 1/2) still at work" in one.stderr
+
+    def test_a_manifest_of_an_older_version(self, done):
+        path = done.parent / "out" / NAME
+        lines = [json.loads(line) for line in path.read_bytes().splitlines()]
+        old = [
+            {key: value for key, value in line.items() if key not in ("at", "paths")}
+            for line in lines
+            if line["kind"] in ("intent", "done")
+        ]
+        path.write_text("".join(json.dumps(line) + "\n" for line in old))
+        document = told("out")
+        assert document["totals"]["written"] == 3 and document["settings"]["method"] == "msal"
+        assert "3 up to date" in denoised().stderr
+
+
+class TestCheck:
+    def test_some_and_all_failed(self, scans):
+        (scans / "bad.ply").write_bytes(BAD_SCAN)
+        assert denoised().exit_code == ran("report", "out", "--check").exit_code == 3
+        assert ran("report", "out").exit_code == 0
+        for n in range(3):
+            (scans / f"s{n}.ply").write_bytes(BAD_SCAN)
+        assert denoised().exit_code == ran("report", "out", "--check").exit_code == 1
+
+    def test_a_shard_that_did_not_run(self, scans):
+        first = shard_of("s0.ply", 2)
+        denoised("--shard", f"{first}/2")
+        one = ran("report", "out", "--check")
+        assert one.exit_code == 3 and f"shard {3 - first}/2" in one.stderr
+        denoised("--shard", f"{3 - first}/2")
+        one = ran("report", "out", "--check")
+        assert one.exit_code == 0 and "3 files: 3 written" in one.stderr
+        # Other shards of the same work do not undo that it was done.
+        denoised("--shard", "1/5")
+        assert ran("report", "out", "--check").exit_code == 0
+
+
+class TestSeveral:
+    def test_the_newest_record_of_a_file_counts(self, scans):
+        (scans / "s1.ply").write_bytes(BAD_SCAN)
+        denoised("--report", "first.json", "--report", "first.jsonl")
+        (scans / "s1.ply").write_bytes(closed_scan(1))
+        denoised("--report", "second.json")
+        for first in ("first.json", "first.jsonl"):
+            document = told(first, "second.json")
+            assert [record["status"] for record in document["records"]] == [
+                "up-to-date",
+                "written",
+                "up-to-date",
+            ]
+        assert by_name(told("second.json", "first.json")) == by_name(told("second.json"))
+        # The folder's own record of s1 is newer than the first report's, and no other is.
+        assert set(by_name(told("first.json", "out")).values()) == {"written"}
+
+    def test_two_outputs_of_one_input_are_two(self, done):
+        denoised("--method", "al", out="al")
+        document = told("out", "al")
+        assert len(document["records"]) == 6 and document["settings"]["method"] == "al"
+
+    def test_a_manifest_by_name(self, scans):
+        for k in (1, 2):
+            denoised("--shard", f"{k}/2")
+        manifests = sorted(str(one) for one in (scans.parent / "out").glob(".msal-manifest-*"))
+        assert len(manifests) == 2
+        assert told(*manifests)["totals"]["written"] == 3
+        shutil.copy(manifests[0], "kept.jsonl")
+        assert told("kept.jsonl")["records"] == told(manifests[0])["records"]
+
+    def test_names_that_are_no_text_come_through(self, scans):
+        (scans / "s0.ply").rename(scans / "\udcff\\udcfe=1\n.ply")
+        denoised("--report", "r.json")
+        assert told("r.json")["records"] == told("out")["records"]
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("words", "status", "said"),
+        [
+            (("nowhere",), 2, "no file or folder"),
+            (("in",), 2, "no manifest in the folder"),
+            (("in/s0.ply",), 2, "suffix"),
+            (("r.json", "-o", "r.xyz"), 2, "no known format"),
+            (("r.json", "-o", "r.json"), 2, "would replace"),
+            (("r.json", "-o", "./out/s0.json"), 0, ""),
+            (("r.json", "-o", "-"), 2, "name of a file"),
+            (("r.json", "-q", "-v"), 2, "contradict"),
+            ((), 2, "Missing argument"),
+        ],
+    )
+    def test_wrong_use(self, done, words, status, said):
+        before = {path: path.read_bytes() for path in done.parent.rglob("*.*") if path.is_file()}
+        one = ran("report", *words)
+        assert one.exit_code == status and said in one.stderr
+        assert all(path.read_bytes() == data for path, data in before.items())
+
+    def test_a_mesh_is_never_replaced(self, done):
+        document = json.loads((done.parent / "r.json").read_text())
+        document["records"][0]["output"] = "mesh.csv"
+        (done.parent / "r.json").write_text(json.dumps(document))
+        one = ran("report", "r.json", "-o", "mesh.csv")
+        assert one.exit_code == 2 and "would replace the mesh" in one.stderr
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "",
+            "null",
+            "[]",
+            "{",
+            "[" * 100_000,
+            '{"schema": "msal.info/1"}',
+            '{"schema": "msal.report/1", "records": []}',
+            "\xff",
+            '{"kind":"done"',
+        ],
+    )
+    @pytest.mark.parametrize("name", ["bad.json", "bad.jsonl"])
+    def test_what_is_no_report(self, done, name, text):
+        (done.parent / name).write_bytes(text.encode("latin-1"))
+        one = ran("report", name)
+        if name == "bad.jsonl" and text in ("", '{"kind":"done"'):
+            # No lines, and a manifest that a run was killed over.
+            assert one.exit_code == 0 and "0 files" in one.stderr
+        else:
+            assert one.exit_code == 1
+            assert "no report of msal denoise" in one.stderr and name in one.stderr
+
+    @pytest.mark.parametrize(
+        ("field", "value"),
+        [
+            ("input", 7),
+            ("input", None),
+            ("status", "done"),
+            ("vertices", "many"),
+            ("vertices", True),
+            ("warnings", "one"),
+            ("volume", []),
+            ("volume", {"before": "x"}),
+            ("error", {"code": "E_FORMAT", "message": "x"}),
+            ("method", {"name": "msal", "parameters": 5}),
+        ],
+    )
+    def test_a_record_that_is_none(self, done, field, value):
+        document = json.loads((done.parent / "r.json").read_text())
+        document["records"][1][field] = value
+        (done.parent / "r.json").write_text(json.dumps(document))
+        one = ran("report", "r.json")
+        assert one.exit_code == 1 and "record 2" in one.stderr
+        lines = (done.parent / "r.jsonl").read_text().splitlines()
+        lines[1] = json.dumps(json.loads(lines[1]) | {field: value})
+        (done.parent / "r.jsonl").write_text("\n".join(lines))
+        one = ran("report", "r.jsonl")
+        assert one.exit_code == 1 and "line 2" in one.stderr
