@@ -208,6 +208,8 @@ class DaskEngine:
             log_level=logging.getLogger("msal").getEffectiveLevel(),
             folder=os.getcwd(),
             must_exist=self._must_exist(),
+            limits=work.limits,
+            retries=work.retries,
         )
         payload = pickle.dumps((order, {index: work.tasks[index] for index in indices}))
         key = f"msal-{self._run}-{number}"

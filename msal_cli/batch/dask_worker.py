@@ -22,8 +22,10 @@ from typing import Any
 
 from msal_cli import __version__
 from msal_cli.batch import temporaries
+from msal_cli.batch.schedule import Schedule
 from msal_cli.batch.workers import Advanced, Crew, Interrupt, Lost, Message, Returned
 from msal_cli.errors import ResourceError
+from msal_cli.pipeline import NO_LIMITS, Limits
 
 TOPIC = "msal"
 """The topic of Dask's events under which workers tell what happens, file by file."""
@@ -45,6 +47,7 @@ class Order:
     log_level : what the parent wants to hear.
     folder : the parent's current folder, to which relative paths belong.
     must_exist : files and folders that a worker sees if it shares the file system.
+    limits, retries : as in ``engine.Work``; a second try is alone in its own worker only.
     """
 
     run: str
@@ -54,6 +57,8 @@ class Order:
     log_level: int
     folder: str
     must_exist: tuple[str, ...]
+    limits: Limits = NO_LIMITS
+    retries: int = 1
 
 
 @dataclass(frozen=True)
@@ -143,6 +148,8 @@ class _Bench:
             (order.folder, order.function, order.common),
             jobs=1,
             cores=order.cores,
+            limits=order.limits,
+            schedule=Schedule((), retries=order.retries),
             on_death=self._clear_away,
             stays=True,
         )

@@ -333,6 +333,8 @@ class _Run:
             for index, key in self._keys(records)
         )
         for index, record in finished:
+            # What an earlier run has failed at is no reason to give up this one.
+            self._n_failed += record.status == "failed"
             self._settle(index, record)
 
     def _note(self, lines: Iterable[tuple[int, dict[str, Any]]]) -> None:
@@ -344,7 +346,6 @@ class _Run:
 
     def _settle(self, index: int, record: MeshRecord) -> None:
         self._records[index] = record
-        self._n_failed += record.status == "failed"
         self._on_event(Finished(index, record))
 
     def _in_order(self) -> list[MeshRecord]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from msal_cli.batch.events import Event
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.pipe import Pipe
-    from msal_cli.pipeline import Settings
+    from msal_cli.pipeline import Limits, Settings
     from msal_cli.records import MeshRecord
     from msal_cli.report.document import Run
 
@@ -52,6 +52,12 @@ class Request:
     strict: bool
     format: str | None
     jobs: int | None
+    timeout: float | None
+    memory_limit: int | None
+    max_faces: int | None
+    retries: int | None
+    fail_fast: bool
+    max_failures: int | None
     engine: str
     scheduler: str | None
     dry_run: bool
@@ -179,8 +185,40 @@ _PATH = click.Path(readable=False, allow_dash=True)
     default="auto",
     show_default=True,
     callback=words.jobs,
-    help="Files at the same time; more is faster and takes more memory. auto is one per core. "
-    "The results do not depend on it.",
+    help="Files at the same time; more is faster and takes more memory. auto is one per core, as "
+    "far as memory allows. The results do not depend on it.",
+)
+@click.option(
+    "--timeout",
+    metavar="TIME",
+    callback=words.duration,
+    help="Most time for one file: seconds, or 90s, 5m, 1h.  [default: none]",
+)
+@click.option(
+    "--memory-limit",
+    metavar="SIZE",
+    callback=words.size,
+    help="Most memory for one file and for each worker: 500M, 2G, 1.5GiB.  [default: none]",
+)
+@click.option(
+    "--max-faces",
+    metavar="N",
+    callback=words.count_from(1),
+    help="Refuse files with more faces.  [default: none]",
+)
+@click.option(
+    "--retries",
+    metavar="N",
+    callback=words.count_from(0),
+    help="How often a file is tried again, alone, that was lost to a crash, memory or time.  "
+    "[default: 1]",
+)
+@click.option("--fail-fast", is_flag=True, help="Begin no more files once one has failed.")
+@click.option(
+    "--max-failures",
+    metavar="N",
+    callback=words.count_from(1),
+    help="Begin no more files once N have failed.  [default: none]",
 )
 @click.option(
     "--engine",
@@ -267,6 +305,7 @@ class _Session:
         request = self._request
         with signals.noticed(signals.raise_for):
             _refuse_contradictions(request)
+            words.check_threads_variable()
             one = pipe(request.inputs, request.output)
             settings = _settings(request)
             if one is not None:
@@ -289,7 +328,7 @@ class _Session:
         settings = replace(settings, to=pipe.target_format(one, settings.to))
         bar = progress.stream_bar(one.source, quiet=request.quiet)
         try:
-            record = pipe.denoised(one, settings, bar.on_progress)
+            record = pipe.denoised(one, settings, bar.on_progress, _limits(request))
         finally:
             bar.close()
         _log_record(record)
@@ -324,6 +363,9 @@ class _Session:
                 jobs=request.jobs,
                 on_event=progress.heard_by(keep, bar.on_event),
                 dry_run=request.dry_run,
+                limits=_limits(request),
+                retries=1 if request.retries is None else request.retries,
+                stop_after_failures=1 if request.fail_fast else request.max_failures,
                 command=("msal", *self._arguments),
                 engine=engine,
             )
@@ -366,7 +408,8 @@ class _Session:
         from msal_cli.report import as_json
 
         request = self._request
-        run = self._described(settings, interrupted)
+        is_given_up = not request.dry_run and any(one.status == "planned" for one in records)
+        run = self._described(settings, interrupted or is_given_up)
         self._tell(run, records)
         try:
             if not request.dry_run:
@@ -377,7 +420,11 @@ class _Session:
             if request.as_json:
                 talk.put_bytes(as_json.encoded(run, records))
         n_failed = sum(record.status == "failed" for record in records)
-        return exit_codes.of_files(len(records), n_failed)
+        n_left = 0 if request.dry_run else sum(one.status == "planned" for one in records)
+        if n_left and not interrupted:
+            failures = "1 failure" if n_failed == 1 else f"{n_failed:,} failures"
+            talk.say(f"stopped after {failures}; {n_left:,} files were not begun")
+        return exit_codes.of_files(len(records), n_failed, is_given_up=n_left > 0)
 
     def _tell(self, run: Run, records: Sequence[MeshRecord]) -> None:
         from msal_cli.report import as_text
@@ -437,6 +484,16 @@ def _refuse_contradictions(request: Request) -> None:
     if (request.backup is not None or request.no_backup) and not request.in_place:
         word = "--no-backup" if request.no_backup else "--backup"
         raise UsageError(f"{word} needs --in-place", hint="other inputs are never replaced")
+    if request.fail_fast and request.max_failures is not None:
+        raise UsageError(
+            "--fail-fast and --max-failures contradict each other", hint="give one of them"
+        )
+
+
+def _limits(request: Request) -> Limits:
+    from msal_cli.pipeline import Limits
+
+    return Limits(request.timeout, request.memory_limit, request.max_faces)
 
 
 def _refuse_for_streams(request: Request, one: Pipe) -> None:
@@ -448,6 +505,17 @@ def _refuse_for_streams(request: Request, one: Pipe) -> None:
         "--shard": request.shard,
         "--retry-failed": request.retry_failed,
         "--engine dask": request.engine != "workers",
+        "--fail-fast": request.fail_fast,
+    }
+    # 0 retries are given too.
+    given |= {
+        word: value is not None
+        for word, value in (
+            ("--timeout", request.timeout),
+            ("--memory-limit", request.memory_limit),
+            ("--retries", request.retries),
+            ("--max-failures", request.max_failures),
+        )
     }
     for word, value in given.items():
         if value:

@@ -1,7 +1,8 @@
 """The exit statuses of msal, all of them, and which one wins.
 
 | 0 | every selected file is written or up to date |
-| 1 | fatal: the only file failed, all failed, the output cannot be written, an internal error |
+| 1 | fatal: the only file failed, all failed, given up after --max-failures, the output cannot be
+      written, an internal error |
 | 2 | wrong use or configuration; nothing was touched |
 | 3 | some files failed; the others are written and valid |
 | 4 | all were processed, but a gate failed |
@@ -35,8 +36,12 @@ def worst(first: int, second: int) -> int:
     return max(first, second, key=_RISING.index)
 
 
-def of_files(n_files: int, n_failed: int, *, is_gate_failed: bool = False) -> int:
-    """The status of a run over ``n_files`` files that came to its end."""
+def of_files(
+    n_files: int, n_failed: int, *, is_gate_failed: bool = False, is_given_up: bool = False
+) -> int:
+    """The status of a run over ``n_files`` files that came to its end, or was given up."""
+    if is_given_up:
+        return FATAL
     if n_failed:
         return FATAL if n_failed == n_files else SOME_FAILED
     return GATE_FAILED if is_gate_failed else SUCCESS

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from msal_cli.files import Buffer
-    from msal_cli.pipeline import Settings
+    from msal_cli.pipeline import Limits, Settings
     from msal_cli.records import MeshRecord
 
 STREAM = "-"
@@ -86,9 +86,14 @@ def target_format(one: Pipe, to: str | None) -> str | None:
 
 
 def denoised(
-    one: Pipe, settings: Settings, on_progress: Callable[[str, int, int], None]
+    one: Pipe,
+    settings: Settings,
+    on_progress: Callable[[str, int, int], None],
+    limits: Limits,
 ) -> MeshRecord:
     """Read, denoise, write, and tell; nothing is written unless all went well.
+
+    Of ``limits`` only that of faces counts.
 
     Raises
     ------
@@ -107,7 +112,7 @@ def denoised(
     )
     try:
         output, record = denoise_bytes(
-            _read(one.source, settings.format), one.source, settings, on_progress
+            _read(one.source, settings.format), one.source, settings, on_progress, limits
         )
         if output is None:
             return record

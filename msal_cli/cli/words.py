@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import difflib
 import importlib.util
+import os
 import pkgutil
+import re
 from collections.abc import Callable
 
 import click
@@ -15,6 +17,16 @@ COMPLETE_VARIABLE = "_MSAL_COMPLETE"
 """The environment variable through which a shell asks for completions."""
 
 _MOST_JOBS = 4096
+_MOST_DIGITS = 15
+
+_NUMBER_AND_UNIT = re.compile(
+    r"(\d{1,15}(?:\.\d{0,9})?|\.\d{1,9})\s*([a-z]*)", re.ASCII | re.IGNORECASE
+)
+_SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_BYTES = {
+    **{f"{letter}{end}": 1000**n for n, letter in enumerate("kmgt", 1) for end in ("", "b")},
+    **{f"{letter}ib": 1024**n for n, letter in enumerate("kmgt", 1)},
+}
 
 
 def method_names() -> tuple[str, ...]:
@@ -47,6 +59,66 @@ def jobs(context: click.Context, parameter: click.Parameter, value: str) -> int 
             f"{value!r} is neither auto nor a whole number from 1 to {_MOST_JOBS}"
         )
     return int(value[:9])
+
+
+def count_from(least: int) -> Callable[[click.Context, click.Parameter, str | None], int | None]:
+    """A callback for an option whose value is a whole number from ``least``."""
+
+    def count(context: click.Context, parameter: click.Parameter, value: str | None) -> int | None:
+        if value is None:
+            return None
+        is_number = value.isascii() and value.isdigit() and len(value) <= _MOST_DIGITS
+        if not is_number or int(value) < least:
+            raise click.BadParameter(f"{value!r} is not a whole number from {least} up")
+        return int(value)
+
+    return count
+
+
+def duration(context: click.Context, parameter: click.Parameter, value: str | None) -> float | None:
+    """Seconds: ``90``, ``1.5m``, ``2h``; None for ``none``.
+
+    Raises
+    ------
+    click.BadParameter
+        for anything else, and for no time at all.
+    """
+    if value is None or value == "none":
+        return None
+    match = _NUMBER_AND_UNIT.fullmatch(value.strip())
+    unit = _SECONDS.get(match[2].lower()) if match else None
+    if match is None or unit is None or not float(match[1]) * unit > 0.0:
+        raise click.BadParameter(f"{value!r} is not a time such as 90, 90s, 5m or 1h")
+    return float(match[1]) * unit
+
+
+def size(context: click.Context, parameter: click.Parameter, value: str | None) -> int | None:
+    """Bytes: ``500M`` and ``500MB`` are 500 million, ``500MiB`` is 500 * 1024 * 1024; None for
+    ``none``.
+
+    Raises
+    ------
+    click.BadParameter
+        for anything else; a number without a unit too, since nobody means bytes by it.
+    """
+    if value is None or value == "none":
+        return None
+    match = _NUMBER_AND_UNIT.fullmatch(value.strip())
+    unit = _BYTES.get(match[2].lower()) if match else None
+    if match is None or unit is None or not float(match[1]) * unit >= 1.0:
+        raise click.BadParameter(f"{value!r} is not a size such as 500M, 2G or 1.5GiB")
+    return int(float(match[1]) * unit)
+
+
+def check_threads_variable() -> None:
+    """Refuse a value of ``MSAL_THREADS`` that means nothing; UsageError."""
+    value = os.environ.get("MSAL_THREADS", "")
+    is_number = value.isascii() and value.isdigit() and len(value) <= _MOST_DIGITS
+    if value and not (is_number and int(value) > 0):
+        raise UsageError(
+            f"MSAL_THREADS is {value!r}, which is not a whole number from 1 up",
+            hint="set it to a number of threads, or unset it",
+        )
 
 
 def settled_format(

@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 
 from msal_cli.batch.temporaries import temporary_name
+from msal_cli.pipeline import FORECAST
 from msal_cli.records import Failure, MeshRecord
 
 DEATHS = {
@@ -71,6 +72,12 @@ def work(task, common, on_progress):
     if action == "grow":
         HOARD.append(bytearray(os.urandom(1)) * argument)
         return os.getpid()
+    if action == "hold":
+        HOARD.append(b"x" * argument)
+        time.sleep(60)
+    if action == "bad_alloc":
+        os.write(2, b"terminate called after throwing an instance of 'std::bad_alloc'\n")
+        os.abort()
     if action == "unpicklable":
         return lambda: None
     if action == "alone":
@@ -100,7 +107,7 @@ def is_running(pid):
     return text.rpartition(")")[2].split()[0] not in "ZX"
 
 
-def denoise(task, settings, on_progress=None):
+def denoise(task, settings, on_progress=None, limits=None):
     """In the place of ``pipeline.denoise_file``: upper case for lower, and deaths to order."""
     data = Path(task.input).read_bytes()
     for line in data.decode().splitlines():
@@ -123,6 +130,9 @@ def denoise(task, settings, on_progress=None):
             return MeshRecord(
                 input=task.input, status="failed", error=Failure("E_MEMORY", "made to fail")
             )
+        if line.startswith("foreseen"):
+            error = Failure("E_MEMORY", "made to fail", where=FORECAST)
+            return MeshRecord(input=task.input, status="failed", error=error)
         if line.startswith("die "):
             how, *once = line.split()[1:]
             mark = Path(task.input + ".died")
@@ -140,6 +150,11 @@ def denoise(task, settings, on_progress=None):
         Path(task.input + task.backup).write_bytes(data)
     output = (settings.method + " " + data.decode().upper()).encode()
     written(Path(task.output), output)
+    if data.startswith(b"replaced"):
+        mark = Path(task.input + ".died")
+        if b"always" in data or not mark.exists():
+            mark.touch()
+            die("kill")
     return MeshRecord(
         input=task.input,
         output=task.output,

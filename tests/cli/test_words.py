@@ -39,3 +39,54 @@ def test_formats_in_any_spelling():
     with pytest.raises(UsageError) as caught:
         words.settled_format("zzz", known, "--to")
     assert caught.value.hint == "known are: ply, obj"
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("90", 90.0), ("90s", 90.0), ("1.5m", 90.0), ("2h", 7200.0), (".5 h", 1800.0), ("none", None)],
+)
+def test_durations(text, seconds):
+    assert words.duration(None, None, text) == seconds
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [
+        ("500M", 500 * 10**6),
+        ("500mb", 500 * 10**6),
+        ("2G", 2 * 10**9),
+        ("1.5GiB", 3 << 29),
+        ("64 MiB", 64 << 20),
+        ("none", None),
+    ],
+)
+def test_sizes(text, count):
+    assert words.size(None, None, text) == count
+
+
+@pytest.mark.parametrize("text", ["", "x", "-1", "0", "0s", "1e9", "5 parsecs", "inf", "nan", "٣"])
+def test_no_duration(text):
+    with pytest.raises(click.BadParameter, match="is not a time"):
+        words.duration(None, None, text)
+
+
+@pytest.mark.parametrize("text", ["", "500", "0M", "-2G", "2GG", "1e3M", "0.0000001K", "M"])
+def test_no_size(text):
+    with pytest.raises(click.BadParameter, match="is not a size"):
+        words.size(None, None, text)
+
+
+@pytest.mark.parametrize("text", ["", "-1", "1.0", "x", "9" * 16, "²"])
+def test_no_count(text):
+    with pytest.raises(click.BadParameter, match="is not a whole number from 1 up"):
+        words.count_from(1)(None, None, text)
+    assert words.count_from(0)(None, None, "0") == 0
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "two", "1.5"])
+def test_a_number_of_threads_that_is_none_is_refused(text, monkeypatch):
+    monkeypatch.setenv("MSAL_THREADS", text)
+    with pytest.raises(UsageError, match="MSAL_THREADS"):
+        words.check_threads_variable()
+    monkeypatch.setenv("MSAL_THREADS", "3")
+    words.check_threads_variable()

@@ -1,0 +1,312 @@
+"""Time, memory, retries and giving up: with fakes that hang, and with the real command."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from msal_cli.batch import worker_process, workers
+from msal_cli.batch.events import Started
+from msal_cli.batch.inputs import found
+from msal_cli.batch.manifest import NAME
+from msal_cli.batch.plan import built
+from msal_cli.batch.run import run
+from msal_cli.batch.schedule import Schedule
+from msal_cli.batch.workers import Again, Began, Crew, Lost, Returned
+from msal_cli.errors import UsageError
+from msal_cli.pipeline import Limits, Settings
+from tests.batch import fakes
+from tests.batch.test_whole import children_of, obj
+
+posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs Linux")
+
+
+def heard(tasks, **options):
+    options = {"jobs": 2, "cores": 2} | options
+    crew = Crew(dict(enumerate(tasks)), fakes.work, None, **options)
+    return [message for batch in crew.batches() for message in batch]
+
+
+def lost(messages):
+    return {one.index: one for one in messages if isinstance(one, Lost)}
+
+
+def results(messages):
+    return {one.index: one.result for one in messages if isinstance(one, Returned)}
+
+
+class TestTime:
+    def test_a_task_that_hangs_is_lost_alone_and_the_others_are_done(self):
+        deaths = []
+        messages = heard(
+            [("double", 1), ("sleep", 60), ("double", 3)],
+            limits=Limits(timeout_s=0.4),
+            on_death=lambda pid, index: deaths.append(index),
+        )
+        assert results(messages) == {0: 2, 2: 6}
+        (one,) = lost(messages).values()
+        assert (one.index, one.cause) == (1, "timeout")
+        assert "0.4 s" in one.reason and "--timeout" in one.hint
+        assert [type(m) for m in messages if m.index == 1] == [Began, Again, Began, Lost]
+        assert deaths == [1, 1]
+
+    @posix
+    def test_a_worker_that_is_stopped_is_killed_all_the_same(self):
+        crew = Crew({0: ("sleep", 60)}, fakes.work, None, jobs=1, cores=1,
+                    limits=Limits(timeout_s=0.5), schedule=Schedule([0], retries=0))  # fmt: skip
+        messages = []
+        for batch in crew.batches():
+            messages += batch
+            if any(isinstance(one, Began) for one in batch):
+                os.kill(crew._workers[0].pid, signal.SIGSTOP)
+        assert [type(one) for one in messages] == [Began, Lost]
+
+    def test_time_in_the_queue_does_not_count(self):
+        tasks = [("sleep", 0.3)] * 4
+        assert len(results(heard(tasks, jobs=1, limits=Limits(timeout_s=5.0)))) == 4
+
+    def test_a_worker_that_never_gets_ready_is_given_up(self, monkeypatch):
+        monkeypatch.setattr(workers, "_READY_WITHIN_S", 0.2)
+        monkeypatch.setattr(worker_process, "_BOOT", "import time; time.sleep(60)")
+        with pytest.raises(workers.ResourceError, match="end before they start"):
+            heard([("double", 1)])
+
+
+class TestRetries:
+    @pytest.mark.parametrize("retries", [0, 2])
+    def test_so_many_tries_there_are(self, retries):
+        messages = heard([("exit", 0), ("double", 1)], schedule=Schedule([0, 1], retries=retries))
+        assert len([one for one in messages if isinstance(one, Again)]) == retries
+        assert isinstance(messages[-1] if retries else lost(messages)[0], Lost)
+        assert results(messages) == {1: 2}
+
+    def test_an_objection_ends_the_tries(self):
+        messages = heard([("exit", 0)], on_loss=lambda index: f"task {index} is spoilt")
+        assert lost(messages)[0].cause == "changed"
+        assert "task 0 is spoilt" in lost(messages)[0].reason
+
+
+@posix
+def test_a_kill_by_the_system_for_want_of_memory_is_told_apart(monkeypatch):
+    counts = iter([4, 4, 4, 5])
+    monkeypatch.setattr(workers, "oom_kills", lambda: next(counts))
+    messages = heard([("kill", 0)])
+    assert [one.reason for one in messages if isinstance(one, Again)] == [
+        "the worker was killed by SIGKILL"
+    ]
+    assert lost(messages)[0].cause == "memory"
+
+
+class TestMemory:
+    @linux
+    def test_the_system_refuses_more(self):
+        messages = heard(
+            [("grow", 10 << 20), ("grow", 600 << 20), ("double", 2)],
+            limits=Limits(memory_bytes=300_000_000),
+            jobs=1,
+        )
+        assert set(results(messages)) == {0, 2}
+        one = lost(messages)[1]
+        assert one.cause == "memory" and "300 MB" in one.reason
+        assert "--memory-limit" in one.hint
+
+    @linux
+    def test_where_the_system_cannot_the_worker_looks_itself(self, monkeypatch):
+        boot = worker_process._BOOT.replace(
+            "serve; serve()",
+            "serve; import msal_cli.batch.worker as w, sys; sys.platform = 'other'; serve()",
+        )
+        monkeypatch.setattr(worker_process, "_BOOT", boot)
+        messages = heard(
+            [("hold", 600 << 20), ("double", 2)], limits=Limits(memory_bytes=300_000_000), jobs=1
+        )
+        assert lost(messages)[0].cause == "memory"
+        assert results(messages) == {1: 4}
+
+    @posix
+    def test_a_library_that_aborts_at_the_limit_ran_out_of_memory(self):
+        options = {"limits": Limits(memory_bytes=300_000_000), "jobs": 1}
+        assert lost(heard([("bad_alloc", 0)], **options))[0].cause == "memory"
+        assert lost(heard([("abort", 0)], **options))[0].cause == "crash"
+        assert lost(heard([("bad_alloc", 0)]))[0].cause == "crash"
+
+    def test_heavy_tasks_do_not_meet(self):
+        begun, ended, most = set(), set(), 0
+        schedule = Schedule(range(4), weights=dict.fromkeys(range(4), 60), budget_bytes=100)
+        crew = Crew(dict.fromkeys(range(4), ("sleep", 0.05)), fakes.work, None, jobs=3, cores=3,
+                    schedule=schedule)  # fmt: skip
+        for batch in crew.batches():
+            for one in batch:
+                if isinstance(one, Returned):
+                    ended.add(one.index)
+            begun |= {one.index for one in batch if isinstance(one, Began)}
+            most = max(most, len(begun - ended))
+        assert (len(ended), most) == (4, 1)
+
+    def test_one_that_fits_with_no_other_has_all_cores(self):
+        schedule = Schedule(range(3), weights={1: 90}, light_bytes=20, budget_bytes=100)
+        messages = heard([("threads", 0)] * 3, schedule=schedule)
+        assert results(messages) == {0: "1", 1: "2", 2: "1"}
+        assert next(one.index for one in messages if isinstance(one, Began)) == 1
+
+
+def is_mesh_name(name):
+    return name.endswith(".ply")
+
+
+def ran(folder, texts, *, in_place=False, backup=".orig", **options):
+    (folder / "in").mkdir(exist_ok=True)
+    for name, text in texts.items():
+        (folder / f"in/{name}.ply").write_text(text)
+    output = None if in_place else str(folder / "out")
+    some = found([str(folder / "in")], is_mesh_name=is_mesh_name, output=output)
+    plan = built(some, output, is_mesh_name=is_mesh_name, in_place=in_place,
+                 backup=backup if in_place else None)  # fmt: skip
+    return run(plan, Settings("fake"), denoise=fakes.denoise, **({"jobs": 1} | options))
+
+
+class TestRun:
+    def test_time_outs_become_rows(self, tmp_path):
+        texts = {"a": "x", "b": "sleep 60", "c": "y"}
+        records = ran(tmp_path, texts, limits=Limits(timeout_s=0.4), retries=0)
+        assert [one.status for one in records] == ["written", "failed", "written"]
+        assert records[1].error.code == "E_TIMEOUT"
+
+    def test_one_file_with_a_limit_of_time_is_supervised(self, tmp_path):
+        (one,) = ran(tmp_path, {"a": "sleep 60"}, limits=Limits(timeout_s=0.4), retries=0)
+        assert one.error.code == "E_TIMEOUT"
+
+    def test_a_foreseen_want_of_memory_is_not_tried_again(self, tmp_path):
+        records = ran(tmp_path, {"a": "foreseen", "b": "x"})
+        assert records[0].error.code == "E_MEMORY" and records[0].error.message == "made to fail"
+        assert records[1].status == "written"
+
+    @pytest.mark.parametrize("most", [1, 2])
+    def test_after_so_many_failures_nothing_more_is_begun(self, tmp_path, most):
+        texts = {"a": "x", "b": "fail", "c": "fail", "d": "x", "e": "x"}
+        begun = []
+
+        def on_event(event):
+            if isinstance(event, Started):
+                begun.append(Path(event.task.input).stem)
+
+        records = ran(tmp_path, texts, stop_after_failures=most, on_event=on_event)
+        assert begun == ["a", "b", "c"][: most + 1]
+        states = ["written", "failed", "failed", "planned", "planned"]
+        assert [one.status for one in records] == [*states[: most + 1], *["planned"] * (4 - most)]
+        assert {one.status for one in ran(tmp_path, texts)} == {"up-to-date", "failed", "written"}
+
+    def test_wrong_limits_are_refused_before_any_work(self, tmp_path):
+        for options in (
+            {"limits": Limits(timeout_s=0.0)},
+            {"limits": Limits(memory_bytes=50_000_000)},
+            {"limits": Limits(max_faces=0)},
+            {"retries": -1},
+        ):
+            with pytest.raises(UsageError):
+                ran(tmp_path, {"a": "x", "b": "y"}, **options)
+        assert not (tmp_path / "out").exists()
+
+
+@posix
+class TestInPlace:
+    """The worker dies after it has replaced the file: ``replaced`` in it is the order to."""
+
+    def test_with_a_backup_the_file_is_denoised_once(self, tmp_path):
+        texts = {"a": "replaced once", "b": "x"}
+        records = ran(tmp_path, texts, in_place=True)
+        assert [one.status for one in records] == ["written", "written"]
+        assert "second try" in records[0].warnings[0]
+        assert (tmp_path / "in/a.ply").read_text() == "fake REPLACED ONCE"
+        assert (tmp_path / "in/a.ply.orig").read_text() == texts["a"]
+
+    def test_a_file_that_is_given_up_is_the_original_again(self, tmp_path):
+        texts = {"a": "replaced always", "b": "x"}
+        records = ran(tmp_path, texts, in_place=True)
+        assert records[0].error.code == "E_CRASH"
+        assert (tmp_path / "in/a.ply").read_text() == texts["a"]
+        again = ran(tmp_path, {}, in_place=True)
+        assert [one.status for one in again] == ["failed", "up-to-date"]
+
+    def test_without_a_backup_it_is_never_denoised_twice(self, tmp_path):
+        records = ran(tmp_path, {"a": "replaced once", "b": "x"}, in_place=True, backup=None)
+        assert records[0].error.code == "E_CHANGED"
+        assert (tmp_path / "in/a.ply").read_text() == "fake REPLACED ONCE"
+
+
+# The real command
+
+
+@pytest.fixture
+def scans(tmp_path):
+    (tmp_path / "in").mkdir()
+    for n in range(3):
+        (tmp_path / f"in/{n}.obj").write_text(obj(n))
+    return tmp_path
+
+
+def msal(folder, *options, **more):
+    command = [sys.executable, "-m", "msal_cli", "denoise", "in", "-o", "out", *options]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, **more)
+
+
+@linux
+def test_the_command_survives_a_worker_that_is_stopped(scans):
+    (scans / "in/slow.obj").write_text(obj(9, 400, 300))
+    command = [sys.executable, "-m", "msal_cli", "denoise", "in", "-o", "out", "--timeout", "8s"]
+    command += ["-j1", "--retries", "0", "-n", "1000", "--include", "slow*", "--include", "1*"]
+    with subprocess.Popen(command, cwd=scans, stderr=subprocess.PIPE, text=True) as process:
+        while process.poll() is None:
+            for pid in children_of(process.pid):
+                # Starting takes less, so whoever has worked so long has a file in hand.
+                if seconds_of_work(pid) > 1.2:
+                    os.kill(pid, signal.SIGSTOP)
+            time.sleep(0.1)
+        said = process.stderr.read()
+    assert process.returncode == 3, said
+    assert "within 8 s (E_TIMEOUT)" in said and "Traceback" not in said
+    assert {path.name for path in (scans / "out").iterdir()} == {NAME, "1.obj"}
+
+
+def seconds_of_work(pid):
+    with contextlib.suppress(OSError):
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return 0.0
+
+
+@linux
+def test_the_command_holds_a_real_mesh_to_a_memory_limit(scans, monkeypatch):
+    (scans / "in/big.obj").write_text(obj(9, 500, 250))
+    made = msal(scans, "--memory-limit", "150M")
+    assert made.returncode == 3
+    assert "forecast: denoising this file takes up to" in made.stderr
+    assert "the limit is 150 MB (E_MEMORY)" in made.stderr
+    # A forecast that is far too low: now the system has to hold the worker to its limit.
+    (scans / "sitecustomize.py").write_text(
+        "import msal_cli.files.forecast as f\nf._PER_BYTE = dict.fromkeys(f._PER_BYTE, 0.01)\n"
+    )
+    env = os.environ | {"PYTHONPATH": f"{scans}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    made = msal(scans, "--memory-limit", "120M", env=env)
+    assert made.returncode == 3, made.stderr
+    assert "E_MEMORY" in made.stderr and "with a limit of 120 MB" in made.stderr
+    assert "E_CRASH" not in made.stderr and "Traceback" not in made.stderr
+
+
+def test_the_command_gives_up(scans):
+    for name in ("a", "b"):
+        (scans / f"in/{name}.obj").write_text("v 1 2\nf 1 2 3\n")
+    made = msal(scans, "-j1", "--include", "[2ab].obj", "--fail-fast")
+    assert made.returncode == 1
+    assert "stopped after 1 failure; 1 files were not begun" in made.stderr
+    assert "1 not done" in made.stderr
+    assert msal(scans, "--fail-fast", "--max-failures", "2").returncode == 2
+    assert msal(scans, env=os.environ | {"MSAL_THREADS": "many"}).returncode == 2
