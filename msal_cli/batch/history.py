@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -13,8 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
-from msal_cli.batch.manifest import FORMAT, Entry, entry_of, lines_of, paths_in
+from msal_cli.batch.manifest import FORMAT, NAME, Entry, entry_of, lines_of, paths_in
+from msal_cli.batch.remote_manifest import parts_of
 from msal_cli.batch.shards import Shard
+from msal_cli.files.urls import is_url
 from msal_cli.records import MeshRecord
 
 if TYPE_CHECKING:
@@ -129,9 +132,22 @@ def read(paths: list[Path]) -> History:
 
 
 def of_folder(folder: str) -> History | None:
-    """What all manifests in a folder tell; None if there is none."""
+    """What all manifests in a folder, or a folder of a store, tell; None if there is none."""
+    if is_url(folder):
+        return _of_store(folder)
     paths = paths_in(folder)
     return read(paths) if paths else None
+
+
+def _of_store(folder: str) -> History | None:
+    parts = parts_of(folder)
+    if not parts:
+        return None
+    with tempfile.TemporaryDirectory(prefix="msal-") as here:
+        # The lines of one run stand in several parts, one after the other.
+        path = Path(here) / NAME
+        path.write_bytes(b"".join(parts.values()))
+        return read([path])
 
 
 def moment(time_ns: int) -> str:

@@ -70,17 +70,9 @@ class RemoteManifest(Manifest):
         Raises OutputError if the store does not answer.
         """
         manifest = cls(folder, shard)
-        for is_last in (False, False, True):
-            try:
-                parts = sorted(name for name in remote.listed(manifest._url()) if _is_part(name))
-                texts = remote.read_many([manifest._url(name) for name in parts])
-                break
-            except InputError as error:
-                # Another run may just be merging what was listed.
-                if is_last:
-                    raise _unusable(folder, error) from None
-        manifest._parts = parts
-        for text in texts:
+        parts = parts_of(folder)
+        manifest._parts = list(parts)
+        for text in parts.values():
             for line in filter(None, text.split(b"\n")):
                 manifest._take(line)
         return manifest
@@ -145,9 +137,6 @@ class RemoteManifest(Manifest):
             return
         self._flush()
 
-    def _url(self, name: str = "") -> str:
-        return urls.joined(self.folder, f"{FOLDER}/{name}")
-
     def _write_on(self) -> None:
         while not self._is_closed.is_set():
             self._has_lines.wait()
@@ -176,7 +165,7 @@ class RemoteManifest(Manifest):
 
     def _write(self, number: int, text: bytes) -> None:
         try:
-            remote.write_whole(self._url(f"{self._run}-{number:05d}.jsonl"), text)
+            remote.write_whole(_url(self.folder, f"{self._run}-{number:05d}.jsonl"), text)
         except OutputError as error:
             raise _unusable(self.folder, error) from None
 
@@ -184,8 +173,30 @@ class RemoteManifest(Manifest):
         """One part in the place of all that were read."""
         lines = self._own_runs[-RUN_LINES_KEPT:] + [one.text for one in self._entries.values()]
         self._write(0, b"".join(line + b"\n" for line in lines))
-        remote.removed([self._url(name) for name in self._parts])
+        remote.removed([_url(self.folder, name) for name in self._parts])
         _log.debug("manifest of %r: %d parts became one", self.folder, len(self._parts))
+
+
+def parts_of(folder: str) -> dict[str, bytes]:
+    """The parts of a manifest by name, those of one run after another; empty if there is none.
+
+    Raises OutputError if the store does not answer.
+    """
+    for is_last in (False, False, True):
+        try:
+            names = sorted(name for name in remote.listed(_url(folder)) if _is_part(name))
+            texts = remote.read_many([_url(folder, name) for name in names])
+        except InputError as error:
+            # Another run may just be merging what was listed.
+            if is_last:
+                raise _unusable(folder, error) from None
+        else:
+            return dict(zip(names, texts, strict=True))
+    return {}
+
+
+def _url(folder: str, name: str = "") -> str:
+    return urls.joined(folder, f"{FOLDER}/{name}")
 
 
 def _is_part(name: str) -> bool:

@@ -42,9 +42,10 @@ def weighed(tasks: Mapping[int, Task], settings: Settings, limits: Limits) -> We
     largest_light = 0
     for index, task in tasks.items():
         try:
-            size = os.stat(task.input).st_size
+            # A store told the size when the object was found.
+            size = task.input_mark.size if task.input_mark else os.stat(task.input).st_size
         except (OSError, ValueError):
-            # It is gone, or in a store; whoever reads it will know.
+            # It is gone; whoever reads it will know.
             continue
         if size < LARGE_BYTES:
             largest_light = max(largest_light, size)

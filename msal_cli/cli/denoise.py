@@ -366,7 +366,7 @@ class _Session:
                 limits=_limits(request),
                 retries=1 if request.retries is None else request.retries,
                 stop_after_failures=1 if request.fail_fast else request.max_failures,
-                command=("msal", *self._arguments),
+                command=self._command(),
                 engine=engine,
             )
         except (KeyboardInterrupt, OutputError, ResourceError):
@@ -444,16 +444,21 @@ class _Session:
                 as_text.summary(run, records, width=talk.width(), verbose=request.verbose > 0)
             )
 
+    def _command(self) -> tuple[str, ...]:
+        """The command as it was given, for reports and manifests, without passwords."""
+        from msal_cli.files import urls
+
+        return ("msal", *map(urls.redacted, self._arguments))
+
     def _described(self, settings: Settings, interrupted: bool) -> Run:
         from dataclasses import asdict
 
         from msal_cli import __version__
-        from msal_cli.files import urls
         from msal_cli.report.document import Run
 
         return Run(
             version=__version__,
-            command=("msal", *map(urls.redacted, self._arguments)),
+            command=self._command(),
             settings=asdict(settings),
             started=self._clock.started,
             finished=self._clock.now(),

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.errors import InputError, UsageError
+from msal_cli.files.urls import is_url
 from msal_cli.report.document import Run
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def account(names: Sequence[str]) -> Account:
     is_whole = True
     for name in dict.fromkeys(names):
         path = Path(name)
-        if path.is_dir():
+        if is_url(name) or path.is_dir():
             history, missing = _of_folder(name)
             remarks += missing
             is_whole &= not missing
@@ -73,7 +74,7 @@ def account(names: Sequence[str]) -> Account:
             )
         rows += history.rows
         calls += [_Call(one.at, _as_run(one)) for one in history.runs]
-        paths += _read_from(path)
+        paths += [] if is_url(name) else _read_from(path)
     records = _newest(rows)
     is_finished = is_whole and not any(record.status == "planned" for record in records)
     run = _together(calls, rows, is_finished=is_finished)
@@ -100,7 +101,8 @@ def _of_folder(name: str) -> tuple[History, list[str]]:
             hint="name the output folder of msal denoise (with --in-place the input)",
             path=name,
         )
-    at_work = lock.who_works(name)
+    # A store has no locks that could tell.
+    at_work = () if is_url(name) else lock.who_works(name)
     if at_work:
         return found, [f"{' and '.join(at_work[:3])} still at work on {name!r}"]
     return found, _missing(found.runs, name)

@@ -53,12 +53,14 @@ class Request:
 def command(**options: Any) -> int:
     """Tell what earlier runs did, shards and reruns together, each file once.
 
-    RUN is an output folder, a manifest in it, or a report in .json or .jsonl. Of several records
-    of a file the newest counts. A file that a run set out to write and did not finish is planned.
+    RUN is an output folder or its URL, a manifest in it, or a report in .json or .jsonl. Of several
+    records of a file the newest counts. A file that a run set out to write and did not finish is
+    planned.
     """
     from msal_cli.batch import signals
+    from msal_cli.files import urls
 
-    request = Request(**options)
+    request = Request(**urls.settled_in(options, "runs", "outputs"))
     if request.quiet and request.verbose:
         raise UsageError("--quiet and --verbose contradict each other", hint="give one of them")
     with signals.noticed(signals.raise_for):

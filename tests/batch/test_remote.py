@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from msal_cli import methods
-from msal_cli.batch import homes, remote_manifest, shards
+from msal_cli.batch import history, homes, remote_manifest, shards
 from msal_cli.batch.inputs import Found, NothingMatched, found
 from msal_cli.batch.manifest import Manifest, done, intent
 from msal_cli.batch.plan import built
@@ -380,6 +380,18 @@ def test_many_parts_become_one_and_no_line_is_lost(monkeypatch):
     assert len(parts()) < 8
     assert entries.names() == {"0", "1", "2", "3"}
     assert all(entries.get(str(n)).is_done for n in range(4))
+
+
+def test_what_runs_did_is_told_from_their_parts(scans):
+    assert history.of_folder("memory://out") is None
+    plan = built(found(["memory://scans"]), "memory://out")
+    run(plan, settings(), command=["msal", "one"])
+    write_whole("memory://scans/2.obj", b"v 1 2\n")
+    run(built(found(["memory://scans"]), "memory://out"), settings(), command=["msal", "two"])
+    told = history.of_folder("memory://out")
+    assert [one.command[-1] for one in told.runs] == ["one", "two"]
+    assert not any(one.interrupted for one in told.runs)
+    assert sorted(row.record.status for row in told.rows) == ["failed", "written", "written"]
 
 
 def test_of_many_shards_one_merges(monkeypatch):

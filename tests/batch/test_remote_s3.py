@@ -152,6 +152,11 @@ def test_from_bucket_to_bucket(server, expected, tmp_path):
     assert server.counted(".*") - 3 * n < 15
     assert outputs("s3://out/x") == expected
 
+    # What the run did can be told later, from the store alone.
+    told = msal("report", "s3://out/x", "--json", "--check")
+    assert told.exit_code == 0
+    assert json.loads(told.stdout)["totals"]["written"] == n
+
     # Nothing is downloaded, and of all objects together there are two listings.
     server.requests = []
     assert msal(*command, "--report", report).exit_code == 0
@@ -223,6 +228,7 @@ def test_a_killed_run_leaves_whole_objects_and_the_next_does_the_rest(server, ex
         assert process.wait(10) == -signal.SIGKILL
     finally:
         server.let_go()
+    assert msal("report", "s3://out/killed", "--check", "-q").exit_code in (1, 3)
     there = outputs("s3://out/killed")
     assert there.items() <= expected.items()
     assert msal(*command).exit_code == 0
