@@ -114,6 +114,9 @@ class Cluster:
             dask.config.set(
                 {
                     "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
+                    # After so long Dask would drop a worker that died and happens to be starting
+                    # again from another death; here they are replaced below.
+                    "distributed.deploy.lost-worker-timeout": "1000 days",
                     "distributed.nanny.pre-spawn-environ": {**spawn, **quiet},
                 }
             )
@@ -238,7 +241,21 @@ class Cluster:
                     return
                 _log.debug("the scheduler does not answer: %s", error)
                 self._tell("threads", None)
+            if self.is_local:
+                self._replace_lost()
             await asyncio.sleep(_BETWEEN_LOOKS_S)
+
+    def _replace_lost(self) -> None:
+        """Start others for workers that could not be started again."""
+        lost = [
+            name
+            for name, nanny in self._cluster.workers.items()
+            if nanny.status.name in ("closed", "failed") and name in self._cluster.worker_spec
+        ]
+        for name in lost:
+            del self._cluster.worker_spec[name]
+        if lost and not self._is_closed:
+            self._cluster.scale(self._jobs)
 
     def _on_event(self, event: tuple[float, Any]) -> None:
         _, message = event

@@ -24,12 +24,13 @@ from pathlib import Path
 from typing import Any
 
 from msal_cli import __version__
-from msal_cli.batch import temporaries
+from msal_cli.batch import homes, temporaries
 from msal_cli.batch.dask_cluster import Cluster, no_workers
 from msal_cli.batch.dask_worker import Answer, Order
 from msal_cli.batch.engine import Work
 from msal_cli.batch.workers import Again, Began, Interrupt, Lost, Message, Returned
 from msal_cli.errors import MsalError, ResourceError, UsageError
+from msal_cli.files.urls import is_url
 from msal_cli.records import MeshRecord
 
 _FIRST_FILES = 4
@@ -45,7 +46,6 @@ _log = logging.getLogger("msal.dask")
 @dataclass(frozen=True)
 class _Batch:
     indices: tuple[int, ...]
-    is_alone: bool
     future: Any
 
 
@@ -75,11 +75,15 @@ class DaskEngine:
         jobs = max(1, min(work.jobs, len(work.tasks)))
         self._cluster = Cluster(scheduler, jobs, lambda *heard: self._heard.put(heard))
         self._probes: list[str] = []
-        # What is not done yet, and of it: not handed out; suspected; suspected even singly.
+        # What is not done yet, and of it: not handed out, the large ones apart, which go first and
+        # singly; suspected; suspected even singly.
         self._open = set(work.tasks)
-        self._waiting = collections.deque(work.tasks)
+        large = [index for index in work.weights if index in work.tasks]
+        self._large = collections.deque(sorted(large, key=work.weights.__getitem__, reverse=True))
+        self._waiting = collections.deque(sorted(self._open.difference(large)))
         self._suspects: collections.deque[int] = collections.deque()
         self._again: collections.deque[int] = collections.deque()
+        self._deaths: collections.Counter[int] = collections.Counter()
         self._earlier: dict[int, str] = {}
         self._begun: set[int] = set()
         self._flying: dict[int, _Batch] = {}
@@ -87,11 +91,12 @@ class DaskEngine:
         self._threads = 0
         self._seen_workers = time.monotonic()
         self._seconds_per_file: float | None = None
-        self._largest = 0
+        self._largest_batch = 0
         self._is_connected = False
 
     def stop(self) -> None:
         """Hand out no more; batches that some worker has in hand go on, second tries too."""
+        self._large.clear()
         self._waiting.clear()
         for number, batch in list(self._flying.items()):
             if not self._begun.intersection(batch.indices):
@@ -155,7 +160,7 @@ class DaskEngine:
 
     def _must_exist(self) -> tuple[str, ...]:
         if all(
-            os.path.isabs(path)
+            is_url(path) or os.path.isabs(path)
             for task in self._work.tasks.values()
             for path in (task.input, task.output)
         ):
@@ -167,22 +172,24 @@ class DaskEngine:
         for probe in self._probes:
             Path(probe).unlink(missing_ok=True)
         # A worker of this machine that was killed with its Dask worker has nobody to sweep for it.
-        temporaries.sweep({Path(task.output).parent for task in self._work.tasks.values()})
+        temporaries.sweep(homes.folders(self._work.tasks.values()))
 
     # Handing out
 
     def _waiting_any(self) -> bool:
-        return bool(self._waiting or self._suspects or self._again)
+        return bool(self._large or self._waiting or self._suspects or self._again)
 
     def _hand_out(self) -> None:
         while self._threads and len(self._flying) < _PER_THREAD * self._threads:
-            if self._waiting:
+            if self._large:
+                self._submit([self._large.popleft()])
+            elif self._waiting:
                 n = self._next_size()
                 self._submit([self._waiting.popleft() for _ in range(n)])
             elif self._suspects:
                 self._submit([self._suspects.popleft()])
             elif self._again and not self._flying:
-                self._submit([self._again.popleft()], is_alone=True)
+                self._submit([self._again.popleft()])
                 return
             else:
                 return
@@ -194,10 +201,10 @@ class DaskEngine:
         if self._seconds_per_file is None:
             return max(1, min(_FIRST_FILES, fair))
         pace = max(self._seconds_per_file, 1e-4)
-        wanted = min(round(_AIM_S / pace), _GROWTH * max(1, self._largest))
+        wanted = min(round(_AIM_S / pace), _GROWTH * max(1, self._largest_batch))
         return max(1, min(wanted, max(fair, math.ceil(_LEAST_S / pace)), left))
 
-    def _submit(self, indices: list[int], *, is_alone: bool = False) -> None:
+    def _submit(self, indices: list[int]) -> None:
         number = next(self._numbers)
         work = self._work
         order = Order(
@@ -205,16 +212,16 @@ class DaskEngine:
             function=work.function,
             common=work.common,
             cores=max(1, work.cores // work.jobs) if self._cluster.is_local else 1,
+            limits=work.limits,
+            retries=work.retries,
             log_level=logging.getLogger("msal").getEffectiveLevel(),
             folder=os.getcwd(),
             must_exist=self._must_exist(),
-            limits=work.limits,
-            retries=work.retries,
         )
         payload = pickle.dumps((order, {index: work.tasks[index] for index in indices}))
         key = f"msal-{self._run}-{number}"
         future = self._cluster.submit(key, number, __version__, payload)
-        self._flying[number] = _Batch(tuple(indices), is_alone, future)
+        self._flying[number] = _Batch(tuple(indices), future)
         self._begun.difference_update(indices)
 
     # Listening
@@ -306,10 +313,11 @@ class DaskEngine:
     def _done(self, batch: _Batch, answer: Answer) -> list[Message]:
         for name, level, text in answer.lines:
             logging.getLogger(name).log(level, "%s", text)
-        pace = answer.seconds / len(batch.indices)
-        known = self._seconds_per_file
-        self._seconds_per_file = pace if known is None else 0.5 * (known + pace)
-        self._largest = max(self._largest, len(batch.indices))
+        if not self._work.weights.keys() & set(batch.indices):
+            pace = answer.seconds / len(batch.indices)
+            known = self._seconds_per_file
+            self._seconds_per_file = pace if known is None else 0.5 * (known + pace)
+        self._largest_batch = max(self._largest_batch, len(batch.indices))
         messages = self._told(answer.address, answer.messages)
         # A batch that its worker gave up although nobody asked for that.
         self._waiting.extend(index for index in batch.indices if index in self._open)
@@ -320,17 +328,25 @@ class DaskEngine:
         deaths = getattr(error, "allowed_failures", 0) + 1
         workers = "a Dask worker" if deaths == 1 else f"{deaths} Dask workers"
         reason = f"{workers} died while at work on it"
-        if batch.is_alone:
-            self._open.difference_update(left)
-            hint = "a library broke on this file, or the machines ran out of memory"
-            return [Lost(index, "crash", f"{reason}, as at the first try", hint) for index in left]
         if len(batch.indices) > 1:
             _log.info("%s with a batch of %d files; they go singly now", workers, len(left))
             self._suspects.extend(left)
             return []
-        self._again.extend(left)
-        self._earlier.update(dict.fromkeys(left, reason))
-        return [Again(index, reason) for index in left]
+        return [self._lost(index, reason) for index in left]
+
+    def _lost(self, index: int, reason: str) -> Message:
+        """A file alone in its batch has lost its workers."""
+        self._deaths[index] += 1
+        if self._deaths[index] <= self._work.retries:
+            self._earlier[index] = reason
+            self._again.append(index)
+            return Again(index, reason)
+        self._open.remove(index)
+        tries = self._deaths[index]
+        if tries > 1:
+            reason += ", as at the first try" if tries == 2 else f" ({tries} tries)"
+        hint = "a library broke on this file, or the machines ran out of memory"
+        return Lost(index, "crash", reason, hint)
 
 
 def _failed(error: object) -> ResourceError:

@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import Any
 
 from msal_cli import __version__
-from msal_cli.batch import temporaries
+from msal_cli.batch import homes, temporaries
 from msal_cli.batch.schedule import Schedule
 from msal_cli.batch.workers import Advanced, Crew, Interrupt, Lost, Message, Returned
 from msal_cli.errors import ResourceError
-from msal_cli.pipeline import NO_LIMITS, Limits
+from msal_cli.pipeline import Limits
 
 TOPIC = "msal"
 """The topic of Dask's events under which workers tell what happens, file by file."""
@@ -44,21 +44,21 @@ class Order:
     run : a name that no other run has.
     function, common : as in ``engine.Work``.
     cores : cores for one child process.
+    limits, retries : as in ``engine.Work``; a second try is alone in its own worker only.
     log_level : what the parent wants to hear.
     folder : the parent's current folder, to which relative paths belong.
     must_exist : files and folders that a worker sees if it shares the file system.
-    limits, retries : as in ``engine.Work``; a second try is alone in its own worker only.
     """
 
     run: str
     function: Callable[..., Any]
     common: Any
     cores: int
+    limits: Limits
+    retries: int
     log_level: int
     folder: str
     must_exist: tuple[str, ...]
-    limits: Limits = NO_LIMITS
-    retries: int = 1
 
 
 @dataclass(frozen=True)
@@ -200,8 +200,8 @@ class _Bench:
             self._heard.put(error)
 
     def _clear_away(self, pid: int, index: int) -> None:
-        output = Path(self._folder, self._tasks[index].output)
-        temporaries.sweep_after(pid, output.parent)
+        for folder in homes.folders([self._tasks[index]]):
+            temporaries.sweep_after(pid, Path(self._folder, folder))
 
 
 class _Idle:

@@ -23,7 +23,7 @@ from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import built
 from msal_cli.batch.run import run
 from msal_cli.errors import ResourceError, UsageError
-from msal_cli.pipeline import Settings, Task
+from msal_cli.pipeline import Limits, Settings, Task
 from tests.batch import fakes
 from tests.batch.conftest import ROOT
 from tests.batch.test_whole import obj, outputs
@@ -37,20 +37,25 @@ FAKE = Settings("fake", {"n": 1})
 def started_cluster(n_workers):
     import dask
 
+    # One death is enough for Dask to give up a batch, which then is the engine's business; and the
+    # workers that come back stay, even if one is just coming back from another death.
+    quick = {
+        "distributed.scheduler.allowed-failures": 0,
+        "distributed.deploy.lost-worker-timeout": "1000 days",
+    }
+    dask.config.set(quick)
     sys.path.insert(0, str(ROOT))
     try:
-        # One death is enough for Dask to give up, which then is the engine's business.
-        with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
-            return distributed.LocalCluster(
-                n_workers=n_workers,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                dashboard_address=None,
-                scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-                memory_limit=None,
-                silence_logs=50,
-            )
+        return distributed.LocalCluster(
+            n_workers=n_workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+            memory_limit=None,
+            silence_logs=50,
+        )
     finally:
         sys.path.remove(str(ROOT))
 
@@ -151,6 +156,14 @@ def test_what_breaks_a_process_costs_its_file_and_no_dask_worker(folder, cluster
     assert "second try" in records[5].warnings[0]
     assert set(outputs(folder / "out")) == {f"{n:02}.ply" for n in range(12) if n not in (3, 7, 9)}
     assert workers_of(cluster) == before
+
+
+@posix
+def test_limits_hold_and_retries_count(folder, cluster):
+    fill(folder, 4, f02="hang", f03="die kill once")
+    records = ran(cluster, limits=Limits(timeout_s=1.5), retries=0)
+    assert [one.error.code for one in records if one.error] == ["E_TIMEOUT", "E_CRASH"]
+    assert statuses(ran(cluster)) == ["up-to-date", "up-to-date", "written", "written"]
 
 
 @posix
@@ -282,9 +295,9 @@ def test_batches_grow_to_some_seconds_and_shrink_towards_the_end():
     engine = DaskEngine(Work(tasks, fakes.denoise, FAKE, jobs=2, cores=2), "local")
     engine._threads = 2
     assert engine._next_size() == 4
-    engine._seconds_per_file, engine._largest = 0.01, 4
+    engine._seconds_per_file, engine._largest_batch = 0.01, 4
     assert engine._next_size() == 16
-    engine._largest = 300
+    engine._largest_batch = 300
     assert engine._next_size() == 500
     engine._waiting = type(engine._waiting)(range(800))
     assert engine._next_size() == 200
@@ -305,10 +318,8 @@ class TestLocal:
     """The real command with a cluster of its own."""
 
     def start(self, folder):
-        for n in range(4):
-            (folder / f"in/{n}.obj").write_text(obj(n))
-        for n in range(3):
-            (folder / f"in/z{n}.obj").write_text(obj(n, 400, 200))
+        for n in range(60):
+            (folder / f"in/{n}.obj").write_text(obj(n, 100, 50))
         command = [sys.executable, "-m", "msal_cli", "denoise", "in", "-o", "out", "-j", "2"]
         command += ["--engine", "dask", "--scheduler", "local", "--set", "iterations=1000"]
         return subprocess.Popen(
@@ -351,7 +362,7 @@ class TestLocal:
         assert "Traceback" not in said and "distributed" not in said
         settings = Settings("msal", methods.find("msal").settled({"iterations": 1000}))
         planned = run(plan_of(), settings, dry_run=True)
-        assert statuses(planned) == ["up-to-date"] * 4 + ["planned"] * 3
+        assert 4 <= statuses(planned).count("up-to-date") < 60
 
 
 @pytest.mark.slow
