@@ -5,14 +5,22 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import time
+from pathlib import Path
 
 
 def is_alive(pid: int) -> bool:
-    """Whether a process of this machine has this id, be it ours or not."""
+    """Whether a process of this machine has this id, be it ours or not.
+
+    One that has ended and waits for its parent to ask how does not count: where the first process
+    of a container never asks, it would wait for ever.
+    """
     if pid <= 0:
         return False
     if sys.platform == "win32":
         return _is_alive_on_windows(pid)
+    if (told := _told_by_linux(pid)) is not None:
+        return told[0] not in "ZX"
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -20,6 +28,27 @@ def is_alive(pid: int) -> bool:
     except (PermissionError, OverflowError):
         return True
     return True
+
+
+def started_at(pid: int) -> float | None:
+    """When a process began, in seconds as of ``time.time``; None where that is not told."""
+    told = _told_by_linux(pid)
+    if told is None or len(told) < 20:
+        return None
+    try:
+        ran_s = time.clock_gettime(time.CLOCK_BOOTTIME) - int(told[19]) / os.sysconf("SC_CLK_TCK")
+    except (AttributeError, OSError, ValueError):
+        return None
+    return time.time() - ran_s
+
+
+def _told_by_linux(pid: int) -> list[str] | None:
+    """What Linux tells of a process, beginning with its state; None if it does not."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(errors="replace")
+    except OSError:
+        return None
+    return text.rpartition(")")[2].split() or None
 
 
 def _is_alive_on_windows(pid: int) -> bool:

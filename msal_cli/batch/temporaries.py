@@ -16,7 +16,7 @@ import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from msal_cli.batch.processes import is_alive
+from msal_cli.batch.processes import is_alive, started_at
 
 _OWN_FILES = ".msal-"
 _TEMPORARY = re.compile(
@@ -26,6 +26,9 @@ _TEMPORARY = re.compile(
 # A process id may have been given to somebody else meanwhile, and of another machine's processes
 # nothing is known here; but nothing is written for so long without the file's time changing.
 _SURELY_STALE_S = 24 * 3600.0
+
+# A process that began so much later than a file cannot have made it; clocks are set by less.
+_SURELY_LATER_S = 60.0
 
 
 def is_own(name: str) -> bool:
@@ -42,8 +45,10 @@ def sweep(folders: Iterable[str | Path]) -> int:
     """Remove what dead processes left in these folders (not below them); how many files."""
 
     def is_stale(match: re.Match[str], path: Path) -> bool:
-        is_dead = match["machine"] == _machine() and not is_alive(int(match["pid"]))
-        return is_dead or time.time() - path.lstat().st_mtime > _SURELY_STALE_S
+        written = path.lstat().st_mtime
+        is_ours = match["machine"] == _machine()
+        is_dead = is_ours and not _may_be_writing(int(match["pid"]), written)
+        return is_dead or time.time() - written > _SURELY_STALE_S
 
     return sum(_swept(Path(folder), is_stale) for folder in folders)
 
@@ -55,6 +60,14 @@ def sweep_after(pid: int, folder: str | Path) -> int:
         return match["machine"] == _machine() and int(match["pid"]) == pid
 
     return _swept(Path(folder), is_its)
+
+
+def _may_be_writing(pid: int, written: float) -> bool:
+    """Whether process ``pid`` lives and is old enough to have changed a file at that time."""
+    if not is_alive(pid):
+        return False
+    began = started_at(pid)
+    return began is None or began < written + _SURELY_LATER_S
 
 
 @functools.cache

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 
 import pytest
 
 from msal_cli.batch import temporaries
-from msal_cli.batch.processes import ending, is_alive
+from msal_cli.batch.processes import ending, is_alive, started_at
 from msal_cli.batch.temporaries import is_own, sweep, sweep_after, temporary_name
 
 
@@ -58,6 +59,43 @@ def test_after_a_worker_only_its_own_go(tmp_path, dead):
         (tmp_path / name).touch()
     assert sweep_after(dead, tmp_path) == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names[1:])
+
+
+def test_a_process_number_in_use_again_keeps_nothing(tmp_path):
+    mine, earlier = tmp_path / temporary_name("mine"), tmp_path / temporary_name("earlier")
+    for path in (mine, earlier):
+        path.touch()
+    began = started_at(os.getpid()) or time.time()
+    os.utime(mine, (began - 5, began - 5))
+    os.utime(earlier, (began - 100, began - 100))
+    is_told = started_at(os.getpid()) is not None
+    assert sweep([tmp_path]) == is_told
+    assert mine.exists() and earlier.exists() != is_told
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="told by /proc")
+def test_when_a_process_began():
+    before = time.time()
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        began = started_at(process.pid)
+        process.communicate(b"\n")
+    assert before - 0.5 < began < time.time() + 0.5
+    assert started_at(10**30) is None
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="told by /proc")
+def test_a_process_that_nobody_asked_after_is_dead(tmp_path):
+    process = subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE)
+    process.stdout.read()  # until it ends, but without taking its exit status
+    deadline = time.monotonic() + 10
+    while is_alive(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    name = of(process.pid)
+    (tmp_path / name).touch()
+    swept = sweep([tmp_path])
+    process.stdout.close()
+    process.wait()
+    assert swept == 1
 
 
 def test_a_folder_of_that_name_does_not_matter(tmp_path, dead):
