@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import os
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
@@ -239,7 +240,11 @@ class _Run:
     # The work
 
     def _work_here(self, todo: list[int]) -> None:
-        with signals.noticed(signals.raise_for):
+        def clean() -> None:
+            for index in todo:
+                self._clear_away(os.getpid(), index)
+
+        with signals.noticed(signals.raise_for), signals.ended_late(clean):
             for index in todo:
                 task = self._plan.tasks[index]
                 self._on_event(Started(index, task))

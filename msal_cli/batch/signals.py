@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
+
+AT_LATEST_S = 1.0
+"""Seconds after a signal at which `ended_late` ends the process."""
+
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class Terminated(KeyboardInterrupt):
@@ -29,32 +35,101 @@ def raise_for(signum: int) -> NoReturn:
     raise Terminated(signum)
 
 
+def end_at_once(signum: int, frame: FrameType | None = None) -> NoReturn:
+    """End the process with one line and status 128 + ``signum``; nothing is cleaned up.
+
+    As a handler it cannot be held up: an exception, which is the other way, is lost if it is
+    raised in a destructor or in code that passes over all exceptions, as imports do at places.
+    """
+    # What Python has buffered may be locked by whoever was interrupted.
+    start = b"\n" if os.isatty(2) else b""
+    try:
+        os.write(2, start + b"msal: interrupted\n")
+    finally:
+        os._exit(128 + signum)
+
+
+@contextmanager
+def obeyed_at_once() -> Iterator[None]:
+    """While nothing has been touched, SIGINT, SIGTERM and SIGHUP end the process at once."""
+    with _taken(end_at_once):
+        yield
+
+
 @contextmanager
 def noticed(on_signal: Callable[[int], None]) -> Iterator[None]:
-    """Call ``on_signal(number)`` at the first SIGINT, SIGTERM or SIGHUP, and raise at the second.
+    """Call ``on_signal(number)`` at the first SIGINT, SIGTERM or SIGHUP; the second ends at once.
 
-    Only signals that still have Python's default handler are taken over, only in the main thread
-    (Python offers no other), and all are given back at the end.
+    Only signals that nobody else handles are taken over, only in the main thread (Python offers no
+    other), and all are given back at the end.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
     is_noticed = False
 
     def handle(signum: int, frame: FrameType | None) -> None:
         nonlocal is_noticed
         if is_noticed:
-            raise_for(signum)
+            end_at_once(signum)
         is_noticed = True
         on_signal(signum)
 
-    defaults = {"SIGINT": signal.default_int_handler, "SIGTERM": signal.SIG_DFL}
-    defaults["SIGHUP"] = signal.SIG_DFL
-    taken = {}
+    with _taken(handle):
+        yield
+
+
+@contextmanager
+def ended_late(clean: Callable[[], object]) -> Iterator[None]:
+    """End the process ``AT_LATEST_S`` after a signal if the block is not left until then.
+
+    A handler runs only when the main thread comes back to Python, and a kernel on a large mesh
+    takes its time.  The system itself tells of a signal through a pipe, and a thread that waits
+    there calls ``clean()`` and ends the process.  To be used within ``noticed``.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    listening, telling = os.pipe()
+    os.set_blocking(telling, False)
+    is_left = threading.Event()
+
+    def listen() -> None:
+        while number := os.read(listening, 1):
+            if number[0] in _numbers():
+                break
+        if number and not is_left.wait(AT_LATEST_S):
+            try:
+                clean()
+            finally:
+                end_at_once(number[0])
+
+    thread = threading.Thread(target=listen, daemon=True)
+    thread.start()
+    earlier = signal.set_wakeup_fd(telling, warn_on_full_buffer=False)
     try:
-        for name, default in defaults.items():
-            number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) == default:
+        yield
+    finally:
+        is_left.set()
+        signal.set_wakeup_fd(earlier)
+        os.close(telling)
+        thread.join()
+        os.close(listening)
+
+
+def _numbers() -> tuple[int, ...]:
+    """The signals that ask to end, as far as the system has them."""
+    return tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
+
+
+@contextmanager
+def _taken(handle: Callable[[int, FrameType | None], Any]) -> Iterator[None]:
+    """Let ``handle`` have the signals that nobody else handles."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    nobodys = (signal.SIG_DFL, signal.default_int_handler, end_at_once)
+    taken: dict[int, Any] = {}
+    try:
+        for number in _numbers():
+            if signal.getsignal(number) in nobodys:
                 taken[number] = signal.signal(number, handle)
         yield
     finally:

@@ -298,20 +298,18 @@ class _Session:
 
     def done(self) -> int:
         """Check everything, then work; the exit status."""
-        from msal_cli.batch import signals
         from msal_cli.cli import engines
         from msal_cli.cli.pipe import pipe
 
         request = self._request
-        with signals.noticed(signals.raise_for):
-            _refuse_contradictions(request)
-            words.check_threads_variable()
-            one = pipe(request.inputs, request.output)
-            settings = _settings(request)
-            if one is not None:
-                return self._piped(one, settings)
-            plan = _plan(request, settings)
-            engine = engines.chosen(request.engine, request.scheduler)
+        _refuse_contradictions(request)
+        words.check_threads_variable()
+        one = pipe(request.inputs, request.output)
+        settings = _settings(request)
+        if one is not None:
+            return self._piped(one, settings)
+        plan = _plan(request, settings)
+        engine = engines.chosen(request.engine, request.scheduler)
         # The run takes the signals itself, to end its workers in good order.
         return self._run(plan, settings, engine)
 

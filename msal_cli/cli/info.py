@@ -56,12 +56,11 @@ def command(
     standard input. Lengths are in file units. Nothing is written.
     """
     from msal_cli import files
-    from msal_cli.batch import signals
     from msal_cli.cli import logs, words
     from msal_cli.files import urls
 
     inputs = tuple(map(urls.settled, inputs))
-    with logs.configured(verbose, None), signals.noticed(signals.raise_for):
+    with logs.configured(verbose, None):
         known = words.settled_format(format, files.readable_suffixes, "--format")
         records = _inspected(_paths(inputs, include, exclude), known)
         return _print_json(records) if as_json else _print_text(records)

@@ -15,6 +15,7 @@ import click
 from click.exceptions import Exit
 
 from msal_cli import __version__
+from msal_cli.batch import signals
 from msal_cli.cli import exit_codes, talk
 from msal_cli.cli.words import COMPLETE_VARIABLE
 from msal_cli.errors import MsalError, OutputError
@@ -52,7 +53,9 @@ class Msal(click.Group):
     ) -> NoReturn:
         """Run a command line to its end and exit."""
         arguments = tuple(sys.argv[1:] if args is None else args)
-        sys.exit(_flushed(_status(self, arguments)))
+        with signals.obeyed_at_once():
+            status = _flushed(_status(self, arguments))
+        sys.exit(status)
 
 
 @click.group(

@@ -149,6 +149,7 @@ def _written(output: Buffer, record: MeshRecord, target: str) -> MeshRecord:
     from pathlib import Path
 
     from msal_cli import files
+    from msal_cli.batch import signals
 
     plain, is_compressed = files.expanded(output, "")
     is_to_be = target.lower().endswith(".gz")
@@ -161,5 +162,7 @@ def _written(output: Buffer, record: MeshRecord, target: str) -> MeshRecord:
         raise OutputError(
             f"the folder of {target!r} cannot be made: {error.strerror}", path=target
         ) from None
-    files.write_whole(target, [output])
+    # From here on there is something to clean up.
+    with signals.noticed(signals.raise_for):
+        files.write_whole(target, [output])
     return replace(record, output=target, output_sha256=hashlib.sha256(output).hexdigest())

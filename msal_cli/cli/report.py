@@ -57,14 +57,12 @@ def command(**options: Any) -> int:
     records of a file the newest counts. A file that a run set out to write and did not finish is
     planned.
     """
-    from msal_cli.batch import signals
     from msal_cli.files import urls
 
     request = Request(**urls.settled_in(options, "runs", "outputs"))
     if request.quiet and request.verbose:
         raise UsageError("--quiet and --verbose contradict each other", hint="give one of them")
-    with signals.noticed(signals.raise_for):
-        return _reported(request)
+    return _reported(request)
 
 
 def _reported(request: Request) -> int:

@@ -48,6 +48,7 @@ def write(names: Sequence[str], run: Run, records: Sequence[MeshRecord]) -> None
 
     One that cannot be written does not keep the others from being written.
     """
+    from msal_cli.batch import signals
     from msal_cli.files import is_url, write_whole
 
     first: OutputError | None = None
@@ -59,7 +60,9 @@ def write(names: Sequence[str], run: Run, records: Sequence[MeshRecord]) -> None
                     lambda name=name: Path(name).parent.mkdir(parents=True, exist_ok=True),  # type: ignore[misc]
                     name,
                 )
-            write_whole(name, [data])
+            # A signal must not leave a temporary file: nobody comes back to sweep it.
+            with signals.noticed(signals.raise_for):
+                write_whole(name, [data])
         except OutputError as error:
             first = first or error
     if first is not None:

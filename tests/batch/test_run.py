@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -21,7 +22,6 @@ from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import built
 from msal_cli.batch.run import run
-from msal_cli.batch.signals import Terminated
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.pipeline import Settings
 from msal_cli.records import SCHEMA
@@ -549,13 +549,46 @@ class TestInterrupts:
         assert before == after
 
     def test_a_second_signal_does_not_wait(self):
-        from msal_cli.batch.signals import noticed
+        code = (
+            "import os, signal, time; from msal_cli.batch.signals import noticed\n"
+            "with noticed(lambda number: print(number, flush=True)):\n"
+            "    os.kill(os.getpid(), signal.SIGINT)\n"
+            "    try: os.kill(os.getpid(), signal.SIGTERM)\n"
+            "    finally: print('cleaned up', flush=True)"
+        )
+        made = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+        assert made.stdout.decode().split() == [str(int(signal.SIGINT))]
+        assert (made.returncode, made.stderr) == (143, b"msal: interrupted\n")
 
-        seen = []
-        with pytest.raises(Terminated) as caught, noticed(seen.append):
-            os.kill(os.getpid(), signal.SIGINT)
+    @pytest.mark.parametrize(
+        "hold", ["hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)", "time.sleep(60)"]
+    )
+    def test_a_main_thread_that_does_not_listen_is_ended(self, tmp_path, hold):
+        # Neither a kernel nor whoever swallows the exception keeps the process.
+        code = (
+            "import hashlib, os, pathlib, signal, sys, time; from msal_cli.batch import signals\n"
+            "with signals.noticed(print), signals.ended_late(pathlib.Path(sys.argv[1]).touch):\n"
+            "    os.kill(os.getpid(), signal.SIGTERM)\n"
+            f"    {hold}\n"
+        )
+        began = time.monotonic()
+        made = subprocess.run(
+            [sys.executable, "-c", code, tmp_path / "cleaned"], capture_output=True, check=False
+        )
+        assert (made.returncode, made.stderr) == (143, b"msal: interrupted\n")
+        assert time.monotonic() - began < 10
+        assert (tmp_path / "cleaned").exists()
+
+    def test_a_block_that_is_left_in_time_goes_on(self):
+        from msal_cli.batch import signals
+
+        seen, cleaned = [], []
+        n_threads = threading.active_count()
+        with signals.noticed(seen.append), signals.ended_late(lambda: cleaned.append(1)):
             os.kill(os.getpid(), signal.SIGTERM)
-        assert seen == [signal.SIGINT] and caught.value.exit_status == 143
+        time.sleep(1.2 * signals.AT_LATEST_S)
+        assert (seen, cleaned) == ([signal.SIGTERM], [])
+        assert threading.active_count() == n_threads
 
     @pytest.mark.slow
     def test_fifty_kills_at_random_moments(self, folders):
