@@ -1,0 +1,241 @@
+"""Whole runs of the real command over a small folder, accidents to them, and what must hold after.
+
+The folder holds meshes of several formats, one of them damaged, so that a run over it takes about a
+second and ends with exit status 3.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from msal_cli.batch.lock import NAME as LOCK
+from msal_cli.batch.manifest import NAME as MANIFEST
+from msal_cli.batch.temporaries import is_own
+from tests.cli.scans import BAD_SCAN, MSAL, ply_text
+from tests.shapes import noisy, torus
+
+STATUS = 3
+"""The exit status of an unbroken run over the folder."""
+
+
+def obj_text(vertices, faces, library=""):
+    """A Wavefront OBJ file as bytes; ``library`` names a file of materials."""
+    lines = [f"mtllib {library}", "usemtl clay"] if library else []
+    lines += ["v " + " ".join(f"{x:.6f}" for x in vertex) for vertex in vertices]
+    lines += ["f " + " ".join(str(i + 1) for i in face) for face in faces]
+    return "\n".join(lines).encode() + b"\n"
+
+
+def stl_text(vertices, faces):
+    """An ASCII STL file as bytes."""
+    lines = ["solid scan"]
+    for face in faces:
+        corners = [f"vertex {x:.6e} {y:.6e} {z:.6e}" for x, y, z in vertices[face]]
+        lines += ["facet normal 0 0 0", "outer loop", *corners, "endloop", "endfacet"]
+    return "\n".join([*lines, "endsolid scan"]).encode() + b"\n"
+
+
+def scans_in(folder, count=24):
+    """Fill ``folder`` with ``count`` small meshes of several formats and a damaged one."""
+    folder.mkdir(parents=True)
+    for n in range(count):
+        vertices, faces = torus(8 + n % 5, 6)
+        vertices = noisy(vertices, n, 0.05)
+        home = folder / ("", "a", "a/b")[n % 3]
+        home.mkdir(parents=True, exist_ok=True)
+        if n % 4 == 0:
+            (home / f"{n}.ply").write_bytes(ply_text(vertices, faces))
+        elif n % 4 == 1:
+            (home / f"{n}.obj").write_bytes(obj_text(vertices, faces, f"{n}.mtl"))
+            (home / f"{n}.mtl").write_bytes(b"newmtl clay\n")
+        elif n % 4 == 2:
+            (home / f"{n}.stl").write_bytes(stl_text(vertices, faces))
+        else:
+            packed = gzip.compress(ply_text(vertices, faces), mtime=0)
+            (home / f"{n}.ply.gz").write_bytes(packed)
+    (folder / "a" / "damaged.ply").write_bytes(BAD_SCAN)
+    return folder
+
+
+def command(folder, output, *options):
+    """The words of the command that denoises ``folder``."""
+    return [*MSAL, "denoise", str(folder), "-o", str(output), "-q", *map(str, options)]
+
+
+def started(words, **options):
+    """The command in a session of its own, by which its workers are found."""
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options
+    # Whoever runs the tests in the background has SIGINT ignored, and so would the child.
+    return subprocess.Popen(
+        words,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        **options,
+    )
+
+
+def ended(words, **options):
+    """Run a command to its end: its status, and what it said to both streams."""
+    with started(words, **options) as process:
+        printed, said = process.communicate(timeout=300)
+    return process.returncode, printed, said.decode(errors="replace")
+
+
+def session_of(pid):
+    """The living processes of the session that process ``pid`` began, itself included."""
+    found = []
+    for entry in os.scandir("/proc"):
+        if not entry.name.isdigit():
+            continue
+        try:
+            state, _, _, session = (
+                Path(entry.path, "stat").read_text().rpartition(")")[2].split()[:4]
+            )
+        except OSError:
+            continue
+        if int(session) == pid and state not in "ZX":
+            found.append(int(entry.name))
+    return found
+
+
+def orphans_of(pid, within_s=2.0):
+    """What is still alive of a session after ``within_s`` seconds."""
+    deadline = time.monotonic() + within_s
+    while left := session_of(pid):
+        if time.monotonic() > deadline:
+            break
+        time.sleep(0.01)
+    return left
+
+
+def contents(folder):
+    """The files of an output folder by relative name, the manifest and the lock aside."""
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name not in (MANIFEST, LOCK)
+    }
+
+
+def noted(folder):
+    """The ``done`` entries of the manifest by name; a torn last line is passed over."""
+    found = {}
+    try:
+        text = (folder / MANIFEST).read_bytes()
+    except FileNotFoundError:
+        return found
+    *lines, _torn = text.split(b"\n")
+    for line in lines:
+        entry = json.loads(line) if line else {}
+        if entry.get("kind") == "done":
+            found[entry["name"]] = entry
+    return found
+
+
+@dataclass(frozen=True)
+class Whole:
+    """What an unbroken run writes, and how long it takes."""
+
+    files: dict[str, bytes]
+    seconds: float
+
+    def faults(self, folder):
+        """What is wrong with an output folder in the middle of a run that was broken."""
+        found = []
+        if not folder.exists():
+            return found
+        present = contents(folder)
+        for name, data in present.items():
+            if is_own(name.rpartition("/")[2]):
+                continue
+            if name not in self.files:
+                found.append(f"{name} should not be there")
+            elif data != self.files[name]:
+                found.append(f"{name} is not whole")
+        for name, entry in noted(folder).items():
+            if entry["status"] == "failed":
+                continue
+            digest = hashlib.sha256(present.get(name, b"")).hexdigest()
+            if digest != entry["output"]["sha256"]:
+                found.append(f"{name} is noted as done and is lost")
+        return found
+
+    def last_faults(self, folder):
+        """What is wrong with the folder after a run that came to its end."""
+        present = contents(folder)
+        found = [f"{name} is missing" for name in self.files.keys() - present.keys()]
+        found += [f"{name} should not be there" for name in present.keys() - self.files.keys()]
+        found += [
+            f"{name} differs" for name, data in present.items() if self.files.get(name) != data
+        ]
+        if (folder / LOCK).exists():
+            found.append("the lock is left")
+        return found
+
+
+def whole_run(folder, output, *options):
+    """Run the command unbroken, twice: the first time kernels may have to be compiled."""
+    words = command(folder, output, *options)
+    assert ended(words)[0] == STATUS
+    files = contents(output)
+    began = time.monotonic()
+    assert ended([*words, "--fresh"])[0] == STATUS
+    seconds = time.monotonic() - began
+    assert contents(output) == files
+    return Whole(files, seconds)
+
+
+def wait_until(is_so, process, within_s=60.0):
+    """Wait for ``is_so()`` or the end of the process."""
+    deadline = time.monotonic() + within_s
+    while not is_so() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.001)
+
+
+def moment(choice: random.Random, whole, output):
+    """A function that waits, given the process, for a random moment of its run.
+
+    A third of them is any moment, a third any after the output folder was taken in hand, and a
+    third comes shortly after a file was noted as done.
+    """
+    kind = choice.choice(["any", "taken", "done"])
+    if kind == "any":
+        pause = choice.uniform(0.0, whole.seconds)
+        return lambda process: _sleep(pause, process)
+    sign, count, longest = b'"intent"', 1, 0.5 * whole.seconds
+    if kind == "done":
+        sign, count, longest = b'"done"', choice.randint(1, len(whole.files)), 0.02
+    pause = choice.uniform(0.0, longest)
+    before = _lines(output, sign)
+
+    def wait(process):
+        wait_until(lambda: _lines(output, sign) >= before + count, process)
+        _sleep(pause, process)
+
+    return wait
+
+
+def _lines(output, sign):
+    try:
+        return (output / MANIFEST).read_bytes().count(sign)
+    except FileNotFoundError:
+        return 0
+
+
+def _sleep(pause, process):
+    deadline = time.monotonic() + pause
+    while process.poll() is None and (left := deadline - time.monotonic()) > 0:
+        time.sleep(min(left, 0.02))
+
+
+IS_LINUX = sys.platform.startswith("linux")
