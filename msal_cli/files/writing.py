@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import functools
+import logging
 import os
 import re
 import secrets
@@ -27,6 +28,7 @@ ABANDONED_S = 24 * 3600.0
 """Seconds after which a temporary file is stale whatever became of its process."""
 
 _PIECE = 64 << 20
+_log = logging.getLogger("msal.files")
 _TEMPORARY = re.compile(r"^\..*\.msal-(\d{1,10})-([0-9a-f]{8})[0-9a-f]{8}\.tmp$", re.DOTALL)
 
 _HINTS = {
@@ -224,7 +226,11 @@ def _place(temporary: Path, target: Path) -> None:
 
 
 def _flush_folder(folder: Path) -> None:
-    """Make the new name durable where the system can; the file itself already is."""
+    """Make the new name durable where the system can; the file itself already is.
+
+    The file is in its place, so a system that cannot do this gets a warning and no failure: whoever
+    goes on from here knows files by their content, and would find after a power cut what was lost.
+    """
     if os.name != "posix":
         return
     try:
@@ -232,12 +238,13 @@ def _flush_folder(folder: Path) -> None:
     except OSError:
         return  # a folder that may be written but not read
     try:
-        os.fsync(handle)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
     except OSError as failure:
         if failure.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES):
-            raise
-    finally:
-        os.close(handle)
+            _log.warning("the folder %r cannot be synced: %s", str(folder), failure.strerror)
 
 
 def swept(folder: str | os.PathLike[str]) -> tuple[str, ...]:

@@ -166,6 +166,22 @@ def test_a_failing_system_leaves_the_old_file_and_no_temporary(tmp_path, monkeyp
     assert names(tmp_path) == ["a.ply"]
 
 
+def test_a_folder_that_cannot_be_synced_is_a_warning(tmp_path, monkeypatch, caplog):
+    real = os.fsync
+
+    def fsync(handle):
+        if stat.S_ISDIR(os.fstat(handle).st_mode):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        real(handle)
+
+    monkeypatch.setattr(writing.os, "fsync", fsync)
+    write_whole(tmp_path / "a.ply", b"new")
+    assert (tmp_path / "a.ply").read_bytes() == b"new"
+    assert [one.message for one in caplog.records] == [
+        f"the folder {str(tmp_path)!r} cannot be synced: {os.strerror(errno.EIO)}"
+    ]
+
+
 def test_a_disk_that_fills_up_midway(tmp_path, monkeypatch):
     real = os.write
     calls = []
