@@ -15,6 +15,7 @@ while its process lives, and words of other machines do not count.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import logging
 import os
@@ -116,9 +117,7 @@ class FolderLock:
                 is_kept = _is_still_there(handle, path)
                 if is_kept:
                     if not is_shared:
-                        os.truncate(handle, 0)
-                        os.lseek(handle, 0, os.SEEK_SET)
-                        os.write(handle, f"{os.getpid()} {socket.gethostname()}\n".encode())
+                        _say_who(handle, path)
                     self._held.append(_Held(path, handle, is_shared))
                     return None
             except BaseException:
@@ -197,7 +196,9 @@ class _Held:
         # Removed while held alone: who opened it meanwhile sees that it is gone and starts again.
         if not self.is_shared or self._is_last():
             _remove(self.path)
-        os.close(self.handle)
+        # Closed it is, whatever the system says about it, and nothing in it is of worth.
+        with contextlib.suppress(OSError):
+            os.close(self.handle)
 
     def _is_last(self) -> bool:
         try:
@@ -250,6 +251,20 @@ def _holder(handle: int, path: Path) -> _Holder:
     pid, _, host = os.read(handle, 300).decode(errors="replace").strip().partition(" ")
     named = _OF_SHARD.fullmatch(path.name)
     return _Holder(pid, host, f"{named[1]}/{named[2]}" if named else "")
+
+
+def _say_who(handle: int, path: Path) -> None:
+    """Write into a lock file who holds it."""
+    try:
+        os.truncate(handle, 0)
+        os.lseek(handle, 0, os.SEEK_SET)
+        os.write(handle, f"{os.getpid()} {socket.gethostname()}\n".encode())
+    except OSError as error:
+        raise OutputError(
+            f"the lock file {str(path)!r} cannot be written: {error.strerror}",
+            hint="the output folder must be writable, and its disk not be full",
+            path=str(path),
+        ) from None
 
 
 def _is_still_there(handle: int, path: Path) -> bool:
