@@ -87,7 +87,12 @@ def ended_late(clean: Callable[[], object]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    listening, telling = os.pipe()
+    try:
+        listening, telling = os.pipe()
+    except OSError:
+        # Too many files are open; the handler itself still works.
+        yield
+        return
     os.set_blocking(telling, False)
     is_left = threading.Event()
 
