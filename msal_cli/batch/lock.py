@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import functools
 import logging
 import os
 import random
@@ -242,8 +243,14 @@ def _is_free(handle: int, path: Path, *, is_shared: bool) -> bool:
     try:
         return _is_locked_by_us(handle, is_shared=is_shared)
     except OSError as error:
-        _log.warning("the folder %r cannot be locked: %s", str(path.parent), error)
+        _warn(str(path.parent), str(error))
         return not _holder(handle, path).is_alive()
+
+
+@functools.cache
+def _warn(folder: str, reason: str) -> None:
+    """Said once; a lock is tried several times."""
+    _log.warning("the folder %r cannot be locked: %s", folder, reason)
 
 
 def _holder(handle: int, path: Path) -> _Holder:

@@ -119,8 +119,14 @@ def denoise(task, settings, on_progress=None, limits=None):
                 mark.touch()
                 time.sleep(60)
         if line.startswith("fail"):
+            # "fail" alone is a file that could not be read: nothing is known of its content.
+            code = (line.split() + ["E_FORMAT"])[1]
+            sha256 = hashlib.sha256(data).hexdigest() if line != "fail" else None
             return MeshRecord(
-                input=task.input, status="failed", error=Failure("E_FORMAT", "made to fail")
+                input=task.input,
+                status="failed",
+                input_sha256=sha256,
+                error=Failure(code, "made to fail"),
             )
         if line.startswith("unseen"):
             return MeshRecord(

@@ -11,7 +11,8 @@ import sys
 import pytest
 
 from msal_cli.batch import lock
-from msal_cli.batch.lock import NAME, FolderLock
+from msal_cli.batch.lock import NAME, FolderLock, who_works
+from msal_cli.batch.shards import Shard
 from msal_cli.errors import OutputError, UsageError
 
 HOLD = (
@@ -111,3 +112,133 @@ def test_a_link_in_the_place_of_the_lock_does_not_harm_its_target(tmp_path):
     with pytest.raises(OutputError):
         FolderLock(str(tmp_path))
     assert (tmp_path / "precious").read_text() == "keep"
+
+
+HOLD_SHARD = (
+    "import sys; from msal_cli.batch.lock import FolderLock; "
+    "from msal_cli.batch.shards import Shard; one = FolderLock(sys.argv[1], Shard(2, 4)); "
+    "print('held', flush=True); sys.stdin.read()"
+)
+
+
+def locks_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+class TestShards:
+    """Shards of one N share a folder; nobody else works there meanwhile."""
+
+    @pytest.fixture(params=["shared", "not shared", "no locks"], autouse=True)
+    def system(self, request, monkeypatch):
+        # Here nobody comes and goes meanwhile.
+        monkeypatch.setattr(lock, "_PAUSE_S", (0.0, 0.0))
+        if request.param == "not shared":
+            # As on Windows.
+            monkeypatch.setattr(lock, "_CAN_SHARE", False)
+            real = lock._is_locked_by_us
+            monkeypatch.setattr(lock, "_is_locked_by_us", lambda handle, **how: real(handle))
+        elif request.param == "no locks":
+
+            def unsupported(handle, **how):
+                raise OSError(38, "Function not implemented")
+
+            monkeypatch.setattr(lock, "_is_locked_by_us", unsupported)
+        return request.param
+
+    def test_shards_of_one_n_work_together(self, tmp_path):
+        with FolderLock(str(tmp_path), Shard(1, 3)), FolderLock(str(tmp_path), Shard(3, 3)):
+            with FolderLock(str(tmp_path), Shard(2, 3)):
+                pass
+            with FolderLock(str(tmp_path), Shard(2, 3)):
+                pass
+        FolderLock(str(tmp_path)).release()
+        assert locks_in(tmp_path) == []
+
+    @pytest.mark.parametrize(
+        ("first", "second"),
+        [
+            (None, Shard(1, 4)),
+            (Shard(1, 4), None),
+            (Shard(1, 4), Shard(1, 4)),
+            (Shard(1, 4), Shard(2, 5)),
+            (Shard(1, 1), None),
+            (None, Shard(1, 1)),
+        ],
+        ids=str,
+    )
+    def test_others_are_refused_and_told_who_is_there(self, tmp_path, first, second):
+        with FolderLock(str(tmp_path), first):
+            own = NAME if first is None else f"{NAME}-{first.file_part}"
+            for _ in range(2):
+                with pytest.raises(UsageError, match=f"process {os.getpid()} ") as caught:
+                    FolderLock(str(tmp_path), second)
+                assert caught.value.code == "E_LOCKED"
+                assert ("(shard 1/" in caught.value.message) == (first is not None)
+            assert own in locks_in(tmp_path)
+        FolderLock(str(tmp_path), second).release()
+
+    def test_the_first_to_end_does_not_free_the_folder(self, tmp_path):
+        first, second = (
+            FolderLock(str(tmp_path), Shard(1, 2)),
+            FolderLock(str(tmp_path), Shard(2, 2)),
+        )
+        first.release()
+        for other in (None, Shard(1, 3)):
+            with pytest.raises(UsageError, match=r"shard 2/2"):
+                FolderLock(str(tmp_path), other)
+        second.release()
+        FolderLock(str(tmp_path)).release()
+
+    def test_the_dead_hold_nothing(self, tmp_path):
+        with subprocess.Popen(
+            [sys.executable, "-c", HOLD_SHARD, str(tmp_path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        ) as process:
+            assert process.stdout.readline() == "held\n"
+            process.kill()
+        assert f"{NAME}-2-of-4" in locks_in(tmp_path)
+        FolderLock(str(tmp_path), Shard(2, 4)).release()
+        FolderLock(str(tmp_path), Shard(1, 3)).release()
+        with FolderLock(str(tmp_path)):
+            assert locks_in(tmp_path) == [NAME]
+        assert locks_in(tmp_path) == []
+
+    def test_who_works_is_told_without_a_trace(self, tmp_path):
+        assert who_works(str(tmp_path)) == who_works(str(tmp_path / "missing")) == ()
+        with FolderLock(str(tmp_path)):
+            assert who_works(str(tmp_path)) == (f"process {os.getpid()}",)
+        with FolderLock(str(tmp_path), Shard(1, 2)), FolderLock(str(tmp_path), Shard(2, 2)):
+            before = locks_in(tmp_path)
+            told = [f"process {os.getpid()} (shard {k}/2)" for k in (1, 2)]
+            assert list(who_works(str(tmp_path))) == told
+            assert locks_in(tmp_path) == before
+
+
+def test_another_process_with_a_shard_is_named(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD_SHARD, str(tmp_path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout.readline() == "held\n"
+        for other in (None, Shard(2, 4), Shard(1, 3)):
+            with pytest.raises(UsageError, match=rf"process {process.pid} \(shard 2/4\)"):
+                FolderLock(str(tmp_path), other)
+        FolderLock(str(tmp_path), Shard(1, 4)).release()
+        process.kill()
+
+
+def test_many_shards_that_start_and_end_at_once_are_not_refused(tmp_path):
+    """Also not by the looking of the others, or by the last of them, who clears away."""
+    code = (
+        "import sys; from msal_cli.batch.lock import FolderLock; "
+        "from msal_cli.batch.shards import Shard\n"
+        "for _ in range(200): FolderLock(sys.argv[1], Shard(int(sys.argv[2]), 4)).release()"
+    )
+    processes = [
+        subprocess.Popen([sys.executable, "-c", code, str(tmp_path), str(k)]) for k in range(1, 5)
+    ]
+    assert [process.wait() for process in processes] == [0] * 4

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import time
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from msal_cli.batch.manifest import (
     line_of,
     settings_hash,
 )
+from msal_cli.batch.shards import Shard
 from msal_cli.errors import OutputError
 from msal_cli.pipeline import Settings
 from msal_cli.records import MeshRecord, ObjectMark, Volume
@@ -167,6 +169,97 @@ def test_a_full_disk_is_an_output_error(tmp_path):
     manifest._file.close()
     with open("/dev/full", "wb", buffering=0) as manifest._file, pytest.raises(OutputError):
         manifest.append([intent("a", "in")])
+
+
+class TestSeveral:
+    """Shards write manifests of their own, and everybody reads all."""
+
+    def noted(self, folder, shard, *lines):
+        manifest = Manifest.read(str(folder), shard)
+        manifest.open()
+        manifest.append(lines)
+        manifest.close()
+
+    def test_each_shard_writes_its_own_and_reads_all(self, tmp_path):
+        for k in (1, 2, 3):
+            self.noted(tmp_path, Shard(k, 3), intent(f"{k}", "in"))
+        self.noted(tmp_path, None, intent("whole", "in"))
+        self.noted(tmp_path, Shard(1, 2), intent("other", "in"))
+        names = [path.name for path in manifests.paths_in(str(tmp_path))]
+        assert names == [
+            ".msal-manifest-1-of-2.jsonl",
+            *(f".msal-manifest-{k}-of-3.jsonl" for k in (1, 2, 3)),
+            NAME,
+        ]
+        for shard in (None, Shard(2, 3), Shard(1, 7)):
+            known = Manifest.read(str(tmp_path), shard).names()
+            assert known == {"1", "2", "3", "whole", "other"}
+        assert manifests.names_in(str(tmp_path)) == known
+
+    def test_the_newer_line_counts_whoever_wrote_it(self, tmp_path):
+        line = done("a.ply", "new", record(tmp_path), "in")
+        for first, second in ((None, Shard(1, 2)), (Shard(1, 2), None)):
+            self.noted(tmp_path, first, line | {"settings": "old"})
+            self.noted(tmp_path, second, line)
+            assert Manifest.read(str(tmp_path)).get("a.ply").settings == "new"
+            self.noted(tmp_path, first, intent("a.ply", "in"))
+            assert not Manifest.read(str(tmp_path)).get("a.ply").is_done
+
+    def test_a_clock_that_is_slow_does_not_make_a_line_old(self, tmp_path, monkeypatch):
+        line = done("a.ply", "first", record(tmp_path), "in")
+        self.noted(tmp_path, Shard(1, 2), line)
+        monkeypatch.setattr(time, "time_ns", lambda: 5)
+        self.noted(tmp_path, None, line | {"settings": "second"})
+        self.noted(tmp_path, None, line | {"settings": "third"})
+        assert Manifest.read(str(tmp_path)).get("a.ply").settings == "third"
+
+    def test_lines_without_a_time_are_the_oldest(self, tmp_path):
+        old = done("a.ply", "old", record(tmp_path), "in")
+        (tmp_path / NAME).write_text(json.dumps(old) + "\n")
+        assert Manifest.read(str(tmp_path)).get("a.ply").record() is not None
+        self.noted(tmp_path, Shard(1, 2), old | {"settings": "new"})
+        assert Manifest.read(str(tmp_path)).get("a.ply").settings == "new"
+        for at in ("soon", None, True, 1.5):
+            (tmp_path / NAME).write_text(json.dumps(old | {"at": at}) + "\n")
+            assert Manifest.read(str(tmp_path)).get("a.ply").settings == "new"
+
+    def test_compaction_drops_only_what_is_outdated_in_its_own(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(manifests, "_SPARE_LINES", 5)
+        monkeypatch.setattr(manifests, "RUN_LINES_KEPT", 3)
+        line = done("a.ply", "h", record(tmp_path), "in")
+        runs = [{"kind": "run", "format": 1, "number": n} for n in range(10)]
+        self.noted(tmp_path, None, *runs, line | {"settings": "old"}, line, intent("b", "in"))
+        self.noted(tmp_path, Shard(1, 2), line | {"settings": "newer"})
+        other = (tmp_path / ".msal-manifest-1-of-2.jsonl").read_bytes()
+        self.noted(tmp_path, None)
+        lines = [json.loads(one) for one in (tmp_path / NAME).read_text().splitlines()]
+        assert [one.get("number", one.get("name")) for one in lines] == [7, 8, 9, "a.ply", "b"]
+        assert lines[3]["settings"] == "h"
+        assert (tmp_path / ".msal-manifest-1-of-2.jsonl").read_bytes() == other
+        after = Manifest.read(str(tmp_path))
+        assert after.get("a.ply").settings == "newer" and after.get("a.ply").record() is not None
+
+    def test_a_record_whose_file_was_rewritten_since_is_not_another_s(self, tmp_path):
+        lines = [done(name, "h", record(tmp_path, name), "in") for name in ("a.ply", "b.ply")]
+        self.noted(tmp_path, None, *lines)
+        read = Manifest.read(str(tmp_path))
+        whole = (tmp_path / NAME).read_bytes().splitlines(keepends=True)
+        (tmp_path / NAME).write_bytes(whole[1] + whole[0])
+        assert read.get("a.ply").record() is None
+        (tmp_path / NAME).unlink()
+        assert read.get("b.ply").record() is None
+
+    def test_a_record_is_not_needed_to_know_the_rest(self, tmp_path):
+        """The short way of reading a line must say what the long one says."""
+        line = done('x,"record":{"at":7', "h", record(tmp_path), "in") | {"at": 12}
+        short = manifests.line_of(line).rstrip()
+        long = json.dumps(line).encode()
+        assert manifests._USUAL_DONE.fullmatch(short) and not manifests._USUAL_DONE.fullmatch(long)
+        one, other = manifests.entry_of(short), manifests.entry_of(long)
+        assert dataclasses.replace(one, text=b"") == dataclasses.replace(other, text=b"")
+        assert one.at == 12 and one.record() == other.record() == record(tmp_path)
+        for length in range(len(short)):
+            assert manifests.entry_of(short[:length]) is None
 
 
 class TestSettingsHash:

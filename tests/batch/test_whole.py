@@ -60,7 +60,7 @@ def outputs(folder):
     return {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in folder.rglob("*")
-        if path.is_file() and path.name != NAME
+        if path.is_file() and not path.name.startswith(".msal-")
     }
 
 
@@ -77,6 +77,25 @@ def test_any_number_of_jobs_writes_the_bytes_that_one_file_alone_would_get(scans
         failed = [record for record in records if record.status == "failed"]
         assert [Path(record.input).name for record in failed] == ["bad.obj"]
         assert outputs(scans.parent / f"out{jobs}") == alone
+
+
+def test_four_shards_at_once_write_what_one_run_writes(scans):
+    """Real processes on one folder, started together; then a whole run finds nothing to do."""
+    (scans / "bad.obj").write_text("v 1 2\nf 1 2 3\n")
+    run(plan_of(scans, "one"), settings(), jobs=1)
+    command = [sys.executable, "-m", "msal_cli", "denoise", str(scans), "-j", "1", "-o"]
+    shards = [
+        subprocess.Popen([*command, str(scans.parent / "out"), "--shard", f"{k}/4", "-q"])
+        for k in range(1, 5)
+    ]
+    # The shard with the bad file ends with 3, or with 1 if that is all it has.
+    assert sorted(one.wait() for one in shards) in ([0, 0, 0, 3], [0, 0, 0, 1])
+    assert outputs(scans.parent / "out") == outputs(scans.parent / "one") != {}
+    names = [path.name for path in (scans.parent / "out").glob(".msal-*")]
+    assert sorted(names) == [f".msal-manifest-{k}-of-4.jsonl" for k in range(1, 5)]
+    records = run(plan_of(scans), settings())
+    assert {record.status for record in records} == {"up-to-date", "failed"}
+    assert sum(record.remembered for record in records) == 1
 
 
 def test_a_rerun_redoes_what_changed_and_its_records_tell_the_same(scans):
