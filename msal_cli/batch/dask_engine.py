@@ -28,7 +28,8 @@ from msal_cli.batch import homes, temporaries
 from msal_cli.batch.dask_cluster import Cluster, no_workers
 from msal_cli.batch.dask_worker import Answer, Order
 from msal_cli.batch.engine import Work
-from msal_cli.batch.workers import Again, Began, Interrupt, Lost, Message, Returned
+from msal_cli.batch.messages import Again, Began, Lost, Message, Returned
+from msal_cli.batch.workers import Interrupt
 from msal_cli.errors import MsalError, ResourceError, UsageError
 from msal_cli.files.urls import is_url
 from msal_cli.records import MeshRecord

@@ -22,8 +22,9 @@ from typing import Any
 
 from msal_cli import __version__
 from msal_cli.batch import homes, temporaries
+from msal_cli.batch.messages import Advanced, Lost, Message, Returned
 from msal_cli.batch.schedule import Schedule
-from msal_cli.batch.workers import Advanced, Crew, Interrupt, Lost, Message, Returned
+from msal_cli.batch.workers import Crew, Interrupt
 from msal_cli.errors import ResourceError
 from msal_cli.pipeline import Limits
 

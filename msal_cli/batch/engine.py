@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from msal_cli.pipeline import NO_LIMITS, Limits
 
 if TYPE_CHECKING:
-    from msal_cli.batch.workers import Message
+    from msal_cli.batch.messages import Message
     from msal_cli.pipeline import Task
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 from msal_cli.batch import control_groups
@@ -31,12 +32,20 @@ def oom_kills(proc: Path = _PROC, groups: Path = control_groups.GROUPS) -> int:
 
     Where no group counts them, those of the whole machine; 0 where nobody counts.
     """
+    counter = _counter(proc, groups)
+    kills = None if counter is None else _entry(counter, "oom_kill")
+    return (_entry(proc / "vmstat", "oom_kill") or 0) if kills is None else kills
+
+
+# It is asked before every file, and looking for it takes longer than reading it.
+@functools.cache
+def _counter(proc: Path, groups: Path) -> Path | None:
+    """The file in which the innermost group that does so counts its kills."""
     for folder in control_groups.folders("memory", groups, proc / "self" / "cgroup"):
         for name in ("memory.events", "memory.oom_control"):
-            kills = _entry(folder / name, "oom_kill")
-            if kills is not None:
-                return kills
-    return _entry(proc / "vmstat", "oom_kill") or 0
+            if _entry(folder / name, "oom_kill") is not None:
+                return folder / name
+    return None
 
 
 def _of_machine(meminfo: Path) -> int | None:

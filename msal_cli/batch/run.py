@@ -34,7 +34,7 @@ from msal_cli.records import Failure, MeshRecord, MethodUsed
 if TYPE_CHECKING:
     from msal_cli.batch.engine import EngineFor
     from msal_cli.batch.events import OnEvent
-    from msal_cli.batch.workers import Message
+    from msal_cli.batch.messages import Message
 
     OnProgress = Callable[[str, int, int], None]
     Denoise = Callable[..., MeshRecord]
@@ -300,7 +300,7 @@ class _Run:
                 signals.raise_for(received[0])
 
     def _hear(self, messages: list[Message]) -> None:
-        from msal_cli.batch.workers import Advanced, Again, Began, Lost, Returned
+        from msal_cli.batch.messages import Advanced, Again, Began, Lost, Returned
 
         finished: list[tuple[int, MeshRecord]] = []
         for message in messages:

@@ -17,11 +17,11 @@ import re
 import subprocess
 import time
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
 from typing import Any
 
 from msal_cli.batch import worker_process
 from msal_cli.batch.memory import oom_kills
+from msal_cli.batch.messages import Advanced, Again, Began, Lost, Message, Returned
 from msal_cli.batch.processes import ending, is_near_memory_limit
 from msal_cli.batch.schedule import Schedule
 from msal_cli.batch.worker import Assignment
@@ -48,57 +48,6 @@ _WANT_OF_MEMORY = re.compile(
 _STUCK = "the worker does not even end when it is killed; look at the disks that it works on"
 
 _log = logging.getLogger("msal.batch")
-
-
-@dataclass(frozen=True, slots=True)
-class Began:
-    """A worker has taken task ``index`` in hand."""
-
-    index: int
-
-
-@dataclass(frozen=True, slots=True)
-class Advanced:
-    """What ``on_progress`` was called with."""
-
-    index: int
-    stage: str
-    done: int
-    total: int
-
-
-@dataclass(frozen=True, slots=True)
-class Returned:
-    """The result of task ``index``; ``earlier`` tells what ended the try before, if any did."""
-
-    index: int
-    result: Any
-    earlier: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Lost:
-    """Task ``index`` has no result.
-
-    ``cause`` is ``"crash"``, ``"memory"`` or ``"timeout"``, at every try; ``"exception"``, which
-    another try would not mend; or ``"changed"``, if another try would do harm.
-    """
-
-    index: int
-    cause: str
-    reason: str
-    hint: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Again:
-    """Task ``index`` was lost with its worker and will be tried again."""
-
-    index: int
-    reason: str
-
-
-Message = Began | Advanced | Returned | Lost | Again
 
 
 class Interrupt(Exception):  # noqa: N818 - it is a message, not a fault

@@ -194,6 +194,7 @@ def _expanded(head: bytes, size: int) -> tuple[bytes, int]:
 def _of_ply(head: bytes, size: int, *, is_packed: bool) -> _Counts:
     header = ply_header.parsed(memoryview(head))
     vertex, face = header.find("vertex"), header.find("face")
+    strips = header.find("tristrips") if face is None else None
     n_vertices = vertex.count if vertex is not None else 0
     n_faces = face.count if face is not None else 0
     is_text = header.encoding == "ascii"
@@ -207,6 +208,11 @@ def _of_ply(head: bytes, size: int, *, is_packed: bool) -> _Counts:
     triangles = n_faces
     if face is not None and not is_text and not is_packed:
         triangles = max(triangles, _triangles(header, face, size - least))
+    if strips is not None:
+        # Each item of a strip but its first two is a triangle; how many there are, only reading
+        # the strips tells.
+        items = 4 * strips.count if is_packed else max(0, size - least) // (2 if is_text else 4)
+        return _Counts(kind, n_vertices, items, n_vertices, None, least)
     if is_packed and not is_text:
         # Triangles, as nearly all scans are.
         lists = [one for one in face.properties if one.is_list] if face is not None else []

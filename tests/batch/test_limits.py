@@ -16,10 +16,11 @@ from msal_cli.batch import worker_process, workers
 from msal_cli.batch.events import Started
 from msal_cli.batch.inputs import found
 from msal_cli.batch.manifest import NAME
+from msal_cli.batch.messages import Again, Began, Lost, Returned
 from msal_cli.batch.plan import built
 from msal_cli.batch.run import run
 from msal_cli.batch.schedule import Schedule
-from msal_cli.batch.workers import Again, Began, Crew, Lost, Returned
+from msal_cli.batch.workers import Crew
 from msal_cli.errors import UsageError
 from msal_cli.pipeline import Limits, Settings
 from tests.batch import fakes

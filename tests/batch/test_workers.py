@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 
 from msal_cli.batch import worker_process
+from msal_cli.batch.messages import Advanced, Again, Began, Lost, Returned
 from msal_cli.batch.worker import read_message, write_message
-from msal_cli.batch.workers import Advanced, Again, Began, Crew, Interrupt, Lost, Returned
+from msal_cli.batch.workers import Crew, Interrupt
 from msal_cli.errors import ResourceError
 from tests.batch import fakes
 
@@ -269,7 +270,8 @@ def test_fewer_workers_than_wanted_are_enough(monkeypatch):
 def test_workers_end_when_the_parent_is_killed(tmp_path):
     code = (
         "from tests.batch import fakes\n"
-        "from msal_cli.batch.workers import Crew, Began\n"
+        "from msal_cli.batch.messages import Began\n"
+        "from msal_cli.batch.workers import Crew\n"
         "some = Crew({n: ('sleep', 60) for n in range(2)}, fakes.work, None, jobs=2, cores=2)\n"
         "for batch in some.batches():\n"
         "    if len([w for w in some._workers if w.in_hand is not None]) == 2:\n"

@@ -80,6 +80,17 @@ def test_quads_count_as_faces_but_cost_two_triangles():
     assert one.memory_bytes == pytest.approx(two.memory_bytes - extra, abs=200)
 
 
+def test_strips_tell_no_count_of_faces_but_cost_their_triangles():
+    header = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 500\nproperty float x\n"
+        "property float y\nproperty float z\nelement tristrips 1\n"
+        "property list int int vertex_indices\nend_header\n"
+    )
+    one = told(header.encode() + bytes(500 * 12 + 4 + 4 * 1000), "a.ply")
+    assert (one.vertices, one.faces) == (500, None)
+    assert one.memory_bytes > BASE_BYTES + 66 * 1500
+
+
 def test_a_compressed_file_is_told_by_what_is_in_it():
     vertices, faces = scan(64, 32)
     plain = ply(vertices, faces)
