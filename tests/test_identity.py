@@ -1,0 +1,87 @@
+"""A file in which nothing moves comes back byte for byte: every fixture, sample and real scan."""
+
+from __future__ import annotations
+
+import gzip
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msal_cli import files, pipeline
+from msal_cli.mesh import prepared
+from tests.files import plain_ply
+from tests.fuzz import mutants
+from tests.shapes import noisy, torus
+from tests.test_pipeline import WRITERS, settings
+
+SAMPLES = Path(__file__).parents[1] / "sample_meshes"
+
+
+def meshes_in(folder: Path) -> list[Path]:
+    known = (path for path in sorted(folder.rglob("*")) if pipeline.is_mesh_name(path.name))
+    return [path for path in known if files.format_of_name(path.name) in files.OWN_FORMATS]
+
+
+def fixtures() -> Iterator[tuple[str, bytes]]:
+    vertices, faces = torus(12, 8)
+    for name, writer in WRITERS.items():
+        yield f"torus {name}", writer(noisy(vertices, 1, 0.1), faces)
+    for encoding in plain_ply.ENCODINGS:
+        for kind in ("float", "double"):
+            yield f"cube {encoding} {kind}.ply", plain_ply.written(plain_ply.cube(encoding, kind))
+    for format in files.OWN_FORMATS:
+        for number, data in enumerate(mutants.seeds(format)):
+            yield f"seed {number}.{format}", data
+            # Another compressor's header, time and level: the very file is kept, not only its
+            # content.
+            yield f"seed {number}.{format}.gz", gzip.compress(data, 1, mtime=12345)
+
+
+FIXTURES = dict(fixtures())
+
+
+def require_same(name: str, data: bytes) -> None:
+    """Through the whole way of a file, and through each part of it alone."""
+    output, record = pipeline.denoise_bytes(data, name, settings(iterations=0))
+    assert record.error is None, record.error
+    assert record.status == "unchanged"
+    assert output is not None and bytes(output) == data
+    whole, _ = files.expanded(data, name)
+    file = files.open_mesh(whole, name)
+    ready = prepared(file.vertices, file.faces)
+    back = ready.scattered(ready.mesh.vertices.copy(), file.vertices)
+    assert np.array_equal(back, file.vertices)
+    assert bytes(file.replaced(back)) == bytes(whole)
+    file.check(whole, back)
+    if len(file.faces) <= 1_000:
+        # One vertex there and, from what was written, back again: nothing else may have moved.
+        moved = file.vertices.copy()
+        moved[0] += 0.5
+        there = files.open_mesh(bytes(file.replaced(moved)), name, file.format)
+        assert np.array_equal(there.vertices[1:], file.vertices[1:])
+
+
+@pytest.mark.parametrize("name", FIXTURES)
+def test_fixtures(name):
+    require_same(name, FIXTURES[name])
+
+
+@pytest.mark.parametrize("path", meshes_in(SAMPLES), ids=lambda path: path.name)
+def test_sample_meshes(path):
+    require_same(path.name, path.read_bytes())
+
+
+def test_there_are_many():
+    assert len(meshes_in(SAMPLES)) >= 16
+    assert len(FIXTURES) >= 50
+
+
+REAL = meshes_in(Path(os.environ["MSAL_DATA"])) if os.environ.get("MSAL_DATA") else []
+
+
+@pytest.mark.parametrize("path", REAL or [None], ids=lambda path: path.name if path else "none")
+def test_real_scans(path, real_data):
+    require_same(path.name, path.read_bytes())
