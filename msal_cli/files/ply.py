@@ -240,8 +240,8 @@ class PlyFile:
                     expected = ply_layout.stored(values[:, k], np.dtype(one.code))
                     if (where[:, k] & (stored[:, k] != expected)).any():
                         raise InternalError(f"an {one.name} of the output is not the computed one")
-                old = self.vertices if names == POSITION else self._normals[section.element.name]
-                section.write(restored, names, old, where)
+                # Their bytes, not their values: 64-bit whole numbers need not fit a double.
+                section.restore(restored, names, where)
             _require_same(self._bytes[section.start : section.stop], restored)
             at = section.stop
         _require_same(self._bytes[at:], result[at:])

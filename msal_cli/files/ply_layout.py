@@ -88,6 +88,11 @@ class Fixed:
             column = self.column(name, within)
             np.copyto(column, stored(values[:, k], column.dtype), where=where[:, k])
 
+    def restore(self, within: Bytes, names: Sequence[str], where: Flags) -> None:
+        """Store the file's own bytes where ``where`` (count, k), into a copy of this section."""
+        for k, name in enumerate(names):
+            np.copyto(self.column(name, within), self.column(name), where=where[:, k])
+
 
 @dataclass(frozen=True)
 class Varied:
@@ -156,6 +161,17 @@ class Varied:
             chosen = where[:, k]
             packed = stored(values[chosen, k], dtype).view(np.uint8)
             scatter(within, starts[chosen] - self.start, sizes[chosen], packed)
+
+    def restore(self, within: Bytes, names: Sequence[str], where: Flags) -> None:
+        """Store the file's own bytes where ``where`` (count, k), into a copy of this section."""
+        from msal_cli.core.ply_scan import gather, scatter
+
+        for k, name in enumerate(names):
+            _, starts, sizes = self._pieces(name)
+            starts, sizes = starts[where[:, k]], sizes[where[:, k]]
+            packed = np.empty(int(sizes.sum()), dtype=np.uint8)
+            gather(self.data, starts, sizes, packed)
+            scatter(within, starts - self.start, sizes, packed)
 
 
 @dataclass(frozen=True)

@@ -499,6 +499,26 @@ def test_an_element_without_properties_takes_no_room_however_large():
     assert len(ply.read(data, "odd.ply").faces) == 1
 
 
+@pytest.mark.parametrize("extra", [[], [("near", "int", "uchar")]])
+def test_whole_numbers_that_no_double_holds_are_replaced_and_kept(extra):
+    wide = [("x", "float", ""), ("y", "uint64", ""), ("z", "int64", "")]
+    rows = [
+        [k % 2, 2**62 + 4097 * k, k // 2 - 2**53 - 1, *[[1] * k for _ in extra]] for k in range(4)
+    ]
+    vertex = Element("vertex", wide + extra, rows)
+    data = plain_ply.written(Ply(LE, [vertex, Element("face", LIST, [[[0, 1, 2]], [[3, 2, 1]]])]))
+    mesh = ply.read(data, "wide.ply")
+    vertices = mesh.vertices.copy()
+    vertices[::2] += 65536.0
+    output = mesh.replaced(vertices)
+    mesh.check(output, vertices)
+    damaged = bytearray(output)
+    # The last bit of the y that stays, in the second record.
+    damaged[data.index(b"end_header\n") + 11 + 20 + len(extra) + 4] ^= 1
+    with pytest.raises(InternalError):
+        mesh.check(damaged, vertices)
+
+
 # Damage at random
 
 
