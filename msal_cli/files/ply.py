@@ -260,7 +260,8 @@ class PlyFile:
                 for k, digits in enumerate(decimals):
                     slack = 0.5 * 10.0 ** -max(digits, 0) + np.spacing(np.abs(values[:, k]))
                     # Written so that NaN fails.
-                    right = np.abs(stored[:, k] - values[:, k]) <= slack
+                    with np.errstate(invalid="ignore"):
+                        right = np.abs(stored[:, k] - values[:, k]) <= slack
                     if (where[:, k] & ~right).any():
                         raise InternalError(f"an {names[k]} of the output is not the computed one")
                 kept.append((section, new, names, where))

@@ -311,7 +311,8 @@ class StlTextFile:
             raise InternalError(
                 "a corner was not written right", where=f"facet {bad // 3}, corner {bad % 3}"
             )
-        length = np.linalg.norm(there.normals, axis=1)
+        with np.errstate(over="ignore"):
+            length = np.linalg.norm(there.normals, axis=1)
         wrong_normals = replace[:, 0] & ~(np.abs(length - 1.0) < 1e-5)
         if wrong_normals.any():
             raise InternalError(

@@ -21,6 +21,7 @@ import re
 import struct
 import sys
 import time
+import warnings
 from collections import Counter
 from typing import Any
 
@@ -284,6 +285,7 @@ def campaign(format: str, count: int, first: int = 0) -> tuple[Counter[str], flo
 
 def main(arguments: list[str]) -> None:
     """Run the mutants that were asked for, and print how many, how fast and what they ended in."""
+    warnings.simplefilter("error")
     formats = arguments[:1] or FORMATS
     count, first = (int(one) for one in (arguments[1:] + ["30000", "0"][len(arguments[1:]) :]))
     for format in formats:

@@ -28,6 +28,7 @@ import struct
 import sys
 import tempfile
 import time
+import warnings
 import zlib
 from collections import Counter
 from collections.abc import Callable
@@ -84,8 +85,10 @@ def main(arguments: list[str]) -> None:
 
     from tests.fuzz.survival import outcome
 
-    # Integers that wrap do so in silence once they are compiled.
-    np.seterr(all="ignore")
+    if is_interpreted:
+        np.seterr(all="ignore")  # integers that wrap do so in silence once they are compiled
+    else:
+        warnings.simplefilter("error")
     _limit_memory()
     tally: Counter[str] = Counter()
     words = _words(format)
