@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from msal_cli.errors import FormatError, TooLargeError, TruncatedError
-from msal_cli.files.streams import GZIP_MAGIC, read_whole
+from msal_cli.files.streams import GZIP_MAGIC, memory_bytes, read_whole
 
 LOOKED_AT = 1 << 16
 """Bytes of the beginning that are read; a file no larger is left to its codec."""
@@ -134,11 +134,3 @@ def _hole(file: BinaryIO, size: int) -> int:
         if failure.errno in (errno.EINVAL, errno.ENXIO, errno.ENOTSUP):
             return size
         raise
-
-
-def memory_bytes() -> int:
-    """Physical memory of this machine; more than any machine has where it is not known."""
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return 1 << 62

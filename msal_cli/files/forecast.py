@@ -30,6 +30,9 @@ on a new machine, take twice as much)."""
 _LIBRARY_BYTES = 75_000_000
 """What trimesh and all that it imports take on top, for formats that only it reads."""
 
+_ALWAYS_BELIEVED = 256 << 20
+"""Bytes that the header of a compressed file may always claim."""
+
 # Bytes of resident memory per byte of the file, and per vertex and per triangle together, at the
 # peak of the default method.  From benchmarks/peak_memory.py on a torus with a million faces:
 # every figure is what was measured plus 2 to 15 %.
@@ -202,7 +205,7 @@ def _of_ply(head: bytes, size: int, *, is_packed: bool) -> _Counts:
     least = header.size + sum(_least_bytes(one, is_text) for one in header.elements)
     if least > size and not is_packed:
         return _Counts(kind)
-    if is_packed and least > max(ALWAYS_EXPANDED, 4 * size):
+    if is_packed and least > max(_ALWAYS_BELIEVED, 4 * size):
         # A header that claims so much more than its compressed bytes lies.
         return _Counts(kind)
     triangles = n_faces
@@ -247,7 +250,7 @@ def _of_stl(head: bytes, size: int, *, is_packed: bool) -> _Counts:
     if b"\0" in head[:1024] or (len(head) >= 84 and size == 84 + 50 * count):
         if len(head) < 84 or (size < 84 + 50 * count and not is_packed):
             return _Counts("stl")
-        if is_packed and 84 + 50 * count > max(ALWAYS_EXPANDED, 4 * size):
+        if is_packed and 84 + 50 * count > max(_ALWAYS_BELIEVED, 4 * size):
             return _Counts("stl")
         return _Counts("stl", 3 * count, count, 3 * count, count, 84 + 50 * count)
     facets = len(_FACET.findall(head))

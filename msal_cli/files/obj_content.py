@@ -28,7 +28,7 @@ BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _LOOKED_AT = 4096
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 _BEGUN = re.compile(rb"[-+.\deE/\\]*")
-_WORD = re.compile(rb"(?:[ \t\v\f]|\\(?:\r\n?|\n))*((?:[^\s\\]|\\(?![\r\n]))+)")
+_WORD = re.compile(rb"(?:[ \t\v\f]|\\(?:\r\n?|\n))*+([^\s\\]*+(?:\\(?![\r\n])[^\s\\]*+)*+)")
 _NEVER = 1 << 62
 
 

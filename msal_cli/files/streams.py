@@ -13,8 +13,8 @@ from msal_cli.files.urls import is_url
 GZIP_SUFFIX = ".gz"
 GZIP_MAGIC = b"\x1f\x8b"
 
-ALWAYS_EXPANDED = 256 << 20
-"""Bytes that a compressed file may always expand to: as much as any workstation can hold."""
+ALWAYS_EXPANDED = 32 << 20
+"""Bytes that a compressed file may always expand to."""
 
 LARGEST_RATIO = 200
 """Expanded bytes per compressed byte beyond that.  Meshes reach 3 to 30, the most repetitive
@@ -22,6 +22,14 @@ text files about 100; deflate itself ends at 1032, which only a file made to do 
 
 _FIRST_PIECE = 1 << 10
 _LARGEST_PIECE = 1 << 20
+
+
+def memory_bytes() -> int:
+    """Physical memory of this machine; more than any machine has where it is not known."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 1 << 62
 
 
 def read_whole(path: str | os.PathLike[str]) -> bytes:
@@ -64,7 +72,7 @@ def expanded(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer,
     data : the file's bytes; returned as they are where they are not compressed.
     name : the file's name.
     limit : the most bytes to expand to; by default ``ALWAYS_EXPANDED`` or ``LARGEST_RATIO`` times
-        the compressed size, whichever is more.
+        the compressed bytes read so far, whichever is more, and half of the machine's memory.
 
     Raises
     ------
@@ -86,8 +94,7 @@ def expanded(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer,
             where="byte 0",
             hint="rename the file, or compress it",
         )
-    if limit is None:
-        limit = max(ALWAYS_EXPANDED, LARGEST_RATIO * len(view))
+    largest = memory_bytes() // 2 if limit is None else limit
     pieces: list[bytes] = []
     size = 0
     position = 0
@@ -113,8 +120,13 @@ def expanded(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer,
                     hint="the file was cut short; copy it again",
                 )
             part = view[position : position + piece]
+            allowed = largest
+            if limit is None:
+                # A bomb is known by its first pieces.
+                read = position + len(part)
+                allowed = min(largest, max(ALWAYS_EXPANDED, LARGEST_RATIO * read))
             try:
-                pieces.append(member.decompress(part, limit - size + 1))
+                pieces.append(member.decompress(part, max(allowed - size, 0) + 1))
             except zlib.error as failure:
                 raise FormatError(
                     f"the compressed data are damaged ({failure})",
@@ -122,9 +134,11 @@ def expanded(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer,
                     hint="the file is damaged; copy it again",
                 ) from failure
             size += len(pieces[-1])
-            if size > limit:
+            if size > allowed:
                 raise TooLargeError(
-                    f"{len(view)} compressed bytes expand to more than {limit}",
+                    f"{position + len(part)} of {len(view)} compressed bytes expand to more than "
+                    f"{allowed}",
+                    where=f"byte {position}",
                     hint="no mesh compresses so well; if you trust the file, expand it with gunzip",
                 )
             position += len(part) - len(member.unused_data)

@@ -1,0 +1,42 @@
+"""Files that lie, from `benchmarks/hostile_headers.py`: each refused, at hardly any cost."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from benchmarks import hostile_headers
+from benchmarks.hostile_headers import MOST_BYTES, MOST_SECONDS, lies, refused
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc and writes holes")
+
+
+def test_every_lie_is_refused(tmp_path):
+    known = list(lies())
+    assert len(known) >= 50
+    assert len({one.name for one in known}) == len(known)
+    found = refused(known, tmp_path)
+    assert [(one.name, one.code) for one in known] == [
+        (one.name, code) for one, (code, _, _) in zip(known, found, strict=True)
+    ]
+    # Generous, since the machine may be slow; the table has the figures.
+    assert max(seconds for _, seconds, _ in found) < 10 * MOST_SECONDS
+    assert sum(grown for _, _, grown in found) < MOST_BYTES
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("one", list(lies()), ids=lambda one: one.name)
+def test_none_is_dear_in_a_process_of_its_own(one, tmp_path):
+    ((code, seconds, grown),) = refused([one], tmp_path)
+    assert code == one.code
+    assert seconds < 10 * MOST_SECONDS
+    assert grown < MOST_BYTES
+
+
+def test_the_measure_notices_what_is_dear(tmp_path):
+    text = hostile_headers.GOOD[".ply"].replace(b"0 0 1\n3", b"0 0 1" + b" " * 50_000_000 + b"\n3")
+    whole = hostile_headers.lie("whole.ply", "ok", text)
+    ((code, _, grown),) = refused([whole], tmp_path)
+    assert code == "ok"
+    assert grown > 40_000_000
