@@ -4,6 +4,7 @@
     python -m tests.fuzz.readers ply FOUND tests/fuzz/corpus/ply -runs=100000
     python -m tests.fuzz.readers ply FOUND tests/fuzz/corpus/ply -runs=100000 --interpreted
     python -m tests.fuzz.readers ply FOUND tests/fuzz/corpus/ply -runs=100000 --shipped
+    python -m tests.fuzz.readers ply SMALLEST FOUND -merge=1 --interpreted
 
 Formats are those of ``survival.FORMATS``.  FOUND is a folder that receives every file that reaches
 something new; the corpus that is kept beside this file is only read.  Further options go to
@@ -62,8 +63,8 @@ def main(arguments: list[str]) -> None:
     import atheris
 
     format, *options = arguments
-    is_interpreted, is_shipped = "--interpreted" in options, "--shipped" in options
-    options = [option for option in options if option not in ("--interpreted", "--shipped")]
+    modes = [option for option in options if option in ("--interpreted", "--shipped")]
+    is_interpreted, is_shipped = "--interpreted" in modes, "--shipped" in modes
     if is_interpreted:
         os.environ["NUMBA_DISABLE_JIT"] = "1"
     elif not is_shipped:
@@ -113,7 +114,10 @@ def main(arguments: list[str]) -> None:
 
     extra = {"custom_mutator": mutated} if format in MUTATED else {}
     fixed = ["-timeout=60", "-rss_limit_mb=2500", "-print_final_stats=1", f"-dict={words}"]
-    atheris.Setup([sys.argv[0], *fixed, *options], one, **extra)
+    # libFuzzer starts itself again by this line when it merges.
+    program = " ".join([sys.executable, "-m", "tests.fuzz.readers", format, *modes])
+    given = [option for option in options if option not in modes]
+    atheris.Setup([program, *fixed, *given], one, **extra)
     atheris.Fuzz()
 
 
