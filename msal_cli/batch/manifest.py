@@ -17,6 +17,7 @@ so that clocks of several machines need not agree.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import logging
@@ -237,6 +238,9 @@ class Manifest:
             n_kept = len(self._own) + min(len(self._own_runs), RUN_LINES_KEPT)
             if self._n_lines - n_kept > max(_SPARE_LINES, n_kept):
                 self._compact()
+            if self._path.is_symlink():
+                # It would grow where nobody asked for anything to be written.
+                raise OSError(errno.ELOOP, "it is a link")
             is_new = not self._path.exists()
             self._file = self._path.open("ab")
             if is_new:

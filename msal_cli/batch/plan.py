@@ -13,6 +13,7 @@ from msal_cli.batch.homes import manifest_of, objects_at
 from msal_cli.batch.inputs import Found
 from msal_cli.batch.manifest import names_in
 from msal_cli.batch.shards import Shard
+from msal_cli.batch.temporaries import is_own
 from msal_cli.errors import UsageError
 from msal_cli.files import remote, urls
 from msal_cli.files.urls import is_url
@@ -119,6 +120,7 @@ def built(
         plan = Plan(tasks, (output,) * len(tasks), fresh)
     plan = replace(_without_repeats(plan), retry_failed=retry_failed)
     _refuse_collisions(plan)
+    _refuse_own_names(plan)
     if not in_place:
         _refuse_inputs_as_outputs(plan)
         if output is None or not is_url(output):
@@ -166,7 +168,7 @@ def _in_place(
         path = Path(one.path)
         real = _real(path)
         root = Path(one.root) if one.root else None
-        if root is not None and path.is_symlink() and not real.is_relative_to(_real(root)):
+        if root is not None and os.path.islink(path) and not real.is_relative_to(_real(root)):
             raise UsageError(
                 f"{one.path!r} leads out of {one.root!r} to {str(real)!r}",
                 hint="leave it out with --exclude, or name it as an input itself",
@@ -175,7 +177,7 @@ def _in_place(
         # A link stays a link: the file that it leads to is the one to replace.  It is named from
         # the folder that was searched, so that there is one manifest for all in it.
         target = path
-        if path.is_symlink():
+        if os.path.islink(path):
             target = real if root is None else root / real.relative_to(_real(root))
         tasks.append(Task(str(target), str(target), one.relative, in_place=True, backup=backup))
         # Also a single file has a manifest: without it a second run would denoise it twice.
@@ -191,9 +193,9 @@ def _is_file_output(
     if is_url(output):
         return is_mesh_name(urls.name(output))
     path = Path(output)
-    if path.is_dir():
+    if os.path.isdir(path):
         return False
-    return path.exists() or path.is_symlink() or is_mesh_name(path.name)
+    return os.path.lexists(path) or is_mesh_name(path.name)
 
 
 def _refuse_contradiction(
@@ -248,11 +250,14 @@ def _identity(name: str) -> tuple[int, int] | str | None:
 
 
 def _without_repeats(plan: Plan) -> Plan:
-    """One task for a file that was found twice (by two inputs, or in place by a link)."""
+    """One task for a file that was found twice (by two inputs, or in place by a link).
+
+    Hard links are as many files in place: each is replaced by a file of its own.
+    """
     kept: dict[tuple[object, ...], int] = {}
     for index, task in enumerate(plan.tasks):
         source = _identity(task.input) or task.input
-        target = source if task.in_place else task.output
+        target = _folded(str(_real(Path(task.input)))) if task.in_place else task.output
         kept.setdefault((source, target), index)
     chosen = tuple(kept.values())
     return Plan(
@@ -294,6 +299,19 @@ def _refuse_collisions(plan: Plan) -> None:
             )
 
 
+def _refuse_own_names(plan: Plan) -> None:
+    """An input that was named itself may be called like the manifest, the lock or a temporary."""
+    for task in plan.tasks:
+        if is_own(
+            task.output.rpartition("/")[2] if is_url(task.output) else Path(task.output).name
+        ):
+            raise UsageError(
+                f"the output {task.output!r} would have the name of a file of msal's own",
+                hint="rename the input, or name another output",
+                path=task.input,
+            )
+
+
 def _collision(first: Task, second: Task, what: str) -> UsageError:
     return UsageError(
         f"the inputs {first.input!r} and {second.input!r} {what}",
@@ -308,7 +326,7 @@ def _folded(path: str) -> str:
 
 
 def _nearest_folder(path: Path) -> Path:
-    return next((one for one in path.parents if one.is_dir()), Path())
+    return next((one for one in path.parents if os.path.isdir(one)), Path())
 
 
 def _ignores_case(folder: Path) -> bool:
@@ -345,7 +363,7 @@ def _refuse_folders_as_outputs(plan: Plan) -> None:
     checked: set[Path] = set()
     for task in plan.tasks:
         output = Path(task.output)
-        if output.is_dir() and not output.is_symlink():
+        if os.path.isdir(output) and not os.path.islink(output):
             raise UsageError(
                 f"the output of {task.input!r} is the folder {task.output!r}",
                 hint="choose another output folder",
@@ -355,7 +373,7 @@ def _refuse_folders_as_outputs(plan: Plan) -> None:
             if parent in checked:
                 break
             checked.add(parent)
-            if (parent.exists() or parent.is_symlink()) and not parent.is_dir():
+            if os.path.lexists(parent) and not os.path.isdir(parent):
                 raise UsageError(
                     f"the output {task.output!r} needs a folder where {str(parent)!r} is a file",
                     path=task.input,
@@ -385,7 +403,7 @@ def _refuse_foreign_files(plan: Plan, output: str) -> None:
     existing = [
         index
         for index, task in enumerate(plan.tasks)
-        if task.output in plan.objects or (not is_url(output) and _is_there(Path(task.output)))
+        if task.output in plan.objects or (not is_url(output) and os.path.lexists(task.output))
     ]
     if not existing:
         return
@@ -398,10 +416,6 @@ def _refuse_foreign_files(plan: Plan, output: str) -> None:
             hint="choose another output folder, or give --force to overwrite",
             path=foreign[0].input,
         )
-
-
-def _is_there(path: Path) -> bool:
-    return path.exists() or path.is_symlink()
 
 
 def _listed(names: Iterable[str], at_most: int = 3) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import threading
 from collections.abc import Generator, Mapping
@@ -165,7 +166,7 @@ class _Judge:
                 return Standing(index, record=_maybe_done(task))
             return Standing(index)
         backup = backup_path(task)
-        if not (backup.exists() or backup.is_symlink()):
+        if not os.path.lexists(backup):
             return Standing(index)
         mark = FileMark.of(str(backup))
         sizes_differ = mark is not None and mark.size != _size(task.input)
@@ -222,7 +223,7 @@ def undone(task: Task, mark: FileMark | None) -> str:
         return ""
     if task.backup:
         backup = backup_path(task)
-        if backup.is_file() and file_sha256(str(backup)) not in ("", file_sha256(task.input)):
+        if os.path.isfile(backup) and file_sha256(str(backup)) not in ("", file_sha256(task.input)):
             restore(task)
         return ""
     if FileMark.of(task.input) == mark:
