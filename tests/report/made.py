@@ -25,6 +25,34 @@ TEXT = st.text(
 VALUES = st.integers() | st.floats() | TEXT
 
 
+HOSTILE_NAMES = (
+    "=cmd|' call'!A0.ply",
+    "+1+1.ply",
+    "@SUM(1).ply",
+    "-1-1.ply",
+    "<script>alert(1)<!-- .ply",
+    '"><img src=x onerror=alert(1)>.ply',
+    "a|b|c.ply",
+    "`id`$(id).ply",
+    "]]>.ply",
+    "%0A::error::x.ply",
+    "::warning file=a,line=1::x.ply",
+    "\x1b]0;title\x07\x1b[2J.ply",
+    "\u202eylp.exe\u2066.ply",
+    "line\n::error::break\r.ply",
+    'comma,"quote"\'.ply',
+    "##vso[task.setvariable variable=x]y.ply",
+    " ::add-mask::x.ply",
+    "{{7*7}}${7*7}<%= 7*7 %>.ply",
+    "[link](javascript:alert(1))**b**_i_.ply",
+    "&amp;&#10;&lt;.ply",
+)
+"""Names of files that readers of reports must take for names: no formula, markup or command.
+
+No slash can be in a name.
+"""
+
+
 def of(kind):
     """A strategy for a type as the records use it."""
     simple = {
