@@ -59,6 +59,7 @@ def killed_runs(scans, whole, output, count, seed):
     """
     choice = random.Random(seed)
     met = {"kills": 0, "with the folder in hand": 0, "a temporary left": 0, "runs to the end": 0}
+    slowest = 0.0
     while met["kills"] < count:
         shutil.rmtree(output, ignore_errors=True)
         words = command(scans, output, "-j", choice.choice([1, 2, 2]))
@@ -70,8 +71,11 @@ def killed_runs(scans, whole, output, count, seed):
                 process.communicate()
             if process.returncode != -signal.SIGKILL:
                 break
-            left = orphans_of(process.pid)
+            # A worker that is just starting notices late on a busy machine.
+            began = time.monotonic()
+            left = orphans_of(process.pid, within_s=20.0)
             assert not left, f"{met}: the workers {left} live on"
+            slowest = max(slowest, time.monotonic() - began)
             assert whole.faults(output) == [], met
             met["kills"] += 1
             met["with the folder in hand"] += output.exists()
@@ -80,7 +84,9 @@ def killed_runs(scans, whole, output, count, seed):
         assert (status, whole.last_faults(output)) == (STATUS, []), (met, said)
         assert "Traceback" not in said
         met["runs to the end"] += 1
-    return met
+        if met["runs to the end"] % 20 == 0:
+            print(met, flush=True)
+    return met | {"seconds until the last worker is gone": round(slowest, 2)}
 
 
 def test_some_kills_cost_nothing(scans, whole, tmp_path):
@@ -91,7 +97,8 @@ def test_some_kills_cost_nothing(scans, whole, tmp_path):
 def test_a_thousand_kills_cost_nothing(scans, whole, tmp_path):
     count = int(os.environ.get("MSAL_KILLS", "1000"))
     began = time.monotonic()
-    met = killed_runs(scans, whole, tmp_path / "out", count, seed=1)
+    seed = int(os.environ.get("MSAL_SEED", "1"))
+    met = killed_runs(scans, whole, tmp_path / "out", count, seed)
     print(
         f"\n{met} in {time.monotonic() - began:.0f} s; an unbroken run takes {whole.seconds:.2f} s"
     )
