@@ -98,10 +98,23 @@ def put_lines(lines: Iterable[Line]) -> None:
 def put_bytes(data: bytes | bytearray | memoryview) -> None:
     """Bytes as data to standard output, at once; the errors are those of ``put``."""
     stream = _standard_output()
+    rest = memoryview(data).cast("B")
     with _told_apart():
         stream.flush()
-        stream.buffer.write(data)
+        while len(rest):
+            # With PYTHONUNBUFFERED this is the bare stream, which may take a part only: less than
+            # 2 GB at once, and what a pipe has room for when its reader goes.
+            taken = stream.buffer.write(rest)
+            rest = rest[taken:] if taken else _after_a_pause(rest)
         stream.buffer.flush()
+
+
+def _after_a_pause(rest: memoryview) -> memoryview:
+    """For a stream that does not wait and has no room now."""
+    import time
+
+    time.sleep(0.01)
+    return rest
 
 
 def flush() -> None:

@@ -98,6 +98,21 @@ def test_a_full_disk_behind_standard_output(monkeypatch):
         talk.put_bytes(b"x")
 
 
+@pytest.mark.parametrize("sizes", [[3], [1, 2, 3], [2, None, 2]])
+def test_a_stream_that_takes_only_a_part_gets_the_rest(monkeypatch, sizes):
+    taken, waiting = bytearray(), list(sizes)
+
+    class Narrow(io.BytesIO):
+        def write(self, data):
+            size = waiting.pop(0) if waiting else 4
+            taken.extend(data[: size or 0])
+            return size and min(size, len(data))
+
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(Narrow(), write_through=True))
+    talk.put_bytes(b"0123456789")
+    assert taken == b"0123456789"
+
+
 def test_a_terminal_that_is_gone_is_no_error(monkeypatch):
     class Gone(io.StringIO):
         def write(self, text):
