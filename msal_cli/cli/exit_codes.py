@@ -8,6 +8,7 @@
 | 4 | all were processed, but a gate failed |
 | 5 | nothing matched |
 | 128 + n | ended by signal n: 130 for Ctrl-C, 143 for SIGTERM; finished files are whole |
+| 141 | whoever read standard output went away, as `| head` does; said without a word |
 
 2 and 5 come before any work.  After it, of several that apply, a signal wins over 1, then 3, then
 4, then 0.
@@ -24,6 +25,8 @@ SOME_FAILED = 3
 GATE_FAILED = 4
 NOTHING_MATCHED = 5
 INTERRUPTED = 130
+# As if by SIGPIPE, which is how `cat` and `git` end too: no success, and yet no failure of ours.
+READER_GONE = 141
 
 _RISING = (SUCCESS, GATE_FAILED, SOME_FAILED, FATAL)
 

@@ -112,7 +112,8 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
         talk.say("msal: interrupted")
         return exit_codes.of_interrupt(interrupt)
     except BrokenPipeError:
-        return _abandoned_output()
+        _abandon_output()
+        return exit_codes.READER_GONE
     except MemoryError:
         talk.say("msal: error: not enough memory (E_MEMORY)", "bad")
         return exit_codes.FATAL
@@ -142,22 +143,23 @@ def _internal_error(error: Exception) -> int:
 
 
 def _flushed(status: int) -> int:
-    """``status``, or 1 if what was printed cannot be delivered."""
+    """``status``, or the one that tells that what was printed cannot be delivered."""
     try:
         talk.flush()
     except BrokenPipeError:
-        return exit_codes.worst(status, _abandoned_output())
+        _abandon_output()
+        return exit_codes.worst(status, exit_codes.READER_GONE)
     except OutputError as error:
         if status == exit_codes.SUCCESS:
             talk.say_error(error)
-        return exit_codes.worst(status, _abandoned_output())
+        _abandon_output()
+        return exit_codes.worst(status, exit_codes.FATAL)
     return status
 
 
-def _abandoned_output() -> int:
+def _abandon_output() -> None:
     """Standard output leads nowhere: what is left in it must not be tried again at the end."""
     with contextlib.suppress(OSError, ValueError, AttributeError):
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, sys.stdout.fileno())
         os.close(nothing)
-    return exit_codes.FATAL
