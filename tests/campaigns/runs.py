@@ -148,6 +148,7 @@ class Whole:
 
     files: dict[str, bytes]
     seconds: float
+    n_done: int
 
     def faults(self, folder):
         """What is wrong with an output folder in the middle of a run that was broken."""
@@ -192,7 +193,7 @@ def whole_run(folder, output, *options):
     assert ended([*words, "--fresh"])[0] == STATUS
     seconds = time.monotonic() - began
     assert contents(output) == files
-    return Whole(files, seconds)
+    return Whole(files, seconds, len(noted(output)))
 
 
 def wait_until(is_so, process, within_s=60.0):
@@ -212,9 +213,10 @@ def moment(choice: random.Random, whole, output):
     if kind == "any":
         pause = choice.uniform(0.0, whole.seconds)
         return lambda process: _sleep(pause, process)
-    sign, count, longest = b'"intent"', 1, 0.5 * whole.seconds
+    sign, count, longest = b'"intent"', 1, 0.3 * whole.seconds
     if kind == "done":
-        sign, count, longest = b'"done"', choice.randint(1, len(whole.files)), 0.02
+        left = max(1, whole.n_done - _lines(output, b'"done"') - 2)
+        sign, count, longest = b'"done"', choice.randint(1, left), 0.01
     pause = choice.uniform(0.0, longest)
     before = _lines(output, sign)
 

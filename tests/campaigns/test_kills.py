@@ -53,7 +53,7 @@ def kill(process, with_workers):
 
 def killed_runs(scans, whole, output, count, seed):
     """``count`` kills, in chains: a run is killed, the next goes on from there and is killed too,
-    and after at most three kills one goes on to the end.
+    and after at most five kills one goes on to the end.
 
     A run that ends before its kill does not count.  Says what the kills met.
     """
@@ -62,8 +62,8 @@ def killed_runs(scans, whole, output, count, seed):
     slowest = 0.0
     while met["kills"] < count:
         shutil.rmtree(output, ignore_errors=True)
-        words = command(scans, output, "-j", choice.choice([1, 2, 2]))
-        for _ in range(choice.randint(1, 3)):
+        words = command(scans, output, "-j", choice.choice([1, 1, 2]))
+        for _ in range(choice.randint(1, 5)):
             wait = moment(choice, whole, output)
             with started(words) as process:
                 wait(process)
