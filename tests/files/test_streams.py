@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.errors import FormatError, InputError, MsalError, TooLargeError, TruncatedError
+from msal_cli.errors import InputError, MsalError, TooLargeError
 from msal_cli.files import streams
 from msal_cli.files.streams import ALWAYS_EXPANDED, compressed, expanded, read_whole
 
@@ -60,30 +60,33 @@ def _flipped(data: bytes, at: int) -> bytes:
 PACKED = gzip.compress(bytes(range(256)) * 40, mtime=0)
 
 
-@pytest.mark.parametrize(
-    ("data", "kind"),
-    [
-        (b"", TruncatedError),
-        (b"ply\nformat ascii 1.0\n", FormatError),
-        (b"\x1f", FormatError),
-        (b"\x1f\x8b", TruncatedError),
-        (b"\x1f\x8b\x08\x00", TruncatedError),
-        (PACKED[:40], TruncatedError),
-        (PACKED[:-1], TruncatedError),
-        (PACKED[:-8], TruncatedError),
-        (PACKED + PACKED[:20], TruncatedError),
-        (PACKED + b"\x1f", TruncatedError),
-        (_flipped(PACKED, len(PACKED) - 5), FormatError),  # checksum
-        (_flipped(PACKED, len(PACKED) - 1), FormatError),  # length
-        (_flipped(PACKED, 2), FormatError),  # method
-        (_flipped(PACKED, 30), FormatError),
-        (PACKED + b"garbage", FormatError),
-        (PACKED + bytes(8) + b"garbage", FormatError),
-    ],
-)
-def test_damaged_gzip(data, kind):
-    with pytest.raises(kind) as caught:
+DAMAGED = {
+    "empty": (b"", "E_TRUNCATED"),
+    "not compressed": (b"ply\nformat ascii 1.0\n", "E_FORMAT"),
+    "half a magic number": (b"\x1f", "E_FORMAT"),
+    "magic number alone": (b"\x1f\x8b", "E_TRUNCATED"),
+    "half a header": (b"\x1f\x8b\x08\x00", "E_TRUNCATED"),
+    "cut in the data": (PACKED[:40], "E_TRUNCATED"),
+    "last byte missing": (PACKED[:-1], "E_TRUNCATED"),
+    "no checksum": (PACKED[:-8], "E_TRUNCATED"),
+    "cut in the second member": (PACKED + PACKED[:20], "E_TRUNCATED"),
+    "half a second magic number": (PACKED + b"\x1f", "E_TRUNCATED"),
+    "wrong checksum": (_flipped(PACKED, len(PACKED) - 5), "E_FORMAT"),
+    "wrong length": (_flipped(PACKED, len(PACKED) - 1), "E_FORMAT"),
+    "unknown method": (_flipped(PACKED, 2), "E_FORMAT"),
+    "damaged data": (_flipped(PACKED, 30), "E_FORMAT"),
+    "garbage behind": (PACKED + b"garbage", "E_FORMAT"),
+    "garbage behind padding": (PACKED + bytes(8) + b"garbage", "E_FORMAT"),
+    "bomb": (compressed(bytes(1 << 20)) * 33, "E_TOO_LARGE"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damaged_gzip(name):
+    data, code = DAMAGED[name]
+    with pytest.raises(InputError) as caught:
         expanded(data, "scan.ply.gz")
+    assert caught.value.code == code
     assert caught.value.hint
 
 

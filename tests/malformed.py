@@ -1,0 +1,73 @@
+"""Every malformed file that was made by hand, with the code that it must end in.
+
+    python -m tests.malformed
+
+prints how many there are of each format and with each code.
+"""
+
+from __future__ import annotations
+
+import gzip
+from collections import Counter
+
+from tests.files import (
+    test_glb,
+    test_obj_hostile,
+    test_other,
+    test_ply_hostile,
+    test_stl_hostile,
+    test_streams,
+)
+
+TRIANGLE = "v {0} 0 0\nv 0 {0} 0\nv 0 0 {0}\nf 1 2 3\n"
+OTHER_FACES = "v 0 0 0\nv 1 0 0\nv 0 1 0\n{}\n"
+
+UNUSABLE = {
+    "too far.obj": (TRIANGLE.format("1e61").encode(), "E_RANGE"),
+    "too near.obj": (TRIANGLE.format("1e-61").encode(), "E_RANGE"),
+    "extent beyond a double.obj": (
+        TRIANGLE.format("1e308").replace("v 0", "v -1e308").encode(),
+        "E_RANGE",
+    ),
+    "one point.obj": (TRIANGLE.format("0").encode(), "E_NO_FACES"),
+    "repeated corners.obj": (OTHER_FACES.format("f 1 1 2\nf 3 2 3").encode(), "E_NO_FACES"),
+    "another format.obj": (b"ply\nformat ascii 1.0\nend_header\n", "E_FORMAT"),
+    "another format.stl": (TRIANGLE.format("1").encode(), "E_FORMAT"),
+    "another format in gzip.ply.gz": (gzip.compress(b"glTF" + bytes(40), mtime=0), "E_FORMAT"),
+    "gzip in gzip.ply.gz": (gzip.compress(gzip.compress(b"ply\n", mtime=0), mtime=0), "E_FORMAT"),
+    "empty in gzip.ply.gz": (gzip.compress(b"", mtime=0), "E_TRUNCATED"),
+    "no such format.fbx": (b"Kaydara FBX Binary", "E_UNSUPPORTED"),
+    "no format": (b"hello world", "E_FORMAT"),
+}
+"""Files that parse, or that no reader takes: what the way of a file refuses beside its codec."""
+
+
+def malformed() -> dict[str, tuple[bytes, str]]:
+    """Content and code by file name; the suffix tells the format."""
+    found = dict(UNUSABLE)
+    ply = test_ply_hostile.HEADERS | test_ply_hostile.BODIES
+    found |= {f"{name}.ply": row[:2] for name, row in ply.items()}
+    found |= {f"{name}.obj": (row[0], row[2]) for name, row in test_obj_hostile.MALFORMED.items()}
+    found |= {f"{name}.stl": row[:2] for name, row in test_stl_hostile.DAMAGED.items()}
+    found |= {f"{name}.glb": row for name, row in test_glb.DAMAGED.items()}
+    found |= {f"{name}.ply.gz": row for name, row in test_streams.DAMAGED.items()}
+    return found | test_other.DAMAGED
+
+
+def counts() -> dict[str, Counter[str]]:
+    """How many of each code, by format."""
+    found: dict[str, Counter[str]] = {}
+    for name, (_, code) in malformed().items():
+        found.setdefault(name.rpartition(".")[2], Counter())[code] += 1
+    return found
+
+
+def main() -> None:
+    found = counts()
+    for format, codes in found.items():
+        print(f"{format:12} {codes.total():4}  " + ", ".join(f"{c} {n}" for c, n in codes.items()))
+    print(f"{'together':12} {sum(codes.total() for codes in found.values()):4}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,43 @@
+"""Malformed files through the whole way of a file: each its code, its reason and what to do."""
+
+from __future__ import annotations
+
+import pytest
+
+from msal_cli import pipeline
+from tests.malformed import counts, malformed
+from tests.test_pipeline import settings
+
+MALFORMED = malformed()
+
+OF_THE_INPUT = {
+    "E_FORMAT",
+    "E_TRUNCATED",
+    "E_NONFINITE",
+    "E_INDEX",
+    "E_NO_FACES",
+    "E_RANGE",
+    "E_UNSUPPORTED",
+    "E_TOO_LARGE",
+}
+"""Codes that the content of a file can end in.  E_READ is the system's, and E_CONTENT stands for
+arrays of a wrong shape, which no reader gives."""
+
+
+@pytest.mark.parametrize("name", MALFORMED)
+def test_the_record_has_the_code_and_the_reason(name):
+    data, code = MALFORMED[name]
+    output, record = pipeline.denoise_bytes(data, name, settings(iterations=0))
+    assert output is None
+    assert record.status == "failed"
+    assert record.error is not None
+    assert record.error.code == code, record.error
+    assert record.error.message and "Traceback" not in record.error.message
+
+
+def test_there_are_enough_of_every_format_and_code():
+    found = counts()
+    assert sum(codes.total() for codes in found.values()) >= 300
+    for format in ("ply", "obj", "stl", "glb", "gz"):
+        assert found[format].total() >= 15
+    assert set().union(*found.values()) == OF_THE_INPUT
