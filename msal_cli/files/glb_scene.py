@@ -132,7 +132,9 @@ class Document:
             or not isinstance(entries[index], dict)
         ):
             raise FormatError(f"there is no entry {index!r} in {kind}", where=kind, hint=_HINT)
-        return dict(entries[index])
+        # Not a copy: a large entry may be named very often.
+        found: dict[str, Any] = entries[index]
+        return found
 
     def bounds(self, index: int) -> dict[str, Any]:
         """The ``min`` and ``max`` of an accessor, those that are there."""
@@ -465,7 +467,8 @@ def placed(document: Document, parts: list[Part]) -> list[Floats]:
             if isinstance(node.get("mesh"), int):
                 shows.setdefault(node["mesh"], number)
         with np.errstate(all="ignore"):
-            frames = [_frame(document, above, shows.get(part.mesh)) for part in parts]
+            known: dict[int, Floats] = {}
+            frames = [_frame(document, above, known, shows.get(part.mesh)) for part in parts]
             if not all(_can_be_undone(frame) for frame in frames):
                 return own
     except (TypeError, ValueError, OverflowError, FormatError, np.linalg.LinAlgError):
@@ -479,14 +482,18 @@ def _can_be_undone(frame: Floats) -> bool:
     return bool(largest < _LARGEST and np.linalg.cond(frame[:3, :3]) < _STEEPEST)
 
 
-def _frame(document: Document, above: dict[int, int], node: int | None) -> Floats:
-    """The product of a node's transform and those above it."""
-    frame = np.eye(4)
-    steps = 0
-    while node is not None and steps < _DEEPEST:
-        frame = _transform(document.entry("nodes", node)) @ frame
+def _frame(
+    document: Document, above: dict[int, int], known: dict[int, Floats], node: int | None
+) -> Floats:
+    """The product of a node's transform and those above it; ``known`` remembers them."""
+    path: list[int] = []
+    while node is not None and node not in known and len(path) < _DEEPEST:
+        path.append(node)
         node = above.get(node)
-        steps += 1
+    frame = np.eye(4) if node is None else known.get(node, np.eye(4))
+    for node in reversed(path):
+        frame = frame @ _transform(document.entry("nodes", node))
+        known[node] = frame
     return frame
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from msal_cli.errors import InternalError, MsalError, UnsupportedError
-from msal_cli.files import glb, open_mesh
+from msal_cli.files import glb, glb_scene, open_mesh
 from tests.files.plain_glb import Scene, content_of
 from tests.shapes import cube, grid, noisy, torus
 
@@ -181,6 +181,26 @@ def test_frames_of_parents_count():
     file = glb.read(scene.data(), "")
     own = file.vertices[:48]
     assert np.allclose(file.vertices[48:], 2 * (own + [1, 0, 0]) + [0, 100, 0])
+
+
+def test_the_frame_of_a_node_is_found_once(monkeypatch):
+    count = 150
+    scene = Scene()
+    corners = np.random.default_rng(0).random((count, 3, 3))
+    for k in range(count):
+        below = {"children": [k + 1]} if k + 1 < count else {}
+        at = scene.positions(corners[k])
+        scene.mesh({"attributes": {"POSITION": at}}, translation=[1, 0, 0], **below)
+    calls = []
+    transform = glb_scene._transform
+    monkeypatch.setattr(glb_scene, "_transform", lambda node: calls.append(1) or transform(node))
+    file = glb.read(scene.data(), "")
+    assert len(calls) == count
+    shift = np.array([1, 0, 0]) * np.arange(1, count + 1)[:, None, None]
+    assert np.allclose(file.vertices.reshape(count, 3, 3), corners + shift, atol=1e-5)
+    # Entries are not copied, however often they are named.
+    document = file.document
+    assert document.entry("accessors", 0) is document.content["accessors"][0]
 
 
 @pytest.mark.parametrize(
