@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import click
 
@@ -12,6 +13,8 @@ from msal_cli.cli import talk
 from msal_cli.errors import MsalError, UsageError
 
 logger = logging.getLogger("msal")
+
+_TRACE = "Traceback (most recent call last)"
 
 
 @contextmanager
@@ -55,12 +58,38 @@ class _Words(logging.Handler):
         super().__init__(levels.get(verbosity, logging.DEBUG))
         self._with_traces = verbosity > 0
 
+        self.setFormatter(_Harmless())
+
     def emit(self, record: logging.LogRecord) -> None:
         text = self.format(record)
         # The failure itself is told with the file that it belongs to.
-        if "Traceback (most recent call last)" in text and not self._with_traces:
+        if _TRACE in text and not self._with_traces:
             return
         talk.say(f"msal: {record.levelname.lower()}: {text}")
+
+
+class _Harmless(logging.Formatter):
+    """No name of a file breaks a line, reaches the terminal or makes an entry of its own."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        # Another handler may have left its own words for the exception here.
+        record.exc_text = None
+        return super().format(record)
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - Python's name
+        record.message = _harmless(record.message)
+        return super().formatMessage(record)
+
+    def formatException(self, ei: Any) -> str:  # noqa: N802 - Python's name
+        return _harmless(super().formatException(ei))
+
+
+def _harmless(text: str) -> str:
+    from msal_cli.report.names import shown
+
+    # Traces, also those that workers send, are the only messages of several lines.
+    lines = text.split("\n") if _TRACE in text else [text]
+    return "\n".join(map(shown, lines))
 
 
 def _file_handler(name: str) -> logging.Handler:
@@ -69,8 +98,6 @@ def _file_handler(name: str) -> logging.Handler:
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise UsageError(f"the log file {name!r} cannot be opened: {why}") from None
-    handler.setFormatter(
-        logging.Formatter("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s")
-    )
+    handler.setFormatter(_Harmless("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s"))
     handler.setLevel(logging.DEBUG)
     return handler

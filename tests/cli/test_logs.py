@@ -10,6 +10,7 @@ import pytest
 
 from msal_cli.cli import logs
 from msal_cli.errors import UsageError
+from tests.report.made import HOSTILE_NAMES
 
 LOG = logging.getLogger("msal.batch")
 
@@ -54,7 +55,23 @@ def test_names_that_are_no_text_go_to_the_file(tmp_path):
         "    logging.getLogger('msal.batch').warning('name a\\udcff')"
     )
     subprocess.run([sys.executable, "-c", code, str(path)], check=True)
-    assert "name a\\udcff" in path.read_text()
+    assert "name a\\xff\n" in path.read_text()
+
+
+@pytest.mark.parametrize("name", HOSTILE_NAMES)
+def test_a_name_is_no_entry_and_no_escape(tmp_path, capsys, name):
+    path = tmp_path / "msal.log"
+    with logs.configured(1, str(path)):
+        logging.getLogger("msal.denoise").info("%s: written", name)
+        try:
+            raise ValueError(name)
+        except ValueError:
+            logging.getLogger("msal.denoise").exception("defect at %r", name)
+    said = capsys.readouterr().err
+    assert said.count("msal: info: ") == said.count("msal: error: ") == 1
+    for text in (path.read_text(), said):
+        assert "\x1b" not in text and "\u202e" not in text and "\r" not in text
+        assert not any(line.lstrip().startswith(("::", "##")) for line in text.splitlines())
 
 
 def test_an_unexpected_exception_is_traced_there_only(tmp_path, capsys):
