@@ -128,15 +128,17 @@ def contents(folder):
 
 
 def noted(folder):
-    """The ``done`` entries of the manifest by name; a torn last line is passed over."""
+    """The ``done`` entries of the manifest by name; torn lines are passed over."""
     found = {}
     try:
-        text = (folder / MANIFEST).read_bytes()
+        lines = (folder / MANIFEST).read_bytes().split(b"\n")
     except FileNotFoundError:
         return found
-    *lines, _torn = text.split(b"\n")
     for line in lines:
-        entry = json.loads(line) if line else {}
+        try:
+            entry = json.loads(line)
+        except ValueError:
+            continue
         if entry.get("kind") == "done":
             found[entry["name"]] = entry
     return found

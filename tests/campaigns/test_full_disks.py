@@ -1,0 +1,96 @@
+"""Disks that are full: what was whole stays whole, and more room lets the same command go on.
+
+python -m pytest tests/campaigns/test_full_disks.py -m slow -s
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+
+import pytest
+
+from msal_cli.batch.temporaries import is_own
+from tests.campaigns.runs import (
+    IS_LINUX,
+    Whole,
+    command,
+    contents,
+    ended,
+    noted,
+    scans_in,
+    started,
+)
+from tests.cli.scans import closed_scan, folder_of, ply_text
+from tests.shapes import noisy, torus
+
+pytestmark = pytest.mark.skipif(not IS_LINUX, reason="limits and mounts of Linux")
+
+
+def test_a_limit_on_the_size_of_files_is_a_full_disk(tmp_path):
+    vertices, faces = torus(60, 30)
+    scans = folder_of(tmp_path / "in", big=ply_text(noisy(vertices, 0, 0.01), faces))
+    folder_of(scans, **{f"small{n}": closed_scan(n) for n in range(2)})
+    words = command(scans, tmp_path / "out", "-j", "1")
+
+    def limit():
+        import resource
+
+        # The signal that comes with it must not kill anybody.
+        resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, resource.RLIM_INFINITY))
+
+    made = subprocess.run(words, capture_output=True, preexec_fn=limit, check=False)
+    assert made.returncode == 3, made.stderr
+    assert b"File too large (E_WRITE)" in made.stderr
+    assert sorted(contents(tmp_path / "out")) == ["small0.ply", "small1.ply"]
+    assert ended(words)[0] == 0
+    assert sorted(contents(tmp_path / "out")) == ["big.ply", "small0.ply", "small1.ply"]
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A function that makes a disk of so many kilobytes, or changes its size."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    is_mounted = False
+
+    def sized(kilobytes):
+        nonlocal is_mounted
+        options = f"size={kilobytes}k" + (",remount" if is_mounted else "")
+        made = subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", options, "tmpfs", disk], capture_output=True, check=False
+        )
+        if made.returncode:
+            pytest.skip("no disk can be mounted here")
+        is_mounted = True
+        return disk
+
+    yield sized
+    if is_mounted:
+        subprocess.run(["umount", disk], check=True)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may mount")
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_disk_of_every_size_up_to_enough(tmp_path, small_disk, jobs):
+    scans = scans_in(tmp_path / "in", 12)
+    assert ended(command(scans, tmp_path / "whole", "-j", jobs))[0] == 3
+    whole = Whole(contents(tmp_path / "whole"), 0.0, 0)
+    statuses, n_written = [], []
+    for kilobytes in (4, 8, 16, 32, 48, 64, 96, 128, 192, 256):
+        disk = small_disk(kilobytes)
+        # The second time around an old output is in the way of the new one.
+        for options in ([], ["--fresh"]):
+            words = command(scans, disk / "out", "-j", jobs, *options)
+            with started(words) as process:
+                said = process.communicate(timeout=300)[1].decode()
+            statuses.append(process.returncode)
+            assert process.returncode in (1, 3), said
+            assert "Traceback" not in said and "nternal" not in said, said
+            assert whole.faults(disk / "out") == [], (kilobytes, options, said)
+            assert not [one for one in contents(disk / "out") if is_own(one.rpartition("/")[2])]
+        n_written.append(len(noted(disk / "out")))
+    assert whole.last_faults(disk / "out") == []
+    print(f"\nstatuses {statuses}; files noted as the disk grows: {n_written}")
+    assert 1 in statuses and 3 in statuses
