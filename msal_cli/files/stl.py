@@ -64,7 +64,10 @@ def wanted_bytes(head: bytes, size: int) -> int:
 
     Raises FormatError for text of another kind and TruncatedError for a file that has fewer.
     """
-    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+    count = int.from_bytes(head[HEADER_BYTES:_FIRST_FACET], "little")
+    wanted = _FIRST_FACET + FACET.itemsize * count
+    # The free text of a binary file may begin with these bytes too.
+    if size < max(wanted, _FIRST_FACET) and head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise FormatError(
             "the file is UTF-16 text", where="byte 0", hint="save it as ASCII or UTF-8"
         )
@@ -74,8 +77,6 @@ def wanted_bytes(head: bytes, size: int) -> int:
             where=f"byte {size}",
             hint="the file was cut short; copy or export it again",
         )
-    count = int.from_bytes(head[HEADER_BYTES:_FIRST_FACET], "little")
-    wanted = _FIRST_FACET + FACET.itemsize * count
     if size < wanted:
         whole = (size - _FIRST_FACET) // FACET.itemsize
         raise TruncatedError(
@@ -260,7 +261,9 @@ def written(corners: Floats, normals: Floats, name: str) -> bytes:
     """A binary STL file of corners (m, 9) and normals (m, 3)."""
     facets = np.zeros(len(corners), dtype=FACET)
     facets["corners"] = as_float32(corners)
-    facets["normal"] = np.where(np.isfinite(normals), normals, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        single = normals.astype(np.float32)
+    facets["normal"] = np.where(np.isfinite(single), single, np.float32(0.0))
     # A header that begins with "solid" would make readers take the file for text.
     header = b"binary STL " + name.encode("ascii", "replace")
     count = len(corners).to_bytes(4, "little")

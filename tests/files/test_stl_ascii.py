@@ -269,3 +269,13 @@ def test_a_cut_text_says_how_much_is_whole():
     cut = text[: text.rindex("outer")]
     with pytest.raises(TruncatedError, match="after 3 whole facets"):
         read(cut)
+
+
+def test_a_normal_beyond_float32_becomes_none_in_a_binary_file():
+    data = plain_stl.text(tetrahedron()).replace("facet normal", "facet normal 1e90 0 0 #")
+    lines = [line.split(" #")[0] for line in data.splitlines()]
+    file = read("\n".join(lines))
+    output = file.encoded(file.vertices, "binary", "same")
+    facets = np.frombuffer(bytes(output), dtype=stl.FACET, offset=84)
+    assert (facets["normal"] == 0.0).all()
+    assert len(facets) == 4

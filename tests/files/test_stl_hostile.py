@@ -114,6 +114,11 @@ def test_damaged_files_and_their_errors(name):
     assert not caught.value.message.endswith(".")
 
 
+@pytest.mark.parametrize("mark", [b"\xff\xfe", b"\xfe\xff"])
+def test_a_binary_file_may_begin_like_utf_16(mark):
+    assert len(stl.read(mark + BINARY[2:], "").faces) == 4
+
+
 def test_hints_name_the_cause():
     for name, word in (("a comma for a point", "comma"), ("four corners", "triangulate")):
         with pytest.raises(MsalError) as caught:

@@ -6,10 +6,13 @@ The fuzz driver, the mutants and the kept corpus all ask ``outcome``.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msal_cli import files
 from msal_cli.errors import InternalError, MsalError
 from msal_cli.mesh import prepared
+
+Floats = NDArray[np.float64]
 
 FORMATS = ("ply", "obj", "stl", "glb", "gz")
 """The formats with a codec of our own, and gzip around any of them."""
@@ -20,7 +23,7 @@ _PREPARED_UP_TO = 2_000
 
 def outcome(data: bytes, format: str) -> str:
     """The code of the error that ``data`` ends in, or ``"ok"`` for a mesh that is read, prepared,
-    written with vertices moved, checked and read again.
+    written with vertices moved, checked and read again, and re-encoded.
 
     Anything but an MsalError comes out as it is, and so does an InternalError.
     """
@@ -59,4 +62,21 @@ def _outcome(data: bytes, format: str) -> str:
     again = files.open_mesh(bytes(output), name, file.format)
     assert np.array_equal(again.faces, faces)
     assert again.vertices.shape == vertices.shape
+    for encoding, precision in (("ascii", "float64"), ("binary", "float32")):
+        _encode(file, moved, name, encoding, precision)
     return "ok"
+
+
+def _encode(
+    file: files.MeshFile, vertices: Floats, name: str, encoding: str, precision: str
+) -> None:
+    """Write the file another way and read that; what the format cannot hold may be refused."""
+    try:
+        output = file.encoded(vertices, encoding, precision)
+    except InternalError:
+        raise
+    except MsalError:
+        return
+    again = files.open_mesh(bytes(output), name, file.format)
+    assert np.array_equal(again.faces, file.faces)
+    assert again.vertices.shape == vertices.shape
