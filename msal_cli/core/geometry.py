@@ -342,7 +342,9 @@ def regrouped_normals(
     np.logical_or.at(changed, pair_entry, touched[pair_group])
     length = np.sqrt((new_total * new_total).sum(axis=1))
     changed &= usable & (length > VANISHED)
-    opposed = (old_total * np.where(usable[:, None], old_normals, 0.0)).sum(axis=1) < 0.0
+    # A stored normal may be as long as a double can be.
+    with np.errstate(over="ignore", invalid="ignore"):
+        opposed = (old_total * np.where(usable[:, None], old_normals, 0.0)).sum(axis=1) < 0.0
     sense = np.where(opposed, -1.0, 1.0) / np.where(length > 0.0, length, 1.0)
     result[changed] = new_total[changed] * sense[changed, None]
     return result, changed

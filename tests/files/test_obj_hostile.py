@@ -172,6 +172,16 @@ def test_claims_do_not_take_memory() -> None:
     assert base is not None and base.nbytes < 4 * len(data)
 
 
+def test_normals_of_any_length_are_replaced_without_a_word() -> None:
+    normals = b"".join(b"vn -1.7e308 1.7e308 %s1.7e308\n" % sign for sign in (b"", b"-"))
+    data = V + b"v 1 1 1\n" + normals + b"f 1//1 2//1 3//2\nf 2//1 3//2 4//1\n"
+    file = obj.read(data, "")
+    vertices = file.vertices * 1.5
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    assert b"308" not in output
+
+
 SEEDS = (
     V + F,
     b"\xef\xbb\xbf# s\r\nmtllib a b.mtl\r\no x\r\n" + (V + F).replace(b"\n", b"\r\n"),
