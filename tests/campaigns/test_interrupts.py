@@ -8,9 +8,11 @@ from __future__ import annotations
 import collections
 import os
 import random
+import re
 import shutil
 import signal
 import time
+from pathlib import Path
 
 import pytest
 
@@ -24,6 +26,7 @@ from tests.campaigns.runs import (
     orphans_of,
     scans_in,
     started,
+    wait_until,
     whole_run,
 )
 
@@ -31,14 +34,21 @@ pytestmark = pytest.mark.skipif(not IS_LINUX, reason="finds processes by /proc")
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-# While Python itself starts, before a line of ours, Ctrl-C is its own affair.
-PYTHON_STARTS_S = 0.1
+
+def is_listening(process):
+    """Whether msal has taken its signals; while Python itself starts, Ctrl-C is its own affair."""
+    try:
+        text = Path(f"/proc/{process.pid}/status").read_text()
+    except OSError:
+        return False
+    caught = int(re.search(r"SigCgt:\s+(\w+)", text)[1], 16)
+    return bool(caught >> (signal.SIGTERM - 1) & 1)
 
 
 def interrupted(words, number, wait, *, twice):
     """Send a signal at a moment: the status as a shell gives it, seconds, and what was said."""
     with started(words) as process:
-        time.sleep(PYTHON_STARTS_S)
+        wait_until(lambda: is_listening(process), process)
         wait(process)
         process.send_signal(number)
         began = time.monotonic()
