@@ -2,8 +2,8 @@
 
     python -m pytest tests/campaigns/test_strace.py -m slow -s
 
-The calls are those of the whole process, from where it makes the output folder: strace counts them
-in an unbroken run first.
+The calls are those of the process that have to do with the output folder: strace lists them in an
+unbroken run first.
 """
 
 from __future__ import annotations
@@ -23,14 +23,17 @@ pytestmark = [
     pytest.mark.skipif(not IS_LINUX or not shutil.which("strace"), reason="no strace"),
 ]
 
-CALLS = "openat,write,fsync,close,rename,chmod,mkdir,unlink,ftruncate,newfstatat"
+CALLS = "openat,write,fsync,close,rename,chmod,mkdir,unlink,ftruncate"
 ERRORS = ("EIO", "ENOSPC", "EACCES")
 
 
 def traced(words, log, *options):
-    """Run a command under strace; its status and what it said."""
+    """Run a command under strace; its status and what it said.
+
+    With ``--seccomp-bpf`` that is faster, but signals are not delivered.
+    """
     process = subprocess.run(
-        ["strace", "-f", "--seccomp-bpf", "-o", log, "-e", f"trace={CALLS}", *options, *words],
+        ["strace", "-fy", "-o", log, "-e", f"trace={CALLS}", *options, *words],
         capture_output=True,
         check=False,
         timeout=300,
@@ -38,27 +41,24 @@ def traced(words, log, *options):
     return process.returncode, process.stderr.decode(errors="replace")
 
 
-def calls_of(log, mark):
-    """For each call the numbers of its first and last occurrence, in the process that begins, from
-    where ``mark`` (part of a line) comes up first."""
-    counts, firsts, is_on, main = {}, {}, False, None
+def calls_of(log, folder):
+    """Name and number of every call that has to do with ``folder``, of the process that begins."""
+    counts, found, main = {}, [], None
     for line in log.read_text(errors="replace").splitlines():
-        found = re.match(r"(\d+) +(\w+)\(", line)
-        if not found:
+        called = re.match(r"(\d+) +(\w+)\(", line)
+        if not called:
             continue
-        main = main or found[1]
-        if found[1] != main:
-            continue
-        name = found[2]
-        counts[name] = counts.get(name, 0) + 1
-        is_on = is_on or mark in line
-        if is_on:
-            firsts.setdefault(name, counts[name])
-    return {name: (first, counts[name]) for name, first in firsts.items()}
+        main = main or called[1]
+        if called[1] == main:
+            name = called[2]
+            counts[name] = counts.get(name, 0) + 1
+            if folder in line:
+                found.append((name, counts[name]))
+    return found
 
 
 def cases(tmp_path):
-    """The command, its output folder, what it writes, and the calls from there on."""
+    """The command, its output folder, what it writes, and the calls for that."""
     scans = folder_of(tmp_path / "in", a=closed_scan())
     output = tmp_path / "out"
     words = [*MSAL, "denoise", str(scans), "-o", str(output), "-q"]
@@ -76,52 +76,53 @@ def test_every_call_is_refused(tmp_path):
     shutil.copytree(output, tmp_path / "earlier")
     old = contents(output)["a.ply"]
     n_runs, statuses = 0, {}
-    for name, (first, last) in sorted(calls.items()):
-        for at in range(first, last + 1):
-            error = ERRORS[n_runs % len(ERRORS)]
-            shutil.rmtree(output)
-            if n_runs % 2:
-                shutil.copytree(tmp_path / "earlier", output)
-            inject = f"inject={name}:error={error}:when={at}"
-            status, said = traced(words, tmp_path / "log", "-e", inject)
-            what = (inject, status, said)
-            # Some calls are not ours: Python closes what it likes when it ends.
-            assert status in (0, 1, 2, 3, 120), what
-            assert "Traceback" not in said and "nternal error" not in said, what
-            present = contents(output) if output.exists() else {}
-            assert present.get("a.ply") in (None, old, whole.files["a.ply"]), what
-            if n_runs % 2:
-                assert present.get("a.ply") is not None, what
-            if status == 0:
-                assert present["a.ply"] == whole.files["a.ply"], what
-            elif status in (1, 3):
-                assert "(E_" in said, what
-            left = [one for one in present if is_own(one)]
-            assert not left or name == "unlink", what
-            assert ended(words)[0] == 0, what
-            assert whole.last_faults(output) == [], what
-            n_runs += 1
-            statuses[status] = statuses.get(status, 0) + 1
-    print(f"\n{n_runs} calls refused, statuses {statuses}; {calls}")
+    for name, at in calls:
+        error = ERRORS[n_runs % len(ERRORS)]
+        shutil.rmtree(output)
+        if n_runs % 2:
+            shutil.copytree(tmp_path / "earlier", output)
+        inject = f"inject={name}:error={error}:when={at}"
+        status, said = traced(words, tmp_path / "log", "--seccomp-bpf", "-e", inject)
+        what = (inject, status, said)
+        assert status in (0, 1, 2, 3), what
+        if "ImportError" in said or "ModuleNotFoundError" in said:
+            # Python reads modules between our calls, and not always as many.
+            continue
+        assert "Traceback" not in said and "nternal error" not in said, what
+        present = contents(output) if output.exists() else {}
+        assert present.get("a.ply") in (None, old, whole.files["a.ply"]), what
+        if n_runs % 2:
+            assert present.get("a.ply") is not None, what
+        if status == 0:
+            assert present["a.ply"] == whole.files["a.ply"], what
+        elif status in (1, 3):
+            assert "(E_" in said, what
+        left = [one for one in present if is_own(one)]
+        assert not left or name == "unlink", what
+        assert ended(words)[0] == 0, what
+        assert whole.last_faults(output) == [], what
+        n_runs += 1
+        statuses[status] = statuses.get(status, 0) + 1
+    print(f"\n{n_runs} calls refused, statuses {statuses}")
     assert n_runs > 25
 
 
 def test_the_process_is_killed_at_every_call(tmp_path):
     words, output, whole, calls = cases(tmp_path)
-    n_runs, n_left = 0, 0
-    for name, (first, last) in sorted(calls.items()):
-        for at in range(first, last + 1):
-            shutil.rmtree(output, ignore_errors=True)
-            status, said = traced(
-                words, tmp_path / "log", "-e", f"inject={name}:signal=KILL:when={at}"
-            )
-            what = (name, at, status, said)
-            assert status in (-9, 137, 0), what
-            assert whole.faults(output) == [], what
-            present = contents(output) if output.exists() else {}
-            n_left += any(is_own(one) for one in present)
-            assert ended(words)[0] == 0, what
-            assert whole.last_faults(output) == [], what
-            n_runs += 1
-    print(f"\n{n_runs} kills at calls; {n_left} left a temporary file, and all were swept")
-    assert n_runs > 25 and n_left > 0
+    n_runs = n_killed = n_left = 0
+    for name, at in calls:
+        shutil.rmtree(output, ignore_errors=True)
+        status, said = traced(words, tmp_path / "log", "-e", f"inject={name}:signal=KILL:when={at}")
+        what = (name, at, status, said)
+        assert status in (-9, 137, 0), what
+        assert whole.faults(output) == [], what
+        present = contents(output) if output.exists() else {}
+        n_killed += status != 0
+        n_left += any(is_own(one) for one in present)
+        assert ended(words)[0] == 0, what
+        assert whole.last_faults(output) == [], what
+        n_runs += 1
+    print(
+        f"\n{n_killed} kills at {n_runs} calls; {n_left} left a temporary file, and all were swept"
+    )
+    assert n_killed > 25 and n_left > 0
