@@ -286,7 +286,7 @@ def seconds_of_work(pid):
 
 @linux
 def test_the_command_holds_a_real_mesh_to_a_memory_limit(scans, monkeypatch):
-    (scans / "in/big.obj").write_text(obj(9, 500, 250))
+    (scans / "in/big.obj").write_text(obj(9, 800, 400))
     made = msal(scans, "--memory-limit", "150M")
     assert made.returncode == 3
     assert "forecast: denoising this file takes up to" in made.stderr
