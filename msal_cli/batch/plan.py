@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -331,6 +330,8 @@ def _nearest_folder(path: Path) -> Path:
 
 def _ignores_case(folder: Path) -> bool:
     """Whether the file system of ``folder`` takes a name in capitals for the same name."""
+    import tempfile
+
     try:
         # The one sure way is to ask for a file under its other name.
         with tempfile.NamedTemporaryFile(prefix=".msal-case-", suffix=".tmp", dir=folder) as probe:

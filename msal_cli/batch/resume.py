@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import threading
 from collections.abc import Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -190,6 +189,8 @@ def backup_path(task: Task) -> Path:
 
 def restore(task: Task) -> None:
     """Put the original back from its backup, whole or not at all; OutputError if that fails."""
+    import shutil
+
     target = Path(task.input)
     temporary = target.with_name(temporary_name("restored"))
     try:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import os
 import re
-import secrets
 import socket
 import time
 import zlib
@@ -38,7 +37,7 @@ def is_own(name: str) -> bool:
 
 def temporary_name(stem: str) -> str:
     """A new name for a temporary file of this process; ``stem`` should be short."""
-    return f".{stem}.msal-{os.getpid()}-{_machine()}{secrets.token_hex(4)}.tmp"
+    return f".{stem}.msal-{os.getpid()}-{_machine()}{os.urandom(4).hex()}.tmp"
 
 
 def sweep(folders: Iterable[str | Path]) -> int:

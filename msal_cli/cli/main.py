@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import errno
 import os
 import sys
@@ -43,6 +42,8 @@ class Msal(click.Group):
         """The command that the first argument names; an unknown one gets a suggestion."""
         name = args[0]
         if name not in _COMMANDS and not name.startswith("-"):
+            import difflib
+
             close = difflib.get_close_matches(name, _COMMANDS, n=1)
             hint = f"; did you mean '{close[0]}'?" if close else ""
             ctx.fail(f"there is no command '{name}'{hint}")

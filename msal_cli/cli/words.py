@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
 import os
 import pkgutil
@@ -137,6 +136,8 @@ def settled_format(
     plain = word.lower().lstrip(".")
     if plain in names:
         return plain
+    import difflib
+
     close = difflib.get_close_matches(plain, names, n=2, cutoff=0.5)
     raise UsageError(
         f"{option} {word}: there is no such format",

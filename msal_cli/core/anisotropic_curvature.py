@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.geometry import DEGENERATE
+from msal_cli.core.medians import median
 from msal_cli.core.operators import Step
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.robust_laplacian import PER_MEDIAN
@@ -114,8 +115,8 @@ def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> f
     if not len(corners):
         return 0.0
     lengths = np.sqrt((edge_curvatures(vertices, corners) ** 2).sum(axis=1))
-    middle = np.median(lengths)
-    return float(middle + deviations * PER_MEDIAN * np.median(np.abs(lengths - middle)))
+    middle = median(lengths)
+    return float(middle + deviations * PER_MEDIAN * median(np.abs(lengths - middle)))
 
 
 @compiled

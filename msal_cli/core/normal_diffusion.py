@@ -16,6 +16,7 @@ from msal_cli.core.compiled import compiled
 from msal_cli.core.exponential import exponentials
 from msal_cli.core.face_rings import face_centroids
 from msal_cli.core.geometry import VANISHED, face_normals_and_areas
+from msal_cli.core.medians import median
 from msal_cli.core.operators import BLOCK_EDGES
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.robust_laplacian import PER_MEDIAN
@@ -113,7 +114,7 @@ def difference_width(normals: Floats, ring_start: Ints, ring: Ints) -> float:
     if not pairs.any():
         return 0.0
     lengths = np.sqrt(((normals[own[pairs]] - normals[ring[pairs]]) ** 2).sum(axis=1))
-    return float(PER_MEDIAN * np.median(np.abs(lengths - np.median(lengths))))
+    return float(PER_MEDIAN * median(np.abs(lengths - median(lengths))))
 
 
 def diffused_normals(

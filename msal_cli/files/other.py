@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib.util
 import io
 import re
-import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -271,6 +270,8 @@ def _triangles(block: Any) -> NDArray[np.int64]:
 
 
 def _meshio_read(data: Buffer, format: str) -> Any:
+    import tempfile
+
     import meshio
 
     # Several readers take a path only, so that all get one.
@@ -316,6 +317,8 @@ def _meshio_written(mesh: Any, format: str, encoding: str, head: bytes, size: in
     name, options = _meshio_options(head, format, encoding)
 
     def write() -> bytes:
+        import tempfile
+
         with tempfile.TemporaryDirectory(prefix="msal-") as folder:
             path = Path(folder) / f"mesh.{format}"
             mesh.write(path, file_format=name, **options)

@@ -8,7 +8,6 @@ import functools
 import logging
 import os
 import re
-import secrets
 import socket
 import stat
 import sys
@@ -176,7 +175,7 @@ def _permissions(target: Path, mode_like: str | os.PathLike[str] | None) -> int 
 
 def _temporary_name(name: str) -> str:
     """A name that says whose it is: process, machine, and eight random digits."""
-    suffix = f".msal-{os.getpid()}-{_machine()}{secrets.token_hex(4)}.tmp"
+    suffix = f".msal-{os.getpid()}-{_machine()}{os.urandom(4).hex()}.tmp"
     room = LONGEST_NAME - 1 - len(suffix)
     while len(os.fsencode(name)) > room:
         name = name[:-1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -57,6 +56,8 @@ class Totals:
 
 def totals(records: Sequence[MeshRecord]) -> Totals:
     """The totals over ``records``."""
+    import statistics
+
     states = Counter(record.status for record in records)
     fresh = [record for record in records if record.status in ("written", "unchanged")]
     changes = [
