@@ -11,7 +11,6 @@ numba and LLVM, and the processor.  A change anywhere makes a new key.
 
 from __future__ import annotations
 
-import dis
 import functools
 import hashlib
 import logging
@@ -83,10 +82,19 @@ class Kernel:
     @functools.cached_property
     def fingerprint(self) -> str:
         """A hash of all in the source that the machine code depends on."""
-        code = self.function.__code__
-        known = self.function.__globals__
-        said = [(name, _plain_value(known[name])) for name in sorted(_globals_used(code, known))]
-        return hashlib.sha256(repr((_plain_code(code), said)).encode()).hexdigest()
+        said = []
+        waiting, seen = [self], {id(self)}
+        while waiting:
+            kernel = waiting.pop()
+            code, known = kernel.function.__code__, kernel.function.__globals__
+            # Names of attributes are among these too; what is hashed in vain does no harm.
+            values = {name: known[name] for name in _names(code) if name in known}
+            said.append((_plain_code(code), [(name, _plain(one)) for name, one in values.items()]))
+            for one in values.values():
+                if isinstance(one, Kernel) and id(one) not in seen:
+                    seen.add(id(one))
+                    waiting.append(one)
+        return hashlib.sha256(repr(said).encode()).hexdigest()
 
     @functools.cached_property
     def dispatcher(self) -> Any:
@@ -100,14 +108,18 @@ class Kernel:
         known = self.function.__globals__
         called = {
             name: known[name].dispatcher
-            for name in _globals_used(self.function.__code__, known)
-            if isinstance(known[name], Kernel)
+            for name in _globals_used(self.function.__code__)
+            if isinstance(known.get(name), Kernel)
         }
         function = types.FunctionType(
             self.function.__code__, {**known, **called}, self.function.__name__
         )
         function.__module__ = self.function.__module__
-        decorate: Any = njit(nogil=True, **options)  # type: ignore[call-overload]
+        # A division by zero gives infinity or no number, as in numpy: a check would be a branch,
+        # and a loop with a branch does not become vector code.
+        decorate: Any = njit(  # type: ignore[call-overload]
+            nogil=True, error_model="numpy", **options
+        )
         return decorate(function)
 
 
@@ -170,25 +182,34 @@ def _result_kinds(of: Any) -> list[str] | str | None:
 # What the machine code depends on
 
 
-def _globals_used(code: types.CodeType, known: dict[str, Any]) -> set[str]:
+def _names(code: types.CodeType) -> list[str]:
+    """The names of globals, and of attributes, in the order in which the code has them."""
+    names = list(code.co_names)
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            names += _names(constant)
+    return names
+
+
+def _globals_used(code: types.CodeType) -> set[str]:
+    import dis
+
     names = {one.argval for one in dis.get_instructions(code) if one.opname == "LOAD_GLOBAL"}
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
-            names |= _globals_used(constant, known)
-    return names & known.keys()
+            names |= _globals_used(constant)
+    return names
 
 
 def _plain_code(code: types.CodeType) -> tuple[Any, ...]:
     constants = [
-        _plain_code(one) if isinstance(one, types.CodeType) else _plain_value(one)
+        _plain_code(one) if isinstance(one, types.CodeType) else _plain(one)
         for one in code.co_consts
     ]
     return code.co_code, constants, code.co_names, code.co_varnames, code.co_flags
 
 
-def _plain_value(value: Any) -> Any:
-    if isinstance(value, Kernel):
-        return value.fingerprint
+def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
     if value is None or isinstance(value, bool | int | float | str | bytes | tuple | np.generic):

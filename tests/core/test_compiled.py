@@ -49,7 +49,12 @@ def column_sum(values):
 
 @compiled
 def ratio(left, right):
-    return left // right
+    return left / right
+
+
+@compiled
+def room(size):
+    return len(np.empty(size))
 
 
 @pytest.fixture
@@ -164,8 +169,13 @@ def test_the_users_folder_serves_where_the_package_cannot_be_written(tmp_path, m
 
 def test_a_failure_in_a_kernel_is_an_exception(cache):
     with pytest.raises(RuntimeError, match="failed"):
-        again(ratio)(1, 0)
-    assert again(ratio)(7, 2) == 3
+        again(room)(-1)
+    assert again(room)(7) == 7
+
+
+def test_division_is_that_of_numpy(cache):
+    assert again(ratio)(7.0, 2.0) == 3.5
+    assert again(ratio)(1.0, 0.0) == np.inf
 
 
 def test_without_the_way_into_numba_it_still_works(cache, monkeypatch):
