@@ -18,7 +18,7 @@ import numpy as np
 
 from msal_cli import files, methods
 from msal_cli.mesh import Mesh, prepared
-from msal_cli.metrics.normals import normal_statistics
+from msal_cli.metrics.surface import normal_statistics
 
 PUBLISHED = (
     (

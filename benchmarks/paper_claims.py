@@ -19,7 +19,7 @@ import numpy as np
 
 from msal_cli import files, methods
 from msal_cli.mesh import Mesh, Prepared, prepared
-from msal_cli.metrics.normals import normal_statistics
+from msal_cli.metrics.surface import normal_statistics
 from msal_cli.metrics.volume import area_and_volume
 
 SWEEPS = 3

@@ -16,7 +16,7 @@ import numpy as np
 
 from msal_cli import files, methods
 from msal_cli.mesh import Prepared, prepared
-from msal_cli.metrics.normals import normal_statistics
+from msal_cli.metrics.surface import normal_statistics
 
 SAMPLES = Path(__file__).resolve().parents[1] / "sample_meshes"
 

@@ -14,13 +14,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.errors import ContentError
+from msal_cli.errors import ContentError, TooLargeError
 
 if TYPE_CHECKING:
     from msal_cli.core.connectivity import Connectivity
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+
+MOST_FACES = (2**31 - 1) // 6
+"""Triangles beyond which the places in the one-rings might not fit 32 bits: 357,913,941."""
 
 LARGEST_EXTENT = 1e60
 """Fourth powers of much larger extents overflow, and of the reciprocal's vanish."""
@@ -61,11 +64,11 @@ class Mesh:
         """
         from msal_cli.core.geometry import mollified, vertex_normals
 
-        links = self.links
         known: dict[tuple[str, int], Floats] = self.__dict__.setdefault("_normals", {})
         if (weighting, mollify) not in known:
+            links = self.links
             normals = vertex_normals(
-                self.vertices, self.faces, links.face_start, links.incident_faces, weighting
+                self.vertices, self.faces, *links.passing_incidence(), weighting
             )
             known[weighting, mollify] = mollified(normals, links.ring_start, links.ring, mollify)
         return known[weighting, mollify]
@@ -146,26 +149,20 @@ class Prepared:
 
         A vertex whose mesh vertex did not move, or that has none, keeps ``original``'s very value.
         """
-        moved = (vertices != self.mesh.vertices).any(axis=1)
-        if self.place is None:
-            moved &= np.diff(self.mesh.links.ring_start) > 0
-        else:
-            known = np.maximum(self.place, 0)
-            moved = moved[known] & (self.place >= 0)
-            vertices = vertices[known]
-        result: Floats = np.where(moved[:, None], vertices + self.origin, original)
-        return result
+        from msal_cli.core.scattering import scattered
+
+        mesh = self.mesh
+        return scattered(
+            mesh.vertices, vertices, mesh.links.has_ring, self.place, self.origin, original
+        )
 
     def seam_gap(self, vertices: Floats) -> float:
         """Largest distance between file positions (n_file, 3) that were one point before."""
         if self.place is None:
             return 0.0
-        shared = np.zeros((len(self.mesh.vertices), 3))
-        known = self.place >= 0
-        shared[self.place[known]] = vertices[known]
-        return float(
-            np.sqrt(((vertices[known] - shared[self.place[known]]) ** 2).sum(axis=1).max())
-        )
+        from msal_cli.core.scattering import widest_gap
+
+        return widest_gap(vertices, self.place, len(self.mesh.vertices))
 
 
 def prepared(vertices: Floats, faces: Ints) -> Prepared:
@@ -180,6 +177,8 @@ def prepared(vertices: Floats, faces: Ints) -> Prepared:
     ------
     ContentError
         with code ``E_NO_FACES``, ``E_INDEX``, ``E_NONFINITE`` or ``E_RANGE``.
+    TooLargeError
+        for more than ``MOST_FACES`` triangles.
     """
     from msal_cli.core.connectivity import (
         connectivity,
@@ -188,7 +187,7 @@ def prepared(vertices: Floats, faces: Ints) -> Prepared:
         faces_to_flip,
         welded,
     )
-    from msal_cli.core.geometry import face_normals
+    from msal_cli.core.geometry import degenerate_faces
 
     vertices, faces = _gated(vertices, faces)
     n_file = len(vertices)
@@ -251,7 +250,7 @@ def prepared(vertices: Floats, faces: Ints) -> Prepared:
     origin = (low + high) / 2.0
     mesh = Mesh(vertices - origin, faces)
     mesh.__dict__["links"] = links
-    flat = int((face_normals(mesh.vertices, faces) == 0.0).all(axis=1).sum())
+    flat = degenerate_faces(mesh.vertices, faces)
     defects = Defects(
         welded_vertices=n_welded,
         unreferenced_vertices=n_unreferenced,
@@ -281,6 +280,11 @@ def _gated(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
             code="E_NO_FACES",
             hint="msal denoises surfaces; make a mesh of the point cloud first",
         )
+    if len(faces) > MOST_FACES:
+        raise TooLargeError(
+            f"the mesh has {len(faces):,} triangles, more than the {MOST_FACES:,} that fit",
+            hint="cut it into parts",
+        )
     if faces.dtype.kind not in "iu":
         raise ContentError(f"face indices are {faces.dtype}, not integers", code="E_INDEX")
     low, high = int(faces.min()), int(faces.max())
@@ -293,8 +297,8 @@ def _gated(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
             where=f"face {bad}",
             hint="the file is damaged or was cut short; export it again",
         )
-    finite = np.isfinite(vertices).all(axis=1)
-    if not finite.all():
+    if not np.isfinite(vertices).all():
+        finite = np.isfinite(vertices).all(axis=1)
         raise ContentError(
             "a position is not finite",
             code="E_NONFINITE",

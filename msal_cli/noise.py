@@ -20,7 +20,8 @@ def noise_level(mesh: Mesh) -> float:
     to 0.7 mean edge lengths is told within a few per cent; fine texture looks like noise of up to
     0.04, and isolated outliers are not seen.
     """
-    from msal_cli.core.geometry import ring_means
+    from msal_cli.core.geometry import ring_means, umbrella_heights
+    from msal_cli.core.medians import median
 
     links = mesh.links
     rings = (links.ring_start, links.ring)
@@ -28,11 +29,7 @@ def noise_level(mesh: Mesh) -> float:
     inner = (valence > 0) & ~links.boundary
     if not inner.any():
         inner = valence > 0
-    normals = mesh.vertex_normals("uniform", 1)
-    heights = np.zeros(len(mesh.vertices))
-    for axis in range(3):
-        along = mesh.vertices[:, axis].copy()
-        heights += normals[:, axis] * (ring_means(along, *rings) - along)
+    heights = umbrella_heights(mesh.vertices, mesh.vertex_normals("uniform", 1), *rings)
     second = (ring_means(heights, *rings) - heights)[inner]
-    deviation = np.median(np.abs(second - np.median(second)))
+    deviation = median(np.abs(second - median(second)))
     return float(1.4826 * deviation / WHITE_NOISE_GAIN)

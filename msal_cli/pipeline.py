@@ -335,8 +335,7 @@ class _Run:
 
     def denoise(self, data: bytes, output_path: str | None) -> Buffer:
         """The bytes of the output file for the bytes of the input file."""
-        from msal_cli import files, methods
-        from msal_cli.mesh import prepared
+        from msal_cli import files
 
         settings = self.settings
         name = self._record.input
@@ -354,6 +353,23 @@ class _Run:
             )
             self.warn(*mesh_file.warnings)
             self._check_faces(mesh_file.n_polygons)
+        vertices = self._denoised(mesh_file)
+        with self.stage("write"):
+            compress = is_compressed
+            if output_path is not None:
+                compress = output_path.lower().endswith(".gz")
+            output = self._written(mesh_file, vertices, output_path, data, compress, is_compressed)
+            self._changed = output is not data
+            self.know(output_sha256=hashlib.sha256(output).hexdigest())
+        return output
+
+    def _denoised(self, mesh_file: MeshFile) -> Floats:
+        """The new positions of a file's vertices; what leads to them is let go of before the
+        output is built, for that takes as much memory again."""
+        from msal_cli import methods
+        from msal_cli.mesh import prepared
+
+        settings = self.settings
         with self.stage("connectivity"):
             ready = prepared(mesh_file.vertices, mesh_file.faces)
             self._know_defects(ready)
@@ -372,14 +388,7 @@ class _Run:
         self._seconds["normals"] = normals
         with self.stage("measure"):
             self._measure(ready, result.vertices, vertices)
-        with self.stage("write"):
-            compress = is_compressed
-            if output_path is not None:
-                compress = output_path.lower().endswith(".gz")
-            output = self._written(mesh_file, vertices, output_path, data, compress, is_compressed)
-            self._changed = output is not data
-            self.know(output_sha256=hashlib.sha256(output).hexdigest())
-        return output
+        return vertices
 
     def _written(
         self,
@@ -489,14 +498,14 @@ class _Run:
     def _measure(self, ready: Prepared, moved: Floats, vertices: Floats) -> None:
         """Fill in what changed; ``moved`` are mesh positions, ``vertices`` the file's."""
         from msal_cli.metrics.displacement import displacement_statistics
-        from msal_cli.metrics.normals import normal_statistics
-        from msal_cli.metrics.volume import area_and_volume
+        from msal_cli.metrics.surface import surface_change
 
         before, after = ready.mesh, ready.mesh.moved(moved)
-        used = before.links.ring_start[1:] > before.links.ring_start[:-1]
+        used = before.links.has_ring
         edge = before.mean_edge_length
         one = displacement_statistics(before.vertices, after.vertices, used)
-        turned = normal_statistics(before, after)
+        surface = surface_change(before, after)
+        turned = surface.normals
         self.know(
             seam_gap=ready.seam_gap(vertices),
             displacement=Displacement(
@@ -514,14 +523,13 @@ class _Run:
             flipped_faces=turned.flipped_faces,
             noise_estimate=_noise_estimate(ready),
         )
-        area_before, volume_before = area_and_volume(before)
-        area_after, volume_after = area_and_volume(after)
+        area_before, volume_before = surface.area_before, surface.volume_before
         objection = ready.defects.volume_objection
-        change = volume_after - volume_before
+        change = surface.volume_after - volume_before
         self.know(
             volume=Volume(
                 before=volume_before,
-                after=volume_after,
+                after=surface.volume_after,
                 change=change,
                 change_percent=100.0 * change / abs(volume_before) if volume_before else None,
                 valid=not objection,
@@ -529,9 +537,11 @@ class _Run:
             ),
             area=Area(
                 before=area_before,
-                after=area_after,
+                after=surface.area_after,
                 change_percent=(
-                    100.0 * (area_after - area_before) / area_before if area_before else None
+                    100.0 * (surface.area_after - area_before) / area_before
+                    if area_before
+                    else None
                 ),
             ),
         )

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.errors import ContentError
-from msal_cli.mesh import prepared
+from msal_cli.errors import ContentError, TooLargeError
+from msal_cli.mesh import MOST_FACES, prepared
 from tests.shapes import cube, grid, noisy, torus
 
 
@@ -140,3 +140,10 @@ def test_far_from_the_origin_nothing_is_lost():
     edges = ready.mesh.vertices[faces[:, 0]] - ready.mesh.vertices[faces[:, 1]]
     assert np.allclose(edges, near[faces[:, 0]] - near[faces[:, 1]], rtol=0, atol=2e-9)
     assert np.abs(ready.mesh.vertices).max() < 5
+
+
+def test_more_faces_than_can_be_counted_are_refused():
+    # One row of zeros, repeated without taking memory.
+    faces = np.broadcast_to(np.zeros(3, dtype=np.int32), (MOST_FACES + 1, 3))
+    with pytest.raises(TooLargeError, match="357,913,942 triangles"):
+        prepared(np.zeros((3, 3)), faces)

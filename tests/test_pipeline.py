@@ -270,7 +270,7 @@ def test_an_unexpected_error_is_a_record_too(scan, tmp_path, monkeypatch):
     def broken(*_):
         raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr("msal_cli.metrics.volume.area_and_volume", broken)
+    monkeypatch.setattr("msal_cli.metrics.surface.surface_change", broken)
     record = denoised(scan, tmp_path / "out.ply")
     assert record.error.code == "E_INTERNAL"
     assert "ZeroDivisionError: oops" in record.error.message

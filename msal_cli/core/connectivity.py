@@ -6,6 +6,7 @@ A one-ring is kept in compressed rows: the neighbours of vertex i are
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -207,7 +208,7 @@ class Connectivity:
 
     Attributes
     ----------
-    face_start, incident_faces : rows of the faces around each vertex, (n + 1,) and (3 m,).
+    faces : (m, 3), the triangles themselves.
     ring_start, ring : rows of the one-rings, (n + 1,) and (sum of valences,).
     boundary : (n,) bool, True at the ends of an edge that has one face only.
     boundary_edges : edges with one face.
@@ -215,8 +216,7 @@ class Connectivity:
     non_manifold_edges : edges with more than two faces.
     """
 
-    face_start: Ints
-    incident_faces: Ints
+    faces: Ints
     ring_start: Ints
     ring: Ints
     boundary: NDArray[np.bool_]
@@ -224,18 +224,51 @@ class Connectivity:
     inconsistent_edges: int
     non_manifold_edges: int
 
+    @property
+    def has_ring(self) -> NDArray[np.bool_]:
+        """(n,) bool, True where a vertex has neighbours."""
+        is_used: NDArray[np.bool_] = self.ring_start[1:] > self.ring_start[:-1]
+        return is_used
 
-def connectivity(n_vertices: int, faces: Ints) -> Connectivity:
-    """Neighbourhoods of ``faces`` (m, 3), which must name three different vertices each."""
+    @functools.cached_property
+    def incidence(self) -> tuple[Ints, Ints]:
+        """Rows of the faces around each vertex: where they start (n + 1,), and the faces (3 m,)."""
+        return incidence(len(self.ring_start) - 1, self.faces)
+
+    def passing_incidence(self) -> tuple[Ints, Ints]:
+        """As ``incidence``, but not kept where nobody has asked for it yet: it takes more memory
+        than the faces, and is made anew in little time."""
+        kept: tuple[Ints, Ints] | None = self.__dict__.get("incidence")
+        return incidence(len(self.ring_start) - 1, self.faces) if kept is None else kept
+
+    @property
+    def face_start(self) -> Ints:
+        """(n + 1,), where the row of each vertex starts in ``incident_faces``."""
+        return self.incidence[0]
+
+    @property
+    def incident_faces(self) -> Ints:
+        """(3 m,), the faces around each vertex, row by row."""
+        return self.incidence[1]
+
+
+def incidence(n_vertices: int, faces: Ints) -> tuple[Ints, Ints]:
+    """Rows of the faces around each vertex, (n + 1,) and (3 m,), for ``faces`` (m, 3)."""
     face_start = np.zeros(n_vertices + 1, dtype=np.int32)
     incident = np.empty(3 * len(faces), dtype=np.int32)
     _incident_faces(faces, face_start, incident)
+    return face_start, incident
+
+
+def connectivity(n_vertices: int, faces: Ints) -> Connectivity:
+    """Neighbourhoods of ``faces`` (m, 3), which must name three different vertices each."""
+    face_start, incident = incidence(n_vertices, faces)
     ring_start = np.zeros(n_vertices + 1, dtype=np.int32)
     total = _ring_sizes(faces, face_start, incident, ring_start)
     ring = np.empty(total, dtype=np.int32)
     boundary = np.zeros(n_vertices, dtype=bool)
     counts = _rings(faces, face_start, incident, ring_start, ring, boundary)
-    return Connectivity(face_start, incident, ring_start, ring, boundary, *map(int, counts))
+    return Connectivity(faces, ring_start, ring, boundary, *map(int, counts))
 
 
 @compiled

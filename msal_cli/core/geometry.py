@@ -72,19 +72,32 @@ def face_normals(vertices: Floats, faces: Ints) -> Floats:
 
 
 @compiled
+def _degenerate_faces(vertices, faces):  # type: ignore[no-untyped-def]
+    count = 0
+    for f in range(len(faces)):
+        nx, ny, nz, _ = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
+        count += nx == 0.0 and ny == 0.0 and nz == 0.0
+    return count
+
+
+def degenerate_faces(vertices: Floats, faces: Ints) -> int:
+    """How many faces have no normal."""
+    return int(_degenerate_faces(vertices, faces))
+
+
+@compiled
 def _vertex_normals(  # type: ignore[no-untyped-def]
-    start, stop, unit_normals, areas, face_start, incident_faces, by_area, normals
+    start, stop, vertices, faces, face_start, incident_faces, by_area, normals
 ):
+    # Each face is worked out anew for each of its corners: that costs less than to write the
+    # normals of all faces to memory and to gather them from there.
     for i in range(start, stop):
         sx = sy = sz = 0.0  # the sum that the weighting asks for
         ax = ay = az = 0.0  # the area-weighted sum, used where the first one vanishes
         weight = total_area = 0.0
         for at in range(face_start[i], face_start[i + 1]):
             f = incident_faces[at]
-            area = areas[f]
-            nx = unit_normals[f, 0]
-            ny = unit_normals[f, 1]
-            nz = unit_normals[f, 2]
+            nx, ny, nz, area = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
             ax += area * nx
             ay += area * ny
             az += area * nz
@@ -118,13 +131,12 @@ def vertex_normals(
     normals) the area-weighted sum is taken; where that vanishes too, or there is no face, the
     normal is zero, and a filter that moves along normals leaves the vertex in place.
     """
-    unit_normals, areas = face_normals_and_areas(vertices, faces)
     normals = np.empty((len(vertices), 3))
     over_ranges(
         _vertex_normals,
         len(vertices),
-        unit_normals,
-        areas,
+        vertices,
+        faces,
         face_start,
         incident_faces,
         weighting == "area",
@@ -192,30 +204,19 @@ def area_and_volume(vertices: Floats, faces: Ints) -> tuple[float, float]:
 
 
 @compiled
-def _angles_between(start, stop, before, after, faces, angles):  # type: ignore[no-untyped-def]
-    for f in range(start, stop):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        px, py, pz, _ = _doubled_area_normal(before, a, b, c)
-        qx, qy, qz, _ = _doubled_area_normal(after, a, b, c)
-        if (px == 0.0 and py == 0.0 and pz == 0.0) or (qx == 0.0 and qy == 0.0 and qz == 0.0):
-            angles[f] = np.nan
-            continue
-        # atan2 of the chord and its complement is exact for tiny angles, where acos is not.
-        dx, dy, dz = px - qx, py - qy, pz - qz
-        tx, ty, tz = px + qx, py + qy, pz + qz
-        angles[f] = 2.0 * np.arctan2(
-            np.sqrt(dx * dx + dy * dy + dz * dz), np.sqrt(tx * tx + ty * ty + tz * tz)
-        )
+def _distances(start, stop, before, after, lengths):  # type: ignore[no-untyped-def]
+    for i in range(start, stop):
+        dx = after[i, 0] - before[i, 0]
+        dy = after[i, 1] - before[i, 1]
+        dz = after[i, 2] - before[i, 2]
+        lengths[i] = np.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-def normal_angles(before: Floats, after: Floats, faces: Ints) -> Floats:
-    """Angle (m,) in radians between each face's normals at two vertex positions.
-
-    NaN where the face is degenerate at either.
-    """
-    angles = np.empty(len(faces))
-    over_ranges(_angles_between, len(faces), before, after, faces, angles)
-    return angles
+def distances(before: Floats, after: Floats) -> Floats:
+    """Distances (n,) between positions (n, 3)."""
+    lengths = np.empty(len(before))
+    over_ranges(_distances, len(before), before, after, lengths)
+    return lengths
 
 
 @compiled
@@ -238,6 +239,27 @@ def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
     """Mean length of the unique edges, in file units; zero without edges."""
     total, count = _edge_length_sum(vertices, ring_start, ring)
     return float(total / count) if count else 0.0
+
+
+@compiled
+def _umbrella_heights(start, stop, vertices, normals, ring_start, ring, heights):  # type: ignore[no-untyped-def]
+    for i in range(start, stop):
+        m = ring_start[i + 1] - ring_start[i]
+        sx = sy = sz = 0.0
+        for at in range(ring_start[i], ring_start[i + 1]):
+            k = ring[at]
+            sx += vertices[k, 0] - vertices[i, 0]
+            sy += vertices[k, 1] - vertices[i, 1]
+            sz += vertices[k, 2] - vertices[i, 2]
+        along = normals[i, 0] * sx + normals[i, 1] * sy + normals[i, 2] * sz
+        heights[i] = along / m if m else 0.0
+
+
+def umbrella_heights(vertices: Floats, normals: Floats, ring_start: Ints, ring: Ints) -> Floats:
+    """Heights (n,) of the mean of each one-ring along the vertex's normal; 0 where it is empty."""
+    heights = np.empty(len(vertices))
+    over_ranges(_umbrella_heights, len(vertices), vertices, normals, ring_start, ring, heights)
+    return heights
 
 
 @compiled

@@ -25,13 +25,16 @@ def threads() -> int:
     return usable_cores()
 
 
-def over_ranges(kernel: Callable[..., object], count: int, *arguments: object) -> None:
+def over_ranges(
+    kernel: Callable[..., object], count: int, *arguments: object, smallest: int = SMALLEST_RANGE
+) -> None:
     """Call ``kernel(start, stop, *arguments)`` so that the ranges cover ``0 ... count``.
 
     The kernel must release the interpreter lock and write only to items of its own range; then
-    the result cannot depend on the number of threads.  An exception of any range is raised here.
+    the result cannot depend on the number of threads.  No range has fewer than ``smallest`` items.
+    An exception of any range is raised here.
     """
-    parts = max(1, min(threads(), count // SMALLEST_RANGE))
+    parts = max(1, min(threads(), count // smallest))
     if parts == 1:
         kernel(0, count, *arguments)
         return

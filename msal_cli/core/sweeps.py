@@ -81,8 +81,9 @@ def swept(
     n = len(vertices)
     x = vertices.copy()
     offsets = np.zeros(n)
+    # Never written to: memory of zeros costs nothing until then.
     unused = np.zeros(n)
-    fidelity = np.zeros(n)
+    fidelity = unused
     for sweep in range(iterations):
         step = operator(x)
         sigma = step.sigma

@@ -25,8 +25,9 @@ def displacement_statistics(
     before: Floats, after: Floats, counted: NDArray[np.bool_] | None = None
 ) -> DisplacementStatistics:
     """Statistics of the distances between (n, 3) positions over the ``counted`` (n,) vertices."""
-    delta = after - before
-    lengths = np.sqrt(np.einsum("ij,ij->i", delta, delta))
+    from msal_cli.core.geometry import distances
+
+    lengths = distances(before, after)
     if counted is not None:
         lengths = lengths[counted]
     if not len(lengths):

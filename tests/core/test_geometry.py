@@ -10,10 +10,10 @@ from msal_cli.core.geometry import (
     face_normals,
     face_normals_and_areas,
     mean_edge_length,
-    normal_angles,
     regrouped_normals,
     ring_means,
 )
+from msal_cli.core.surface_change import ANGLES, COMPARED, surface_figures
 from msal_cli.mesh import prepared
 from tests.shapes import cube, grid, noisy, torus
 
@@ -53,9 +53,10 @@ def test_angles():
     for angle in (0.0, 1e-9, 0.3, np.pi / 2, 3.0, np.pi):
         turned = vertices.copy()
         turned[2] = [0, np.cos(angle), np.sin(angle)]
-        assert normal_angles(vertices, turned, face)[0] == pytest.approx(angle, abs=1e-15)
-    flat = np.zeros((3, 3))
-    assert np.isnan(normal_angles(vertices, flat, face)[0])
+        figures = surface_figures(vertices, turned, face)
+        assert figures[ANGLES] == pytest.approx(angle, abs=1e-15)
+        assert figures[COMPARED] == 1
+    assert surface_figures(vertices, np.zeros((3, 3)), face)[COMPARED] == 0
 
 
 def test_area_weighting():

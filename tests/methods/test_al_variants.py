@@ -11,7 +11,7 @@ from msal_cli import files, methods
 from msal_cli.core.operators import AnisotropicLaplacian
 from msal_cli.core.robust_laplacian import DEVIATIONS, SCALINGS, WEIGHTS, RobustLaplacian
 from msal_cli.mesh import prepared
-from msal_cli.metrics.normals import normal_statistics
+from msal_cli.metrics.surface import normal_statistics
 from tests import paper
 from tests.methods.pairs import all_errors, errors, opened
 from tests.shapes import fan, grid, noisy, torus

@@ -11,7 +11,7 @@ from msal_cli import methods
 from msal_cli.core import parallel
 from msal_cli.errors import UsageError
 from msal_cli.mesh import prepared
-from msal_cli.metrics.normals import normal_statistics
+from msal_cli.metrics.surface import normal_statistics
 from tests.shapes import grid, noisy, torus
 
 ALL = methods.names()

@@ -7,7 +7,7 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.mesh import prepared
-from msal_cli.metrics.normals import normal_statistics
+from msal_cli.metrics.surface import normal_statistics
 from tests.methods import plain_guides as plain
 from tests.methods.pairs import all_errors
 from tests.shapes import fan, grid, noisy, torus

@@ -10,7 +10,7 @@ from msal_cli.core.connectivity import connectivity
 from msal_cli.core.flaps import dihedral_angles, flaps
 from msal_cli.mesh import prepared
 from msal_cli.methods import l0
-from msal_cli.metrics.normals import normal_statistics
+from msal_cli.metrics.surface import normal_statistics
 from tests.shapes import grid, noisy, torus
 
 METHOD = methods.find("l0")

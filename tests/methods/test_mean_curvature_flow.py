@@ -9,7 +9,7 @@ from msal_cli import files, methods
 from msal_cli.core.geometry import area_and_volume
 from msal_cli.core.rescaled import with_volume_of
 from msal_cli.mesh import prepared
-from msal_cli.metrics.normals import normal_statistics
+from msal_cli.metrics.surface import normal_statistics
 from tests.shapes import cube, grid, noisy, torus
 
 METHOD = methods.find("mean_curvature_flow")

@@ -7,7 +7,7 @@ import pytest
 
 from msal_cli.mesh import prepared
 from msal_cli.metrics.displacement import displacement_statistics
-from msal_cli.metrics.normals import normal_statistics
+from msal_cli.metrics.surface import normal_statistics
 from msal_cli.metrics.volume import area_and_volume
 from tests.shapes import cube, fan, torus
 
