@@ -137,7 +137,7 @@ class Recoding:
         else:
             given = section.column(one.name)
         if given.dtype.kind == "f" and dtype != given.dtype.newbyteorder("="):
-            column = stored(given.astype(np.float64), dtype)
+            column = stored(_as_float64(given), dtype)
             if dtype.kind == "f":
                 _require_all(np.isfinite(column) | ~np.isfinite(given), section, one)
             return Column(one, column, lengths)
@@ -291,13 +291,18 @@ def _lines_of(columns: Sequence[Column], count: int, newline: bytes) -> Bytes:
     return packed
 
 
+def _as_float64(values: NDArray[Any]) -> NDArray[np.float64]:
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        return values.astype(np.float64)
+
+
 def _token_text(values: NDArray[Any]) -> tuple[Bytes, Longs]:
     """The texts of numbers one behind another and the end of each: whole numbers plain, others
     as the shortest text that reads back as the same value of their type."""
     from msal_cli.core.text import printed, printed_shortest
 
     if values.dtype.kind == "f":
-        return printed_shortest(values.astype(np.float64), values.itemsize == 4)
+        return printed_shortest(_as_float64(values), values.itemsize == 4)
     if values.itemsize < 8 or (np.abs(values.astype(np.float64)) < 2.0**53).all():
         return printed(values.astype(np.float64), 0)
     tokens = [b"%d" % one for one in values.tolist()]

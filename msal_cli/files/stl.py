@@ -253,7 +253,7 @@ class StlFile:
             refuse_float64(precision)
             return self.replaced(vertices)
         corners = vertices.reshape(-1, 9)
-        normals = self._renewed(corners, slice(0, None)).astype(np.float64)
+        normals = _as_float64(self._renewed(corners, slice(0, None)))
         return stl_ascii.written(corners, normals, self.solids[0], single=precision != "float64")
 
 

@@ -412,6 +412,22 @@ def test_the_check_wants_the_positions_it_is_given(encoding):
 # Conversion
 
 
+def test_a_signalling_nan_in_a_property_makes_no_noise():
+    corner = struct.pack("<3f", 0, 0, 1) + bytes.fromhex("010080ff")
+    data = (
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\n"
+        b"property float y\nproperty float z\nproperty float q\nelement face 1\n"
+        b"property list uchar int vertex_indices\nend_header\n"
+        + corner
+        + struct.pack("<4f", 1, 0, 0, 0)
+        + struct.pack("<4f", 0, 1, 0, 0)
+        + struct.pack("<B3i", 3, 0, 1, 2)
+    )
+    mesh = ply.read(data, "a.ply")
+    assert b"0 0 1 nan" in bytes(mesh.encoded(mesh.vertices, "ascii", "same"))
+    assert len(mesh.encoded(mesh.vertices, "binary", "float64"))
+
+
 def test_text_is_the_same_in_chunks_of_any_size(monkeypatch):
     file = mesh_file(LE, *grid(4, 3))
     file.elements[1].rows[3][0] = [0, 1, 4, 3]

@@ -333,3 +333,13 @@ def test_a_large_file_goes_through_in_parts(monkeypatch):
     with pytest.raises(InternalError, match="corner") as caught:
         file.check(wrong, vertices)
     assert caught.value.where == "facet 99"
+
+
+def test_a_signalling_nan_in_a_normal_makes_no_noise():
+    data = bytearray(plain_stl.binary(tetrahedron()))
+    data[84:88] = bytes.fromhex("010080ff")
+    file = stl.read(bytes(data), "a.stl")
+    above = file.vertices + 0.1
+    above[:3] = file.vertices[:3]
+    assert b"facet normal 0 0 -1" in bytes(file.encoded(above, "ascii", "same"))
+    assert bytes(file.replaced(above))[84:88] == data[84:88]
