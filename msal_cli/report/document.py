@@ -84,13 +84,12 @@ def totals(records: Sequence[MeshRecord]) -> Totals:
     )
 
 
-def document(run: Run, records: Sequence[MeshRecord]) -> dict[str, Any]:
-    """The whole report as plain data, in the order in which it is written."""
+def heading(run: Run, records: Sequence[MeshRecord]) -> dict[str, Any]:
+    """All of the report that comes before its records, as plain data."""
     return {
         "schema": SCHEMA,
         **plain_fields(run),
         "totals": plain_fields(totals(records)),
-        "records": [plain_record(record) for record in records],
     }
 
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from msal_cli.records import MeshRecord, from_data
 from msal_cli.report import as_json, as_jsonl
+from msal_cli.report.document import heading, plain_record
 from msal_cli.report.names import restored
 from tests.report.made import RUN, failed, of, written
 
@@ -71,3 +72,11 @@ def test_the_same_records_make_the_same_bytes(writer):
 
 def test_names_are_readable_in_the_document():
     assert "扫描.ply".encode() in as_json.encoded(RUN, [written("扫描.ply")])
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_it_is_the_document(count):
+    records = [written(f"scan\n{n}.ply") for n in range(count)]
+    made = as_json.encoded(RUN, records)
+    whole = {**heading(RUN, records), "records": [plain_record(one) for one in records]}
+    assert made == as_json.json_bytes(whole)
