@@ -12,7 +12,7 @@ from msal_cli.files.base import Buffer, MeshFile
 from msal_cli.files.first_look import read_input
 from msal_cli.files.streams import compressed, expanded, is_gzip_name, read_whole
 from msal_cli.files.urls import is_url
-from msal_cli.files.writing import swept, write_whole
+from msal_cli.files.writing import write_whole
 
 __all__ = [
     "Buffer",
@@ -27,7 +27,6 @@ __all__ = [
     "read_input",
     "read_whole",
     "readable_suffixes",
-    "swept",
     "writable_formats",
     "write_whole",
 ]

@@ -7,10 +7,8 @@ import errno
 import functools
 import logging
 import os
-import re
 import socket
 import stat
-import sys
 import time
 import zlib
 from collections.abc import Callable, Iterable
@@ -23,12 +21,8 @@ from msal_cli.files.urls import is_url
 LONGEST_NAME = 140
 """Bytes in the name of a temporary file; some encrypting file systems allow only 143."""
 
-ABANDONED_S = 24 * 3600.0
-"""Seconds after which a temporary file is stale whatever became of its process."""
-
 _PIECE = 64 << 20
 _log = logging.getLogger("msal.files")
-_TEMPORARY = re.compile(r"^\..*\.msal-(\d{1,10})-([0-9a-f]{8})[0-9a-f]{8}\.tmp$", re.DOTALL)
 
 _HINTS = {
     errno.ENOSPC: "the disk is full; free some space and run again",
@@ -244,65 +238,3 @@ def _flush_folder(folder: Path) -> None:
     except OSError as failure:
         if failure.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES):
             _log.warning("the folder %r cannot be synced: %s", str(folder), failure.strerror)
-
-
-def swept(folder: str | os.PathLike[str]) -> tuple[str, ...]:
-    """Remove the temporary files that dead runs left in ``folder``, and return their names.
-
-    A file goes if its process is gone from this machine, or if it has not changed for a day (the
-    machine was another one, or the process number is in use again).  What cannot be removed
-    stays, without an error; folders inside are not entered.
-    """
-    removed = []
-    machine = _machine()
-    try:
-        names = [entry.name for entry in os.scandir(folder)]
-    except OSError:
-        return ()
-    for name in sorted(names):
-        found = _TEMPORARY.match(name)
-        if not found:
-            continue
-        path = Path(folder) / name
-        with contextlib.suppress(OSError):
-            here = path.lstat()
-            dead = found[2] == machine and not _is_running(int(found[1]))
-            if stat.S_ISREG(here.st_mode) and (dead or time.time() - here.st_mtime > ABANDONED_S):
-                path.unlink()
-                removed.append(name)
-    return tuple(removed)
-
-
-def _is_running(process: int) -> bool:
-    """Whether a process of this number is alive; when in doubt, yes."""
-    if process <= 0:
-        return False
-    if sys.platform == "win32":
-        # os.kill(process, 0) would end the process there.
-        return _is_running_on_windows(process)
-    try:
-        os.kill(process, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except OSError:
-        return True
-    return True
-
-
-if sys.platform == "win32":
-
-    def _is_running_on_windows(process: int) -> bool:
-        import ctypes
-
-        query_limited_information, still_active, invalid_parameter = 0x1000, 259, 87
-        kernel = ctypes.WinDLL("kernel32", use_last_error=True)
-        kernel.OpenProcess.restype = ctypes.c_void_p
-        handle = kernel.OpenProcess(query_limited_information, False, process)
-        if not handle:
-            return ctypes.get_last_error() != invalid_parameter
-        try:
-            code = ctypes.c_ulong()
-            known = kernel.GetExitCodeProcess(ctypes.c_void_p(handle), ctypes.byref(code))
-            return not known or code.value == still_active
-        finally:
-            kernel.CloseHandle(ctypes.c_void_p(handle))

@@ -7,13 +7,13 @@ import os
 import stat
 import subprocess
 import sys
-import time
 
 import pytest
 
+from msal_cli.batch import temporaries
 from msal_cli.errors import OutputError
 from msal_cli.files import writing
-from msal_cli.files.writing import swept, write_new, write_whole
+from msal_cli.files.writing import write_new, write_whole
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permission bits and links of POSIX")
 
@@ -264,65 +264,13 @@ def test_write_new_reports_failures(tmp_path):
         write_new(tmp_path / "no" / "a", b"x")
 
 
-# Sweeping
-
-
-def dead_process() -> int:
-    with subprocess.Popen([sys.executable, "-c", ""]) as process:
-        process.wait()
-    return process.pid
-
-
-def temporary_name(process: int, machine: str | None = None) -> str:
-    return f".a.ply.msal-{process}-{machine or writing._machine()}12345678.tmp"
-
-
-def test_temporaries_of_dead_processes_go_and_all_else_stays(tmp_path):
-    dead = temporary_name(dead_process())
-    kept = [
-        temporary_name(os.getpid()),
-        temporary_name(os.getppid()),
-        temporary_name(dead_process(), "00000000"),  # another machine on a shared file system
-        ".a.ply.msal-1-xyz.tmp",
-        "a.ply",
-        "x" + dead,
-    ]
-    for name in (dead, *kept):
-        (tmp_path / name).write_bytes(b"")
-    assert swept(tmp_path) == (dead,)
-    assert names(tmp_path) == sorted(kept)
-
-
-def test_a_temporary_of_yesterday_goes_whosever_it_is(tmp_path):
-    for name in (temporary_name(os.getpid()), temporary_name(1, "00000000")):
-        (tmp_path / name).write_bytes(b"")
-        old = time.time() - writing.ABANDONED_S - 60
-        os.utime(tmp_path / name, (old, old))
-    assert len(swept(tmp_path)) == 2
-    assert names(tmp_path) == []
-
-
-def test_sweeping_what_is_not_there_or_is_no_file(tmp_path):
-    assert swept(tmp_path / "missing") == ()
-    folder = tmp_path / temporary_name(dead_process())
-    folder.mkdir()
-    assert swept(tmp_path) == ()
-    assert folder.is_dir()
-
-
 def test_the_name_that_writing_uses_is_the_one_that_sweeping_knows():
     for name in ("a.ply", "x" * 255, ""):
-        found = writing._TEMPORARY.match(writing._temporary_name(name))
-        assert found is not None
-        assert int(found[1]) == os.getpid()
-        assert found[2] == writing._machine()
-
-
-def test_process_numbers_that_cannot_be():
-    assert not writing._is_running(0)
-    assert not writing._is_running(-5)
-    assert not writing._is_running(9_999_999_999)
-    assert writing._is_running(os.getpid())
+        made = writing._temporary_name(name)
+        assert temporaries.is_own(made) and len(os.fsencode(made)) <= writing.LONGEST_NAME
+        found = temporaries._TEMPORARY.fullmatch(made)
+        assert int(found["pid"]) == os.getpid()
+        assert found["machine"] == temporaries._machine()
 
 
 def test_a_killed_writer_leaves_the_old_file_and_is_swept(tmp_path):
@@ -339,5 +287,5 @@ def test_a_killed_writer_leaves_the_old_file_and_is_swept(tmp_path):
     assert subprocess.run([sys.executable, "-c", code, str(path)], check=False).returncode == 9
     assert path.read_bytes() == b"old"
     assert len(names(tmp_path)) == 2
-    assert len(swept(tmp_path)) == 1
+    assert temporaries.sweep([tmp_path]) == 1
     assert names(tmp_path) == ["a.ply"]
