@@ -1,7 +1,7 @@
 """Kernels: Python functions over arrays and numbers, compiled by numba once per machine.
 
 Importing numba, and letting it load its own cache, takes longer than denoising a small mesh.  So
-the machine code is kept in a cache of our own (``machine_code``) and loaded by LLVM alone: numba
+the machine code is kept in a cache of our own (``machine_code``) and loaded from there: numba
 is imported only where there is something to compile.
 
 The key of a cached kernel holds everything that its code depends on: the byte code and constants

@@ -15,6 +15,7 @@ import functools
 import hashlib
 import importlib.util
 import json
+import logging
 import os
 import sys
 import types
@@ -23,8 +24,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from msal_cli.core import elf_image
+
 _MAGIC = b"msal machine code 1\n"
 _SUFFIX = ".msal-kernel"
+
+_log = logging.getLogger("msal.core")
 
 _C_TYPES: dict[str, Any] = {
     "bool": ctypes.c_uint8,
@@ -125,17 +130,12 @@ def _write(folder: Path, name: str, data: bytes) -> None:
 @functools.cache
 def _machine() -> str:
     """What machine code depends on beside its source."""
-    import llvmlite
-    import llvmlite.binding as llvm
-
     settings = {name: value for name, value in os.environ.items() if name.startswith("NUMBA_")}
     said = (
         sys.version,
-        (_numba_folder() / "_version.py").read_text(errors="replace"),
-        llvmlite.__version__,
-        llvm.get_process_triple(),
-        llvm.get_host_cpu_name(),
-        llvm.get_host_cpu_features().flatten(),
+        _version("numba"),
+        _version("llvmlite"),
+        _processor(),
         sorted(settings.items()),
     )
     return hashlib.sha256(repr(said).encode()).hexdigest()
@@ -149,22 +149,16 @@ def loaded(code: Code, kinds: tuple[Any, ...]) -> Callable[..., Any]:
 
     It raises RuntimeError where the kernel raises an exception.
     """
-    import llvmlite.binding as llvm
-
-    # An engine owns its target machine, and frees it in the end.
-    machine = _target().create_target_machine(jit=True)
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code.code))
-    engine.finalize_object()
-    function = _prototype(kinds)(engine.get_function_address(code.symbol))
+    owner, address = _in_memory(code)
+    function = _prototype(kinds)(address)
     names = [code.results] if isinstance(code.results, str) else code.results or []
     result_type = _structure(tuple(names))
     fields = [f"r{at}" for at in range(len(names))]
     is_tuple = isinstance(code.results, list)
     are_arrays = [not isinstance(one, str) for one in kinds]
 
-    # The engine owns the code: it must live as long as whoever calls it.
-    def call(*arguments: Any, engine: Any = engine) -> Any:
+    # The code must live as long as whoever calls it.
+    def call(*arguments: Any, owner: Any = owner) -> Any:
         failure = ctypes.c_void_p()
         result = result_type()
         passed: list[Any] = [ctypes.addressof(result), ctypes.addressof(failure)]
@@ -184,6 +178,28 @@ def loaded(code: Code, kinds: tuple[Any, ...]) -> Callable[..., Any]:
         return tuple(values) if is_tuple else values[0]
 
     return call
+
+
+def _in_memory(code: Code) -> tuple[Any, int]:
+    """What keeps the code in memory, and the address of its function."""
+    if elf_image.is_usable():
+        try:
+            image = elf_image.Image(code.code, _address_of)
+            return image, image.address(code.symbol)
+        except elf_image.UnknownObjectError as reason:
+            _log.info("LLVM loads %s: %s", code.symbol, reason)
+    return _by_llvm(code)
+
+
+def _by_llvm(code: Code) -> tuple[Any, int]:
+    import llvmlite.binding as llvm
+
+    # An engine owns its target machine, and frees it in the end.
+    machine = _target().create_target_machine(jit=True)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code.code))
+    engine.finalize_object()
+    return engine, engine.get_function_address(code.symbol)
 
 
 def _prototype(kinds: tuple[Any, ...]) -> Any:
@@ -212,35 +228,86 @@ def _structure(names: tuple[str, ...]) -> Any:
     return type("Result", (ctypes.Structure,), {"_fields_": fields or [("none", ctypes.c_void_p)]})
 
 
-@functools.cache
-def _target() -> Any:
-    """LLVM, ready to load; what numba's code calls in numba's own libraries is made known to it."""
-    import llvmlite.binding as llvm
+def _address_of(name: str) -> int:
+    """The address of a function that numba's code calls; KeyError if there is none."""
+    helpers = _helpers()
+    if name in helpers:
+        return helpers[name]
+    for library in (None, "libm.so.6"):
+        try:
+            function = getattr(ctypes.CDLL(library), name)
+        except (AttributeError, OSError):
+            continue
+        address = ctypes.cast(function, ctypes.c_void_p).value
+        if address:
+            return address
+    raise KeyError(name)
 
+
+@functools.cache
+def _helpers() -> dict[str, int]:
+    """Addresses of what numba's code calls in numba's own libraries, by name."""
+    helpers = {}
     for module, path, prefix in (
         ("numba.core.runtime._nrt_python", "core/runtime/_nrt_python", "NRT_"),
         ("numba._helperlib", "_helperlib", "numba_"),
     ):
         library = sys.modules.get(module) or _extension(path)
         for name, address in library.c_helpers.items():
-            llvm.add_symbol(name if name.startswith("_") else prefix + name, address)
+            helpers[name if name.startswith("_") else prefix + name] = address
+    return helpers
+
+
+@functools.cache
+def _target() -> Any:
+    """LLVM, ready to load, with numba's helpers made known to it."""
+    import llvmlite.binding as llvm
+
+    for name, address in _helpers().items():
+        llvm.add_symbol(name, address)
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.Target.from_default_triple()
 
 
-def _numba_folder() -> Path:
-    spec = importlib.util.find_spec("numba")
+def _folder_of(package: str) -> Path:
+    """The folder of a package, which is not imported."""
+    spec = importlib.util.find_spec(package)
     if spec is None or spec.origin is None:
-        raise ImportError("numba is not installed", name="numba")
+        raise ImportError(f"{package} is not installed", name=package)
     return Path(spec.origin).parent
+
+
+def _version(package: str) -> str:
+    return (_folder_of(package) / "_version.py").read_text(errors="replace")
+
+
+def _processor() -> tuple[str, ...]:
+    """What tells processors apart that do not run the same code."""
+    if elf_image.is_usable():
+        try:
+            lines = Path("/proc/cpuinfo").read_text().split("\n\n", 1)[0].splitlines()
+        except OSError:
+            lines = []
+        known = dict(part for line in lines if len(part := line.split("\t: ", 1)) == 2)
+        words = ("vendor_id", "cpu family", "model", "flags")
+        said = {name.strip(): value for name, value in known.items()}
+        if all(word in said for word in words):
+            return tuple(said[word] for word in words)
+    import llvmlite.binding as llvm
+
+    return (
+        llvm.get_process_triple(),
+        llvm.get_host_cpu_name(),
+        llvm.get_host_cpu_features().flatten(),
+    )
 
 
 def _extension(path: str) -> types.ModuleType:
     """A compiled module of numba without the package around it, whose import takes the time."""
     from importlib.machinery import EXTENSION_SUFFIXES
 
-    files = [_numba_folder() / f"{path}{suffix}" for suffix in EXTENSION_SUFFIXES]
+    files = [_folder_of("numba") / f"{path}{suffix}" for suffix in EXTENSION_SUFFIXES]
     file = next((one for one in files if one.exists()), None)
     if file is None:
         raise ImportError(f"numba has no {path}", name="numba")
