@@ -409,9 +409,9 @@ class TestLimits:
         self, path, monkeypatch
     ):
         monkeypatch.setattr(files, "read_whole", None)
-        record = self.done(path, memory_bytes=100_000_000)
+        record = self.done(path, memory_bytes=50_000_000)
         assert record.error.code == "E_MEMORY" and record.error.where == "forecast"
-        assert "111 MB" in record.error.message and "100 MB" in record.error.message
+        assert "50 MB" in record.error.message and "51 MB" in record.error.message
         assert "--memory-limit" in record.error.hint
         assert record.input_sha256 is None
         assert not path.with_name("out.obj").exists()

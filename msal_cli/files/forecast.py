@@ -22,10 +22,10 @@ from msal_cli.files.urls import is_url
 LOOKED_AT = 1 << 16
 """Bytes of a file's beginning that are read, and that a compressed beginning is expanded to."""
 
-BASE_BYTES = 110_000_000
+BASE_BYTES = 50_000_000
 """Resident memory of a worker that has denoised a mesh of next to nothing: the interpreter, the
-libraries and the compiled kernels (93 to 99 MB measured; kernels that are yet to be compiled, once
-on a new machine, take twice as much)."""
+libraries and the compiled kernels (38 to 44 MB measured; kernels that are yet to be compiled, once
+on a new machine, take 150 MB more)."""
 
 _LIBRARY_BYTES = 75_000_000
 """What trimesh and all that it imports take on top, for formats that only it reads."""
@@ -37,20 +37,20 @@ _ALWAYS_BELIEVED = 256 << 20
 # peak of the default method.  From benchmarks/peak_memory.py on a torus with a million faces:
 # every figure is what was measured plus 2 to 15 %.
 _PER_BYTE = {
-    "ply": 4.0,
-    "ply-ascii": 8.0,
-    "obj": 9.0,
-    "stl": 5.0,
+    "ply": 2.5,
+    "ply-ascii": 5.6,
+    "obj": 7.0,
+    "stl": 2.0,
     "stl-ascii": 5.6,
     "glb": 4.0,
-    "vtk": 13.0,
-    "vtu": 24.0,
+    "vtk": 10.3,
+    "vtu": 18.0,
     "msh": 13.0,
     "mesh": 13.0,
     "": 32.0,
 }
-_PER_ELEMENT = {"glb": 120.0}
-_PER_ELEMENT_ELSE = 66.0
+_PER_ELEMENT = {"glb": 75.0}
+_PER_ELEMENT_ELSE = 60.0
 
 # Where the counts are not told: a triangle for so many bytes, for what a method adds.  Fewer bytes
 # than files have, that is, more triangles.

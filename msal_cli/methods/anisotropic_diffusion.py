@@ -53,7 +53,7 @@ from msal_cli.methods._sweeps import ScheduledParameters, free_vertices, run
 DEVIATIONS = {"cad": 0.0, "organic": 1.0}
 """Standard deviations above the median at which lambda stands by itself."""
 
-BYTES_PER_FACE = 130
+BYTES_PER_FACE = 180
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 

@@ -22,6 +22,7 @@ from msal_cli.batch.run import run
 from msal_cli.batch.schedule import Schedule
 from msal_cli.batch.workers import Crew
 from msal_cli.errors import UsageError
+from msal_cli.files.forecast import BASE_BYTES
 from msal_cli.pipeline import Limits, Settings
 from tests.batch import fakes
 from tests.batch.test_whole import children_of, obj
@@ -208,7 +209,7 @@ class TestRun:
     def test_wrong_limits_are_refused_before_any_work(self, tmp_path):
         for options in (
             {"limits": Limits(timeout_s=0.0)},
-            {"limits": Limits(memory_bytes=50_000_000)},
+            {"limits": Limits(memory_bytes=BASE_BYTES - 1)},
             {"limits": Limits(max_faces=0)},
             {"retries": -1},
         ):

@@ -76,7 +76,7 @@ def test_quads_count_as_faces_but_cost_two_triangles():
     triangles = header.format(6000).encode() + bytes(12 * 4000 + 13 * 6000)
     one, two = told(quads, "a.ply"), told(triangles, "a.ply")
     assert (one.faces, two.faces) == (3000, 6000)
-    extra = 4 * (len(triangles) - len(quads))
+    extra = int(forecast._PER_BYTE["ply"] * (len(triangles) - len(quads)))
     assert one.memory_bytes == pytest.approx(two.memory_bytes - extra, abs=200)
 
 
