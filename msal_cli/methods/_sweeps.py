@@ -94,6 +94,24 @@ class ScheduledParameters(NormalParameters):
         return Plain(self.time_step)
 
 
+@dataclass(frozen=True)
+class ScaleParameters(ScheduledParameters):
+    """Parameters of a method whose normals serve only sigma of eq. (4), and so the fidelity."""
+
+    mollify: int = parameter(
+        1,
+        "multiscale schedule: passes that average the normals along which sigma is measured",
+        low=0,
+        high=100,
+        more="a lambda that follows the noise less",
+    )
+    normals: str = parameter(
+        "uniform",
+        "multiscale schedule: how face normals count in these normals: alike, or by face area",
+        choices=("uniform", "area"),
+    )
+
+
 def free_vertices(mesh: Mesh, boundary: str) -> NDArray[np.bool_]:
     """Which vertices (n,) may move, for the parameter ``boundary``."""
     edge = mesh.links.boundary

@@ -48,7 +48,7 @@ from msal_cli.core.anisotropic_curvature import AnisotropicCurvature, curvature_
 from msal_cli.core.flaps import flaps
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sweeps import ScheduledParameters, free_vertices, run
+from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
 
 DEVIATIONS = {"cad": 0.0, "organic": 1.0}
 """Standard deviations above the median at which lambda stands by itself."""
@@ -58,7 +58,7 @@ BYTES_PER_FACE = 180
 
 
 @dataclass(frozen=True)
-class Parameters(ScheduledParameters):
+class Parameters(ScaleParameters):
     """Parameters of anisotropic mean curvature diffusion."""
 
     iterations: int = parameter(
@@ -68,18 +68,6 @@ class Parameters(ScheduledParameters):
         low=0,
         high=1000,
         more="smoother; under the multiscale schedule many lead back to the input",
-    )
-    mollify: int = parameter(
-        1,
-        "multiscale schedule: passes that average the normals along which sigma is measured",
-        low=0,
-        high=100,
-        more="a fidelity that follows the noise less",
-    )
-    normals: str = parameter(
-        "uniform",
-        "multiscale schedule: how face normals count in these normals: alike, or by face area",
-        choices=("uniform", "area"),
     )
     boundary: str = parameter(
         "fixed",

@@ -37,14 +37,14 @@ from dataclasses import dataclass
 from msal_cli.core.projections import ProjectionAverage
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sweeps import ScheduledParameters, free_vertices, run
+from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
 
 BYTES_PER_FACE = 180
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
 @dataclass(frozen=True)
-class Parameters(ScheduledParameters):
+class Parameters(ScaleParameters):
     """Parameters of the non-iterative bilateral filter."""
 
     iterations: int = parameter(
@@ -54,18 +54,6 @@ class Parameters(ScheduledParameters):
         low=0,
         high=1000,
         more="smoother; under the multiscale schedule many lead back to the input",
-    )
-    mollify: int = parameter(
-        1,
-        "multiscale schedule: passes that average the normals along which sigma is measured",
-        low=0,
-        high=100,
-        more="a lambda that follows the noise less",
-    )
-    normals: str = parameter(
-        "uniform",
-        "multiscale schedule: how face normals count in these normals: alike, or by face area",
-        choices=("uniform", "area"),
     )
     closeness: float = parameter(
         1.0,
