@@ -29,10 +29,8 @@ from msal_cli.records import (
     Area,
     Displacement,
     Failure,
-    InfoRecord,
     MeshRecord,
     MethodUsed,
-    NoiseEstimate,
     NormalChange,
     ObjectMark,
     Seconds,
@@ -497,6 +495,7 @@ class _Run:
 
     def _measure(self, ready: Prepared, moved: Floats, vertices: Floats) -> None:
         """Fill in what changed; ``moved`` are mesh positions, ``vertices`` the file's."""
+        from msal_cli.inspection import noise_estimate
         from msal_cli.metrics.displacement import displacement_statistics
         from msal_cli.metrics.surface import surface_change
 
@@ -521,7 +520,7 @@ class _Run:
             ),
             normal_change=NormalChange(turned.mean_angular_error_deg, turned.max_angular_error_deg),
             flipped_faces=turned.flipped_faces,
-            noise_estimate=_noise_estimate(ready),
+            noise_estimate=noise_estimate(before),
         )
         area_before, volume_before = surface.area_before, surface.volume_before
         objection = ready.defects.volume_objection
@@ -583,104 +582,6 @@ class _Run:
             peak_memory_bytes=_peak_memory_bytes(),
         )
         return self._record
-
-
-def inspect_file(path: str, format: str | None = None) -> InfoRecord:
-    """What is in a file; a file that cannot be read gives a record with an error."""
-    from msal_cli import files
-
-    try:
-        return inspect_bytes(files.read_input(path, format), path, format)
-    except MsalError as error:
-        return _inspection_failure(path, error)
-
-
-def inspect_bytes(data: bytes, name: str, format: str | None = None) -> InfoRecord:
-    """What is in the bytes of a file; see ``inspect_file``."""
-    try:
-        return _inspected(data, name, format)
-    except MsalError as error:
-        return _inspection_failure(name, error)
-    except MemoryError:
-        return _inspection_failure(name, ResourceError("not enough memory", code="E_MEMORY"))
-    except Exception as error:
-        log.exception("internal error at %r", name)
-        return _inspection_failure(name, InternalError(f"{type(error).__name__}: {error}"))
-
-
-def _inspection_failure(name: str, error: MsalError) -> InfoRecord:
-    return InfoRecord(input=name, error=Failure(error.code, error.message, error.hint, error.where))
-
-
-def _inspected(data: bytes, name: str, format: str | None) -> InfoRecord:
-    from msal_cli import files
-    from msal_cli.mesh import prepared
-    from msal_cli.metrics.volume import area_and_volume
-
-    plain, is_compressed = files.expanded(data, name)
-    mesh_file = files.open_mesh(plain, name, format)
-    ready = prepared(mesh_file.vertices, mesh_file.faces)
-    defects = ready.defects
-    area, volume = area_and_volume(ready.mesh)
-    low, high = mesh_file.vertices.min(axis=0), mesh_file.vertices.max(axis=0)
-    winding = "consistent"
-    if defects.unorientable_parts:
-        winding = "not orientable"
-    elif defects.inconsistent_edges:
-        winding = "inconsistent"
-    return InfoRecord(
-        input=name,
-        format=mesh_file.format,
-        encoding=mesh_file.encoding,
-        precision=mesh_file.precision,
-        compressed=is_compressed,
-        bytes=len(data),
-        vertices=len(mesh_file.vertices),
-        faces=mesh_file.n_polygons,
-        triangles=len(mesh_file.faces),
-        polygon_sizes=_polygon_sizes(mesh_file),
-        components=defects.components,
-        closed=defects.boundary_edges == 0,
-        winding=winding,
-        boundary_edges=defects.boundary_edges,
-        non_manifold_edges=defects.non_manifold_edges,
-        inconsistent_edges=defects.inconsistent_edges,
-        degenerate_faces=defects.degenerate_faces,
-        duplicate_faces=defects.duplicate_faces,
-        unreferenced_vertices=defects.unreferenced_vertices,
-        welded_vertices=defects.welded_vertices,
-        bounds=(
-            (float(low[0]), float(low[1]), float(low[2])),
-            (float(high[0]), float(high[1]), float(high[2])),
-        ),
-        area=area,
-        volume=volume,
-        volume_valid=not defects.volume_objection,
-        volume_reason=defects.volume_objection,
-        mean_edge_length=ready.mesh.mean_edge_length,
-        noise_estimate=_noise_estimate(ready),
-        properties=mesh_file.properties,
-        references=mesh_file.references,
-        warnings=mesh_file.warnings,
-    )
-
-
-def _polygon_sizes(mesh_file: MeshFile) -> dict[str, int]:
-    """How many faces have 3, 4, ... corners, keyed by that number as text (for JSON)."""
-    import numpy as np
-
-    polygons = mesh_file.polygons()
-    if isinstance(polygons, np.ndarray) and polygons.ndim == 2:
-        return {str(polygons.shape[1]): len(polygons)}
-    sizes, counts = np.unique([len(polygon) for polygon in polygons], return_counts=True)
-    return {str(size): int(count) for size, count in zip(sizes, counts, strict=True)}
-
-
-def _noise_estimate(ready: Prepared) -> NoiseEstimate:
-    from msal_cli.noise import noise_level
-
-    level = noise_level(ready.mesh)
-    return NoiseEstimate(level / ready.mesh.mean_edge_length, level)
 
 
 def _is_want_of_memory(error: BaseException | None) -> bool:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msal_cli import files, methods, pipeline
+from msal_cli import files, inspection, methods, pipeline
 from msal_cli.pipeline import Limits, Settings, Task, denoise_bytes, denoise_file
 from tests.shapes import grid, noisy, torus
 
@@ -305,7 +305,7 @@ def test_interruption_passes(scan, tmp_path):
 
 
 def test_inspection(scan):
-    info = pipeline.inspect_file(str(scan))
+    info = inspection.inspect_file(str(scan))
     assert info.error is None
     assert info.closed
     assert info.winding == "consistent"
@@ -314,7 +314,7 @@ def test_inspection(scan):
     assert info.volume_valid
     assert info.bytes == scan.stat().st_size
     assert info.noise_estimate.mean_edges > 0
-    assert pipeline.inspect_file(str(scan.parent / "none.ply")).error.code == "E_READ"
+    assert inspection.inspect_file(str(scan.parent / "none.ply")).error.code == "E_READ"
 
 
 @pytest.mark.parametrize(

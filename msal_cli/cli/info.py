@@ -79,14 +79,14 @@ def _paths(
 
 
 def _inspected(paths: tuple[str, ...], format: str | None) -> Iterator[InfoRecord]:
-    from msal_cli import pipeline
+    from msal_cli import inspection
     from msal_cli.cli.pipe import read_stream
 
     for path in paths:
         if path == STREAM:
-            yield pipeline.inspect_bytes(read_stream(), path, format)
+            yield inspection.inspect_bytes(read_stream(), path, format)
         else:
-            yield pipeline.inspect_file(path, format)
+            yield inspection.inspect_file(path, format)
 
 
 def _print_text(records: Iterator[InfoRecord]) -> int:

@@ -17,7 +17,8 @@ from msal_cli.batch.run import run
 from msal_cli.errors import InputError, OutputError, UsageError
 from msal_cli.files import remote
 from msal_cli.files.remote import listed, read_whole, write_whole
-from msal_cli.pipeline import Settings, denoise_bytes, inspect_file
+from msal_cli.inspection import inspect_file
+from msal_cli.pipeline import Settings, denoise_bytes
 from msal_cli.records import MeshRecord, ObjectMark
 from tests.batch.test_whole import obj
 

@@ -112,7 +112,7 @@ def test_the_help_of_denoise_tells_the_real_defaults():
 
 
 def test_an_internal_error_is_one_line(monkeypatch, tmp_path):
-    monkeypatch.setattr("msal_cli.pipeline.inspect_file", lambda *given: 1 / 0)
+    monkeypatch.setattr("msal_cli.inspection.inspect_file", lambda *given: 1 / 0)
     folder_of(tmp_path, a=closed_scan())
     made = msal("info", tmp_path)
     assert made.exit_code == 1
@@ -128,7 +128,7 @@ def test_memory_that_ran_out_is_said(monkeypatch, tmp_path):
     def ran_out(*given):
         raise MemoryError
 
-    monkeypatch.setattr("msal_cli.pipeline.inspect_file", ran_out)
+    monkeypatch.setattr("msal_cli.inspection.inspect_file", ran_out)
     folder_of(tmp_path, a=closed_scan())
     made = msal("info", tmp_path)
     assert (made.exit_code, made.stderr) == (1, "msal: error: not enough memory (E_MEMORY)\n")
@@ -270,9 +270,9 @@ def test_an_info_that_is_terminated(tmp_path):
     fifo = tmp_path / "log"
     os.mkfifo(fifo)
     code = (
-        "import sys; from msal_cli import pipeline; from msal_cli.cli.main import program\n"
+        "import sys; from msal_cli import inspection; from msal_cli.cli.main import program\n"
         f"def wait(*given): open({str(fifo)!r}, 'w').close(); import time; time.sleep(60)\n"
-        "pipeline.inspect_file = wait; program.main(['info', sys.argv[1]])"
+        "inspection.inspect_file = wait; program.main(['info', sys.argv[1]])"
     )
     scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
     running = subprocess.Popen([sys.executable, "-c", code, scan], stderr=subprocess.PIPE)

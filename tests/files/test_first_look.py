@@ -8,7 +8,7 @@ import tracemalloc
 
 import pytest
 
-from msal_cli import pipeline
+from msal_cli import inspection
 from msal_cli.errors import InputError, MsalError
 from msal_cli.files import first_look, open_mesh, read_input
 from tests.files import plain_glb, plain_ply, plain_stl
@@ -93,7 +93,7 @@ def test_a_lie_is_refused_before_it_is_loaded(name, tmp_path):
 @pytest.mark.parametrize("name", ["2^32-1 facets.stl", "10^12 vertices.ply"])
 def test_the_way_of_a_file_begins_with_a_look(name, tmp_path):
     path = sparse(tmp_path / name, *LIES[name][:2])
-    record = pipeline.inspect_file(path)
+    record = inspection.inspect_file(path)
     assert record.error is not None and record.error.code == "E_TRUNCATED"
 
 
