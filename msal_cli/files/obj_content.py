@@ -333,7 +333,7 @@ class _Reading:
         elif state[scan.SHORT]:
             hint = "its faces have one or two corners; a face needs three"
         elif n_vertices:
-            hint = "a point cloud has no surface to denoise; make a mesh of it first"
+            hint = "it was cut short, or is a point cloud: export it again, or make a mesh of it"
         else:
             hint = "check that this is an OBJ file"
         raise ContentError(
