@@ -25,6 +25,9 @@ Ints = NDArray[np.int32]
 MOST_FACES = (2**31 - 1) // 6
 """Triangles beyond which the places in the one-rings might not fit 32 bits: 357,913,941."""
 
+_LANES = 64
+"""Vertices that are compared with others at once."""
+
 LARGEST_EXTENT = 1e60
 """Fourth powers of much larger extents overflow, and of the reciprocal's vanish."""
 
@@ -62,16 +65,41 @@ class Mesh:
         ``weighting`` is ``"uniform"`` or ``"area"``; see ``core.geometry.vertex_normals``.  They
         are computed once and shared: do not write to them.
         """
-        from msal_cli.core.geometry import mollified, vertex_normals
+        from msal_cli.core.geometry import mollified
 
-        known: dict[tuple[str, int], Floats] = self.__dict__.setdefault("_normals", {})
+        known = self._known_normals
         if (weighting, mollify) not in known:
+            normals = self._plain_normals(weighting)
             links = self.links
-            normals = vertex_normals(
-                self.vertices, self.faces, *links.passing_incidence(), weighting
-            )
             known[weighting, mollify] = mollified(normals, links.ring_start, links.ring, mollify)
         return known[weighting, mollify]
+
+    @functools.cached_property
+    def _known_normals(self) -> dict[tuple[str, int], Floats]:
+        return {}
+
+    def _plain_normals(self, weighting: str) -> Floats:
+        """Normals (n, 3) that are not mollified; those that counting flat faces has left behind
+        are not kept for a second time, for they take as much memory as the vertices."""
+        from msal_cli.core.geometry import vertex_normals
+
+        left: Floats | None = None
+        if weighting == "uniform":
+            left = self.__dict__.pop("_left_normals", None)
+        if left is None:
+            left = self._known_normals.get((weighting, 0))
+        return vertex_normals(self.vertices, self.faces, weighting) if left is None else left
+
+    @functools.cached_property
+    def flat_faces(self) -> int:
+        """How many faces have no normal."""
+        from msal_cli.core.geometry import normals_and_flat_faces
+
+        # Nearly every method asks for these normals next, and all are measured along them.
+        self.__dict__["_left_normals"], flat = normals_and_flat_faces(
+            self.vertices, self.faces, "uniform"
+        )
+        return flat
 
     def moved(self, vertices: Floats) -> Mesh:
         """The same mesh with its vertices at other positions (n, 3); connectivity is shared."""
@@ -185,22 +213,22 @@ def prepared(vertices: Floats, faces: Ints) -> Prepared:
         count_components,
         duplicate_faces,
         faces_to_flip,
-        welded,
+        first_alike,
+        repeated_corners,
+        used_vertices,
     )
-    from msal_cli.core.geometry import degenerate_faces
 
-    vertices, faces = _gated(vertices, faces)
+    vertices, faces, (low, high) = _gated(vertices, faces)
     n_file = len(vertices)
-    first = welded(vertices, faces)
-    n_welded = int((first != np.arange(n_file, dtype=np.int32)).sum())
+    used = used_vertices(n_file, faces)
+    first, n_welded = first_alike(vertices, used)
     if n_welded:
         faces = first[faces]
-    repeated = (
-        (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
-    )
-    n_repeated = int(repeated.sum())
+    repeated = repeated_corners(faces)
+    n_repeated = int(np.count_nonzero(repeated))
     if n_repeated:
         faces = faces[~repeated]
+    del repeated
     if not len(faces):
         raise ContentError(
             "every face is degenerate: its corners are not three different points",
@@ -208,15 +236,17 @@ def prepared(vertices: Floats, faces: Ints) -> Prepared:
             hint="check the file in a viewer; there is no surface to denoise",
         )
     place = None
-    used = np.zeros(n_file, dtype=bool)
-    used[faces.reshape(-1)] = True
-    n_unreferenced = n_file - n_welded - int(used.sum())
+    if n_welded or n_repeated:
+        used = used_vertices(n_file, faces)
+    n_unreferenced = n_file - n_welded - int(np.count_nonzero(used))
     if n_welded:
         number = np.cumsum(used, dtype=np.int32) - np.int32(1)
         place = np.where(used[first], number[first], np.int32(-1)).astype(np.int32)
         faces = number[faces]
         vertices = vertices[used]
         used = np.ones(len(vertices), dtype=bool)
+        del number
+    del first
     faces = np.ascontiguousarray(faces)
 
     links = connectivity(len(vertices), faces)
@@ -235,10 +265,8 @@ def prepared(vertices: Floats, faces: Ints) -> Prepared:
         n_turned = int(flip.sum())
         faces = np.where(flip[:, None], faces[:, ::-1], faces)
 
-    corners = vertices[used] if n_unreferenced and not n_welded else vertices
-    # Column by column: numpy reduces the first of two axes slowly.
-    low = np.array([corners[:, axis].min() for axis in range(3)])
-    high = np.array([corners[:, axis].max() for axis in range(3)])
+    if n_unreferenced:
+        low, high = _bounds(vertices if n_welded else vertices[used])
     with np.errstate(over="ignore"):
         extent = float((high - low).max())
     if not 1.0 / LARGEST_EXTENT < extent < LARGEST_EXTENT:
@@ -250,11 +278,10 @@ def prepared(vertices: Floats, faces: Ints) -> Prepared:
     origin = (low + high) / 2.0
     mesh = Mesh(vertices - origin, faces)
     mesh.__dict__["links"] = links
-    flat = degenerate_faces(mesh.vertices, faces)
     defects = Defects(
         welded_vertices=n_welded,
         unreferenced_vertices=n_unreferenced,
-        degenerate_faces=n_repeated + flat,
+        degenerate_faces=n_repeated + mesh.flat_faces,
         duplicate_faces=n_duplicate,
         boundary_edges=links.boundary_edges,
         non_manifold_edges=links.non_manifold_edges,
@@ -266,8 +293,31 @@ def prepared(vertices: Floats, faces: Ints) -> Prepared:
     return Prepared(mesh, origin, place, defects)
 
 
-def _gated(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
-    """The arrays with the right shape and type, or the reason why they cannot be used."""
+def _is_within(faces: Ints, n_vertices: int) -> bool:
+    """Whether all indices go from 0 to ``n_vertices`` - 1."""
+    if faces.dtype == np.int32:
+        # Seen as unsigned, a negative index is a very large one.
+        return int(faces.view(np.uint32).max()) < n_vertices
+    return int(faces.min()) >= 0 and int(faces.max()) < n_vertices
+
+
+def _bounds(vertices: Floats) -> tuple[Floats, Floats]:
+    """Least and greatest coordinates, (3,) each; none of them finite where a vertex is not."""
+    # Rows of many vertices: numpy reduces the first of two axes slowly where the second is short.
+    whole = len(vertices) // _LANES * _LANES
+    rows = vertices[:whole].reshape(-1, 3 * _LANES)
+    ends = []
+    for least in (np.minimum, np.maximum):
+        parts = [vertices[whole:]]
+        if whole:
+            parts.append(least.reduce(rows, axis=0).reshape(-1, 3))
+        ends.append(least.reduce(np.concatenate(parts), axis=0))
+    return ends[0], ends[1]
+
+
+def _gated(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[Floats, Floats]]:
+    """The arrays with the right shape and type and the vertices' bounds, or the reason why they
+    cannot be used."""
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.asarray(faces)
     if vertices.ndim != 2 or vertices.shape[1] != 3:
@@ -287,8 +337,7 @@ def _gated(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
         )
     if faces.dtype.kind not in "iu":
         raise ContentError(f"face indices are {faces.dtype}, not integers", code="E_INDEX")
-    low, high = int(faces.min()), int(faces.max())
-    if low < 0 or high >= len(vertices):
+    if not _is_within(faces, len(vertices)):
         bad = int(np.argmax(((faces < 0) | (faces >= len(vertices))).any(axis=1)))
         wrong = next(int(i) for i in faces[bad] if not 0 <= i < len(vertices))
         raise ContentError(
@@ -297,7 +346,8 @@ def _gated(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
             where=f"face {bad}",
             hint="the file is damaged or was cut short; export it again",
         )
-    if not np.isfinite(vertices).all():
+    bounds = _bounds(vertices)
+    if not np.isfinite(bounds).all():
         finite = np.isfinite(vertices).all(axis=1)
         raise ContentError(
             "a position is not finite",
@@ -305,4 +355,4 @@ def _gated(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
             where=f"vertex {int(np.argmin(finite))}",
             hint="remove the vertex, or export the scan again",
         )
-    return vertices, np.ascontiguousarray(faces, dtype=np.int32)
+    return vertices, np.ascontiguousarray(faces, dtype=np.int32), bounds

@@ -25,11 +25,15 @@ def noise_level(mesh: Mesh) -> float:
 
     links = mesh.links
     rings = (links.ring_start, links.ring)
-    valence = np.diff(links.ring_start)
-    inner = (valence > 0) & ~links.boundary
+    inner = links.has_ring & ~links.boundary
     if not inner.any():
-        inner = valence > 0
+        inner = links.has_ring
     heights = umbrella_heights(mesh.vertices, mesh.vertex_normals("uniform", 1), *rings)
-    second = (ring_means(heights, *rings) - heights)[inner]
-    deviation = median(np.abs(second - median(second)))
+    second = ring_means(heights, *rings)
+    second -= heights
+    del heights
+    if not inner.all():
+        second = second[inner]
+    second -= median(second)
+    deviation = median(np.abs(second, out=second))
     return float(1.4826 * deviation / WHITE_NOISE_GAIN)

@@ -246,9 +246,7 @@ class BallBilateral:
     def __call__(self, positions: Floats) -> Step:
         """The moves (n, 3) at ``positions``, all from the same positions."""
         links = self.links
-        normals = vertex_normals(
-            positions, self.faces, links.face_start, links.incident_faces, self.weighting
-        )
+        normals = vertex_normals(positions, self.faces, self.weighting)
         moves = np.empty_like(positions)
         over_ranges(
             _ball_bilateral,

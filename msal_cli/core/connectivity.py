@@ -1,7 +1,8 @@
 """Who neighbours whom: welding, one-rings, edge counts, winding and components.
 
 A one-ring is kept in compressed rows: the neighbours of vertex i are
-``ring[ring_start[i]:ring_start[i + 1]]``, each once, in the order in which the faces name them.
+``ring[ring_start[i]:ring_start[i + 1]]``, each once: in the order of the faces around i those that
+follow it, where all faces are wound one way and close; else as these faces name them.
 """
 
 from __future__ import annotations
@@ -13,33 +14,66 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
+from msal_cli.core.parallel import over_ranges
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
 @compiled
-def _welded(bits, used, table, first):  # type: ignore[no-untyped-def]
+def _hashed(a, b, c):  # type: ignore[no-untyped-def]
+    """A hash of three 64-bit patterns of floating-point numbers; minus zero counts as zero."""
+    minus_zero = np.uint64(0x8000000000000000)
+    a = np.uint64(0) if a == minus_zero else a
+    b = np.uint64(0) if b == minus_zero else b
+    c = np.uint64(0) if c == minus_zero else c
+    h = a * np.uint64(0x9E3779B97F4A7C15)
+    h ^= h >> np.uint64(29)
+    h = (h + b) * np.uint64(0xBF58476D1CE4E5B9)
+    h ^= h >> np.uint64(32)
+    h = (h + c) * np.uint64(0x94D049BB133111EB)
+    return h ^ (h >> np.uint64(31))
+
+
+@compiled
+def _alike_perhaps(bits, used, seen, again, candidates):  # type: ignore[no-untyped-def]
+    """Rows whose hash another row has too: the only ones that can equal another; their number.
+
+    ``seen`` and ``again`` are bit sets, a power of two words long, that fit the second cache.
+    """
+    mask = np.uint64(64 * len(seen) - 1)
+    one, six, low = np.uint64(1), np.uint64(6), np.uint64(63)
+    repeats = np.uint64(0)
+    for i in range(len(used)):
+        h = _hashed(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
+        word, bit = h >> six, (one if used[i] else np.uint64(0)) << (h & low)
+        hit = seen[word] & bit
+        seen[word] |= bit
+        again[word] |= hit
+        repeats |= hit
+    count = 0
+    if repeats:
+        for i in range(len(used)):
+            h = _hashed(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
+            candidates[count] = i
+            is_one = (again[h >> six] >> (h & low)) & one
+            count += 1 if is_one and used[i] else 0
+    return count
+
+
+@compiled
+def _welded(rows, bits, candidates, table, first):  # type: ignore[no-untyped-def]
     mask = len(table) - 1
     merged = 0
-    for i in range(len(first)):
-        first[i] = i
-        if not used[i]:
-            continue
-        a, b, c = bits[i, 0], bits[i, 1], bits[i, 2]
-        h = a * np.uint64(0x9E3779B97F4A7C15)
-        h ^= h >> np.uint64(29)
-        h = (h + b) * np.uint64(0xBF58476D1CE4E5B9)
-        h ^= h >> np.uint64(32)
-        h = (h + c) * np.uint64(0x94D049BB133111EB)
-        h ^= h >> np.uint64(31)
-        slot = np.int64(h & np.uint64(mask))
+    for at in range(len(candidates)):
+        i = candidates[at]
+        slot = np.int64(_hashed(bits[i, 0], bits[i, 1], bits[i, 2]) >> np.uint64(20)) & mask
         while True:
             k = table[slot]
             if k < 0:
                 table[slot] = i
                 break
-            if bits[k, 0] == a and bits[k, 1] == b and bits[k, 2] == c:
+            if rows[k, 0] == rows[i, 0] and rows[k, 1] == rows[i, 1] and rows[k, 2] == rows[i, 2]:
                 first[i] = k
                 merged += 1
                 break
@@ -47,17 +81,54 @@ def _welded(bits, used, table, first):  # type: ignore[no-untyped-def]
     return merged
 
 
-def first_alike(rows: Floats, used: NDArray[np.bool_]) -> Ints:
-    """For each row of (n, 3) numbers the lowest-numbered equal row, (n,) int32.
+def first_alike(rows: Floats, used: NDArray[np.bool_]) -> tuple[Ints, int]:
+    """For each row of (n, 3) numbers the lowest-numbered equal row, (n,) int32, and how many rows
+    equal one before them.
 
-    Minus zero equals zero.  Rows outside ``used`` (n,) equal nothing and stand for themselves.
+    Minus zero equals zero, and NaN nothing.  Rows outside ``used`` (n,) equal nothing and stand
+    for themselves.
     """
-    bits = (rows + 0.0).view(np.uint64)
+    n = len(rows)
+    rows = np.ascontiguousarray(rows)
+    bits = rows.view(np.uint64)
+    # Sixteen bits a row: among different rows one in sixteen has another's hash.
+    words = 1 << max(0, (n // 4).bit_length())
+    seen, again = np.zeros(words, dtype=np.uint64), np.zeros(words, dtype=np.uint64)
+    first = np.arange(n, dtype=np.int32)
+    candidates = np.empty(n + 1, dtype=np.int32)
+    count = _alike_perhaps(bits, used, seen, again, candidates)
+    if not count:
+        return first, 0
     # Twice the rows at least, so that probing stays short.
-    table = np.full(1 << max(4, (2 * len(rows)).bit_length()), -1, dtype=np.int32)
-    first = np.empty(len(rows), dtype=np.int32)
-    _welded(bits, used, table, first)
-    return first
+    table = np.full(1 << max(4, (2 * count).bit_length()), -1, dtype=np.int32)
+    return first, int(_welded(rows, bits, candidates[:count], table, first))
+
+
+@compiled
+def _marked(items, marks):  # type: ignore[no-untyped-def]
+    for at in range(len(items)):
+        marks[items[at]] = True
+
+
+def used_vertices(n_vertices: int, faces: Ints) -> NDArray[np.bool_]:
+    """(n,) bool, True for every vertex that a face (m, 3) names."""
+    used = np.zeros(n_vertices, dtype=bool)
+    _marked(np.ascontiguousarray(faces).reshape(-1), used)
+    return used
+
+
+@compiled
+def _repeated_corners(faces, repeated):  # type: ignore[no-untyped-def]
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        repeated[f] = (a == b) | (b == c) | (c == a)
+
+
+def repeated_corners(faces: Ints) -> NDArray[np.bool_]:
+    """(m,) bool, True for every face (m, 3) that names a vertex twice."""
+    repeated = np.empty(len(faces), dtype=bool)
+    _repeated_corners(np.ascontiguousarray(faces), repeated)
+    return repeated
 
 
 def welded(vertices: Floats, faces: Ints) -> Ints:
@@ -65,9 +136,7 @@ def welded(vertices: Floats, faces: Ints) -> Ints:
 
     Minus zero equals zero.  Vertices that no face uses weld with nothing and stand for themselves.
     """
-    used = np.zeros(len(vertices), dtype=bool)
-    used[faces.reshape(-1)] = True
-    return first_alike(vertices, used)
+    return first_alike(vertices, used_vertices(len(vertices), faces))[0]
 
 
 @compiled
@@ -139,67 +208,95 @@ def _neighbours_in_face(faces, f, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _ring_sizes(faces, face_start, incident, ring_start):  # type: ignore[no-untyped-def]
-    n = len(ring_start) - 1
-    seen = np.full(n, -1, dtype=np.int32)
-    total = 0
-    for i in range(n):
-        for at in range(face_start[i], face_start[i + 1]):
-            after, before = _neighbours_in_face(faces, incident[at], i)
-            if seen[after] != i:
-                seen[after] = i
-                total += 1
-            if seen[before] != i:
-                seen[before] = i
-                total += 1
-        ring_start[i + 1] = total
-    return total
+def _closed_rings(start, stop, faces, face_start, incident, ring, opened):  # type: ignore[no-untyped-def]
+    """Fill the rings of vertices whose faces close one circle or several, wound one way.
+
+    They are the vertices that follow i in its faces, in the places of these faces.  ``opened[i]``
+    becomes True for all other vertices; what stands in their places is of no use.
+    """
+    # Who follows vertex i is marked i, and, once it has been found to go before it too, -2 - i.
+    mark = np.full(len(opened), -1, dtype=np.int32)
+    for i in range(start, stop):
+        row = face_start[i]
+        end = face_start[i + 1]
+        is_closed = True
+        for at in range(row, end):
+            f = np.uint64(incident[at])
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            # Without branches: which corner of a face a vertex is cannot be foreseen.
+            after = b if a == i else (c if b == i else a)
+            ring[at] = after
+            is_closed &= mark[np.uint64(after)] != i
+            mark[np.uint64(after)] = i
+        for at in range(row, end):
+            f = np.uint64(incident[at])
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            before = np.uint64(c if a == i else (a if b == i else b))
+            is_closed &= mark[before] == i
+            mark[before] = -2 - i
+        opened[i] = not is_closed
 
 
 @compiled
-def _rings(faces, face_start, incident, ring_start, ring, boundary):  # type: ignore[no-untyped-def]
-    """Fill the rings; count (boundary, inconsistent, non-manifold) edges; mark the boundary."""
-    n = len(ring_start) - 1
-    # Positions in ``ring`` only grow, so a slot at or above the row's start belongs to this row.
+def _open_ring(faces, face_start, incident, i, row, slot, ring, uses):  # type: ignore[no-untyped-def]
+    """Fill the ring of any vertex from ``row`` on; its end.
+
+    ``uses`` tells how often each edge leaves the vertex, and how often it arrives.
+    """
+    filled = row
+    for at in range(face_start[i], face_start[i + 1]):
+        after, before = _neighbours_in_face(faces, incident[at], i)
+        # Positions only grow, so a slot at or above the row's start belongs to this row.
+        for side in range(2):
+            k = after if side == 0 else before
+            if slot[k] < row:
+                slot[k] = filled
+                ring[filled] = k
+                uses[filled - row, 0] = 0
+                uses[filled - row, 1] = 0
+                filled += 1
+            uses[slot[k] - row, side] += 1
+    return filled
+
+
+@compiled
+def _open_rings(faces, face_start, incident, opened, closed, ring_start, ring, boundary):  # type: ignore[no-untyped-def]
+    """All rings where some are no circles; ``closed`` has the others, in the places of their faces.
+
+    Counts (entries, boundary, inconsistent, non-manifold) edges and marks the boundary.
+    """
+    n = len(opened)
     slot = np.full(n, -1, dtype=np.int32)
     widest = 0
     for i in range(n):
-        widest = max(widest, ring_start[i + 1] - ring_start[i])
-    outgoing = np.empty(widest, dtype=np.int32)
-    incoming = np.empty(widest, dtype=np.int32)
+        if opened[i]:
+            widest = max(widest, face_start[i + 1] - face_start[i])
+    uses = np.empty((2 * widest, 2), dtype=np.int32)
     open_edges = twisted_edges = crowded_edges = 0
+    filled = 0
     for i in range(n):
-        row = ring_start[i]
-        filled = row
-        for at in range(face_start[i], face_start[i + 1]):
-            after, before = _neighbours_in_face(faces, incident[at], i)
-            if slot[after] < row:
-                slot[after] = filled
-                ring[filled] = after
-                outgoing[filled - row] = 0
-                incoming[filled - row] = 0
+        row = filled
+        if not opened[i]:
+            for at in range(face_start[i], face_start[i + 1]):
+                ring[filled] = closed[at]
                 filled += 1
-            outgoing[slot[after] - row] += 1
-            if slot[before] < row:
-                slot[before] = filled
-                ring[filled] = before
-                outgoing[filled - row] = 0
-                incoming[filled - row] = 0
-                filled += 1
-            incoming[slot[before] - row] += 1
+            ring_start[i + 1] = filled
+            continue
+        filled = _open_ring(faces, face_start, incident, i, row, slot, ring, uses)
+        ring_start[i + 1] = filled
         for at in range(row, filled):
-            out = outgoing[at - row]
-            around = out + incoming[at - row]
-            if around == 1:
+            out, into = uses[at - row, 0], uses[at - row, 1]
+            if out + into == 1:
                 boundary[i] = True
+            # An edge between an open vertex and a closed one has two faces, wound one way.
             if ring[at] > i:
-                if around == 1:
+                if out + into == 1:
                     open_edges += 1
-                elif around > 2:
+                elif out + into > 2:
                     crowded_edges += 1
                 elif out != 1:
                     twisted_edges += 1
-    return open_edges, twisted_edges, crowded_edges
+    return filled, open_edges, twisted_edges, crowded_edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,12 +332,6 @@ class Connectivity:
         """Rows of the faces around each vertex: where they start (n + 1,), and the faces (3 m,)."""
         return incidence(len(self.ring_start) - 1, self.faces)
 
-    def passing_incidence(self) -> tuple[Ints, Ints]:
-        """As ``incidence``, but not kept where nobody has asked for it yet: it takes more memory
-        than the faces, and is made anew in little time."""
-        kept: tuple[Ints, Ints] | None = self.__dict__.get("incidence")
-        return incidence(len(self.ring_start) - 1, self.faces) if kept is None else kept
-
     @property
     def face_start(self) -> Ints:
         """(n + 1,), where the row of each vertex starts in ``incident_faces``."""
@@ -263,12 +354,21 @@ def incidence(n_vertices: int, faces: Ints) -> tuple[Ints, Ints]:
 def connectivity(n_vertices: int, faces: Ints) -> Connectivity:
     """Neighbourhoods of ``faces`` (m, 3), which must name three different vertices each."""
     face_start, incident = incidence(n_vertices, faces)
-    ring_start = np.zeros(n_vertices + 1, dtype=np.int32)
-    total = _ring_sizes(faces, face_start, incident, ring_start)
-    ring = np.empty(total, dtype=np.int32)
+    ring = np.empty(len(incident), dtype=np.int32)
+    opened = np.empty(n_vertices, dtype=bool)
+    over_ranges(_closed_rings, n_vertices, faces, face_start, incident, ring, opened)
     boundary = np.zeros(n_vertices, dtype=bool)
-    counts = _rings(faces, face_start, incident, ring_start, ring, boundary)
-    return Connectivity(faces, ring_start, ring, boundary, *map(int, counts))
+    if not opened.any():
+        return Connectivity(faces, face_start, ring, boundary, 0, 0, 0)
+    closed = ring
+    ring_start = np.zeros(n_vertices + 1, dtype=np.int32)
+    # Two entries a face are enough for any faces; what is not written to takes no memory.
+    most = len(incident) + int((face_start[1:] - face_start[:-1])[opened].sum())
+    ring = np.empty(most, dtype=np.int32)
+    total, *counts = _open_rings(
+        faces, face_start, incident, opened, closed, ring_start, ring, boundary
+    )
+    return Connectivity(faces, ring_start, ring[:total], boundary, *map(int, counts))
 
 
 @compiled
@@ -321,7 +421,10 @@ def _count_components(faces, used, parent):  # type: ignore[no-untyped-def]
         if used[i]:
             components += 1
     for f in range(len(faces)):
-        first = _root(parent, faces[f, 0])
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if parent[a] == parent[b] and parent[b] == parent[c]:
+            continue
+        first = _root(parent, a)
         for corner in range(1, 3):
             other = _root(parent, faces[f, corner])
             if other != first:

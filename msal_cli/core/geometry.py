@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.parallel import over_ranges
+from msal_cli.core.parallel import SMALLEST_RANGE, over_ranges, threads
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -21,6 +21,9 @@ DEGENERATE = 1e-12
 
 VANISHED = 1e-10
 """A sum of k unit vectors shorter than this times k has no direction."""
+
+BLOCK_FACES = 512
+"""Faces that are worked on at a time, so that what is known of them stays in the nearest cache."""
 
 
 @compiled
@@ -72,58 +75,112 @@ def face_normals(vertices: Floats, faces: Ints) -> Floats:
 
 
 @compiled
-def _degenerate_faces(vertices, faces):  # type: ignore[no-untyped-def]
-    count = 0
-    for f in range(len(faces)):
-        nx, ny, nz, _ = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
-        count += nx == 0.0 and ny == 0.0 and nz == 0.0
-    return count
+def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, flat):  # type: ignore[no-untyped-def]
+    """Add every face's normal, and its weight, to its corners; count the faces that have none.
 
-
-def degenerate_faces(vertices: Floats, faces: Ints) -> int:
-    """How many faces have no normal."""
-    return int(_degenerate_faces(vertices, faces))
+    Part k of ``parts`` writes to its share of the vertices only, and looks at all faces for that:
+    each vertex adds up its faces in their order, whatever the number of parts.  Faces are taken in
+    blocks, so that roots and quotients become vector code.
+    """
+    n = len(vertices)
+    chosen = np.empty(BLOCK_FACES, dtype=np.int64)
+    x, y, z = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
+    longest, weight = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
+    for part in range(start, stop):
+        low, high = n * part // parts, n * (part + 1) // parts
+        lowest, highest = np.uint64(low), np.uint64(high)
+        without = 0
+        for first in range(0, len(faces), BLOCK_FACES):
+            count = 0
+            for f in range(first, min(first + BLOCK_FACES, len(faces))):
+                chosen[count] = f
+                count += (
+                    low <= faces[f, 0] < high
+                    or low <= faces[f, 1] < high
+                    or low <= faces[f, 2] < high
+                )
+            for at in range(count):
+                f = chosen[at]
+                a, b, c = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
+                ux = vertices[b, 0] - vertices[a, 0]
+                uy = vertices[b, 1] - vertices[a, 1]
+                uz = vertices[b, 2] - vertices[a, 2]
+                wx = vertices[c, 0] - vertices[a, 0]
+                wy = vertices[c, 1] - vertices[a, 1]
+                wz = vertices[c, 2] - vertices[a, 2]
+                x[at] = uy * wz - uz * wy
+                y[at] = uz * wx - ux * wz
+                z[at] = ux * wy - uy * wx
+                vx, vy, vz = wx - ux, wy - uy, wz - uz
+                longest[at] = max(
+                    ux * ux + uy * uy + uz * uz,
+                    wx * wx + wy * wy + wz * wz,
+                    vx * vx + vy * vy + vz * vz,
+                )
+            for at in range(count):
+                length = np.sqrt(x[at] * x[at] + y[at] * y[at] + z[at] * z[at])
+                has_normal = length > DEGENERATE * longest[at]
+                scale = 1.0 if by_area else length
+                scale = scale if has_normal else np.inf
+                x[at] /= scale
+                y[at] /= scale
+                z[at] /= scale
+                weight[at] = (length if by_area else 1.0) if has_normal else 0.0
+            for at in range(count):
+                f = chosen[at]
+                for corner in range(3):
+                    i = np.uint64(faces[f, corner])
+                    if lowest <= i < highest:
+                        sums[i, 0] += x[at]
+                        sums[i, 1] += y[at]
+                        sums[i, 2] += z[at]
+                        weights[i] += weight[at]
+                without += weight[at] == 0.0 and low <= faces[f, 0] < high
+        flat[part] = without
 
 
 @compiled
-def _vertex_normals(  # type: ignore[no-untyped-def]
-    start, stop, vertices, faces, face_start, incident_faces, by_area, normals
-):
-    # Each face is worked out anew for each of its corners: that costs less than to write the
-    # normals of all faces to memory and to gather them from there.
+def _unit_sums(start, stop, sums, weights):  # type: ignore[no-untyped-def]
+    """Make unit vectors of sums; where one vanishes it becomes zero, and its weight negative."""
     for i in range(start, stop):
-        sx = sy = sz = 0.0  # the sum that the weighting asks for
-        ax = ay = az = 0.0  # the area-weighted sum, used where the first one vanishes
-        weight = total_area = 0.0
-        for at in range(face_start[i], face_start[i + 1]):
-            f = incident_faces[at]
-            nx, ny, nz, area = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
-            ax += area * nx
-            ay += area * ny
-            az += area * nz
-            total_area += area
-            if nx != 0.0 or ny != 0.0 or nz != 0.0:
-                sx += nx
-                sy += ny
-                sz += nz
-                weight += 1.0
-        if by_area:
-            sx, sy, sz, weight = ax, ay, az, total_area
-        length = np.sqrt(sx * sx + sy * sy + sz * sz)
-        if length <= VANISHED * weight:
-            sx, sy, sz, weight = ax, ay, az, total_area
-            length = np.sqrt(sx * sx + sy * sy + sz * sz)
-        if length <= VANISHED * weight:
-            normals[i, 0] = normals[i, 1] = normals[i, 2] = 0.0
+        x, y, z = sums[i, 0], sums[i, 1], sums[i, 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        if length > VANISHED * weights[i]:
+            sums[i, 0] = x / length
+            sums[i, 1] = y / length
+            sums[i, 2] = z / length
         else:
-            normals[i, 0] = sx / length
-            normals[i, 1] = sy / length
-            normals[i, 2] = sz / length
+            sums[i, 0] = sums[i, 1] = sums[i, 2] = 0.0
+            weights[i] = -weights[i]
 
 
-def vertex_normals(
-    vertices: Floats, faces: Ints, face_start: Ints, incident_faces: Ints, weighting: str
-) -> Floats:
+def normals_and_flat_faces(vertices: Floats, faces: Ints, weighting: str) -> tuple[Floats, int]:
+    """Unit vertex normals (n, 3), see ``vertex_normals``, and how many faces have no normal."""
+    n = len(vertices)
+    sums, weights = np.zeros((n, 3)), np.zeros(n)
+    parts = max(1, min(threads(), n // SMALLEST_RANGE))
+    flat = np.zeros(parts, dtype=np.int64)
+    over_ranges(
+        _normal_sums,
+        parts,
+        parts,
+        vertices,
+        faces,
+        weighting == "area",
+        sums,
+        weights,
+        flat,
+        smallest=1,
+    )
+    over_ranges(_unit_sums, n, sums, weights)
+    if weighting != "area":
+        vanished = weights < 0.0
+        if vanished.any():
+            sums[vanished] = vertex_normals(vertices, faces, "area")[vanished]
+    return sums, int(flat.sum())
+
+
+def vertex_normals(vertices: Floats, faces: Ints, weighting: str) -> Floats:
     """Unit vertex normals (n, 3): the normalised sum of the adjacent face normals.
 
     ``weighting`` is ``"uniform"`` (unit face normals count alike, section 2.3 of Huang and
@@ -131,18 +188,7 @@ def vertex_normals(
     normals) the area-weighted sum is taken; where that vanishes too, or there is no face, the
     normal is zero, and a filter that moves along normals leaves the vertex in place.
     """
-    normals = np.empty((len(vertices), 3))
-    over_ranges(
-        _vertex_normals,
-        len(vertices),
-        vertices,
-        faces,
-        face_start,
-        incident_faces,
-        weighting == "area",
-        normals,
-    )
-    return normals
+    return normals_and_flat_faces(vertices, faces, weighting)[0]
 
 
 @compiled
@@ -335,7 +381,7 @@ def regrouped_normals(
         group, n_groups = entries, n_entries
         pair_entry = pair_group = np.arange(n_entries, dtype=np.int32)
     else:
-        like = first_alike(np.where(usable[:, None], old_normals, 0.0), usable)
+        like, _ = first_alike(np.where(usable[:, None], old_normals, 0.0), usable)
         alike = np.where(entries < 0, -1, like[entries]).astype(np.int32)
         group, first_corner = numbered(place[faces.reshape(-1)], alike)
         n_groups = len(first_corner)

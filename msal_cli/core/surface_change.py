@@ -31,48 +31,75 @@ depend on the number of threads."""
 
 
 @compiled
-def _doubled_area_and_volume(vertices, a, b, c):  # type: ignore[no-untyped-def]
-    """Cross product of two edges, its length, sixfold volume, and whether there is a normal."""
+def _crossed(vertices, a, b, c):  # type: ignore[no-untyped-def]
+    """Cross product of two edges of a triangle, sixfold volume, and its longest edge squared."""
     ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
     ux, uy, uz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
     wx, wy, wz = vertices[c, 0] - ax, vertices[c, 1] - ay, vertices[c, 2] - az
     nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
-    length = np.sqrt(nx * nx + ny * ny + nz * nz)
     vx, vy, vz = wx - ux, wy - uy, wz - uz
     longest = max(
         ux * ux + uy * uy + uz * uz, wx * wx + wy * wy + wz * wz, vx * vx + vy * vy + vz * vz
     )
-    return nx, ny, nz, length, ax * nx + ay * ny + az * nz, length > DEGENERATE * longest
+    return nx, ny, nz, ax * nx + ay * ny + az * nz, longest
 
 
 @compiled
 def _changes(start, stop, before, after, faces, figures):  # type: ignore[no-untyped-def]
-    apart = np.empty(BLOCK_FACES)  # length of the difference of the two unit normals
-    along = np.empty(BLOCK_FACES)  # length of their sum
+    # Gathering cannot become vector code; what follows, in loops of its own, does.
+    px, py, pz, p_longest = (
+        np.empty(BLOCK_FACES),
+        np.empty(BLOCK_FACES),
+        np.empty(BLOCK_FACES),
+        np.empty(BLOCK_FACES),
+    )
+    qx, qy, qz, q_longest = (
+        np.empty(BLOCK_FACES),
+        np.empty(BLOCK_FACES),
+        np.empty(BLOCK_FACES),
+        np.empty(BLOCK_FACES),
+    )
+    compares = np.empty(BLOCK_FACES)  # 1 where both normals are there, else 0
+    apart = np.empty(BLOCK_FACES)  # of half the angle between them, the sine times something
+    along = np.empty(BLOCK_FACES)  # and its cosine times the same
     for block in range(start, stop):
-        area_before = area_after = volume_before = volume_after = 0.0
-        compared = flipped = 0
         first = block * BLOCK_FACES
-        for f in range(first, min(first + BLOCK_FACES, len(faces))):
-            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-            px, py, pz, p, volume, is_whole = _doubled_area_and_volume(before, a, b, c)
-            area_before += p
+        count = min(BLOCK_FACES, len(faces) - first)
+        volume_before = volume_after = 0.0
+        for at in range(count):
+            f = first + at
+            a, b, c = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
+            px[at], py[at], pz[at], volume, p_longest[at] = _crossed(before, a, b, c)
             volume_before += volume
-            qx, qy, qz, q, volume, is_still = _doubled_area_and_volume(after, a, b, c)
-            area_after += q
+            qx[at], qy[at], qz[at], volume, q_longest[at] = _crossed(after, a, b, c)
             volume_after += volume
-            if is_whole and is_still:
-                px, py, pz, qx, qy, qz = px / p, py / p, pz / p, qx / q, qy / q, qz / q
-                dx, dy, dz = px - qx, py - qy, pz - qz
-                sx, sy, sz = px + qx, py + qy, pz + qz
-                # The arctangent of these two is exact for tiny angles, where arccos is not.
-                apart[compared] = np.sqrt(dx * dx + dy * dy + dz * dz)
-                along[compared] = np.sqrt(sx * sx + sy * sy + sz * sz)
-                flipped += apart[compared] > along[compared]
-                compared += 1
-        arctangents(apart, along, compared)
+        for at in range(count):
+            p = np.sqrt(px[at] * px[at] + py[at] * py[at] + pz[at] * pz[at])
+            q = np.sqrt(qx[at] * qx[at] + qy[at] * qy[at] + qz[at] * qz[at])
+            is_compared = (p > DEGENERATE * p_longest[at]) & (q > DEGENERATE * q_longest[at])
+            scale = 1.0 / p / q if is_compared else 0.0
+            # Sine and cosine of the angle; the arccosine of the latter would lose tiny angles.
+            x = (py[at] * qz[at] - pz[at] * qy[at]) * scale
+            y = (pz[at] * qx[at] - px[at] * qz[at]) * scale
+            z = (px[at] * qy[at] - py[at] * qx[at]) * scale
+            sine = np.sqrt(x * x + y * y + z * z)
+            cosine = (px[at] * qx[at] + py[at] * qy[at] + pz[at] * qz[at]) * scale
+            # tan(a / 2) is sin a / (1 + cos a) and (1 - cos a) / sin a: the one without a
+            # difference of near numbers.
+            apart[at] = sine if cosine >= 0.0 else 1.0 - cosine
+            along[at] = 1.0 + cosine if cosine >= 0.0 else sine
+            compares[at] = 1.0 if is_compared else 0.0
+            p_longest[at] = p
+            q_longest[at] = q
+        area_before = area_after = compared = flipped = 0.0
+        for at in range(count):
+            area_before += p_longest[at]
+            area_after += q_longest[at]
+            compared += compares[at]
+            flipped += 1.0 if apart[at] > along[at] else 0.0
+        arctangents(apart, along, count)
         total = largest = 0.0
-        for at in range(compared):
+        for at in range(count):
             total += apart[at]
             largest = max(largest, apart[at])
         figures[block, DOUBLED_AREA_BEFORE] = area_before

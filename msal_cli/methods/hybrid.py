@@ -170,9 +170,7 @@ def _presmoothed(
 def _features(mesh: Mesh, positions: Floats, parameters: Parameters) -> tuple[Floats, Flags]:
     """Number of each vertex's cluster (n,), and which vertices (n,) are on edges and corners."""
     links = mesh.links
-    normals = vertex_normals(
-        positions, mesh.faces, links.face_start, links.incident_faces, parameters.normals
-    )
+    normals = vertex_normals(positions, mesh.faces, parameters.normals)
     known = (normals != 0.0).any(axis=1)
     spread = normal_spread(positions, mesh.faces, links, normals)
     cluster = np.zeros(len(positions))
@@ -190,9 +188,7 @@ def _moves(
 ) -> Floats:
     """What one sweep after the clustering adds to the positions x, (n, 3)."""
     links = mesh.links
-    normals = vertex_normals(
-        x, mesh.faces, links.face_start, links.incident_faces, parameters.normals
-    )
+    normals = vertex_normals(x, mesh.faces, parameters.normals)
     umbrella = Umbrella(links.ring_start, links.ring)(x).move
     heights = (umbrella * normals).sum(axis=1)
     aside = parameters.regularize * (umbrella - heights[:, None] * normals)

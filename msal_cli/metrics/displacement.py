@@ -26,9 +26,10 @@ def displacement_statistics(
 ) -> DisplacementStatistics:
     """Statistics of the distances between (n, 3) positions over the ``counted`` (n,) vertices."""
     from msal_cli.core.geometry import distances
+    from msal_cli.core.medians import ranked
 
     lengths = distances(before, after)
-    if counted is not None:
+    if counted is not None and not counted.all():
         lengths = lengths[counted]
     if not len(lengths):
         return DisplacementStatistics(0.0, 0.0, 0.0, 0.0, 0)
@@ -36,7 +37,7 @@ def displacement_statistics(
     return DisplacementStatistics(
         mean=float(lengths.mean()),
         rms=float(np.sqrt((lengths * lengths).mean())),
-        p95=float(np.partition(lengths, rank)[rank]),
+        p95=ranked(lengths, rank)[0],
         max=float(lengths.max()),
         moved_vertices=int(np.count_nonzero(lengths)),
     )

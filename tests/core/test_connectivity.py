@@ -139,7 +139,50 @@ def test_welding_is_by_exact_position(values, skip):
         seen.setdefault(tuple(point), i) if use else i
         for i, (point, use) in enumerate(zip((points + 0.0).tolist(), used, strict=True))
     ]
-    assert first_alike(points, used).tolist() == expected
+    assert first_alike(points, used)[0].tolist() == expected
+
+
+def test_among_very_many_points_only_equal_ones_weld():
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(20_000, 3))
+    points[15_000:15_050] = points[7_000:7_050]
+    points[-1] = points[15_000]
+    first, merged = first_alike(points, np.ones(len(points), dtype=bool))
+    expected = np.arange(len(points))
+    expected[15_000:15_050] = expected[7_000:7_050]
+    expected[-1] = 7_000
+    assert first.tolist() == expected.tolist()
+    assert merged == 51
+    used = np.ones(len(points), dtype=bool)
+    used[7_000:7_050] = False
+    assert first_alike(points, used)[1] == 1
+
+
+def test_points_that_are_not_numbers_weld_with_nothing():
+    points = np.full((3, 3), np.nan)
+    assert first_alike(points, np.ones(3, dtype=bool))[0].tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("shape", [torus(300, 240), grid(301, 260)])
+def test_threads_change_nothing(shape, monkeypatch):
+    vertices, faces = shape
+    found = []
+    for threads in ("1", "2", "3"):
+        monkeypatch.setenv("MSAL_THREADS", threads)
+        links = connectivity(len(vertices), faces)
+        arrays = (links.ring_start, links.ring, links.boundary)
+        found.append((*(one.tobytes() for one in arrays), links.boundary_edges))
+    assert found[0] == found[1] == found[2]
+
+
+def test_rings_of_closed_fans_are_in_the_order_of_the_faces():
+    # Two tetrahedra that touch in vertex 0: both circles around it are closed.
+    one = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], dtype=np.int32)
+    other = np.where(one == 0, 0, one + 3).astype(np.int32)
+    links = connectivity(7, np.concatenate([one, other]))
+    assert rings(links)[0] == [1, 2, 3, 4, 5, 6]
+    assert rings(links)[1] == [2, 0, 3]
+    assert links.boundary_edges == links.non_manifold_edges == links.inconsistent_edges == 0
 
 
 def test_minus_zero_welds_and_unreferenced_do_not():

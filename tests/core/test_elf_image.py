@@ -107,9 +107,10 @@ def test_llvm_is_not_needed(monkeypatch):
 
     program = (
         "import numpy as np, sys\n"
-        "from msal_cli.core.geometry import degenerate_faces\n"
+        "from msal_cli.core.geometry import normals_and_flat_faces\n"
         "faces = np.zeros((1, 3), dtype=np.int32)\n"
-        "print(degenerate_faces(np.zeros((1, 3)), faces), 'llvmlite' in sys.modules)\n"
+        "_, flat = normals_and_flat_faces(np.zeros((1, 3)), faces, 'uniform')\n"
+        "print(flat, 'llvmlite' in sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)
     again = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

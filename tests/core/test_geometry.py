@@ -10,8 +10,10 @@ from msal_cli.core.geometry import (
     face_normals,
     face_normals_and_areas,
     mean_edge_length,
+    normals_and_flat_faces,
     regrouped_normals,
     ring_means,
+    vertex_normals,
 )
 from msal_cli.core.surface_change import ANGLES, COMPARED, surface_figures
 from msal_cli.mesh import prepared
@@ -71,6 +73,40 @@ def test_area_weighting():
         assert np.allclose(mesh.vertex_normals(weighting)[0], expected, atol=1e-15)
     uniform, area = mesh.vertex_normals("uniform")[0], mesh.vertex_normals("area")[0]
     assert area[2] > uniform[2]
+
+
+def test_where_unit_normals_cancel_the_areas_decide():
+    # Two faces back to back around the same edge, one of them larger; and two that cancel wholly.
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 2, 0]], dtype=float)
+    back_to_back = np.array([[0, 1, 3], [1, 0, 2]], dtype=np.int32)
+    normals, flat = normals_and_flat_faces(vertices, back_to_back, "uniform")
+    assert normals.tolist() == [[0, 0, 1], [0, 0, 1], [0, 0, -1], [0, 0, 1]]
+    assert flat == 0
+    alike = np.array([[0, 1, 2], [1, 0, 2]], dtype=np.int32)
+    assert vertex_normals(vertices, alike, "uniform").tolist() == [[0, 0, 0]] * 4
+
+
+def test_faces_without_area_are_counted_and_left_out():
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]], dtype=float)
+    faces = np.array([[0, 1, 2], [0, 1, 3]], dtype=np.int32)
+    normals, flat = normals_and_flat_faces(vertices, faces, "uniform")
+    assert flat == 1
+    assert normals.tolist() == [[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 0, 0]]
+
+
+def test_threads_do_not_change_a_bit_of_normals(monkeypatch):
+    vertices, faces = torus(300, 300)
+    vertices = noisy(vertices, 2)
+    faces[::1000, 1] = faces[::1000, 0]
+    shuffled = np.random.default_rng(0).permutation(len(faces))
+    for order in (slice(None), shuffled):
+        found = []
+        for count in ("1", "2"):
+            monkeypatch.setenv("MSAL_THREADS", count)
+            normals, flat = normals_and_flat_faces(vertices, faces[order], "uniform")
+            found.append((normals.tobytes(), flat))
+        assert found[0] == found[1]
+        assert found[0][1] == len(faces[::1000])
 
 
 def test_mollification_is_the_normalised_mean_of_the_ring():
