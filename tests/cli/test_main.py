@@ -288,3 +288,33 @@ def test_a_closed_standard_output(tmp_path):
     made = subprocess.run(["sh", "-c", f"{command} >&-"], capture_output=True, check=False)
     assert made.returncode == 1
     assert b"standard output is closed" in made.stderr
+
+
+def end_of(code):
+    code += "\nfrom msal_cli.cli.main import main\nmain()"
+    return subprocess.run(
+        [sys.executable, "-c", code, "--version"], capture_output=True, text=True, timeout=60
+    )
+
+
+def test_what_was_to_be_done_at_the_end_is_done():
+    ended = end_of("import atexit; atexit.register(print, 'at the end')")
+    assert (ended.returncode, ended.stdout.splitlines()[-1]) == (0, "at the end")
+
+
+def test_the_end_waits_for_threads_that_python_waits_for():
+    ended = end_of(
+        "import threading, time\n"
+        "threading.Thread(target=lambda: (time.sleep(0.3), print('late'))).start()"
+    )
+    assert (ended.returncode, ended.stdout.splitlines()[-1]) == (0, "late")
+
+
+def test_a_setting_for_blas_is_left_alone():
+    code = "import os, msal_cli.__main__; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    for given, kept in (({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")):
+        bare = {name: value for name, value in os.environ.items() if "OPENBLAS" not in name}
+        seen = subprocess.run(
+            [sys.executable, "-c", code], env=bare | given, capture_output=True, text=True
+        )
+        assert seen.stdout.strip() == kept
