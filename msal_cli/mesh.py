@@ -8,12 +8,12 @@ left out, wound one way, about a local origin.  ``Prepared.scattered`` takes the
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, TooLargeError
 
 if TYPE_CHECKING:

@@ -13,10 +13,11 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
+from msal_cli.dataclass import dataclass
 from msal_cli.errors import (
     InternalError,
     LossError,

@@ -14,8 +14,10 @@ import sys
 import types
 import typing
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Literal
+
+from msal_cli.dataclass import dataclass
 
 SCHEMA = "msal.report/1"
 

@@ -26,13 +26,14 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from msal_cli import __version__
 from msal_cli.batch.shards import Shard
 from msal_cli.batch.temporaries import temporary_name
+from msal_cli.dataclass import dataclass
 from msal_cli.errors import OutputError
 from msal_cli.pipeline import Settings
 from msal_cli.records import MeshRecord, ObjectMark, as_data, from_data

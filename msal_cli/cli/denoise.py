@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from msal_cli.cli import exit_codes, talk, words
 from msal_cli.cli.pipe import STREAM
+from msal_cli.dataclass import dataclass
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
 
 if TYPE_CHECKING:

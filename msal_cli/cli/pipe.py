@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from msal_cli.cli import talk
+from msal_cli.dataclass import dataclass
 from msal_cli.errors import InputError, MsalError, OutputError, UsageError
 
 if TYPE_CHECKING:

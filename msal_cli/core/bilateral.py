@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +12,7 @@ from msal_cli.core.geometry import vertex_normals
 from msal_cli.core.operators import BLOCK_EDGES, SMALLEST_SIGMA, Step
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.reach import room, vertices_around
+from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

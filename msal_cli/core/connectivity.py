@@ -8,13 +8,13 @@ follow it, where all faces are wound one way and close; else as these faces name
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
 from msal_cli.core.parallel import over_ranges
+from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -13,7 +13,8 @@ import platform
 import struct
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+
+from msal_cli.dataclass import dataclass
 
 _HEADER = struct.Struct("<16sHHIQQQIHHHHHH")
 _SECTION = struct.Struct("<IIQQQQIIQQ")

@@ -11,8 +11,6 @@ edge.  The second factor is near one where one edge has all the bend: a patch ac
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +19,7 @@ from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.face_rings import face_rings
 from msal_cli.core.geometry import VANISHED
 from msal_cli.core.parallel import over_ranges
+from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -20,11 +20,11 @@ import os
 import sys
 import types
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from msal_cli.core import elf_image
+from msal_cli.dataclass import dataclass
 
 _MAGIC = b"msal machine code 1\n"
 _SUFFIX = ".msal-kernel"

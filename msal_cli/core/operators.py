@@ -7,7 +7,6 @@ normal line, so that it cannot drift tangentially.  Others return vectors.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from msal_cli.core.compiled import compiled
 from msal_cli.core.exponential import exponentials
 from msal_cli.core.parallel import over_ranges
+from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -6,7 +6,6 @@ Every sweep computes all of its terms from the positions that the sweep before l
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from msal_cli.core.compiled import compiled
 from msal_cli.core.operators import Operator
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.schedules import Pace, Schedule
+from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.dataclass import dataclass
 from msal_cli.errors import InternalError, MsalError, UnsupportedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.glb_scene import Accessor, Document, Part, parsed, placed

@@ -9,12 +9,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import struct
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.dataclass import dataclass
 from msal_cli.errors import (
     ContentError,
     FormatError,

@@ -9,13 +9,14 @@ from __future__ import annotations
 import importlib.util
 import io
 import re
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.dataclass import dataclass
 from msal_cli.errors import (
     ContentError,
     FormatError,

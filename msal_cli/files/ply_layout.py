@@ -9,11 +9,11 @@ be there.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, TruncatedError
 from msal_cli.files.ply_header import Element, Header, Property
 

@@ -7,11 +7,12 @@ corners as little-endian float32, and one 16-bit word that some programs use for
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.dataclass import dataclass
 from msal_cli.errors import (
     ContentError,
     FormatError,

@@ -5,11 +5,12 @@ Keywords may be in any case and apart by any white space; a solid's name is the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, InputError, InternalError, TooLargeError, TruncatedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.stl_facets import check_not_empty, not_finite, soup_faces

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.vertex_update import updated_vertices
+from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import free_vertices
@@ -48,7 +49,7 @@ class NormalFilterParameters:
     )
 
 
-@dataclass
+@dataclass()
 class Passes:
     """Progress of a run: its passes of either kind are equal shares of ``iterations``.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from msal_cli.core.operators import AnisotropicLaplacian, Operator
 from msal_cli.core.schedules import Constant, Multiscale, Plain, Schedule
 from msal_cli.core.sweeps import swept
+from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 
