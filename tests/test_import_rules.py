@@ -109,6 +109,14 @@ def test_imports_keep_to_the_table(path):
             assert {layer, module} & ONLY_IN[parts[0]], f"{module} imports {name}"
 
 
+def test_classes_are_made_without_compiling():
+    for path in modules():
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module == "dataclasses":
+                names = {alias.name for alias in node.names}
+                assert "dataclass" not in names or layer_of(path) == "dataclass", path
+
+
 def test_methods_do_not_import_one_another():
     for path in (PACKAGE / "methods").glob("*.py"):
         for name in imports(path):
