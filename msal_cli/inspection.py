@@ -52,7 +52,11 @@ def _inspected(data: bytes, name: str, format: str | None) -> InfoRecord:
 
     plain, is_compressed = files.expanded(data, name)
     mesh_file = files.open_mesh(plain, name, format)
-    ready = prepared(mesh_file.vertices, mesh_file.faces)
+    ready = prepared(
+        mesh_file.vertices,
+        mesh_file.faces,
+        are_distinct=mesh_file.merged_vertices > 0,
+    )
     defects = ready.defects
     area, volume = area_and_volume(ready.mesh)
     low, high = mesh_file.vertices.min(axis=0), mesh_file.vertices.max(axis=0)
@@ -68,7 +72,7 @@ def _inspected(data: bytes, name: str, format: str | None) -> InfoRecord:
         precision=mesh_file.precision,
         compressed=is_compressed,
         bytes=len(data),
-        vertices=len(mesh_file.vertices),
+        vertices=len(mesh_file.vertices) + mesh_file.merged_vertices,
         faces=mesh_file.n_polygons,
         triangles=len(mesh_file.faces),
         polygon_sizes=_polygon_sizes(mesh_file),
@@ -81,7 +85,7 @@ def _inspected(data: bytes, name: str, format: str | None) -> InfoRecord:
         degenerate_faces=defects.degenerate_faces,
         duplicate_faces=defects.duplicate_faces,
         unreferenced_vertices=defects.unreferenced_vertices,
-        welded_vertices=defects.welded_vertices,
+        welded_vertices=defects.welded_vertices + mesh_file.merged_vertices,
         bounds=(
             (float(low[0]), float(low[1]), float(low[2])),
             (float(high[0]), float(high[1]), float(high[2])),

@@ -193,13 +193,14 @@ class Prepared:
         return widest_gap(vertices, self.place, len(self.mesh.vertices))
 
 
-def prepared(vertices: Floats, faces: Ints) -> Prepared:
+def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Prepared:
     """Check a file's arrays and make them fit for computing.
 
     Parameters
     ----------
     vertices : (n, 3) real numbers, file units.
     faces : (m, 3) integers, zero-based.
+    are_distinct : no two vertices are at one position, and need not be looked for.
 
     Raises
     ------
@@ -221,7 +222,9 @@ def prepared(vertices: Floats, faces: Ints) -> Prepared:
     vertices, faces, (low, high) = _gated(vertices, faces)
     n_file = len(vertices)
     used = used_vertices(n_file, faces)
-    first, n_welded = first_alike(vertices, used)
+    first, n_welded = np.empty(0, dtype=np.int32), 0
+    if not are_distinct:
+        first, n_welded = first_alike(vertices, used)
     if n_welded:
         faces = first[faces]
     repeated = repeated_corners(faces)

@@ -346,7 +346,7 @@ class _Run:
                 format=mesh_file.format,
                 encoding=mesh_file.encoding,
                 precision=mesh_file.precision,
-                vertices=len(mesh_file.vertices),
+                vertices=len(mesh_file.vertices) + mesh_file.merged_vertices,
                 faces=mesh_file.n_polygons,
                 triangles=len(mesh_file.faces),
             )
@@ -370,8 +370,12 @@ class _Run:
 
         settings = self.settings
         with self.stage("connectivity"):
-            ready = prepared(mesh_file.vertices, mesh_file.faces)
-            self._know_defects(ready)
+            ready = prepared(
+                mesh_file.vertices,
+                mesh_file.faces,
+                are_distinct=mesh_file.merged_vertices > 0,
+            )
+            self._know_defects(ready, mesh_file.merged_vertices)
         with self.stage("sweeps"):
             method = methods.find(settings.method)
             result = method.denoised(
@@ -475,7 +479,7 @@ class _Run:
                 f"{self.settings.method} made a position that is not finite", where=f"vertex {bad}"
             )
 
-    def _know_defects(self, ready: Prepared) -> None:
+    def _know_defects(self, ready: Prepared, merged: int) -> None:
         defects = ready.defects
         self.know(
             components=defects.components,
@@ -485,7 +489,7 @@ class _Run:
             degenerate_faces=defects.degenerate_faces,
             duplicate_faces=defects.duplicate_faces,
             unreferenced_vertices=defects.unreferenced_vertices,
-            welded_vertices=defects.welded_vertices,
+            welded_vertices=defects.welded_vertices + merged,
             mean_edge_length=ready.mesh.mean_edge_length,
         )
         if defects.inconsistent_edges:

@@ -147,3 +147,14 @@ def test_more_faces_than_can_be_counted_are_refused():
     faces = np.broadcast_to(np.zeros(3, dtype=np.int32), (MOST_FACES + 1, 3))
     with pytest.raises(TooLargeError, match="357,913,942 triangles"):
         prepared(np.zeros((3, 3)), faces)
+
+
+def test_vertices_known_to_be_distinct_need_no_welding():
+    # The last face is degenerate, and the last vertex in no other.
+    vertices, faces = torus(12, 8)
+    vertices = np.concatenate([noisy(vertices), [[9.0, 9.0, 9.0]]])
+    faces = np.concatenate([faces, [[0, 0, len(vertices) - 1]]])
+    one, two = prepared(vertices, faces), prepared(vertices, faces, are_distinct=True)
+    assert one.defects == two.defects
+    assert np.array_equal(one.mesh.vertices, two.mesh.vertices)
+    assert np.array_equal(one.mesh.faces, two.mesh.faces)

@@ -1,4 +1,4 @@
-"""Normals of facets that share nothing, as STL stores them, after their corners moved."""
+"""Normals of facets, as STL stores them, after vertices moved."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from msal_cli.core.geometry import DEGENERATE
 from msal_cli.core.parallel import over_ranges
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
 
 
 @compiled
-def _normal(corners, f):  # type: ignore[no-untyped-def]
-    """Unit normal of facet f by the right-hand rule, zeros if it is degenerate."""
-    ux = corners[f, 3] - corners[f, 0]
-    uy = corners[f, 4] - corners[f, 1]
-    uz = corners[f, 5] - corners[f, 2]
-    wx = corners[f, 6] - corners[f, 0]
-    wy = corners[f, 7] - corners[f, 1]
-    wz = corners[f, 8] - corners[f, 2]
+def _normal(vertices, a, b, c):  # type: ignore[no-untyped-def]
+    """Unit normal of a triangle by the right-hand rule, zeros if it is degenerate."""
+    ux = vertices[b, 0] - vertices[a, 0]
+    uy = vertices[b, 1] - vertices[a, 1]
+    uz = vertices[b, 2] - vertices[a, 2]
+    wx = vertices[c, 0] - vertices[a, 0]
+    wy = vertices[c, 1] - vertices[a, 1]
+    wz = vertices[c, 2] - vertices[a, 2]
     nx = uy * wz - uz * wy
     ny = uz * wx - ux * wz
     nz = ux * wy - uy * wx
@@ -35,42 +36,58 @@ def _normal(corners, f):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _renewed(start, stop, old, new, normals, changed):  # type: ignore[no-untyped-def]
+def renewed_normal(old, new, a, b, c, sx, sy, sz):  # type: ignore[no-untyped-def]
+    """The normal of a facet whose corners a, b, c moved, and whether it replaces the stored one,
+    (sx, sy, sz); see ``renewed_facet_normals``."""
+    largest = max(abs(sx), abs(sy), abs(sz))
+    # A sum, because NaN disappears in a maximum.
+    if not largest > 0.0 or not abs(sx) + abs(sy) + abs(sz) < np.inf:
+        return sx, sy, sz, False
+    nx, ny, nz = _normal(new, a, b, c)
+    if nx == 0.0 and ny == 0.0 and nz == 0.0:
+        return sx, sy, sz, False
+    ox, oy, oz = _normal(old, a, b, c)
+    # Scaled, so that neither tiny nor huge stored normals spoil the sign.
+    sense = 1.0
+    if sx / largest * ox + sy / largest * oy + sz / largest * oz < 0.0:
+        sense = -1.0
+    # The sum makes a plain zero of a negative one.
+    return sense * nx + 0.0, sense * ny + 0.0, sense * nz + 0.0, True
+
+
+@compiled
+def has_moved(old, new, a, b, c):  # type: ignore[no-untyped-def]
+    """Whether any coordinate of the vertices a, b, c is another."""
+    for k in range(3):
+        if old[a, k] != new[a, k] or old[b, k] != new[b, k] or old[c, k] != new[c, k]:
+            return True
+    return False
+
+
+@compiled
+def _renewed(start, stop, old, new, faces, normals, changed):  # type: ignore[no-untyped-def]
     for f in range(start, stop):
         changed[f] = False
-        moved = False
-        for k in range(9):
-            moved = moved or old[f, k] != new[f, k]
-        if not moved:
-            continue
-        sx, sy, sz = normals[f, 0], normals[f, 1], normals[f, 2]
-        largest = max(abs(sx), abs(sy), abs(sz))
-        # A sum, because NaN disappears in a maximum.
-        if not largest > 0.0 or not abs(sx) + abs(sy) + abs(sz) < np.inf:
-            continue
-        nx, ny, nz = _normal(new, f)
-        if nx == 0.0 and ny == 0.0 and nz == 0.0:
-            continue
-        ox, oy, oz = _normal(old, f)
-        # Scaled, so that neither tiny nor huge stored normals spoil the sign.
-        sense = 1.0
-        if sx / largest * ox + sy / largest * oy + sz / largest * oz < 0.0:
-            sense = -1.0
-        # The sum makes a plain zero of a negative one.
-        normals[f, 0] = sense * nx + 0.0
-        normals[f, 1] = sense * ny + 0.0
-        normals[f, 2] = sense * nz + 0.0
-        changed[f] = True
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if has_moved(old, new, a, b, c):
+            nx, ny, nz, changed[f] = renewed_normal(
+                old, new, a, b, c, normals[f, 0], normals[f, 1], normals[f, 2]
+            )
+            if changed[f]:
+                normals[f, 0] = nx
+                normals[f, 1] = ny
+                normals[f, 2] = nz
 
 
 def renewed_facet_normals(
-    old: Floats, new: Floats, normals: Floats
+    old: Floats, new: Floats, faces: Ints, normals: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Stored facet normals after corners moved.
+    """Stored facet normals after vertices moved.
 
     Parameters
     ----------
-    old, new : (m, 9), the three corners of each facet before and after, file units.
+    old, new : (n, 3), the vertices before and after, file units.
+    faces : (m, 3), the corners of each facet.
     normals : (m, 3) as stored, of any length, not finite where the file has no number.
 
     Returns
@@ -83,5 +100,5 @@ def renewed_facet_normals(
     """
     result = np.array(normals, dtype=np.float64)
     changed = np.empty(len(result), dtype=np.bool_)
-    over_ranges(_renewed, len(result), old, new, result, changed)
+    over_ranges(_renewed, len(result), old, new, faces, result, changed)
     return result, changed

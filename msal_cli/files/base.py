@@ -25,6 +25,8 @@ class MeshFile(Protocol):
     vertices : (n, 3) float64, file units, in file order, exactly the values that the file stores.
     faces : (m, 3) int32, indices into ``vertices``, counter-clockwise seen from outside; polygons
         are cut into triangles and strips are unrolled, for the mathematics only.
+    merged_vertices : vertices of the file that ``vertices`` leaves out because an earlier one is at
+        the same position, as corners of STL's facets are; then no two of ``vertices`` are alike.
     n_polygons : faces as the file counts them (a quad is one).
     properties : what else is carried along unchanged, for reports: ``"vertex.quality float"``,
         ``"element camera"``, ``"texture coordinates"``, ``"materials"``, ``"groups"`` ...
@@ -37,6 +39,7 @@ class MeshFile(Protocol):
     precision: str
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
+    merged_vertices: int
     n_polygons: int
     properties: tuple[str, ...]
     references: tuple[str, ...]

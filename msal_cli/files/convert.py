@@ -164,22 +164,8 @@ def _content(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Content, 
         used[faces.reshape(-1)] = True
         if not used.all():
             losses.append(f"{np.count_nonzero(~used)} vertices that no face uses")
-    elif mesh_file.format == "stl":
-        vertices, faces = _welded(mesh_file, vertices)
     normals = _vertex_normals(vertices, faces) if carries_normals else None
     return _Content(vertices, faces, polygons, colours, normals), losses
-
-
-def _welded(mesh_file: MeshFile, vertices: Floats) -> tuple[Floats, Ints]:
-    """Soup as an indexed mesh: corners that were one point before and are one now."""
-    from msal_cli.core.connectivity import welded
-
-    first = welded(mesh_file.vertices, mesh_file.faces)
-    if (vertices[first] != vertices).any():
-        first = welded(vertices, mesh_file.faces)
-    kept = first == np.arange(len(first), dtype=np.int32)
-    number = np.cumsum(kept, dtype=np.int32) - np.int32(1)
-    return vertices[kept], number[first[mesh_file.faces]]
 
 
 def _vertex_normals(vertices: Floats, faces: Ints) -> Floats:

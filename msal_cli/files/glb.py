@@ -64,6 +64,7 @@ class GlbFile:
     encoding: str = "binary_little_endian"
     precision: str = "float32"
     references: tuple[str, ...] = ()
+    merged_vertices: int = 0
 
     def __post_init__(self) -> None:
         self.vertices = np.concatenate(

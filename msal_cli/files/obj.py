@@ -61,6 +61,7 @@ class ObjFile:
     format = "obj"
     encoding = "ascii"
     precision = "text"
+    merged_vertices = 0
 
     def __init__(self, data: Buffer) -> None:
         self._data = data

@@ -109,6 +109,7 @@ class OtherFile:
     properties: tuple[str, ...]
     warnings: tuple[str, ...]
     references: tuple[str, ...] = ()
+    merged_vertices: int = 0
 
     def polygons(self) -> list[Any] | Ints:
         """The faces as the file has them: an (m, k) array or a list of (k,) arrays."""

@@ -66,6 +66,7 @@ class PlyFile:
     """
 
     format = "ply"
+    merged_vertices = 0
 
     def __init__(self, data: Buffer, name: str) -> None:
         from msal_cli.core.text import as_bytes

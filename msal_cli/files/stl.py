@@ -6,7 +6,6 @@ corners as little-endian float32, and one 16-bit word that some programs use for
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import field
 
 import numpy as np
@@ -22,9 +21,10 @@ from msal_cli.errors import (
 )
 from msal_cli.files import stl_ascii
 from msal_cli.files.base import Buffer
-from msal_cli.files.stl_facets import check_not_empty, not_finite, soup_faces
+from msal_cli.files.stl_facets import check_countable, check_not_empty, not_finite
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
 
 HEADER_BYTES = 80
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u2")])
@@ -32,8 +32,11 @@ FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u
 
 _FIRST_FACET = HEADER_BYTES + 4
 _LOOKED_AT = 1024
-_AT_ONCE = 1 << 15
+_AT_ONCE = 1 << 14
+"""Facets whose bytes, old and new, stay in the processor's cache."""
+
 _PADDING = 8
+_SURELY_FLOAT32 = 3.4e38
 
 
 def read(data: Buffer, name: str) -> StlFile | stl_ascii.StlTextFile:
@@ -100,15 +103,16 @@ def is_text(head: bytes) -> bool:
 
 
 def _read_binary(data: Buffer, count: int) -> StlFile:
+    from msal_cli.core.soup import indexed
+
     trailing = len(memoryview(data).cast("B")) - _FIRST_FACET - FACET.itemsize * count
     check_not_empty(count, trailing)
-    faces = soup_faces(count)
-    facets = np.frombuffer(data, dtype=FACET, count=count, offset=_FIRST_FACET)
-    vertices = _as_float64(facets["corners"]).reshape(-1, 3)
-    finite = np.isfinite(vertices)
-    if not finite.all():
-        bad = int(np.argmin(finite.all(axis=1)))
-        raise not_finite(bad // 3, bad % 3)
+    check_countable(count)
+    fixed = memoryview(data).toreadonly()
+    facets = np.frombuffer(fixed, dtype=FACET, count=count, offset=_FIRST_FACET)
+    vertices, faces, bad = indexed(facets["corners"])
+    if bad >= 0:
+        raise not_finite(bad, int(np.isfinite(facets["corners"][bad]).argmin()) // 3)
     warnings: list[str] = []
     if trailing:
         more = trailing // FACET.itemsize
@@ -123,7 +127,9 @@ def _properties(data: Buffer, facets: NDArray[np.void]) -> tuple[str, ...]:
     """What a binary file has besides positions."""
     header = bytes(memoryview(data).cast("B")[:HEADER_BYTES])
     found = []
-    if (_bits(facets["normal"]) & 0x7FFFFFFF).any():  # neither zero nor minus zero
+    # Neither zero nor minus zero; most files tell in the first part.
+    parts = (facets["normal"][at : at + _AT_ONCE] for at in range(0, len(facets), _AT_ONCE))
+    if any((_bits(part) & 0x7FFFFFFF).any() for part in parts):
         found.append("facet normals")
     if facets["attribute"].any():
         found.append("facet attribute words")
@@ -140,12 +146,12 @@ def _properties(data: Buffer, facets: NDArray[np.void]) -> tuple[str, ...]:
 class StlFile:
     """A binary STL file; see ``files.base.MeshFile``.
 
-    ``vertices`` are the corners in file order, three for each facet.
+    ``vertices`` are the different positions of corners, in order of appearance.
     """
 
     data: Buffer = field(repr=False)
     vertices: Floats
-    faces: NDArray[np.int32]
+    faces: Ints
     properties: tuple[str, ...]
     warnings: tuple[str, ...]
     format: str = "stl"
@@ -153,18 +159,27 @@ class StlFile:
     precision: str = "float32"
     references: tuple[str, ...] = ()
     n_polygons: int = field(init=False)
+    merged_vertices: int = field(init=False)
 
     def __post_init__(self) -> None:
         self.n_polygons = len(self.faces)
+        self.merged_vertices = self.faces.size - len(self.vertices)
+
+    @property
+    def _end(self) -> int:
+        """The first byte behind the last facet."""
+        return _FIRST_FACET + FACET.itemsize * self.n_polygons
 
     @property
     def _facets(self) -> NDArray[np.void]:
         return self._facets_of(self.data)
 
     def _facets_of(self, data: Buffer) -> NDArray[np.void]:
-        return np.frombuffer(data, dtype=FACET, count=self.n_polygons, offset=_FIRST_FACET)
+        # One kind of array, whatever the buffer, so that kernels are compiled once.
+        fixed = memoryview(data).toreadonly()
+        return np.frombuffer(fixed, dtype=FACET, count=self.n_polygons, offset=_FIRST_FACET)
 
-    def polygons(self) -> NDArray[np.int32]:
+    def polygons(self) -> Ints:
         """The facets as an (m, 3) array."""
         return self.faces
 
@@ -180,70 +195,92 @@ class StlFile:
         return (header.split(b"\0")[0].decode("ascii", "replace").strip(),)
 
     def replaced(self, vertices: Floats) -> Buffer:
-        """The file with other corners (3m, 3) and the normals of moved facets recomputed.
+        """The file with other vertices (n, 3) and the normals of moved facets recomputed.
 
         Raises
         ------
         ContentError
             with code ``E_RANGE`` if a position does not fit into float32.
         """
-        old, new = self.vertices.reshape(-1, 9), vertices.reshape(-1, 9)
-        if not (old != new).any():
+        if np.array_equal(self.vertices, vertices):
             return self.data
-        output = bytearray(self.data)
-        before, after = self._facets, self._facets_of(output)
-        for part in _parts(len(old)):
-            moved = old[part] != new[part]
-            corners = as_float32(new[part], part.start)
-            after["corners"][part] = np.where(moved, corners, before["corners"][part])
-            after["normal"][part] = self._renewed(new, part)
-        return output
+        from msal_cli.core.facets import replaced
+        from msal_cli.core.parallel import over_ranges
 
-    def _renewed(self, new: Floats, part: slice) -> NDArray[np.float32]:
-        """Facet normals of a part for corners (m, 9); unchanged ones keep their very bits."""
-        from msal_cli.core.facet_normals import renewed_facet_normals
+        self._require_float32(vertices)
+        before = np.frombuffer(self.data, dtype=np.uint8)
+        output = np.empty_like(before)
+        for rest in (slice(_FIRST_FACET), slice(self._end, None)):
+            output[rest] = before[rest]
+        facets = output[_FIRST_FACET : self._end].view(FACET)
+        normals, corners = facets["normal"], facets["corners"]
 
-        stored = self._facets["normal"][part]
-        normals, changed = renewed_facet_normals(
-            self.vertices.reshape(-1, 9)[part], new[part], _as_float64(stored)
-        )
-        with np.errstate(all="ignore"):
-            return np.where(changed[:, None], normals.astype(np.float32), stored)
+        def write(start: int, stop: int) -> None:
+            for first in range(start, stop, _AT_ONCE):
+                last = min(first + _AT_ONCE, stop)
+                part = slice(
+                    _FIRST_FACET + FACET.itemsize * first, _FIRST_FACET + FACET.itemsize * last
+                )
+                # Just copied, the bytes are near when they are changed.
+                output[part] = before[part]
+                replaced(first, last, self.vertices, vertices, self.faces, normals, corners)
+
+        over_ranges(write, len(facets))
+        return output.data
+
+    def _require_float32(self, vertices: Floats) -> None:
+        """Raise ContentError for a position that float32 does not hold."""
+        if max(vertices.max(), -vertices.min()) < _SURELY_FLOAT32:
+            return
+        with np.errstate(over="ignore"):
+            too_large = np.asarray(np.isinf(vertices.astype(np.float32)).any(axis=1))
+        if too_large.any():
+            facet = int(np.argmax(too_large[self.faces].any(axis=1)))
+            raise _too_large(f"facet {facet}")
 
     def check(self, output: Buffer, vertices: Floats) -> None:
         """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
+        from msal_cli.core import facets
+        from msal_cli.core.parallel import over_ranges
+
         before, after = memoryview(self.data).cast("B"), memoryview(output).cast("B")
-        end = _FIRST_FACET + FACET.itemsize * self.n_polygons
         if len(before) != len(after) or before[:_FIRST_FACET] != after[:_FIRST_FACET]:
             raise InternalError("the STL header or the length of the file changed")
-        if before[end:] != after[end:]:
+        if before[self._end :] != after[self._end :]:
             raise InternalError("the bytes behind the last facet changed")
         old, new = self._facets, self._facets_of(output)
-        for part in _parts(self.n_polygons):
-            self._check_part(old[part], new[part], vertices.reshape(-1, 9)[part], part.start)
+        found: list[tuple[int, int]] = []
 
-    def _check_part(
-        self, old: NDArray[np.void], new: NDArray[np.void], corners: Floats, first: int
-    ) -> None:
-        if not np.array_equal(old["attribute"], new["attribute"]):
-            raise InternalError("the attribute words of an STL file changed")
-        moved = corners != old["corners"]
-        written = new["corners"]
-        wrong = np.where(
-            moved, written != as_float32(corners, first), _bits(written) != _bits(old["corners"])
-        )
-        if wrong.any():
-            facet = first + int(wrong.any(axis=1).argmax())
-            raise InternalError("a corner was not written right", where=f"facet {facet}")
-        changed = (_bits(old["normal"]) != _bits(new["normal"])).any(axis=1)
-        normals = _as_float64(new["normal"][changed])
-        unit = np.abs(np.einsum("ij,ij->i", normals, normals) - 1.0) < 1e-5
-        if not (unit & moved[changed].any(axis=1)).all():
-            facet = first + int(np.flatnonzero(changed)[np.argmin(unit)])
-            raise InternalError("a normal was not written right", where=f"facet {facet}")
+        def look(start: int, stop: int) -> None:
+            found.append(
+                facets.checked(
+                    start,
+                    stop,
+                    self.vertices,
+                    vertices,
+                    self.faces,
+                    _words(old),
+                    _words(new),
+                    old["corners"],
+                    new["normal"],
+                    new["corners"],
+                )
+            )
+
+        over_ranges(look, self.n_polygons)
+        for facet, wrong in sorted(found):
+            if wrong != facets.RIGHT:
+                raise InternalError(
+                    {
+                        facets.CORNER: "a corner was not written right",
+                        facets.NORMAL: "a normal was not written right",
+                        facets.ATTRIBUTE: "the attribute words of an STL file changed",
+                    }[wrong],
+                    where=f"facet {facet}",
+                )
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
-        """The file with ``vertices`` (3m, 3) as ``encoding`` (same, ascii, binary).
+        """The file with ``vertices`` (n, 3) as ``encoding`` (same, ascii, binary).
 
         Raises
         ------
@@ -253,8 +290,11 @@ class StlFile:
         if encoding in ("same", "binary", self.encoding):
             refuse_float64(precision)
             return self.replaced(vertices)
-        corners = vertices.reshape(-1, 9)
-        normals = _as_float64(self._renewed(corners, slice(0, None)))
+        from msal_cli.core.facet_normals import renewed_facet_normals
+
+        stored = self.normals
+        normals, _ = renewed_facet_normals(self.vertices, vertices, self.faces, stored)
+        corners = vertices[self.faces].reshape(-1, 9)
         return stl_ascii.written(corners, normals, self.solids[0], single=precision != "float64")
 
 
@@ -271,10 +311,8 @@ def written(corners: Floats, normals: Floats, name: str) -> bytes:
     return header[:HEADER_BYTES].ljust(HEADER_BYTES) + count + facets.tobytes()
 
 
-def _parts(n_facets: int) -> Iterator[slice]:
-    """Ranges of facets whose temporary arrays stay in the processor's cache."""
-    for start in range(0, n_facets, _AT_ONCE):
-        yield slice(start, min(start + _AT_ONCE, n_facets))
+def _words(facets: NDArray[np.void]) -> NDArray[np.uint16]:
+    return facets.view("<u2").reshape(-1, FACET.itemsize // 2)
 
 
 def _as_float64(stored: NDArray[np.float32]) -> Floats:
@@ -298,13 +336,17 @@ def as_float32(positions: Floats, first: int = 0) -> NDArray[np.float32]:
         rounded = positions.astype(np.float32)
     if not np.isfinite(rounded).all():
         bad = int(np.argmin(np.isfinite(rounded).reshape(len(rounded), -1).all(axis=1)))
-        raise ContentError(
-            "a position is too large for float32",
-            code="E_RANGE",
-            where=f"row {first + bad}",
-            hint="scale the mesh, or write it to a format with float64",
-        )
+        raise _too_large(f"row {first + bad}")
     return rounded
+
+
+def _too_large(where: str) -> ContentError:
+    return ContentError(
+        "a position is too large for float32",
+        code="E_RANGE",
+        where=where,
+        hint="scale the mesh, or write it to a format with float64",
+    )
 
 
 def refuse_float64(precision: str) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, InputError, InternalError, TooLargeError, TruncatedError
 from msal_cli.files.base import Buffer
-from msal_cli.files.stl_facets import check_not_empty, not_finite, soup_faces
+from msal_cli.files.stl_facets import check_countable, check_not_empty, not_finite
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +35,6 @@ class _Scan:
 
     facet_at: NDArray[np.int64]
     offsets: NDArray[np.int32]
-    numbers: Floats
     decimals: NDArray[np.int64]
     names: tuple[str, ...]
     n_solids: int
@@ -54,9 +53,19 @@ def read(data: Buffer, name: str) -> StlTextFile:
     ContentError
         ``E_NO_FACES`` or ``E_NONFINITE``.
     """
-    found = _scanned(data)
-    check_not_empty(len(found.facet_at))
-    numbers = found.numbers
+    from msal_cli.core.soup import indexed
+
+    found, numbers = _numbers(data)
+    vertices, faces, _ = indexed(numbers[:, 3:])
+    normals = np.ascontiguousarray(numbers[:, :3])
+    return StlTextFile(data, found, vertices, normals, faces, _warnings(data, found))
+
+
+def _numbers(data: Buffer) -> tuple[_Scan, Floats]:
+    """All facets of a text and their numbers (m, 12), positions finite; raises as ``read``."""
+    found, numbers = _scanned(data)
+    check_not_empty(len(numbers))
+    check_countable(len(numbers))
     doubtful = np.argwhere(~np.isfinite(numbers[:, 3:]))
     view = memoryview(data).cast("B")
     for facet, token in doubtful:
@@ -68,14 +77,7 @@ def read(data: Buffer, name: str) -> StlTextFile:
     for facet, token in np.argwhere(np.isinf(numbers[:, :3])):
         start = int(found.facet_at[facet] + found.offsets[facet, token])
         numbers[facet, token] = _slow_number(view, start)
-    return StlTextFile(
-        data,
-        found,
-        np.ascontiguousarray(numbers[:, 3:]).reshape(-1, 3),
-        np.ascontiguousarray(numbers[:, :3]),
-        soup_faces(len(numbers)),
-        _warnings(data, found),
-    )
+    return found, numbers
 
 
 def _slow_number(view: memoryview, start: int) -> float:
@@ -91,8 +93,11 @@ def _warnings(data: Buffer, found: _Scan) -> tuple[str, ...]:
     return (f"{trailing} bytes behind the last solid are kept as they are",) if trailing else ()
 
 
-def _scanned(data: Buffer) -> _Scan:
-    """All facets of a text; the arrays grow with what is found, never with what is claimed."""
+def _scanned(data: Buffer) -> tuple[_Scan, Floats]:
+    """All facets of a text and their numbers (m, 12), infinite where they are in doubt.
+
+    The arrays grow with what is found, never with what is claimed.
+    """
     from msal_cli.core import stl_scan
     from msal_cli.core.text import as_bytes
 
@@ -127,7 +132,7 @@ def _scanned(data: Buffer) -> _Scan:
         else ""
         for at in (int(one) for one in solid_at[: state[2]])
     )
-    return _Scan(facet_at, offsets, numbers, decimals, names, int(state[2]), end)
+    return _Scan(facet_at, offsets, decimals, names, int(state[2]), end), numbers
 
 
 def _error(buf: NDArray[np.uint8], status: int, at: int, word: int, facet: int) -> InputError:
@@ -189,7 +194,7 @@ def _line(buf: Buffer | NDArray[np.uint8], at: int) -> int:
 class StlTextFile:
     """An ascii STL file; see ``files.base.MeshFile``.
 
-    ``vertices`` are the corners in file order, three for each facet.
+    ``vertices`` are the different positions of corners, in order of appearance.
     """
 
     data: Buffer = field(repr=False)
@@ -203,10 +208,12 @@ class StlTextFile:
     precision: str = "text"
     references: tuple[str, ...] = ()
     n_polygons: int = field(init=False)
+    merged_vertices: int = field(init=False)
     properties: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         self.n_polygons = len(self.faces)
+        self.merged_vertices = self.faces.size - len(self.vertices)
         named = tuple(f"solid {name!r}" for name in self.solids if name)
         several = (f"{self.found.n_solids} solids",) if self.found.n_solids > 1 else ()
         self.properties = ("facet normals", *several, *named)
@@ -241,15 +248,18 @@ class StlTextFile:
         """The new numbers (m, 12) and which of them are to be written."""
         from msal_cli.core.facet_normals import renewed_facet_normals
 
-        old, new = self.vertices.reshape(-1, 9), vertices.reshape(-1, 9)
-        normals, changed = renewed_facet_normals(old, new, self.normals)
-        moved = old != new
-        numbers = np.concatenate([normals, new], axis=1)
-        replace = np.concatenate([np.repeat(changed[:, None], 3, axis=1), moved], axis=1)
+        m = len(self.faces)
+        numbers, replace = np.empty((m, 12)), np.empty((m, 12), dtype=bool)
+        numbers[:, :3], changed = renewed_facet_normals(
+            self.vertices, vertices, self.faces, self.normals
+        )
+        numbers[:, 3:] = vertices[self.faces].reshape(m, 9)
+        replace[:, :3] = changed[:, None]
+        replace[:, 3:] = (vertices != self.vertices)[self.faces].reshape(m, 9)
         return numbers, replace
 
     def replaced(self, vertices: Floats) -> Buffer:
-        """The file with other corners (3m, 3) and the normals of moved facets recomputed."""
+        """The file with other vertices (n, 3) and the normals of moved facets recomputed."""
         if not (vertices != self.vertices).any():
             return self.data
         from msal_cli.core import stl_scan, text
@@ -286,15 +296,15 @@ class StlTextFile:
         from msal_cli.core.text import as_bytes
 
         try:
-            there = read(output, "")
+            other, there = _numbers(output)
         except InputError as failure:
             raise InternalError(
                 f"the STL text that was made cannot be read: {failure}", where=failure.where
             ) from failure
-        if there.faces.shape != self.faces.shape:
+        if len(there) != len(self.faces):
             raise InternalError("the number of facets changed")
         _, replace = self._changes(vertices)
-        found, other = self.found, there.found
+        found = self.found
         if not stl_scan.same_but_for(
             as_bytes(self.data),
             found.facet_at,
@@ -306,14 +316,15 @@ class StlTextFile:
         ):
             raise InternalError("text other than that of moved corners changed")
         step = 10.0 ** -self._decimals()[1]
-        wrong = np.abs(there.vertices - vertices) > 0.5 * step + 4e-16 * np.abs(vertices)
+        corners = vertices[self.faces].reshape(-1, 9)
+        wrong = np.abs(there[:, 3:] - corners) > 0.5 * step + 4e-16 * np.abs(corners)
         if wrong.any():
-            bad = int(np.argmax(wrong.any(axis=1)))
+            facet, at = (int(one) for one in np.argwhere(wrong)[0])
             raise InternalError(
-                "a corner was not written right", where=f"facet {bad // 3}, corner {bad % 3}"
+                "a corner was not written right", where=f"facet {facet}, corner {at // 3}"
             )
         with np.errstate(over="ignore"):
-            length = np.linalg.norm(there.normals, axis=1)
+            length = np.linalg.norm(there[:, :3], axis=1)
         wrong_normals = replace[:, 0] & ~(np.abs(length - 1.0) < 1e-5)
         if wrong_normals.any():
             raise InternalError(
@@ -321,7 +332,7 @@ class StlTextFile:
             )
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
-        """The file with ``vertices`` (3m, 3) as ``encoding`` (same, ascii, binary).
+        """The file with ``vertices`` (n, 3) as ``encoding`` (same, ascii, binary).
 
         Raises
         ------

@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from msal_cli.errors import ContentError, TooLargeError
 
 MOST_FACETS = (2**31 - 1) // 3
 """Facets whose corners can be numbered with 32 bits."""
 
 
-def soup_faces(n_facets: int) -> NDArray[np.int32]:
-    """Faces (n, 3) of n facets that share no corner.
-
-    Raises
-    ------
-    TooLargeError
-        if the corners cannot be numbered.
-    """
+def check_countable(n_facets: int) -> None:
+    """Raise TooLargeError if the corners cannot be numbered."""
     if n_facets > MOST_FACETS:
         raise TooLargeError(
-            f"{n_facets} facets are more than the {MOST_FACETS} that can be numbered",
+            f"{n_facets} facets are more than the {MOST_FACETS} whose corners can be numbered",
             hint="cut the mesh into parts",
         )
-    return np.arange(3 * n_facets, dtype=np.int32).reshape(-1, 3)
 
 
 def check_not_empty(n_facets: int, trailing: int = 0) -> None:

@@ -397,7 +397,7 @@ def test_the_log_file_gets_everything(scan, tmp_path):
 
 
 def test_a_crash_is_traced_only_on_demand(scan, tmp_path, monkeypatch):
-    monkeypatch.setattr("msal_cli.mesh.prepared", lambda *given: 1 / 0)
+    monkeypatch.setattr("msal_cli.mesh.prepared", lambda *given, **named: 1 / 0)
     log = tmp_path / "msal.log"
     made = msal("denoise", scan, "-o", tmp_path / "out.ply", "--log-file", log)
     assert made.exit_code == 1

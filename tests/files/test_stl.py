@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from msal_cli import inspection, methods, pipeline
 from msal_cli.errors import ContentError, InternalError, UnsupportedError
 from msal_cli.files import stl
 from tests.files import plain_stl
@@ -34,6 +35,11 @@ def facets_of(data: bytes) -> list[tuple]:
     return facets
 
 
+def corners_of(file) -> np.ndarray:
+    """The corners (m, 9) in file order."""
+    return file.vertices[file.faces].reshape(-1, 9)
+
+
 def moved(file, amount=0.25):
     vertices = file.vertices.copy()
     vertices[:3] += amount * np.arange(1, 10).reshape(3, 3)
@@ -55,24 +61,32 @@ def test_nothing_moved_gives_back_the_very_bytes(corners, header, trailing):
 @given(soups())
 def test_corners_are_read_exactly_in_file_order(corners):
     file = stl.read(plain_stl.binary(corners), "a.stl")
-    assert np.array_equal(file.vertices, corners.reshape(-1, 3))
-    assert np.array_equal(file.faces, np.arange(3 * len(corners)).reshape(-1, 3))
+    assert np.array_equal(corners_of(file), corners)
+    assert len(np.unique(file.vertices, axis=0)) == len(file.vertices)
+    first = np.unique(file.faces, return_index=True)[1]
+    assert (np.diff(first) > 0).all()  # numbered in order of appearance
     assert file.n_polygons == len(corners)
+    assert file.merged_vertices == 3 * len(corners) - len(file.vertices)
     assert file.faces.dtype == np.int32
     assert file.vertices.dtype == np.float64
 
 
 @settings(deadline=None)
-@given(soups(), soups(), st.lists(st.integers(0, 0xFFFF), min_size=6, max_size=6))
+@given(
+    soups(),
+    arrays.arrays(np.float64, (18, 3), elements=COORDINATES),
+    st.lists(st.integers(0, 0xFFFF), min_size=6, max_size=6),
+)
 def test_only_positions_and_normals_change(corners, others, attributes):
-    m = min(len(corners), len(others))
-    corners, others = corners[:m], others[:m]
+    m = len(corners)
     data = plain_stl.binary(
         corners, attributes=attributes[:m], header=b"COLOR=\x01\x02\x03\xff", trailing=b"tail"
     )
     file = stl.read(data, "a.stl")
-    output = bytes(file.replaced(others.reshape(-1, 3)))
-    file.check(output, others.reshape(-1, 3))
+    vertices = others[: len(file.vertices)]
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    others = vertices[file.faces].reshape(-1, 9)
     assert output[:84] == data[:84]
     assert output[-4:] == b"tail"
     before, after = facets_of(data), facets_of(output)
@@ -224,7 +238,9 @@ def test_a_position_beyond_float32_is_an_error():
 
 
 @pytest.mark.parametrize(
-    "at", [0, 79, 80, 83, 87, 90, 96, 131, 132, 133, 134, 200, -1], ids=lambda at: f"byte{at}"
+    "at",
+    [0, 79, 80, 83, 87, 90, 96, 131, 132, 133, 137, 187, 200, 237, -1],
+    ids=lambda at: f"byte{at}",
 )
 def test_check_notices_a_wrong_bit(at):
     file = stl.read(plain_stl.binary(tetrahedron(), trailing=b"x"), "a.stl")
@@ -253,12 +269,12 @@ def test_check_notices_a_wrong_length_and_forgotten_positions():
 @settings(deadline=None)
 @given(soups())
 def test_binary_to_ascii_and_back(corners):
-    data = plain_stl.binary(corners)
+    data = plain_stl.binary(corners + 0.0)
     file = stl.read(data, "a.stl")
     text = file.encoded(file.vertices, "ascii", "same")
     again = stl.read(text, "b.stl")
     assert again.encoding == "ascii"
-    assert np.array_equal(again.vertices.astype(np.float32), file.vertices)
+    assert np.array_equal(corners_of(again).astype(np.float32), corners_of(file))
     back = again.encoded(again.vertices, "binary", "same")
     assert bytes(back)[84:] == data[84:]
     assert bytes(back)[:10] == b"binary STL"
@@ -343,3 +359,16 @@ def test_a_signalling_nan_in_a_normal_makes_no_noise():
     above[:3] = file.vertices[:3]
     assert b"facet normal 0 0 -1" in bytes(file.encoded(above, "ascii", "same"))
     assert bytes(file.replaced(above))[84:88] == data[84:88]
+
+
+def test_corners_are_counted_as_the_file_has_them(tmp_path):
+    path = tmp_path / "a.stl"
+    path.write_bytes(plain_stl.binary(tetrahedron()))
+    record = inspection.inspect_file(str(path))
+    assert (record.vertices, record.welded_vertices, record.unreferenced_vertices) == (12, 8, 0)
+    task = pipeline.Task(str(path), str(tmp_path / "b.stl"), "a.stl")
+    done = pipeline.denoise_file(
+        task, pipeline.Settings("al", methods.find("al").settled({"iterations": 1}))
+    )
+    assert done.status == "written"
+    assert (done.vertices, done.welded_vertices, done.unreferenced_vertices) == (12, 8, 0)

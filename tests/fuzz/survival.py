@@ -60,8 +60,7 @@ def _outcome(data: bytes, format: str) -> str:
     output = file.replaced(moved)
     file.check(output, moved)
     again = files.open_mesh(bytes(output), name, file.format)
-    assert np.array_equal(again.faces, faces)
-    assert again.vertices.shape == vertices.shape
+    _require_same_faces(again, file)
     for encoding, precision in (("ascii", "float64"), ("binary", "float32")):
         _encode(file, moved, name, encoding, precision)
     return "ok"
@@ -78,5 +77,14 @@ def _encode(
     except MsalError:
         return
     again = files.open_mesh(bytes(output), name, file.format)
-    assert np.array_equal(again.faces, file.faces)
-    assert again.vertices.shape == vertices.shape
+    _require_same_faces(again, file)
+
+
+def _require_same_faces(again: files.MeshFile, file: files.MeshFile) -> None:
+    if file.format == "stl":
+        # Corners that were apart may be at one place once they are rounded.
+        assert again.faces.shape == file.faces.shape
+    else:
+        assert np.array_equal(again.faces, file.faces)
+    n_again = len(again.vertices) + again.merged_vertices
+    assert n_again == len(file.vertices) + file.merged_vertices

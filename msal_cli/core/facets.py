@@ -1,0 +1,91 @@
+"""Facets of binary STL in place: new positions and normals into them, and the proof of it.
+
+Throughout ``old`` and ``new`` are vertices (n, 3) float64 and ``faces`` (m, 3) the facets' corners;
+``normals`` (m, 3) and ``corners`` (m, 9) float32 are views into the file.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from msal_cli.core.compiled import compiled
+from msal_cli.core.facet_normals import has_moved, renewed_normal
+
+RIGHT, CORNER, NORMAL, ATTRIBUTE = range(4)
+"""What ``checked`` found wrong with a facet."""
+
+_CORNERS, _ATTRIBUTE = 6, 24
+_LENGTH_ERROR = 1e-5
+"""By how much the square of a unit normal's length may differ from 1 in float32."""
+
+
+@compiled
+def replaced(start, stop, old, new, faces, normals, corners):  # type: ignore[no-untyped-def]
+    """Write what moved into facets that are still as they were read.
+
+    A coordinate that did not move and a normal that is not renewed keep their very bits.
+    """
+    for f in range(start, stop):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if not has_moved(old, new, a, b, c):
+            continue
+        nx, ny, nz, is_new = renewed_normal(
+            old,
+            new,
+            a,
+            b,
+            c,
+            np.float64(normals[f, 0]),
+            np.float64(normals[f, 1]),
+            np.float64(normals[f, 2]),
+        )
+        if is_new:
+            normals[f, 0] = np.float32(nx)
+            normals[f, 1] = np.float32(ny)
+            normals[f, 2] = np.float32(nz)
+        for corner in range(3):
+            i = faces[f, corner]
+            for k in range(3):
+                if old[i, k] != new[i, k]:
+                    corners[f, 3 * corner + k] = np.float32(new[i, k])
+
+
+@compiled
+def checked(  # type: ignore[no-untyped-def]
+    start, stop, old, new, faces, words_before, words, corners_before, normals, corners
+):
+    """The first facet that is not as ``replaced`` must leave it, and what is wrong with it.
+
+    words (m, 25) uint16 : all of a facet, before and after: six of the normal, eighteen of the
+        corners, and the attribute.
+    """
+    for f in range(start, stop):
+        if words[f, _ATTRIBUTE] != words_before[f, _ATTRIBUTE]:
+            return f, ATTRIBUTE
+        moved = False
+        for corner in range(3):
+            i = faces[f, corner]
+            for k in range(3):
+                at = 3 * corner + k
+                if old[i, k] != corners_before[f, at]:
+                    return f, CORNER
+                word = _CORNERS + 2 * at
+                if new[i, k] != old[i, k]:
+                    moved = True
+                    if corners[f, at] != np.float32(new[i, k]):
+                        return f, CORNER
+                elif (
+                    words[f, word] != words_before[f, word]
+                    or words[f, word + 1] != words_before[f, word + 1]
+                ):
+                    return f, CORNER
+        changed = False
+        for word in range(_CORNERS):
+            changed = changed or words[f, word] != words_before[f, word]
+        if changed:
+            x = np.float64(normals[f, 0])
+            y = np.float64(normals[f, 1])
+            z = np.float64(normals[f, 2])
+            if not moved or not abs(x * x + y * y + z * z - 1.0) < _LENGTH_ERROR:
+                return f, NORMAL
+    return stop, RIGHT
