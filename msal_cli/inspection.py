@@ -12,7 +12,7 @@ from msal_cli.errors import InternalError, MsalError, ResourceError
 from msal_cli.records import Failure, InfoRecord, NoiseEstimate
 
 if TYPE_CHECKING:
-    from msal_cli.files.base import MeshFile
+    from msal_cli.files.base import Buffer, MeshFile
     from msal_cli.mesh import Mesh
 
 log = logging.getLogger("msal")
@@ -28,7 +28,7 @@ def inspect_file(path: str, format: str | None = None) -> InfoRecord:
         return _inspection_failure(path, error)
 
 
-def inspect_bytes(data: bytes, name: str, format: str | None = None) -> InfoRecord:
+def inspect_bytes(data: Buffer, name: str, format: str | None = None) -> InfoRecord:
     """What is in the bytes of a file; see ``inspect_file``."""
     try:
         return _inspected(data, name, format)
@@ -45,7 +45,7 @@ def _inspection_failure(name: str, error: MsalError) -> InfoRecord:
     return InfoRecord(input=name, error=Failure(error.code, error.message, error.hint, error.where))
 
 
-def _inspected(data: bytes, name: str, format: str | None) -> InfoRecord:
+def _inspected(data: Buffer, name: str, format: str | None) -> InfoRecord:
     from msal_cli import files
     from msal_cli.mesh import prepared
     from msal_cli.metrics.volume import area_and_volume

@@ -138,7 +138,7 @@ def read_stream() -> bytes:
         ) from None
 
 
-def _read(source: str, format: str | None) -> bytes:
+def _read(source: str, format: str | None) -> Buffer:
     from msal_cli import files
 
     return read_stream() if source == STREAM else files.read_input(source, format)

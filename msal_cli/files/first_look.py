@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from msal_cli.errors import FormatError, TooLargeError, TruncatedError
-from msal_cli.files.streams import GZIP_MAGIC, memory_bytes, read_whole
+from msal_cli.files.base import Buffer
+from msal_cli.files.streams import GZIP_MAGIC, memory_bytes, read_in_large_pages, read_whole
 
 LOOKED_AT = 1 << 16
 """Bytes of the beginning that are read; a file no larger is left to its codec."""
@@ -22,8 +23,11 @@ LOOKED_AT = 1 << 16
 MOST_BEHIND = 256 << 20
 """Bytes behind the mesh that are carried along whatever the mesh's own size."""
 
+LARGE_BYTES = 4 << 20
+"""Bytes from which on the system may give large pages of memory."""
 
-def read_input(path: str | os.PathLike[str], format: str | None = None) -> bytes:
+
+def read_input(path: str | os.PathLike[str], format: str | None = None) -> Buffer:
     """The bytes of an input file, unless its size and beginning show that it is no mesh.
 
     ``format`` is the format's name, over the suffix.
@@ -35,13 +39,20 @@ def read_input(path: str | os.PathLike[str], format: str | None = None) -> bytes
     FormatError, TruncatedError, TooLargeError, UnsupportedError
         as ``open_mesh``, and TooLargeError for a file that can never fit into memory.
     """
+    from msal_cli.files import OWN_FORMATS, format_of_name
+
+    is_large = False
     try:
         with Path(path).open("rb") as file:
             status = os.fstat(file.fileno())
+            is_large = stat.S_ISREG(status.st_mode) and status.st_size >= LARGE_BYTES
             if stat.S_ISREG(status.st_mode) and status.st_size > LOOKED_AT:
                 _look(file, status.st_size, os.fspath(path), format)
     except (OSError, ValueError):
         pass  # reading it all says why
+    # A library would copy what is no ``bytes``.
+    if is_large and (format or format_of_name(os.fspath(path))) in OWN_FORMATS:
+        return read_in_large_pages(path)
     return read_whole(path)
 
 

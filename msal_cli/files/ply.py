@@ -9,7 +9,7 @@ vertices and faces around them, differ.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,16 @@ from msal_cli.files import ply_layout
 from msal_cli.files.base import Buffer
 from msal_cli.files.ply_faces import CORNERS, Surface, corner_list, surface
 from msal_cli.files.ply_header import Element, Header, parsed
-from msal_cli.files.ply_layout import Bytes, Flags, Floats, Lines, Section, located
+from msal_cli.files.ply_layout import (
+    Bytes,
+    Fixed,
+    Flags,
+    Floats,
+    Lines,
+    Section,
+    Varied,
+    located,
+)
 from msal_cli.files.ply_text import (
     WHOLE,
     Edit,
@@ -45,6 +54,14 @@ class Change(NamedTuple):
     names: tuple[str, ...]
     values: Floats
     where: Flags
+
+    def parts(self) -> Iterator[tuple[Fixed | Varied, tuple[str, ...], Floats, Flags]]:
+        """The same in parts of binary records that fit a cache."""
+        if isinstance(self.section, Fixed):
+            for section, rows in self.section.parts():
+                yield section, self.names, self.values[rows], self.where[rows]
+        elif isinstance(self.section, Varied):
+            yield self.section, self.names, self.values, self.where
 
 
 def read(data: Buffer, name: str) -> PlyFile:
@@ -119,12 +136,12 @@ class PlyFile:
         _require_range(vertices, changes[0].where, self._codes(POSITION))
         if self.encoding == "ascii":
             return self._edited(changes, self._codes(POSITION))
-        output = bytearray(self._data)
-        target = np.frombuffer(output, dtype=np.uint8)
-        for section, names, values, where in changes:
-            if not isinstance(section, Lines):
-                section.write(target[section.start : section.stop], names, values, where)
-        return output
+        # An array of numpy's comes in large pages, where the system has such.
+        output = self._bytes.copy()
+        for change in changes:
+            for section, names, values, where in change.parts():
+                section.write(output[section.start : section.stop], names, values, where)
+        return output.data
 
     def _edited(self, changes: Sequence[Change], codes: Sequence[str]) -> memoryview:
         """The ascii file with ``changes``; ``codes`` are the number types of x, y and z."""
@@ -232,20 +249,37 @@ class PlyFile:
             if isinstance(section, Lines) or not own:
                 continue
             _require_same(self._bytes[at : section.start], result[at : section.start])
-            restored = result[section.start : section.stop].copy()
-            if len(restored) != section.stop - section.start:
+            if len(result) < section.stop:
                 raise InternalError("the output is shorter than the input")
-            for _, names, values, where in own:
-                stored = section.numbers(names, restored)
-                for k, one in enumerate(section.element.find_all(names)):
-                    expected = ply_layout.stored(values[:, k], np.dtype(one.code))
-                    if (where[:, k] & (stored[:, k] != expected)).any():
-                        raise InternalError(f"an {one.name} of the output is not the computed one")
-                # Their bytes, not their values: 64-bit whole numbers need not fit a double.
-                section.restore(restored, names, where)
-            _require_same(self._bytes[section.start : section.stop], restored)
+            for parts in zip(*(change.parts() for change in own), strict=True):
+                self._check_part(result, parts)
             at = section.stop
         _require_same(self._bytes[at:], result[at:])
+
+    def _check_part(
+        self,
+        result: Bytes,
+        parts: Sequence[tuple[Fixed | Varied, tuple[str, ...], Floats, Flags]],
+    ) -> None:
+        """Check the changes of one section, or of the same records of it."""
+        section = parts[0][0]
+        restored = result[section.start : section.stop].copy()
+        for _, names, values, where in parts:
+            found = section.numbers(names, restored)
+            codes = [one.code for one in section.element.find_all(names)]
+            if len(set(codes)) == 1:
+                is_other = found != ply_layout.stored(values, np.dtype(codes[0]))
+            else:
+                columns = zip(values.T, codes, strict=True)
+                wanted = [ply_layout.stored(one, np.dtype(code)) for one, code in columns]
+                is_other = found != np.stack(wanted, axis=1)
+            is_other &= where
+            if is_other.any():
+                name = names[int(np.argmax(is_other.any(axis=0)))]
+                raise InternalError(f"an {name} of the output is not the computed one")
+            # Their bytes, not their values: 64-bit whole numbers need not fit a double.
+            section.restore(restored, names, where)
+        _require_same(self._bytes[section.start : section.stop], restored)
 
     def _check_text(self, result: Bytes, changes: list[Change]) -> None:
         last = [n for n, one in self._sections.items() if any(c.section is one for c in changes)]
@@ -318,6 +352,10 @@ def _require_range(values: Floats, changed: Flags, codes: Sequence[str]) -> None
 
     values, changed : (n, 3); codes : numpy codes of x, y and z.
     """
+    # Where all fit, told by two numbers; NaN does not.
+    most = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
+    if all(code[0] == "f" and most <= float(np.finfo(code).max) for code in codes):
+        return
     for k, code in enumerate(codes):
         limits = np.finfo(code) if code[0] == "f" else np.iinfo(code)
         low, high = float(limits.min), float(limits.max)
@@ -386,6 +424,11 @@ def _vertex_element(header: Header) -> Element:
 def _finite(section: Section) -> Floats:
     """The positions (n, 3); ContentError (``E_NONFINITE``) where one is NaN or infinite."""
     vertices = section.numbers(POSITION)
+    # A sum is finite only if all are, and quicker; it may overflow, too.
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = vertices.sum()
+    if np.isfinite(total):
+        return vertices
     finite = np.isfinite(vertices)
     if not finite.all():
         vertex = int(np.argmin(finite.all(axis=1)))

@@ -150,7 +150,9 @@ def surface(sections: Mapping[str, Section], n_vertices: int) -> Surface:
         if all(faces.element.find(one) for one in CORNERS):
             warnings.append(f"faces have both {CORNERS[0]} and {CORNERS[1]}; {name} is used")
         triangles, lengths = _polygon_triangles(faces, name, n_vertices)
-        few = int(np.count_nonzero(np.broadcast_to(lengths, faces.element.count) < 3))
+        few = faces.element.count if isinstance(lengths, int) else int((lengths < 3).sum())
+        if isinstance(lengths, int) and lengths >= 3:
+            few = 0
         if few:
             warnings.append(f"{few} faces have fewer than three corners and are only carried along")
     strip_section = sections.get("tristrips")
@@ -253,6 +255,10 @@ def _as_indices(items: NDArray[np.generic], section: Section, name: str) -> Tria
         low, high = (0 if kind == "u" else -2), MOST_VERTICES
         if items.min() < low or items.max() > high:
             items = np.clip(items, low, high)
+    is_plain = size == 4 and kind in "iu" and items.dtype.isnative and items.size > 0
+    if is_plain and items.ndim == 2 and items.strides[1] == size:
+        # Record by record, not number by number.  An index beyond int32 becomes a negative one.
+        return np.ascontiguousarray(items.view(f"V{items.shape[1] * size}")).view(np.int32)
     return np.ascontiguousarray(items.astype(np.int32))
 
 

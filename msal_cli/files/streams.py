@@ -56,6 +56,29 @@ def read_whole(path: str | os.PathLike[str]) -> bytes:
         ) from failure
 
 
+def read_in_large_pages(path: str | os.PathLike[str]) -> Buffer:
+    """The bytes of a file, to be read only; for large ones quicker than ``read_whole``.
+
+    An array of numpy's comes in large pages where the system has such, and to clear thousands of
+    small ones takes longer than to copy what the file holds.  Errors as in ``read_whole``.
+    """
+    import numpy as np
+
+    try:
+        with Path(path).open("rb", buffering=0) as file:
+            expected = os.fstat(file.fileno()).st_size
+            room = np.empty(expected + 1, dtype=np.uint8).data
+            size = 0
+            while size <= expected:
+                got = file.readinto(room[size:])
+                if not got:
+                    return room[:size].toreadonly()
+                size += got
+    except (OSError, ValueError):
+        pass  # read as any other, for the reason
+    return read_whole(path)
+
+
 def is_gzip_name(name: str) -> bool:
     """Whether a file name ends in ``.gz``, in any case."""
     return name.lower().endswith(GZIP_SUFFIX)

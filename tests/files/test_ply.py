@@ -680,3 +680,35 @@ def test_trimesh_agrees_on_a_real_scan(real_data):
     theirs = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
     assert np.array_equal(mesh.vertices, theirs.vertices)
     assert np.array_equal(mesh.faces, theirs.faces)
+
+
+@pytest.mark.parametrize("extra", ["", "q"])
+@pytest.mark.parametrize("code", ["<f4", ">f8", "<i2"])
+def test_records_of_positions_alone_are_as_any_others(code, extra):
+    # More records than are worked on at a time.
+    n = 40_000
+    rng = np.random.default_rng(5)
+    kind = np.dtype([(name, code) for name in ("x", "y", "z", *extra)])
+    records = np.zeros(n, dtype=kind)
+    for name in kind.names:
+        records[name] = rng.integers(-3000, 3000, n)
+    word = {"f4": "float", "f8": "double", "i2": "short"}[code[1:]]
+    order = "little" if code[0] == "<" else "big"
+    head = f"ply\nformat binary_{order}_endian 1.0\nelement vertex {n}\n"
+    head += "".join(f"property {word} {name}\n" for name in kind.names)
+    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    face = np.array([3], np.uint8).tobytes() + np.array([0, 1, 2], code[0] + "i4").tobytes()
+    data = head.encode() + records.tobytes() + face
+    file = ply.read(data, "a.ply")
+    assert (file.vertices == np.stack([records[k] for k in "xyz"], axis=1)).all()
+    moved = file.vertices.copy()
+    moved[20_000:, 1] += 7.0
+    output = bytes(file.replaced(moved))
+    file.check(output, moved)
+    records["y"][20_000:] += 7
+    assert output == head.encode() + records.tobytes() + face
+    for at in (len(head) + 3, len(head) + 30_000 * kind.itemsize, len(output) - 1):
+        wrong = bytearray(output)
+        wrong[at] ^= 1
+        with pytest.raises(InternalError):
+            file.check(bytes(wrong), moved)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import os
 import random
 import struct
 import sys
@@ -14,7 +15,13 @@ from hypothesis import strategies as st
 
 from msal_cli.errors import InputError, MsalError, TooLargeError
 from msal_cli.files import streams
-from msal_cli.files.streams import ALWAYS_EXPANDED, compressed, expanded, read_whole
+from msal_cli.files.streams import (
+    ALWAYS_EXPANDED,
+    compressed,
+    expanded,
+    read_in_large_pages,
+    read_whole,
+)
 
 
 @given(st.lists(st.binary(max_size=5000), min_size=1, max_size=4))
@@ -157,3 +164,32 @@ def test_reading_a_file_and_its_failures(tmp_path):
 def test_lengths_beyond_32_bits_wrap_in_the_trailer():
     # The trailer holds the length modulo 2**32; here only that it is little endian.
     assert struct.unpack("<I", compressed(bytes(70_000))[-4:]) == (70_000,)
+
+
+@pytest.mark.parametrize("size", [0, 1, 70_000])
+def test_in_large_pages_the_same_bytes_are_read(tmp_path, size):
+    data = bytes(k % 251 for k in range(size))
+    path = tmp_path / "a.ply"
+    path.write_bytes(data)
+    read = read_in_large_pages(path)
+    assert bytes(read) == data
+    assert memoryview(read).readonly
+
+
+def test_a_file_that_grows_while_it_is_read_is_read_whole(tmp_path, monkeypatch):
+    path = tmp_path / "a.ply"
+    path.write_bytes(b"x" * 1000)
+    told = os.fstat
+
+    def smaller(handle):
+        status = list(told(handle))
+        status[6] = 10
+        return os.stat_result(status)
+
+    monkeypatch.setattr(os, "fstat", smaller)
+    assert bytes(read_in_large_pages(path)) == b"x" * 1000
+
+
+def test_what_cannot_be_read_says_why(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_in_large_pages(tmp_path / "none.ply")
