@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import importlib
 import pkgutil
 
@@ -12,6 +13,7 @@ from msal_cli.methods._contract import Method, OnSweep, ParameterSpec, Result
 __all__ = ["Method", "OnSweep", "ParameterSpec", "Result", "find", "names"]
 
 
+@functools.cache
 def names() -> tuple[str, ...]:
     """The names of all methods, in alphabetical order."""
     found = (module.name for module in pkgutil.iter_modules(__path__))
