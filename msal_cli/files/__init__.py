@@ -77,21 +77,30 @@ def format_of_name(name: str) -> str:
 
 def content_format(data: Buffer) -> str:
     """The format that the bytes themselves look like; empty if none can be told."""
+    return _format_by_beginning(data) or ("obj" if _looks_like_obj(data) else "")
+
+
+def _format_by_beginning(data: Buffer) -> str:
     head = bytes(memoryview(data)[:_LOOKED_AT])
     if len(data) >= 134 and len(data) == 84 + 50 * int.from_bytes(head[80:84], "little"):
         return "stl"
     for pattern, name in _BEGINNINGS:
         if pattern.match(head):
             return name
-    # Every line of an OBJ file begins with a keyword: the last one looked at may be cut off, and
-    # the rest of a continued line is no line of its own.
+    return ""
+
+
+def _looks_like_obj(data: Buffer) -> bool:
+    """Whether every line begins with a keyword of OBJ: the last one looked at may be cut off, and
+    the rest of a continued line is no line of its own."""
+    head = bytes(memoryview(data)[:_LOOKED_AT])
     head = re.sub(rb"\\\r?\n", b" ", head.removeprefix(b"\xef\xbb\xbf"))
     lines = head.splitlines()
     if len(data) > _LOOKED_AT:
         lines = lines[:-1]
-    if _OBJ_VERTEX.search(head) and all(_OBJ_LINE.fullmatch(line.strip()) for line in lines):
-        return "obj"
-    return ""
+    return _OBJ_VERTEX.search(head) is not None and all(
+        _OBJ_LINE.fullmatch(line.strip()) for line in lines
+    )
 
 
 def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
@@ -114,7 +123,8 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
     wanted = _wanted(data, name, format)
     if not len(data):
         raise TruncatedError("the file is empty", hint="copy or export it again")
-    found = content_format(data)
+    # A file that is to be an OBJ is not looked at for being one: that is what its reader does.
+    found = _format_by_beginning(data) if wanted == "obj" else content_format(data)
     if found and found != wanted and (wanted in OWN_FORMATS or found != "obj"):
         said = "--format" if format else "the name"
         raise FormatError(
