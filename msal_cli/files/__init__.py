@@ -75,28 +75,28 @@ def format_of_name(name: str) -> str:
     return suffix[0][1:].lower() if suffix and known else ""
 
 
-def content_format(data: Buffer) -> str:
-    """The format that the bytes themselves look like; empty if none can be told."""
-    return _format_by_beginning(data) or ("obj" if _looks_like_obj(data) else "")
+def content_format(data: Buffer, expected: str = "") -> str:
+    """The format that the bytes themselves look like; empty if none can be told.
 
-
-def _format_by_beginning(data: Buffer) -> str:
+    ``expected`` is the format that the name says.  An OBJ is known by all of its lines, which takes
+    longer than the rest, so that where one is expected its reader has to find out.
+    """
     head = bytes(memoryview(data)[:_LOOKED_AT])
     if len(data) >= 134 and len(data) == 84 + 50 * int.from_bytes(head[80:84], "little"):
         return "stl"
     for pattern, name in _BEGINNINGS:
         if pattern.match(head):
             return name
-    return ""
+    is_obj = expected != "obj" and _looks_like_obj(head, is_cut=len(data) > _LOOKED_AT)
+    return "obj" if is_obj else ""
 
 
-def _looks_like_obj(data: Buffer) -> bool:
+def _looks_like_obj(head: bytes, *, is_cut: bool) -> bool:
     """Whether every line begins with a keyword of OBJ: the last one looked at may be cut off, and
     the rest of a continued line is no line of its own."""
-    head = bytes(memoryview(data)[:_LOOKED_AT])
     head = re.sub(rb"\\\r?\n", b" ", head.removeprefix(b"\xef\xbb\xbf"))
     lines = head.splitlines()
-    if len(data) > _LOOKED_AT:
+    if is_cut:
         lines = lines[:-1]
     return _OBJ_VERTEX.search(head) is not None and all(
         _OBJ_LINE.fullmatch(line.strip()) for line in lines
@@ -123,8 +123,7 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
     wanted = _wanted(data, name, format)
     if not len(data):
         raise TruncatedError("the file is empty", hint="copy or export it again")
-    # A file that is to be an OBJ is not looked at for being one: that is what its reader does.
-    found = _format_by_beginning(data) if wanted == "obj" else content_format(data)
+    found = content_format(data, wanted)
     if found and found != wanted and (wanted in OWN_FORMATS or found != "obj"):
         said = "--format" if format else "the name"
         raise FormatError(

@@ -68,8 +68,9 @@ def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
             hint="cut the mesh into parts, or use a machine with more memory",
         )
     head = file.read(LOOKED_AT)
-    seen = content_format(head)
-    wanted = format.lower().removeprefix(".") if format else format_of_name(name) or seen
+    said = format.lower().removeprefix(".") if format else format_of_name(name)
+    seen = content_format(head, said)
+    wanted = said or seen
     is_packed = head[:2] == GZIP_MAGIC
     # Another format than the name says is the codec's to explain.
     if not is_packed and seen not in ("", wanted):
