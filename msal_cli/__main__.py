@@ -11,7 +11,7 @@ if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
 if gc.isenabled():
     # Modules being imported make many objects and no garbage; to search them for it at Python's own
     # pace takes a twentieth of the time of a small mesh.
-    gc.set_threshold(20_000, 10, 10)
+    gc.set_threshold(100_000, 10, 10)
 
 if "OPENBLAS_NUM_THREADS" not in os.environ:
     # numpy's BLAS has a few small matrices to multiply here.  Its threads would wait for more and
