@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import socket
-import tempfile
+import platform
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, field, replace
@@ -15,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
 from msal_cli.batch.manifest import FORMAT, NAME, Entry, entry_of, lines_of, paths_in
-from msal_cli.batch.remote_manifest import parts_of
 from msal_cli.batch.shards import Shard
 from msal_cli.dataclass import dataclass
 from msal_cli.files.urls import is_url
@@ -60,7 +58,7 @@ class RunNote:
             shard=plan.shard,
             started=moment(time.time_ns()),
             pid=os.getpid(),
-            host=socket.gethostname(),
+            host=platform.node(),
             files=len(plan.tasks),
             clock_s=time.monotonic(),
         )
@@ -141,6 +139,10 @@ def of_folder(folder: str) -> History | None:
 
 
 def _of_store(folder: str) -> History | None:
+    import tempfile
+
+    from msal_cli.batch.remote_manifest import parts_of
+
     parts = parts_of(folder)
     if not parts:
         return None

@@ -8,10 +8,9 @@ from pathlib import Path
 
 from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import Manifest
-from msal_cli.batch.remote_manifest import RemoteManifest
 from msal_cli.batch.shards import Shard
 from msal_cli.errors import InputError, OutputError
-from msal_cli.files import remote, urls
+from msal_cli.files import urls
 from msal_cli.files.urls import is_url
 from msal_cli.pipeline import Task
 from msal_cli.records import ObjectMark
@@ -19,7 +18,11 @@ from msal_cli.records import ObjectMark
 
 def manifest_of(home: str, shard: Shard | None = None) -> Manifest:
     """What is known of a home so far; OutputError if it cannot be read."""
-    return (RemoteManifest if is_url(home) else Manifest).read(home, shard)
+    if not is_url(home):
+        return Manifest.read(home, shard)
+    from msal_cli.batch.remote_manifest import RemoteManifest
+
+    return RemoteManifest.read(home, shard)
 
 
 def hold(home: str, stack: ExitStack, shard: Shard | None = None) -> None:
@@ -51,6 +54,8 @@ def objects_at(home: str, tasks: Iterable[Task]) -> dict[str, ObjectMark]:
 
     Raises OutputError if the store does not answer.
     """
+    from msal_cli.files import remote
+
     try:
         there = remote.listed(home)
     except InputError as error:

@@ -12,14 +12,17 @@ import os
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from msal_cli.batch import remote_inputs
 from msal_cli.batch.patterns import Patterns, has_magic
 from msal_cli.batch.temporaries import is_own
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import MsalError, UsageError
 from msal_cli.files.urls import is_url, name, settled
 from msal_cli.records import ObjectMark
+
+if TYPE_CHECKING:
+    from msal_cli.batch.remote_inputs import Place
 
 _log = logging.getLogger("msal.batch")
 
@@ -90,7 +93,7 @@ def found(
         is_mesh_name = known_suffix
     included, excluded = Patterns(include), Patterns(exclude)
     inputs = [settled(text) for text in inputs]
-    places = {text: remote_inputs.place(text, is_mesh_name) for text in inputs if is_url(text)}
+    places = {text: _place(text, is_mesh_name) for text in inputs if is_url(text)}
     kinds = [places[text].kind if text in places else _kind(text) for text in inputs]
     folders = {
         text if text in places else str(Path(text))
@@ -102,6 +105,8 @@ def found(
     everything: dict[tuple[str, str], Found] = {}
     for text, kind in zip(inputs, kinds, strict=True):
         if text in places:
+            from msal_cli.batch import remote_inputs
+
             prefix = f"{name(text)}/" if kind == "folder" and len(folders) > 1 else ""
             objects = remote_inputs.found(places[text], prefix, is_mesh_name, output)
             some = [Found(one.url, one.relative, one.root, one.mark) for one in objects]
@@ -128,6 +133,12 @@ def found(
             hint="look at the suffixes, and at --include and --exclude",
         )
     return tuple(everything.values())
+
+
+def _place(url: str, is_mesh_name: Callable[[str], bool]) -> Place:
+    from msal_cli.batch.remote_inputs import place
+
+    return place(url, is_mesh_name)
 
 
 def _kind(text: str) -> str:

@@ -20,9 +20,9 @@ import errno
 import functools
 import logging
 import os
+import platform
 import random
 import re
-import socket
 import sys
 import time
 from collections.abc import Iterator
@@ -171,13 +171,13 @@ class _Holder:
 
     def __str__(self) -> str:
         who = f"process {self.pid}" if self.pid else "another process"
-        if self.host and self.host != socket.gethostname():
+        if self.host and self.host != platform.node():
             who += f" on {self.host}"
         return who + (f" (shard {self.shard})" if self.shard else "")
 
     def is_alive(self) -> bool:
         """Whether it is a process of this machine that lives."""
-        is_here = self.host == socket.gethostname() and self.pid.isdigit()
+        is_here = self.host == platform.node() and self.pid.isdigit()
         return is_here and is_alive(int(self.pid))
 
 
@@ -265,7 +265,7 @@ def _say_who(handle: int, path: Path) -> None:
     try:
         os.truncate(handle, 0)
         os.lseek(handle, 0, os.SEEK_SET)
-        os.write(handle, f"{os.getpid()} {socket.gethostname()}\n".encode())
+        os.write(handle, f"{os.getpid()} {platform.node()}\n".encode())
     except OSError as error:
         raise OutputError(
             f"the lock file {str(path)!r} cannot be written: {error.strerror}",

@@ -15,7 +15,7 @@ from msal_cli.batch.shards import Shard
 from msal_cli.batch.temporaries import is_own
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
-from msal_cli.files import remote, urls
+from msal_cli.files import urls
 from msal_cli.files.urls import is_url
 from msal_cli.pipeline import Task
 from msal_cli.pipeline import is_mesh_name as known_suffix
@@ -57,11 +57,14 @@ class Plan:
     @property
     def stays_here(self) -> bool:
         """Whether no other process could do the work: the objects live in this one."""
-        return any(
-            is_url(path) and remote.is_in_process(path)
-            for task in self.tasks
-            for path in (task.input, task.output)
-        )
+        objects = [
+            path for task in self.tasks for path in (task.input, task.output) if is_url(path)
+        ]
+        if not objects:
+            return False
+        from msal_cli.files import remote
+
+        return any(map(remote.is_in_process, objects))
 
     def key(self, index: int) -> str:
         """The name by which the manifest knows a task: its output below its home, with ``/``."""

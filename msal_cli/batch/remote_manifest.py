@@ -11,8 +11,8 @@ that at any moment every line is in some part.
 from __future__ import annotations
 
 import logging
+import os
 import re
-import secrets
 import sys
 import threading
 import time
@@ -51,7 +51,7 @@ class RemoteManifest(Manifest):
         moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
         # Of shards that start together one merges: else each would write a copy of everything.
         self._merges = shard is None or shard.number == 1
-        self._run = f"{moment}-{secrets.token_hex(4)}"
+        self._run = f"{moment}-{os.urandom(4).hex()}"
         self._parts: list[str] = []
         self._n_written = 0
         self._n_failures = 0

@@ -6,7 +6,6 @@ import contextlib
 import os
 import threading
 from collections.abc import Generator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,6 +68,8 @@ def standings(
     if len(known) < 2 or threads < 2:
         yield from map(judge.standing, range(len(plan.tasks)))
         return
+    from concurrent.futures import ThreadPoolExecutor
+
     pool = ThreadPoolExecutor(min(threads, _MOST_THREADS, len(known)))
     try:
         # A hand-over of each file by itself would take longer than the hashing of a small one.

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import functools
 import os
+import platform
 import re
-import socket
 import time
 import zlib
 from collections.abc import Callable, Iterable
@@ -79,7 +79,7 @@ def _machine() -> str:
         processes = os.readlink("/proc/self/ns/pid")
     except OSError:
         processes = ""
-    return f"{zlib.crc32((socket.gethostname() + processes).encode('utf-8', 'replace')):08x}"
+    return f"{zlib.crc32((platform.node() + processes).encode('utf-8', 'replace')):08x}"
 
 
 def _swept(folder: Path, is_to_go: Callable[[re.Match[str], Path], bool]) -> int:

@@ -10,7 +10,7 @@ from msal_cli.errors import UsageError
 if TYPE_CHECKING:
     from msal_cli.batch.engine import EngineFor
 
-_ADDRESS = re.compile(r"([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+", re.ASCII)
+_ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"
 
 
 def refuse_contradictions(
@@ -31,7 +31,7 @@ def refuse_contradictions(
             "--engine dask needs a scheduler",
             hint="give --scheduler tcp://HOST:8786, or --scheduler local for this machine",
         )
-    if scheduler != "local" and not _ADDRESS.fullmatch(scheduler):
+    if scheduler != "local" and not re.fullmatch(_ADDRESS, scheduler):
         raise UsageError(
             f"--scheduler {scheduler}: this is not an address",
             hint="such as tcp://host:8786 or tls://host:8786; or the word local",

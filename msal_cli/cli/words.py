@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import pkgutil
 import re
 from collections.abc import Callable
 
@@ -18,9 +17,7 @@ COMPLETE_VARIABLE = "_MSAL_COMPLETE"
 _MOST_JOBS = 4096
 _MOST_DIGITS = 15
 
-_NUMBER_AND_UNIT = re.compile(
-    r"(\d{1,15}(?:\.\d{0,9})?|\.\d{1,9})\s*([a-z]*)", re.ASCII | re.IGNORECASE
-)
+_NUMBER_AND_UNIT = r"(?ai)(\d{1,15}(?:\.\d{0,9})?|\.\d{1,9})\s*([a-z]*)"
 _SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _BYTES = {
     **{f"{letter}{end}": 1000**n for n, letter in enumerate("kmgt", 1) for end in ("", "b")},
@@ -30,6 +27,8 @@ _BYTES = {
 
 def method_names() -> tuple[str, ...]:
     """The names of all methods: those of ``methods.names()``, found without importing any."""
+    import pkgutil
+
     found = importlib.util.find_spec("msal_cli.methods")
     folders = found.submodule_search_locations if found is not None else None
     names = (module.name for module in pkgutil.iter_modules(folders))
@@ -84,7 +83,7 @@ def duration(context: click.Context, parameter: click.Parameter, value: str | No
     """
     if value is None or value == "none":
         return None
-    match = _NUMBER_AND_UNIT.fullmatch(value.strip())
+    match = re.fullmatch(_NUMBER_AND_UNIT, value.strip())
     unit = _SECONDS.get(match[2].lower()) if match else None
     if match is None or unit is None or not float(match[1]) * unit > 0.0:
         raise click.BadParameter(f"{value!r} is not a time such as 90, 90s, 5m or 1h")
@@ -102,7 +101,7 @@ def size(context: click.Context, parameter: click.Parameter, value: str | None) 
     """
     if value is None or value == "none":
         return None
-    match = _NUMBER_AND_UNIT.fullmatch(value.strip())
+    match = re.fullmatch(_NUMBER_AND_UNIT, value.strip())
     unit = _BYTES.get(match[2].lower()) if match else None
     if match is None or unit is None or not float(match[1]) * unit >= 1.0:
         raise click.BadParameter(f"{value!r} is not a size such as 500M, 2G or 1.5GiB")

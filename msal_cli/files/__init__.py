@@ -36,20 +36,20 @@ OWN_FORMATS = ("ply", "obj", "stl", "glb")
 
 _LOOKED_AT = 1 << 16
 _NUMBER = rb"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
-_OBJ_VERTEX = re.compile(rb"^[ \t]*v(?:[ \t]+" + _NUMBER + rb"){3}", re.MULTILINE)
-_OBJ_LINE = re.compile(
+_OBJ_VERTEX = rb"(?m)^[ \t]*v(?:[ \t]+" + _NUMBER + rb"){3}"
+_OBJ_LINE = (
     rb"(?:\#.*|v|vt|vn|vp|f|l|p|o|g|s|mg|usemtl|mtllib|usemap|maplib|vertexcolor)?(?:[ \t].*)?"
 )
 _BEGINNINGS = (
-    (re.compile(rb"ply[ \t]*[\r\n]"), "ply"),
-    (re.compile(rb"glTF"), "glb"),
-    (re.compile(rb"PK\x03\x04"), "3mf"),
-    (re.compile(rb"# vtk DataFile"), "vtk"),
-    (re.compile(rb"\s*\$MeshFormat"), "msh"),
-    (re.compile(rb"\s*(?:ST)?C?N?4?OFF\b"), "off"),
-    (re.compile(rb"\s*MeshVersionFormatted"), "mesh"),
-    (re.compile(rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile"), "vtu"),
-    (re.compile(rb"(?:\xef\xbb\xbf)?\s*solid\b.*?\b(?:facet|endsolid)\b", re.I | re.DOTALL), "stl"),
+    (rb"ply[ \t]*[\r\n]", "ply"),
+    (rb"glTF", "glb"),
+    (rb"PK\x03\x04", "3mf"),
+    (rb"# vtk DataFile", "vtk"),
+    (rb"\s*\$MeshFormat", "msh"),
+    (rb"\s*(?:ST)?C?N?4?OFF\b", "off"),
+    (rb"\s*MeshVersionFormatted", "mesh"),
+    (rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile", "vtu"),
+    (rb"(?is)(?:\xef\xbb\xbf)?\s*solid\b.*?\b(?:facet|endsolid)\b", "stl"),
 )
 
 
@@ -85,7 +85,7 @@ def content_format(data: Buffer, expected: str = "") -> str:
     if len(data) >= 134 and len(data) == 84 + 50 * int.from_bytes(head[80:84], "little"):
         return "stl"
     for pattern, name in _BEGINNINGS:
-        if pattern.match(head):
+        if re.match(pattern, head):
             return name
     is_obj = expected != "obj" and _looks_like_obj(head, is_cut=len(data) > _LOOKED_AT)
     return "obj" if is_obj else ""
@@ -98,8 +98,8 @@ def _looks_like_obj(head: bytes, *, is_cut: bool) -> bool:
     lines = head.splitlines()
     if is_cut:
         lines = lines[:-1]
-    return _OBJ_VERTEX.search(head) is not None and all(
-        _OBJ_LINE.fullmatch(line.strip()) for line in lines
+    return re.search(_OBJ_VERTEX, head) is not None and all(
+        re.fullmatch(_OBJ_LINE, line.strip()) for line in lines
     )
 
 

@@ -51,9 +51,9 @@ _NEEDED = {"med": ("h5py",), "xdmf": ("h5py",), "3mf": ("lxml", "networkx"), "da
 _FLAT = {"triangle": 3, "quad": 4, "polygon": 0}
 """Surface cells and their corners; a polygon has any number."""
 
-_OFF = re.compile(rb"(?:\s|#[^\r\n]*)*(?:ST)?C?N?(4?n?)OFF\b(?:[ \t]+(BINARY))?")
+_OFF = rb"(?:\s|#[^\r\n]*)*(?:ST)?C?N?(4?n?)OFF\b(?:[ \t]+(BINARY))?"
 _CONVERT = "convert it to PLY"
-_CURVED = re.compile(r"(triangle|quad)\d+$")
+_CURVED = r"(triangle|quad)\d+$"
 _ENTITIES = "gmsh:dim_tags"
 _NORMALS = ("normals", "normal", "point_normals", "vertex_normals")
 
@@ -212,7 +212,7 @@ def _from_cells(data: Buffer, format: str) -> OtherFile:
     points = np.asarray(mesh.points)
     held = ", ".join(f"{len(block.data)} {block.type}" for block in mesh.cells)
     blocks = [block for block in mesh.cells if block.type in _FLAT]
-    if any(_CURVED.match(block.type) for block in mesh.cells):
+    if any(re.match(_CURVED, block.type) for block in mesh.cells):
         raise UnsupportedError(
             f"the file has second-order surface cells ({held})",
             hint="write it with first-order triangles or quads",
@@ -415,7 +415,7 @@ def _trimesh_read(data: Buffer, format: str) -> Any:
 
 def _refuse_strange_off(content: bytes) -> None:
     """The kinds of OFF that trimesh takes for the plain one, or for no OFF at all."""
-    found = _OFF.match(content)
+    found = re.match(_OFF, content)
     if not found:
         raise FormatError("the file does not begin with OFF", where="line 1", hint=_CONVERT)
     if found[1]:

@@ -12,10 +12,8 @@ from __future__ import annotations
 import contextlib
 import inspect
 import os
-import secrets
 import threading
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 from typing import Any, NamedTuple
 
@@ -129,6 +127,8 @@ def read_many(some: Sequence[str]) -> list[bytes]:
     """The bytes of several objects, some at the same time; the errors of ``read_whole``."""
     if not some:
         return []
+    from concurrent.futures import ThreadPoolExecutor
+
     with ThreadPoolExecutor(min(_AT_THE_SAME_TIME, len(some))) as pool:
         return list(pool.map(read_whole, some))
 
@@ -172,7 +172,7 @@ def _moved_into_place(system: Any, path: str, data: bytes) -> None:
     parent, _, name = path.rpartition("/")
     if parent:
         system.makedirs(parent, exist_ok=True)
-    temporary = f"{parent}/.msal-{os.getpid()}-{secrets.token_hex(8)}.tmp"
+    temporary = f"{parent}/.msal-{os.getpid()}-{os.urandom(8).hex()}.tmp"
     try:
         system.pipe_file(temporary, data)
         there = _mark(system, temporary)

@@ -24,7 +24,7 @@ MOST_REFERENCES = 10_000
 
 _PIECE = 8 << 20
 _TEXTURE_KEYS = (b"bump", b"disp", b"decal", b"refl", b"norm")
-_NUMBER = re.compile(rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
+_NUMBER = rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$"
 # What stands behind the options of a texture line: a fixed number of words, or up to three numbers.
 _ONE_WORD = frozenset(
     b"-blendu -blendv -cc -clamp -boost -texres -bm -imfchan -type -colorspace".split()
@@ -213,7 +213,7 @@ def _texture(line: bytes) -> str:
         option = words[0].lower()
         if option in _NUMBERS:
             count = 1
-            while count < min(4, len(words)) and _NUMBER.match(words[count]):
+            while count < min(4, len(words)) and re.match(_NUMBER, words[count]):
                 count += 1
         elif option == b"-mm":
             count = 3

@@ -7,7 +7,7 @@ import errno
 import functools
 import logging
 import os
-import socket
+import platform
 import stat
 import time
 import zlib
@@ -186,7 +186,7 @@ def _machine() -> str:
         processes = os.readlink("/proc/self/ns/pid")
     except OSError:
         processes = ""
-    return f"{zlib.crc32((socket.gethostname() + processes).encode('utf-8', 'replace')):08x}"
+    return f"{zlib.crc32((platform.node() + processes).encode('utf-8', 'replace')):08x}"
 
 
 def _move(temporary: Path, target: Path) -> None:

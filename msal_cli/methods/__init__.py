@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import importlib
 import pkgutil
@@ -23,6 +22,8 @@ def names() -> tuple[str, ...]:
 def find(name: str) -> Method:
     """The method of that name; UsageError with the closest names if there is none."""
     if name not in names():
+        import difflib
+
         close = difflib.get_close_matches(name, names(), n=3)
         raise UsageError(
             f"there is no method '{name}'",
