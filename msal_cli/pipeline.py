@@ -317,8 +317,8 @@ class _Run:
         limit = self._limits.memory_bytes
         if limit is not None and told.memory_bytes is not None and told.memory_bytes > limit:
             raise ResourceError(
-                f"denoising this file takes up to {_megabytes(told.memory_bytes)}, "
-                f"and the limit is {_megabytes(limit)}",
+                f"denoising this file takes up to {megabytes(told.memory_bytes)}, "
+                f"and the limit is {megabytes(limit)}",
                 code="E_MEMORY",
                 where=FORECAST,
                 hint="raise --memory-limit if the machine has more, or cut the mesh into parts",
@@ -612,10 +612,12 @@ def _is_want_of_memory(error: BaseException | None) -> bool:
     return False
 
 
-def _megabytes(n_bytes: int) -> str:
-    """``499 MB`` or ``3.21 GB``, rounded up so that what is refused never looks as if it fitted."""
-    megabytes = -(-n_bytes // 10**6)
-    return f"{megabytes} MB" if megabytes < 1000 else f"{-(-megabytes // 10) / 100:.2f} GB"
+def megabytes(n_bytes: int, *, rounded_up: bool = True) -> str:
+    """``499 MB`` or ``3.21 GB``, rounded so that what is refused never looks as if it fitted."""
+    unit, digits = (10**6, 0) if n_bytes <= 999 * 10**6 else (10**9, 2)
+    step = unit // 10**digits
+    steps = -(-n_bytes // step) if rounded_up else n_bytes // step
+    return f"{steps} MB" if unit == 10**6 else f"{steps / 100:.2f} GB"
 
 
 def _peak_memory_bytes() -> int | None:

@@ -18,7 +18,7 @@ from msal_cli.batch.history import RunNote
 from msal_cli.batch.manifest import FileMark, Manifest, done, intent, settings_hash
 from msal_cli.batch.plan import Plan
 from msal_cli.batch.resume import restore, standings, undone
-from msal_cli.batch.weights import weighed
+from msal_cli.batch.weights import Weights, weighed
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.pipeline import (
     FORECAST,
@@ -157,10 +157,12 @@ class _Run:
         try:
             with signals.noticed(signals.raise_for):
                 todo = self._prepared(stack, note)
+                weights = self._weighed(todo)
+            todo = self._possible(todo, weights)
             if self._is_single() or self._plan.stays_here:
                 self._work_here(todo)
             elif todo and not self._is_given_up():
-                self._work_elsewhere(todo)
+                self._work_elsewhere(todo, weights)
         except BaseException:
             # Why it ended matters more than that it cannot be noted.
             with suppress(OutputError):
@@ -259,14 +261,30 @@ class _Run:
                     record = self._lost(index, "exception", f"{type(error).__name__}: {error}")
                 self._finish([(index, record)])
 
-    def _work_elsewhere(self, todo: list[int]) -> None:
+    def _weighed(self, todo: list[int]) -> Weights:
+        tasks = {index: self._plan.tasks[index] for index in todo}
+        return weighed(tasks, self._settings, self.limits)
+
+    def _possible(self, todo: list[int], weights: Weights) -> list[int]:
+        """The files for which there is memory; the others fail before they are loaded.
+
+        Whoever sets a limit has thought of the memory, and other machines have their own.
+        """
+        if self.engine is not None or self.limits.memory_bytes is not None:
+            return todo
+        beyond = weights.beyond()
+        for index, failure in beyond.items():
+            self._on_event(Started(index, self._plan.tasks[index]))
+            record = replace(self._planned(index), output=None, status="failed", error=failure)
+            self._finish([(index, record)])
+        return [index for index in todo if index not in beyond]
+
+    def _work_elsewhere(self, todo: list[int], weights: Weights) -> None:
         from msal_cli.batch.engine import Work, crew_for
         from msal_cli.batch.workers import Interrupt
 
         received: list[int] = []
         tasks = {index: self._plan.tasks[index] for index in todo}
-        with signals.noticed(signals.raise_for):
-            weights = weighed(tasks, self._settings, self.limits)
         work = Work(
             tasks,
             do_one,
@@ -278,7 +296,7 @@ class _Run:
             on_loss=self._set_right,
             limits=self.limits,
             retries=self.retries,
-            weights=weights.large,
+            weights={index: one for index, one in weights.large.items() if index in tasks},
             light_bytes=weights.light,
             # Whoever says how many files at once has thought of the memory.
             budget_bytes=weights.budget if self._jobs is None else None,
