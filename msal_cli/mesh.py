@@ -90,6 +90,11 @@ class Mesh:
             left = self._known_normals.get((weighting, 0))
         return vertex_normals(self.vertices, self.faces, weighting) if left is None else left
 
+    def forget_normals(self) -> None:
+        """Let go of all normals; they are computed anew for whoever asks again."""
+        self._known_normals.clear()
+        self.__dict__.pop("_left_normals", None)
+
     @functools.cached_property
     def flat_faces(self) -> int:
         """How many faces have no normal."""

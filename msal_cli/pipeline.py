@@ -7,7 +7,6 @@ fault: whatever goes wrong becomes a failed record, and the output appears whole
 from __future__ import annotations
 
 import errno
-import hashlib
 import logging
 import os
 import time
@@ -282,7 +281,8 @@ class _Run:
         # Files that the output names too; a conversion drops them.
         self.references: tuple[str, ...] = ()
         self._on_progress = on_progress or (lambda stage, done, total: None)
-        self._started = time.perf_counter()
+        self._started = self._counted = time.perf_counter()
+        self._stage = "read"
         self._seconds: dict[str, float] = {}
         self._record = MeshRecord(
             input=name,
@@ -291,17 +291,32 @@ class _Run:
             method=MethodUsed(settings.method, dict(settings.parameters)),
         )
         self._changed = False
+        self._output_digest: Callable[[], str] | None = None
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Add the time spent inside to a stage's seconds."""
-        started = time.perf_counter()
+        """Count the time until the end of this stage as its own.
+
+        What lies between two stages, imports mostly, prepares the second one: so the seconds of
+        all stages add up to the whole.
+        """
+        self._stage = name
         self._on_progress(name, 0, 1)
         try:
             yield
         finally:
-            spent = time.perf_counter() - started
-            self._seconds[name] = self._seconds.get(name, 0.0) + spent
+            self._count()
+
+    def _count(self) -> None:
+        """Count the time that no stage has yet as the present one's."""
+        now = time.perf_counter()
+        self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + now - self._counted
+        self._counted = now
+
+    def _spent(self) -> Seconds:
+        """All seconds until now."""
+        self._count()
+        return Seconds(**self._seconds, total=self._counted - self._started)
 
     def know(self, **values: Any) -> None:
         """Set fields of the record."""
@@ -339,9 +354,14 @@ class _Run:
         settings = self.settings
         name = self._record.input
         with self.stage("read"):
-            self.know(input_sha256=hashlib.sha256(data).hexdigest())
-            plain, is_compressed = files.expanded(data, name)
-            mesh_file = files.open_mesh(plain, name, settings.format)
+            files.give_back_large_arrays()
+            digest = files.sha256_meanwhile(data)
+            try:
+                plain, is_compressed = files.expanded(data, name)
+                mesh_file = files.open_mesh(plain, name, settings.format)
+            finally:
+                # A file that cannot be read is known by its hash, too.
+                self.know(input_sha256=digest())
             self.know(
                 format=mesh_file.format,
                 encoding=mesh_file.encoding,
@@ -359,7 +379,7 @@ class _Run:
                 compress = output_path.lower().endswith(".gz")
             output = self._written(mesh_file, vertices, output_path, data, compress, is_compressed)
             self._changed = output is not data
-            self.know(output_sha256=hashlib.sha256(output).hexdigest())
+            self._output_digest = files.sha256_meanwhile(output)
         return output
 
     def _denoised(self, mesh_file: MeshFile) -> Floats:
@@ -376,6 +396,7 @@ class _Run:
                 are_distinct=mesh_file.merged_vertices > 0,
             )
             self._know_defects(ready, mesh_file.merged_vertices)
+            mesh_file.forget_vertices()
         with self.stage("sweeps"):
             method = methods.find(settings.method)
             result = method.denoised(
@@ -384,13 +405,18 @@ class _Run:
                 lambda done, total: self._on_progress("sweeps", done, total),
             )
             self._check_result(ready, result.vertices)
-            vertices = ready.scattered(result.vertices, mesh_file.vertices)
+            moved = result.vertices
         # The method's own account tells how much of its time went into normals.
         normals = result.seconds.get("normals", 0.0)
         self._seconds["sweeps"] -= normals
         self._seconds["normals"] = normals
+        # It may hold more arrays, for which nobody asks here.
+        del result
         with self.stage("measure"):
-            self._measure(ready, result.vertices, vertices)
+            self._measure(ready, moved)
+            ready.mesh.forget_normals()
+            vertices = ready.scattered(moved, mesh_file.vertices)
+            self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
 
     def _written(
@@ -498,8 +524,8 @@ class _Run:
                 f"{defects.turned_faces} faces were turned for the computation only"
             )
 
-    def _measure(self, ready: Prepared, moved: Floats, vertices: Floats) -> None:
-        """Fill in what changed; ``moved`` are mesh positions, ``vertices`` the file's."""
+    def _measure(self, ready: Prepared, moved: Floats) -> None:
+        """Fill in what changed when the mesh's positions became ``moved`` (n, 3)."""
         from msal_cli.inspection import noise_estimate
         from msal_cli.metrics.displacement import displacement_statistics
         from msal_cli.metrics.surface import surface_change
@@ -511,7 +537,6 @@ class _Run:
         surface = surface_change(before, after)
         turned = surface.normals
         self.know(
-            seam_gap=ready.seam_gap(vertices),
             displacement=Displacement(
                 mean=one.mean,
                 rms=one.rms,
@@ -552,14 +577,16 @@ class _Run:
 
     def finished(self, output_path: str | None, sidecars: tuple[str, ...] = ()) -> MeshRecord:
         """The record of a file that was written."""
-        total = time.perf_counter() - self._started
+        if self._output_digest is not None:
+            self.know(output_sha256=self._output_digest())
+        seconds = self._spent()
         n = self._record.vertices or 0
         self.know(
             status="written" if self._changed else "unchanged",
             output=output_path,
             sidecars=sidecars,
-            seconds=Seconds(**self._seconds, total=total),
-            vertices_per_second=n / total if total > 0.0 else None,
+            seconds=seconds,
+            vertices_per_second=n / seconds.total if seconds.total > 0.0 else None,
             peak_memory_bytes=_peak_memory_bytes(),
         )
         return self._record
@@ -583,7 +610,7 @@ class _Run:
         self.know(
             status="failed",
             error=Failure(known.code, known.message, known.hint, known.where),
-            seconds=Seconds(**self._seconds, total=time.perf_counter() - self._started),
+            seconds=self._spent(),
             peak_memory_bytes=_peak_memory_bytes(),
         )
         return self._record

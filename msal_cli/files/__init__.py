@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.files.allocator import give_back_large_arrays
 from msal_cli.files.base import Buffer, MeshFile
+from msal_cli.files.digests import sha256_meanwhile
 from msal_cli.files.first_look import read_input
 from msal_cli.files.streams import compressed, expanded, is_gzip_name, read_whole
 from msal_cli.files.urls import is_url
@@ -22,11 +24,13 @@ __all__ = [
     "converted",
     "expanded",
     "format_of_name",
+    "give_back_large_arrays",
     "is_url",
     "open_mesh",
     "read_input",
     "read_whole",
     "readable_suffixes",
+    "sha256_meanwhile",
     "writable_formats",
     "write_whole",
 ]

@@ -90,6 +90,9 @@ class GlbFile:
         """The triangles (m, 3)."""
         return self.faces
 
+    def forget_vertices(self) -> None:
+        """Do nothing: to read them again takes long."""
+
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with other positions (n, 3), and the normals of what moved recomputed.
 

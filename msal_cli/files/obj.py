@@ -80,6 +80,9 @@ class ObjFile:
             return corners.reshape(-1, int(sizes[0]))
         return np.split(corners, np.cumsum(sizes[:-1], dtype=np.int64))
 
+    def forget_vertices(self) -> None:
+        """Do nothing: to read them again takes long."""
+
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with the coordinates that differ from the stored ones replaced.
 

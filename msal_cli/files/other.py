@@ -123,6 +123,9 @@ class OtherFile:
             return np.array(rows, dtype=np.int32)
         return rows
 
+    def forget_vertices(self) -> None:
+        """Do nothing: to read them again takes long."""
+
     def replaced(self, vertices: Floats) -> Buffer:
         """The file written again with ``vertices`` (n, 3); the very bytes if none moved."""
         if not (vertices != self.vertices).any():

@@ -96,7 +96,7 @@ class PlyFile:
         vertex = _vertex_element(self._header)
         sections, self._end = located(self._bytes, self._header, _wanted)
         self._sections: dict[str, Section] = sections
-        self.vertices: Floats = _finite(sections["vertex"])
+        self._vertices: Floats | None = _finite(sections["vertex"])
         # Read here, so that a word that is no number is found before any work is done.
         self._normals = {
             name: section.numbers(NORMAL)
@@ -121,6 +121,18 @@ class PlyFile:
         rest = self._bytes[self._end :]
         count = len(rest.tobytes().strip()) if self.encoding == "ascii" else len(rest)
         return (f"{count} bytes behind the last element are kept as they are",) if count else ()
+
+    @property
+    def vertices(self) -> Floats:
+        """The positions (n, 3)."""
+        if self._vertices is None:
+            self._vertices = self._sections["vertex"].numbers(POSITION)
+        return self._vertices
+
+    def forget_vertices(self) -> None:
+        """Let go of the positions, except of those that are text."""
+        if self.encoding != "ascii":
+            self._vertices = None
 
     # Replacing
 

@@ -194,6 +194,9 @@ class StlFile:
         header = bytes(memoryview(self.data).cast("B")[:HEADER_BYTES])
         return (header.split(b"\0")[0].decode("ascii", "replace").strip(),)
 
+    def forget_vertices(self) -> None:
+        """Do nothing: to read them again takes long."""
+
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with other vertices (n, 3) and the normals of moved facets recomputed.
 

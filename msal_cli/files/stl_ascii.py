@@ -258,6 +258,9 @@ class StlTextFile:
         replace[:, 3:] = (vertices != self.vertices)[self.faces].reshape(m, 9)
         return numbers, replace
 
+    def forget_vertices(self) -> None:
+        """Do nothing: to read them again takes long."""
+
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with other vertices (n, 3) and the normals of moved facets recomputed."""
         if not (vertices != self.vertices).any():
