@@ -36,8 +36,6 @@ NO_CORNERS = 6
     FACES,  # those with three corners and more
     CORNERS,
     UNDECIDED_ROWS,
-    DECIMALS,  # most decimals of a position
-    NORMAL_DECIMALS,
     LARGEST_VERTEX,  # largest vertex index of a face, from zero
     LARGEST_TEXTURE,  # largest vt and vn numbers, from one
     LARGEST_NORMAL,
@@ -53,7 +51,7 @@ NO_CORNERS = 6
     LIBRARIES,  # mtllib statements
     WORD,  # with an error: first byte of the word that is wrong
     N_STATE,
-) = range(24)
+) = range(22)
 
 MOST_KEYWORDS = 64
 """Different other keywords that are told apart; the last row takes the rest."""
@@ -61,23 +59,7 @@ MOST_KEYWORDS = 64
 MOST_LIBRARIES = 1024
 """Statements ``mtllib`` that are looked at."""
 
-_MTLLIB = np.uint64(int.from_bytes(b"mtllib", "big"))
-
-
-@compiled
-def counted(buf):  # type: ignore[no-untyped-def]
-    """At least as many v, vn and f statements as there are; hardly more in any real file."""
-    n_vertices = n_normals = n_faces = 1
-    # One plain sum each, so that they become vector code.
-    for i in range(1, len(buf) - 1):
-        n_vertices += (
-            (buf[i] == 118) & (buf[i - 1] <= 32) & ((buf[i + 1] <= 32) | (buf[i + 1] == 92))
-        )
-    for i in range(1, len(buf) - 1):
-        n_faces += (buf[i] == 102) & (buf[i - 1] <= 32) & ((buf[i + 1] <= 32) | (buf[i + 1] == 92))
-    for i in range(1, len(buf)):
-        n_normals += (buf[i - 1] == 118) & (buf[i] == 110)
-    return n_vertices, n_normals, n_faces
+MTLLIB = np.uint64(int.from_bytes(b"mtllib", "big"))
 
 
 @compiled
@@ -220,7 +202,7 @@ def _resolved(number, count):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _packed(buf, at, stop):  # type: ignore[no-untyped-def]
+def packed(buf, at, stop):  # type: ignore[no-untyped-def]
     """The first eight bytes of a keyword as one number."""
     word = np.uint64(0)
     for k in range(at, min(stop, at + 8)):
@@ -229,9 +211,9 @@ def _packed(buf, at, stop):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _note_keyword(buf, at, stop, keywords, n_keywords):  # type: ignore[no-untyped-def]
+def note_keyword(buf, at, stop, keywords, n_keywords):  # type: ignore[no-untyped-def]
     """Count a keyword in its row (word, times, first byte, size); returns the rows in use."""
-    word = np.int64(_packed(buf, at, stop))
+    word = np.int64(packed(buf, at, stop))
     row = 0
     while row < n_keywords and (keywords[row, 0] != word or keywords[row, 3] != stop - at):
         row += 1
@@ -252,11 +234,14 @@ def _note_keyword(buf, at, stop, keywords, n_keywords):  # type: ignore[no-untyp
 def scanned(  # type: ignore[no-untyped-def]
     buf,
     state,
+    until,
     n_faces_wanted,
     vertices,
     vertex_at,
+    decimals,
     normals,
     normal_at,
+    normal_decimals,
     corners,
     corner_normals,
     face_sizes,
@@ -270,15 +255,17 @@ def scanned(  # type: ignore[no-untyped-def]
     ----------
     buf : (size,) uint8, the file.
     state : (N_STATE,) int64, see the names above; at the start zeros but for AT.
+    until : stop before the first statement that begins at this byte or behind it.
     n_faces_wanted : stop before the next face once this many are read.
-    vertices, vertex_at : (n, 3) float64, and where each statement begins, (n,) int64.
-    normals, normal_at : the same for vn.
+    vertices, vertex_at, decimals : (n, 3) float64; where each statement begins, (n,) int64; and
+        the most decimals of its numbers, (n,) uint8, 255 for more.
+    normals, normal_at, normal_decimals : the same for vn.
     corners, corner_normals : (k,) int32, vertex and normal of each corner, from zero; -1 for no
         normal.  ``corner_normals`` is empty where the file has no normals.
     face_sizes : (m,) int32, corners of each face.
     undecided : (u, 2) int64, statements whose numbers ``float`` must read: 0 for a position or 1
         for a normal, and its row.
-    keywords : (MOST_KEYWORDS, 4) int64, see ``_note_keyword``.
+    keywords : (MOST_KEYWORDS, 4) int64, see ``note_keyword``.
     libraries : (MOST_LIBRARIES,) int64, where the mtllib statements begin.
     """
     at = state[AT]
@@ -286,13 +273,12 @@ def scanned(  # type: ignore[no-untyped-def]
     n_faces, n_corners = state[FACES], state[CORNERS]
     n_undecided = state[UNDECIDED_ROWS]
     largest = state[LARGEST_VERTEX]
-    most_decimals = state[DECIMALS]
     last_face = state[LAST_FACE_AT]
     result = WHOLE
     while True:
         while at < len(buf) and (buf[at] == 32 or 9 <= buf[at] <= 13):
             at += 1
-        if at >= len(buf):
+        if at >= len(buf) or at >= until:
             break
         statement = at
         first = buf[at]
@@ -307,7 +293,7 @@ def scanned(  # type: ignore[no-untyped-def]
                 result = FULL
                 break
             at += 2 if is_normal else 1
-            x, y, z, result, at, decimals, is_undecided = _read_three(buf, at)
+            x, y, z, result, at, most, is_undecided = _read_three(buf, at)
             if result == WHOLE and not is_normal:
                 at = past_blanks(buf, at)
                 if not _is_statement_end(buf, at):
@@ -334,16 +320,15 @@ def scanned(  # type: ignore[no-untyped-def]
                 normals[n_normals, 1] = y
                 normals[n_normals, 2] = z
                 normal_at[n_normals] = statement
+                normal_decimals[n_normals] = min(most, 255)
                 n_normals += 1
-                if decimals > state[NORMAL_DECIMALS]:
-                    state[NORMAL_DECIMALS] = decimals
             else:
                 vertices[n_vertices, 0] = x
                 vertices[n_vertices, 1] = y
                 vertices[n_vertices, 2] = z
                 vertex_at[n_vertices] = statement
+                decimals[n_vertices] = min(most, 255)
                 n_vertices += 1
-                most_decimals = max(most_decimals, decimals)
             at = _past_line(buf, at)
         elif first == 102 and (
             is_word_end(buf, at + 1) or (buf[at + 1] == 111 and is_word_end(buf, at + 2))
@@ -446,8 +431,8 @@ def scanned(  # type: ignore[no-untyped-def]
             at = _past_line(buf, at)
         else:
             end = past_word(buf, at)
-            state[KEYWORDS] = _note_keyword(buf, at, end, keywords, state[KEYWORDS])
-            is_library = end - at == 6 and _packed(buf, at, end) == _MTLLIB
+            state[KEYWORDS] = note_keyword(buf, at, end, keywords, state[KEYWORDS])
+            is_library = end - at == 6 and packed(buf, at, end) == MTLLIB
             if is_library and state[LIBRARIES] < len(libraries):
                 libraries[state[LIBRARIES]] = statement
                 state[LIBRARIES] += 1
@@ -458,7 +443,6 @@ def scanned(  # type: ignore[no-untyped-def]
     state[UNDECIDED_ROWS] = n_undecided
     state[LARGEST_VERTEX] = largest
     state[LAST_FACE_AT] = last_face
-    state[DECIMALS] = most_decimals
     return result
 
 

@@ -19,6 +19,8 @@ Settled where readers differ, after what the better ones do:
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import math
 from typing import Any
 
@@ -26,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.errors import ContentError, InternalError, UnsupportedError
-from msal_cli.files import obj_words
+from msal_cli.files import obj_words, plain_text
 from msal_cli.files.base import Buffer
 from msal_cli.files.obj_content import Content, content
 
@@ -72,6 +74,7 @@ class ObjFile:
         self.properties = obj_words.properties(self._content)
         self.references = obj_words.references(data, self._content)
         self.warnings = obj_words.warnings(data, self._content)
+        self._last_normals: tuple[bytes, Floats] = (b"", self._content.normals)
 
     def polygons(self) -> list[Any] | NDArray[np.int32]:
         """The faces as the file has them: (m, k) int32 if all have k corners, else m arrays."""
@@ -86,15 +89,23 @@ class ObjFile:
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with the coordinates that differ from the stored ones replaced.
 
-        ``vertices`` is (n, 3) in file order.  New positions have as many decimals as the file
-        uses, or as 1e-7 of its extent asks for; the normals of faces that moved are recomputed.
+        ``vertices`` is (n, 3) in file order.  New positions have as many decimals as their own
+        line has, as the file usually has, or as 1e-7 of its extent asks for, whichever is most;
+        the normals of faces that moved are recomputed.
         With nothing moved the result is the input itself.  Raises InternalError for an array of
         another shape or with values that are not finite.
         """
         vertices = self._accepted(vertices)
         if np.array_equal(vertices, self.vertices):
             return self._data
-        return self._patched(vertices, self._decimals(), self._normal_decimals(), False)
+        plainly = self._statements(vertices)
+        if plainly is not None:
+            from msal_cli.core.text import as_bytes
+
+            output = plain_text.patched(as_bytes(self._data), plainly)
+            if output is not None:
+                return output
+        return self._patched(vertices, self._decimals, self._normal_decimals, False)
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with every position written in a precision.
@@ -128,18 +139,55 @@ class ObjFile:
         """Raise InternalError unless ``output`` is this file with only numbers of ``v`` and ``vn``
         replaced: positions by ``vertices`` within half a unit of the last decimal, unmoved ones
         in their very bytes, normals kept or of unit length."""
-        from msal_cli.core import obj_patch
+        from msal_cli.core import plain_patch
         from msal_cli.core.text import as_bytes
 
         vertices = self._accepted(vertices)
+        plainly = self._statements(vertices)
+        if plainly is not None:
+            self._require_unit_length(plainly[1:])
+            result, which, at = plain_text.compared(as_bytes(self._data), as_bytes(output), plainly)
+            if result != plain_patch.ODD:
+                self._require(
+                    result != plain_patch.WRONG_VALUE,
+                    result != plain_patch.DIFFERENT,
+                    f"near {'normal' if which else 'vertex'} {at + 1}",
+                )
+                return
+        self._check_any(as_bytes(output), vertices)
+
+    @staticmethod
+    def _require(is_right: bool, is_same: bool, where: str) -> None:
+        if not is_right:
+            raise InternalError("the output holds another number than it should", where=where)
+        if not is_same:
+            raise InternalError(
+                "the output differs from the input in more than positions and normals", where=where
+            )
+
+    @staticmethod
+    def _require_unit_length(groups: list[plain_text.Statements]) -> None:
+        """Raise InternalError where a new normal is not of unit length."""
+        for one in groups:
+            lengths = np.sqrt((one.new * one.new).sum(axis=1))
+            wrong = ~(np.abs(lengths - 1.0) <= _NORMAL_SLACK) & (one.new != one.old).any(axis=1)
+            if wrong.any():
+                raise InternalError(
+                    "a new normal is not of unit length", where=f"normal {np.argmax(wrong) + 1}"
+                )
+
+    def _check_any(self, after: NDArray[np.uint8], vertices: Floats) -> None:
+        """``check`` for numbers of every form."""
+        from msal_cli.core import obj_patch
+        from msal_cli.core.text import as_bytes
+
         parsed = self._content
-        decimals = self._decimals()
+        decimals = self._decimals
         exact = decimals == SHORTEST_DOUBLE
         tolerance = 0.0 if exact else 0.5 * 10.0**-decimals * (1.0 + 1e-9)
         has_moved = not np.array_equal(vertices, self.vertices)
         unit = _NORMAL_SLACK if has_moved and parsed.face_normals is not None else -1.0
         walk = np.zeros(obj_patch.N_WALK, dtype=np.int64)
-        after = as_bytes(output)
         while True:
             result = obj_patch.compared(
                 as_bytes(self._data),
@@ -161,15 +209,11 @@ class ObjFile:
                 result = obj_patch.WRONG_VALUE
                 break
             walk[obj_patch.AXIS] += 1
-        if result == obj_patch.WRONG_VALUE:
-            raise InternalError(
-                "the output holds another number than it should", where=f"near vertex {vertex + 1}"
-            )
-        if result == obj_patch.DIFFERENT:
-            raise InternalError(
-                "the output differs from the input in more than positions and normals",
-                where=f"near vertex {vertex + 1}",
-            )
+        self._require(
+            result != obj_patch.WRONG_VALUE,
+            result != obj_patch.DIFFERENT,
+            f"near vertex {vertex + 1}",
+        )
 
     def _accepted(self, vertices: Floats) -> Floats:
         """``vertices`` as the kernels take them."""
@@ -177,19 +221,59 @@ class ObjFile:
             raise InternalError(
                 f"positions of shape {vertices.shape} for a file with {len(self.vertices)} vertices"
             )
-        if not np.isfinite(vertices).all():
+        # Infinity and what is no number show in the sum of the extremes.
+        if not math.isfinite(float(vertices.max()) + float(vertices.min())):
             bad = int(np.argmin(np.isfinite(vertices).all(axis=1)))
             raise InternalError("a new position is not finite", where=f"vertex {bad + 1}")
         # A read-only array would have every kernel compiled once more.
         return np.require(vertices, np.float64, ("C", "W"))
 
+    def _statements(self, vertices: Floats) -> list[plain_text.Statements] | None:
+        """What changes, where all numbers are plain: the positions, and perhaps the normals."""
+        parsed = self._content
+        largest = max(float(vertices.max()), -float(vertices.min()))
+        decimals = plain_text.row_decimals(parsed.decimals, self._decimals, largest)
+        if decimals is None:
+            return None
+        found = [plain_text.Statements(parsed.vertex_at, 1, parsed.vertices, vertices, decimals)]
+        if parsed.face_normals is not None:
+            own = np.zeros(len(parsed.normals), dtype=np.uint8)
+            decimals = plain_text.row_decimals(own, self._normal_decimals, 1.0)
+            if decimals is None:
+                return None
+            normals = self._new_normals(vertices)
+            found.append(
+                plain_text.Statements(parsed.normal_at, 2, parsed.normals, normals, decimals)
+            )
+        return found
+
+    def _new_normals(self, vertices: Floats) -> Floats:
+        """The normals (g, 3) that the file should have with its vertices there.
+
+        Remembered for the last positions, which writing and checking ask for in turn.
+        """
+        from msal_cli.core.geometry import regrouped_normals
+
+        parsed = self._content
+        if parsed.face_normals is None:
+            return parsed.normals
+        key = hashlib.sha256(vertices.data).digest()
+        if self._last_normals[0] != key:
+            normals, _ = regrouped_normals(
+                parsed.vertices, vertices, parsed.faces, parsed.face_normals, parsed.normals
+            )
+            self._last_normals = key, normals
+        return self._last_normals[1]
+
+    @functools.cached_property
     def _decimals(self) -> int:
-        """Decimals of new positions: as many as the file uses, or as its extent asks for."""
-        from msal_cli.core import obj_scan
+        """Least decimals of new positions: as many as are usual, or as the extent asks for."""
         from msal_cli.core.digits import FIXED_BELOW, MOST_DECIMALS
 
-        used = min(int(self._content.state[obj_scan.DECIMALS]), MOST_DECIMALS)
-        low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        used = min(plain_text.usual_decimals(self._content.decimals), MOST_DECIMALS)
+        # Column by column: numpy reduces the first of two axes slowly.
+        low = np.array([self.vertices[:, axis].min() for axis in range(3)])
+        high = np.array([self.vertices[:, axis].max() for axis in range(3)])
         extent = math.hypot(*(high * 0.5 - low * 0.5).tolist()) * 2.0
         step = extent * _FAR_FINER
         needed = math.ceil(-math.log10(step)) if 0.0 < step < math.inf else 0
@@ -198,11 +282,12 @@ class ObjFile:
             return SHORTEST_DOUBLE
         return max(used, needed)
 
+    @functools.cached_property
     def _normal_decimals(self) -> int:
-        from msal_cli.core import obj_scan
+        """Decimals of new normals."""
         from msal_cli.core.digits import MOST_DECIMALS
 
-        used = int(self._content.state[obj_scan.NORMAL_DECIMALS])
+        used = plain_text.usual_decimals(self._content.normal_decimals)
         return min(max(used, NORMAL_DECIMALS), MOST_DECIMALS)
 
     def _patched(
@@ -214,13 +299,7 @@ class ObjFile:
 
         parsed = self._content
         buf = as_bytes(self._data)
-        normals = parsed.normals
-        if parsed.face_normals is not None:
-            from msal_cli.core.geometry import regrouped_normals
-
-            normals, _ = regrouped_normals(
-                parsed.vertices, vertices, parsed.faces, parsed.face_normals, parsed.normals
-            )
+        normals = self._new_normals(vertices)
         is_moved = np.ones(vertices.shape, dtype=bool) if is_forced else vertices != self.vertices
         is_turned = normals != parsed.normals
         text, stops = _texts(vertices[is_moved], decimals)

@@ -26,10 +26,22 @@ _T = TypeVar("_T", bound=np.generic)
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 _LOOKED_AT = 4096
+_ZEROS_LOOKED_AT = 1 << 16
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 _BEGUN = re.compile(rb"[-+.\deE/\\]*")
 _WORD = re.compile(rb"(?:[ \t\v\f]|\\(?:\r\n?|\n))*+([^\s\\]*+(?:\\(?![\r\n])[^\s\\]*+)*+)")
+_NUMBER = rb"([-+]?(?:\d{1,25}(?:\.\d{0,25})?|\.\d{1,25})(?:[eE][-+]?\d{1,3})?)"
+_POSITION = re.compile(rb"v" + 3 * (rb"[ \t]+" + _NUMBER) + rb"[ \t]*(?=[\r\n]|\Z)")
+_KEYWORD = re.compile(
+    rb"(?!(?:v|vt|vn|f|fo)[ \t\r\n])([^\x00-\x20\\#][^\x00-\x20\\]*)(?:[ \t][^\\\r\n]*)?(?=[\r\n])"
+)
 _NEVER = 1 << 62
+
+_FIRST_REACH = 1 << 12
+"""Bytes that the walk for all statements takes over for when it is called first."""
+
+_MOST_READ = 5_000
+"""Statements that are read one by one: more take longer than the walk for all statements."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +50,9 @@ class Content:
 
     Attributes
     ----------
-    vertices : (n, 3) float64, file units; vertex_at : (n,) int64, where each statement begins.
-    normals, normal_at : the same for the vn statements, (g, 3) and (g,).
+    vertices : (n, 3) float64, file units; vertex_at : (n,) int64, where each statement begins;
+        decimals : (n,) uint8, the most decimals of its numbers.
+    normals, normal_at, normal_decimals : the same for the vn statements, (g, 3), (g,), (g,).
     faces : (m, 3) int32, polygons cut into triangles.
     face_normals : (m, 3) int32, the vn of each corner, -1 for none; None where no corner has one.
     corners, sizes : (k,) and (p,) int32, the p polygons as they are in the file; ``corners`` and
@@ -51,8 +64,10 @@ class Content:
 
     vertices: Floats
     vertex_at: Offsets
+    decimals: Bytes
     normals: Floats
     normal_at: Offsets
+    normal_decimals: Bytes
     faces: Ints
     face_normals: Ints | None
     corners: Ints
@@ -83,7 +98,7 @@ def content(data: Buffer) -> Content:
 
 
 def refuse_binary(data: Buffer) -> None:
-    """Raise unless ``data`` can be the text of an OBJ file."""
+    """Raise unless the beginning of ``data`` can be the text of an OBJ file."""
     if not len(data):
         raise TruncatedError("the file is empty", hint="copy or export it again")
     head = bytes(memoryview(data)[:_LOOKED_AT])
@@ -94,17 +109,22 @@ def refuse_binary(data: Buffer) -> None:
             hint="save it again with the encoding UTF-8",
         )
     control = _CONTROL.search(head)
-    found = control.start() if control else _first_zero(data)
+    # Zeros are looked for farther on: the first pages of a file may be sound.
+    found = control.start() if control else bytes(memoryview(data)[:_ZEROS_LOOKED_AT]).find(0)
     if found >= 0:
-        raise FormatError(
-            f"byte {found} is a control character: this is binary data, not OBJ text",
-            where=f"byte {found}, line {line_of(data, found)}",
-            hint="pass --format if the suffix is wrong, or copy the file again",
-        )
+        raise _binary(data, found)
+
+
+def _binary(data: Buffer, at: int) -> FormatError:
+    return FormatError(
+        f"byte {at} is a control character: this is binary data, not OBJ text",
+        where=f"byte {at}, line {line_of(data, at)}",
+        hint="pass --format if the suffix is wrong, or copy the file again",
+    )
 
 
 def _first_zero(data: Buffer) -> int:
-    """Where the first zero byte is, or -1."""
+    """Where the first zero byte is; there is one."""
     view = memoryview(data)
     step = 1 << 22
     for start in range(0, len(view), step):
@@ -118,13 +138,16 @@ class _Reading:
     """The arrays that the walk fills, grown as it asks for it."""
 
     def __init__(self, data: Buffer, buf: Bytes) -> None:
-        from msal_cli.core import obj_scan
+        from msal_cli.core import obj_plain, obj_scan
 
+        self._plain = obj_plain
         self._scan = obj_scan
         self._data = data
         self._buf = buf
         size = len(buf)
-        n_vertices, n_normals, n_faces = obj_scan.counted(buf)
+        n_vertices, n_normals, n_faces, n_zeros = obj_plain.counted(buf)
+        if n_zeros:
+            raise _binary(data, _first_zero(data))
         has_normals = n_normals > 1
         # No statement is shorter than "v 0 0 0" and its line end: the counts cannot exceed this,
         # whatever the bytes say.
@@ -138,14 +161,17 @@ class _Reading:
             )
         self.vertices = np.empty((n_vertices, 3))
         self.vertex_at = np.empty(n_vertices, dtype=np.int64)
+        self.decimals = np.empty(n_vertices, dtype=np.uint8)
         self.normals = np.empty((n_normals if has_normals else 0, 3))
         self.normal_at = np.empty(len(self.normals), dtype=np.int64)
+        self.normal_decimals = np.empty(len(self.normals), dtype=np.uint8)
         self.corners = np.empty(3 * self._n_faces, dtype=np.int32)
         self.corner_normals = np.empty(len(self.corners) if has_normals else 0, dtype=np.int32)
         self.sizes = np.empty(self._n_faces, dtype=np.int32)
         self.undecided = np.empty((64, 2), dtype=np.int64)
         self.keywords = np.empty((obj_scan.MOST_KEYWORDS, 4), dtype=np.int64)
         self.libraries = np.empty(obj_scan.MOST_LIBRARIES, dtype=np.int64)
+        self._n_read = 0
         self.state = self._begun()
 
     def _begun(self) -> Offsets:
@@ -160,8 +186,18 @@ class _Reading:
     def content(self) -> Content:
         """Walk, repair and check."""
         scan, state = self._scan, self.state
-        while (result := self._walked(state, _NEVER)) == scan.FULL:
-            self._grow()
+        reach = _FIRST_REACH
+        while True:
+            result = self._walked_plainly()
+            if result == self._plain.ODD and not self._read_statement():
+                # The slower walk takes over for longer and longer, so that a file of which much
+                # is not plain is hardly read in turns.
+                result = self._walked(state, int(state[scan.AT]) + reach, _NEVER)
+                reach *= 2
+            if result == scan.FULL:
+                self._grow()
+            elif result > scan.FULL or (result == scan.WHOLE and state[scan.AT] >= len(self._buf)):
+                break
         if result != scan.WHOLE:
             raise self._refusal(result)
         n_vertices, n_normals = int(state[scan.VERTICES]), int(state[scan.NORMALS])
@@ -185,8 +221,10 @@ class _Reading:
         return Content(
             vertices=vertices,
             vertex_at=self.vertex_at[:n_vertices],
+            decimals=self.decimals[:n_vertices],
             normals=normals,
             normal_at=self.normal_at[:n_normals],
+            normal_decimals=self.normal_decimals[:n_normals],
             faces=self._triangles(corners, sizes),
             face_normals=face_normals,
             corners=corners,
@@ -199,17 +237,38 @@ class _Reading:
             libraries=self.libraries[: int(state[scan.LIBRARIES])],
         )
 
-    def _walked(self, state: Offsets, n_faces: int) -> int:
-        """Go on until ``n_faces`` faces are read, or all; what ``scanned`` returns."""
+    def _walked_plainly(self) -> int:
+        """Go on as far as the file is plain; what ``obj_plain.walked`` returns."""
+        return int(
+            self._plain.walked(
+                self._buf,
+                self.state,
+                self.vertices,
+                self.vertex_at,
+                self.decimals,
+                self.normals,
+                self.normal_at,
+                self.normal_decimals,
+                self.corners,
+                self.corner_normals,
+                self.sizes,
+            )
+        )
+
+    def _walked(self, state: Offsets, until: int, n_faces: int) -> int:
+        """Go on to byte ``until``, or until ``n_faces`` faces are read; what ``scanned`` says."""
         return int(
             self._scan.scanned(
                 self._buf,
                 state,
+                until,
                 n_faces,
                 self.vertices,
                 self.vertex_at,
+                self.decimals,
                 self.normals,
                 self.normal_at,
+                self.normal_decimals,
                 self.corners,
                 self.corner_normals,
                 self.sizes,
@@ -218,6 +277,47 @@ class _Reading:
                 self.libraries,
             )
         )
+
+    def _read_statement(self) -> bool:
+        """Read one statement that is not plain but usual; whether it is one.
+
+        Nearly every file has a few keywords beside v, vt, vn and f, and some programs write the
+        few numbers next to zero with an exponent.
+        """
+        scan, state = self._scan, self.state
+        at, row = int(state[scan.AT]), int(state[scan.VERTICES])
+        self._n_read += 1
+        if self._n_read > _MOST_READ:
+            return False
+        view = memoryview(self._data)
+        if statement := _KEYWORD.match(view, at):
+            self._note(statement[1], at)
+        elif (statement := _POSITION.match(view, at)) and row < len(self.vertices):
+            numbers = statement.groups()
+            self.vertices[row] = [float(number) for number in numbers]
+            self.vertex_at[row] = at
+            self.decimals[row] = min(max(_decimals(number) for number in numbers), 255)
+            state[scan.VERTICES] += 1
+        else:
+            return False
+        state[scan.AT] = statement.end()
+        return True
+
+    def _note(self, keyword: bytes, at: int) -> None:
+        """Count a keyword in its row, as ``obj_scan.note_keyword`` does."""
+        scan, state = self._scan, self.state
+        size, n_rows = len(keyword), int(state[scan.KEYWORDS])
+        word = int.from_bytes(keyword[:8], "big", signed=size >= 8)
+        rows = self.keywords[:n_rows]
+        same = np.flatnonzero((rows[:, 0] == word) & (rows[:, 3] == size))
+        row = int(same[0]) if len(same) else min(n_rows, scan.MOST_KEYWORDS - 1)
+        if row == n_rows:
+            self.keywords[row] = word, 0, at, size
+            state[scan.KEYWORDS] += 1
+        self.keywords[row, 1] += 1
+        if keyword == b"mtllib" and state[scan.LIBRARIES] < len(self.libraries):
+            self.libraries[state[scan.LIBRARIES]] = at
+            state[scan.LIBRARIES] += 1
 
     def _grow(self) -> None:
         """Make room in the arrays that are full."""
@@ -228,9 +328,11 @@ class _Reading:
         elif state[scan.VERTICES] == len(self.vertices):
             self.vertices = _grown(self.vertices, 2 * len(self.vertices) + 1)
             self.vertex_at = _grown(self.vertex_at, len(self.vertices))
+            self.decimals = _grown(self.decimals, len(self.vertices))
         elif len(self.normals) and state[scan.NORMALS] == len(self.normals):
             self.normals = _grown(self.normals, 2 * len(self.normals) + 1)
             self.normal_at = _grown(self.normal_at, len(self.normals))
+            self.normal_decimals = _grown(self.normal_decimals, len(self.normals))
         elif n_faces == len(self.sizes):
             self.sizes = _grown(self.sizes, 2 * len(self.sizes))
         else:
@@ -364,11 +466,17 @@ class _Reading:
         # A second walk that ends behind this face says where it is, and so no other walk need
         # keep the place of every face.
         again = self._begun()
-        self._walked(again, face + 1)
+        self._walked(again, _NEVER, face + 1)
         number_of_face = face + 1 + int(again[scan.SHORT])
         place = self._place(int(again[scan.LAST_FACE_AT]))
         shown = "2147483648 or more" if number >= 2**31 else str(number)
         raise _bad_index(shown, f"{place}, face {number_of_face}", n_vertices)
+
+
+def _decimals(number: bytes) -> int:
+    """Digits behind the point, the exponent counted in: ``1.5e-3`` has four."""
+    mantissa, _, exponent = number.lower().partition(b"e")
+    return max(len(mantissa.partition(b".")[2]) - int(exponent or b"0"), 0)
 
 
 def _number(word: bytes) -> float:

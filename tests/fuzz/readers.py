@@ -40,7 +40,17 @@ MOST_MEMORY = 3 << 30
 """Address space beyond which an allocation fails, with everything imported in it."""
 
 _TOLD_EVERY = 100_000
-_SCANNERS = ("digits", "text", "obj_scan", "obj_patch", "ply_scan", "stl_scan")
+_SCANNERS = (
+    "digits",
+    "plain_numbers",
+    "text",
+    "obj_plain",
+    "obj_scan",
+    "plain_patch",
+    "obj_patch",
+    "ply_scan",
+    "stl_scan",
+)
 
 WORDS = {
     "ply": "ply format ascii binary_little_endian binary_big_endian 1.0 comment obj_info element"
@@ -79,6 +89,7 @@ def main(arguments: list[str]) -> None:
 
         if is_interpreted:
             import msal_cli.core.obj_patch
+            import msal_cli.core.obj_plain
             import msal_cli.core.obj_scan
             import msal_cli.core.ply_scan
             import msal_cli.core.stl_scan  # noqa: F401
