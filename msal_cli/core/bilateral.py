@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
-from msal_cli.core.exponential import exponentials
+from msal_cli.core.exponential import BLOCK, exponentials
 from msal_cli.core.geometry import vertex_normals
-from msal_cli.core.operators import BLOCK_EDGES, SMALLEST_SIGMA, Step
+from msal_cli.core.operators import SMALLEST_SIGMA, Step
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.reach import room, vertices_around
 from msal_cli.dataclass import dataclass
@@ -30,7 +30,7 @@ def _ring_bilateral(  # type: ignore[no-untyped-def]
     widest = 0
     for i in range(start, stop):
         widest = max(widest, ring_start[i + 1] - ring_start[i])
-    capacity = max(BLOCK_EDGES, widest)
+    capacity = max(BLOCK, widest)
     h = np.empty(capacity)
     g = np.empty(capacity)
     scratch = np.empty(capacity)

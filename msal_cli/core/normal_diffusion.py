@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.exponential import exponentials
+from msal_cli.core.exponential import BLOCK, exponentials
 from msal_cli.core.face_rings import face_centroids
 from msal_cli.core.geometry import VANISHED, face_normals_and_areas
 from msal_cli.core.medians import median
-from msal_cli.core.operators import BLOCK_EDGES
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.robust_laplacian import PER_MEDIAN
 
@@ -67,7 +66,7 @@ def _diffused(start, stop, normals, shares, inverse, ring_start, ring, result): 
     widest = 0
     for f in range(start, stop):
         widest = max(widest, ring_start[f + 1] - ring_start[f])
-    capacity = max(BLOCK_EDGES, widest)
+    capacity = max(BLOCK, widest)
     weights = np.empty(capacity)
     scratch = np.empty(capacity)
     scratch_bits = scratch.view(np.int64)

@@ -7,14 +7,26 @@ normal line, so that it cannot drift tangentially.  Others return vectors.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.exponential import exponentials
+from msal_cli.core.exponential import LOG2_E, power_of_two
 from msal_cli.core.parallel import over_ranges
+from msal_cli.core.ring_blocks import (
+    BLOCK,
+    BLOCK_EDGES,
+    LANES,
+    ONE,
+    THREE,
+    TWO,
+    VECTOR,
+    ZERO,
+    block,
+    most_neighbours,
+)
 from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
@@ -23,9 +35,6 @@ Flags = NDArray[np.bool_]
 
 SMALLEST_SIGMA = 1e-9
 """Floor of sigma in the exponent, in mean edge lengths: far below the rounding of any scan."""
-
-BLOCK_EDGES = 1024
-"""Edges that are worked on at a time: three arrays of them fit a first-level cache of 32 KiB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +47,12 @@ class Step:
         vertex's normal, or (n, 3).
     sigma : (n,), the local scale of eq. (4), file units, zero where the one-ring is planar; None
         from an operator that does not compute it.
+    largest_sigma : its maximum, where it was found on the way.
     """
 
     move: Floats
     sigma: Floats | None = None
+    largest_sigma: float | None = None
 
 
 class Operator(Protocol):
@@ -61,66 +72,142 @@ class Operator(Protocol):
         ...
 
 
+@runtime_checkable
+class RingOperator(Operator, Protocol):
+    """An operator along fixed normals that can make a sweep without arrays of its own."""
+
+    def measure(self, positions: Floats, heights: Floats, sigma: Floats) -> float:
+        """Write heights (n,) and sigma (n,) at ``positions`` (n, 3); returns the largest sigma."""
+        ...
+
+    def advance(
+        self,
+        vertices: Floats,
+        positions: Floats,
+        offsets: Floats,
+        time_step: float,
+        constant: float,
+        moved: Floats,
+    ) -> None:
+        """A whole sweep in one pass, with the same lambda for all: v + t n into ``moved`` (n, 3).
+
+        ``vertices`` are v, ``positions`` where they stand now, both (n, 3); ``offsets`` t (n,) are
+        changed.  ``moved`` shares no memory with the others.
+        """
+        ...
+
+
 @compiled
 def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
-    start, stop, x, normals, ring_start, ring, free, floor, heights, sigma
+    start,
+    stop,
+    x,
+    normals,
+    ring_start,
+    ring,
+    free,
+    floor,
+    heights,
+    sigma,
+    v,
+    offsets,
+    tau,
+    constant,
+    moved,
 ):
     """x positions, h heights of the ring over the tangent plane; Huang & Ascher, eqs. (4), (5).
 
-    Vertices are taken in blocks whose edges fit the first-level cache: first heights and the
-    exponents of all, then all exponentials, then the weighted means.
+    Points are flat, three numbers each.  Without ``moved`` it writes heights and sigma and returns
+    the largest sigma; with it, it makes the whole sweep: new offsets t, and v + t n into ``moved``.
     """
-    widest = 0
-    for i in range(start, stop):
-        widest = max(widest, ring_start[i + 1] - ring_start[i])
-    capacity = max(BLOCK_EDGES, widest)
-    h = np.empty(capacity)
-    g = np.empty(capacity)
-    scratch = np.empty(capacity)
-    scratch_bits = scratch.view(np.int64)
-    i = start
-    while i < stop:
-        first = i
-        origin = ring_start[i]
-        row = 0
-        while i < stop and ring_start[i + 1] - origin <= capacity:
-            m = ring_start[i + 1] - origin - row
-            nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-            xi, yi, zi = x[i, 0], x[i, 1], x[i, 2]
-            total = 0.0
-            flattest = np.inf
-            for at in range(m):
-                k = ring[origin + row + at]
-                height = (x[k, 0] - xi) * nx + (x[k, 1] - yi) * ny + (x[k, 2] - zi) * nz
-                h[row + at] = height
-                total += height
-                square = height * height
-                flattest = square if square < flattest else flattest
-            mean = total / m if m else 0.0
-            deviation = 0.0
-            for at in range(m):
-                deviation += abs(h[row + at] - mean)
-            scale = 2.0 * deviation / m if m else 0.0
-            sigma[i] = scale
-            # The largest weight is made 1: the quotient of eq. (5) stays the same, and cannot
-            # become 0/0 where sigma is tiny.  For sigma = 0 all heights equal their mean.
-            scale = scale if scale > floor else floor
-            inverse = 0.5 / (scale * scale)
-            for at in range(m):
-                g[row + at] = (flattest - h[row + at] * h[row + at]) * inverse
-            row += m
-            i += 1
-        exponentials(g, scratch, scratch_bits, row)
-        row = 0
-        for j in range(first, i):
-            m = ring_start[j + 1] - origin - row
-            weights = 0.0
-            moment = 0.0
-            for at in range(m):
-                weights += g[row + at]
-                moment += g[row + at] * h[row + at]
-            heights[j] = moment / weights if m and free[j] else 0.0
-            row += m
+    # Unsigned indices need no look at their sign.
+    ring_start = ring_start.view(np.uint32)
+    ring = ring.view(np.uint32)
+    stop = np.uint64(stop)
+    widest = most_neighbours(start, stop, ring_start)
+    # By lane: the least square of a height, sigma, the factor of the exponents, sums.
+    scales, factors, sums, weights = LANES, TWO * LANES, THREE * LANES, TWO * TWO * LANES
+    rows = (TWO + THREE) * LANES
+    room = np.zeros(rows + VECTOR * max(BLOCK_EDGES, widest))
+    lanes, shifts, chosen = widest + ONE, TWO * (widest + ONE), THREE * (widest + ONE)
+    table = np.zeros(chosen + BLOCK, np.uint64)
+    largest = 0.0
+    first = np.uint64(start)
+    while first < stop:
+        last, fewest, most = block(first, stop, ring_start, widest, rows, table)
+        for i in range(first, last):
+            point = THREE * i
+            # The signs of both factors are turned, so that x_k is loaded as it is subtracted.
+            nx, ny, nz = -normals[point], -normals[point + ONE], -normals[point + TWO]
+            xi, yi, zi = x[point], x[point + ONE], x[point + TWO]
+            edge = np.uint64(ring_start[i])
+            m = ring_start[i + ONE] - edge
+            lane = table[lanes + m]
+            table[lanes + m] = lane + ONE
+            table[chosen + i - first] = lane
+            place = lane + table[shifts + m]
+            width = table[m]
+            for e in range(edge, edge + m):
+                k = THREE * ring[e]
+                room[place] = (xi - x[k]) * nx + (yi - x[k + ONE]) * ny + (zi - x[k + TWO]) * nz
+                place += width
+        lane, row = ZERO, rows
+        for m in range(fewest, most + ONE):
+            width = table[m]
+            for at in range(lane, lane + width):
+                room[at] = np.inf
+                room[scales + at] = 0.0
+                room[sums + at] = 0.0
+                room[weights + at] = 0.0
+            place = row
+            for _ in range(m):
+                for at in range(width):
+                    h = room[place + at]
+                    room[sums + lane + at] += h
+                    room[lane + at] = min(room[lane + at], h * h)
+                place += width
+            for at in range(lane, lane + width):
+                room[sums + at] /= max(m, ONE)
+            place = row
+            for _ in range(m):
+                for at in range(width):
+                    room[scales + lane + at] += abs(room[place + at] - room[sums + lane + at])
+                place += width
+            for at in range(lane, lane + width):
+                scale = 2.0 * room[scales + at] / max(m, ONE)
+                room[scales + at] = scale
+                scale = scale if scale > floor else floor
+                room[factors + at] = 0.5 * LOG2_E / (scale * scale)
+                room[sums + at] = 0.0
+            for _ in range(m):
+                for at in range(width):
+                    h = room[row + at]
+                    # The largest weight is made 1: the quotient of eq. (5) stays the same, and
+                    # cannot become 0/0 where sigma is tiny.  For sigma = 0 all heights are alike.
+                    g = power_of_two((room[lane + at] - h * h) * room[factors + lane + at])
+                    room[weights + lane + at] += g
+                    room[sums + lane + at] += g * h
+                row += width
+            lane += width
+        for i in range(first, last):
+            lane = table[chosen + i - first]
+            moves = free[i] and ring_start[i + ONE] > ring_start[i]
+            height = room[sums + lane] / room[weights + lane] if moves else 0.0
+            if len(moved):
+                t = offsets[i]
+                t = t + tau * height - constant * t
+                offsets[i] = t
+                point = THREE * i
+                moved[point] = v[point] + t * normals[point]
+                moved[point + ONE] = v[point + ONE] + t * normals[point + ONE]
+                moved[point + TWO] = v[point + TWO] + t * normals[point + TWO]
+            else:
+                heights[i] = height
+                scale = room[scales + lane]
+                sigma[i] = scale
+                largest = max(largest, scale)
+        first = last
+    return largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,18 +233,53 @@ class AnisotropicLaplacian:
 
     def __call__(self, positions: Floats) -> Step:
         """Heights and sigma at ``positions`` (n, 3), all from the same positions."""
-        n = len(positions)
-        heights, sigma = np.empty(n), np.empty(n)
-        over_ranges(
+        heights, sigma = np.empty(len(positions)), np.empty(len(positions))
+        return Step(heights, sigma, self.measure(positions, heights, sigma))
+
+    def measure(self, positions: Floats, heights: Floats, sigma: Floats) -> float:
+        """See ``RingOperator``."""
+        none = np.empty(0)
+        return self._run(positions, heights, sigma, none, none, 0.0, 0.0, none)
+
+    def advance(
+        self,
+        vertices: Floats,
+        positions: Floats,
+        offsets: Floats,
+        time_step: float,
+        constant: float,
+        moved: Floats,
+    ) -> None:
+        """See ``RingOperator``."""
+        none = np.empty(0)
+        self._run(positions, none, none, vertices, offsets, time_step, constant, moved)
+
+    def _run(
+        self,
+        positions: Floats,
+        heights: Floats,
+        sigma: Floats,
+        vertices: Floats,
+        offsets: Floats,
+        time_step: float,
+        constant: float,
+        moved: Floats,
+    ) -> float:
+        largest = over_ranges(
             _anisotropic_laplacian,
-            n,
-            positions,
-            self.normals,
+            len(positions),
+            positions.reshape(-1),
+            self.normals.reshape(-1),
             self.ring_start,
             self.ring,
             self.free,
             max(SMALLEST_SIGMA * self.mean_edge_length, np.finfo(np.float64).tiny ** 0.5),
             heights,
             sigma,
+            vertices.reshape(-1),
+            offsets,
+            time_step,
+            constant,
+            moved.reshape(-1),
         )
-        return Step(heights, sigma)
+        return float(max(largest))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
+from typing import Any
 
 SMALLEST_RANGE = 32_768
 """Items per thread below which starting a thread costs more than it saves."""
@@ -26,9 +27,11 @@ def threads() -> int:
 
 
 def over_ranges(
-    kernel: Callable[..., object], count: int, *arguments: object, smallest: int = SMALLEST_RANGE
-) -> None:
+    kernel: Callable[..., Any], count: int, *arguments: object, smallest: int = SMALLEST_RANGE
+) -> list[Any]:
     """Call ``kernel(start, stop, *arguments)`` so that the ranges cover ``0 ... count``.
+
+    Returns what the ranges returned, in their order.
 
     The kernel must release the interpreter lock and write only to items of its own range; then
     the result cannot depend on the number of threads.  No range has fewer than ``smallest`` items.
@@ -36,25 +39,23 @@ def over_ranges(
     """
     parts = max(1, min(threads(), count // smallest))
     if parts == 1:
-        kernel(0, count, *arguments)
-        return
+        return [kernel(0, count, *arguments)]
     bounds = [count * part // parts for part in range(parts + 1)]
+    results: list[Any] = [None] * parts
     failures: list[BaseException] = []
 
-    def run(start: int, stop: int) -> None:
+    def run(part: int) -> None:
         try:
-            kernel(start, stop, *arguments)
+            results[part] = kernel(bounds[part], bounds[part + 1], *arguments)
         except BaseException as failure:
             failures.append(failure)
 
-    others = [
-        threading.Thread(target=run, args=(bounds[part], bounds[part + 1]), daemon=True)
-        for part in range(1, parts)
-    ]
+    others = [threading.Thread(target=run, args=(part,), daemon=True) for part in range(1, parts)]
     for other in others:
         other.start()
-    run(bounds[0], bounds[1])
+    run(0)
     for other in others:
         other.join()
     if failures:
         raise failures[0]
+    return results

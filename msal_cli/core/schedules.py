@@ -4,12 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from msal_cli.dataclass import dataclass
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -29,11 +24,11 @@ class Schedule(Protocol):
 
     @property
     def uses_sigma(self) -> bool:
-        """Whether ``sigma`` must be given."""
+        """Whether ``largest_sigma`` must be given."""
         ...
 
-    def __call__(self, sweep: int, sigma: Floats | None) -> Pace:
-        """The pace of sweep 0, 1, ..., from sigma (n,) at its start."""
+    def __call__(self, sweep: int, largest_sigma: float | None) -> Pace:
+        """The pace of sweep 0, 1, ..., from max sigma at its start, file units."""
         ...
 
 
@@ -44,7 +39,7 @@ class Plain:
     time_step: float = 1.0
     uses_sigma = False
 
-    def __call__(self, sweep: int, sigma: Floats | None) -> Pace:
+    def __call__(self, sweep: int, largest_sigma: float | None) -> Pace:
         """tau and no fidelity."""
         return Pace(self.time_step)
 
@@ -57,7 +52,7 @@ class Constant:
     fidelity: float = 0.1
     uses_sigma = False
 
-    def __call__(self, sweep: int, sigma: Floats | None) -> Pace:
+    def __call__(self, sweep: int, largest_sigma: float | None) -> Pace:
         """tau and lambda."""
         return Pace(self.time_step, constant=self.fidelity)
 
@@ -74,9 +69,9 @@ class Multiscale:
     time_step: float = 1.0
     uses_sigma = True
 
-    def __call__(self, sweep: int, sigma: Floats | None) -> Pace:
+    def __call__(self, sweep: int, largest_sigma: float | None) -> Pace:
         """tau and 1 / max sigma."""
-        largest = 0.0 if sigma is None else float(sigma.max(initial=0.0))
+        largest = largest_sigma or 0.0
         return Pace(
             self.time_step * self.decay**sweep,
             per_sigma=1.0 / largest if largest > 0.0 else 0.0,
@@ -91,6 +86,6 @@ class Alternating:
     inflate: float = -0.53
     uses_sigma = False
 
-    def __call__(self, sweep: int, sigma: Floats | None) -> Pace:
+    def __call__(self, sweep: int, largest_sigma: float | None) -> Pace:
         """One of the two steps."""
         return Pace(self.inflate if sweep % 2 else self.shrink)

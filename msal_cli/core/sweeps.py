@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.operators import Operator
+from msal_cli.core.operators import Operator, RingOperator
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.schedules import Pace, Schedule
 from msal_cli.dataclass import dataclass
@@ -38,11 +38,14 @@ class Swept:
 
 @compiled
 def _moved_along_normals(  # type: ignore[no-untyped-def]
-    start, stop, v, normals, heights, sigma, tau, constant, per_sigma, offsets, x
+    start, stop, v, normals, heights, sigma, tau, constant, per_sigma, offsets, fidelity, x
 ):
     for i in range(start, stop):
+        pull = constant + per_sigma * sigma[i]
+        if len(fidelity):
+            fidelity[i] = pull
         t = offsets[i]
-        t = t + tau * heights[i] - (constant + per_sigma * sigma[i]) * t
+        t = t + tau * heights[i] - pull * t
         offsets[i] = t
         x[i, 0] = v[i, 0] + t * normals[i, 0]
         x[i, 1] = v[i, 1] + t * normals[i, 1]
@@ -78,6 +81,8 @@ def swept(
     scale : gives sigma (n,) of eq. (4) at positions (n, 3), for a schedule that uses it over an
         operator that does not compute it.
     """
+    if isinstance(operator, RingOperator) and iterations:
+        return _swept_over_rings(vertices, operator, schedule, iterations, on_sweep)
     n = len(vertices)
     x = vertices.copy()
     offsets = np.zeros(n)
@@ -86,12 +91,15 @@ def swept(
     fidelity = unused
     for sweep in range(iterations):
         step = operator(x)
-        sigma = step.sigma
-        if sigma is None and schedule.uses_sigma:
-            if scale is None:
-                raise ValueError("the schedule needs sigma, and nothing computes it")
-            sigma = scale(x)
-        pace: Pace = schedule(sweep, sigma)
+        sigma, largest = step.sigma, step.largest_sigma
+        if schedule.uses_sigma:
+            if sigma is None:
+                if scale is None:
+                    raise ValueError("the schedule needs sigma, and nothing computes it")
+                sigma = scale(x)
+            if largest is None:
+                largest = float(sigma.max(initial=0.0))
+        pace: Pace = schedule(sweep, largest)
         if sigma is None:
             sigma = unused
         if sweep == 0:
@@ -109,19 +117,74 @@ def swept(
                 x,
             )
         else:
-            over_ranges(
-                _moved_along_normals,
-                n,
-                vertices,
-                operator.normals,
-                step.move,
-                sigma,
-                pace.time_step,
-                pace.constant,
-                pace.per_sigma,
-                offsets,
-                x,
+            _move_along_normals(
+                vertices, operator.normals, step.move, sigma, pace, offsets, np.empty(0), x
             )
+        if on_sweep is not None:
+            on_sweep(sweep + 1, iterations)
+    return Swept(x, fidelity)
+
+
+def _move_along_normals(
+    vertices: Floats,
+    normals: Floats,
+    heights: Floats,
+    sigma: Floats,
+    pace: Pace,
+    offsets: Floats,
+    fidelity: Floats,
+    x: Floats,
+) -> None:
+    over_ranges(
+        _moved_along_normals,
+        len(vertices),
+        vertices,
+        normals,
+        heights,
+        sigma,
+        pace.time_step,
+        pace.constant,
+        pace.per_sigma,
+        offsets,
+        fidelity,
+        x,
+    )
+
+
+def _swept_over_rings(
+    vertices: Floats,
+    operator: RingOperator,
+    schedule: Schedule,
+    iterations: int,
+    on_sweep: OnSweep | None,
+) -> Swept:
+    """The same, with no arrays made anew for every sweep, and as few passes as can be.
+
+    Without sigma a sweep is one pass, from one array of positions to another.  lambda by sigma
+    asks for the largest one, which is known only when every vertex has been looked at: then
+    heights and sigma are kept, and a second pass moves.
+    """
+    n = len(vertices)
+    assert operator.normals is not None
+    offsets = np.zeros(n)
+    fidelity, none = np.zeros(n), np.empty(0)
+    x, moved = vertices, np.empty_like(vertices)
+    heights, sigma = (np.empty(n), np.empty(n)) if schedule.uses_sigma else (none, none)
+    for sweep in range(iterations):
+        if schedule.uses_sigma:
+            pace = schedule(sweep, operator.measure(x, heights, sigma))
+            first = none if sweep else fidelity
+            _move_along_normals(
+                vertices, operator.normals, heights, sigma, pace, offsets, first, moved
+            )
+            x = moved
+        else:
+            pace = schedule(sweep, None)
+            if sweep == 0 and pace.constant:
+                fidelity.fill(pace.constant)
+            operator.advance(vertices, x, offsets, pace.time_step, pace.constant, moved)
+            spare = np.empty_like(vertices) if sweep == 0 and iterations > 1 else x
+            x, moved = moved, spare
         if on_sweep is not None:
             on_sweep(sweep + 1, iterations)
     return Swept(x, fidelity)

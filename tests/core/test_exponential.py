@@ -7,7 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.core.exponential import SMALLEST_ARGUMENT, exponentials
+from msal_cli.core.compiled import compiled
+from msal_cli.core.exponential import (
+    SMALLEST_ARGUMENT,
+    SMALLEST_POWER,
+    exponentials,
+    power_of_two,
+)
 
 
 def computed(values):
@@ -45,3 +51,31 @@ def test_only_the_first_count_is_touched():
     scratch = np.empty(5)
     exponentials(values, scratch, scratch.view(np.int64), 3)
     assert values[3:].tolist() == [-1.0, -1.0]
+
+
+@compiled
+def raised(values):
+    for at in range(len(values)):
+        values[at] = power_of_two(values[at])
+
+
+def powers(exponents):
+    values = np.array(exponents, dtype=np.float64)
+    raised(values)
+    return values
+
+
+def test_whole_powers_of_two_are_exact():
+    whole = np.arange(SMALLEST_POWER, 1.0)
+    assert (powers(whole) == np.ldexp(1.0, whole.astype(int))).all()
+
+
+@pytest.mark.parametrize("low", [-1e-8, -0.5, -1.0, -30.0, SMALLEST_POWER])
+def test_powers_of_two_are_within_two_ulp(low):
+    exponents = np.random.default_rng(0).uniform(low, 0.0, 100_000)
+    exact = np.exp2(exponents)
+    assert (np.abs(powers(exponents) - exact) <= 2 * np.spacing(exact)).all()
+
+
+def test_small_powers_of_two_are_held():
+    assert powers([-1e300, -np.inf]).tolist() == [2.0**-1010] * 2
