@@ -26,9 +26,7 @@ def main(words: list[str] | None = None) -> None:
     contest.add_options(parser, repeats=5, forms=("ply", "ply-ascii", "stl", "obj"))
     parser.add_argument("--around", type=int, default=1414)
     arguments = parser.parse_args(words)
-    # 708 across for 1414 around; an even count keeps the rows of triangles whole.
-    across = (arguments.around // 2 + 1) // 2 * 2
-    scan = scans.scan("torus", arguments.around, across, noise=0.2, seed=1)
+    scan = scans.large_torus(arguments.around)
     print(f"A torus of {len(scan.vertices):,} vertices and {len(scan.faces):,} faces.")
     with tempfile.TemporaryDirectory() as scratch:
         folder = arguments.folder or Path(scratch)

@@ -111,6 +111,11 @@ def scan(name: str, around: int, across: int, noise: float, seed: int) -> Scan:
     return Scan(points.astype(np.float32), faces)
 
 
+def large_torus(around: int) -> Scan:
+    """``around`` times half as many vertices with noise of 0.2 mean edge lengths."""
+    return scan("torus", around, (around // 2 + 1) // 2 * 2, noise=0.2, seed=1)
+
+
 def _ply_header(scan: Scan, form: str) -> bytes:
     return (
         f"ply\nformat {form} 1.0\nelement vertex {len(scan.vertices)}\n"

@@ -1,0 +1,67 @@
+"""Where the time of a file goes, by the report's own account, and whether that account is whole.
+
+    python -m benchmarks.stages [--around 1414] [--repeats 3] [--folder FOLDER] [--forms ...]
+
+A noisy torus of AROUND * AROUND / 2 vertices as binary and ascii PLY, STL and OBJ, each denoised
+on one core.  Printed are milliseconds by stage of the fastest run, their sum over the total that
+the report tells, and what of the whole process the report does not know: the start of Python and of
+the command, and its end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+from benchmarks import machine, measured, scans
+
+_STAGES = ("read", "connectivity", "normals", "sweeps", "measure", "write")
+
+
+def accounted(source: Path, target: Path) -> tuple[dict[str, float], float]:
+    """The report's seconds by stage of one run, and the seconds of the whole process."""
+    report = target.with_suffix(".jsonl")
+    words = ["denoise", str(source), "-o", str(target), "--report", str(report)]
+    source.read_bytes()
+    ran = measured.run([sys.executable, "-m", "msal_cli", *words], is_pinned=True)
+    if ran.fault:
+        sys.exit(f"msal: {ran.fault}")
+    seconds = json.loads(report.read_text(encoding="utf-8"))["seconds"]
+    return {name: value or 0.0 for name, value in seconds.items()}, ran.seconds
+
+
+def row(title: str, seconds: dict[str, float], whole: float) -> str:
+    """One line of the table."""
+    cells = [f"{1000 * seconds[name]:.0f}" for name in _STAGES]
+    share = sum(seconds[name] for name in _STAGES) / seconds["total"]
+    rest = whole - seconds["total"]
+    cells += [f"{1000 * seconds['total']:.0f}", f"{100 * share:.1f} %", f"{1000 * rest:.0f}"]
+    return f"| {title} | {' | '.join(cells)} |"
+
+
+def main(words: list[str] | None = None) -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--around", type=int, default=1414)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--forms", nargs="*", choices=list(scans.FORMS), default=list(scans.FORMS))
+    parser.add_argument("--folder", type=Path, help="where meshes are kept for the next run")
+    arguments = parser.parse_args(words)
+    scan = scans.large_torus(arguments.around)
+    print(f"{machine.line()}\n{len(scan.vertices):,} vertices, one core, milliseconds.\n")
+    print(f"| file | {' | '.join(_STAGES)} | total | stages / total | outside |")
+    print("|---|" + "--:|" * (len(_STAGES) + 3), flush=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = arguments.folder or Path(scratch)
+        for form in arguments.forms:
+            source = scans.file_of(folder, f"torus-{len(scan.vertices)}", form, lambda: scan)
+            target = Path(scratch) / f"out{source.suffix}"
+            runs = [accounted(source, target) for _ in range(arguments.repeats + 1)][1:]
+            print(row(scans.FORMS[form].title, *min(runs, key=lambda run: run[1])), flush=True)
+
+
+if __name__ == "__main__":
+    main()
