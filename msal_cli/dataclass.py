@@ -60,11 +60,16 @@ _set = object.__setattr__
 def _init(cls: type, fields: Fields) -> Callable[..., None]:
     given = [one.name for one in fields if one.init]
     n_plain = len(given) if len(given) == len(fields) else -1
+    names = frozenset(one.name for one in fields) if n_plain >= 0 else None
+    defaults = {one.name: one.default for one in fields if one.default is not dataclasses.MISSING}
     is_continued = hasattr(cls, "__post_init__")
 
     def __init__(self: Any, *values: Any, **named: Any) -> None:  # noqa: N807
         if len(values) == n_plain and not named:
             for name, value in zip(given, values, strict=True):
+                _set(self, name, value)
+        elif not values and (known := defaults | named).keys() == names:
+            for name, value in known.items():
                 _set(self, name, value)
         else:
             for name, value in _bound(cls.__name__, fields, given, values, named):
