@@ -26,7 +26,8 @@ from msal_cli.dataclass import dataclass
 
 _LENGTH = struct.Struct("<Q")
 
-# Progress is for eyes: more often than this (seconds) is a waste of both processes' time.
+# Progress is for eyes: more often than this (seconds) is a waste of both processes' time, and the
+# stages of a file that is done sooner are nothing to see.
 _BETWEEN_PROGRESS_S = 0.05
 
 _BETWEEN_LOOKS_S = 0.05
@@ -118,12 +119,14 @@ class _Outgoing:
 
 
 def _do(assignment: Assignment, index: int, task: Any, outgoing: _Outgoing) -> None:
+    begun = time.monotonic()
     last = ("", 0.0)
 
     def on_progress(stage: str, done: int, total: int) -> None:
         nonlocal last
         now = time.monotonic()
-        if stage != last[0] or done == total or now - last[1] >= _BETWEEN_PROGRESS_S:
+        is_new = stage != last[0] and (not last[0] or now - begun >= _BETWEEN_PROGRESS_S)
+        if is_new or done == total or now - last[1] >= _BETWEEN_PROGRESS_S:
             last = (stage, now)
             outgoing.send("progress", index, stage, done, total)
 
