@@ -1,15 +1,10 @@
-"""Facets of binary STL in place: new positions and normals into them, and the proof of it.
-
-Throughout ``old`` and ``new`` are vertices (n, 3) float64 and ``faces`` (m, 3) the facets' corners;
-``normals`` (m, 3) and ``corners`` (m, 9) float32 are views into the file.
-"""
+"""The proof that facets of binary STL were replaced as they must be."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.facet_normals import has_moved, renewed_normal
 
 RIGHT, CORNER, NORMAL, ATTRIBUTE = range(4)
 """What ``checked`` found wrong with a facet."""
@@ -20,42 +15,13 @@ _LENGTH_ERROR = 1e-5
 
 
 @compiled
-def replaced(start, stop, old, new, faces, normals, corners):  # type: ignore[no-untyped-def]
-    """Write what moved into facets that are still as they were read.
-
-    A coordinate that did not move and a normal that is not renewed keep their very bits.
-    """
-    for f in range(start, stop):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        if not has_moved(old, new, a, b, c):
-            continue
-        nx, ny, nz, is_new = renewed_normal(
-            old,
-            new,
-            a,
-            b,
-            c,
-            np.float64(normals[f, 0]),
-            np.float64(normals[f, 1]),
-            np.float64(normals[f, 2]),
-        )
-        if is_new:
-            normals[f, 0] = np.float32(nx)
-            normals[f, 1] = np.float32(ny)
-            normals[f, 2] = np.float32(nz)
-        for corner in range(3):
-            i = faces[f, corner]
-            for k in range(3):
-                if old[i, k] != new[i, k]:
-                    corners[f, 3 * corner + k] = np.float32(new[i, k])
-
-
-@compiled
 def checked(  # type: ignore[no-untyped-def]
     start, stop, old, new, faces, words_before, words, corners_before, normals, corners
 ):
-    """The first facet that is not as ``replaced`` must leave it, and what is wrong with it.
+    """The first facet that is not as ``facet_normals.replaced`` must leave it, and its fault.
 
+    old, new (n, 3) float64 : vertices; ``faces`` (m, 3) are the facets' corners among them.
+    normals (m, 3), corners (m, 9) float32 : views into the file, after and before.
     words (m, 25) uint16 : all of a facet, before and after: six of the normal, eighteen of the
         corners, and the attribute.
     """

@@ -207,7 +207,7 @@ class StlFile:
         """
         if np.array_equal(self.vertices, vertices):
             return self.data
-        from msal_cli.core.facets import replaced
+        from msal_cli.core.facet_normals import replaced
         from msal_cli.core.parallel import over_ranges
 
         self._require_float32(vertices)
@@ -217,6 +217,7 @@ class StlFile:
             output[rest] = before[rest]
         facets = output[_FIRST_FACET : self._end].view(FACET)
         normals, corners = facets["normal"], facets["corners"]
+        untold = np.empty(0, dtype=bool)
 
         def write(start: int, stop: int) -> None:
             for first in range(start, stop, _AT_ONCE):
@@ -226,7 +227,7 @@ class StlFile:
                 )
                 # Just copied, the bytes are near when they are changed.
                 output[part] = before[part]
-                replaced(first, last, self.vertices, vertices, self.faces, normals, corners)
+                replaced(first, last, self.vertices, vertices, self.faces, normals, corners, untold)
 
         over_ranges(write, len(facets))
         return output.data
