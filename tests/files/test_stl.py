@@ -49,6 +49,7 @@ def moved(file, amount=0.25):
 # Identities
 
 
+@settings(deadline=None)
 @given(soups(), st.binary(max_size=80), st.binary(max_size=120))
 def test_nothing_moved_gives_back_the_very_bytes(corners, header, trailing):
     data = plain_stl.binary(corners, header=header, trailing=trailing)
@@ -58,6 +59,7 @@ def test_nothing_moved_gives_back_the_very_bytes(corners, header, trailing):
     file.check(data, file.vertices)
 
 
+@settings(deadline=None)
 @given(soups())
 def test_corners_are_read_exactly_in_file_order(corners):
     file = stl.read(plain_stl.binary(corners), "a.stl")
