@@ -7,11 +7,25 @@ from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
-from msal_cli.core.exponential import BLOCK, exponentials
+from msal_cli.core.exponential import LOG2_E, exponentials, power_of_two
 from msal_cli.core.geometry import vertex_normals
-from msal_cli.core.operators import SMALLEST_SIGMA, Step
+from msal_cli.core.operators import SMALLEST_LENGTH, SMALLEST_SIGMA, RingOperator, Step
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.reach import room, vertices_around
+from msal_cli.core.ring_blocks import (
+    BLOCK,
+    BLOCK_EDGES,
+    ONE,
+    PARTS,
+    ROWS,
+    THREE,
+    TWO,
+    VECTOR,
+    ZERO,
+    block,
+    most_neighbours,
+    settle,
+)
 from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
@@ -21,75 +35,131 @@ Flags = NDArray[np.bool_]
 
 @compiled
 def _ring_bilateral(  # type: ignore[no-untyped-def]
-    start, stop, x, normals, ring_start, ring, free, closeness, similarity, floor, heights, sigma
+    start,
+    stop,
+    x,
+    normals,
+    ring_start,
+    ring,
+    free,
+    closeness,
+    similarity,
+    floor,
+    heights,
+    sigma,
+    v,
+    offsets,
+    tau,
+    constant,
+    moved,
 ):
     """x positions, h heights, t distances of the ring, g the product of both Gaussians.
 
-    Blocks as in the kernel of the anisotropic Laplacian: the two Gaussians are one exponential.
+    Blocks and last arguments as in the kernel of the anisotropic Laplacian: the two Gaussians are
+    one exponential.
     """
-    widest = 0
-    for i in range(start, stop):
-        widest = max(widest, ring_start[i + 1] - ring_start[i])
-    capacity = max(BLOCK, widest)
-    h = np.empty(capacity)
-    g = np.empty(capacity)
-    scratch = np.empty(capacity)
-    scratch_bits = scratch.view(np.int64)
-    near = 0.5 / max(closeness, floor) ** 2
-    i = start
-    while i < stop:
-        first = i
-        origin = ring_start[i]
-        row = 0
-        while i < stop and ring_start[i + 1] - origin <= capacity:
-            m = ring_start[i + 1] - origin - row
-            nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-            xi, yi, zi = x[i, 0], x[i, 1], x[i, 2]
-            total = 0.0
-            for at in range(m):
-                k = ring[origin + row + at]
-                ex, ey, ez = x[k, 0] - xi, x[k, 1] - yi, x[k, 2] - zi
-                height = ex * nx + ey * ny + ez * nz
-                h[row + at] = height
-                g[row + at] = (ex * ex + ey * ey + ez * ez) * near
-                total += height
-            mean = total / m if m else 0.0
-            deviation = variance = 0.0
-            for at in range(m):
-                offset = h[row + at] - mean
-                deviation += abs(offset)
-                variance += offset * offset
-            sigma[i] = 2.0 * deviation / m if m else 0.0
-            scale = similarity
-            if scale == 0.0 and m:
-                scale = np.sqrt(variance / m)
-            scale = scale if scale > floor else floor
-            alike = 0.5 / (scale * scale)
-            least = np.inf
-            for at in range(m):
-                exponent = g[row + at] + h[row + at] * h[row + at] * alike
-                g[row + at] = exponent
-                least = exponent if exponent < least else least
-            # The largest weight is made 1: the quotient stays the same, and is never 0/0.
-            for at in range(m):
-                g[row + at] = least - g[row + at]
-            row += m
-            i += 1
-        exponentials(g, scratch, scratch_bits, row)
-        row = 0
-        for j in range(first, i):
-            m = ring_start[j + 1] - origin - row
-            weights = 0.0
-            moment = 0.0
-            for at in range(m):
-                weights += g[row + at]
-                moment += g[row + at] * h[row + at]
-            heights[j] = moment / weights if m and free[j] else 0.0
-            row += m
+    ring_start = ring_start.view(np.uint32)
+    ring = ring.view(np.uint32)
+    stop = np.uint64(stop)
+    widest = most_neighbours(start, stop, ring_start)
+    scales, sums, weights, least, factors = PARTS
+    rows = ROWS
+    # As many rows again: exponents.
+    apart = VECTOR * max(BLOCK_EDGES, widest)
+    room = np.zeros(rows + TWO * apart)
+    lanes, shifts, chosen = widest + ONE, TWO * (widest + ONE), THREE * (widest + ONE)
+    table = np.zeros(chosen + BLOCK, np.uint64)
+    near = 0.5 * LOG2_E / max(closeness, floor) ** 2
+    largest = 0.0
+    first = np.uint64(start)
+    while first < stop:
+        last, fewest, most = block(first, stop, ring_start, widest, rows, table)
+        for i in range(first, last):
+            point = THREE * i
+            nx, ny, nz = -normals[point], -normals[point + ONE], -normals[point + TWO]
+            xi, yi, zi = x[point], x[point + ONE], x[point + TWO]
+            edge = np.uint64(ring_start[i])
+            m = ring_start[i + ONE] - edge
+            lane = table[lanes + m]
+            table[lanes + m] = lane + ONE
+            table[chosen + i - first] = lane
+            place = lane + table[shifts + m]
+            width = table[m]
+            for e in range(edge, edge + m):
+                k = THREE * ring[e]
+                ex, ey, ez = xi - x[k], yi - x[k + ONE], zi - x[k + TWO]
+                room[place] = ex * nx + ey * ny + ez * nz
+                room[apart + place] = (ex * ex + ey * ey + ez * ez) * near
+                place += width
+        lane, row = ZERO, rows
+        for m in range(fewest, most + ONE):
+            width = table[m]
+            for at in range(lane, lane + width):
+                room[least + at] = np.inf
+                room[scales + at] = 0.0
+                room[sums + at] = 0.0
+                room[weights + at] = 0.0
+                room[factors + at] = 0.0
+            place = row
+            for _ in range(m):
+                for at in range(width):
+                    room[sums + lane + at] += room[place + at]
+                place += width
+            for at in range(lane, lane + width):
+                room[sums + at] /= max(m, ONE)
+            place = row
+            for _ in range(m):
+                for at in range(width):
+                    offset = room[place + at] - room[sums + lane + at]
+                    room[scales + lane + at] += abs(offset)
+                    room[factors + lane + at] += offset * offset
+                place += width
+            for at in range(lane, lane + width):
+                room[scales + at] = 2.0 * room[scales + at] / max(m, ONE)
+                scale = np.sqrt(room[factors + at] / max(m, ONE))
+                scale = scale if similarity == 0.0 else similarity
+                scale = scale if scale > floor else floor
+                room[factors + at] = 0.5 * LOG2_E / (scale * scale)
+                room[sums + at] = 0.0
+            place = row
+            for _ in range(m):
+                for at in range(width):
+                    h = room[place + at]
+                    exponent = room[apart + place + at] + h * h * room[factors + lane + at]
+                    room[apart + place + at] = exponent
+                    room[least + lane + at] = min(room[least + lane + at], exponent)
+                place += width
+            for _ in range(m):
+                for at in range(width):
+                    # The largest weight is made 1: the quotient stays the same, and is never 0/0.
+                    g = power_of_two(room[least + lane + at] - room[apart + row + at])
+                    room[weights + lane + at] += g
+                    room[sums + lane + at] += g * room[row + at]
+                row += width
+            lane += width
+        scale = settle(
+            first,
+            last,
+            normals,
+            ring_start,
+            free,
+            room,
+            table[chosen:],
+            heights,
+            sigma,
+            v,
+            offsets,
+            tau,
+            constant,
+            moved,
+        )
+        largest = max(largest, scale)
+        first = last
+    return largest
 
 
 @dataclass(frozen=True, eq=False)
-class RingBilateral:
+class RingBilateral(RingOperator):
     """d = sum(w h) / sum(w) over the one-ring, w = exp(-t^2 / 2 sigma_c^2 - h^2 / 2 sigma_s^2).
 
     h are the heights of the neighbours over a vertex's tangent plane and t their distances; the
@@ -113,25 +183,37 @@ class RingBilateral:
     closeness: float
     similarity: float = 0.0
 
-    def __call__(self, positions: Floats) -> Step:
-        """Heights, and sigma of eq. (4), at ``positions`` (n, 3), all from the same positions."""
-        n = len(positions)
-        heights, sigma = np.empty(n), np.empty(n)
-        over_ranges(
+    def _run(
+        self,
+        positions: Floats,
+        heights: Floats,
+        sigma: Floats,
+        vertices: Floats,
+        offsets: Floats,
+        time_step: float,
+        constant: float,
+        moved: Floats,
+    ) -> float:
+        largest = over_ranges(
             _ring_bilateral,
-            n,
-            positions,
-            self.normals,
+            len(positions),
+            positions.reshape(-1),
+            self.normals.reshape(-1),
             self.ring_start,
             self.ring,
             self.free,
             self.closeness,
             self.similarity,
-            SMALLEST_SIGMA * self.mean_edge_length,
+            max(SMALLEST_SIGMA * self.mean_edge_length, SMALLEST_LENGTH),
             heights,
             sigma,
+            vertices.reshape(-1),
+            offsets,
+            time_step,
+            constant,
+            moved.reshape(-1),
         )
-        return Step(heights, sigma)
+        return float(max(largest))
 
 
 @compiled

@@ -7,7 +7,7 @@ normal line, so that it cannot drift tangentially.  Others return vectors.
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +18,16 @@ from msal_cli.core.parallel import over_ranges
 from msal_cli.core.ring_blocks import (
     BLOCK,
     BLOCK_EDGES,
-    LANES,
     ONE,
+    PARTS,
+    ROWS,
     THREE,
     TWO,
     VECTOR,
     ZERO,
     block,
     most_neighbours,
+    settle,
 )
 from msal_cli.dataclass import dataclass
 
@@ -35,6 +37,9 @@ Flags = NDArray[np.bool_]
 
 SMALLEST_SIGMA = 1e-9
 """Floor of sigma in the exponent, in mean edge lengths: far below the rounding of any scan."""
+
+SMALLEST_LENGTH = np.finfo(np.float64).tiny ** 0.5
+"""Its square is still a number: the floor on a mesh of no size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +77,37 @@ class Operator(Protocol):
         ...
 
 
-@runtime_checkable
-class RingOperator(Operator, Protocol):
-    """An operator along fixed normals that can make a sweep without arrays of its own."""
+class RingOperator:
+    """What operators along fixed normals over one-rings share: a sweep with no arrays of its own.
+
+    Their kernels take the same last arguments: either heights and sigma to write, or all that a
+    whole sweep in one pass needs.
+    """
+
+    normals: Floats
+
+    def _run(
+        self,
+        positions: Floats,
+        heights: Floats,
+        sigma: Floats,
+        vertices: Floats,
+        offsets: Floats,
+        time_step: float,
+        constant: float,
+        moved: Floats,
+    ) -> float:
+        raise NotImplementedError
+
+    def __call__(self, positions: Floats) -> Step:
+        """Heights and sigma at ``positions`` (n, 3), all from the same positions."""
+        heights, sigma = np.empty(len(positions)), np.empty(len(positions))
+        return Step(heights, sigma, self.measure(positions, heights, sigma))
 
     def measure(self, positions: Floats, heights: Floats, sigma: Floats) -> float:
         """Write heights (n,) and sigma (n,) at ``positions`` (n, 3); returns the largest sigma."""
-        ...
+        none = np.empty(0)
+        return self._run(positions, heights, sigma, none, none, 0.0, 0.0, none)
 
     def advance(
         self,
@@ -94,7 +123,8 @@ class RingOperator(Operator, Protocol):
         ``vertices`` are v, ``positions`` where they stand now, both (n, 3); ``offsets`` t (n,) are
         changed.  ``moved`` shares no memory with the others.
         """
-        ...
+        none = np.empty(0)
+        self._run(positions, none, none, vertices, offsets, time_step, constant, moved)
 
 
 @compiled
@@ -125,9 +155,9 @@ def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
     ring = ring.view(np.uint32)
     stop = np.uint64(stop)
     widest = most_neighbours(start, stop, ring_start)
-    # By lane: the least square of a height, sigma, the factor of the exponents, sums.
-    scales, factors, sums, weights = LANES, TWO * LANES, THREE * LANES, TWO * TWO * LANES
-    rows = (TWO + THREE) * LANES
+    # By lane, after what ``settle`` reads: the least square of a height, the exponents' factor.
+    scales, sums, weights, least, factors = PARTS
+    rows = ROWS
     room = np.zeros(rows + VECTOR * max(BLOCK_EDGES, widest))
     lanes, shifts, chosen = widest + ONE, TWO * (widest + ONE), THREE * (widest + ONE)
     table = np.zeros(chosen + BLOCK, np.uint64)
@@ -155,7 +185,7 @@ def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
         for m in range(fewest, most + ONE):
             width = table[m]
             for at in range(lane, lane + width):
-                room[at] = np.inf
+                room[least + at] = np.inf
                 room[scales + at] = 0.0
                 room[sums + at] = 0.0
                 room[weights + at] = 0.0
@@ -164,7 +194,7 @@ def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
                 for at in range(width):
                     h = room[place + at]
                     room[sums + lane + at] += h
-                    room[lane + at] = min(room[lane + at], h * h)
+                    room[least + lane + at] = min(room[least + lane + at], h * h)
                 place += width
             for at in range(lane, lane + width):
                 room[sums + at] /= max(m, ONE)
@@ -184,34 +214,34 @@ def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
                     h = room[row + at]
                     # The largest weight is made 1: the quotient of eq. (5) stays the same, and
                     # cannot become 0/0 where sigma is tiny.  For sigma = 0 all heights are alike.
-                    g = power_of_two((room[lane + at] - h * h) * room[factors + lane + at])
+                    g = power_of_two((room[least + lane + at] - h * h) * room[factors + lane + at])
                     room[weights + lane + at] += g
                     room[sums + lane + at] += g * h
                 row += width
             lane += width
-        for i in range(first, last):
-            lane = table[chosen + i - first]
-            moves = free[i] and ring_start[i + ONE] > ring_start[i]
-            height = room[sums + lane] / room[weights + lane] if moves else 0.0
-            if len(moved):
-                t = offsets[i]
-                t = t + tau * height - constant * t
-                offsets[i] = t
-                point = THREE * i
-                moved[point] = v[point] + t * normals[point]
-                moved[point + ONE] = v[point + ONE] + t * normals[point + ONE]
-                moved[point + TWO] = v[point + TWO] + t * normals[point + TWO]
-            else:
-                heights[i] = height
-                scale = room[scales + lane]
-                sigma[i] = scale
-                largest = max(largest, scale)
+        scale = settle(
+            first,
+            last,
+            normals,
+            ring_start,
+            free,
+            room,
+            table[chosen:],
+            heights,
+            sigma,
+            v,
+            offsets,
+            tau,
+            constant,
+            moved,
+        )
+        largest = max(largest, scale)
         first = last
     return largest
 
 
 @dataclass(frozen=True, eq=False)
-class AnisotropicLaplacian:
+class AnisotropicLaplacian(RingOperator):
     """The anisotropic Laplacian of Huang and Ascher, eqs. (4) and (5).
 
     Over the heights h of the one-ring above a vertex's tangent plane,
@@ -230,29 +260,6 @@ class AnisotropicLaplacian:
     ring: Ints
     free: Flags
     mean_edge_length: float
-
-    def __call__(self, positions: Floats) -> Step:
-        """Heights and sigma at ``positions`` (n, 3), all from the same positions."""
-        heights, sigma = np.empty(len(positions)), np.empty(len(positions))
-        return Step(heights, sigma, self.measure(positions, heights, sigma))
-
-    def measure(self, positions: Floats, heights: Floats, sigma: Floats) -> float:
-        """See ``RingOperator``."""
-        none = np.empty(0)
-        return self._run(positions, heights, sigma, none, none, 0.0, 0.0, none)
-
-    def advance(
-        self,
-        vertices: Floats,
-        positions: Floats,
-        offsets: Floats,
-        time_step: float,
-        constant: float,
-        moved: Floats,
-    ) -> None:
-        """See ``RingOperator``."""
-        none = np.empty(0)
-        self._run(positions, none, none, vertices, offsets, time_step, constant, moved)
 
     def _run(
         self,
@@ -273,7 +280,7 @@ class AnisotropicLaplacian:
             self.ring_start,
             self.ring,
             self.free,
-            max(SMALLEST_SIGMA * self.mean_edge_length, np.finfo(np.float64).tiny ** 0.5),
+            max(SMALLEST_SIGMA * self.mean_edge_length, SMALLEST_LENGTH),
             heights,
             sigma,
             vertices.reshape(-1),

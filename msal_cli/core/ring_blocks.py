@@ -31,6 +31,12 @@ VECTOR = np.uint64(8)
 LANES = np.uint64(2048)
 """Lanes of a block at most: every vertex may be alone in its group."""
 
+PARTS = (np.uint64(0), LANES, TWO * LANES, THREE * LANES, TWO * TWO * LANES)
+"""Where the scratch memory of a kernel has sigma, sum(g h) and sum(g) by lane, and two more."""
+
+ROWS = (TWO + THREE) * LANES
+"""Where the rows begin in it."""
+
 _FILL, _SHIFT = np.uint64(7), np.uint64(3)
 
 
@@ -78,3 +84,46 @@ def block(first, stop, ring_start, widest, origin, table):  # type: ignore[no-un
         lane += width
         place += width * m
     return last, fewest, most
+
+
+@compiled
+def settle(  # type: ignore[no-untyped-def]
+    first,
+    last,
+    normals,
+    ring_start,
+    free,
+    room,
+    chosen,
+    heights,
+    sigma,
+    v,
+    offsets,
+    tau,
+    constant,
+    moved,
+):
+    """End a block: heights and sigma of its vertices, or with ``moved`` their whole sweep.
+
+    Sums are in ``room`` by lane, and ``chosen`` holds the lanes.  Returns the largest sigma.
+    """
+    scales, sums, weights = PARTS[0], PARTS[1], PARTS[2]
+    largest = 0.0
+    for i in range(first, last):
+        lane = chosen[i - first]
+        moves = free[i] and ring_start[i + ONE] > ring_start[i]
+        height = room[sums + lane] / room[weights + lane] if moves else 0.0
+        if len(moved):
+            t = offsets[i]
+            t = t + tau * height - constant * t
+            offsets[i] = t
+            point = THREE * i
+            moved[point] = v[point] + t * normals[point]
+            moved[point + ONE] = v[point + ONE] + t * normals[point + ONE]
+            moved[point + TWO] = v[point + TWO] + t * normals[point + TWO]
+        else:
+            heights[i] = height
+            scale = room[scales + lane]
+            sigma[i] = scale
+            largest = max(largest, scale)
+    return largest

@@ -59,7 +59,7 @@ def expected(made, x):
 
 
 KINDS = pytest.mark.parametrize("kind", ["alike", "mixed", "different", "hub"])
-OPERATORS = pytest.mark.parametrize("of", [AnisotropicLaplacian])
+OPERATORS = pytest.mark.parametrize("of", [AnisotropicLaplacian, RingBilateral])
 
 
 @KINDS
