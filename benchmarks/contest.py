@@ -28,6 +28,7 @@ class Contestant:
     command: Callable[[Path, Path], list[str]]
     is_peer: bool = True
     is_binary_only: bool = False
+    is_by_hand: bool = False
 
 
 @dataclass
@@ -47,6 +48,11 @@ class Row:
     def seconds(self) -> float:
         """The median."""
         return statistics.median(run.seconds for run in self.runs)
+
+    @property
+    def cpu_seconds(self) -> float:
+        """The median of processor time, which tells more where the machine has other work."""
+        return statistics.median(run.cpu_seconds for run in self.runs)
 
     @property
     def peak_bytes(self) -> int:
@@ -72,6 +78,7 @@ def contestants(python: str, only: list[str] | None) -> tuple[list[Contestant], 
             peer.title,
             lambda source, target: peer.command(python, source, target),
             is_binary_only=peer.is_binary_only,
+            is_by_hand=peer.is_by_hand,
         )
 
     return [msal(), *(contestant(peer) for peer in found)], versions
@@ -102,6 +109,8 @@ def contest(
                 continue
             if turn < 0:
                 row.output = compared(source, target)
+                if row.contestant.is_binary_only and is_ascii_ply(source):
+                    row.output += ", as binary"
                 continue
             row.runs.append(ran)
     target.unlink(missing_ok=True)
@@ -114,9 +123,10 @@ def _is_hopeless(row: Row, rows: list[Row]) -> bool:
 
 
 def best_peer(rows: list[Row]) -> Row | None:
-    """The fastest peer that did the job."""
+    """The fastest peer that did the job; one that is no tool only if there is no other."""
     done = [row for row in rows if row.contestant.is_peer and not row.fault]
-    return min(done, key=lambda row: row.seconds, default=None)
+    tools = [row for row in done if not row.contestant.is_by_hand]
+    return min(tools or done, key=lambda row: row.seconds, default=None)
 
 
 def compared(source: Path, target: Path) -> str:
@@ -144,6 +154,12 @@ def three_digits(seconds: float) -> str:
     return f"{seconds:.{max(0, 2 - math.floor(math.log10(seconds)))}f}"
 
 
+def is_ascii_ply(path: Path) -> bool:
+    """Whether a file is a PLY of text."""
+    with path.open("rb") as stream:
+        return stream.read(16) == b"ply\nformat ascii"
+
+
 def table(rows: list[Row], scan: Scan) -> str:
     """The table of one file, in Markdown; times are of whole processes."""
     best = best_peer(rows)
@@ -157,7 +173,7 @@ def table(rows: list[Row], scan: Scan) -> str:
             lines.append(f"| {title} | | | | | | | {row.fault} | |")
             continue
         least = three_digits(min(run.seconds for run in row.runs))
-        cpu = three_digits(statistics.median(run.cpu_seconds for run in row.runs))
+        cpu = three_digits(row.cpu_seconds)
         ratio = f"{row.seconds / best.seconds:.2f}" if best else ""
         arrays = f"{row.peak_bytes / scan.array_bytes:.1f}"
         lines.append(
@@ -170,21 +186,23 @@ def table(rows: list[Row], scan: Scan) -> str:
 def summary(results: list[tuple[str, str, list[Row], Scan]]) -> str:
     """One line per file and cores: msal beside the best peer."""
     lines = [
-        "| file | cores | msal s | best peer s | ratio | msal MB | peer MB | msal MB / arrays |",
-        "|---|---|--:|--:|--:|--:|--:|--:|",
+        "| file | cores | msal s | best peer s | ratio | CPU ratio | msal MB | peer MB "
+        "| msal MB / arrays |",
+        "|---|---|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for title, cores, rows, scan in results:
         ours = next(row for row in rows if not row.contestant.is_peer)
         best = best_peer(rows)
         if ours.fault or best is None:
             lines.append(
-                f"| {title} | {cores} | {ours.fault or f'{three_digits(ours.seconds)}'} | | | | | |"
+                f"| {title} | {cores} | {ours.fault or three_digits(ours.seconds)} | | | | | | |"
             )
             continue
         lines.append(
             f"| {title} | {cores} | {three_digits(ours.seconds)} | "
             f"{three_digits(best.seconds)} ({best.contestant.title}) | "
-            f"**{ours.seconds / best.seconds:.2f}** | {ours.peak_bytes / 1e6:.0f} | "
+            f"**{ours.seconds / best.seconds:.2f}** | {ours.cpu_seconds / best.cpu_seconds:.2f} | "
+            f"{ours.peak_bytes / 1e6:.0f} | "
             f"{best.peak_bytes / 1e6:.0f} | {ours.peak_bytes / scan.array_bytes:.1f} |"
         )
     return "\n".join(lines)

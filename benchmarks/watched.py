@@ -6,6 +6,7 @@ The system must tell about processes in ``/proc``; elsewhere the memory is 0.
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import tempfile
 import time
@@ -34,11 +35,13 @@ class Watched:
     """One run.
 
     seconds : wall-clock time from start to end.
+    cpu_seconds : processor time of the command and its workers.
     looks : in the order of time.
     fault : exit status and last line, where the command failed.
     """
 
     seconds: float
+    cpu_seconds: float
     looks: list[Look]
     fault: str
 
@@ -58,6 +61,7 @@ class Watched:
 def watched(command: list[str]) -> Watched:
     """Run a command on all cores and look at its memory five times a second."""
     looks = []
+    before = _cpu_seconds()
     began = time.perf_counter()
     with tempfile.TemporaryFile() as said:
         process = subprocess.Popen(command, stderr=said, stdout=subprocess.DEVNULL)
@@ -73,7 +77,13 @@ def watched(command: list[str]) -> Watched:
         lines = said.read().decode(errors="replace").strip().splitlines()
     last = lines[-1][:80] if lines else ""
     fault = f"exit status {process.returncode}: {last}" if process.returncode else ""
-    return Watched(seconds, looks, fault)
+    return Watched(seconds, _cpu_seconds() - before, looks, fault)
+
+
+def _cpu_seconds() -> float:
+    """Processor time of all children so far, and of theirs, that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _resident_bytes(pid: int) -> int:

@@ -28,12 +28,15 @@ class Peer:
     title : how tables name it.
     packages : what must be installed for it, the tool itself first.
     is_binary_only : writes binary PLY where an ascii PLY was read.
+    is_by_hand : no tool, but what one would write without one; the best peer is looked for among
+        the tools as long as there is any.
     """
 
     script: str
     title: str
     packages: tuple[str, ...]
     is_binary_only: bool = False
+    is_by_hand: bool = False
 
     def command(self, python: str, source: Path, target: Path) -> list[str]:
         """One file in a process of its own."""
@@ -52,7 +55,7 @@ PEERS = (
     Peer("pymeshlab_laplacian", "PyMeshLab Laplacian", ("pymeshlab",)),
     Peer("open3d_simple", "Open3D simple", ("open3d",)),
     Peer("trimesh_laplacian", "trimesh Laplacian", ("trimesh", "scipy")),
-    Peer("meshio_mean", "meshio and numpy", ("meshio", "numpy")),
+    Peer("meshio_mean", "meshio and numpy", ("meshio", "numpy"), is_by_hand=True),
 )
 
 _VERSIONS = """
