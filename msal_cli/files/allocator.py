@@ -9,7 +9,7 @@ import sys
 _MMAP_THRESHOLD = -3
 _TRIM_THRESHOLD = -1
 
-LARGE_BYTES = 4 << 20
+LARGE_BYTES = 8 << 20
 """Arrays from this size on go back to the system as soon as they are let go of."""
 
 KEPT_BYTES = 32 << 20

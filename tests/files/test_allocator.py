@@ -18,9 +18,9 @@ def resident():
     return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 give_back_large_arrays()
-np.ones(3 << 20)  # glibc would from now on keep what is not larger
+np.ones(7 << 19)  # glibc would from now on keep what is not larger
 before = resident()
-arrays = [np.ones(2 << 20) for _ in range(4)]
+arrays = [np.ones(3 << 19) for _ in range(4)]
 small = np.ones(1 << 10)
 del arrays
 print(resident() - before < 16 << 20)
