@@ -8,7 +8,8 @@ left out, wound one way, about a local origin.  ``Prepared.scattered`` takes the
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,6 +215,7 @@ def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Pr
     TooLargeError
         for more than ``MOST_FACES`` triangles.
     """
+    from msal_cli.core.at_once import at_once, is_worth_it
     from msal_cli.core.connectivity import (
         connectivity,
         count_components,
@@ -228,11 +230,19 @@ def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Pr
     n_file = len(vertices)
     used = used_vertices(n_file, faces)
     first, n_welded = np.empty(0, dtype=np.int32), 0
+    links = None
+    repeated = repeated_corners(faces)
     if not are_distinct:
-        first, n_welded = first_alike(vertices, used)
+        tasks: list[Callable[[], Any]] = [lambda: first_alike(vertices, used)]
+        if is_worth_it(n_file) and not repeated.any():
+            # Nearly always there is nothing to weld, and the rings are right.
+            tasks.append(lambda: connectivity(n_file, faces))
+        (first, n_welded), *linked = at_once(n_file, *tasks)
+        links = linked[0] if linked and not n_welded else None
+        del linked
     if n_welded:
         faces = first[faces]
-    repeated = repeated_corners(faces)
+        repeated = repeated_corners(faces)
     n_repeated = int(np.count_nonzero(repeated))
     if n_repeated:
         faces = faces[~repeated]
@@ -257,7 +267,8 @@ def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Pr
     del first
     faces = np.ascontiguousarray(faces)
 
-    links = connectivity(len(vertices), faces)
+    if links is None:
+        links = connectivity(len(vertices), faces)
     n_duplicate = 0
     if links.non_manifold_edges or links.inconsistent_edges:
         # Faces can only share all three vertices where some edge is crowded or twisted.
@@ -286,6 +297,12 @@ def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Pr
     origin = (low + high) / 2.0
     mesh = Mesh(vertices - origin, faces)
     mesh.__dict__["links"] = links
+    components, _, _ = at_once(
+        len(vertices),
+        lambda: count_components(len(vertices), faces, used),
+        lambda: mesh.flat_faces,
+        lambda: mesh.mean_edge_length,
+    )
     defects = Defects(
         welded_vertices=n_welded,
         unreferenced_vertices=n_unreferenced,
@@ -296,7 +313,7 @@ def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Pr
         inconsistent_edges=n_inconsistent,
         turned_faces=n_turned,
         unorientable_parts=unorientable,
-        components=count_components(len(vertices), faces, used),
+        components=components,
     )
     return Prepared(mesh, origin, place, defects)
 

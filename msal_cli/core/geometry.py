@@ -16,6 +16,9 @@ from msal_cli.core.parallel import SMALLEST_RANGE, over_ranges, threads
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+BLOCK_VERTICES = 1024
+"""Vertices whose edges make one partial sum, so that a sum does not depend on threads."""
+
 DEGENERATE = 1e-12
 """Doubled area over longest edge squared, at and below which a face has no usable normal."""
 
@@ -266,25 +269,31 @@ def distances(before: Floats, after: Floats) -> Floats:
 
 
 @compiled
-def _edge_length_sum(vertices, ring_start, ring):  # type: ignore[no-untyped-def]
-    total = 0.0
-    count = 0
-    for i in range(len(ring_start) - 1):
-        for at in range(ring_start[i], ring_start[i + 1]):
-            k = ring[at]
-            if k > i:
-                dx = vertices[k, 0] - vertices[i, 0]
-                dy = vertices[k, 1] - vertices[i, 1]
-                dz = vertices[k, 2] - vertices[i, 2]
-                total += np.sqrt(dx * dx + dy * dy + dz * dz)
-                count += 1
-    return total, count
+def _edge_length_sums(start, stop, vertices, ring_start, ring, sums, counts):  # type: ignore[no-untyped-def]
+    n = len(vertices)
+    for block in range(start, stop):
+        total = 0.0
+        count = 0
+        for i in range(block * BLOCK_VERTICES, min((block + 1) * BLOCK_VERTICES, n)):
+            for at in range(ring_start[i], ring_start[i + 1]):
+                k = ring[at]
+                if k > i:
+                    dx = vertices[k, 0] - vertices[i, 0]
+                    dy = vertices[k, 1] - vertices[i, 1]
+                    dz = vertices[k, 2] - vertices[i, 2]
+                    total += np.sqrt(dx * dx + dy * dy + dz * dz)
+                    count += 1
+        sums[block] = total
+        counts[block] = count
 
 
 def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
     """Mean length of the unique edges, in file units; zero without edges."""
-    total, count = _edge_length_sum(vertices, ring_start, ring)
-    return float(total / count) if count else 0.0
+    n_blocks = -(-len(vertices) // BLOCK_VERTICES)
+    sums, counts = np.empty(n_blocks), np.empty(n_blocks, dtype=np.int64)
+    over_ranges(_edge_length_sums, n_blocks, vertices, ring_start, ring, sums, counts, smallest=32)
+    count = int(counts.sum())
+    return float(sums.sum() / count) if count else 0.0
 
 
 @compiled

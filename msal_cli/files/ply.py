@@ -42,8 +42,14 @@ from msal_cli.files.ply_text import (
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
 
-_CHUNK = 1 << 22
+_CHUNK = 1 << 20
 """Bytes compared at a time, so that a comparison needs no temporary as large as the file."""
+
+
+_PARTS = 8
+"""Parts of a section that are worth a thread of their own."""
+
+_Part = tuple[Fixed | Varied, tuple[str, ...], Floats, Flags]
 
 
 class Change(NamedTuple):
@@ -55,7 +61,7 @@ class Change(NamedTuple):
     values: Floats
     where: Flags
 
-    def parts(self) -> Iterator[tuple[Fixed | Varied, tuple[str, ...], Floats, Flags]]:
+    def parts(self) -> Iterator[_Part]:
         """The same in parts of binary records that fit a cache."""
         if isinstance(self.section, Fixed):
             for section, rows in self.section.parts():
@@ -142,6 +148,8 @@ class PlyFile:
         A coordinate equal to the file's keeps its very bytes.  Raises ContentError (``E_RANGE``)
         where a new one does not fit the file's number type.
         """
+        from msal_cli.core.parallel import over_ranges
+
         changes = self._changes(vertices)
         if not changes:
             return self._data
@@ -150,9 +158,14 @@ class PlyFile:
             return self._edited(changes, self._codes(POSITION))
         # An array of numpy's comes in large pages, where the system has such.
         output = self._bytes.copy()
-        for change in changes:
-            for section, names, values, where in change.parts():
+
+        def write(start: int, stop: int) -> None:
+            for section, names, values, where in parts[start:stop]:
                 section.write(output[section.start : section.stop], names, values, where)
+
+        for change in changes:
+            parts = list(change.parts())
+            over_ranges(write, len(parts), smallest=_PARTS)
         return output.data
 
     def _edited(self, changes: Sequence[Change], codes: Sequence[str]) -> memoryview:
@@ -254,6 +267,8 @@ class PlyFile:
             self._check_text(result, changes)
 
     def _check_binary(self, result: Bytes, changes: list[Change]) -> None:
+        from msal_cli.core.parallel import over_ranges
+
         at = self._header.size
         _require_same(self._bytes[:at], result[:at])
         for section in self._sections.values():
@@ -263,16 +278,18 @@ class PlyFile:
             _require_same(self._bytes[at : section.start], result[at : section.start])
             if len(result) < section.stop:
                 raise InternalError("the output is shorter than the input")
-            for parts in zip(*(change.parts() for change in own), strict=True):
-                self._check_part(result, parts)
+            parts = list(zip(*(change.parts() for change in own), strict=True))
+            over_ranges(self._check_parts, len(parts), result, parts, smallest=_PARTS)
             at = section.stop
         _require_same(self._bytes[at:], result[at:])
 
-    def _check_part(
-        self,
-        result: Bytes,
-        parts: Sequence[tuple[Fixed | Varied, tuple[str, ...], Floats, Flags]],
+    def _check_parts(
+        self, start: int, stop: int, result: Bytes, parts: Sequence[Sequence[_Part]]
     ) -> None:
+        for one in parts[start:stop]:
+            self._check_part(result, one)
+
+    def _check_part(self, result: Bytes, parts: Sequence[_Part]) -> None:
         """Check the changes of one section, or of the same records of it."""
         section = parts[0][0]
         restored = result[section.start : section.stop].copy()
@@ -394,9 +411,15 @@ def _three(flags: Flags) -> Flags:
 def _require_same(before: Bytes, after: Bytes) -> None:
     if len(before) != len(after):
         raise InternalError("the output is not as long as the input")
-    for at in range(0, len(before), _CHUNK):
-        if not np.array_equal(before[at : at + _CHUNK], after[at : at + _CHUNK]):
-            raise InternalError("the output differs from the input outside its positions")
+
+    def compare(start: int, stop: int) -> None:
+        for at in range(start * _CHUNK, stop * _CHUNK, _CHUNK):
+            if not np.array_equal(before[at : at + _CHUNK], after[at : at + _CHUNK]):
+                raise InternalError("the output differs from the input outside its positions")
+
+    from msal_cli.core.parallel import over_ranges
+
+    over_ranges(compare, -(-len(before) // _CHUNK), smallest=4)
 
 
 def _wanted(element: Element) -> Sequence[str]:
