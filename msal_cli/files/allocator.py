@@ -8,8 +8,9 @@ import sys
 
 _MMAP_THRESHOLD = -3
 _TRIM_THRESHOLD = -1
+_ARENA_MAX = -8
 
-LARGE_BYTES = 8 << 20
+LARGE_BYTES = 2 << 20
 """Arrays from this size on go back to the system as soon as they are let go of."""
 
 KEPT_BYTES = 32 << 20
@@ -35,6 +36,13 @@ def give_back_large_arrays() -> None:
         return  # not glibc
     mallopt(_MMAP_THRESHOLD, LARGE_BYTES)
     mallopt(_TRIM_THRESHOLD, KEPT_BYTES)
+    # Threads come and go, and each would leave memory of its own behind.
+    mallopt(_ARENA_MAX, 1)
 
 
-_OWN_WORDS = ("MALLOC_MMAP_THRESHOLD_", "MALLOC_TRIM_THRESHOLD_", "GLIBC_TUNABLES")
+_OWN_WORDS = (
+    "MALLOC_MMAP_THRESHOLD_",
+    "MALLOC_TRIM_THRESHOLD_",
+    "MALLOC_ARENA_MAX",
+    "GLIBC_TUNABLES",
+)
