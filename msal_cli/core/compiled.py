@@ -62,9 +62,12 @@ class Kernel:
         try:
             code = machine_code.found(name, said)
             if code is None:
-                with _garbage_left():
-                    code = self._compiled(kinds)
-                machine_code.keep(name, said, code)
+                with machine_code.alone(name, said), _garbage_left():
+                    # Whoever was first has kept it by now.
+                    code = machine_code.found(name, said)
+                    if code is None:
+                        code = self._compiled(kinds)
+                        machine_code.keep(name, said, code)
             return machine_code.loaded(code, kinds)
         except (ImportError, AttributeError) as error:
             # A numba that has changed inside still compiles; only every start takes longer.

@@ -11,6 +11,7 @@ The cache lies beside this package where that can be written, else in the user's
 from __future__ import annotations
 
 import ctypes
+import errno
 import functools
 import hashlib
 import importlib.util
@@ -18,16 +19,26 @@ import json
 import logging
 import os
 import sys
+import time
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from msal_cli.core import elf_image
 from msal_cli.dataclass import dataclass
 
+try:
+    import fcntl
+except ImportError:
+    fcntl = None  # type: ignore[assignment]
+
 _MAGIC = b"msal machine code 1\n"
 _SUFFIX = ".msal-kernel"
+_LOCKS = ".msal-kernel-locks"
+_LONGEST_WAIT_S = 30.0
+_BETWEEN_TRIES_S = 0.01
 
 _log = logging.getLogger("msal.core")
 
@@ -87,9 +98,57 @@ def keep(name: str, said: str, code: Code) -> None:
         return
 
 
+@contextmanager
+def alone(name: str, said: str) -> Iterator[None]:
+    """Have other processes wait while the code of a kernel is made; it is for them too.
+
+    Without this, as many processes as start at once on an empty cache would all make all of it.
+    Whoever waits does so for ``_LONGEST_WAIT_S`` at most.  Where nothing can be kept, or the system
+    has no such locks, nobody waits.  The lock of a process that ends goes with it.
+    """
+    handle = _lock_file()
+    if handle is None:
+        yield
+        return
+    place = int(_digest(name, said)[:7], 16)
+    deadline = time.monotonic() + _LONGEST_WAIT_S
+    try:
+        while not _is_locked(handle, place) and time.monotonic() < deadline:
+            time.sleep(_BETWEEN_TRIES_S)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _lock_file() -> int | None:
+    """The file in which every kernel has a byte to lock, open; None if there can be none."""
+    if fcntl is None:
+        return None
+    for folder in _folders():
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            return os.open(folder / _LOCKS, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        except OSError:
+            continue
+    return None
+
+
+def _is_locked(handle: int, place: int) -> bool:
+    """Take the lock if it is free; a file system without locks counts as free."""
+    assert fcntl is not None
+    try:
+        fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+    except OSError as error:
+        return error.errno not in (errno.EACCES, errno.EAGAIN)
+    return True
+
+
+def _digest(name: str, said: str) -> str:
+    return hashlib.sha256(f"{name} {_machine()} {said}".encode()).hexdigest()
+
+
 def _file_name(name: str, said: str) -> str:
-    digest = hashlib.sha256(f"{_machine()} {said}".encode()).hexdigest()
-    return f"{name}-{digest[:32]}{_SUFFIX}"
+    return f"{name}-{_digest(name, said)[:32]}{_SUFFIX}"
 
 
 def _folders() -> list[Path]:
@@ -118,7 +177,8 @@ def _read(path: Path) -> Code | None:
 
 def _write(folder: Path, name: str, data: bytes) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    temporary = folder / f".{name}.{os.getpid()}.tmp"
+    # Containers that share a folder may share numbers of processes too.
+    temporary = folder / f".{name}.{os.getpid()}-{os.urandom(4).hex()}.tmp"
     try:
         temporary.write_bytes(data)
         temporary.replace(folder / name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -115,7 +116,7 @@ def test_what_is_kept_is_not_compiled_again(cache, counted):
     values, result = np.arange(3.0), np.empty(3)
     again(scaled)(values, result)
     again(scaled)(values, result)
-    assert counted == ["scaled"] and len(list(cache.iterdir())) == 1
+    assert counted == ["scaled"] and len(list(cache.glob("*.msal-kernel"))) == 1
     again(scaled)(values.astype(np.float32), result)
     assert counted == ["scaled"] * 2
 
@@ -139,7 +140,7 @@ def test_a_changed_constant_callee_or_body_is_compiled_again(cache, counted):
 def test_a_damaged_file_is_made_again(cache, counted, damage):
     values, result = np.arange(3.0), np.empty(3)
     again(scaled)(values, result)
-    (file,) = cache.iterdir()
+    (file,) = cache.glob("*.msal-kernel")
     data = bytearray(file.read_bytes())
     if damage == "flipped":
         data[-100] ^= 1
@@ -164,7 +165,39 @@ def test_the_users_folder_serves_where_the_package_cannot_be_written(tmp_path, m
     (tmp_path / "blocked").write_text("")
     monkeypatch.setattr(machine_code, "__file__", str(tmp_path / "blocked" / "machine_code.py"))
     again(scaled)(np.ones(2), np.empty(2))
-    assert len(list((tmp_path / "msal").iterdir())) == 1
+    assert len(list((tmp_path / "msal").glob("*.msal-kernel"))) == 1
+
+
+def test_who_waits_for_another_process_does_not_wait_for_ever(cache, counted, monkeypatch):
+    pytest.importorskip("fcntl")
+    monkeypatch.setattr(machine_code, "_LONGEST_WAIT_S", 0.05)
+    program = (
+        "import fcntl, sys\n"
+        "handle = open(sys.argv[1], 'w')\n"
+        "fcntl.lockf(handle, fcntl.LOCK_EX)\n"
+        "print('locked', flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    command = [sys.executable, "-c", program, str(cache / ".msal-kernel-locks")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout.readline() == b"locked\n"
+        result = np.empty(2)
+        again(scaled)(np.ones(2), result)
+        other.stdin.close()
+    assert (result == 3.0).all() and counted == ["scaled"]
+
+
+@pytest.mark.parametrize("failure", [errno.ENOSPC, errno.EDQUOT, errno.EROFS])
+def test_a_full_disk_costs_only_time(cache, monkeypatch, failure):
+    def refused(path, data):
+        path.touch()
+        raise OSError(failure, os.strerror(failure))
+
+    monkeypatch.setattr(machine_code.Path, "write_bytes", refused)
+    result = np.empty(2)
+    again(scaled)(np.ones(2), result)
+    assert (result == 3.0).all()
+    assert [one.name for one in cache.iterdir()] == [".msal-kernel-locks"]
 
 
 def test_a_failure_in_a_kernel_is_an_exception(cache):
@@ -185,7 +218,7 @@ def test_without_the_way_into_numba_it_still_works(cache, monkeypatch):
     monkeypatch.setattr(Kernel, "_compiled", gone)
     result = np.empty(2)
     again(scaled)(np.ones(2), result)
-    assert (result == 3.0).all() and not list(cache.iterdir())
+    assert (result == 3.0).all() and not list(cache.glob("*.msal-kernel"))
 
 
 def test_it_can_be_interpreted(monkeypatch):
@@ -220,8 +253,10 @@ def test_processes_that_start_together_share_the_cache_and_then_need_no_numba(ca
         subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
         for _ in range(3)
     ]
-    said = {process.communicate()[0] for process in processes}
+    said = [process.communicate()[0] for process in processes]
     assert all(one.startswith("[2.0, 1.0]") for one in said)
+    # Only one of them has compiled.
+    assert [one.endswith("True\n") for one in said].count(True) == 1
     warm = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert warm.stdout == "[2.0, 1.0] False\n"
     assert not [one for one in cache.iterdir() if one.name.endswith(".tmp")]
