@@ -14,7 +14,6 @@ from msal_cli.core.compiled import compiled
 from msal_cli.core.digits import (
     EXACT,
     FIXED_BELOW,
-    MOST_DECIMALS,
     NOT_A_NUMBER,
     UNDECIDED,
     WIDEST_SHORTEST,
@@ -107,21 +106,21 @@ def numbers_at(buf: Bytes, starts: Offsets, stops: Offsets) -> tuple[Floats, int
 
 
 @compiled
-def _decimals_used(buf, starts, stops):  # type: ignore[no-untyped-def]
-    most = 0
+def _decimals_used(buf, starts, stops, decimals):  # type: ignore[no-untyped-def]
     for i in range(len(starts)):
-        _, _, _, decimals = read_number(buf, starts[i], stops[i])
-        most = max(most, decimals)
-    return most
+        _, _, _, used = read_number(buf, starts[i], stops[i])
+        decimals[i] = min(used, 255)
 
 
-def decimals_used(buf: Bytes, starts: Offsets, stops: Offsets) -> int:
-    """Most decimals behind the point in these tokens, exponents counted in, at most 17.
+def decimals_used(buf: Bytes, starts: Offsets, stops: Offsets) -> Bytes:
+    """Decimals behind the point of each of these tokens, exponents counted in, at most 255.
 
     ``1.5e-3`` has four.
     """
     starts, stops = np.ascontiguousarray(starts), np.ascontiguousarray(stops)
-    return min(int(_decimals_used(as_bytes(buf), starts, stops)), MOST_DECIMALS)
+    decimals = np.empty(len(starts), dtype=np.uint8)
+    _decimals_used(as_bytes(buf), starts, stops, decimals)
+    return decimals
 
 
 # Printing

@@ -31,9 +31,10 @@ _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 _BEGUN = re.compile(rb"[-+.\deE/\\]*")
 _WORD = re.compile(rb"(?:[ \t\v\f]|\\(?:\r\n?|\n))*+([^\s\\]*+(?:\\(?![\r\n])[^\s\\]*+)*+)")
 _NUMBER = rb"([-+]?(?:\d{1,25}(?:\.\d{0,25})?|\.\d{1,25})(?:[eE][-+]?\d{1,3})?)"
-_POSITION = re.compile(rb"v" + 3 * (rb"[ \t]+" + _NUMBER) + rb"[ \t]*(?=[\r\n]|\Z)")
+_POSITION = re.compile(rb"v" + 3 * (rb"[ \t]++" + _NUMBER) + rb"[ \t]*+(?=[\r\n]|\Z)")
 _KEYWORD = re.compile(
-    rb"(?!(?:v|vt|vn|f|fo)[ \t\r\n])([^\x00-\x20\\#][^\x00-\x20\\]*)(?:[ \t][^\\\r\n]*)?(?=[\r\n])"
+    rb"(?!(?:v|vt|vn|f|fo)[ \t\r\n])([^\x00-\x20\\#][^\x00-\x20\\]*+)"
+    rb"(?:[ \t][^\\\r\n]*+)?(?=[\r\n])"
 )
 _NEVER = 1 << 62
 

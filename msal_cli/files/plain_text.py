@@ -48,6 +48,8 @@ def usual_decimals(decimals: Bytes) -> int:
 
     A few numbers that some program wrote with all 17 digits say nothing about the others.
     """
+    if not len(decimals):
+        return 0
     counts = np.bincount(decimals, minlength=256)
     above = len(decimals) - np.cumsum(counts)
     return int(np.argmax(above * 100 <= len(decimals)))

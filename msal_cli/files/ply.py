@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.errors import ContentError, FormatError, InputError, InternalError
-from msal_cli.files import ply_layout
+from msal_cli.files import plain_text, ply_layout
 from msal_cli.files.base import Buffer
 from msal_cli.files.ply_faces import CORNERS, Surface, corner_list, surface
 from msal_cli.files.ply_header import Element, Header, parsed
@@ -31,6 +31,7 @@ from msal_cli.files.ply_layout import (
     located,
 )
 from msal_cli.files.ply_text import (
+    SHORTEST,
     WHOLE,
     Edit,
     edited,
@@ -155,18 +156,45 @@ class PlyFile:
             return self._data
         _require_range(vertices, changes[0].where, self._codes(POSITION))
         if self.encoding == "ascii":
-            return self._edited(changes, self._codes(POSITION))
+            plainly = self._statements(changes)
+            output = plain_text.patched(self._bytes, plainly) if plainly else None
+            return output or self._edited(changes, self._codes(POSITION))
         # An array of numpy's comes in large pages, where the system has such.
-        output = self._bytes.copy()
+        copy = self._bytes.copy()
 
         def write(start: int, stop: int) -> None:
             for section, names, values, where in parts[start:stop]:
-                section.write(output[section.start : section.stop], names, values, where)
+                section.write(copy[section.start : section.stop], names, values, where)
 
         for change in changes:
             parts = list(change.parts())
             over_ranges(write, len(parts), smallest=_PARTS)
-        return output.data
+        return copy.data
+
+    def _statements(self, changes: Sequence[Change]) -> list[plain_text.Statements] | None:
+        """The changes of an ascii file where all numbers, old and new, are plain."""
+        found = []
+        codes = self._codes(POSITION)
+        for section, names, values, _ in changes:
+            if not isinstance(section, Lines) or section.read is None:
+                return None
+            at = section.read.word_at.get(names)
+            least = max(self._decimals(section, names, codes))
+            if at is None or least == SHORTEST or WHOLE in self._decimals(section, names, codes):
+                return None
+            largest = max(float(values.max()), -float(values.min()))
+            own = section.read.decimals[names]
+            if names != POSITION:
+                own = np.zeros_like(own)
+            decimals = plain_text.row_decimals(own, least, largest)
+            if decimals is None:
+                return None
+            old = section.numbers(names)
+            new = np.require(values, np.float64, ("C", "W"))
+            found.append(
+                plain_text.Statements(at, 0, np.require(old, None, ("C", "W")), new, decimals)
+            )
+        return found
 
     def _edited(self, changes: Sequence[Change], codes: Sequence[str]) -> memoryview:
         """The ascii file with ``changes``; ``codes`` are the number types of x, y and z."""
@@ -311,6 +339,20 @@ class PlyFile:
         _require_same(self._bytes[section.start : section.stop], restored)
 
     def _check_text(self, result: Bytes, changes: list[Change]) -> None:
+        from msal_cli.core import plain_patch
+
+        plainly = self._statements(changes)
+        if plainly:
+            status, which, at = plain_text.compared(self._bytes, result, plainly)
+            if status == plain_patch.DONE:
+                return
+            if status == plain_patch.WRONG_VALUE:
+                raise InternalError(
+                    f"an {', '.join(changes[which].names)} of the output is not the computed one",
+                    where=changes[which].section.where(at),
+                )
+            if status == plain_patch.DIFFERENT:
+                raise InternalError("the output differs from the input outside its positions")
         last = [n for n, one in self._sections.items() if any(c.section is one for c in changes)]
         kept: list[tuple[Lines, Lines, Sequence[str], Flags]] = []
         try:

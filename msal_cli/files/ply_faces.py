@@ -202,7 +202,8 @@ def _polygon_triangles(
         corners = _as_indices(column, section, name).reshape(-1)
     else:
         items, each = section.items(name)
-        lengths = int(each[0]) if len(each) and (each == each[0]).all() else each
+        is_uniform = len(each) > 0 and bool((each == each[0]).all())
+        lengths = int(each[0]) if is_uniform else np.asarray(each, dtype=np.int64)
         corners = _as_indices(items, section, name)
     # Seen as unsigned, a negative index is a very large one.
     if len(corners) and int(corners.view(np.uint32).max()) >= n_vertices:

@@ -8,15 +8,19 @@ be there.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, TruncatedError
+from msal_cli.files import ply_plain
 from msal_cli.files.ply_header import Element, Header, Property
+from msal_cli.files.ply_plain import Numbers
 
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
@@ -212,24 +216,40 @@ class Varied:
             scatter(within, starts - self.start, sizes, packed)
 
 
-@dataclass(frozen=True)
-class Lines:
-    """Ascii records, one to a line.  ``starts`` and ``stops`` (count, c) are the tokens of the
-    properties in ``columns`` (of a list: of its count), ``lengths`` (count, c) their items."""
+class Tokens(NamedTuple):
+    """Words of ascii records: ``starts`` and ``stops`` (count, c) are those of the properties in
+    ``columns`` (of a list: of its count), ``lengths`` (count, c) their items."""
 
-    data: Bytes
-    element: Element
-    newline: bytes
-    start: int
-    stop: int
     columns: dict[str, int]
     starts: Longs
     stops: Longs
     lengths: Longs
 
+
+@dataclass(frozen=True)
+class Lines:
+    """Ascii records, one to a line.
+
+    ``kept`` are the properties whose values or words are known.  ``read`` are their values, where
+    the records are plain; then the places of words are found only when they are asked for.
+    """
+
+    data: Bytes
+    header: Header
+    element: Element
+    start: int
+    stop: int
+    kept: tuple[str, ...]
+    read: Numbers | None
+
+    @functools.cached_property
+    def tokens(self) -> Tokens:
+        """The places of all words of the properties ``kept``."""
+        return _tokens(self.data, self.header, self.element, self.start, self.kept)[0]
+
     def where(self, record: int) -> str:
         """The record in words, with its line."""
-        line = line_at(self.data, int(self.starts[record, 0]), self.newline)
+        line = line_at(self.data, int(self.tokens.starts[record, 0]), self.header.newline)
         return f"{self.element.name} {record}, line {line}"
 
     def spans(self, names: Sequence[str]) -> tuple[Longs, Longs]:
@@ -237,37 +257,46 @@ class Lines:
 
         They ascend when ``names`` are in file order.
         """
-        pick = [self.columns[name] for name in names]
-        if pick == list(range(self.starts.shape[1])):
-            return self.starts.reshape(-1), self.stops.reshape(-1)
-        return self.starts[:, pick].reshape(-1), self.stops[:, pick].reshape(-1)
+        columns, starts, stops, _ = self.tokens
+        pick = [columns[name] for name in names]
+        if pick == list(range(starts.shape[1])):
+            return starts.reshape(-1), stops.reshape(-1)
+        return starts[:, pick].reshape(-1), stops[:, pick].reshape(-1)
 
     def not_a_number(self, start: int, wanted: str) -> FormatError:
         """The error that the token at byte ``start`` is not what was ``wanted``."""
         token = self.data[start : start + 40].tobytes().split(maxsplit=1)[0].decode("latin-1")
         return FormatError(
             f"{token!r} in element '{self.element.name}' is not {wanted}",
-            where=f"line {line_at(self.data, start, self.newline)}",
+            where=f"line {line_at(self.data, start, self.header.newline)}",
         )
 
     def numbers(self, names: Sequence[str]) -> Floats:
         """The scalars of ``names`` as (count, len(names)) float64; FormatError with the line."""
         from msal_cli.core.text import numbers_at
 
+        if self.read is not None and set(names) <= set(self.read.names):
+            pick = [self.read.names.index(name) for name in names]
+            if pick == list(range(len(self.read.names))):
+                return self.read.values
+            return self.read.values[:, pick]
         starts, stops = self.spans(names)
         values, bad = numbers_at(self.data, starts, stops)
         if bad >= 0:
             raise self.not_a_number(int(starts[bad]), "a number")
         return values.reshape(self.element.count, len(names))
 
-    def items(self, name: str) -> tuple[Longs, Longs]:
+    def items(self, name: str) -> tuple[NDArray[np.integer[Any]], NDArray[np.integer[Any]]]:
         """All items of a list of whole numbers, and each record's number (count,)."""
         from msal_cli.core.ply_scan import list_integers
 
-        k = self.columns[name]
-        lengths = np.ascontiguousarray(self.lengths[:, k])
+        if self.read is not None and name == self.read.list_name:
+            return self.read.items, self.read.lengths
+        k = self.tokens.columns[name]
+        lengths = np.ascontiguousarray(self.tokens.lengths[:, k])
+        stops = np.ascontiguousarray(self.tokens.stops[:, k])
         items = np.empty(int(lengths.sum()), dtype=np.int64)
-        bad = list_integers(self.data, np.ascontiguousarray(self.stops[:, k]), lengths, items)
+        bad = list_integers(self.data, stops, lengths, items)
         if bad >= 0:
             raise self.not_a_number(int(bad), "a whole number")
         return items, lengths
@@ -276,11 +305,12 @@ class Lines:
         """First bytes and ends of all items of a list, and each record's number (count,)."""
         from msal_cli.core.ply_scan import list_tokens
 
-        k = self.columns[name]
-        lengths = np.ascontiguousarray(self.lengths[:, k])
+        k = self.tokens.columns[name]
+        lengths = np.ascontiguousarray(self.tokens.lengths[:, k])
         starts = np.empty(int(lengths.sum()), dtype=np.int64)
         stops = np.empty_like(starts)
-        list_tokens(self.data, np.ascontiguousarray(self.stops[:, k]), lengths, starts, stops)
+        counts = np.ascontiguousarray(self.tokens.stops[:, k])
+        list_tokens(self.data, counts, lengths, starts, stops)
         return starts, stops, lengths
 
 
@@ -315,7 +345,9 @@ def located(
     sections: dict[str, Section] = {}
     at = header.size
     for element in header.elements:
-        section = section_at(data, header, element, at, wanted(element))
+        section = _plain(data, header, element, at, wanted(element)) or section_at(
+            data, header, element, at, wanted(element)
+        )
         sections[element.name] = section
         at = section.stop
         if element.name == last:
@@ -421,20 +453,52 @@ def _varied(
     return Varied(data, element, header.byte_order, at, stop, columns, starts, lengths)
 
 
+def _plain(
+    data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
+) -> Lines | None:
+    """The section of an ascii element whose records are plain."""
+    if header.encoding != "ascii" or not _fits(data, element, at):
+        return None
+    found = ply_plain.numbers(data, element, at, wanted)
+    if found is None:
+        return None
+    return Lines(data, header, element, at, found[1], _kept(element, wanted), found[0])
+
+
 def _lines(data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]) -> Lines:
-    listed = element.properties
+    kept = _kept(element, wanted)
+    tokens, stop = _tokens(data, header, element, at, kept)
+    lines = Lines(data, header, element, at, stop, kept, None)
+    lines.__dict__["tokens"] = tokens
+    return lines
+
+
+def _kept(element: Element, wanted: Sequence[str]) -> tuple[str, ...]:
+    return tuple(one.name for one in element.properties if one.name in wanted)
+
+
+def _fits(data: Bytes, element: Element, at: int) -> bool:
+    """Whether the bytes from ``at`` on can hold the element."""
     # A value is at least one digit and one separator; only the file's last one has none.
-    fits = 2 * len(listed) * element.count <= len(data) - at + 1
-    names = [one.name for one in listed if one.name in wanted] if fits else []
-    columns = {name: k for k, name in enumerate(names)}
+    return 2 * len(element.properties) * element.count <= len(data) - at + 1
+
+
+def _tokens(
+    data: Bytes, header: Header, element: Element, at: int, kept: Sequence[str]
+) -> tuple[Tokens, int]:
+    """The places of the words of the properties ``kept``, and the end of the element."""
+    names = kept if _fits(data, element, at) else ()
     shape = (element.count if names else 0, len(names))
-    starts = np.empty(shape, dtype=np.int64)
-    stops = np.empty(shape, dtype=np.int64)
-    lengths = np.empty(shape, dtype=np.int64)
+    tokens = Tokens(
+        {name: k for k, name in enumerate(names)},
+        np.empty(shape, dtype=np.int64),
+        np.empty(shape, dtype=np.int64),
+        np.empty(shape, dtype=np.int64),
+    )
     stop = at
-    if listed and element.count:
-        stop = _walked(data, header, element, at, columns, (starts, stops, lengths))
-    return Lines(data, element, header.newline, at, stop, columns, starts, stops, lengths)
+    if element.properties and element.count:
+        stop = _walked(data, header, element, at, tokens)
+    return tokens, stop
 
 
 def _walked(
@@ -442,10 +506,9 @@ def _walked(
     header: Header,
     element: Element,
     at: int,
-    columns: dict[str, int],
-    outputs: tuple[Longs, Longs, Longs],
+    tokens: Tokens,
 ) -> int:
-    """Fill ``outputs`` (starts, stops, lengths) and return the end of the element's last line."""
+    """Fill ``tokens`` and return the end of the element's last line."""
     from msal_cli.core.ply_scan import BAD_COUNT, CUT, TOO_FEW, TOO_MANY, WHOLE, walk_text
 
     listed = element.properties
@@ -454,8 +517,8 @@ def _walked(
         at,
         min(element.count, len(data) + 1),
         np.array([one.is_list for one in listed]),
-        np.array([columns.get(one.name, -1) for one in listed]),
-        *outputs,
+        np.array([tokens.columns.get(one.name, -1) for one in listed]),
+        *tokens[1:],
     )
     if status != WHOLE and (data[header.size : header.size + _SAMPLE] == 0).any():
         raise FormatError(

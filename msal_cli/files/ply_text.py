@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from msal_cli.dataclass import dataclass
+from msal_cli.files.plain_text import usual_decimals
 from msal_cli.files.ply_layout import Bytes, Flags, Floats, Lines, Longs
 
 NORMAL_DECIMALS = 6
@@ -34,14 +35,12 @@ class Edit:
 
 
 def position_decimals(section: Lines, names: Sequence[str], vertices: Floats) -> int:
-    """Decimals for coordinates: as many as the file uses, or enough for 1e-7 of its extent.
+    """Decimals for coordinates: as many as are usual, or enough for 1e-7 of the extent.
 
     ``vertices`` (n, 3) gives the extent, the diagonal of the bounding box.  Where more than 17
     decimals were needed, or nothing tells the scale, the answer is ``SHORTEST``.
     """
-    from msal_cli.core.text import decimals_used
-
-    used = decimals_used(section.data, *section.spans(_in_file_order(section, names)))
+    used = _usual_decimals(section, names)
     with np.errstate(over="ignore"):
         extent = math.hypot(*(vertices.max(axis=0) - vertices.min(axis=0)).tolist())
     needed = SHORTEST
@@ -51,11 +50,20 @@ def position_decimals(section: Lines, names: Sequence[str], vertices: Floats) ->
 
 
 def normal_decimals(section: Lines, names: Sequence[str]) -> int:
-    """Decimals for normals: as many as the file uses, and at least ``NORMAL_DECIMALS``."""
+    """Decimals for normals: as many as are usual, and at least ``NORMAL_DECIMALS``."""
+    return max(_usual_decimals(section, names), NORMAL_DECIMALS)
+
+
+def _usual_decimals(section: Lines, names: Sequence[str]) -> int:
+    """The decimals that numbers of these properties usually have, at most 17."""
+    from msal_cli.core.digits import MOST_DECIMALS
     from msal_cli.core.text import decimals_used
 
-    used = decimals_used(section.data, *section.spans(_in_file_order(section, names)))
-    return max(used, NORMAL_DECIMALS)
+    if section.read is not None and tuple(names) in section.read.decimals:
+        decimals = section.read.decimals[tuple(names)]
+    else:
+        decimals = decimals_used(section.data, *section.spans(_in_file_order(section, names)))
+    return min(usual_decimals(decimals), MOST_DECIMALS)
 
 
 def edited(data: Bytes, edits: Sequence[Edit]) -> memoryview:

@@ -48,6 +48,7 @@ _SCANNERS = (
     "obj_scan",
     "plain_patch",
     "obj_patch",
+    "ply_plain",
     "ply_scan",
     "stl_scan",
 )
