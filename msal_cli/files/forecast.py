@@ -37,11 +37,11 @@ _ALWAYS_BELIEVED = 256 << 20
 # peak of the default method.  From benchmarks/peak_memory.py on a torus with a million faces:
 # every figure is what was measured plus 2 to 15 %.
 _PER_BYTE = {
-    "ply": 2.5,
+    "ply": 2.1,
     "ply-ascii": 5.6,
     "obj": 7.0,
-    "stl": 2.2,
-    "stl-ascii": 5.6,
+    "stl": 1.6,
+    "stl-ascii": 4.2,
     "glb": 4.0,
     "vtk": 10.3,
     "vtu": 18.0,
@@ -49,7 +49,7 @@ _PER_BYTE = {
     "mesh": 13.0,
     "": 32.0,
 }
-_PER_ELEMENT = {"glb": 75.0}
+_PER_ELEMENT = {"glb": 75.0, "ply": 45.0, "stl": 45.0}
 _PER_ELEMENT_ELSE = 60.0
 
 # Where the counts are not told: a triangle for so many bytes, for what a method adds.  Fewer bytes
@@ -259,7 +259,7 @@ def _of_stl(head: bytes, size: int, *, is_packed: bool) -> _Counts:
         return _Counts("stl-ascii")
     # A facet that is cut off at the end of what was read does not count as one.
     estimate = int(size * facets / len(head)) + 1
-    return _Counts("stl-ascii", 3 * estimate, estimate)
+    return _Counts("stl-ascii", estimate // 2, estimate)
 
 
 def _of_glb(head: bytes, size: int) -> _Counts:

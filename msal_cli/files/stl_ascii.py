@@ -23,6 +23,7 @@ SHORTEST_FACET = len(
 """Bytes of text that a facet takes at least."""
 
 _USUAL_FACET = 200
+_AT_ONCE = 1 << 14
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _NORMAL_DECIMALS = 6
 _NOISE = 1e-9
@@ -272,7 +273,10 @@ class StlTextFile:
         buf = text.as_bytes(self.data)
         decimals = np.array(self._decimals(), dtype=np.int64)
         found = self.found
-        largest = float(np.abs(numbers[replace]).max())
+        parts = (slice(at, at + _AT_ONCE) for at in range(0, len(numbers), _AT_ONCE))
+        largest = max(
+            float(np.abs(numbers[part]).max(where=replace[part], initial=0.0)) for part in parts
+        )
         if largest >= FIXED_BELOW:
             starts = (found.facet_at[:, None] + found.offsets)[replace]
             return self._replaced_slowly(starts, numbers[replace])
@@ -319,19 +323,28 @@ class StlTextFile:
         ):
             raise InternalError("text other than that of moved corners changed")
         step = 10.0 ** -self._decimals()[1]
-        corners = vertices[self.faces].reshape(-1, 9)
+        for first in range(0, len(there), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            corners = vertices[self.faces[part]].reshape(-1, 9)
+            self._check_part(there[part], corners, replace[part, 0], step, first)
+
+    def _check_part(
+        self, there: Floats, corners: Floats, is_new: NDArray[np.bool_], step: float, first: int
+    ) -> None:
+        """Compare numbers (k, 12) that were read again, from facet ``first`` on, with corners
+        (k, 9) within half a ``step``; normals where they ``is_new`` must have unit length."""
         wrong = np.abs(there[:, 3:] - corners) > 0.5 * step + 4e-16 * np.abs(corners)
         if wrong.any():
             facet, at = (int(one) for one in np.argwhere(wrong)[0])
             raise InternalError(
-                "a corner was not written right", where=f"facet {facet}, corner {at // 3}"
+                "a corner was not written right", where=f"facet {first + facet}, corner {at // 3}"
             )
         with np.errstate(over="ignore"):
             length = np.linalg.norm(there[:, :3], axis=1)
-        wrong_normals = replace[:, 0] & ~(np.abs(length - 1.0) < 1e-5)
+        wrong_normals = is_new & ~(np.abs(length - 1.0) < 1e-5)
         if wrong_normals.any():
             raise InternalError(
-                "a normal was not written right", where=f"facet {wrong_normals.argmax()}"
+                "a normal was not written right", where=f"facet {first + wrong_normals.argmax()}"
             )
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:

@@ -36,7 +36,7 @@ def beyond(path, available, monkeypatch, **limits):
     return weighed(tasks, Settings("msal"), Limits(**limits) if limits else NO_LIMITS).beyond()
 
 
-@pytest.mark.parametrize("least", [10**9, 12_050_000_000])
+@pytest.mark.parametrize("least", [10**9, 10_200_000_000])
 def test_a_mesh_is_refused_for_what_is_foreseen(tmp_path, monkeypatch, least):
     path = sparse(tmp_path / "a.ply", 50_000_000, 100_000_000)
     failure = beyond(path, least, monkeypatch)[7]
@@ -77,7 +77,7 @@ def test_the_others_of_a_folder_are_done(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(files, "read_whole", None)
     made = msal("denoise", folder, "-o", tmp_path / "out", "-j1")
     assert made.exit_code == 3
-    assert "takes 1" in made.stderr and "this machine has 60 MB left (E_MEMORY)" in made.stderr
+    assert "this machine has 60 MB left (E_MEMORY)" in made.stderr
     assert (tmp_path / "out/small.ply").exists() and not (tmp_path / "out/large.ply").exists()
 
 
