@@ -210,6 +210,10 @@ class _Reading:
         self._require_faces(n_vertices, n_faces)
         self._require_finite(vertices)
         corners, sizes = self.corners[:n_corners], self.sizes[:n_faces]
+        if n_corners == 3 * n_faces and bool((sizes == 3).all()):
+            # One number instead of one for each face.
+            sizes = np.broadcast_to(np.int32(3), (n_faces,))
+            del self.sizes
         self._require_vertices(corners, sizes, n_vertices)
         face_normals = None
         if n_normals and len(self.corner_normals):
@@ -464,6 +468,7 @@ class _Reading:
         corner = int(np.argmax(corners >= n_vertices))
         face = int(np.searchsorted(np.cumsum(sizes, dtype=np.int64), corner, side="right"))
         number = int(corners[corner]) + 1
+        self.sizes = np.empty(len(sizes), dtype=np.int32)
         # A second walk that ends behind this face says where it is, and so no other walk need
         # keep the place of every face.
         again = self._begun()

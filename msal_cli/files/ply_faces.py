@@ -260,7 +260,7 @@ def _as_indices(items: NDArray[np.generic], section: Section, name: str) -> Tria
     if is_plain and items.ndim == 2 and items.strides[1] == size:
         # Record by record, not number by number.  An index beyond int32 becomes a negative one.
         return np.ascontiguousarray(items.view(f"V{items.shape[1] * size}")).view(np.int32)
-    return np.ascontiguousarray(items.astype(np.int32))
+    return np.ascontiguousarray(items.astype(np.int32, copy=False))
 
 
 def _record_of(section: Section, name: str, item: int) -> int:

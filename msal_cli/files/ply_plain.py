@@ -159,6 +159,9 @@ def _lists(
         larger = np.empty(min(max(alike, len(items) * 3 // 2 + 64), most), dtype=np.int32)
         larger[:n_items] = items[:n_items]
         items = larger
+    if len(lengths) and (lengths == lengths[0]).all():
+        # One number instead of one for each record.
+        lengths = np.broadcast_to(lengths[:1].copy(), lengths.shape)
     return Numbers(
         (),
         np.empty((element.count, 0)),
