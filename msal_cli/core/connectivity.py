@@ -35,29 +35,52 @@ def _hashed(a, b, c):  # type: ignore[no-untyped-def]
     return h ^ (h >> np.uint64(31))
 
 
+_BLOCK_ROWS = 512
+
+
+@compiled
+def _hashes(bits, start, stop, mask, hashes):  # type: ignore[no-untyped-def]
+    for i in range(start, stop):
+        hashes[i - start] = _hashed(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
+
+
 @compiled
 def _alike_perhaps(bits, used, seen, again, candidates):  # type: ignore[no-untyped-def]
     """Rows whose hash another row has too: the only ones that can equal another; their number.
 
-    ``seen`` and ``again`` are bit sets, a power of two words long, that fit the second cache.
+    ``seen`` and ``again`` are bit sets, a power of two words long.  Those of millions of rows fit
+    no cache: the words of a block of rows are read first, all at once, so that many waits for
+    memory are one.
     """
     mask = np.uint64(64 * len(seen) - 1)
     one, six, low = np.uint64(1), np.uint64(6), np.uint64(63)
-    repeats = np.uint64(0)
-    for i in range(len(used)):
-        h = _hashed(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
-        word, bit = h >> six, (one if used[i] else np.uint64(0)) << (h & low)
-        hit = seen[word] & bit
-        seen[word] |= bit
-        again[word] |= hit
-        repeats |= hit
+    hashes = np.empty(_BLOCK_ROWS, dtype=np.uint64)
+    touched = np.uint64(0)
+    repeats = False
+    for start in range(0, len(used), _BLOCK_ROWS):
+        stop = min(start + _BLOCK_ROWS, len(used))
+        _hashes(bits, start, stop, mask, hashes)
+        for at in range(stop - start):
+            touched |= seen[hashes[at] >> six]
+        for at in range(stop - start):
+            word = hashes[at] >> six
+            bit = (one if used[start + at] else np.uint64(0)) << (hashes[at] & low)
+            if seen[word] & bit:
+                again[word] |= bit
+                repeats = True
+            seen[word] |= bit
+    # Of no use, but what is read for nothing would not be read; the last place is to spare.
+    candidates[len(used)] = np.int64(touched & one)
     count = 0
-    if repeats:
-        for i in range(len(used)):
-            h = _hashed(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
-            candidates[count] = i
-            is_one = (again[h >> six] >> (h & low)) & one
-            count += 1 if is_one and used[i] else 0
+    if not repeats:
+        return count
+    for start in range(0, len(used), _BLOCK_ROWS):
+        stop = min(start + _BLOCK_ROWS, len(used))
+        _hashes(bits, start, stop, mask, hashes)
+        for at in range(stop - start):
+            candidates[count] = start + at
+            is_one = (again[hashes[at] >> six] >> (hashes[at] & low)) & one
+            count += 1 if is_one and used[start + at] else 0
     return count
 
 
