@@ -21,7 +21,6 @@ from msal_cli.core.ring_blocks import (
     THREE,
     TWO,
     VECTOR,
-    ZERO,
     block,
     most_neighbours,
     settle,
@@ -62,7 +61,6 @@ def _ring_bilateral(  # type: ignore[no-untyped-def]
     ring = ring.view(np.uint32)
     stop = np.uint64(stop)
     widest = most_neighbours(start, stop, ring_start)
-    scales, sums, weights, least, factors = PARTS
     rows = ROWS
     # As many rows again: exponents.
     apart = VECTOR * max(BLOCK_EDGES, widest)
@@ -91,10 +89,12 @@ def _ring_bilateral(  # type: ignore[no-untyped-def]
                 room[place] = ex * nx + ey * ny + ez * nz
                 room[apart + place] = (ex * ex + ey * ey + ez * ez) * near
                 place += width
-        lane, row = ZERO, rows
+        row = rows
+        # Beside what ``settle`` reads: the least exponent, the factor of squares.
+        scales, sums, weights, least, factors = PARTS
         for m in range(fewest, most + ONE):
             width = table[m]
-            for at in range(lane, lane + width):
+            for at in range(width):
                 room[least + at] = np.inf
                 room[scales + at] = 0.0
                 room[sums + at] = 0.0
@@ -103,18 +103,18 @@ def _ring_bilateral(  # type: ignore[no-untyped-def]
             place = row
             for _ in range(m):
                 for at in range(width):
-                    room[sums + lane + at] += room[place + at]
+                    room[sums + at] += room[place + at]
                 place += width
-            for at in range(lane, lane + width):
+            for at in range(width):
                 room[sums + at] /= max(m, ONE)
             place = row
             for _ in range(m):
                 for at in range(width):
-                    offset = room[place + at] - room[sums + lane + at]
-                    room[scales + lane + at] += abs(offset)
-                    room[factors + lane + at] += offset * offset
+                    offset = room[place + at] - room[sums + at]
+                    room[scales + at] += abs(offset)
+                    room[factors + at] += offset * offset
                 place += width
-            for at in range(lane, lane + width):
+            for at in range(width):
                 room[scales + at] = 2.0 * room[scales + at] / max(m, ONE)
                 scale = np.sqrt(room[factors + at] / max(m, ONE))
                 scale = scale if similarity == 0.0 else similarity
@@ -125,18 +125,22 @@ def _ring_bilateral(  # type: ignore[no-untyped-def]
             for _ in range(m):
                 for at in range(width):
                     h = room[place + at]
-                    exponent = room[apart + place + at] + h * h * room[factors + lane + at]
+                    exponent = room[apart + place + at] + h * h * room[factors + at]
                     room[apart + place + at] = exponent
-                    room[least + lane + at] = min(room[least + lane + at], exponent)
+                    room[least + at] = min(room[least + at], exponent)
                 place += width
             for _ in range(m):
                 for at in range(width):
                     # The largest weight is made 1: the quotient stays the same, and is never 0/0.
-                    g = power_of_two(room[least + lane + at] - room[apart + row + at])
-                    room[weights + lane + at] += g
-                    room[sums + lane + at] += g * room[row + at]
+                    g = power_of_two(room[least + at] - room[apart + row + at])
+                    room[weights + at] += g
+                    room[sums + at] += g * room[row + at]
                 row += width
-            lane += width
+            scales += width
+            sums += width
+            weights += width
+            least += width
+            factors += width
         scale = settle(
             first,
             last,

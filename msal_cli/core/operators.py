@@ -24,7 +24,6 @@ from msal_cli.core.ring_blocks import (
     THREE,
     TWO,
     VECTOR,
-    ZERO,
     block,
     most_neighbours,
     settle,
@@ -155,8 +154,6 @@ def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
     ring = ring.view(np.uint32)
     stop = np.uint64(stop)
     widest = most_neighbours(start, stop, ring_start)
-    # By lane, after what ``settle`` reads: the least square of a height, the exponents' factor.
-    scales, sums, weights, least, factors = PARTS
     rows = ROWS
     room = np.zeros(rows + VECTOR * max(BLOCK_EDGES, widest))
     lanes, shifts, chosen = widest + ONE, TWO * (widest + ONE), THREE * (widest + ONE)
@@ -181,10 +178,12 @@ def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
                 k = THREE * ring[e]
                 room[place] = (xi - x[k]) * nx + (yi - x[k + ONE]) * ny + (zi - x[k + TWO]) * nz
                 place += width
-        lane, row = ZERO, rows
+        row = rows
+        # Beside what ``settle`` reads: the least square of a height, the factor of exponents.
+        scales, sums, weights, least, factors = PARTS
         for m in range(fewest, most + ONE):
             width = table[m]
-            for at in range(lane, lane + width):
+            for at in range(width):
                 room[least + at] = np.inf
                 room[scales + at] = 0.0
                 room[sums + at] = 0.0
@@ -193,17 +192,17 @@ def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
             for _ in range(m):
                 for at in range(width):
                     h = room[place + at]
-                    room[sums + lane + at] += h
-                    room[least + lane + at] = min(room[least + lane + at], h * h)
+                    room[sums + at] += h
+                    room[least + at] = min(room[least + at], h * h)
                 place += width
-            for at in range(lane, lane + width):
+            for at in range(width):
                 room[sums + at] /= max(m, ONE)
             place = row
             for _ in range(m):
                 for at in range(width):
-                    room[scales + lane + at] += abs(room[place + at] - room[sums + lane + at])
+                    room[scales + at] += abs(room[place + at] - room[sums + at])
                 place += width
-            for at in range(lane, lane + width):
+            for at in range(width):
                 scale = 2.0 * room[scales + at] / max(m, ONE)
                 room[scales + at] = scale
                 scale = scale if scale > floor else floor
@@ -214,11 +213,15 @@ def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
                     h = room[row + at]
                     # The largest weight is made 1: the quotient of eq. (5) stays the same, and
                     # cannot become 0/0 where sigma is tiny.  For sigma = 0 all heights are alike.
-                    g = power_of_two((room[least + lane + at] - h * h) * room[factors + lane + at])
-                    room[weights + lane + at] += g
-                    room[sums + lane + at] += g * h
+                    g = power_of_two((room[least + at] - h * h) * room[factors + at])
+                    room[weights + at] += g
+                    room[sums + at] += g * h
                 row += width
-            lane += width
+            scales += width
+            sums += width
+            weights += width
+            least += width
+            factors += width
         scale = settle(
             first,
             last,
