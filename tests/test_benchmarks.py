@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks import batch, contest, large_file, machine, measured, peers, scans, small_file
+from benchmarks import (
+    batch,
+    contest,
+    large_file,
+    machine,
+    measured,
+    peers,
+    scans,
+    small_file,
+    stages,
+)
 
 PEER = ["--peers", "meshio_mean", "--peers-python", sys.executable]
 
@@ -54,6 +66,33 @@ def test_a_run_is_measured():
     assert "nonsuch" in measured.run(["nonsuch"], is_pinned=False).fault
 
 
+@pytest.mark.parametrize("peer", peers.PEERS, ids=lambda peer: peer.script)
+def test_every_peer_has_its_script(peer):
+    path = Path(peer.command("python", Path("in.ply"), Path("out.ply"))[1])
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    functions = {one.name: one for one in tree.body if isinstance(one, ast.FunctionDef)}
+    assert [one.arg for one in functions["denoise"].args.args] == ["source", "target"]
+    assert "msal" not in ast.dump(tree)
+    steps = [one.value for one in tree.body if isinstance(one, ast.Assign)]
+    assert 4 in [one.value for one in steps if isinstance(one, ast.Constant)]
+
+
+def test_the_best_peer_is_a_tool_if_there_is_any():
+    def row(title, seconds, **kind):
+        ran = measured.Ran(
+            {"seconds": seconds, "cpu_seconds": seconds, "peak_bytes": 1, "status": 0}, ""
+        )
+        return contest.Row(contest.Contestant(title, lambda *paths: [], **kind), [ran])
+
+    msal = row("msal", 0.1, is_peer=False)
+    by_hand = row("by hand", 0.2, is_by_hand=True)
+    slow, fast, failed = row("slow", 2.0), row("fast", 1.0), row("failed", 0.5)
+    failed.fault = "exit status 1"
+    assert contest.best_peer([msal, by_hand, slow, failed, fast]) is fast
+    assert contest.best_peer([msal, by_hand, failed]) is by_hand
+    assert contest.best_peer([msal]) is None
+
+
 def test_a_peer_that_is_not_there_is_skipped(monkeypatch, capsys):
     monkeypatch.setattr(peers, "PEERS", (peers.Peer("nonsuch", "No such tool", ("no-such",)),))
     assert peers.installed(sys.executable)[0] == []
@@ -95,6 +134,12 @@ def test_small_file_prints_its_tables(capsys):
     small_file.main(["--around", "24", "--repeats", "1", "--cores", "one", "--forms", "obj", *PEER])
     said = capsys.readouterr().out
     assert len(re.findall(r"^\| OBJ \| one \| .*\(meshio", said, re.M)) == 1
+
+
+@pytest.mark.slow
+def test_stages_prints_its_table(capsys):
+    stages.main(["--around", "24", "--repeats", "1", "--forms", "obj"])
+    assert re.search(r"^\| OBJ \| \d.* \d+\.\d % \| \d+ \|$", capsys.readouterr().out, re.M)
 
 
 def test_batch_prints_its_tables(tmp_path, capsys):

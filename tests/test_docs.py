@@ -140,6 +140,14 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert there.stat().st_size < 300_000, target
 
 
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_benchmarks_that_a_page_names_exist(page: Path) -> None:
+    text = page.read_text("utf-8")
+    for name in re.findall(r"-m\s+(benchmarks\.\w+)|\b(benchmarks/\w+\.py)", text):
+        path = name[1] or name[0].replace(".", "/") + ".py"
+        assert (ROOT / path).is_file(), f"{name_of(page)} names {path}"
+
+
 def anchors(page: Path) -> set[str]:
     """The anchors of a page's headings, as code hosts make them."""
     headings = re.findall(r"^#+ +(.+)$", FENCE.sub("", page.read_text("utf-8")), re.MULTILINE)
