@@ -13,11 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.parallel import over_ranges
+from msal_cli.core.parallel import SMALLEST_RANGE, over_ranges
 from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+
+MOST_THREADS = 4
+"""Threads that build rings at the same time."""
 
 
 @compiled
@@ -379,7 +382,11 @@ def connectivity(n_vertices: int, faces: Ints) -> Connectivity:
     face_start, incident = incidence(n_vertices, faces)
     ring = np.empty(len(incident), dtype=np.int32)
     opened = np.empty(n_vertices, dtype=bool)
-    over_ranges(_closed_rings, n_vertices, faces, face_start, incident, ring, opened)
+    # Every thread marks all vertices, so that many threads would take much memory.
+    least = max(SMALLEST_RANGE, n_vertices // MOST_THREADS)
+    over_ranges(
+        _closed_rings, n_vertices, faces, face_start, incident, ring, opened, smallest=least
+    )
     boundary = np.zeros(n_vertices, dtype=bool)
     if not opened.any():
         return Connectivity(faces, face_start, ring, boundary, 0, 0, 0)

@@ -16,6 +16,9 @@ from msal_cli.core.parallel import SMALLEST_RANGE, over_ranges, threads
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+MOST_PARTS = 8
+"""Parts of the vertices whose normals are added up at the same time."""
+
 BLOCK_VERTICES = 1024
 """Vertices whose edges make one partial sum, so that a sum does not depend on threads."""
 
@@ -161,7 +164,8 @@ def normals_and_flat_faces(vertices: Floats, faces: Ints, weighting: str) -> tup
     """Unit vertex normals (n, 3), see ``vertex_normals``, and how many faces have no normal."""
     n = len(vertices)
     sums, weights = np.zeros((n, 3)), np.zeros(n)
-    parts = max(1, min(threads(), n // SMALLEST_RANGE))
+    # Every part looks at all faces.
+    parts = max(1, min(threads(), n // SMALLEST_RANGE, MOST_PARTS))
     flat = np.zeros(parts, dtype=np.int64)
     over_ranges(
         _normal_sums,

@@ -24,7 +24,7 @@ LOOKED_AT = 1 << 16
 
 BASE_BYTES = 50_000_000
 """Resident memory of a worker that has denoised a mesh of next to nothing: the interpreter, the
-libraries and the compiled kernels (38 to 44 MB measured; kernels that are yet to be compiled, once
+libraries and the compiled kernels (36 to 46 MB measured; kernels that are yet to be compiled, once
 on a new machine, take 150 MB more)."""
 
 _LIBRARY_BYTES = 75_000_000
@@ -35,15 +35,15 @@ _ALWAYS_BELIEVED = 256 << 20
 
 # Bytes of resident memory per byte of the file, and per vertex and per triangle together, at the
 # peak of the default method.  From benchmarks/peak_memory.py on a torus with a million faces:
-# every figure is what was measured plus 2 to 15 %.
+# what is foreseen is what was measured plus 8 to 20 %.
 _PER_BYTE = {
     "ply": 2.1,
-    "ply-ascii": 5.6,
-    "obj": 7.0,
+    "ply-ascii": 6.0,
+    "obj": 4.1,
     "stl": 1.6,
     "stl-ascii": 4.2,
     "glb": 4.0,
-    "vtk": 10.3,
+    "vtk": 9.2,
     "vtu": 18.0,
     "msh": 13.0,
     "mesh": 13.0,

@@ -38,7 +38,7 @@ from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
 
-BYTES_PER_FACE = 180
+BYTES_PER_FACE = 210
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 

@@ -63,7 +63,7 @@ TOLERANCE = 1e-4
 MOST_ITERATIONS = 5000
 """Of the conjugate gradients: 100 at the default lambda, 1000 at the least that is allowed."""
 
-BYTES_PER_FACE = 260
+BYTES_PER_FACE = 280
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 

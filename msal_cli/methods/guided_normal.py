@@ -54,7 +54,7 @@ from msal_cli.methods._sweeps import free_vertices
 MOST_NEAR = 64
 """Faces near one at most; ten are usual."""
 
-BYTES_PER_FACE = 390
+BYTES_PER_FACE = 385
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
