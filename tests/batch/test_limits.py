@@ -288,18 +288,18 @@ def seconds_of_work(pid):
 @linux
 def test_the_command_holds_a_real_mesh_to_a_memory_limit(scans, monkeypatch):
     (scans / "in/big.obj").write_text(obj(9, 800, 400))
-    made = msal(scans, "--memory-limit", "150M")
+    made = msal(scans, "--memory-limit", "90M")
     assert made.returncode == 3
     assert "forecast: denoising this file takes up to" in made.stderr
-    assert "the limit is 150 MB (E_MEMORY)" in made.stderr
+    assert "the limit is 90 MB (E_MEMORY)" in made.stderr
     # A forecast that is far too low: now the system has to hold the worker to its limit.
     (scans / "sitecustomize.py").write_text(
         "import msal_cli.files.forecast as f\nf._PER_BYTE = dict.fromkeys(f._PER_BYTE, 0.01)\n"
     )
     env = os.environ | {"PYTHONPATH": f"{scans}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
-    made = msal(scans, "--memory-limit", "120M", env=env)
+    made = msal(scans, "--memory-limit", "90M", env=env)
     assert made.returncode == 3, made.stderr
-    assert "E_MEMORY" in made.stderr and "with a limit of 120 MB" in made.stderr
+    assert "E_MEMORY" in made.stderr and "with a limit of 90 MB" in made.stderr
     assert "E_CRASH" not in made.stderr and "Traceback" not in made.stderr
 
 
