@@ -110,6 +110,8 @@ def main(words: list[str] | None = None) -> None:
     print(f"\nFour sweeps of the default method on {arguments.cores} core(s).\n")
     rows: list[tuple[float, ...]] = []
     by_size: dict[int, tuple[float, ...]] = {}
+    if arguments.folder is not None:
+        Path(arguments.folder).mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=arguments.folder) as scratch:
         path = Path(scratch) / "torus.ply"
         _write_tetrahedron(path)
