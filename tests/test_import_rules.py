@@ -19,6 +19,7 @@ EVERYWHERE = {"dataclass"}
 MAY_IMPORT = {
     "errors": set(),
     "dataclass": set(),
+    "colours": set(),
     "core": {"errors"},
     "mesh": {"core", "errors"},
     "methods": {"mesh", "core", "errors"},
@@ -42,6 +43,7 @@ MAY_IMPORT = {
     "report": {"records", "errors"},
     "cli": {
         "batch",
+        "colours",
         "errors",
         "files",
         "inspection",
