@@ -100,4 +100,6 @@ def mapped(
     is_number = ~np.isnan(values)
     share = np.clip(np.where(is_number, share, 0.0), 0.0, 1.0)
     shades = np.minimum((share * SHADES).astype(np.intp), SHADES - 1)
-    return np.where(is_number[:, None], colours[shades], np.array(UNKNOWN, dtype=np.uint8))
+    result: Colours = colours[shades]
+    result[~is_number] = UNKNOWN
+    return result
