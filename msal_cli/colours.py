@@ -76,7 +76,7 @@ def table(map_name: str) -> Colours:
     )
     linear = np.clip((lab @ _TO_CONES.T) ** 3 @ _TO_LINEAR.T, 0.0, 1.0)
     coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    colours = np.round(255.0 * coded).astype(np.uint8)
+    colours: Colours = np.round(255.0 * coded).astype(np.uint8)
     colours.setflags(write=False)
     return colours
 
