@@ -1,0 +1,280 @@
+"""What ``msal denoise`` can be told: its options by theme, and the request that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from msal_cli.cli import words
+from msal_cli.dataclass import dataclass
+
+DEFAULT_BACKUP = ".orig"
+"""What --in-place adds to the name of an original."""
+
+PATH = click.Path(readable=False, allow_dash=True)
+"""A path of any kind: whoever opens it knows what it must be."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """The command line of ``msal denoise``, as click has read it."""
+
+    inputs: tuple[str, ...]
+    output: str | None
+    method: str
+    iterations: str | None
+    factor: str | None
+    mollify: str | None
+    schedule: str | None
+    assignments: tuple[str, ...]
+    include: tuple[str, ...]
+    exclude: tuple[str, ...]
+    in_place: bool
+    backup: str | None
+    no_backup: bool
+    to: str | None
+    encoding: str
+    precision: str
+    strict: bool
+    format: str | None
+    jobs: int | None
+    timeout: float | None
+    memory_limit: int | None
+    max_faces: int | None
+    retries: int | None
+    fail_fast: bool
+    max_failures: int | None
+    engine: str
+    scheduler: str | None
+    dry_run: bool
+    force: bool
+    fresh: bool
+    retry_failed: bool
+    shard: str | None
+    reports: tuple[str, ...]
+    as_json: bool
+    quiet: bool
+    verbose: int
+    log_file: str | None
+
+
+# Where to.
+_OUTPUT = click.option(
+    "-o",
+    "--output",
+    metavar="OUT",
+    type=PATH,
+    help="File or folder to write; a folder gets the tree of the inputs. "
+    "- is standard output, the default when INPUT is -.",
+)
+
+# How to denoise.
+_METHOD = (
+    click.option(
+        "--method",
+        metavar="NAME",
+        default="msal",
+        show_default=True,
+        shell_complete=words.completed_method,
+        help="How to denoise; `msal methods` lists them.",
+    ),
+    click.option(
+        "-n",
+        "--iterations",
+        metavar="N",
+        help="Sweeps over the mesh; more is smoother, while msal comes back to the input after "
+        "many. Other methods may have other defaults.  [default: 4]",
+    ),
+    click.option(
+        "-K",
+        "factor",
+        metavar="K",
+        help="msal, or --schedule multiscale: factor by which the smoothing shrinks from sweep to "
+        "sweep, 0 < K <= 1; greater is smoother, less keeps more texture.  [default: 0.5]",
+    ),
+    click.option(
+        "--mollify",
+        metavar="N",
+        help="Passes that average the normals first; more gives flatter flats and softer edges, "
+        "0 suits lightly noisy scans.  [default: 1]",
+    ),
+    click.option(
+        "--schedule",
+        type=click.Choice(["plain", "constant", "multiscale"]),
+        help="How the sweeps of al, umbrella and the like go on: alike, with a constant pull to "
+        "the data, or multiscale as in msal.  [default: plain]",
+    ),
+    click.option(
+        "--set",
+        "assignments",
+        metavar="NAME=VALUE",
+        multiple=True,
+        help="Any parameter of the method; `msal methods NAME` lists them. Repeatable.",
+    ),
+)
+
+# Which files, and what the outputs are.
+_FILES = (
+    click.option(
+        "--include",
+        metavar="PATTERN",
+        multiple=True,
+        help="Take only files whose path or name matches, such as '*.ply'. Repeatable.",
+    ),
+    click.option(
+        "--exclude",
+        metavar="PATTERN",
+        multiple=True,
+        help="Leave out files or folders that match. Repeatable; wins over --include.",
+    ),
+    click.option(
+        "--in-place", is_flag=True, help="Replace the inputs; originals are kept beside them."
+    ),
+    click.option(
+        "--backup",
+        metavar="SUFFIX",
+        help=f"With --in-place: what is added to the original's name.  [default: {DEFAULT_BACKUP}]",
+    ),
+    click.option("--no-backup", is_flag=True, help="With --in-place: keep no originals."),
+    click.option(
+        "--to",
+        metavar="FORMAT",
+        help="Write another format (ply, obj, stl, off, glb, ...); what it cannot carry is a "
+        "warning.  [default: that of the input, or of OUT's suffix]",
+    ),
+    click.option(
+        "--encoding",
+        type=click.Choice(["same", "ascii", "binary"]),
+        default="same",
+        show_default=True,
+        help="How the output stores numbers.",
+    ),
+    click.option(
+        "--precision",
+        type=click.Choice(["same", "float32", "float64"]),
+        default="same",
+        show_default=True,
+        help="Bits of the output's positions.",
+    ),
+    click.option("--strict", is_flag=True, help="Fail where a conversion loses something."),
+    click.option(
+        "--format",
+        "format",
+        metavar="FORMAT",
+        help="The inputs' format, where neither their name nor their content tells.",
+    ),
+)
+
+# How much at a time, and within which limits.
+_WORK = (
+    click.option(
+        "-j",
+        "--jobs",
+        metavar="N|auto",
+        default="auto",
+        show_default=True,
+        callback=words.jobs,
+        help="Files at the same time; more is faster and takes more memory. auto is one per core, "
+        "as far as memory allows. The results do not depend on it.",
+    ),
+    click.option(
+        "--timeout",
+        metavar="TIME",
+        callback=words.duration,
+        help="Most time for one file: seconds, or 90s, 5m, 1h.  [default: none]",
+    ),
+    click.option(
+        "--memory-limit",
+        metavar="SIZE",
+        callback=words.size,
+        help="Most memory for one file and for each worker: 500M, 2G, 1.5GiB.  [default: none]",
+    ),
+    click.option(
+        "--max-faces",
+        metavar="N",
+        callback=words.count_from(1),
+        help="Refuse files with more faces.  [default: none]",
+    ),
+    click.option(
+        "--retries",
+        metavar="N",
+        callback=words.count_from(0),
+        help="How often a file is tried again, alone, that was lost to a crash, memory or time.  "
+        "[default: 1]",
+    ),
+    click.option("--fail-fast", is_flag=True, help="Begin no more files once one has failed."),
+    click.option(
+        "--max-failures",
+        metavar="N",
+        callback=words.count_from(1),
+        help="Begin no more files once N have failed.  [default: none]",
+    ),
+    click.option(
+        "--engine",
+        type=click.Choice(["workers", "dask"]),
+        default="workers",
+        show_default=True,
+        help="Who does the work: worker processes here, or a Dask cluster (msal-cli[dask]).",
+    ),
+    click.option(
+        "--scheduler",
+        metavar="ADDRESS|local",
+        help="With --engine dask: the scheduler, such as tcp://host:8786; local starts a cluster "
+        "of -j processes here.",
+    ),
+)
+
+# What is done at all, and what again.
+_RERUNS = (
+    click.option("--dry-run", is_flag=True, help="List what would be written, and touch nothing."),
+    click.option(
+        "--force",
+        is_flag=True,
+        help="Replace files in OUT that msal did not write.",
+    ),
+    click.option(
+        "--fresh", is_flag=True, help="Denoise again what an earlier run has done already."
+    ),
+    click.option(
+        "--retry-failed",
+        is_flag=True,
+        help="Try again what failed in an earlier run and would fail again.",
+    ),
+    click.option(
+        "--shard",
+        metavar="K/N|auto",
+        help="Take only the K-th of N parts of the files; N such runs do them all, on one machine "
+        "or many. auto asks Slurm, AWS Batch or Kubernetes; auto/N gives N where they do not.",
+    ),
+)
+
+# What is told, and where.
+_REPORTS = (
+    click.option(
+        "--report",
+        "reports",
+        metavar="FILE",
+        multiple=True,
+        type=PATH,
+        help="Write a record of every file: .json, .jsonl or .csv by suffix. Repeatable.",
+    ),
+    click.option(
+        "--json", "as_json", is_flag=True, help="Print the JSON report to standard output."
+    ),
+    click.option("-q", "--quiet", is_flag=True, help="No bar, no summary; only errors."),
+    click.option(
+        "-v", "--verbose", count=True, help="Tell more: every file and step; -vv tells everything."
+    ),
+    click.option(
+        "--log-file", metavar="FILE", type=PATH, help="Append everything, with times, to a file."
+    ),
+)
+
+
+def options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A command with all options of ``msal denoise``, in the order in which help shows them."""
+    for option in reversed((_OUTPUT, *_METHOD, *_FILES, *_WORK, *_RERUNS, *_REPORTS)):
+        function = option(function)
+    return function

@@ -1,0 +1,139 @@
+"""What a request of ``msal denoise`` means: its contradictions, its settings, its plan."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from msal_cli.cli import words
+from msal_cli.cli.denoise_options import DEFAULT_BACKUP
+from msal_cli.cli.pipe import STREAM
+from msal_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from msal_cli.batch.plan import Plan
+    from msal_cli.cli.denoise_options import Request
+    from msal_cli.cli.pipe import Pipe
+    from msal_cli.pipeline import Limits, Settings
+
+
+def refuse_contradictions(request: Request) -> None:
+    """Refuse options that contradict or need each other; UsageError."""
+    from msal_cli.cli import engines
+
+    if request.output is None and not request.in_place and STREAM not in request.inputs:
+        raise UsageError(
+            "there is no output",
+            hint="name a file or a folder with -o OUT, or replace the inputs with --in-place",
+        )
+    if request.in_place and request.output is not None:
+        raise UsageError("--in-place and --output contradict each other", hint="give one of them")
+    if request.in_place and request.to is not None:
+        raise UsageError(
+            "--in-place cannot change the format", hint="name an output with -o to use --to"
+        )
+    if request.backup is not None and request.no_backup:
+        raise UsageError("--backup and --no-backup contradict each other", hint="give one of them")
+    engines.refuse_contradictions(
+        request.engine, request.scheduler, request.jobs, in_place=request.in_place
+    )
+    if (request.backup is not None or request.no_backup) and not request.in_place:
+        word = "--no-backup" if request.no_backup else "--backup"
+        raise UsageError(f"{word} needs --in-place", hint="other inputs are never replaced")
+    if request.fail_fast and request.max_failures is not None:
+        raise UsageError(
+            "--fail-fast and --max-failures contradict each other", hint="give one of them"
+        )
+
+
+def refuse_for_streams(request: Request, one: Pipe) -> None:
+    """Refuse what means nothing for a mesh from or to a standard stream; UsageError."""
+    given = {
+        "--in-place": request.in_place,
+        "--include": request.include,
+        "--exclude": request.exclude,
+        "--dry-run": request.dry_run,
+        "--shard": request.shard,
+        "--retry-failed": request.retry_failed,
+        "--engine dask": request.engine != "workers",
+        "--fail-fast": request.fail_fast,
+    }
+    # 0 retries are given too.
+    given |= {
+        word: value is not None
+        for word, value in (
+            ("--timeout", request.timeout),
+            ("--memory-limit", request.memory_limit),
+            ("--retries", request.retries),
+            ("--max-failures", request.max_failures),
+        )
+    }
+    for word, value in given.items():
+        if value:
+            raise UsageError(f"{word} is for files, not for standard input or output")
+    if request.as_json and one.target == STREAM:
+        raise UsageError(
+            "the mesh and --json cannot both go to standard output",
+            hint="name a file with -o for the mesh, or with --report for the records",
+        )
+
+
+def limits_of(request: Request) -> Limits:
+    """What one file may take."""
+    from msal_cli.pipeline import Limits
+
+    return Limits(request.timeout, request.memory_limit, request.max_faces)
+
+
+def settings_of(request: Request) -> Settings:
+    """What decides the bytes of the outputs; UsageError for what no method or format knows."""
+    from msal_cli import files, methods, pipeline
+    from msal_cli.cli import parameters
+
+    method = methods.find(request.method)
+    shortcuts = (
+        ("-n", "iterations", request.iterations),
+        ("-K", "K", request.factor),
+        ("--mollify", "mollify", request.mollify),
+        ("--schedule", "schedule", request.schedule),
+    )
+    given = [
+        (f"{option} {value}", name, value) for option, name, value in shortcuts if value is not None
+    ]
+    given += [parameters.assignment(text) for text in request.assignments]
+    return pipeline.Settings(
+        method=method.name,
+        parameters=parameters.settled(method, given),
+        to=words.settled_format(request.to, pipeline.writable_formats, "--to"),
+        encoding=request.encoding,
+        precision=request.precision,
+        strict=request.strict,
+        format=words.settled_format(request.format, files.readable_suffixes, "--format"),
+    )
+
+
+def _backup_suffix(request: Request) -> str | None:
+    if request.no_backup:
+        return None
+    return DEFAULT_BACKUP if request.backup is None else request.backup
+
+
+def plan_of(request: Request, settings: Settings) -> Plan:
+    """The files and what becomes of each; UsageError for inputs or outputs that cannot be."""
+    from msal_cli.batch import inputs, plan, shards
+
+    output = request.output
+    shard = None if request.shard is None else shards.settled(request.shard, os.environ)
+    found = inputs.found(request.inputs, request.include, request.exclude, output=output)
+    everything = plan.built(
+        found,
+        output,
+        to=settings.to,
+        in_place=request.in_place,
+        backup=_backup_suffix(request),
+        force=request.force,
+        fresh=request.fresh,
+        retry_failed=request.retry_failed,
+    )
+    # Everything is checked first, so that each shard refuses what a whole run would.
+    return everything if shard is None else shards.part(everything, shard)
