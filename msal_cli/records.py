@@ -110,6 +110,22 @@ class Failure:
 
 
 @dataclass(frozen=True, slots=True)
+class GateResult:
+    """What became of one gate (--fail-on) for one file.
+
+    ``values`` are those of the names in the expression, in the units of their fields; one that is
+    not known is None.  ``reason`` says them in words, and why a gate could not be decided; one that
+    could not be counts as broken.
+    """
+
+    expression: str
+    broken: bool
+    decided: bool
+    values: dict[str, float | None]
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class ObjectMark:
     """Size in bytes and entity tag of an object in a store; the tag is empty if none is given."""
 
@@ -165,6 +181,7 @@ class MeshRecord:
     output_object: ObjectMark | None = None
     sidecars: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    gates: tuple[GateResult, ...] = ()
     remembered: bool = False
     error: Failure | None = None
 

@@ -3,7 +3,8 @@
 RFC 4180 in UTF-8 without a byte order mark: commas, line ends CR LF, cells quoted where they need
 it, a header row.  Nested fields have dotted names such as ``volume.change_percent``; the columns
 are those of the record, in its order, and depend on the run only in the method's parameters, which
-are sorted.  What is not known is empty; several texts in one cell are joined by ``"; "``.
+are sorted.  What is not known is empty; several texts in one cell are joined by ``"; "``.  A gate
+is such a text: ``broken: abs(volume_change) > 1% (volume_change is -2.1%)``, or ``held: ...``.
 
 Text, but never a number, that a spreadsheet would take for a formula (it begins with ``=``, ``+``,
 ``-``, ``@``, tab, CR or LF) gets an apostrophe in front.  So does text that begins with an
@@ -48,10 +49,9 @@ def _columns(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 def _field_names(kind: type[Any], prefix: str) -> Iterator[str]:
     hints = typing.get_type_hints(kind)
     for one in dataclasses.fields(kind):
-        inner = [
-            part for part in typing.get_args(hints[one.name]) if dataclasses.is_dataclass(part)
-        ]
-        if inner:
+        hint = hints[one.name]
+        inner = [part for part in typing.get_args(hint) if dataclasses.is_dataclass(part)]
+        if inner and typing.get_origin(hint) is not tuple:
             yield from _field_names(typing.cast("type[Any]", inner[0]), f"{prefix}{one.name}.")
         else:
             yield prefix + one.name
@@ -65,6 +65,14 @@ def _flattened(data: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
             yield prefix + key, value
 
 
+def _text(value: Any) -> str:
+    """One of several texts; the only records of which there are several are those of gates."""
+    if not isinstance(value, dict):
+        return str(value)
+    word = "broken" if value["broken"] else "held"
+    return f"{word}: {value['expression']} ({value['reason']})"
+
+
 def _cell(value: Any) -> str:
     if value is None:
         return ""
@@ -72,5 +80,5 @@ def _cell(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, int | float):
         return repr(value)
-    text = value if isinstance(value, str) else "; ".join(str(one) for one in value)
+    text = value if isinstance(value, str) else "; ".join(map(_text, value))
     return f"'{text}" if text.startswith(_TAKEN_FOR_FORMULA) else text

@@ -49,6 +49,7 @@ class Totals:
     up_to_date: int
     planned: int
     failed: int
+    gate_broken: int
     vertices: int
     work_seconds: float
     volume_change_percent: Spread | None
@@ -74,6 +75,7 @@ def totals(records: Sequence[MeshRecord]) -> Totals:
         up_to_date=states["up-to-date"],
         planned=states["planned"],
         failed=states["failed"],
+        gate_broken=sum(any(one.broken for one in record.gates) for record in records),
         vertices=sum(record.vertices or 0 for record in fresh),
         work_seconds=sum(record.seconds.total for record in fresh if record.seconds is not None),
         volume_change_percent=(

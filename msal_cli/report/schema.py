@@ -41,6 +41,7 @@ DESCRIPTIONS: dict[str, str] = {
     "Totals.up_to_date": "files whose output of an earlier run is current",
     "Totals.planned": "files not dealt with: by a dry run, or because the run ended before",
     "Totals.failed": "files that failed",
+    "Totals.gate_broken": "files written or up to date that break a gate",
     "Totals.vertices": "vertices of the files denoised in this run",
     "Totals.work_seconds": "sum of the seconds of the files denoised in this run",
     "Totals.volume_change_percent": "change of volume over the files whose volume is valid",
@@ -90,6 +91,7 @@ DESCRIPTIONS: dict[str, str] = {
     "MeshRecord.output_object": "size and entity tag of an output that is an object in a store",
     "MeshRecord.sidecars": "what was done about files that the input refers to",
     "MeshRecord.warnings": "what a user should know although the file was written",
+    "MeshRecord.gates": "what became of each --fail-on; empty if there was none, or no output",
     "MeshRecord.error": "why the file failed; null if it did not",
     "MeshRecord.remembered": (
         "true if the file failed in an earlier run with the same content, settings and version, "
@@ -127,6 +129,11 @@ DESCRIPTIONS: dict[str, str] = {
     "Seconds.measure": "volume, displacement and the other measures",
     "Seconds.write": "encoding, checking and writing",
     "Seconds.total": "from start to end",
+    "GateResult.expression": "what breaks the gate, as it was given",
+    "GateResult.broken": "true if it is so for this file, or cannot be decided",
+    "GateResult.decided": "false if a value is not known on which it depends",
+    "GateResult.values": "values of the names in the expression, in the units of their fields",
+    "GateResult.reason": "those values in words, or why the gate could not be decided",
     "ObjectMark.size": "bytes",
     "ObjectMark.tag": "entity tag, or what the store gives in its place; empty if it gives none",
     "Failure.code": "stable code of the error, such as E_TRUNCATED",

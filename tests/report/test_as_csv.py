@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.records import MeshRecord, MethodUsed
+from msal_cli.records import GateResult, MeshRecord, MethodUsed
 from msal_cli.report import as_csv
 from msal_cli.report.names import restored
 from tests.report.made import RUN, failed, of, written
@@ -107,3 +107,11 @@ def test_lines_end_as_the_standard_says_and_cells_are_quoted():
 
 def test_no_byte_order_mark():
     assert raw([written()]).startswith(b"input,")
+
+
+def test_gates_are_texts_in_one_cell():
+    broken = GateResult("faces > 9", True, True, {"faces": 10.0}, "faces is 10")
+    held = GateResult("-faces > 9", False, True, {"faces": 10.0}, "faces is 10")
+    row = rows([written(gates=(broken, held))])[0]
+    assert row["gates"] == "broken: faces > 9 (faces is 10); held: -faces > 9 (faces is 10)"
+    assert rows([written()])[0]["gates"] == ""
