@@ -91,7 +91,7 @@ DESCRIPTIONS: dict[str, str] = {
     "MeshRecord.output_object": "size and entity tag of an output that is an object in a store",
     "MeshRecord.sidecars": "what was done about files that the input refers to",
     "MeshRecord.warnings": "what a user should know although the file was written",
-    "MeshRecord.gates": "what became of each --fail-on; empty if there was none, or no output",
+    "MeshRecord.gates": "what became of each gate; empty if there was none, or no output",
     "MeshRecord.error": "why the file failed; null if it did not",
     "MeshRecord.remembered": (
         "true if the file failed in an earlier run with the same content, settings and version, "
