@@ -54,6 +54,29 @@ def cube() -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.array(faces, dtype=np.int32)
 
 
+def ball(around: int = 48, across: int = 24) -> tuple[np.ndarray, np.ndarray]:
+    """The unit sphere about the origin in ``across`` bands from pole to pole along z, outward."""
+    u, v = np.meshgrid(np.arange(around), np.arange(1, across), indexing="ij")
+    alpha, beta = 2 * np.pi * u / around, np.pi * v / across
+    ring = np.stack([np.sin(beta) * np.cos(alpha), np.sin(beta) * np.sin(alpha), np.cos(beta)], -1)
+    vertices = np.concatenate([ring.reshape(-1, 3), [(0, 0, 1), (0, 0, -1)]])
+    north, south = around * (across - 1) + np.arange(2)
+
+    def at(i, j):
+        return (i % around) * (across - 1) + j - 1
+
+    faces = []
+    for i in range(around):
+        faces += [
+            (north, at(i, 1), at(i + 1, 1)),
+            (south, at(i + 1, across - 1), at(i, across - 1)),
+        ]
+        for j in range(1, across - 1):
+            faces += [(at(i, j), at(i, j + 1), at(i + 1, j + 1))]
+            faces += [(at(i, j), at(i + 1, j + 1), at(i + 1, j))]
+    return vertices, np.array(faces, dtype=np.int32)
+
+
 def noisy(vertices, seed: int = 0, level: float = 0.1):
     """Positions with uniform noise of +-level in every coordinate."""
     return vertices + np.random.default_rng(seed).uniform(-level, level, vertices.shape)

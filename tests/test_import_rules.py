@@ -41,6 +41,7 @@ MAY_IMPORT = {
     # Of files only what tells URLs from paths, and objects in stores.
     "batch": {"pipeline", "records", "errors", "files.remote", "files.urls"},
     "report": {"records", "errors"},
+    "render": {"core", "errors"},
     "cli": {
         "batch",
         "colours",
@@ -53,6 +54,7 @@ MAY_IMPORT = {
         "noise",
         "pipeline",
         "records",
+        "render",
         "report",
     },
     "__main__": {"cli"},
@@ -69,6 +71,7 @@ ONLY_IN = {
     "multiprocessing": {"batch"},
     "fsspec": {"files.remote"},
     "s3fs": set(),
+    "PIL": {"render"},
 }
 
 

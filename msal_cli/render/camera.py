@@ -1,0 +1,258 @@
+"""Where a picture is taken from: parallel projection, one direction for all panels."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.dataclass import dataclass
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+MARGIN = 0.04
+"""Share of the picture's width and height that stays free on each side."""
+
+LARGEST_GUESSED = 60_000
+"""Faces that a guess about up and front looks at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A parallel projection and what it shows.
+
+    Attributes
+    ----------
+    axes : (3, 3), rows: right, up and towards the eye, unit vectors in the mesh's coordinates.
+    centre : (3,) the point in the middle of the picture.
+    half_width, half_height : of what must be seen, in the mesh's unit.
+    """
+
+    axes: Floats
+    centre: Floats
+    half_width: float
+    half_height: float
+
+    def seen(self, vertices: Floats) -> Floats:
+        """(n, 3): right, up and towards the eye from the centre, in the mesh's unit."""
+        return np.ascontiguousarray((vertices - self.centre) @ self.axes.T)
+
+    def pixels_per_unit(self, width: int, height: int) -> float:
+        """The scale at which all that must be seen fits, with a margin."""
+        room = 1.0 - 2.0 * MARGIN
+        return room * min(width / (2.0 * self.half_width), height / (2.0 * self.half_height))
+
+    @property
+    def aspect(self) -> float:
+        """Width over height of what must be seen."""
+        return self.half_width / self.half_height
+
+
+def framing(axes: Floats, vertices: Floats) -> Camera:
+    """The camera with these ``axes`` that shows all ``vertices`` (n, 3)."""
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    seen = (vertices - middle) @ axes.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    half = 0.5 * (high - low)
+    least = 1e-6 * max(float(half.max()), 1e-300)
+    return Camera(
+        axes=axes,
+        centre=middle + (0.5 * (low + high)) @ axes,
+        half_width=max(float(half[0]), least),
+        half_height=max(float(half[1]), least),
+    )
+
+
+VIEWS = ("auto", "front", "back", "left", "right", "top", "bottom")
+
+
+def automatic_camera(vertices: Floats, faces: Ints) -> Camera:
+    """The camera of ``viewed`` that shows most, at a guess."""
+    return viewed(vertices, faces)
+
+
+def viewed(
+    vertices: Floats,
+    faces: Ints,
+    view: str = "auto",
+    *,
+    turn_deg: float | None = None,
+    tilt_deg: float | None = None,
+    also: Floats | None = None,
+) -> Camera:
+    """The camera for a word, framing all vertices that have a face.
+
+    Parameters
+    ----------
+    vertices : (n, 3); ``faces`` : (m, 3), at least one.
+    view : one of ``VIEWS``, about the up and the front that the mesh seems to have.  ``auto``
+        looks at solids from the front, a little from the right and from above, and straight at
+        scans of one side and at reliefs.
+    turn_deg : more goes round to the mesh's right; None is 0, or what ``auto`` chose.
+    tilt_deg : more goes up; None likewise.
+    also : (k, 3) other points to be shown, such as the same mesh before.
+    """
+    stance = _stance(vertices, faces)
+    turn, tilt = _ANGLES.get(view, (stance.turn_deg, stance.tilt_deg))
+    if view != "auto" or turn_deg is None:
+        turn += turn_deg or 0.0
+    else:
+        turn = turn_deg
+    if view != "auto" or tilt_deg is None:
+        tilt += tilt_deg or 0.0
+    else:
+        tilt = tilt_deg
+    points = vertices[_used(len(vertices), faces)]
+    if also is not None:
+        points = np.concatenate([points, also])
+    return framing(turned(stance.front, stance.up, turn, tilt), points)
+
+
+# Degrees round to the right and up from the front.
+_ANGLES = {
+    "front": (0.0, 0.0),
+    "back": (180.0, 0.0),
+    "right": (90.0, 0.0),
+    "left": (-90.0, 0.0),
+    "top": (0.0, 90.0),
+    "bottom": (0.0, -90.0),
+}
+
+
+def turned(front: Floats, up: Floats, turn_deg: float, tilt_deg: float) -> Floats:
+    """(3, 3) axes of an eye that went round and up from ``front``; straight above it still knows
+    where the front is, which is at the bottom of its picture."""
+    forward, right, upward = _frame(front, up)
+    turn, tilt = np.radians([turn_deg, tilt_deg])
+    ahead = np.cos(turn) * forward + np.sin(turn) * right
+    towards = np.cos(tilt) * ahead + np.sin(tilt) * upward
+    higher = np.cos(tilt) * upward - np.sin(tilt) * ahead
+    return np.stack([np.cross(higher, towards), higher, towards])
+
+
+def _frame(front: Floats, up: Floats) -> tuple[Floats, Floats, Floats]:
+    """Unit vectors forward, to the right of who looks at it, and up; front and right are level."""
+    upward = up / np.linalg.norm(up)
+    forward = front - (front @ upward) * upward
+    forward = forward / np.linalg.norm(forward)
+    return forward, np.cross(upward, forward), upward
+
+
+@dataclass(frozen=True, eq=False)
+class _Stance:
+    """How a mesh seems to stand: (3,) directions, and the turn and tilt to look at it from."""
+
+    front: Floats
+    up: Floats
+    turn_deg: float
+    tilt_deg: float
+
+
+_ONE_SIDED = 0.2
+"""Length of the mean normal above which a surface is a scan of one side; 0 if it is closed."""
+
+_RELIEF = 0.3
+"""Least over middle extent along the principal axes, below which a solid is a plaque or a coin."""
+
+_STANDS = 0.015
+"""Share of the area at one end of an axis, beyond that at the other end, that tells the base."""
+
+_STANDS_ON_HEAD = 0.1
+"""The same where the base would be what the file has on top, such as a cut-off head."""
+
+_LIES = 0.62
+"""Height over breadth below which a thing lies flat and is looked at from higher up."""
+
+_X, _Y, _Z = np.eye(3)
+
+
+def _stance(vertices: Floats, faces: Ints) -> _Stance:
+    """Up, front and view of a mesh at a guess.
+
+    Files have y or z upwards, few have neither.  What has a base stands on it; what lies flat lies
+    on its broad side; the rest stands upright.  With y upwards the front is +z, with z upwards -y,
+    as modellers and scanners do it, but things far longer that way are shown from their long side.
+    """
+    # Some of the faces tell as much as all of them.
+    corner = vertices[faces[:: 1 + len(faces) // LARGEST_GUESSED]]
+    doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    areas = np.linalg.norm(doubled, axis=1)
+    total = float(areas.sum())
+    if not total > 0.0 or not np.isfinite(total):
+        return _Stance(_Z, _Y, 0.0, 0.0)
+    centres = corner.mean(axis=1)
+    facing = doubled.sum(axis=0) / total
+    if np.linalg.norm(facing) > _ONE_SIDED:
+        return _one_sided(facing)
+    spread = centres - areas @ centres / total
+    _, principal = np.linalg.eigh((spread * areas[:, None]).T @ spread)
+    extents = np.sort(np.ptp(spread @ principal, axis=0))
+    if extents[0] < _RELIEF * extents[1]:
+        return _relief(principal[:, 0], doubled, areas)
+    return _solid(centres, areas)
+
+
+def _one_sided(facing: Floats) -> _Stance:
+    """A scan of one side is looked at from where it looks."""
+    # A head from above is still no picture of something that lies on its back.
+    is_upward = abs(facing[1]) > abs(facing[2]) + 0.5 * np.linalg.norm(facing)
+    up = _Z if is_upward or _nearest_axis(facing)[0] else _Y
+    front, _, _ = _frame(facing, up)
+    axis = _nearest_axis(front)
+    level = front @ axis
+    return _Stance(axis if level > np.cos(np.radians(30.0)) else front, up, 0.0, 0.0)
+
+
+def _relief(thin: Floats, doubled: Floats, areas: Floats) -> _Stance:
+    """A plaque is looked at from the side that has more to show."""
+    lean = doubled @ thin / np.maximum(areas, 1e-300)
+    shown = [float((areas * (1.0 - lean**2))[sign * lean > 0.2].sum()) for sign in (1.0, -1.0)]
+    front = thin if shown[0] >= shown[1] else -thin
+    axis = _nearest_axis(front)
+    front = axis if front @ axis > np.cos(np.radians(15.0)) else front
+    return _Stance(front, _up_across(front), 0.0, 0.0)
+
+
+def _solid(centres: Floats, areas: Floats) -> _Stance:
+    """Anything else is looked at from the front right, from above the more the flatter it is."""
+    low, high = centres.min(axis=0), centres.max(axis=0)
+    extent = np.maximum(high - low, 1e-300)
+    place = (centres - low) / extent
+    total = areas.sum()
+    base = [
+        float((areas[place[:, k] < 0.02].sum() - areas[place[:, k] > 0.98].sum()) / total)
+        for k in (1, 2)
+    ]
+    stands = int(np.argmax(np.abs(base)))
+    if base[stands] > _STANDS or base[stands] < -_STANDS_ON_HEAD:
+        axis, sign = 1 + stands, float(np.sign(base[stands]))
+    else:
+        flat = 1 if extent[1] < extent[2] else 2
+        if extent[flat] < _LIES * np.sort(extent)[1]:
+            axis, sign = flat, 1.0
+        else:
+            axis, sign = (2 if extent[2] > 1.03 * extent[1] else 1), 1.0
+    up = sign * np.eye(3)[axis]
+    front = (_Z if axis == 1 else -_Y) * 1.0
+    depth = 3 - axis
+    if extent[depth] > 1.6 * extent[0]:
+        front = _X
+    lies = extent[axis] < _LIES * max(extent[0], extent[depth])
+    return _Stance(front, up, 24.0, 34.0 if lies else 14.0)
+
+
+def _up_across(front: Floats) -> Floats:
+    """Which way is up for what faces ``front``: y, but z for what faces along y, or along x."""
+    return _Y if abs(front[2]) >= max(abs(front[0]), abs(front[1])) else _Z
+
+
+def _nearest_axis(direction: Floats) -> Floats:
+    k = int(np.argmax(np.abs(direction)))
+    axis: Floats = np.eye(3)[k] * np.sign(direction[k])
+    return axis
+
+
+def _used(n_vertices: int, faces: Ints) -> NDArray[np.bool_]:
+    used = np.zeros(n_vertices, dtype=bool)
+    used[faces.reshape(-1)] = True
+    return used
