@@ -14,10 +14,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from msal_cli import files, methods
 from msal_cli.mesh import Mesh, prepared
+from msal_cli.metrics.comparison import moved_statistics, vertex_error_percent
 from msal_cli.metrics.surface import normal_statistics
 
 PUBLISHED = (
@@ -102,8 +101,8 @@ def pair(folder: Path) -> tuple[Mesh, Mesh]:
 def errors(true: Mesh, mesh: Mesh) -> str:
     """Mean angle in degrees / mean vertex error in % of the mean edge length."""
     angle = normal_statistics(true, mesh).mean_angular_error_deg
-    distance = np.linalg.norm(mesh.vertices - true.vertices, axis=1).mean()
-    return f"{angle:.2f} / {100 * distance / true.mean_edge_length:.1f}"
+    percent = vertex_error_percent(true, moved_statistics(true, mesh))
+    return f"{angle:.2f} / {percent:.1f}"
 
 
 def main() -> None:

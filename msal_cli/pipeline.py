@@ -26,15 +26,12 @@ from msal_cli.errors import (
     TooLargeError,
 )
 from msal_cli.records import (
-    Area,
-    Displacement,
     Failure,
     MeshRecord,
     MethodUsed,
     NormalChange,
     ObjectMark,
     Seconds,
-    Volume,
 )
 
 if TYPE_CHECKING:
@@ -526,6 +523,7 @@ class _Run:
 
     def _measure(self, ready: Prepared, moved: Floats) -> None:
         """Fill in what changed when the mesh's positions became ``moved`` (n, 3)."""
+        from msal_cli.comparison import area_changed, displaced, volume_changed
         from msal_cli.inspection import noise_estimate
         from msal_cli.metrics.displacement import displacement_statistics
         from msal_cli.metrics.surface import surface_change
@@ -537,42 +535,16 @@ class _Run:
         surface = surface_change(before, after)
         turned = surface.normals
         self.know(
-            displacement=Displacement(
-                mean=one.mean,
-                rms=one.rms,
-                p95=one.p95,
-                max=one.max,
-                mean_edges=one.mean / edge,
-                rms_edges=one.rms / edge,
-                p95_edges=one.p95 / edge,
-                max_edges=one.max / edge,
-                moved_vertices=one.moved_vertices,
-            ),
+            displacement=displaced(one, edge),
             normal_change=NormalChange(turned.mean_angular_error_deg, turned.max_angular_error_deg),
             flipped_faces=turned.flipped_faces,
             noise_estimate=noise_estimate(before),
         )
-        area_before, volume_before = surface.area_before, surface.volume_before
-        objection = ready.defects.volume_objection
-        change = surface.volume_after - volume_before
         self.know(
-            volume=Volume(
-                before=volume_before,
-                after=surface.volume_after,
-                change=change,
-                change_percent=100.0 * change / abs(volume_before) if volume_before else None,
-                valid=not objection,
-                reason=objection,
+            volume=volume_changed(
+                surface.volume_before, surface.volume_after, ready.defects.volume_objection
             ),
-            area=Area(
-                before=area_before,
-                after=surface.area_after,
-                change_percent=(
-                    100.0 * (surface.area_after - area_before) / area_before
-                    if area_before
-                    else None
-                ),
-            ),
+            area=area_changed(surface.area_before, surface.area_after),
         )
 
     def finished(self, output_path: str | None, sidecars: tuple[str, ...] = ()) -> MeshRecord:

@@ -134,6 +134,59 @@ class ObjectMark:
 
 
 @dataclass(frozen=True, slots=True)
+class SurfaceDistance:
+    """Distances from the vertices of one mesh to the surface of another, in file units and in
+    mean edge lengths of the mesh before."""
+
+    mean: float
+    rms: float
+    p95: float
+    max: float
+    mean_edges: float
+    rms_edges: float
+    p95_edges: float
+    max_edges: float
+
+
+@dataclass(frozen=True)
+class ComparisonRecord:
+    """A mesh ``after`` against a mesh ``before``, which is the reference: its mean edge length is
+    the unit, its volume, area and normals are what changed.
+
+    ``correspondence`` is ``vertices`` where both files have the same faces, and ``surface`` where
+    not: then what needs corresponding vertices is None, and the vertex error is the mean distance
+    of ``after``'s vertices to ``before``'s surface.
+    """
+
+    before: str
+    after: str
+    schema: str = "msal.compare/1"
+    version: str = ""
+    correspondence: Literal["vertices", "surface"] | None = None
+    vertices_before: int | None = None
+    vertices_after: int | None = None
+    faces_before: int | None = None
+    faces_after: int | None = None
+    mean_edge_length: float | None = None
+    mean_angular_error_deg: float | None = None
+    max_angular_error_deg: float | None = None
+    vertex_error_percent: float | None = None
+    displacement: Displacement | None = None
+    flipped_faces: int | None = None
+    volume_change_percent: float | None = None
+    area_change_percent: float | None = None
+    volume: Volume | None = None
+    area: Area | None = None
+    hausdorff: float | None = None
+    hausdorff_edges: float | None = None
+    distance_to_before: SurfaceDistance | None = None
+    distance_to_after: SurfaceDistance | None = None
+    seam_gap: float | None = None
+    warnings: tuple[str, ...] = ()
+    error: Failure | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class MeshRecord:
     """One row per file; fields that could not be determined are None.
 

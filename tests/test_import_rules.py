@@ -27,8 +27,10 @@ MAY_IMPORT = {
     "noise": {"mesh", "core", "errors"},
     "files": {"mesh", "core", "errors"},
     "records": {"errors"},
+    "comparison": {"files", "metrics", "mesh", "records", "errors"},
     "inspection": {"files", "metrics", "noise", "mesh", "records", "errors"},
     "pipeline": {
+        "comparison",
         "files",
         "inspection",
         "methods",
@@ -45,6 +47,7 @@ MAY_IMPORT = {
     "cli": {
         "batch",
         "colours",
+        "comparison",
         "errors",
         "files",
         "inspection",
@@ -72,6 +75,7 @@ ONLY_IN = {
     "fsspec": {"files.remote"},
     "s3fs": set(),
     "PIL": {"render"},
+    "fcpw": {"metrics.surface_distance"},
 }
 
 

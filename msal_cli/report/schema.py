@@ -140,6 +140,52 @@ DESCRIPTIONS: dict[str, str] = {
     "Failure.message": "what is wrong, one sentence",
     "Failure.hint": "what to do about it; may be empty",
     "Failure.where": "place in the file, such as a vertex or a line; may be empty",
+    # ComparisonRecord, where it is not told above
+    "ComparisonRecord.before": "path of the reference",
+    "ComparisonRecord.after": "path of the mesh that is compared with it",
+    "ComparisonRecord.correspondence": (
+        "vertices: both have the same faces, and vertices are compared one by one; surface: they "
+        "have not, and only the surfaces are compared"
+    ),
+    "ComparisonRecord.vertices_before": "vertices in the file before",
+    "ComparisonRecord.vertices_after": "vertices in the file after",
+    "ComparisonRecord.faces_before": "triangles before",
+    "ComparisonRecord.faces_after": "triangles after",
+    "ComparisonRecord.mean_edge_length": "mean length of the edges before, file units",
+    "ComparisonRecord.mean_angular_error_deg": (
+        "mean angle between corresponding face normals, degrees (the MSAE of much of the "
+        "literature); null if faces do not correspond"
+    ),
+    "ComparisonRecord.max_angular_error_deg": "largest such angle, degrees",
+    "ComparisonRecord.vertex_error_percent": (
+        "mean distance between corresponding vertices (where faces do not correspond, from the "
+        "vertices after to the surface before) in percent of the mean edge length before"
+    ),
+    "ComparisonRecord.displacement": "how far corresponding vertices are apart",
+    "ComparisonRecord.volume_change_percent": (
+        "change of volume in percent of |before|; null if the volume means nothing, see volume"
+    ),
+    "ComparisonRecord.area_change_percent": "change of area in percent of the area before",
+    "ComparisonRecord.hausdorff": (
+        "largest distance from a vertex or the centre of a face of one mesh to the surface of the "
+        "other, whichever is further, file units; null if fcpw is not installed"
+    ),
+    "ComparisonRecord.hausdorff_edges": "the same in mean edge lengths",
+    "ComparisonRecord.distance_to_before": "from the vertices after to the surface before",
+    "ComparisonRecord.distance_to_after": "from the vertices before to the surface after",
+    "ComparisonRecord.seam_gap": (
+        "largest distance after between vertices that are at one place before"
+    ),
+    "ComparisonRecord.warnings": "what a user should know although the files were compared",
+    "ComparisonRecord.error": "why the files were not compared; null if they were",
+    "SurfaceDistance.mean": "mean distance, file units",
+    "SurfaceDistance.rms": "root mean square distance, file units",
+    "SurfaceDistance.p95": "distance that 95 % of the vertices stay below, file units",
+    "SurfaceDistance.max": "largest distance, file units",
+    "SurfaceDistance.mean_edges": "mean distance, mean edge lengths",
+    "SurfaceDistance.rms_edges": "root mean square distance, mean edge lengths",
+    "SurfaceDistance.p95_edges": "distance that 95 % stay below, mean edge lengths",
+    "SurfaceDistance.max_edges": "largest distance, mean edge lengths",
     # InfoRecord, where it is not told above
     "InfoRecord.compressed": "whether the file is compressed with gzip",
     "InfoRecord.bytes": "size of the file",
@@ -193,7 +239,28 @@ def info_schema() -> dict[str, Any]:
     return _document("msal info", name, properties, kinds)
 
 
-SCHEMAS = {"report.schema.json": report_schema, "info.schema.json": info_schema}
+def compare_schema() -> dict[str, Any]:
+    """The schema of what ``msal compare --json`` prints for folders; for two files it prints what
+    ``#/$defs/ComparisonRecord`` describes."""
+    kinds: dict[str, dict[str, Any]] = {}
+    name = records.ComparisonRecord.schema
+    properties = {
+        "schema": {"const": name, "description": "name and version of this schema"},
+        "version": {"type": "string", "description": "version of msal"},
+        "records": {
+            "type": "array",
+            "items": _typed(records.ComparisonRecord, kinds),
+            "description": "one record per pair of files, by relative path",
+        },
+    }
+    return _document("msal compare", name, properties, kinds)
+
+
+SCHEMAS = {
+    "report.schema.json": report_schema,
+    "info.schema.json": info_schema,
+    "compare.schema.json": compare_schema,
+}
 
 
 def _document(

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from msal_cli.records import InfoRecord, MeshRecord
+from msal_cli.records import ComparisonRecord, InfoRecord, MeshRecord
 from msal_cli.report import as_json, as_jsonl, schema
 from msal_cli.report.document import plain_record
 from tests.report.made import RUN, failed, of, written
@@ -73,11 +73,11 @@ def test_a_spoilt_report_does_not_fit(spoil):
 
 def test_every_field_has_a_description_and_no_description_is_left_over():
     used = set()
-    for kind in (MeshRecord, InfoRecord):
+    for kind in (MeshRecord, InfoRecord, ComparisonRecord):
         for one in dataclasses.fields(kind):
             own = f"{kind.__name__}.{one.name}"
             used.add(own if own in schema.DESCRIPTIONS else f"MeshRecord.{one.name}")
-    for made in (schema.report_schema(), schema.info_schema()):
+    for made in (make() for make in schema.SCHEMAS.values()):
         for name, kind in made["$defs"].items():
             assert kind["description"]
             for field, typed in kind["properties"].items():

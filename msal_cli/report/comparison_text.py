@@ -1,0 +1,126 @@
+"""What ``msal compare`` tells people: two files in detail, folders as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from msal_cli.records import ComparisonRecord, Displacement, SurfaceDistance
+from msal_cli.report.as_text import Line, file_name, reason
+from msal_cli.report.names import padded, shortened, shown
+
+_COLUMNS = ("angle", "vertex error", "max move", "volume", "area", "flipped", "Hausdorff")
+_NARROWEST_NAME = 16
+
+
+def told(record: ComparisonRecord) -> list[Line]:
+    """The lines on two files: their names, then one line per measure."""
+    if record.error is not None:
+        return list(_failure(record))
+    lines = [
+        Line(f"before  {_file(record.before, record.vertices_before, record.faces_before)}"),
+        Line(f"after   {_file(record.after, record.vertices_after, record.faces_after)}"),
+    ]
+    lines += [Line(f"  {word:<18} {text}") for word, text in _facts(record)]
+    return lines + [Line(f"  {'warning':<18} {shown(text)}", "bad") for text in record.warnings]
+
+
+def table(records: Sequence[ComparisonRecord], *, width: int = 100) -> Iterator[Line]:
+    """A row for every pair, then what could not be compared and why; lengths in mean edges."""
+    compared = [record for record in records if record.error is None]
+    rows = [_row(record) for record in compared]
+    widths = [
+        max(len(head), *(len(row[at]) for row in rows)) if rows else len(head)
+        for at, head in enumerate(_COLUMNS)
+    ]
+    room = max(_NARROWEST_NAME, width - sum(widths) - 2 * len(widths))
+    names = [shortened(file_name(record.after), room) for record in compared]
+    room = min(room, max((len(name) for name in (*names, "after")), default=0))
+    if rows:
+        heads = (
+            padded(head, wide, right=True) for head, wide in zip(_COLUMNS, widths, strict=True)
+        )
+        yield Line("  ".join((padded("after", room), *heads)), "faint")
+    for name, row in zip(names, rows, strict=True):
+        cells = (padded(cell, wide, right=True) for cell, wide in zip(row, widths, strict=True))
+        yield Line("  ".join((padded(name, room), *cells)))
+    for warning in dict.fromkeys(text for record in compared for text in record.warnings):
+        yield Line(f"warning: {shown(warning)}", "bad")
+    for record in records:
+        if record.error is not None:
+            yield from _failure(record)
+    n_failed = len(records) - len(compared)
+    end = f"{len(compared):,} compared" + (f", {n_failed:,} not" if n_failed else "")
+    yield Line(f"{end}; e: mean edge lengths before", "bad" if n_failed else "good")
+
+
+def _failure(record: ComparisonRecord) -> Iterator[Line]:
+    failure = record.error
+    if failure is None:
+        return
+    why = reason(failure.where, failure.message, failure.code)
+    yield Line(f"{file_name(record.before)} and {file_name(record.after)}: {why}", "bad")
+    if failure.hint:
+        yield Line(f"  hint: {shown(failure.hint)}")
+
+
+def _file(name: str, vertices: int | None, faces: int | None) -> str:
+    return f"{file_name(name)}: {vertices or 0:,} vertices, {faces or 0:,} triangles"
+
+
+def _facts(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
+    edge = record.mean_edge_length
+    yield "mean edge before", "-" if edge is None else f"{edge:.6g}"
+    if record.correspondence == "surface":
+        yield "compared", "surfaces only: the faces are not the same"
+    if record.mean_angular_error_deg is not None:
+        largest = record.max_angular_error_deg or 0.0
+        yield "normal angle", f"mean {record.mean_angular_error_deg:.4g}, max {largest:.4g} degrees"
+    if record.vertex_error_percent is not None:
+        yield "vertex error", f"{record.vertex_error_percent:.4g} % of the mean edge"
+    if record.displacement is not None:
+        yield "displacement", _lengths(record.displacement)
+    if record.distance_to_before is not None:
+        yield "after to before", _lengths(record.distance_to_before)
+    if record.distance_to_after is not None:
+        yield "before to after", _lengths(record.distance_to_after)
+    if record.hausdorff is not None and record.hausdorff_edges is not None:
+        yield "Hausdorff", f"{record.hausdorff:.4g} ({record.hausdorff_edges:.4g} e)"
+    volume = record.volume
+    if volume is not None:
+        if volume.valid:
+            yield "volume", f"{_percent(volume.change_percent)} ({volume.change:+.4g})"
+        else:
+            yield "volume", f"- {shown(volume.reason)}"
+    yield "area", _percent(record.area_change_percent)
+    if record.flipped_faces is not None:
+        yield "flipped faces", f"{record.flipped_faces:,}"
+
+
+def _lengths(one: Displacement | SurfaceDistance) -> str:
+    parts = (
+        ("mean", one.mean, one.mean_edges),
+        ("rms", one.rms, one.rms_edges),
+        ("p95", one.p95, one.p95_edges),
+        ("max", one.max, one.max_edges),
+    )
+    return ", ".join(f"{word} {length:.4g} ({edges:.4g} e)" for word, length, edges in parts)
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{value:+.4g} %"
+
+
+def _row(record: ComparisonRecord) -> tuple[str, ...]:
+    def cell(value: float | None, form: str, unit: str) -> str:
+        return "-" if value is None else f"{value:{form}}{unit}"
+
+    moved = record.displacement
+    return (
+        cell(record.mean_angular_error_deg, ".2f", "°"),
+        cell(record.vertex_error_percent, ".2f", " %"),
+        cell(moved.max_edges if moved is not None else None, ".3g", " e"),
+        cell(record.volume_change_percent, "+.3f", " %"),
+        cell(record.area_change_percent, "+.3f", " %"),
+        "-" if record.flipped_faces is None else f"{record.flipped_faces:,}",
+        cell(record.hausdorff_edges, ".3g", " e"),
+    )
