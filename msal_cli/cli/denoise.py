@@ -169,7 +169,7 @@ class _Session:
         self, settings: Settings, records: Sequence[MeshRecord], *, interrupted: bool = False
     ) -> int:
         """Tell, report, and give the exit status."""
-        from msal_cli.cli import reports
+        from msal_cli.cli import github, reports
         from msal_cli.report import as_json
 
         request = self._request
@@ -178,6 +178,7 @@ class _Session:
         self._tell(run, records)
         try:
             if not request.dry_run:
+                github.annotate(records)
                 reports.write(request.reports, run, records)
             elif request.reports:
                 talk.say("dry run: no report is written")

@@ -258,7 +258,8 @@ _REPORTS = (
         metavar="FILE",
         multiple=True,
         type=PATH,
-        help="Write a record of every file: .json, .jsonl or .csv by suffix. Repeatable.",
+        help="Write a record of every file: .json, .jsonl, .csv, .md (Markdown) or .xml (JUnit) by "
+        "suffix. Repeatable.",
     ),
     click.option(
         "--json", "as_json", is_flag=True, help="Print the JSON report to standard output."

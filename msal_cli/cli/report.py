@@ -66,7 +66,7 @@ def command(**options: Any) -> int:
 
 
 def _reported(request: Request) -> int:
-    from msal_cli.cli import earlier, reports
+    from msal_cli.cli import earlier, github, reports
     from msal_cli.report import as_json, as_text
 
     # A suffix that says nothing is cheaper to refuse before a large folder is read.
@@ -81,6 +81,8 @@ def _reported(request: Request) -> int:
         talk.say_lines(lines)
     for remark in told.remarks:
         talk.say(remark, "bad")
+    if request.check:
+        github.annotate(told.records)
     try:
         reports.write(request.outputs, told.run, told.records)
     finally:

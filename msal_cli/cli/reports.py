@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msal_cli import report
+from msal_cli.cli import github
 from msal_cli.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
     from msal_cli.records import MeshRecord
+    from msal_cli.report import Writer
     from msal_cli.report.document import Run
 
 
@@ -30,7 +32,7 @@ def check(names: Sequence[str], taken: Iterable[str]) -> None:
             raise UsageError(
                 "a report needs the name of a file", hint="--json prints records to standard output"
             )
-        report.writer(name)
+        _writer(name)
         path = _real(name)
         if path in seen:
             raise UsageError(f"the report {name!r} is given twice")
@@ -53,8 +55,11 @@ def write(names: Sequence[str], run: Run, records: Sequence[MeshRecord]) -> None
 
     first: OutputError | None = None
     for name in names:
-        data = report.writer(name)(run, records)
+        data = _writer(name)(run, records)
         try:
+            if github.is_step_summary(name):
+                github.append_to_summary(name, data)
+                continue
             if not is_url(name):
                 _guarded(
                     lambda name=name: Path(name).parent.mkdir(parents=True, exist_ok=True),  # type: ignore[misc]
@@ -67,6 +72,17 @@ def write(names: Sequence[str], run: Run, records: Sequence[MeshRecord]) -> None
             first = first or error
     if first is not None:
         raise first
+
+
+def _writer(name: str) -> Writer:
+    """The function that makes the bytes of a report of this name; UsageError if there is none."""
+    if not github.is_step_summary(name):
+        return report.writer(name)
+    from functools import partial
+
+    from msal_cli.report import as_markdown
+
+    return partial(as_markdown.encoded, most_bytes=github.room_in_summary(name))
 
 
 def _guarded(effect: Callable[[], None], name: str) -> None:

@@ -15,7 +15,13 @@ if TYPE_CHECKING:
 
     Writer = Callable[[Run, Sequence[MeshRecord]], bytes]
 
-_MODULES = {".json": "as_json", ".jsonl": "as_jsonl", ".csv": "as_csv"}
+_MODULES = {
+    ".json": "as_json",
+    ".jsonl": "as_jsonl",
+    ".csv": "as_csv",
+    ".md": "as_markdown",
+    ".xml": "as_junit",
+}
 
 
 def suffixes() -> tuple[str, ...]:

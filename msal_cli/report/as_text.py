@@ -56,7 +56,7 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
 def reason(where: str, message: str, code: str) -> str:
     """Why something failed, in one line: ``vertex 17: position is not finite (E_NONFINITE)``."""
     place = f"{shown(where)}: " if where else ""
-    return f"{place}{shown(message)}" + (f" ({code})" if code else "")
+    return f"{place}{shown(message)}" + (f" ({shown(code)})" if code else "")
 
 
 def file_name(name: str) -> str:

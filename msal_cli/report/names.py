@@ -13,7 +13,9 @@ import unicodedata
 _TO_ESCAPE = re.compile(r"[\ud800-\udfff]|\\(?=u(?:d[89a-f][0-9a-f]{2}|005c))")
 _ESCAPED = re.compile(r"\\u(d[89a-f][0-9a-f]{2}|005c)")
 
-_LOG_COMMAND = re.compile(r"\s*(::|##\[|##vso\[|##teamcity\[)")
+_LOG_COMMAND = re.compile(r"\s*::")
+# These are obeyed wherever in a line they stand.
+_INNER_COMMAND = re.compile(r"#(?=#\w*\[)")
 
 _UNSAFE_CATEGORIES = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
 
@@ -37,11 +39,13 @@ def shown(text: str) -> str:
 
     Control and format characters (line ends, escape sequences, marks that turn the writing
     direction) become ``\\xNN`` or ``\\uNNNN``, a byte that is not UTF-8 becomes ``\\xNN``.  So does
-    the first character of what a build service would take for a command in its log (``::error::``).
+    the first character of what a build service would take for a command in its log (``::error::``,
+    ``##vso[...]``).
     """
     if _LOG_COMMAND.match(text):
         text = text.lstrip()
         return f"\\x{ord(text[0]):02x}{shown(text[1:])}"
+    text = _INNER_COMMAND.sub(r"\\x23", text)
     if text.isascii() and text.isprintable():
         return text
     return "".join(_shown_character(one) for one in text)

@@ -61,3 +61,28 @@ def test_one_that_cannot_be_written_does_not_keep_back_the_others(tmp_path):
     with pytest.raises(OutputError, match="folder of the report"):
         reports.write([str(tmp_path / "file" / "a.json"), str(good)], RUN, [written()])
     assert good.exists()
+
+
+def test_the_summary_of_a_step_has_no_suffix_and_is_added_to(tmp_path, monkeypatch):
+    summary = tmp_path / "step_summary_1"
+    summary.write_text("# earlier\n")
+    with pytest.raises(UsageError, match="no known format"):
+        reports.check([str(summary)], [])
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
+    reports.check([str(summary)], [])
+    reports.write([str(summary), str(tmp_path / "r.md")], RUN, [written()])
+    assert summary.read_text() == "# earlier\n\n" + (tmp_path / "r.md").read_text()
+
+
+def test_a_summary_does_not_grow_beyond_what_github_takes(tmp_path, monkeypatch):
+    summary = tmp_path / "step_summary_1"
+    summary.write_text("x" * 995_000)
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
+    reports.write([str(summary)], RUN, [written(f"{at}.ply") for at in range(500)])
+    assert summary.stat().st_size <= 1_000_001
+
+
+def test_a_summary_that_cannot_be_written_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(tmp_path / "no" / "summary"))
+    with pytest.raises(OutputError, match="summary"):
+        reports.write([str(tmp_path / "no" / "summary")], RUN, [written()])

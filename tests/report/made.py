@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from msal_cli.records import (
     Displacement,
     Failure,
+    GateResult,
     MeshRecord,
     MethodUsed,
     Seconds,
@@ -123,3 +124,14 @@ def failed(name="bad.ply", **changes):
     """The record of a file that failed."""
     failure = Failure("E_NONFINITE", "position is not finite", "repair it", "vertex 17")
     return MeshRecord(**({"input": name, "status": "failed", "error": failure} | changes))
+
+
+def gated(name="gated.ply", **changes):
+    """The record of a file that was written and broke one of its two gates."""
+    gates = (
+        GateResult(
+            "abs(volume_change) > 1%", True, True, {"volume_change": -2.1}, "volume_change is -2.1%"
+        ),
+        GateResult("flipped_faces > 0", False, True, {"flipped_faces": 0.0}, "flipped_faces is 0"),
+    )
+    return written(name, **({"gates": gates} | changes))
