@@ -27,6 +27,7 @@ MAY_IMPORT = {
     "noise": {"mesh", "core", "errors"},
     "files": {"mesh", "core", "errors"},
     "records": {"errors"},
+    "corruption": {"files", "mesh", "noise", "errors"},
     "comparison": {"files", "metrics", "mesh", "records", "errors"},
     "inspection": {"files", "metrics", "noise", "mesh", "records", "errors"},
     "pipeline": {
@@ -48,6 +49,7 @@ MAY_IMPORT = {
         "batch",
         "colours",
         "comparison",
+        "corruption",
         "errors",
         "files",
         "inspection",

@@ -1,0 +1,116 @@
+"""One file with noise added, from start to end: the bracket behind ``msal noise``.
+
+The output is the input with other positions (and normals, where the file has them), as after
+denoising; it is checked before it is written, and appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from msal_cli.dataclass import dataclass
+from msal_cli.errors import InternalError, MsalError, OutputError, ResourceError, UnsupportedError
+
+if TYPE_CHECKING:
+    from msal_cli.files.base import Buffer
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What to add; see ``noise.noisy``."""
+
+    kind: str
+    level: float
+    seed: int
+    fraction: float = 0.1
+
+
+@dataclass(frozen=True)
+class Corrupted:
+    """What was done to a file: its vertices, how many moved, and the standard deviation of the
+    noise in file units."""
+
+    vertices: int
+    moved_vertices: int
+    deviation: float
+    warnings: tuple[str, ...]
+
+
+def corrupt_file(source: str, target: str, noise: Noise, format: str | None = None) -> Corrupted:
+    """Write the file ``source`` with noise added to ``target``.
+
+    Raises
+    ------
+    MsalError
+        if the file cannot be read or written; then there is no output.
+    """
+    from msal_cli import files
+
+    try:
+        output, told = corrupted(files.read_input(source, format), source, target, noise, format)
+        if not files.is_url(target):
+            _make_folder_of(target)
+        files.write_whole(target, [output])
+    except MsalError as error:
+        error.path = error.path or source
+        raise
+    except MemoryError:
+        raise ResourceError("not enough memory", code="E_MEMORY", path=source) from None
+    return told
+
+
+def corrupted(
+    data: Buffer, name: str, target: str, noise: Noise, format: str | None = None
+) -> tuple[Buffer, Corrupted]:
+    """The bytes of the output for the bytes of the input ``name``, and what was done.
+
+    ``target`` is the output's name, which must be of the same format; ``-`` has none.
+    """
+    import numpy as np
+
+    from msal_cli import files
+    from msal_cli.mesh import prepared
+    from msal_cli.noise import noisy
+
+    plain, is_compressed = files.expanded(data, name)
+    mesh_file = files.open_mesh(plain, name, format)
+    wanted = files.format_of_name(target)
+    if wanted and wanted != mesh_file.format:
+        raise UnsupportedError(
+            f"noise keeps the format, {mesh_file.format}, and the output's name says {wanted}",
+            hint=f"name it .{mesh_file.format}, and convert with msal denoise --to",
+        )
+    ready = prepared(
+        mesh_file.vertices, mesh_file.faces, are_distinct=mesh_file.merged_vertices > 0
+    )
+    positions = noisy(ready.mesh, noise.kind, noise.level, noise.seed, noise.fraction)
+    if not np.isfinite(positions).all():
+        raise InternalError("noise made a position that is not finite")
+    original = mesh_file.vertices
+    vertices = ready.scattered(positions, original)
+    n_moved = int(np.count_nonzero((vertices != original).any(axis=1)))
+    told = Corrupted(
+        vertices=len(original) + mesh_file.merged_vertices,
+        moved_vertices=n_moved,
+        deviation=noise.level * ready.mesh.mean_edge_length,
+        warnings=mesh_file.warnings,
+    )
+    compress = target.lower().endswith(".gz") if target != "-" else is_compressed
+    if not n_moved and compress == is_compressed:
+        return data, told
+    output: Buffer = plain
+    if n_moved:
+        output = mesh_file.replaced(vertices)
+        mesh_file.check(output, vertices)
+    return files.compressed(output) if compress else output, told
+
+
+def _make_folder_of(path: str) -> None:
+    folder = os.path.dirname(path) or os.curdir
+    try:
+        os.makedirs(folder, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"the folder {folder!r} cannot be made: {error.strerror}", path=path
+        ) from None

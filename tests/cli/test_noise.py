@@ -1,0 +1,120 @@
+"""`msal noise`: the file promise, the seed, folders and streams."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from msal_cli import files
+from msal_cli.cli.noise import _KINDS
+from msal_cli.noise import KINDS
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on
+from tests.shapes import torus
+
+
+@pytest.fixture
+def scan(tmp_path):
+    return folder_of(tmp_path, scan=closed_scan()) / "scan.ply"
+
+
+def test_the_command_offers_every_kind():
+    assert tuple(KINDS) == _KINDS
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_only_positions_change(scan, kind):
+    target = scan.with_name("out.ply")
+    made = msal("noise", scan, "-o", target, "--kind", kind, "--level", "0.3", "--seed", 5)
+    assert (made.exit_code, made.stdout) == (0, "")
+    assert f"{kind} noise of 0.3 mean edge lengths" in made.stderr
+    before, after = scan.read_bytes().splitlines(), target.read_bytes().splitlines()
+    changed = [at for at, (a, b) in enumerate(zip(before, after, strict=True)) if a != b]
+    start = before.index(b"end_header") + 1
+    assert changed
+    assert all(start <= at < start + 288 for at in changed)
+
+
+def test_the_same_seed_gives_the_same_bytes(scan):
+    for name, seed in (("a", 7), ("b", 7), ("c", 8)):
+        assert (
+            msal("noise", scan, "-o", scan.with_name(f"{name}.ply"), "--seed", seed).exit_code == 0
+        )
+    a, b, c = (scan.with_name(f"{name}.ply").read_bytes() for name in "abc")
+    assert a == b != c
+
+
+def test_no_noise_gives_the_very_file(scan):
+    target = scan.with_name("out.ply")
+    assert msal("noise", scan, "-o", target, "--level", "0").exit_code == 0
+    assert target.read_bytes() == scan.read_bytes()
+
+
+def test_the_level_is_what_compare_finds(scan):
+    target = scan.with_name("out.ply")
+    msal("noise", scan, "-o", target, "--level", "0.2e", "--kind", "gaussian-normal")
+    data = json.loads(msal("compare", scan, target, "--json").stdout)
+    assert data["displacement"]["rms_edges"] == pytest.approx(0.2, rel=0.15)
+
+
+def test_vertices_at_one_place_stay_together(tmp_path):
+    vertices, faces = torus()
+    corners = vertices[faces.reshape(-1)]
+    text = "".join("v {:.6f} {:.6f} {:.6f}\n".format(*corner) for corner in corners)
+    text += "".join(f"f {at + 1} {at + 2} {at + 3}\n" for at in range(0, len(corners), 3))
+    (tmp_path / "soup.obj").write_text(text)
+    assert msal("noise", tmp_path / "soup.obj", "-o", tmp_path / "out.obj").exit_code == 0
+    opened = files.open_mesh((tmp_path / "out.obj").read_bytes(), "out.obj")
+    for corner in range(len(vertices)):
+        places = opened.vertices[faces.reshape(-1) == corner]
+        assert (places == places[0]).all()
+    assert not np.allclose(opened.vertices, corners, atol=1e-3)
+
+
+def test_a_folder_becomes_a_mirrored_tree(tmp_path):
+    folder = folder_of(tmp_path / "in", a=closed_scan(), bad=BAD_SCAN)
+    folder_of(folder / "below", b=closed_scan(1))
+    made = msal("noise", folder, "-o", tmp_path / "out", "--seed", 3)
+    assert made.exit_code == 3
+    assert "bad.ply" in made.stderr
+    found = sorted(
+        str(one.relative_to(tmp_path / "out")) for one in (tmp_path / "out").rglob("*.ply")
+    )
+    assert found == ["a.ply", "below/b.ply"]
+    again = msal("noise", folder, "-o", tmp_path / "out", "--seed", 3)
+    assert (again.exit_code, "--force" in again.stderr) == (2, True)
+
+
+def test_a_stream(scan):
+    target = scan.with_name("out.ply")
+    msal("noise", scan, "-o", target, "--seed", 2)
+    made = msal_on(scan.read_bytes(), "noise", "-", "-o", "-", "--seed", 2)
+    assert made.exit_code == 0
+    assert made.stdout_bytes == target.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ["--level", "-1"],
+        ["--level", "nan"],
+        ["--level", "much"],
+        ["--seed", "-3"],
+        ["--fraction", "1.5"],
+        ["--kind", "salt"],
+    ],
+)
+def test_wrong_values_touch_nothing(scan, wrong):
+    target = scan.with_name("out.ply")
+    made = msal("noise", scan, "-o", target, *wrong)
+    assert (made.exit_code, target.exists()) == (2, False)
+
+
+def test_an_input_is_not_overwritten_and_the_format_is_kept(scan):
+    before = scan.read_bytes()
+    assert msal("noise", scan, "-o", scan).exit_code == 2
+    made = msal("noise", scan, "-o", scan.with_name("out.stl"))
+    assert (made.exit_code, scan.with_name("out.stl").exists()) == (1, False)
+    assert "the format" in made.stderr
+    assert scan.read_bytes() == before
