@@ -29,6 +29,7 @@ MAY_IMPORT = {
     "records": {"errors"},
     "corruption": {"files", "mesh", "noise", "errors"},
     "comparison": {"files", "metrics", "mesh", "records", "errors"},
+    "gates": {"records", "errors"},
     "inspection": {"files", "metrics", "noise", "mesh", "records", "errors"},
     "pipeline": {
         "comparison",
@@ -52,6 +53,7 @@ MAY_IMPORT = {
         "corruption",
         "errors",
         "files",
+        "gates",
         "inspection",
         "mesh",
         "methods",

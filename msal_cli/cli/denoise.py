@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from msal_cli.batch.events import Event
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.pipe import Pipe
+    from msal_cli.gates import Gate
     from msal_cli.pipeline import Settings
     from msal_cli.records import MeshRecord
     from msal_cli.report.document import Run
@@ -60,6 +61,7 @@ class _Session:
         self._request = request
         self._arguments = arguments
         self._clock = Clock()
+        self._gates: tuple[Gate, ...] = ()
 
     def done(self) -> int:
         """Check everything, then work; the exit status."""
@@ -69,6 +71,7 @@ class _Session:
         request = self._request
         denoise_request.refuse_contradictions(request)
         words.check_threads_variable()
+        self._gates = denoise_request.gates_of(request)
         one = pipe(request.inputs, request.output)
         settings = denoise_request.settings_of(request)
         if one is not None:
@@ -175,6 +178,11 @@ class _Session:
         request = self._request
         is_given_up = not request.dry_run and any(one.status == "planned" for one in records)
         run = self._described(settings, interrupted or is_given_up)
+        if self._gates and not request.dry_run:
+            from msal_cli.gates import with_gates
+
+            records = with_gates(self._gates, records)
+            _log_gates(records)
         self._tell(run, records)
         try:
             if not request.dry_run:
@@ -190,7 +198,12 @@ class _Session:
         if n_left and not interrupted:
             failures = "1 failure" if n_failed == 1 else f"{n_failed:,} failures"
             talk.say(f"stopped after {failures}; {n_left:,} files were not begun")
-        return exit_codes.of_files(len(records), n_failed, is_given_up=n_left > 0)
+        return exit_codes.of_files(
+            len(records),
+            n_failed,
+            is_gate_failed=any(gate.broken for record in records for gate in record.gates),
+            is_given_up=n_left > 0,
+        )
 
     def _tell(self, run: Run, records: Sequence[MeshRecord]) -> None:
         from msal_cli.report import as_text
@@ -205,6 +218,7 @@ class _Session:
                 talk.say(f"it {as_text.remembered_words()}")
         elif request.quiet:
             talk.say_lines(as_text.failures(records, verbose=False))
+            talk.say_lines(as_text.broken_gates(records, verbose=False))
         elif not is_listing:
             talk.say_lines(
                 as_text.summary(run, records, width=talk.width(), verbose=request.verbose > 0)
@@ -243,3 +257,10 @@ def _log_record(record: MeshRecord) -> None:
     _log.info("%s: %s in %.3f s -> %s", record.input, record.status, seconds, record.output)
     for warning in record.warnings:
         _log.info("%s: %s", record.input, warning)
+
+
+def _log_gates(records: Sequence[MeshRecord]) -> None:
+    for record in records:
+        for gate in record.gates:
+            if gate.broken:
+                _log.info("%s: broke %s: %s", record.input, gate.expression, gate.reason)

@@ -53,6 +53,7 @@ class Request:
     fresh: bool
     retry_failed: bool
     shard: str | None
+    fail_on: tuple[str, ...]
     reports: tuple[str, ...]
     as_json: bool
     quiet: bool
@@ -252,6 +253,13 @@ _RERUNS = (
 
 # What is told, and where.
 _REPORTS = (
+    click.option(
+        "--fail-on",
+        metavar="EXPR",
+        multiple=True,
+        help="Exit with 4 if this is so for any file, such as 'abs(volume_change) > 1%', "
+        "'max_displacement > 0.5e' (mean edge lengths) or 'flipped_faces > 0'. Repeatable.",
+    ),
     click.option(
         "--report",
         "reports",

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.denoise_options import Request
     from msal_cli.cli.pipe import Pipe
+    from msal_cli.gates import Gate
     from msal_cli.pipeline import Limits, Settings
 
 
@@ -76,6 +77,16 @@ def refuse_for_streams(request: Request, one: Pipe) -> None:
             "the mesh and --json cannot both go to standard output",
             hint="name a file with -o for the mesh, or with --report for the records",
         )
+
+
+def gates_of(request: Request) -> tuple[Gate, ...]:
+    """What each file's record is held against; UsageError for an expression that means nothing."""
+    if not request.fail_on:
+        return ()
+    from msal_cli import gates
+    from msal_cli.records import MeshRecord
+
+    return gates.parsed(request.fail_on, MeshRecord)
 
 
 def limits_of(request: Request) -> Limits:

@@ -22,6 +22,7 @@ class Request:
 
     runs: tuple[str, ...]
     outputs: tuple[str, ...]
+    fail_on: tuple[str, ...]
     as_json: bool
     check: bool
     quiet: bool
@@ -42,11 +43,18 @@ class Request:
     help="Write a record of every file, in the format of the suffix; see --report of msal denoise. "
     "Repeatable.",
 )
+@click.option(
+    "--fail-on",
+    metavar="EXPR",
+    multiple=True,
+    help="As in msal denoise: exit with 4 if this is so for any file; implies --check. Repeatable.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the JSON report to standard output.")
 @click.option(
     "--check",
     is_flag=True,
-    help="Exit with 1 if all files failed, 3 if some failed or are not finished.",
+    help="Exit with 1 if all files failed, 3 if some failed or are not finished, 4 if a gate in "
+    "the report is broken.",
 )
 @click.option("-q", "--quiet", is_flag=True, help="No summary; only errors.")
 @click.option("-v", "--verbose", count=True, help="List every file.")
@@ -66,12 +74,18 @@ def command(**options: Any) -> int:
 
 
 def _reported(request: Request) -> int:
+    from dataclasses import replace
+
     from msal_cli.cli import earlier, github, reports
+    from msal_cli.gates import parsed, with_gates
+    from msal_cli.records import MeshRecord
     from msal_cli.report import as_json, as_text
 
-    # A suffix that says nothing is cheaper to refuse before a large folder is read.
+    # What says nothing is cheaper to refuse before a large folder is read.
     reports.check(request.outputs, ())
+    gates = parsed(request.fail_on, MeshRecord)
     told = earlier.account(request.runs)
+    told = replace(told, records=tuple(with_gates(gates, told.records)))
     meshes = [path for one in told.records for path in (one.input, one.output) if path is not None]
     reports.check(request.outputs, [*told.paths, *meshes])
     if not request.quiet:
@@ -79,20 +93,23 @@ def _reported(request: Request) -> int:
             told.run, told.records, width=talk.width(), verbose=request.verbose > 0
         )
         talk.say_lines(lines)
+    elif request.fail_on:
+        talk.say_lines(as_text.broken_gates(told.records, verbose=False))
     for remark in told.remarks:
         talk.say(remark, "bad")
-    if request.check:
+    if request.check or gates:
         github.annotate(told.records)
     try:
         reports.write(request.outputs, told.run, told.records)
     finally:
         if request.as_json:
             talk.put_bytes(as_json.encoded(told.run, told.records))
-    return _status(told) if request.check else exit_codes.SUCCESS
+    return _status(told) if request.check or gates else exit_codes.SUCCESS
 
 
 def _status(told: Account) -> int:
     """The status of a run that left this behind; what is not finished counts as failed."""
     n_lost = sum(record.status in ("failed", "planned") for record in told.records)
-    status = exit_codes.of_files(len(told.records), n_lost)
+    is_broken = any(gate.broken for record in told.records for gate in record.gates)
+    status = exit_codes.of_files(len(told.records), n_lost, is_gate_failed=is_broken)
     return status if told.is_whole else exit_codes.worst(status, exit_codes.SOME_FAILED)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Literal
 
 from msal_cli.dataclass import dataclass
-from msal_cli.records import MeshRecord
+from msal_cli.records import GateResult, MeshRecord
 from msal_cli.report.document import Run, Totals, totals
 from msal_cli.report.names import columns, padded, shortened, shown
 
@@ -89,6 +89,8 @@ def _of_one(run: Run, record: MeshRecord) -> Iterator[Line]:
         yield Line(f"{name} -> {_output_name(record)}{ending}", "good")
     for word, text in _facts(record):
         yield Line(f"  {word:<13} {text}")
+    for gate in record.gates:
+        yield Line(f"  {'gate':<13} {gate_text(gate)}", "bad" if gate.broken else "good")
     for sidecar in record.sidecars:
         yield Line(f"  {'beside it':<13} {shown(sidecar)}")
     for warning in record.warnings:
@@ -170,6 +172,7 @@ def _of_many(run: Run, records: Sequence[MeshRecord], width: int, verbose: bool)
         yield Line(f"({len(listed):,} files: -v lists them all, and so does --report)", "faint")
     yield from _warnings(records, verbose)
     yield from failures(records, verbose)
+    yield from broken_gates(records, verbose)
     yield from _totals(run, totals(records))
 
 
@@ -244,6 +247,29 @@ def failures(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
         yield Line(f"  {n_remembered:,} of them {remembered_words(n_remembered)}")
 
 
+def broken_gates(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
+    """The lines on which file broke which gate, and with what value; none if none did."""
+    texts = [
+        f"  {file_name(record.input)}: {gate_text(gate)}"
+        for record in records
+        for gate in record.gates
+        if gate.broken
+    ]
+    if texts:
+        n_files = sum(any(gate.broken for gate in record.gates) for record in records)
+        yield Line(f"broke a gate: {n_files:,}", "bad")
+    kept = texts if verbose else texts[:MOST_FAILURES]
+    yield from (Line(text, "bad") for text in kept)
+    if len(texts) > len(kept):
+        yield Line(f"  ... and {len(texts) - len(kept):,} more (-v or --report)", "bad")
+
+
+def gate_text(gate: GateResult) -> str:
+    """``broken: max_displacement > 0.5e (max_displacement is 0.0123 (0.62e))``."""
+    word = "held" if not gate.broken else "broken" if gate.decided else "not decided"
+    return f"{word}: {shown(gate.expression)} ({shown(gate.reason)})"
+
+
 def remembered_words(count: int = 1) -> str:
     """What is said of files that failed in an earlier run."""
     pronoun = "it" if count == 1 else "them"
@@ -274,6 +300,7 @@ def _totals(run: Run, sums: Totals) -> Iterator[Line]:
         (sums.up_to_date, "up to date"),
         (sums.planned, "not done" if run.interrupted else "to be written"),
         (sums.failed, "failed"),
+        (sums.gate_broken, "of them broke a gate"),
     ]
     told = ", ".join(f"{count:,} {word}" for count, word in counts if count)
     text = f"{_counted(sums.files, 'file')}: {told or 'nothing done'}"
@@ -282,7 +309,7 @@ def _totals(run: Run, sums: Totals) -> Iterator[Line]:
             f"; {sums.vertices:,} vertices in {seconds_text(run.seconds)}, "
             f"{rate_text(sums.vertices / run.seconds)} vertices/s"
         )
-    yield Line(text, "bad" if sums.failed or run.interrupted else "good")
+    yield Line(text, "bad" if sums.failed or sums.gate_broken or run.interrupted else "good")
 
 
 # Figures

@@ -1,0 +1,97 @@
+"""Gates: expressions that say when a file's record is not good enough, and what became of them.
+
+``abs(volume_change) > 1%`` is broken by a file whose volume changed by more than that.  Text is
+parsed by a grammar of our own (``grammar``), its names and units are those of a record's fields
+(``names``), and ``meaning`` holds units against each other before any file is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from msal_cli.dataclass import dataclass
+from msal_cli.records import GateResult
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Mapping
+
+    from msal_cli.gates.meaning import Meaning
+    from msal_cli.gates.names import Quantity
+    from msal_cli.records import MeshRecord
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One expression, its meaning, and the quantities that it names, in the order in which it
+    does."""
+
+    expression: str
+    meaning: Meaning
+    quantities: Mapping[str, Quantity]
+
+
+def parsed(expressions: Sequence[str], kind: Hashable) -> tuple[Gate, ...]:
+    """The gates of several expressions over records of one kind.
+
+    Raises
+    ------
+    UsageError
+        for what is no comparison, a name that no such record has, or units that do not go together;
+        it names the column.
+    """
+    from msal_cli.gates.grammar import names_in, tree
+    from msal_cli.gates.meaning import meaning
+    from msal_cli.gates.names import quantities
+
+    known = quantities(kind) if expressions else {}
+    gates = []
+    for text in expressions:
+        parts = tree(text)
+        found = meaning(text, parts, known)
+        gates.append(Gate(text, found, {name: known[name] for name in names_in(parts)}))
+    return tuple(gates)
+
+
+def judged(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]:
+    """What each gate says of one record.
+
+    What is not known decides nothing: ``volume.valid and abs(volume_change) > 1%`` holds for an
+    open mesh, and ``abs(volume_change) > 1%`` cannot be decided, which counts as broken.
+    """
+    return tuple(_judged(gate, record) for gate in gates)
+
+
+def with_gates(gates: Sequence[Gate], records: Sequence[MeshRecord]) -> list[MeshRecord]:
+    """The records with the results of the gates in those that have an output; the others have been
+    told by their status already."""
+    from dataclasses import replace
+
+    if not gates:
+        return list(records)
+    return [
+        record
+        if record.status in ("failed", "planned")
+        else replace(record, gates=judged(gates, record))
+        for record in records
+    ]
+
+
+def _judged(gate: Gate, record: Any) -> GateResult:
+    from msal_cli.gates.meaning import Values
+
+    values = Values(record, gate.quantities)
+    verdict = gate.meaning.value(values)
+    known = {name: values.raw(name) for name in gate.quantities}
+    words = ", ".join(map(values.words, gate.quantities)) or "it names nothing of the file"
+    if verdict is None:
+        unknown = [values.why_unknown(name) for name, value in known.items() if value is None]
+        words = "; ".join(unknown) or f"it cannot be computed: {words}"
+    return GateResult(
+        expression=gate.expression,
+        broken=verdict is not False,
+        decided=verdict is not None,
+        # Of data, true is 1.
+        values={name: value if value is None else value + 0 for name, value in known.items()},
+        reason=words,
+    )

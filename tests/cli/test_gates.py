@@ -1,0 +1,139 @@
+"""`--fail-on`: exit status 4, and the gate, the file and the value by name, in every report."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from msal_cli.report.schema import report_schema
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on, open_scan
+
+MOVED = "max_displacement > 0"
+
+
+@pytest.fixture
+def scans(tmp_path):
+    return folder_of(tmp_path / "scans", closed=closed_scan(), open=open_scan())
+
+
+def test_a_broken_gate_is_status_4_and_the_output_is_written(scans, tmp_path):
+    output = tmp_path / "out.ply"
+    made = msal("denoise", scans / "closed.ply", "-o", output, "--fail-on", MOVED)
+    assert made.exit_code == 4
+    assert output.exists()
+    assert "gate          broken: max_displacement > 0 (max_displacement is " in made.stderr
+
+
+def test_a_gate_that_holds_is_status_0(scans, tmp_path):
+    made = msal("denoise", scans, "-o", tmp_path / "out", "--fail-on", "max_displacement > 99e")
+    assert made.exit_code == 0
+    assert "broke a gate" not in made.stderr
+
+
+def test_every_report_has_the_gates(scans, tmp_path):
+    expressions = ("abs(volume_change) > 99%", MOVED)
+    given = [word for one in expressions for word in ("--fail-on", one)]
+    reports = [tmp_path / f"r.{suffix}" for suffix in ("json", "jsonl", "csv")]
+    asked = [word for one in reports for word in ("--report", one)]
+    made = msal("denoise", scans, "-o", tmp_path / "out", *given, *asked, "--json")
+    assert made.exit_code == 4
+    data = json.loads(made.stdout)
+    Draft202012Validator(report_schema()).validate(data)
+    assert data["totals"]["gate_broken"] == 2
+    closed, opened = (record["gates"] for record in data["records"])
+    assert [one["expression"] for one in closed] == list(expressions)
+    assert [(one["broken"], one["decided"]) for one in closed] == [(False, True), (True, True)]
+    assert [(one["broken"], one["decided"]) for one in opened] == [(True, False), (True, True)]
+    assert closed[1]["values"]["max_displacement"] == data["records"][0]["displacement"]["max"]
+    assert "open" in opened[0]["reason"]
+    assert json.loads(reports[0].read_text())["records"] == data["records"]
+    lines = [json.loads(line) for line in reports[1].read_text().splitlines()]
+    assert lines == data["records"]
+    with reports[2].open(newline="") as table:
+        rows = list(csv.DictReader(table))
+    assert rows[0]["gates"].startswith("held: abs(volume_change) > 99% (volume_change is ")
+    said = made.stderr
+    assert "broke a gate: 2\n" in said
+    assert "closed.ply: broken: max_displacement > 0 (max_displacement is " in said
+    assert "open.ply: not decided: abs(volume_change) > 99% (volume_change is not known" in said
+    assert "2 of them broke a gate" in said
+
+
+def test_files_up_to_date_are_judged_from_the_manifest(scans, tmp_path):
+    output = tmp_path / "out"
+    assert msal("denoise", scans, "-o", output).exit_code == 0
+    again = msal("denoise", scans, "-o", output, "--fail-on", MOVED)
+    assert again.exit_code == 4
+    assert "2 up to date" in again.stderr
+    assert again.stderr.count("broken: max_displacement > 0") == 2
+
+
+def test_failures_win_over_gates_and_are_not_judged(scans, tmp_path):
+    (scans / "bad.ply").write_bytes(BAD_SCAN)
+    made = msal("denoise", scans, "-o", tmp_path / "out", "--fail-on", MOVED, "--json")
+    assert made.exit_code == 3
+    gates = [len(record["gates"]) for record in json.loads(made.stdout)["records"]]
+    assert sorted(gates) == [0, 1, 1]
+
+
+def test_quiet_tells_broken_gates(scans, tmp_path):
+    made = msal("denoise", scans, "-o", tmp_path / "out", "--fail-on", MOVED, "-q")
+    assert made.exit_code == 4
+    assert made.stderr.startswith("broke a gate: 2\n")
+    assert len(made.stderr.splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    "expression", ["volume_chnge > 1%", "volume_change > 1", "max_displacement", "import os", ""]
+)
+def test_what_means_nothing_is_refused_before_any_work(scans, tmp_path, expression):
+    output = tmp_path / "out"
+    made = msal("denoise", scans, "-o", output, "--fail-on", expression)
+    assert made.exit_code == 2
+    assert f"the gate {expression!r}, column " in made.stderr
+    assert "hint: " in made.stderr
+    assert not output.exists()
+    assert msal("report", scans, "--fail-on", expression).exit_code == 2
+
+
+def test_a_dry_run_judges_nothing(scans, tmp_path):
+    output = tmp_path / "out"
+    assert msal("denoise", scans, "-o", output).exit_code == 0
+    made = msal("denoise", scans, "-o", output, "--fail-on", MOVED, "--dry-run")
+    assert made.exit_code == 0
+
+
+def test_a_stream_is_written_and_judged():
+    made = msal_on(closed_scan(), "denoise", "-", "--fail-on", MOVED)
+    assert made.exit_code == 4
+    assert made.stdout_bytes.startswith(b"ply\n")
+    assert "gate          broken: max_displacement > 0" in made.stderr
+
+
+def test_report_judges_earlier_runs(scans, tmp_path):
+    output, page = tmp_path / "out", tmp_path / "page.json"
+    assert msal("denoise", scans, "-o", output).exit_code == 0
+    made = msal("report", output, "--fail-on", MOVED, "-o", page)
+    assert made.exit_code == 4
+    assert made.stderr.count("broken: max_displacement > 0") == 2
+    assert msal("report", output, "--fail-on", "max_displacement > 99e").exit_code == 0
+    # Those of a report are kept, and count where somebody asks for the status.
+    assert msal("report", page).exit_code == 0
+    assert msal("report", page, "--check", "-q").exit_code == 4
+    assert msal("report", page, "--fail-on", "max_displacement > 99e", "-q").exit_code == 0
+
+
+def test_report_with_a_gate_tells_failures_too(scans, tmp_path):
+    (scans / "bad.ply").write_bytes(BAD_SCAN)
+    output = tmp_path / "out"
+    assert msal("denoise", scans, "-o", output).exit_code == 3
+    assert msal("report", output, "--fail-on", "max_displacement > 99e").exit_code == 3
+
+
+def test_the_log_has_broken_gates(scans, tmp_path):
+    log = tmp_path / "log.txt"
+    msal("denoise", scans, "-o", tmp_path / "out", "--fail-on", MOVED, "--log-file", log, "-q")
+    assert log.read_text().count("broke max_displacement > 0: max_displacement is ") == 2
