@@ -56,12 +56,13 @@ class Kernel:
     def _prepared(self, kinds: tuple[Any, ...]) -> Callable[..., Any]:
         if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
             return self.function
-        said = repr((self.fingerprint, kinds))
-        module = self.function.__module__.rpartition(".")[2]
-        name = f"{module}.{self.function.__name__}"
+        name, said = self._key(kinds)
         try:
             code = machine_code.found(name, said)
             if code is None:
+                from msal_cli.core import ahead
+
+                ahead.begin(name, kinds)
                 with machine_code.alone(name, said), _garbage_left():
                     # Whoever was first has kept it by now.
                     code = machine_code.found(name, said)
@@ -73,6 +74,20 @@ class Kernel:
             # A numba that has changed inside still compiles; only every start takes longer.
             _log.info("the machine code of %s cannot be kept: %s", name, error)
             return cast("Callable[..., Any]", self._for_numba())
+
+    def keep_ahead(self, kinds: tuple[Any, ...]) -> None:
+        """Compile for arguments of these kinds and keep it, unless others have or are at it."""
+        name, said = self._key(kinds)
+        if machine_code.found(name, said) is None:
+            with machine_code.if_in_nobodys_hand(name, said) as is_free, _garbage_left():
+                # It may have been kept a moment ago.
+                if is_free and machine_code.found(name, said) is None:
+                    machine_code.keep(name, said, self._compiled(kinds))
+
+    def _key(self, kinds: tuple[Any, ...]) -> tuple[str, str]:
+        """The name of the machine code, and all that it depends on."""
+        module = self.function.__module__.rpartition(".")[2]
+        return f"{module}.{self.function.__name__}", repr((self.fingerprint, kinds))
 
     def _compiled(self, kinds: tuple[Any, ...]) -> machine_code.Code:
         signature = tuple(_numba_type(one) for one in kinds)

@@ -19,6 +19,7 @@ import json
 import logging
 import os
 import sys
+import threading
 import time
 import types
 from collections.abc import Callable, Iterator
@@ -37,8 +38,13 @@ except ImportError:
 _MAGIC = b"msal machine code 1\n"
 _SUFFIX = ".msal-kernel"
 _LOCKS = ".msal-kernel-locks"
+# Closing a file lets go of all locks that the process has in it, so helpers have their own file.
+_HELPERS = ".msal-kernel-helpers"
 _LONGEST_WAIT_S = 30.0
 _BETWEEN_TRIES_S = 0.01
+
+WRITING = threading.Lock()
+"""Held while a file is written: who must end this process waits for it."""
 
 _log = logging.getLogger("msal.core")
 
@@ -106,11 +112,11 @@ def alone(name: str, said: str) -> Iterator[None]:
     Whoever waits does so for ``_LONGEST_WAIT_S`` at most.  Where nothing can be kept, or the system
     has no such locks, nobody waits.  The lock of a process that ends goes with it.
     """
-    handle = _lock_file()
+    handle = _lock_file(_LOCKS)
     if handle is None:
         yield
         return
-    place = int(_digest(name, said)[:7], 16)
+    place = _place(name, said)
     deadline = time.monotonic() + _LONGEST_WAIT_S
     try:
         while not _is_locked(handle, place) and time.monotonic() < deadline:
@@ -120,14 +126,53 @@ def alone(name: str, said: str) -> Iterator[None]:
         os.close(handle)
 
 
-def _lock_file() -> int | None:
-    """The file in which every kernel has a byte to lock, open; None if there can be none."""
+@contextmanager
+def if_in_nobodys_hand(name: str, said: str) -> Iterator[bool]:
+    """Whether nobody makes the code of a kernel, who then wait as in ``alone``.
+
+    Where nothing can be kept, or the system has no such locks, there is no use in making it.
+    """
+    handle = _lock_file(_LOCKS)
+    if handle is None:
+        yield False
+        return
+    try:
+        yield _is_locked(handle, _place(name, said))
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def as_helper(number: int) -> Iterator[bool]:
+    """Whether this process is the only helper of that number (see ``ahead``) on this cache."""
+    handle = _lock_file(_HELPERS)
+    if handle is None:
+        yield False
+        return
+    try:
+        yield _is_locked(handle, number)
+    finally:
+        os.close(handle)
+
+
+def is_nobody_helping() -> bool:
+    """Whether the cache can be written, and has no helper of number 0 yet."""
+    with as_helper(0) as is_needed:
+        return is_needed
+
+
+def _place(name: str, said: str) -> int:
+    return int(_digest(name, said)[:7], 16)
+
+
+def _lock_file(name: str) -> int | None:
+    """The file in which every kernel, or helper, has a byte to lock, open; None if none can be."""
     if fcntl is None:
         return None
     for folder in _folders():
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            return os.open(folder / _LOCKS, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+            return os.open(folder / name, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         except OSError:
             continue
     return None
@@ -179,12 +224,13 @@ def _write(folder: Path, name: str, data: bytes) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     # Containers that share a folder may share numbers of processes too.
     temporary = folder / f".{name}.{os.getpid()}-{os.urandom(4).hex()}.tmp"
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(folder / name)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
+    with WRITING:
+        try:
+            temporary.write_bytes(data)
+            temporary.replace(folder / name)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+            raise
 
 
 @functools.cache
