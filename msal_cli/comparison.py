@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from msal_cli.files.base import MeshFile
+    from msal_cli.files.base import Buffer, MeshFile
     from msal_cli.mesh import Mesh, Prepared
     from msal_cli.metrics.displacement import DisplacementStatistics
     from msal_cli.metrics.surface_distance import DistanceStatistics
@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     Ints = NDArray[np.int32]
 
 log = logging.getLogger("msal")
+
+HEATMAP_QUANTILE = 0.99
+"""Share of the vertices that the range of a heat map's colours covers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +153,44 @@ def deviations(before: Surface, after: Surface) -> Floats:
         return metrics.vertex_distances(before.vertices, after.vertices)
     reference = _prepared(before, "")
     return distances_to_surface(after.vertices - reference.origin, reference.mesh)
+
+
+@dataclass(frozen=True)
+class Heatmap:
+    """A PLY with the deviation of every vertex, and the range of its colours in file units."""
+
+    data: Buffer
+    low: float
+    high: float
+
+
+def heatmap(before: MeshFile, after: MeshFile, before_name: str) -> Heatmap:
+    """``after`` as PLY with its deviations from ``before`` as property and colours.
+
+    The colours go from no deviation to the 99th percentile, so that a few outliers do not leave
+    all the rest in one colour.
+    """
+    import numpy as np
+
+    from msal_cli import colours
+    from msal_cli.files import ply_fields
+
+    values = deviations(surface_of(before), surface_of(after))
+    low, high = 0.0, float(np.quantile(values, HEATMAP_QUANTILE))
+    comments = (
+        f"msal {__version__}: deviation from {before_name}",
+        "deviation: distance to the reference, file units",
+        f"colours: map sequential, pale to dark for deviation {low:g} to {high:.6g} "
+        f"(quantile {HEATMAP_QUANTILE:g}; the largest is {float(values.max()):.6g})",
+    )
+    data = ply_fields.with_fields(
+        after,
+        after.vertices,
+        {"deviation": values},
+        colours.mapped(values, low, high, "sequential"),
+        comments,
+    )
+    return Heatmap(data, low, high)
 
 
 def _prepared(surface: Surface, name: str) -> Prepared:

@@ -28,7 +28,7 @@ MAY_IMPORT = {
     "files": {"mesh", "core", "errors"},
     "records": {"errors"},
     "corruption": {"files", "mesh", "noise", "errors"},
-    "comparison": {"files", "metrics", "mesh", "records", "errors"},
+    "comparison": {"colours", "files", "metrics", "mesh", "records", "errors"},
     "gates": {"records", "errors"},
     "inspection": {"files", "metrics", "noise", "mesh", "records", "errors"},
     "pipeline": {

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from msal_cli.cli import exit_codes, talk
 from msal_cli.dataclass import dataclass
+from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
+    from msal_cli.batch.inputs import Found
     from msal_cli.records import ComparisonRecord
 
 _PATH = click.Path(readable=False, allow_dash=False)
@@ -21,6 +24,9 @@ class Request:
 
     before: str
     after: str
+    heatmap: str | None
+    include: tuple[str, ...]
+    exclude: tuple[str, ...]
     format: str | None
     as_json: bool
     verbose: int
@@ -31,13 +37,26 @@ class Request:
     short_help="Measure a mesh against another.",
     epilog="""\b
 Examples:
-  msal compare truth.ply denoised.ply
+  msal compare truth.ply denoised.ply --heatmap deviation.ply
   msal compare scans denoised --json
 \b
 Exit status: see msal --help.""",
 )
 @click.argument("before", metavar="A", type=_PATH)
 @click.argument("after", metavar="B", type=_PATH)
+@click.option(
+    "--heatmap",
+    metavar="FILE.ply",
+    type=_PATH,
+    help="Write B as PLY with its distance from A, vertex by vertex, as property deviation and as "
+    "colours; comments in the file tell their range.",
+)
+@click.option(
+    "--include", metavar="PATTERN", multiple=True, help="Take only files that match. Repeatable."
+)
+@click.option(
+    "--exclude", metavar="PATTERN", multiple=True, help="Leave out what matches. Repeatable."
+)
 @click.option(
     "--format",
     "format",
@@ -60,29 +79,83 @@ def command(**options: Any) -> int:
     A and B are two files, or two folders whose files are matched by relative path. Told are the
     displacement, the angles between face normals (mean: the MSAE of the literature), the vertex
     error in % of the mean edge length of A, the change of volume and area, flipped faces, and the
-    Hausdorff distance. Where the faces are not the same, the surfaces are compared. Nothing is
-    written.
+    Hausdorff distance. Where the faces are not the same, the surfaces are compared.
     """
     from msal_cli.cli import logs
     from msal_cli.files import urls
 
-    request = Request(**urls.settled_in(options, "before", "after"))
+    request = Request(**urls.settled_in(options, "before", "after", "heatmap"))
     with logs.configured(request.verbose, None):
         return _compared(request)
 
 
 def _compared(request: Request) -> int:
-    from msal_cli import comparison, files
+    from msal_cli import files
+    from msal_cli.batch.inputs import found
     from msal_cli.cli import words
 
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
-    record = comparison.compare_files(request.before, request.after, format)
-    return _told_of_two(request, record)
+    before, after = (
+        found((one,), request.include, request.exclude) for one in (request.before, request.after)
+    )
+    are_folders = [any(one.root for one in side) for side in (before, after)]
+    if are_folders == [False, False]:
+        if request.heatmap is not None:
+            _refuse_target(request, request.heatmap)
+        return _told_of_two(request, format)
+    if not all(are_folders):
+        raise UsageError(
+            "one of A and B is a file and the other a folder",
+            hint="give two files, or two folders whose files have the same relative paths",
+        )
+    if request.heatmap is not None:
+        raise UsageError("--heatmap is for two files", hint="compare them one by one")
+    return _told_of_many(request, list(_pairs(request, before, after, format)))
 
 
-def _told_of_two(request: Request, record: ComparisonRecord) -> int:
+def _pairs(
+    request: Request, before: tuple[Found, ...], after: tuple[Found, ...], format: str | None
+) -> Iterator[ComparisonRecord]:
+    """A record for every relative path that one of the folders has, those of A first."""
+    from msal_cli import comparison
+
+    partners = {one.relative: one.path for one in after}
+    for one in before:
+        other = partners.pop(one.relative, None)
+        if other is None:
+            yield _lonely(one, one.path, _place(request.after, one), request.after)
+        else:
+            yield comparison.compare_files(one.path, other, format)
+    for one in after:
+        if one.relative in partners:
+            yield _lonely(one, _place(request.before, one), one.path, request.before)
+
+
+def _place(folder: str, one: Found) -> str:
+    return f"{folder.rstrip('/')}/{one.relative}"
+
+
+def _lonely(one: Found, before: str, after: str, folder: str) -> ComparisonRecord:
+    from msal_cli import __version__
+    from msal_cli.records import ComparisonRecord, Failure
+
+    failure = Failure("E_NO_PARTNER", f"there is no {one.relative!r} in {folder!r}")
+    return ComparisonRecord(before, after, version=__version__, error=failure)
+
+
+def _told_of_two(request: Request, format: str | None) -> int:
+    from msal_cli import comparison
+    from msal_cli.errors import MsalError
     from msal_cli.report import as_json, comparison_text, document
 
+    record = comparison.compare_files(request.before, request.after, format)
+    failure: MsalError | None = None
+    if request.heatmap is not None and record.error is None:
+        # What was measured is told, whatever becomes of the picture.
+        try:
+            _write_heatmap(request, request.heatmap, format)
+        except MsalError as error:
+            failure = error
     if request.as_json:
         talk.put_bytes(as_json.json_bytes(document.plain_record(record)))
     if record.error is not None:
@@ -90,4 +163,59 @@ def _told_of_two(request: Request, record: ComparisonRecord) -> int:
         return exit_codes.FATAL
     if not request.as_json:
         talk.put_lines(comparison_text.told(record))
+    if failure is not None:
+        raise failure
     return exit_codes.SUCCESS
+
+
+def _refuse_target(request: Request, target: str) -> None:
+    """Refuse a heat map that is no PLY, would replace an input, or has no folder to be in."""
+    import os
+
+    from msal_cli.files import is_url
+
+    if not target.lower().endswith(".ply"):
+        raise UsageError(
+            f"the heat map {target!r} must be a PLY", hint="name it with the suffix .ply"
+        )
+    if is_url(target):
+        return
+    if os.path.isdir(target):
+        raise UsageError(f"the heat map {target!r} is a folder", hint="name a file in it")
+    real = os.path.realpath(target)
+    for name in (request.before, request.after):
+        if not is_url(name) and os.path.realpath(name) == real:
+            raise UsageError(f"the heat map would replace {name!r}", hint="give it another name")
+
+
+def _write_heatmap(request: Request, target: str, format: str | None) -> None:
+    from msal_cli import comparison, files
+    from msal_cli.batch import signals
+    from msal_cli.report.as_text import file_name
+
+    before = comparison.opened(request.before, format)
+    made = comparison.heatmap(before, comparison.opened(request.after, format), request.before)
+    with signals.noticed(signals.raise_for):
+        files.write_whole(target, [made.data])
+    talk.say(f"{file_name(target)}: deviation, pale to dark for {made.low:g} to {made.high:.4g}")
+
+
+def _told_of_many(request: Request, records: list[ComparisonRecord]) -> int:
+    from msal_cli import __version__
+    from msal_cli.records import ComparisonRecord
+    from msal_cli.report import as_json, comparison_text, document
+
+    n_failed = sum(record.error is not None for record in records)
+    if request.as_json:
+        data = {
+            "schema": ComparisonRecord.schema,
+            "version": __version__,
+            "records": [document.plain_record(record) for record in records],
+        }
+        talk.put_bytes(as_json.json_bytes(data))
+        for record in records:
+            if record.error is not None:
+                talk.say_failure(record.after, record.error)
+    else:
+        talk.put_lines(comparison_text.table(records, width=talk.width()))
+    return exit_codes.of_files(len(records), n_failed)

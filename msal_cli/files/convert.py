@@ -191,6 +191,17 @@ def _corners(content: _Content) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.concatenate(polygons).astype(np.int64), sizes
 
 
+def polygon_bytes(mesh_file: MeshFile) -> tuple[memoryview, int, str]:
+    """The polygons of a file as binary little-endian PLY has them, how many they are, and the type
+    of the count before each."""
+    whole = mesh_file.n_polygons == len(mesh_file.faces)
+    polygons = None if whole else mesh_file.polygons()
+    corners, sizes = _corners(_Content(np.empty((0, 3)), mesh_file.faces, polygons, None, None))
+    many = int(sizes.max()) > 255
+    word, code = ("uint", "<u4") if many else ("uchar", "u1")
+    return _face_bytes(corners, sizes, code), len(sizes), word
+
+
 def _as_ply(content: _Content, encoding: str, single: bool) -> Buffer:
     """PLY, little endian; ascii through the codec, which knows how to print."""
     from msal_cli.files.stl import as_float32

@@ -18,6 +18,9 @@ from msal_cli.mesh import Mesh
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
+"""Distances below this share of the coordinates are taken for none."""
+
 AT_ONCE = 1 << 17
 """Points that are looked up at a time: the library answers with an object for each."""
 
@@ -74,6 +77,8 @@ def distances_to_surface(points: Floats, surface: Mesh) -> Floats:
         distances[start : start + len(some)] = distances_to_triangles(
             some, vertices[faces[nearest]]
         )
+    # What lies on the surface is off by the last digits of its coordinates.
+    distances[distances < ROUNDING * scale] = 0.0
     return distances
 
 

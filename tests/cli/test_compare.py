@@ -7,6 +7,7 @@ import json
 import pytest
 from jsonschema import Draft202012Validator
 
+from msal_cli import files
 from msal_cli.report.schema import compare_schema
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
 
@@ -57,5 +58,83 @@ def test_a_file_that_cannot_be_read(scans):
 
 def test_a_file_that_is_not_there(scans):
     made = msal("compare", scans / "a.ply", scans / "none.ply")
-    assert (made.exit_code, made.stdout) == (1, "")
+    assert (made.exit_code, made.stdout) == (2, "")
     assert "none.ply" in made.stderr
+
+
+@pytest.fixture
+def folders(tmp_path):
+    a = folder_of(tmp_path / "A", one=closed_scan(0), gone=closed_scan(1))
+    folder_of(a / "below", two=closed_scan(2))
+    b = folder_of(tmp_path / "B", one=closed_scan(3), new=closed_scan(1))
+    folder_of(b / "below", two=closed_scan(2))
+    return a, b
+
+
+def test_folders_are_matched_by_relative_path(folders):
+    a, b = folders
+    made = msal("compare", a, b, "--json")
+    assert made.exit_code == 3
+    data = json.loads(made.stdout)
+    Draft202012Validator(SCHEMA).validate(data)
+    found = {one["after"].removeprefix(f"{b}/"): one for one in data["records"]}
+    assert list(found) == ["below/two.ply", "gone.ply", "one.ply", "new.ply"]
+    assert found["one.ply"]["before"] == str(a / "one.ply")
+    assert found["one.ply"]["mean_angular_error_deg"] > 0.0
+    assert found["below/two.ply"]["mean_angular_error_deg"] == 0.0
+    codes = [found[name]["error"]["code"] for name in ("gone.ply", "new.ply")]
+    assert codes == ["E_NO_PARTNER"] * 2
+    assert found["new.ply"]["before"] == str(a / "new.ply")
+
+
+def test_folders_as_a_table(folders):
+    a, b = folders
+    made = msal("compare", a, b, "--exclude", "gone.ply", "--exclude", "new.ply")
+    assert (made.exit_code, made.stderr) == (0, "")
+    head, *rows = made.stdout.splitlines()
+    assert head.split()[:2] == ["after", "angle"]
+    assert rows[0].startswith(str(b / "below" / "two.ply"))
+    assert rows[1].startswith(str(b / "one.ply"))
+    assert rows[-1].startswith("2 compared")
+    partly = msal("compare", a, b)
+    assert partly.exit_code == 3
+    assert "there is no 'gone.ply' in" in partly.stdout
+
+
+def test_a_file_and_a_folder_are_refused(folders):
+    a, b = folders
+    assert msal("compare", a / "one.ply", b).exit_code == 2
+    assert msal("compare", a, b, "--heatmap", a / "h.ply").exit_code == 2
+
+
+def test_a_heat_map(scans):
+    target = scans / "heat.ply"
+    made = msal("compare", scans / "a.ply", scans / "b.ply", "--heatmap", target)
+    assert made.exit_code == 0
+    assert "pale to dark for 0 to" in made.stderr
+    data = target.read_bytes()
+    opened = files.open_mesh(data, "heat.ply")
+    assert opened.properties == (
+        "vertex.red uchar",
+        "vertex.green uchar",
+        "vertex.blue uchar",
+        "vertex.deviation float",
+    )
+    told = json.loads(msal("compare", scans / "a.ply", scans / "b.ply", "--json").stdout)
+    assert f"the largest is {told['displacement']['max']:.6g})".encode() in data
+
+
+@pytest.mark.parametrize("name", ["a.ply", "b.ply", "heat.obj", "."])
+def test_a_heat_map_that_cannot_be(scans, name):
+    before = (scans / "a.ply").read_bytes()
+    made = msal("compare", scans / "a.ply", scans / "b.ply", "--heatmap", scans / name)
+    assert (made.exit_code, made.stdout) == (2, "")
+    assert (scans / "a.ply").read_bytes() == before
+
+
+def test_a_heat_map_in_a_folder_that_is_not_there(scans):
+    target = scans / "none" / "heat.ply"
+    made = msal("compare", scans / "a.ply", scans / "b.ply", "--heatmap", target)
+    assert made.exit_code == 1
+    assert "the output folder does not exist" in made.stderr
+    assert "normal angle" in made.stdout
