@@ -59,8 +59,8 @@ def with_fields(
         with np.errstate(over="ignore"):
             columns.append((name, "<f4", "float", values.astype(np.float32)))
     rows = np.empty(n, dtype=[(name, code) for name, code, _, _ in columns])
-    for name, _, _, values in columns:
-        rows[name] = values
+    for name, _, _, column in columns:
+        rows[name] = column
     faces, n_faces, count_word = polygon_bytes(mesh_file)
     header = ["ply", "format binary_little_endian 1.0"]
     header += [f"comment {_printable(one)}" for one in comments]
