@@ -21,6 +21,9 @@ Ints = NDArray[np.int32]
 NOTHING = -1
 """Where a sample meets no face."""
 
+ROUNDING = 1e-9
+"""How far outside a face a sample may be: one on the edge of two faces must be in one of them."""
+
 FEWEST_ROWS = 64
 """Rows per thread: each thread looks at all faces."""
 
@@ -45,16 +48,20 @@ def _nearest_faces(start, stop, points, faces, nearness, front):  # type: ignore
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         if area == 0.0:
             continue
-        az, bz, cz = points[a, 2], points[b, 2], points[c, 2]
+        nearness_c = points[c, 2]
+        nearer_a, nearer_b = points[a, 2] - nearness_c, points[b, 2] - nearness_c
+        # Weights of the corners a and b, linear in x; what is left is that of c.
+        slope_a, slope_b = -(cy - by) / area, -(ay - cy) / area
         for row in range(np.int64(top), np.int64(bottom) + 1):
             y = row + 0.5
+            start_a = ((cx - bx) * (y - by) + (cy - by) * bx) / area
+            start_b = ((ax - cx) * (y - cy) + (ay - cy) * cx) / area
             for column in range(np.int64(left), np.int64(right) + 1):
                 x = column + 0.5
-                wa = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) / area
-                wb = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) / area
-                wc = 1.0 - wa - wb
-                if wa >= 0.0 and wb >= 0.0 and wc >= 0.0:
-                    near = np.float32(wa * az + wb * bz + wc * cz)
+                wa = start_a + slope_a * x
+                wb = start_b + slope_b * x
+                if wa >= -ROUNDING and wb >= -ROUNDING and wa + wb <= 1.0 + ROUNDING:
+                    near = np.float32(nearness_c + wa * nearer_a + wb * nearer_b)
                     if near > nearness[row, column]:
                         nearness[row, column] = near
                         front[row, column] = f
@@ -71,9 +78,10 @@ def nearest_faces(points: Floats, faces: Ints, height: int, width: int) -> tuple
 
 @compiled
 def _corner_normals(  # type: ignore[no-untyped-def]
-    start, stop, faces, face_start, incident, normals, areas, least_cosine, result
+    start, stop, faces, face_start, incident, normals, areas, least_cosine, full_cosine, result
 ):
     """At each corner of faces: the sum of the vertex's faces that turn little from this one."""
+    span = full_cosine - least_cosine
     for f in range(start, stop):
         fx, fy, fz = normals[f, 0], normals[f, 1], normals[f, 2]
         for corner in range(3):
@@ -81,10 +89,13 @@ def _corner_normals(  # type: ignore[no-untyped-def]
             x, y, z = 0.0, 0.0, 0.0
             for slot in range(face_start[vertex], face_start[vertex + 1]):
                 g = incident[slot]
-                if normals[g, 0] * fx + normals[g, 1] * fy + normals[g, 2] * fz >= least_cosine:
-                    x += areas[g] * normals[g, 0]
-                    y += areas[g] * normals[g, 1]
-                    z += areas[g] * normals[g, 2]
+                cosine = normals[g, 0] * fx + normals[g, 1] * fy + normals[g, 2] * fz
+                if cosine <= least_cosine:
+                    continue
+                weight = areas[g] * min(1.0, (cosine - least_cosine) / span)
+                x += weight * normals[g, 0]
+                y += weight * normals[g, 1]
+                z += weight * normals[g, 2]
             length = np.sqrt(x * x + y * y + z * z)
             if length > 0.0:
                 x, y, z = x / length, y / length, z / length
@@ -95,18 +106,20 @@ def _corner_normals(  # type: ignore[no-untyped-def]
             result[f, corner, 2] = z
 
 
-def corner_normals(vertices: Floats, faces: Ints, largest_angle: float) -> Floats32:
+def corner_normals(vertices: Floats, faces: Ints, crease: float) -> Floats32:
     """Normals (m, 3, 3) at the three corners of each face, smooth but for creases.
 
-    A corner's normal is the area-weighted mean over those faces at its vertex whose normals are
-    within ``largest_angle`` (radians) of this face's: 0 gives flat faces, pi smooths everything.
+    A corner's normal is the mean of the normals of the faces at its vertex, by area.  Those that
+    turn from this face by more than ``crease`` (radians, up to pi) do not count, those that turn by
+    less than half of it count in full, and those between in part: a bound alone would show the
+    triangles along every rounded edge.  0 gives flat faces.
     """
     from msal_cli.core.connectivity import incidence
     from msal_cli.core.geometry import face_normals_and_areas
 
     normals, areas = face_normals_and_areas(vertices, faces)
     result = np.empty((len(faces), 3, 3), dtype=np.float32)
-    if largest_angle <= 0.0:
+    if crease <= 0.0:
         result[:] = normals[:, None, :]
         return result
     face_start, incident = incidence(len(vertices), faces)
@@ -118,7 +131,8 @@ def corner_normals(vertices: Floats, faces: Ints, largest_angle: float) -> Float
         incident,
         normals,
         areas,
-        float(np.cos(largest_angle)),
+        float(np.cos(crease)),
+        float(np.cos(0.5 * crease)),
         result,
     )
     return result

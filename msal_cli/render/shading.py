@@ -52,7 +52,7 @@ _LAMPS = (
 _SURFACE_OF_MAPS = (0.56, 0.0, 0.0, 1.0)
 _LAMPS_OF_MAPS = (((-0.55, 0.58, 0.60), 0.58, 0.30),)
 
-CREASE_DEG = 40.0
+CREASE_DEG = 80.0
 SAMPLES = 2
 
 _HOLLOWS = ((0.010, 0.35), (0.035, 0.45))
@@ -77,7 +77,8 @@ def shaded(
     vertices : (n, 3) in any unit; ``faces`` : (m, 3) integers, counter-clockwise from outside.
     camera : where from; it shows all that it was made for at any ``width`` and ``height``.
     colours : (n, 3) uint8, one for each vertex; None for clay, with the insides in another tone.
-    crease_deg : edges that turn by more stay sharp; 0 shows each face flat.
+    crease_deg : edges that turn by more stay sharp, by less than half of it are round; 0 shows
+        each face flat.
     """
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int32)

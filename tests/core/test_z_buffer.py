@@ -85,9 +85,10 @@ def roof(angle):
     return np.array(vertices), np.array(faces, dtype=np.int32)
 
 
-def test_an_edge_is_smooth_up_to_the_crease_and_sharp_beyond():
+def test_an_edge_is_smooth_up_to_half_the_crease_and_sharp_beyond_it():
     vertices, faces = roof(np.radians(30.0))
-    smooth = z_buffer.corner_normals(vertices, faces, np.radians(31.0))
+    smooth = z_buffer.corner_normals(vertices, faces, np.radians(61.0))
+    between = z_buffer.corner_normals(vertices, faces, np.radians(45.0))
     sharp = z_buffer.corner_normals(vertices, faces, np.radians(29.0))
     # At vertex 0: one triangle on the left, two on the right, all of one half.
     left, right = np.array([0, 0, 1.0]), np.array([0.5, 0, np.sqrt(0.75)])
@@ -96,6 +97,8 @@ def test_an_edge_is_smooth_up_to_the_crease_and_sharp_beyond():
     assert np.allclose(smooth[2, 0], mean, atol=1e-6)
     assert np.allclose(sharp[:2], left, atol=1e-6)
     assert np.allclose(sharp[2:], right, atol=1e-6)
+    assert left @ mean < left @ between[0, 1] < 1.0
+    assert right @ mean < right @ between[2, 0] < 1.0
 
 
 def test_no_crease_angle_gives_flat_faces():
