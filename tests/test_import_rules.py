@@ -45,7 +45,8 @@ MAY_IMPORT = {
     # Of files only what tells URLs from paths, and objects in stores.
     "batch": {"pipeline", "records", "errors", "files.remote", "files.urls"},
     "report": {"records", "errors"},
-    "render": {"core", "errors"},
+    "render": {"core", "colours", "errors"},
+    "pictures": {"comparison", "metrics", "mesh", "records", "render", "errors"},
     "cli": {
         "batch",
         "colours",
@@ -59,6 +60,7 @@ MAY_IMPORT = {
         "methods",
         "metrics",
         "noise",
+        "pictures",
         "pipeline",
         "records",
         "render",

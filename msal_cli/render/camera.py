@@ -64,6 +64,7 @@ def framing(axes: Floats, vertices: Floats) -> Camera:
 
 
 VIEWS = ("auto", "front", "back", "left", "right", "top", "bottom")
+UPS = ("auto", "x", "-x", "y", "-y", "z", "-z")
 
 
 def automatic_camera(vertices: Floats, faces: Ints) -> Camera:
@@ -78,6 +79,7 @@ def viewed(
     *,
     turn_deg: float | None = None,
     tilt_deg: float | None = None,
+    up: str = "auto",
     also: Floats | None = None,
 ) -> Camera:
     """The camera for a word, framing all vertices that have a face.
@@ -90,9 +92,10 @@ def viewed(
         scans of one side and at reliefs.
     turn_deg : more goes round to the mesh's right; None is 0, or what ``auto`` chose.
     tilt_deg : more goes up; None likewise.
+    up : one of ``UPS``, where the guess is wrong.
     also : (k, 3) other points to be shown, such as the same mesh before.
     """
-    stance = _stance(vertices, faces)
+    stance = _with_up(_stance(vertices, faces), up)
     turn, tilt = _ANGLES.get(view, (stance.turn_deg, stance.tilt_deg))
     if view != "auto" or turn_deg is None:
         turn += turn_deg or 0.0
@@ -190,6 +193,19 @@ def _stance(vertices: Floats, faces: Ints) -> _Stance:
     if extents[0] < _RELIEF * extents[1]:
         return _relief(principal[:, 0], doubled, areas)
     return _solid(centres, areas)
+
+
+def _with_up(stance: _Stance, word: str) -> _Stance:
+    """The stance with the axis that ``word`` names upwards, and its front if that is level then."""
+    if word == "auto":
+        return stance
+    axis = np.eye(3)["xyz".index(word[-1])]
+    up = -axis if word.startswith("-") else axis
+    front = stance.front
+    if abs(front @ up) > 0.9 * np.linalg.norm(front):
+        # What was thought to be upwards now looks at the eye.
+        front = stance.up if stance.up @ up == 0.0 else -_Y
+    return _Stance(front, up, stance.turn_deg, stance.tilt_deg)
 
 
 def _one_sided(facing: Floats) -> _Stance:

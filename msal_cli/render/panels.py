@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 Panel = tuple[Image, str, Sequence[str]]
 """An image (h, w, 3), its title, and the lines below it."""
 
-MOST_TICKS = 5
-
 
 @dataclass(frozen=True, eq=False)
 class Legend:
@@ -27,17 +25,14 @@ class Legend:
 
     Attributes
     ----------
-    title : what the colours mean.
+    lines : what the colours mean, and in which units.
     colours : (k, 3) uint8 from the left end to the right one.
     ticks : places from 0 to 1, each with the words above and below the scale there.
-    above, below : what the words above and below are in; they stand at the right end.
     """
 
-    title: str
+    lines: tuple[str, ...]
     colours: NDArray[np.uint8]
     ticks: tuple[tuple[float, str, str], ...]
-    above: str = ""
-    below: str = ""
 
 
 def labelled_panels(
@@ -70,7 +65,8 @@ def labelled_panels(
     below = n_lines * words.line_height
     if legend is not None:
         lines_of_last = len(panels[-1][2])
-        below = max(below, lines_of_last * words.line_height + words.legend_height)
+        scale = len(legend.lines) * words.line_height + words.scale_height
+        below = max(below, lines_of_last * words.line_height + scale)
     cell = (width, words.title_height + height + words.gap // 2 + below)
     top = words.margin + (words.title_height + words.gap if heading else 0)
     foot = len(footer) * words.line_height + (words.gap if footer else 0)
@@ -130,8 +126,8 @@ class _Words:
         return round(0.9 * self.text)
 
     @property
-    def legend_height(self) -> int:
-        return self.gap // 2 + 3 * self.line_height + self.bar_height + self.text // 2
+    def scale_height(self) -> int:
+        return self.gap // 2 + 2 * self.line_height + self.bar_height + self.text
 
     def write(
         self,
@@ -158,13 +154,19 @@ def _draw_legend(
     width: int,
     style: Style,
 ) -> None:
+    from msal_cli.render.text import fitted
+
     left, y = place[0], place[1] + words.gap // 2
-    words.write(draw, (left, y), legend.title, style.faint, width)
-    y += words.line_height
-    # Words at the ends are as wide as the bar ends are far from the panel's edges.
-    inset = round(2.2 * words.text)
-    first, last = left + inset, left + width - inset - round(2.5 * words.text)
-    top, bottom = y + words.line_height, y + words.line_height + words.bar_height
+    for line in legend.lines:
+        words.write(draw, (left, y), line, style.faint, width)
+        y += words.line_height
+    # Words at the ends stand out on both sides of the scale by half.
+    ends = [word for _, *both in legend.ticks for word in both]
+    longest = max((fitted(word, words.text, width)[1].getlength(word) for word in ends), default=0)
+    inset = round(min(0.5 * longest, 0.2 * width)) + 1
+    first, last = left + inset, left + width - inset
+    top = y + words.line_height + words.text // 3
+    bottom = top + words.bar_height
     for x in range(first, last):
         k = round((x - first) / max(1, last - 1 - first) * (len(legend.colours) - 1))
         red, green, blue = (int(one) for one in legend.colours[k])
@@ -174,14 +176,10 @@ def _draw_legend(
     for share, above, below in legend.ticks:
         x = round(first + share * (last - 1 - first))
         draw.line([(x, top - 4), (x, top - 1)], fill=style.faint)
-        words.write(draw, (x, top - 5), above, style.text, each, anchor="ms")
+        words.write(draw, (x, top - 6), above, style.text, each, anchor="ms")
         if below:
             draw.line([(x, bottom + 1), (x, bottom + 4)], fill=style.faint)
-            words.write(draw, (x, bottom + 6), below, style.text, each, anchor="ma")
-    end = left + width
-    rest = end - last - inset
-    words.write(draw, (end, top - 5), legend.above, style.faint, rest, anchor="rs")
-    words.write(draw, (end, bottom + 6), legend.below, style.faint, rest, anchor="ra")
+            words.write(draw, (x, bottom + 7), below, style.text, each, anchor="ma")
 
 
 def png_bytes(image: Image, most_colours: int | None = None) -> bytes:

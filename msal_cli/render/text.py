@@ -24,7 +24,9 @@ def fitted(text: str, size: int, width: int) -> tuple[str, ImageFont.FreeTypeFon
     writing direction), becomes an escape such as ``\\x0a``.  Of what is too long the end stays,
     because the end of a path tells more than its beginning.
     """
-    plain = "".join(_visible(one) for one in text)
+    # No shape is narrower than a third of a pixel.
+    most = 3 * max(width, 1)
+    plain = "".join(_visible(one) for one in text[-most:])
     font = _font("", size)
     for name in ("", *_OTHER_FONTS):
         other = _font_or_none(name, size)
@@ -33,10 +35,9 @@ def fitted(text: str, size: int, width: int) -> tuple[str, ImageFont.FreeTypeFon
             break
     else:
         plain = "".join(one if _has("", size, one) else _escaped(one) for one in plain)
-    if font.getlength(plain) <= width:
+    if len(text) <= most and font.getlength(plain) <= width:
         return plain, font
-    # No character is narrower than a third of a pixel.
-    tail = plain[-3 * max(width, 1) :]
+    tail = plain[-most:]
     while tail and font.getlength("..." + tail) > width:
         tail = tail[1:]
     return "..." + tail, font

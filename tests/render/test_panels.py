@@ -40,9 +40,7 @@ def test_words_take_the_colours_of_the_style():
 
 def test_the_legend_shows_its_colours_in_order():
     ramp = np.stack([np.arange(256), np.zeros(256), 255 - np.arange(256)], axis=1)
-    legend = Legend(
-        "how far", ramp.astype(np.uint8), ((0.0, "0", "0"), (1.0, "3", "0.2")), "mm", "edges"
-    )
+    legend = Legend(("how far",), ramp.astype(np.uint8), ((0.0, "0", "0"), (1.0, "3", "0.2")))
     image = labelled_panels([(plain(255, 400), "", [])], legend).astype(int)
     on_scale = (image[:, :, 1] == 0) & (image[:, :, 0] + image[:, :, 2] == 255)
     row = np.argmax(on_scale.sum(axis=1))

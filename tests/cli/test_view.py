@@ -1,0 +1,130 @@
+"""`msal view`."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
+from tests.report.made import HOSTILE_NAMES
+
+
+@pytest.fixture
+def scans(tmp_path):
+    return folder_of(tmp_path, a=closed_scan(0), b=closed_scan(1), bad=BAD_SCAN)
+
+
+def seen(path):
+    return np.asarray(Image.open(path))
+
+
+def test_a_pair_is_three_panels(scans):
+    made = msal("view", scans / "a.ply", scans / "b.ply", "-o", scans / "p.png", "--size", 100)
+    assert (made.exit_code, made.stdout) == (0, "")
+    image = seen(scans / "p.png").astype(int)
+    assert 300 < image.shape[1] < 420
+    parts = np.array_split(image, 3, axis=1)
+    # Clay is nearly grey; the deviation is not.
+    spread = [np.ptp(part, axis=2).max() for part in parts]
+    assert spread[0] < 40 and spread[1] < 40 < 100 < spread[2]
+
+
+def test_one_mesh_is_one_panel(scans):
+    msal("view", scans / "a.ply", "-o", scans / "one.png", "--size", "100", "-q")
+    assert 100 < seen(scans / "one.png").shape[1] < 140
+
+
+def test_the_same_command_gives_the_same_bytes(scans):
+    for name in ("x.png", "y.png"):
+        msal("view", scans / "a.ply", scans / "b.ply", "-o", scans / name, "--size", "80")
+    assert (scans / "x.png").read_bytes() == (scans / "y.png").read_bytes()
+
+
+def test_options_change_the_picture(scans):
+    def picture(*options):
+        made = msal("view", scans / "a.ply", "-o", scans / "o.png", "--size", "80", *options)
+        assert made.exit_code == 0, made.stderr
+        return (scans / "o.png").read_bytes()
+
+    options = [
+        (),
+        ("--turn", "70"),
+        ("--tilt", "-40"),
+        ("--view", "top"),
+        ("--up=-x",),
+        ("--dark",),
+        ("--shading", "flat"),
+        ("--size", "81"),
+    ]
+    assert len({picture(*one) for one in options}) == len(options)
+
+
+def test_other_faces_are_drawn_with_the_distance_or_without(scans):
+    lines = (scans / "b.ply").read_text().splitlines()
+    (scans / "c.ply").write_text("\n".join([*lines[:-1], lines[-2]]) + "\n")
+    made = msal("view", scans / "a.ply", scans / "c.ply", "-o", scans / "p.png", "--size", "80")
+    assert made.exit_code == 0, made.stderr
+    assert seen(scans / "p.png").shape[1] > 160
+
+
+def test_standard_output_takes_a_picture(scans):
+    made = subprocess.run(
+        [sys.executable, "-m", "msal_cli", "view", scans / "a.ply", "-o", "-", "--size", "64"],
+        capture_output=True,
+        check=True,
+    )
+    assert Image.open(io.BytesIO(made.stdout)).format == "PNG"
+    assert made.stderr == b""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        (("missing.ply", "-o", "p.png"), 1, "missing.ply"),
+        (("bad.ply", "-o", "p.png"), 1, "bad.ply"),
+        (("a.ply", "bad.ply", "-o", "p.png"), 1, "bad.ply"),
+        (("points.ply", "-o", "p.png"), 1, "E_NO_FACES"),
+        (("a.ply", "-o", "none/p.png"), 1, "the output folder does not exist"),
+        (("a.ply", "-o", "p.jpg"), 2, "NAME.png"),
+        (("a.ply", "-o", "a.ply"), 2, "NAME.png"),
+        (("a.ply",), 2, "-o"),
+        (("a.ply", "-o", "p.png", "--size", "9"), 2, "48"),
+        (("a.ply", "-o", "p.png", "--turn", "nan"), 2, "degrees"),
+        (("a.ply", "-o", "p.png", "--view", "inside"), 2, "inside"),
+        (("-", "-o", "p.png"), 2, "stream"),
+    ],
+)
+def test_what_cannot_be_done_is_said(scans, monkeypatch, arguments, status, said):
+    (scans / "points.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
+        "property float z\nend_header\n0 0 0\n"
+    )
+    before = (scans / "a.ply").read_bytes()
+    monkeypatch.chdir(scans)
+    made = msal("view", *arguments)
+    assert made.exit_code == status
+    assert said in made.stderr
+    assert "Traceback" not in made.stderr
+    assert not (scans / "p.png").exists()
+    assert (scans / "a.ply").read_bytes() == before
+
+
+@pytest.mark.skipif(os.name == "nt", reason="names that Windows does not take")
+def test_any_name_is_a_name(scans):
+    for name in HOSTILE_NAMES:
+        (scans / "a.ply").rename(scans / name)
+        made = msal("view", f"{scans}/{name}", "-o", scans / "p.png", "--size", "64")
+        assert made.exit_code == 0, (name, made.stderr)
+        (scans / name).rename(scans / "a.ply")
+
+
+def test_the_picture_is_not_what_denoise_pays_for():
+    code = "import sys, msal_cli.cli.denoise, msal_cli.pipeline; print('PIL' in sys.modules)"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout == "False\n"
