@@ -6,7 +6,7 @@ Like ``pipeline`` it never raises for a file's fault: that becomes a record with
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
@@ -17,11 +17,14 @@ from msal_cli.records import (
     ComparisonRecord,
     Displacement,
     Failure,
+    Reference,
     SurfaceDistance,
     Volume,
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -29,11 +32,14 @@ if TYPE_CHECKING:
     from msal_cli.mesh import Mesh, Prepared
     from msal_cli.metrics.displacement import DisplacementStatistics
     from msal_cli.metrics.surface_distance import DistanceStatistics
+    from msal_cli.records import MeshRecord
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int32]
 
 log = logging.getLogger("msal")
+
+_WITH_OUTPUT = ("written", "unchanged", "up-to-date")
 
 HEATMAP_QUANTILE = 0.99
 """Share of the vertices that the range of a heat map's colours covers."""
@@ -74,6 +80,27 @@ def compare_files(before: str, after: str, format: str | None = None) -> Compari
         )
     except Exception as error:
         return failed(before, after, error)
+
+
+def with_references(
+    records: Sequence[MeshRecord], references: Sequence[str], format: str | None = None
+) -> list[MeshRecord]:
+    """The records with their outputs, as they were written, measured against ``references``.
+
+    There is a path for each record.  Records without an output stay as they are.
+    """
+    return [
+        replace(record, reference=_against(path, record.output, format))
+        if record.output is not None and record.status in _WITH_OUTPUT
+        else record
+        for record, path in zip(records, references, strict=True)
+    ]
+
+
+def _against(path: str, output: str, format: str | None) -> Reference:
+    told = compare_files(path, output, format)
+    shared = {one.name for one in fields(Reference)} - {"path"}
+    return Reference(path, **{name: getattr(told, name) for name in shared})
 
 
 def failed(before: str, after: str, error: Exception) -> ComparisonRecord:

@@ -187,6 +187,27 @@ class ComparisonRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class Reference:
+    """An output against its reference, the true mesh at ``path``: the figures of a
+    ``ComparisonRecord`` whose ``before`` is the reference."""
+
+    path: str
+    correspondence: Literal["vertices", "surface"] | None = None
+    mean_edge_length: float | None = None
+    mean_angular_error_deg: float | None = None
+    max_angular_error_deg: float | None = None
+    vertex_error_percent: float | None = None
+    displacement: Displacement | None = None
+    flipped_faces: int | None = None
+    volume_change_percent: float | None = None
+    area_change_percent: float | None = None
+    hausdorff: float | None = None
+    hausdorff_edges: float | None = None
+    warnings: tuple[str, ...] = ()
+    error: Failure | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class MeshRecord:
     """One row per file; fields that could not be determined are None.
 
@@ -233,6 +254,7 @@ class MeshRecord:
     input_object: ObjectMark | None = None
     output_object: ObjectMark | None = None
     sidecars: tuple[str, ...] = ()
+    reference: Reference | None = None
     warnings: tuple[str, ...] = ()
     gates: tuple[GateResult, ...] = ()
     remembered: bool = False

@@ -45,7 +45,7 @@ def command(arguments: tuple[str, ...], /, **given: Any) -> int:
     from msal_cli.cli import logs
     from msal_cli.files import urls
 
-    request = Request(**urls.settled_in(given, "inputs", "output", "reports"))
+    request = Request(**urls.settled_in(given, "inputs", "output", "reports", "reference"))
     if request.quiet and request.verbose:
         raise UsageError("--quiet and --verbose contradict each other", hint="give one of them")
     with logs.configured(-1 if request.quiet else request.verbose, request.log_file):
@@ -62,6 +62,8 @@ class _Session:
         self._arguments = arguments
         self._clock = Clock()
         self._gates: tuple[Gate, ...] = ()
+        # For each record the path of its reference, where there are any.
+        self._references: tuple[str, ...] = ()
 
     def done(self) -> int:
         """Check everything, then work; the exit status."""
@@ -90,6 +92,7 @@ class _Session:
 
         request = self._request
         denoise_request.refuse_for_streams(request, one)
+        self._references = denoise_request.references_of(request, ["-"])
         reports.check(request.reports, [path for path in (one.source, one.target) if path != "-"])
         settings = replace(settings, to=pipe.target_format(one, settings.to))
         bar = progress.stream_bar(one.source, quiet=request.quiet)
@@ -113,6 +116,8 @@ class _Session:
         request = self._request
         paths = [path for task in (plan.whole or plan).tasks for path in (task.input, task.output)]
         reports.check(request.reports, paths)
+        names = [task.relative for task in plan.tasks]
+        self._references = denoise_request.references_of(request, names)
         finished: dict[int, MeshRecord] = {}
 
         def keep(event: Event) -> None:
@@ -178,6 +183,10 @@ class _Session:
         request = self._request
         is_given_up = not request.dry_run and any(one.status == "planned" for one in records)
         run = self._described(settings, interrupted or is_given_up)
+        if self._references and not request.dry_run and not interrupted:
+            from msal_cli.comparison import with_references
+
+            records = with_references(records, self._references, settings.format)
         if self._gates and not request.dry_run:
             from msal_cli.gates import with_gates
 

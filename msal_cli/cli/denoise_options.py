@@ -53,6 +53,7 @@ class Request:
     fresh: bool
     retry_failed: bool
     shard: str | None
+    reference: str | None
     fail_on: tuple[str, ...]
     reports: tuple[str, ...]
     as_json: bool
@@ -253,6 +254,13 @@ _RERUNS = (
 
 # What is told, and where.
 _REPORTS = (
+    click.option(
+        "--reference",
+        metavar="TRUTH",
+        type=PATH,
+        help="Measure the outputs against the true mesh, as msal compare does: a file, or a folder "
+        "whose files have the relative paths of the inputs.",
+    ),
     click.option(
         "--fail-on",
         metavar="EXPR",

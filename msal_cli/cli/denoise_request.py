@@ -11,6 +11,8 @@ from msal_cli.cli.pipe import STREAM
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.denoise_options import Request
     from msal_cli.cli.pipe import Pipe
@@ -72,6 +74,11 @@ def refuse_for_streams(request: Request, one: Pipe) -> None:
     for word, value in given.items():
         if value:
             raise UsageError(f"{word} is for files, not for standard input or output")
+    if request.reference is not None and one.target == STREAM:
+        raise UsageError(
+            "--reference measures a file, and the mesh goes to standard output",
+            hint="name a file with -o",
+        )
     if request.as_json and one.target == STREAM:
         raise UsageError(
             "the mesh and --json cannot both go to standard output",
@@ -87,6 +94,33 @@ def gates_of(request: Request) -> tuple[Gate, ...]:
     from msal_cli.records import MeshRecord
 
     return gates.parsed(request.fail_on, MeshRecord)
+
+
+def references_of(request: Request, names: Sequence[str]) -> tuple[str, ...]:
+    """For each input, known by its relative path, the path of its reference; () if none is asked
+    for.
+
+    Raises
+    ------
+    UsageError
+        if what --reference names is neither file nor folder, or a folder for a stream.
+    """
+    from msal_cli.files import is_url
+
+    truth = request.reference
+    if truth is None:
+        return ()
+    if is_url(truth):
+        return tuple(truth + name if truth.endswith("/") else truth for name in names)
+    if os.path.isdir(truth):
+        if STREAM in request.inputs or request.output == STREAM:
+            raise UsageError(
+                "a stream has no name to look for in a folder", hint="name the reference's file"
+            )
+        return tuple(os.path.join(truth, name) for name in names)
+    if not os.path.isfile(truth):
+        raise UsageError(f"there is no file or folder {truth!r} to measure against")
+    return (truth,) * len(names)
 
 
 def limits_of(request: Request) -> Limits:

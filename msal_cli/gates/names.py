@@ -82,6 +82,9 @@ class Quantity:
             value = _value(record, path)
             if value is not None and value - value == 0.0:
                 return value
+            if path.startswith("reference.") and getattr(record, "reference", None) is not None:
+                # What was to be measured against a reference is not judged by anything else.
+                return None
         return None
 
     def why_unknown(self, record: Any) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Literal
 
 from msal_cli.dataclass import dataclass
-from msal_cli.records import GateResult, MeshRecord
+from msal_cli.records import GateResult, MeshRecord, Reference
 from msal_cli.report.document import Run, Totals, totals
 from msal_cli.report.names import columns, padded, shortened, shown
 
@@ -89,12 +89,36 @@ def _of_one(run: Run, record: MeshRecord) -> Iterator[Line]:
         yield Line(f"{name} -> {_output_name(record)}{ending}", "good")
     for word, text in _facts(record):
         yield Line(f"  {word:<13} {text}")
+    if record.reference is not None:
+        yield from _reference(record.reference)
     for gate in record.gates:
         yield Line(f"  {'gate':<13} {gate_text(gate)}", "bad" if gate.broken else "good")
     for sidecar in record.sidecars:
         yield Line(f"  {'beside it':<13} {shown(sidecar)}")
     for warning in record.warnings:
         yield Line(f"  {'warning':<13} {shown(warning)}", "bad")
+
+
+def _reference(one: Reference) -> Iterator[Line]:
+    if one.error is not None:
+        why = reason(one.error.where, one.error.message, one.error.code)
+        yield Line(f"  {'reference':<13} {why}", "bad")
+        return
+    yield Line(f"  {'reference':<13} {reference_text(one)} ({file_name(one.path)})")
+    for warning in one.warnings:
+        yield Line(f"  {'warning':<13} {shown(warning)}", "bad")
+
+
+def reference_text(one: Reference) -> str:
+    """How far an output is from its reference, in words."""
+    parts = []
+    if one.mean_angular_error_deg is not None:
+        parts.append(f"normals {one.mean_angular_error_deg:.2f} degrees off in the mean")
+    if one.vertex_error_percent is not None:
+        parts.append(f"vertices {one.vertex_error_percent:.3g} % of the mean edge length")
+    if one.hausdorff_edges is not None:
+        parts.append(f"Hausdorff {one.hausdorff_edges:.3g} mean edge lengths")
+    return ", ".join(parts) or "nothing can be told"
 
 
 def _output_name(record: MeshRecord) -> str:
@@ -172,6 +196,7 @@ def _of_many(run: Run, records: Sequence[MeshRecord], width: int, verbose: bool)
         yield Line(f"({len(listed):,} files: -v lists them all, and so does --report)", "faint")
     yield from _warnings(records, verbose)
     yield from failures(records, verbose)
+    yield from _references(records, verbose)
     yield from broken_gates(records, verbose)
     yield from _totals(run, totals(records))
 
@@ -245,6 +270,35 @@ def failures(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
         yield Line(f"  ... and {len(failed) - len(kept):,} more (-v or --report)", "bad")
     if n_remembered := sum(record.remembered for record in failed):
         yield Line(f"  {n_remembered:,} of them {remembered_words(n_remembered)}")
+
+
+def _references(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
+    """Over all files that have a reference, how far they are from it, and which could not be
+    compared with it."""
+    import statistics
+
+    known = [record.reference for record in records if record.reference is not None]
+    for word, name, unit in (
+        ("angle between normals", "mean_angular_error_deg", "degrees"),
+        ("vertex error", "vertex_error_percent", "% of the mean edge length"),
+    ):
+        values = [value for one in known if (value := getattr(one, name)) is not None]
+        if values:
+            middle, worst = statistics.median(values), max(values)
+            yield Line(
+                f"{word} against the reference: median {middle:.3g}, most {worst:.3g} {unit}"
+            )
+    texts = [
+        f"  {file_name(one.path)}: {reason(one.error.where, one.error.message, one.error.code)}"
+        for one in known
+        if one.error is not None
+    ]
+    if texts:
+        yield Line(f"no comparison with the reference: {len(texts):,}", "bad")
+    kept = texts if verbose else texts[:MOST_FAILURES]
+    yield from (Line(text, "bad") for text in kept)
+    if len(texts) > len(kept):
+        yield Line(f"  ... and {len(texts) - len(kept):,} more (-v or --report)", "bad")
 
 
 def broken_gates(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:

@@ -92,6 +92,7 @@ DESCRIPTIONS: dict[str, str] = {
     "MeshRecord.sidecars": "what was done about files that the input refers to",
     "MeshRecord.warnings": "what a user should know although the file was written",
     "MeshRecord.gates": "what became of each gate; empty if there was none, or no output",
+    "MeshRecord.reference": "the output against the mesh that --reference names",
     "MeshRecord.error": "why the file failed; null if it did not",
     "MeshRecord.remembered": (
         "true if the file failed in an earlier run with the same content, settings and version, "
@@ -178,6 +179,30 @@ DESCRIPTIONS: dict[str, str] = {
     ),
     "ComparisonRecord.warnings": "what a user should know although the files were compared",
     "ComparisonRecord.error": "why the files were not compared; null if they were",
+    "Reference.path": "path of the reference",
+    "Reference.correspondence": "as in a ComparisonRecord: vertices or surface",
+    "Reference.mean_edge_length": "mean length of the edges of the reference, file units",
+    "Reference.mean_angular_error_deg": (
+        "mean angle between corresponding face normals, degrees (the MSAE of much of the "
+        "literature); null if faces do not correspond"
+    ),
+    "Reference.max_angular_error_deg": "largest such angle, degrees",
+    "Reference.vertex_error_percent": (
+        "mean distance from the reference's vertices (where faces do not correspond, from its "
+        "surface) in percent of its mean edge length"
+    ),
+    "Reference.displacement": "how far vertices are from the reference's",
+    "Reference.flipped_faces": "faces whose normal is more than 90 degrees off",
+    "Reference.volume_change_percent": (
+        "how much the volume is off, in percent; null if the volume means nothing"
+    ),
+    "Reference.area_change_percent": "how much the area is off, in percent",
+    "Reference.hausdorff": (
+        "Hausdorff distance as in a ComparisonRecord, null if fcpw is not installed, file units"
+    ),
+    "Reference.hausdorff_edges": "the same in mean edge lengths",
+    "Reference.warnings": "what a user should know although the two were compared",
+    "Reference.error": "why they were not compared; null if they were",
     "SurfaceDistance.mean": "mean distance, file units",
     "SurfaceDistance.rms": "root mean square distance, file units",
     "SurfaceDistance.p95": "distance that 95 % of the vertices stay below, file units",
