@@ -243,8 +243,10 @@ class _Session:
         from dataclasses import asdict
 
         from msal_cli import __version__
+        from msal_cli.cli import machine
         from msal_cli.report.document import Run
 
+        request = self._request
         return Run(
             version=__version__,
             command=self._command(),
@@ -253,6 +255,7 @@ class _Session:
             finished=self._clock.now(),
             seconds=self._clock.seconds(),
             interrupted=interrupted,
+            machine=machine.described() if request.reports or request.as_json else {},
         )
 
 

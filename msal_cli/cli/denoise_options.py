@@ -274,8 +274,8 @@ _REPORTS = (
         metavar="FILE",
         multiple=True,
         type=PATH,
-        help="Write a record of every file: .json, .jsonl, .csv, .md (Markdown) or .xml (JUnit) by "
-        "suffix. Repeatable.",
+        help="Write a record of every file: .json, .jsonl, .csv, .md (Markdown), .xml (JUnit) or "
+        ".html (a page with pictures) by suffix. Repeatable.",
     ),
     click.option(
         "--json", "as_json", is_flag=True, help="Print the JSON report to standard output."

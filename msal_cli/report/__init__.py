@@ -21,6 +21,7 @@ _MODULES = {
     ".csv": "as_csv",
     ".md": "as_markdown",
     ".xml": "as_junit",
+    ".html": "as_html",
 }
 
 

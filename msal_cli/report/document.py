@@ -14,7 +14,10 @@ from msal_cli.report.names import portable
 
 @dataclass(frozen=True)
 class Run:
-    """One call of the program; times are UTC, ISO 8601, to the millisecond."""
+    """One call of the program; times are UTC, ISO 8601, to the millisecond.
+
+    ``machine`` tells of the system and of the libraries; it is empty where that is not known.
+    """
 
     version: str
     command: tuple[str, ...]
@@ -23,6 +26,7 @@ class Run:
     finished: str
     seconds: float
     interrupted: bool = False
+    machine: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
 
 @dataclass(frozen=True)

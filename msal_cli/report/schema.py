@@ -33,6 +33,7 @@ DESCRIPTIONS: dict[str, str] = {
     "Run.started": "when the run began, UTC, ISO 8601",
     "Run.finished": "when it ended, UTC, ISO 8601",
     "Run.seconds": "wall-clock seconds between the two",
+    "Run.machine": "system, cores and libraries, by name; empty where they are not known",
     "Run.interrupted": "true if the run was ended before all files were dealt with",
     # Totals
     "Totals.files": "records in this report",

@@ -154,7 +154,7 @@ def test_another_method(scan, tmp_path):
         (["-o", "OUT", "--format", "ob"], "--format ob: there is no such", "obj"),
         (["-o", "OUT", "--encoding", "hex"], "'hex' is not one of", "denoise --help"),
         (["-o", "OUT", "-j", "0"], "neither auto nor a whole number", "denoise --help"),
-        (["-o", "OUT", "--report", "r.xml"], "r.xml' says no known format", ".jsonl"),
+        (["-o", "OUT", "--report", "r.txt"], "r.txt' says no known format", ".jsonl"),
         (["-o", "OUT", "--report", "SCAN.json", "--report", "SCAN.json"], "given twice", ""),
         (["-o", "OUT", "-q", "-v"], "contradict each other", ""),
         (["-o", "OUT", "nowhere.ply"], "there is no file or folder 'nowhere.ply'", ""),

@@ -50,6 +50,7 @@ def test_the_order_of_keys_is_fixed():
         "finished",
         "seconds",
         "interrupted",
+        "machine",
         "totals",
     ]
 

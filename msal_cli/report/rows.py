@@ -1,0 +1,125 @@
+"""The rows of the HTML report's table: one per file, as plain data for the page's script."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from msal_cli.records import MeshRecord
+from msal_cli.report.as_text import defects_text, reason
+from msal_cli.report.names import shown
+from msal_cli.report.worst import broken_gates
+
+Column = dict[str, str]
+Row = dict[str, Any]
+
+_NAME = {"title": "File", "unit": "", "kind": "name"}
+_STATUS = {"title": "Status", "unit": "", "kind": "word"}
+_FIGURES = (
+    ("Vertices", ""),
+    ("Volume", "%"),
+    ("Mean move", "edges"),
+    ("Largest move", "edges"),
+    ("Largest move", "file units"),
+    ("Normals turned", "mean, deg"),
+    ("Flipped", "faces"),
+    ("Time", "s"),
+)
+_TO_REFERENCE = ("To reference", "mean angle, deg")
+
+
+def columns(records: Sequence[MeshRecord]) -> list[Column]:
+    """What the table shows: title, unit, and ``kind``: ``name``, ``word`` or ``figure``."""
+    titles = [*_FIGURES, *([_TO_REFERENCE] if _has_reference(records) else [])]
+    figures = [{"title": title, "unit": unit, "kind": "figure"} for title, unit in titles]
+    return [_NAME, _STATUS, *figures]
+
+
+def rows(records: Sequence[MeshRecord]) -> list[Row]:
+    """For each record its ``kind`` (``failed``, ``gate``, ``planned``, ``good``), ``values`` in the
+    order of the columns (None: not known) and ``details``, pairs of a word and a text."""
+    with_reference = _has_reference(records)
+    return [
+        {
+            "kind": _kind(record),
+            "values": [_name(record), _status(record), *_figures(record, with_reference)],
+            "details": [[word, shown(text)] for word, text in _details(record) if text],
+        }
+        for record in records
+    ]
+
+
+def _kind(record: MeshRecord) -> str:
+    if record.status in ("failed", "planned"):
+        return record.status
+    return "gate" if broken_gates(record) else "good"
+
+
+def _status(record: MeshRecord) -> str:
+    words = {"planned": "not finished", "up-to-date": "up to date"}
+    return "gate broken" if broken_gates(record) else words.get(record.status, record.status)
+
+
+def _name(record: MeshRecord) -> str:
+    return "standard input" if record.input == "-" else shown(record.input)
+
+
+def _figures(record: MeshRecord, with_reference: bool) -> list[float | None]:
+    volume, moved, turned = record.volume, record.displacement, record.normal_change
+    figures = [
+        record.vertices,
+        volume.change_percent if volume is not None and volume.valid else None,
+        moved.mean_edges if moved is not None else None,
+        moved.max_edges if moved is not None else None,
+        moved.max if moved is not None else None,
+        turned.mean_deg if turned is not None else None,
+        record.flipped_faces,
+        record.seconds.total if record.seconds is not None else None,
+    ]
+    if with_reference:
+        reference = _reference(record)
+        figures.append(None if reference is None else reference.mean_angular_error_deg)
+    return [_rounded(one) for one in figures]
+
+
+def _rounded(figure: float | None) -> float | None:
+    """Six digits: what nobody reads must not be paid for ten thousand times."""
+    if figure is None or isinstance(figure, int):
+        return figure
+    return float(f"{figure:.6g}") if math.isfinite(figure) else None
+
+
+def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
+    failure = record.error
+    if failure is not None:
+        yield "Reason", reason(failure.where, failure.message, failure.code)
+        yield "What to do", failure.hint
+    for gate in record.gates:
+        yield "Gate broken" if gate.broken else "Gate held", f"{gate.expression} ({gate.reason})"
+    for warning in record.warnings:
+        yield "Warning", warning
+    yield "Output", record.output or ""
+    yield "Mesh", _mesh(record)
+    yield "Defects", defects_text(record)
+    if record.volume is not None and not record.volume.valid:
+        yield "Volume", f"no figure: {record.volume.reason}"
+    for sidecar in record.sidecars:
+        yield "Beside it", sidecar
+
+
+def _mesh(record: MeshRecord) -> str:
+    counts = (
+        f"{record.faces:,} faces" if record.faces is not None else "",
+        f"{record.components:,} parts" if record.components not in (None, 1) else "",
+        " ".join(one for one in (record.format, record.encoding, record.precision) if one),
+    )
+    return ", ".join(one for one in counts if one)
+
+
+def _reference(record: MeshRecord) -> Any:
+    return getattr(record, "reference", None)
+
+
+def _has_reference(records: Sequence[MeshRecord]) -> bool:
+    return any(_reference(record) is not None for record in records)
