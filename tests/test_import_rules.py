@@ -46,6 +46,8 @@ MAY_IMPORT = {
     "batch": {"pipeline", "records", "errors", "files.remote", "files.urls"},
     "report": {"records", "errors"},
     "render": {"core", "colours", "errors"},
+    # Of report only how names are shown.
+    "page": {"colours", "mesh", "report.names", "errors"},
     "pictures": {"comparison", "metrics", "mesh", "records", "render", "errors"},
     "cli": {
         "batch",
@@ -60,6 +62,7 @@ MAY_IMPORT = {
         "methods",
         "metrics",
         "noise",
+        "page",
         "pictures",
         "pipeline",
         "records",

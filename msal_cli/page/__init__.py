@@ -1,0 +1,1 @@
+"""Meshes as a page: one HTML file that draws them and asks the network for nothing."""
