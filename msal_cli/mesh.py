@@ -41,10 +41,14 @@ class Mesh:
     ----------
     vertices : (n, 3) float64, finite, about a local origin, file units.
     faces : (m, 3) int32, three different vertices each, m >= 1, counter-clockwise from outside.
+    held : (n,) vertices that must stay where they are; None if all may move.
+    trust : (n,) from 0 to 1, how much of the pull to the data each vertex gets; None for all of it.
     """
 
     vertices: Floats
     faces: Ints
+    held: NDArray[np.bool_] | None = None
+    trust: Floats | None = None
 
     @functools.cached_property
     def links(self) -> Connectivity:
@@ -107,9 +111,16 @@ class Mesh:
         )
         return flat
 
+    def constrained(self, held: NDArray[np.bool_] | None, trust: Floats | None) -> Mesh:
+        """The same mesh with vertices that are held, or trusted more or less; see above."""
+        other = Mesh(self.vertices, self.faces, held, trust)
+        own = {one: value for one, value in self.__dict__.items() if one not in other.__dict__}
+        other.__dict__.update(own)
+        return other
+
     def moved(self, vertices: Floats) -> Mesh:
         """The same mesh with its vertices at other positions (n, 3); connectivity is shared."""
-        other = Mesh(vertices, self.faces)
+        other = Mesh(vertices, self.faces, self.held, self.trust)
         if "links" in self.__dict__:
             other.__dict__["links"] = self.links
         return other

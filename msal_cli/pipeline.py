@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from msal_cli.constraints import Constraints
     from msal_cli.files.base import Buffer, MeshFile
     from msal_cli.files.forecast import Forecast
     from msal_cli.mesh import Prepared
@@ -63,6 +64,7 @@ class Settings:
     precision : ``same``, ``float32`` or ``float64``.
     strict : a conversion that loses something fails instead of warning.
     format : the input's format where its name does not tell.
+    max_move, lock, weights : what keeps vertices near their place; see ``constraints``.
     """
 
     method: str
@@ -72,6 +74,9 @@ class Settings:
     precision: str = "same"
     strict: bool = False
     format: str | None = None
+    max_move: str | None = None
+    lock: tuple[str, ...] = ()
+    weights: str | None = None
 
 
 @dataclass(frozen=True)
@@ -393,16 +398,21 @@ class _Run:
                 are_distinct=mesh_file.merged_vertices > 0,
             )
             self._know_defects(ready, mesh_file.merged_vertices)
+            constraints = self._constraints(ready, mesh_file)
             mesh_file.forget_vertices()
         with self.stage("sweeps"):
             method = methods.find(settings.method)
             result = method.denoised(
-                ready.mesh,
+                ready.mesh if constraints is None else constraints.mesh,
                 settings.parameters,
                 lambda done, total: self._on_progress("sweeps", done, total),
             )
             self._check_result(ready, result.vertices)
             moved = result.vertices
+            if constraints is not None:
+                moved, n_clamped = constraints.applied(moved)
+                if constraints.limit is not None:
+                    self.know(clamped_vertices=n_clamped)
         # The method's own account tells how much of its time went into normals.
         normals = result.seconds.get("normals", 0.0)
         self._seconds["sweeps"] -= normals
@@ -415,6 +425,19 @@ class _Run:
             vertices = ready.scattered(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
+
+    def _constraints(self, ready: Prepared, mesh_file: MeshFile) -> Constraints | None:
+        """What keeps vertices of this file near their place; None if nothing was asked for."""
+        settings = self.settings
+        asked = (settings.max_move, settings.lock, settings.weights)
+        if asked == (None, (), None):
+            return None
+        from msal_cli import constraints
+
+        found = constraints.found(ready, mesh_file, *asked)
+        if found.held is not None:
+            self.know(locked_vertices=int(found.held.sum()))
+        return found
 
     def _written(
         self,

@@ -244,6 +244,8 @@ class MeshRecord:
     displacement: Displacement | None = None
     normal_change: NormalChange | None = None
     flipped_faces: int | None = None
+    clamped_vertices: int | None = None
+    locked_vertices: int | None = None
     noise_estimate: NoiseEstimate | None = None
     method: MethodUsed | None = None
     seconds: Seconds | None = None

@@ -27,11 +27,13 @@ MAY_IMPORT = {
     "noise": {"mesh", "core", "errors"},
     "files": {"mesh", "core", "errors"},
     "records": {"errors"},
+    "constraints": {"core", "files", "mesh", "errors"},
     "corruption": {"files", "mesh", "noise", "errors"},
     "comparison": {"colours", "files", "metrics", "mesh", "records", "errors"},
     "gates": {"records", "errors"},
     "inspection": {"files", "metrics", "noise", "mesh", "records", "errors"},
     "pipeline": {
+        "constraints",
         "comparison",
         "files",
         "inspection",
@@ -50,6 +52,7 @@ MAY_IMPORT = {
     "page": {"colours", "mesh", "report.names", "errors"},
     "pictures": {"comparison", "metrics", "mesh", "records", "render", "errors"},
     "cli": {
+        "constraints",
         "batch",
         "colours",
         "comparison",

@@ -29,6 +29,9 @@ class Request:
     mollify: str | None
     schedule: str | None
     assignments: tuple[str, ...]
+    max_move: str | None
+    lock: tuple[str, ...]
+    weights: str | None
     include: tuple[str, ...]
     exclude: tuple[str, ...]
     in_place: bool
@@ -114,6 +117,28 @@ _METHOD = (
         metavar="NAME=VALUE",
         multiple=True,
         help="Any parameter of the method; `msal methods NAME` lists them. Repeatable.",
+    ),
+)
+
+# What may move, and how far.
+_MOVES = (
+    click.option(
+        "--max-move",
+        metavar="LENGTH",
+        help="No vertex goes further: 0.3e is mean edge lengths, 0.05 file units.  [default: none]",
+    ),
+    click.option(
+        "--lock",
+        metavar="EXPR",
+        multiple=True,
+        help="Vertices that stay: 'boundary', or a PLY vertex property compared with a number, "
+        "such as 'confidence < 0.2'. Repeatable.",
+    ),
+    click.option(
+        "--weights",
+        metavar="PROPERTY",
+        help="PLY vertex property, such as confidence, as trust: the pull to the scanned position "
+        "is scaled by it. For msal, and methods with a --schedule other than plain.",
     ),
 )
 
@@ -292,6 +317,6 @@ _REPORTS = (
 
 def options(function: Callable[..., Any]) -> Callable[..., Any]:
     """A command with all options of ``msal denoise``, in the order in which help shows them."""
-    for option in reversed((_OUTPUT, *_METHOD, *_FILES, *_WORK, *_RERUNS, *_REPORTS)):
+    for option in reversed((_OUTPUT, *_METHOD, *_MOVES, *_FILES, *_WORK, *_RERUNS, *_REPORTS)):
         function = option(function)
     return function

@@ -132,7 +132,7 @@ def limits_of(request: Request) -> Limits:
 
 def settings_of(request: Request) -> Settings:
     """What decides the bytes of the outputs; UsageError for what no method or format knows."""
-    from msal_cli import files, methods, pipeline
+    from msal_cli import constraints, files, methods, pipeline
     from msal_cli.cli import parameters
 
     method = methods.find(request.method)
@@ -146,14 +146,25 @@ def settings_of(request: Request) -> Settings:
         (f"{option} {value}", name, value) for option, name, value in shortcuts if value is not None
     ]
     given += [parameters.assignment(text) for text in request.assignments]
+    settled = parameters.settled(method, given)
+    if request.weights is not None and not method.has_data_term(settled):
+        schedules = any(spec.name == "schedule" for spec in method.parameters)
+        raise UsageError(
+            f"--weights needs a pull to the scanned positions, and {method.name} has none"
+            + (" with --schedule plain" if schedules else ""),
+            hint="choose --schedule constant or multiscale" if schedules else "choose msal",
+        )
     return pipeline.Settings(
         method=method.name,
-        parameters=parameters.settled(method, given),
+        parameters=settled,
         to=words.settled_format(request.to, pipeline.writable_formats, "--to"),
         encoding=request.encoding,
         precision=request.precision,
         strict=request.strict,
         format=words.settled_format(request.format, files.readable_suffixes, "--format"),
+        max_move=None if request.max_move is None else str(constraints.length(request.max_move)),
+        lock=tuple(str(constraints.lock(one) or constraints.BOUNDARY) for one in request.lock),
+        weights=request.weights,
     )
 
 

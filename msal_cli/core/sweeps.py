@@ -68,6 +68,7 @@ def swept(
     iterations: int,
     on_sweep: OnSweep | None = None,
     scale: Callable[[Floats], Floats] | None = None,
+    trust: Floats | None = None,
 ) -> Swept:
     """``iterations`` sweeps of eq. (2) from ``vertices`` (n, 3), which are not changed.
 
@@ -80,9 +81,10 @@ def swept(
     on_sweep : called after every sweep; what it raises ends the run.
     scale : gives sigma (n,) of eq. (4) at positions (n, 3), for a schedule that uses it over an
         operator that does not compute it.
+    trust : (n,) from 0 to 1, the part of lambda that each vertex gets; None for all of it.
     """
     if isinstance(operator, RingOperator) and iterations:
-        return _swept_over_rings(vertices, operator, schedule, iterations, on_sweep)
+        return _swept_over_rings(vertices, operator, schedule, iterations, on_sweep, trust)
     n = len(vertices)
     x = vertices.copy()
     offsets = np.zeros(n)
@@ -102,6 +104,8 @@ def swept(
         pace: Pace = schedule(sweep, largest)
         if sigma is None:
             sigma = unused
+        if trust is not None:
+            pace, sigma = _trusted(pace, sigma, trust)
         if sweep == 0:
             fidelity = pace.constant + pace.per_sigma * sigma
         if operator.normals is None:
@@ -123,6 +127,13 @@ def swept(
         if on_sweep is not None:
             on_sweep(sweep + 1, iterations)
     return Swept(x, fidelity)
+
+
+def _trusted(pace: Pace, sigma: Floats, trust: Floats) -> tuple[Pace, Floats]:
+    """The pace, and what stands in for sigma, by which lambda_i is ``trust`` (n,) times what it
+    would be: the kernels need not know of it."""
+    pulls: Floats = trust * (pace.constant + pace.per_sigma * sigma)
+    return Pace(pace.time_step, per_sigma=1.0), pulls
 
 
 def _move_along_normals(
@@ -157,25 +168,29 @@ def _swept_over_rings(
     schedule: Schedule,
     iterations: int,
     on_sweep: OnSweep | None,
+    trust: Floats | None,
 ) -> Swept:
     """The same, with no arrays made anew for every sweep, and as few passes as can be.
 
     Without sigma a sweep is one pass, from one array of positions to another.  lambda by sigma
     asks for the largest one, which is known only when every vertex has been looked at: then
-    heights and sigma are kept, and a second pass moves.
+    heights and sigma are kept, and a second pass moves.  So it is with a lambda by trust.
     """
+    is_measured = schedule.uses_sigma or trust is not None
     n = len(vertices)
     assert operator.normals is not None
     offsets = np.zeros(n)
     fidelity, none = np.zeros(n), np.empty(0)
     x, moved = vertices, np.empty_like(vertices)
-    heights, sigma = (np.empty(n), np.empty(n)) if schedule.uses_sigma else (none, none)
+    heights, sigma = (np.empty(n), np.empty(n)) if is_measured else (none, none)
     for sweep in range(iterations):
-        if schedule.uses_sigma:
-            pace = schedule(sweep, operator.measure(x, heights, sigma))
+        if is_measured:
+            pace, pulls = schedule(sweep, operator.measure(x, heights, sigma)), sigma
+            if trust is not None:
+                pace, pulls = _trusted(pace, sigma, trust)
             first = none if sweep else fidelity
             _move_along_normals(
-                vertices, operator.normals, heights, sigma, pace, offsets, first, moved
+                vertices, operator.normals, heights, pulls, pace, offsets, first, moved
             )
             x = moved
         else:

@@ -31,6 +31,7 @@ __all__ = [
     "read_whole",
     "readable_suffixes",
     "sha256_meanwhile",
+    "vertex_property",
     "writable_formats",
     "write_whole",
 ]
@@ -208,3 +209,24 @@ def converted(
     from msal_cli.files import convert
 
     return convert.converted(mesh_file, vertices, to, encoding, precision)
+
+
+def vertex_property(mesh_file: MeshFile, name: str) -> NDArray[np.float64]:
+    """A number that the file has for each vertex, (n,) in the order of its vertices.
+
+    Raises
+    ------
+    InputError
+        with code ``E_PROPERTY`` if it has no such property; the hint lists those that it has.
+    UnsupportedError
+        for a format other than PLY.
+    """
+    from msal_cli.files import ply
+
+    if not isinstance(mesh_file, ply.PlyFile):
+        raise UnsupportedError(
+            f"vertex properties such as {name!r} are read from PLY, not from "
+            f"{mesh_file.format.upper()}",
+            hint="leave --weights and --lock away for this file, or give a PLY",
+        )
+    return mesh_file.vertex_property(name)

@@ -141,6 +141,30 @@ class PlyFile:
         if self.encoding != "ascii":
             self._vertices = None
 
+    def vertex_property(self, name: str) -> Floats:
+        """The scalar property ``name`` of the vertices, (n,); InputError (``E_PROPERTY``) if there
+        is none."""
+        element = self._sections["vertex"].element
+        one = element.find(name)
+        if one is None or one.is_list:
+            known = [each.name for each in element.properties if not each.is_list]
+            raise InputError(
+                f"the vertices have no property {name!r}"
+                + (" that is a number" if one is not None else ""),
+                code="E_PROPERTY",
+                hint=f"they have: {', '.join(known)}",
+            )
+        if name in POSITION + NORMAL:
+            return self._sections["vertex"].numbers((name,))[:, 0]
+        found, _ = located(
+            self._bytes,
+            self._header,
+            lambda element: (name,) if element.name == "vertex" else (),
+            last="vertex",
+        )
+        values: Floats = np.ascontiguousarray(found["vertex"].numbers((name,))[:, 0])
+        return values
+
     # Replacing
 
     def replaced(self, vertices: Floats) -> Buffer:

@@ -209,6 +209,11 @@ class Method:
         self.module.Parameters(**values)
         return values
 
+    def has_data_term(self, parameters: Mapping[str, Any]) -> bool:
+        """Whether settled ``parameters`` pull vertices back to where they were scanned by the
+        lambda of equation (2), which a mesh's trust scales."""
+        return bool(getattr(self.module.Parameters(**parameters), "has_data_term", False))
+
     def denoised(
         self, mesh: Mesh, parameters: Mapping[str, Any], on_sweep: OnSweep | None = None
     ) -> Result:

@@ -27,8 +27,18 @@ def boundary_rule() -> Any:
 
 
 def ring_of(mesh: Mesh, boundary: str) -> tuple[Ints, Ints]:
-    """Rows to average over, (n + 1,) and (...,), for the parameter ``boundary``."""
-    return averaged_ring(mesh.faces, mesh.links, boundary)
+    """Rows to average over, (n + 1,) and (...,), for the parameter ``boundary``.
+
+    Those of vertices that are held are empty: who has no neighbours stays.
+    """
+    starts, ring = averaged_ring(mesh.faces, mesh.links, boundary)
+    if mesh.held is None:
+        return starts, ring
+    counts = np.diff(starts)
+    kept = ring[np.repeat(~mesh.held, counts)]
+    counts[mesh.held] = 0
+    starts = np.concatenate([np.zeros(1, counts.dtype), np.cumsum(counts, dtype=counts.dtype)])
+    return starts, kept
 
 
 @dataclass(frozen=True)

@@ -85,6 +85,11 @@ class ScheduledParameters(NormalParameters):
         more="smoother; less keeps more texture, and more noise",
     )
 
+    @property
+    def has_data_term(self) -> bool:
+        """Whether vertices are pulled back to where they were scanned."""
+        return self.schedule != "plain"
+
     def chosen_schedule(self) -> Schedule:
         """The schedule that these parameters describe."""
         if self.schedule == "constant":
@@ -113,10 +118,10 @@ class ScaleParameters(ScheduledParameters):
 
 
 def free_vertices(mesh: Mesh, boundary: str) -> NDArray[np.bool_]:
-    """Which vertices (n,) may move, for the parameter ``boundary``."""
+    """Which vertices (n,) may move, for the parameter ``boundary``; those that are held may not."""
     edge = mesh.links.boundary
     free: NDArray[np.bool_] = ~edge if boundary == "fixed" else np.ones_like(edge)
-    return free
+    return free if mesh.held is None else free & ~mesh.held
 
 
 def anisotropic_laplacian(mesh: Mesh, parameters: NormalParameters) -> AnisotropicLaplacian:
@@ -140,7 +145,8 @@ def run(
     """Sweeps of the operator that ``operator()`` makes, under ``schedule``.
 
     Making it counts as the stage ``normals``.  For a schedule that needs sigma over an operator
-    that does not compute it, sigma is that of eq. (4) along the mesh's vertex normals.  The
+    that does not compute it, sigma is that of eq. (4) along the mesh's vertex normals.  lambda is
+    scaled by the mesh's trust, where it has such.  The
     result's field ``fidelity`` is lambda of the first sweep.
     """
     started = time.perf_counter()
@@ -154,7 +160,9 @@ def run(
         return sigma
 
     ready = time.perf_counter()
-    result = swept(mesh.vertices, made, schedule, parameters.iterations, on_sweep, scale)
+    result = swept(
+        mesh.vertices, made, schedule, parameters.iterations, on_sweep, scale, mesh.trust
+    )
     finished = time.perf_counter()
     return Result(
         result.vertices,

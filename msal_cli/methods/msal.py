@@ -47,6 +47,11 @@ class Parameters(HeightParameters):
         more="smoother; less keeps more texture, and more noise",
     )
 
+    @property
+    def has_data_term(self) -> bool:
+        """lambda is that of eq. (7)."""
+        return True
+
 
 def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """MSAL of ``mesh``; see the module's description."""

@@ -149,6 +149,12 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str]]:
             f"mean {moved.mean_edges:.3g}, 95 % below {moved.p95_edges:.3g}, "
             f"most {moved.max_edges:.3g} mean edge lengths (most {moved.max:.3g} in file units)",
         )
+    kept = [
+        _counted(record.clamped_vertices, "vertex", "vertices") + " cut to the longest move",
+        _counted(record.locked_vertices, "vertex", "vertices") + " locked",
+    ]
+    if told := ", ".join(one for one in kept if one[0] != " "):
+        yield "constraints", told
     if record.seconds is not None:
         stages = ("read", "connectivity", "normals", "sweeps", "measure", "write")
         spent = ", ".join(f"{one} {getattr(record.seconds, one):.2f}" for one in stages)

@@ -81,6 +81,12 @@ DESCRIPTIONS: dict[str, str] = {
     "MeshRecord.displacement": "how far the vertices moved",
     "MeshRecord.normal_change": "how far the face normals turned",
     "MeshRecord.flipped_faces": "faces whose normal turned by more than 90 degrees",
+    "MeshRecord.clamped_vertices": (
+        "vertices whose way --max-move cut; null without that option; vertices at one place are one"
+    ),
+    "MeshRecord.locked_vertices": (
+        "vertices that --lock pinned; null without that option; vertices at one place are one"
+    ),
     "MeshRecord.noise_estimate": "noise of the input, estimated",
     "MeshRecord.method": "method and parameters",
     "MeshRecord.seconds": "wall-clock seconds by stage",
