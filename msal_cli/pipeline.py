@@ -27,6 +27,7 @@ from msal_cli.errors import (
 )
 from msal_cli.records import (
     Failure,
+    FieldsFile,
     MeshRecord,
     MethodUsed,
     NormalChange,
@@ -65,6 +66,7 @@ class Settings:
     strict : a conversion that loses something fails instead of warning.
     format : the input's format where its name does not tell.
     max_move, lock, weights : what keeps vertices near their place; see ``constraints``.
+    fields : what is written beside the output, see ``fields``.
     """
 
     method: str
@@ -77,6 +79,7 @@ class Settings:
     max_move: str | None = None
     lock: tuple[str, ...] = ()
     weights: str | None = None
+    fields: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,8 @@ class Limits:
 
 
 NO_LIMITS = Limits()
+
+_FIELDS_BYTES_PER_FACE = 64
 
 FORECAST = "forecast"
 """The ``where`` of an ``E_MEMORY`` that was foreseen: trying again would not help."""
@@ -171,7 +176,8 @@ def method_bytes_per_face(settings: Settings) -> int:
 
     if settings.method not in methods.names():
         return 0
-    return methods.find(settings.method).bytes_per_face
+    extra = _FIELDS_BYTES_PER_FACE if settings.fields else 0
+    return methods.find(settings.method).bytes_per_face + extra
 
 
 def least_memory_bytes() -> int:
@@ -208,6 +214,8 @@ def denoise_file(
             if task.in_place and task.backup:
                 _keep_backup(task, data)
             _make_folder_of(task.output)
+            # Before the output: what is there then has all that belongs to it.
+            run.write_fields()
             notes: tuple[str, ...] = ()
             if run.references and not task.in_place:
                 notes = tuple(sidecars.carried(run.references, task.input, task.output))
@@ -293,6 +301,8 @@ class _Run:
             method=MethodUsed(settings.method, dict(settings.parameters)),
         )
         self._changed = False
+        self._field_values: dict[str, Floats] = {}
+        self._fields_file: tuple[Buffer, FieldsFile] | None = None
         self._output_digest: Callable[[], str] | None = None
 
     @contextmanager
@@ -380,6 +390,12 @@ class _Run:
             if output_path is not None:
                 compress = output_path.lower().endswith(".gz")
             output = self._written(mesh_file, vertices, output_path, data, compress, is_compressed)
+            if self._field_values and output_path is not None:
+                from msal_cli import fields
+
+                self._fields_file = fields.encoded(
+                    mesh_file, vertices, self._field_values, fields.path_beside(output_path)
+                )
             self._changed = output is not data
             self._output_digest = files.sha256_meanwhile(output)
         return output
@@ -417,9 +433,16 @@ class _Run:
         normals = result.seconds.get("normals", 0.0)
         self._seconds["sweeps"] -= normals
         self._seconds["normals"] = normals
+        fidelity = result.fields.get("fidelity") if settings.fields else None
         # It may hold more arrays, for which nobody asks here.
         del result
         with self.stage("measure"):
+            if settings.fields:
+                from msal_cli import fields
+
+                self._field_values = fields.computed(
+                    settings.fields, ready, moved, fidelity, settings.parameters
+                )
             self._measure(ready, moved)
             ready.mesh.forget_normals()
             vertices = ready.scattered(moved, mesh_file.vertices)
@@ -479,6 +502,18 @@ class _Run:
             output = mesh_file.encoded(vertices, settings.encoding, settings.precision)
             self._check_reopened(output, target, mesh_file, vertices)
         return files.compressed(output) if compress else output
+
+    def write_fields(self) -> None:
+        """Write the file of fields, if one was asked for, over nothing but its like."""
+        from msal_cli import fields, files
+
+        if self._fields_file is None:
+            return
+        data, told = self._fields_file
+        if not files.is_url(told.path):
+            fields.refuse_foreign(told.path)
+        files.write_whole(told.path, [data])
+        self.know(fields=told)
 
     def _target(self, mesh_file: MeshFile, output_path: str | None) -> str:
         """The format to write: ``--to``, else the output name's, else the input's."""

@@ -208,6 +208,19 @@ class Reference:
 
 
 @dataclass(frozen=True, slots=True)
+class FieldsFile:
+    """The PLY with fields beside an output: their names, and which one its colours show, by which
+    map, from ``low`` to ``high``."""
+
+    path: str
+    names: tuple[str, ...]
+    coloured: str
+    map: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
 class MeshRecord:
     """One row per file; fields that could not be determined are None.
 
@@ -256,6 +269,7 @@ class MeshRecord:
     input_object: ObjectMark | None = None
     output_object: ObjectMark | None = None
     sidecars: tuple[str, ...] = ()
+    fields: FieldsFile | None = None
     reference: Reference | None = None
     warnings: tuple[str, ...] = ()
     gates: tuple[GateResult, ...] = ()

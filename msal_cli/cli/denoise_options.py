@@ -56,6 +56,7 @@ class Request:
     fresh: bool
     retry_failed: bool
     shard: str | None
+    fields: tuple[str, ...]
     reference: str | None
     fail_on: tuple[str, ...]
     reports: tuple[str, ...]
@@ -279,6 +280,13 @@ _RERUNS = (
 
 # What is told, and where.
 _REPORTS = (
+    click.option(
+        "--fields",
+        metavar="NAME,...",
+        callback=words.listed,
+        help="Write lambda, sigma, displacement or curvature of every vertex to a PLY beside each "
+        "output (scan.fields.ply): properties, and the first one as colours too.",
+    ),
     click.option(
         "--reference",
         metavar="TRUTH",

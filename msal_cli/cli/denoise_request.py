@@ -43,6 +43,12 @@ def refuse_contradictions(request: Request) -> None:
     if (request.backup is not None or request.no_backup) and not request.in_place:
         word = "--no-backup" if request.no_backup else "--backup"
         raise UsageError(f"{word} needs --in-place", hint="other inputs are never replaced")
+    if request.fields and request.in_place:
+        raise UsageError(
+            "--fields writes a file beside each output, which the next run in place would take for "
+            "an input",
+            hint="name another folder with -o",
+        )
     if request.fail_fast and request.max_failures is not None:
         raise UsageError(
             "--fail-fast and --max-failures contradict each other", hint="give one of them"
@@ -60,6 +66,7 @@ def refuse_for_streams(request: Request, one: Pipe) -> None:
         "--retry-failed": request.retry_failed,
         "--engine dask": request.engine != "workers",
         "--fail-fast": request.fail_fast,
+        "--fields": request.fields,
     }
     # 0 retries are given too.
     given |= {
@@ -165,13 +172,38 @@ def settings_of(request: Request) -> Settings:
         max_move=None if request.max_move is None else str(constraints.length(request.max_move)),
         lock=tuple(str(constraints.lock(one) or constraints.BOUNDARY) for one in request.lock),
         weights=request.weights,
+        fields=_fields_of(request),
     )
+
+
+def _fields_of(request: Request) -> tuple[str, ...]:
+    if not request.fields:
+        return ()
+    from msal_cli import fields
+
+    return fields.checked(request.fields)
 
 
 def _backup_suffix(request: Request) -> str | None:
     if request.no_backup:
         return None
     return DEFAULT_BACKUP if request.backup is None else request.backup
+
+
+def _refuse_taken_names(plan: Plan) -> None:
+    """Refuse files of fields that would replace each other, an input or an output; UsageError."""
+    from msal_cli.fields import path_beside
+
+    taken = {path for task in plan.tasks for path in (task.input, task.output)}
+    for task in plan.tasks:
+        path = path_beside(task.output)
+        if path in taken:
+            raise UsageError(
+                f"the fields of {task.input!r} would be written to {path!r}, which is taken",
+                hint="rename one of the files, or run them into two output folders",
+                path=task.input,
+            )
+        taken.add(path)
 
 
 def plan_of(request: Request, settings: Settings) -> Plan:
@@ -191,5 +223,7 @@ def plan_of(request: Request, settings: Settings) -> Plan:
         fresh=request.fresh,
         retry_failed=request.retry_failed,
     )
+    if settings.fields:
+        _refuse_taken_names(everything)
     # Everything is checked first, so that each shard refuses what a whole run would.
     return everything if shard is None else shards.part(everything, shard)

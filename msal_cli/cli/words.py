@@ -73,6 +73,13 @@ def count_from(least: int) -> Callable[[click.Context, click.Parameter, str | No
     return count
 
 
+def listed(
+    context: click.Context, parameter: click.Parameter, value: str | None
+) -> tuple[str, ...]:
+    """Words between commas; none for None."""
+    return () if value is None else tuple(word.strip() for word in value.split(","))
+
+
 def duration(context: click.Context, parameter: click.Parameter, value: str | None) -> float | None:
     """Seconds: ``90``, ``1.5m``, ``2h``; None for ``none``.
 
