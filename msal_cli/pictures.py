@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from msal_cli.records import ComparisonRecord
     from msal_cli.render.camera import Camera
     from msal_cli.render.panels import Panel
+    from msal_cli.render.shading import Style
 
     Floats = NDArray[np.float64]
     Image = NDArray[np.uint8]
@@ -82,7 +83,7 @@ def scene_of(
     from msal_cli.metrics import comparison as metrics
     from msal_cli.metrics import surface_distance
 
-    first = _ready(before, names[0])
+    first = ready_surface(before, names[0])
     if after is None:
         return Scene(names, first.mesh)
     if metrics.correspond(before.vertices, before.faces, after.vertices, after.faces):
@@ -93,7 +94,7 @@ def scene_of(
         return Scene(names, first.mesh, moved, along, True, record)
     to_surface = to_surface and surface_distance.is_available()
     record = comparison.compared(before, after, *names, to_surface=to_surface)
-    second = _ready(after, names[1])
+    second = ready_surface(after, names[1])
     there = second.mesh.moved(second.mesh.vertices + (second.origin - first.origin))
     distances = None
     if to_surface:
@@ -101,7 +102,8 @@ def scene_of(
     return Scene(names, first.mesh, there, distances, False, record)
 
 
-def _ready(surface: Surface, name: str) -> Prepared:
+def ready_surface(surface: Surface, name: str) -> Prepared:
+    """A surface made ready to be drawn; an error names its file."""
     from msal_cli.mesh import prepared
 
     try:
@@ -132,17 +134,11 @@ def drawn(scene: Scene, view: View) -> Image:
     """(H, W, 3) uint8: the meshes side by side, what is between them, and the numbers."""
     from msal_cli import render
     from msal_cli.render.deviation import scale_of
-    from msal_cli.render.shading import CREASE_DEG
 
-    style = render.DARK if view.style == "dark" else render.LIGHT
-    crease = 0.0 if view.shading == "flat" else CREASE_DEG
-    camera = camera_of(scene, view)
-    size = view.size, panel_height(camera, view.size)
+    style, camera = style_of(view), camera_of(scene, view)
 
     def image(mesh: Mesh, colours: Image | None = None) -> Image:
-        return render.shaded(
-            mesh.vertices, mesh.faces, camera, *size, colours, style=style, crease_deg=crease
-        )
+        return panel(mesh, camera, view, colours)
 
     titles = titles_of(scene.names)
     record = scene.record
@@ -169,6 +165,30 @@ def drawn(scene: Scene, view: View) -> Image:
     lines = [_moved(scene, edge), *(["Blue: inwards, orange: outwards"] if scene.is_signed else [])]
     panels.append((picture, SIGNED if scene.is_signed else DISTANCE, lines))
     return render.labelled_panels(panels, legend, style=style)
+
+
+def style_of(view: View) -> Style:
+    """The colours that a view asks for."""
+    from msal_cli import render
+
+    return render.DARK if view.style == "dark" else render.LIGHT
+
+
+def panel(mesh: Mesh, camera: Camera, view: View, colours: Image | None = None) -> Image:
+    """(h, w, 3) uint8: one mesh, its vertices in ``colours`` (n, 3) uint8 or all of clay."""
+    from msal_cli import render
+    from msal_cli.render.shading import CREASE_DEG
+
+    return render.shaded(
+        mesh.vertices,
+        mesh.faces,
+        camera,
+        view.size,
+        panel_height(camera, view.size),
+        colours,
+        style=style_of(view),
+        crease_deg=0.0 if view.shading == "flat" else CREASE_DEG,
+    )
 
 
 def titles_of(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -52,6 +52,7 @@ MAY_IMPORT = {
     "render": {"core", "colours", "errors"},
     # Of report only how names are shown.
     "page": {"colours", "mesh", "report.names", "errors"},
+    "parameter_grid": {"comparison", "methods", "metrics", "mesh", "pictures", "render", "errors"},
     "pictures": {"comparison", "metrics", "mesh", "records", "render", "errors"},
     "cli": {
         "constraints",
@@ -69,6 +70,7 @@ MAY_IMPORT = {
         "metrics",
         "noise",
         "page",
+        "parameter_grid",
         "pictures",
         "pipeline",
         "records",

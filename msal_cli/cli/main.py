@@ -21,7 +21,17 @@ from msal_cli.cli import exit_codes, talk
 from msal_cli.cli.words import COMPLETE_VARIABLE
 from msal_cli.errors import MsalError, OutputError
 
-_COMMANDS = ("denoise", "info", "compare", "noise", "methods", "view", "report", "completion")
+_COMMANDS = (
+    "denoise",
+    "info",
+    "compare",
+    "view",
+    "sweep",
+    "noise",
+    "methods",
+    "report",
+    "completion",
+)
 
 
 class Msal(click.Group):

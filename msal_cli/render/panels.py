@@ -110,7 +110,7 @@ class _Words:
 
     @classmethod
     def for_width(cls, width: int) -> _Words:
-        text = min(22, max(10, round(width / 32)))
+        text = min(22, max(10, round(width / 28)))
         return cls(text, round(1.2 * text), text, round(1.25 * text))
 
     @property
