@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from msal_cli.mesh import Mesh, Prepared
     from msal_cli.records import ComparisonRecord
     from msal_cli.render.camera import Camera
+    from msal_cli.render.deviation import Scale
     from msal_cli.render.panels import Panel
     from msal_cli.render.shading import Style
 
@@ -133,7 +134,6 @@ def camera_of(scene: Scene, view: View) -> Camera:
 def drawn(scene: Scene, view: View) -> Image:
     """(H, W, 3) uint8: the meshes side by side, what is between them, and the numbers."""
     from msal_cli import render
-    from msal_cli.render.deviation import scale_of
 
     style, camera = style_of(view), camera_of(scene, view)
 
@@ -149,9 +149,9 @@ def drawn(scene: Scene, view: View) -> Image:
     if scene.deviation is None:
         lines.append("Other faces: no deviation without the package fcpw")
     panels.append((image(scene.after), titles[1], lines))
-    if scene.deviation is None:
+    scale = scale_of_scene(scene)
+    if scene.deviation is None or scale is None:
         return render.labelled_panels(panels, style=style)
-    scale = scale_of(scene.deviation, is_signed=scene.is_signed)
     edge = scene.before.mean_edge_length
     beyond = float((abs(scene.deviation) > scale.high).mean())
     legend = scale.legend(
@@ -163,8 +163,22 @@ def drawn(scene: Scene, view: View) -> Image:
     )
     picture = image(scene.after, scale.painted(scene.deviation))
     lines = [_moved(scene, edge), *(["Blue: inwards, orange: outwards"] if scene.is_signed else [])]
-    panels.append((picture, SIGNED if scene.is_signed else DISTANCE, lines))
+    panels.append((picture, deviation_name(scene), lines))
     return render.labelled_panels(panels, legend, style=style)
+
+
+def scale_of_scene(scene: Scene) -> Scale | None:
+    """What the colours of a deviation stand for; None where there is none."""
+    from msal_cli.render.deviation import scale_of
+
+    if scene.deviation is None:
+        return None
+    return scale_of(scene.deviation, is_signed=scene.is_signed)
+
+
+def deviation_name(scene: Scene) -> str:
+    """What the numbers of a deviation are."""
+    return SIGNED if scene.is_signed else DISTANCE
 
 
 def style_of(view: View) -> Style:
@@ -206,9 +220,13 @@ def _used(mesh: Mesh) -> Any:
     return mesh.links.has_ring
 
 
+def count_of_vertices(mesh: Mesh) -> int:
+    """How many vertices the faces use."""
+    return int(_used(mesh).sum())
+
+
 def _counts(mesh: Mesh) -> str:
-    n_vertices = int(_used(mesh).sum())
-    return f"{len(mesh.faces):,} triangles, {n_vertices:,} vertices"
+    return f"{len(mesh.faces):,} triangles, {count_of_vertices(mesh):,} vertices"
 
 
 def _changes(record: ComparisonRecord) -> list[str]:

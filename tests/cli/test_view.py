@@ -73,6 +73,17 @@ def test_other_faces_are_drawn_with_the_distance_or_without(scans):
     assert seen(scans / "p.png").shape[1] > 160
 
 
+def test_a_page_holds_both_meshes_and_a_picture(scans):
+    made = msal("view", scans / "a.ply", scans / "b.ply", "-o", scans / "p.html", "--size", "80")
+    assert made.exit_code == 0, made.stderr
+    page = (scans / "p.html").read_text("utf-8")
+    assert page.startswith("<!") and "data:image/png;base64," in page
+    for word in ("a.ply", "b.ply", "576", "displacement, mean", "e is the mean edge length"):
+        assert word in page
+    msal("view", scans / "a.ply", "-o", scans / "one.HTML", "--size", "80")
+    assert len((scans / "one.HTML").read_bytes()) < len(page)
+
+
 def test_standard_output_takes_a_picture(scans):
     made = subprocess.run(
         [sys.executable, "-m", "msal_cli", "view", scans / "a.ply", "-o", "-", "--size", "64"],
@@ -121,6 +132,11 @@ def test_any_name_is_a_name(scans):
         (scans / "a.ply").rename(scans / name)
         made = msal("view", f"{scans}/{name}", "-o", scans / "p.png", "--size", "64")
         assert made.exit_code == 0, (name, made.stderr)
+        made = msal("view", f"{scans}/{name}", "-o", scans / "p.html", "--size", "64")
+        assert made.exit_code == 0, (name, made.stderr)
+        page = (scans / "p.html").read_text("utf-8")
+        assert "<script>alert" not in page and "<img src=x" not in page
+        assert "\x1b" not in page and "\u202e" not in page
         (scans / name).rename(scans / "a.ply")
 
 
