@@ -257,30 +257,38 @@ def _tables(scene: Scene, titles: list[str]) -> list[tuple[str, list[tuple[str, 
             rows = [("triangles", f"{len(mesh.faces):,}"), ("vertices", f"{n_vertices:,}")]
             tables.append((title, rows))
     if scene.record is not None:
-        tables.append(("Difference", list(_differences(scene.record))))
+        tables += _differences(scene.record)
     return tables
 
 
-def _differences(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
-    from msal_cli.report.names import shown
-
+def _differences(
+    record: ComparisonRecord,
+) -> Iterator[tuple[str, list[tuple[str, str]]]]:
     distance = record.displacement or record.distance_to_before
     if distance is not None:
-        what = "displacement" if record.displacement is not None else "distance"
-        for word, length, edges in (
-            ("mean", distance.mean, distance.mean_edges),
-            ("RMS", distance.rms, distance.rms_edges),
-            ("95 %", distance.p95, distance.p95_edges),
-            ("largest", distance.max, distance.max_edges),
-        ):
-            yield f"{what}, {word}", f"{length:.4g} ({edges:.3g} e)"
+        rows = [
+            (word, f"{length:.4g} ({edges:.3g} e)")
+            for word, length, edges in (
+                ("mean", distance.mean, distance.mean_edges),
+                ("RMS", distance.rms, distance.rms_edges),
+                ("95 % below", distance.p95, distance.p95_edges),
+                ("largest", distance.max, distance.max_edges),
+            )
+        ]
+        yield "Distance to before" if record.displacement is None else "Displacement", rows
+    yield "Change", list(_changes(record))
+
+
+def _changes(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
+    from msal_cli.report.names import shown
+
     if record.mean_angular_error_deg is not None and record.max_angular_error_deg is not None:
-        yield "normals turned, mean", f"{record.mean_angular_error_deg:.3g}\N{DEGREE SIGN}"
-        yield "normals turned, largest", f"{record.max_angular_error_deg:.4g}\N{DEGREE SIGN}"
+        yield "normals", f"{record.mean_angular_error_deg:.3g}\N{DEGREE SIGN}"
+        yield "normals, most", f"{record.max_angular_error_deg:.4g}\N{DEGREE SIGN}"
     if record.flipped_faces is not None:
         yield "flipped faces", f"{record.flipped_faces:,}"
     if record.hausdorff is not None and record.hausdorff_edges is not None:
-        yield "Hausdorff distance", f"{record.hausdorff:.4g} ({record.hausdorff_edges:.3g} e)"
+        yield "Hausdorff", f"{record.hausdorff:.4g} ({record.hausdorff_edges:.3g} e)"
     if record.volume_change_percent is not None:
         yield "volume", f"{record.volume_change_percent:+.3g} %"
     elif record.volume is not None and record.volume.reason:

@@ -78,7 +78,14 @@ def test_a_page_holds_both_meshes_and_a_picture(scans):
     assert made.exit_code == 0, made.stderr
     page = (scans / "p.html").read_text("utf-8")
     assert page.startswith("<!") and "data:image/png;base64," in page
-    for word in ("a.ply", "b.ply", "576", "displacement, mean", "e is the mean edge length"):
+    for word in (
+        "a.ply",
+        "b.ply",
+        "576",
+        "Displacement",
+        "normals, mean",
+        "e is the mean edge length",
+    ):
         assert word in page
     msal("view", scans / "a.ply", "-o", scans / "one.HTML", "--size", "80")
     assert len((scans / "one.HTML").read_bytes()) < len(page)
