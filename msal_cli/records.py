@@ -183,6 +183,7 @@ class ComparisonRecord:
     distance_to_after: SurfaceDistance | None = None
     seam_gap: float | None = None
     warnings: tuple[str, ...] = ()
+    gates: tuple[GateResult, ...] = ()
     error: Failure | None = None
 
 

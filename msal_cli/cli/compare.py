@@ -13,6 +13,7 @@ from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from msal_cli.batch.inputs import Found
+    from msal_cli.gates import Gate
     from msal_cli.records import ComparisonRecord
 
 _PATH = click.Path(readable=False, allow_dash=False)
@@ -28,6 +29,7 @@ class Request:
     include: tuple[str, ...]
     exclude: tuple[str, ...]
     format: str | None
+    fail_on: tuple[str, ...]
     as_json: bool
     verbose: int
 
@@ -64,6 +66,13 @@ Exit status: see msal --help.""",
     help="The files' format, where neither their names nor their content tells.",
 )
 @click.option(
+    "--fail-on",
+    metavar="EXPR",
+    multiple=True,
+    help="Exit with 4 if this is so for any pair, such as 'mean_angular_error_deg > 6' or "
+    "'hausdorff > 0.5e' (mean edge lengths of A). Repeatable.",
+)
+@click.option(
     "--json",
     "as_json",
     is_flag=True,
@@ -93,7 +102,10 @@ def _compared(request: Request) -> int:
     from msal_cli import files
     from msal_cli.batch.inputs import found
     from msal_cli.cli import words
+    from msal_cli.gates import parsed
+    from msal_cli.records import ComparisonRecord
 
+    gates = parsed(request.fail_on, ComparisonRecord)
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
     before, after = (
         found((one,), request.include, request.exclude) for one in (request.before, request.after)
@@ -102,7 +114,7 @@ def _compared(request: Request) -> int:
     if are_folders == [False, False]:
         if request.heatmap is not None:
             _refuse_target(request, request.heatmap)
-        return _told_of_two(request, format)
+        return _told_of_two(request, format, gates)
     if not all(are_folders):
         raise UsageError(
             "one of A and B is a file and the other a folder",
@@ -110,7 +122,7 @@ def _compared(request: Request) -> int:
         )
     if request.heatmap is not None:
         raise UsageError("--heatmap is for two files", hint="compare them one by one")
-    return _told_of_many(request, list(_pairs(request, before, after, format)))
+    return _told_of_many(request, list(_pairs(request, before, after, format)), gates)
 
 
 def _pairs(
@@ -143,12 +155,14 @@ def _lonely(one: Found, before: str, after: str, folder: str) -> ComparisonRecor
     return ComparisonRecord(before, after, version=__version__, error=failure)
 
 
-def _told_of_two(request: Request, format: str | None) -> int:
+def _told_of_two(request: Request, format: str | None, gates: tuple[Gate, ...]) -> int:
     from msal_cli import comparison
     from msal_cli.errors import MsalError
+    from msal_cli.gates import is_any_broken, with_gates
     from msal_cli.report import as_json, comparison_text, document
 
     record = comparison.compare_files(request.before, request.after, format)
+    (record,) = with_gates(gates, [record])
     failure: MsalError | None = None
     if request.heatmap is not None and record.error is None:
         # What was measured is told, whatever becomes of the picture.
@@ -163,9 +177,10 @@ def _told_of_two(request: Request, format: str | None) -> int:
         return exit_codes.FATAL
     if not request.as_json:
         talk.put_lines(comparison_text.told(record))
+    talk.say_lines(comparison_text.broken_gates([record]))
     if failure is not None:
         raise failure
-    return exit_codes.SUCCESS
+    return exit_codes.of_files(1, 0, is_gate_failed=is_any_broken([record]))
 
 
 def _refuse_target(request: Request, target: str) -> None:
@@ -200,11 +215,15 @@ def _write_heatmap(request: Request, target: str, format: str | None) -> None:
     talk.say(f"{file_name(target)}: deviation, pale to dark for {made.low:g} to {made.high:.4g}")
 
 
-def _told_of_many(request: Request, records: list[ComparisonRecord]) -> int:
+def _told_of_many(
+    request: Request, records: list[ComparisonRecord], gates: tuple[Gate, ...]
+) -> int:
     from msal_cli import __version__
+    from msal_cli.gates import is_any_broken, with_gates
     from msal_cli.records import ComparisonRecord
     from msal_cli.report import as_json, comparison_text, document
 
+    records = with_gates(gates, records)
     n_failed = sum(record.error is not None for record in records)
     if request.as_json:
         data = {
@@ -218,4 +237,5 @@ def _told_of_many(request: Request, records: list[ComparisonRecord]) -> int:
                 talk.say_failure(record.after, record.error)
     else:
         talk.put_lines(comparison_text.table(records, width=talk.width()))
-    return exit_codes.of_files(len(records), n_failed)
+    talk.say_lines(comparison_text.broken_gates(records))
+    return exit_codes.of_files(len(records), n_failed, is_gate_failed=is_any_broken(records))

@@ -187,10 +187,12 @@ class _Session:
             from msal_cli.comparison import with_references
 
             records = with_references(records, self._references, settings.format)
+        is_broken = False
         if self._gates and not request.dry_run:
-            from msal_cli.gates import with_gates
+            from msal_cli.gates import is_any_broken, with_gates
 
             records = with_gates(self._gates, records)
+            is_broken = is_any_broken(records)
             _log_gates(records)
         self._tell(run, records)
         try:
@@ -210,7 +212,7 @@ class _Session:
         return exit_codes.of_files(
             len(records),
             n_failed,
-            is_gate_failed=any(gate.broken for record in records for gate in record.gates),
+            is_gate_failed=is_broken,
             is_given_up=n_left > 0,
         )
 

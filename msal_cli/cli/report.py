@@ -109,7 +109,10 @@ def _reported(request: Request) -> int:
 
 def _status(told: Account) -> int:
     """The status of a run that left this behind; what is not finished counts as failed."""
+    from msal_cli.gates import is_any_broken
+
     n_lost = sum(record.status in ("failed", "planned") for record in told.records)
-    is_broken = any(gate.broken for record in told.records for gate in record.gates)
-    status = exit_codes.of_files(len(told.records), n_lost, is_gate_failed=is_broken)
+    status = exit_codes.of_files(
+        len(told.records), n_lost, is_gate_failed=is_any_broken(told.records)
+    )
     return status if told.is_whole else exit_codes.worst(status, exit_codes.SOME_FAILED)

@@ -8,7 +8,7 @@ parsed by a grammar of our own (``grammar``), its names and units are those of a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from msal_cli.dataclass import dataclass
 from msal_cli.records import GateResult
@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
     from msal_cli.gates.meaning import Meaning
     from msal_cli.gates.names import Quantity
-    from msal_cli.records import MeshRecord
+    from msal_cli.records import ComparisonRecord, MeshRecord
+
+Record = TypeVar("Record", "MeshRecord", "ComparisonRecord")
 
 
 @dataclass(frozen=True)
@@ -62,19 +64,24 @@ def judged(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]:
     return tuple(_judged(gate, record) for gate in gates)
 
 
-def with_gates(gates: Sequence[Gate], records: Sequence[MeshRecord]) -> list[MeshRecord]:
-    """The records with the results of the gates in those that have an output; the others have been
-    told by their status already."""
+def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]:
+    """The records with the results of the gates, but for those of files that failed or were not
+    dealt with: they are told of by that already."""
     from dataclasses import replace
 
     if not gates:
         return list(records)
     return [
         record
-        if record.status in ("failed", "planned")
+        if record.error is not None or getattr(record, "status", "") == "planned"
         else replace(record, gates=judged(gates, record))
         for record in records
     ]
+
+
+def is_any_broken(records: Sequence[MeshRecord] | Sequence[ComparisonRecord]) -> bool:
+    """Whether any record tells of a gate that is broken."""
+    return any(gate.broken for record in records for gate in record.gates)
 
 
 def _judged(gate: Gate, record: Any) -> GateResult:

@@ -92,6 +92,10 @@ class Quantity:
         volume = getattr(record, "volume", None)
         if volume is not None and not volume.valid and any("volume" in one for one in self.fields):
             return f"{self.name} is not known: {volume.reason or 'the volume means nothing'}"
+        reference = getattr(record, "reference", None)
+        is_asked = any(one.startswith("reference.") for one in self.fields)
+        if is_asked and reference is not None and reference.error is not None:
+            return f"{self.name} is not known: {reference.error.message}"
         return f"{self.name} is not known for this file"
 
 

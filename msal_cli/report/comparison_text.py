@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from msal_cli.records import ComparisonRecord, Displacement, SurfaceDistance
-from msal_cli.report.as_text import Line, file_name, reason
+from msal_cli.report.as_text import Line, file_name, gate_text, reason
 from msal_cli.report.names import padded, shortened, shown
 
 _COLUMNS = ("angle", "vertex error", "max move", "volume", "area", "flipped", "Hausdorff")
@@ -51,6 +51,14 @@ def table(records: Sequence[ComparisonRecord], *, width: int = 100) -> Iterator[
     n_failed = len(records) - len(compared)
     end = f"{len(compared):,} compared" + (f", {n_failed:,} not" if n_failed else "")
     yield Line(f"{end}; e: mean edge lengths before", "bad" if n_failed else "good")
+
+
+def broken_gates(records: Sequence[ComparisonRecord]) -> Iterator[Line]:
+    """A line for every gate that a pair breaks, with the value."""
+    for record in records:
+        for gate in record.gates:
+            if gate.broken:
+                yield Line(f"{file_name(record.after)}: {gate_text(gate)}", "bad")
 
 
 def _failure(record: ComparisonRecord) -> Iterator[Line]:

@@ -138,6 +138,7 @@ DESCRIPTIONS: dict[str, str] = {
     "Seconds.measure": "volume, displacement and the other measures",
     "Seconds.write": "encoding, checking and writing",
     "Seconds.total": "from start to end",
+    "ComparisonRecord.gates": "what became of each gate; empty if there was none",
     "GateResult.expression": "what breaks the gate, as it was given",
     "GateResult.broken": "true if it is so for this file, or cannot be decided",
     "GateResult.decided": "false if a value is not known on which it depends",

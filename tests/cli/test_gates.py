@@ -137,3 +137,33 @@ def test_the_log_has_broken_gates(scans, tmp_path):
     log = tmp_path / "log.txt"
     msal("denoise", scans, "-o", tmp_path / "out", "--fail-on", MOVED, "--log-file", log, "-q")
     assert log.read_text().count("broke max_displacement > 0: max_displacement is ") == 2
+
+
+def test_compare_judges_pairs(tmp_path):
+    first = folder_of(tmp_path / "first", a=closed_scan(0), b=closed_scan(1))
+    second = folder_of(tmp_path / "second", a=closed_scan(0), b=closed_scan(2))
+    gate = ("--fail-on", "mean_angular_error_deg > 1 or abs(volume_change) > 1%")
+    assert msal("compare", first / "a.ply", second / "a.ply", *gate).exit_code == 0
+    made = msal("compare", first / "b.ply", second / "b.ply", *gate, "--json")
+    assert made.exit_code == 4
+    (result,) = json.loads(made.stdout)["gates"]
+    assert result["broken"] and result["decided"]
+    assert f"{second / 'b.ply'}: broken: mean_angular_error_deg > 1" in made.stderr
+    made = msal("compare", first, second, *gate)
+    assert made.exit_code == 4
+    assert made.stderr.count("broken: ") == 1
+    (second / "b.ply").write_bytes(BAD_SCAN)
+    assert msal("compare", first, second, *gate).exit_code == 3
+    assert msal("compare", first, second, "--fail-on", "seconds > 1").exit_code == 2
+
+
+def test_a_reference_that_cannot_be_read_decides_nothing(scans, tmp_path):
+    truth = tmp_path / "truth.ply"
+    truth.write_bytes(BAD_SCAN)
+    gate = ("--reference", truth, "--fail-on", "mean_angular_error_deg > 90")
+    made = msal("denoise", scans / "closed.ply", "-o", tmp_path / "out.ply", *gate)
+    assert made.exit_code == 4
+    assert "not decided: mean_angular_error_deg > 90 (mean_angular_error_deg is not" in made.stderr
+    truth.write_bytes(closed_scan())
+    made = msal("denoise", scans / "closed.ply", "-o", tmp_path / "out.ply", "--fresh", *gate)
+    assert made.exit_code == 0
