@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from benchmarks import trust
-from benchmarks.sample_accuracy import opened
 from msal_cli import constraints, files, methods
 from msal_cli.core.geometry import distances
 from msal_cli.errors import InputError, UnsupportedError, UsageError
@@ -16,7 +12,6 @@ from msal_cli.mesh import prepared
 from msal_cli.pipeline import Settings, denoise_bytes
 from tests.shapes import grid, torus
 
-ROOT = Path(__file__).parents[1]
 ALL = methods.names()
 
 
@@ -280,25 +275,13 @@ def test_full_trust_is_the_method_itself_and_none_is_no_data_term(method, given)
     assert ways[0] > ways[1]
 
 
-def test_trust_helps_where_a_scan_is_poor():
-    """The rows of the table in docs/algorithm.md."""
-    page = (ROOT / "docs/algorithm.md").read_text("utf-8")
-    for name in ("bracket", "coin"):
-        (angle, distance), (angle_2, distance_2) = trust.errors(
-            opened(ROOT / f"sample_meshes/{name}_clean.ply").mesh
-        )
-        assert angle_2 < angle and distance_2 < distance
-        row = f"| {name} | {angle:.2f} | {angle_2:.2f} | {distance:.3f} | {distance_2:.3f} |"
-        assert row in page
-
-
 def test_lambda_is_scaled_vertex_by_vertex():
     mesh = prepared(*noisy()).mesh
-    trusted = random().random(len(mesh.vertices))
+    trust = random().random(len(mesh.vertices))
     found = methods.find("msal")
     plain = found.denoised(mesh, found.settled({})).fields["fidelity"]
-    scaled = found.denoised(mesh.constrained(None, trusted), found.settled({})).fields["fidelity"]
-    assert np.allclose(scaled, trusted * plain, rtol=1e-15, atol=0.0)
+    scaled = found.denoised(mesh.constrained(None, trust), found.settled({})).fields["fidelity"]
+    assert np.allclose(scaled, trust * plain, rtol=1e-15, atol=0.0)
 
 
 def test_one_sweep_by_hand():
@@ -306,7 +289,7 @@ def test_one_sweep_by_hand():
     mesh = prepared(*noisy()).mesh
     found = methods.find("al")
     given = {"schedule": "constant", "fidelity": 0.25}
-    trusted = random().random(len(mesh.vertices))
+    trust = random().random(len(mesh.vertices))
 
     def after(sweeps, one, fidelity):
         return found.denoised(
@@ -315,8 +298,8 @@ def test_one_sweep_by_hand():
 
     first = after(1, mesh, 0.25)
     pushed = after(2, mesh, 0.0)
-    expected = pushed + 0.25 * trusted[:, None] * (mesh.vertices - first)
-    found_there = after(2, mesh.constrained(None, trusted), 0.25)
+    expected = pushed + 0.25 * trust[:, None] * (mesh.vertices - first)
+    found_there = after(2, mesh.constrained(None, trust), 0.25)
     assert np.abs(found_there - expected).max() < 1e-13
 
 

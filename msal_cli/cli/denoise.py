@@ -198,7 +198,7 @@ class _Session:
         try:
             if not request.dry_run:
                 github.annotate(records)
-                reports.write(request.reports, run, records)
+                reports.write(request.reports, run, records, backup=request.backup)
             elif request.reports:
                 talk.say("dry run: no report is written")
         finally:

@@ -45,17 +45,20 @@ def check(names: Sequence[str], taken: Iterable[str]) -> None:
         _refuse_unwritable(name)
 
 
-def write(names: Sequence[str], run: Run, records: Sequence[MeshRecord]) -> None:
+def write(
+    names: Sequence[str], run: Run, records: Sequence[MeshRecord], *, backup: str | None = None
+) -> None:
     """Write every report, whole or not at all; OutputError names the first that cannot be.
 
-    One that cannot be written does not keep the others from being written.
+    One that cannot be written does not keep the others from being written.  ``backup`` is what was
+    added to the names of originals that were replaced, if it is known.
     """
     from msal_cli.batch import signals
     from msal_cli.files import is_url, write_whole
 
     first: OutputError | None = None
     for name in names:
-        data = _writer(name)(run, records)
+        data = _writer(name, backup)(run, records)
         try:
             if github.is_step_summary(name):
                 github.append_to_summary(name, data)
@@ -74,15 +77,26 @@ def write(names: Sequence[str], run: Run, records: Sequence[MeshRecord]) -> None
         raise first
 
 
-def _writer(name: str) -> Writer:
+def _writer(name: str, backup: str | None = None) -> Writer:
     """The function that makes the bytes of a report of this name; UsageError if there is none."""
-    if not github.is_step_summary(name):
-        return report.writer(name)
-    from functools import partial
+    if github.is_step_summary(name):
+        from functools import partial
 
-    from msal_cli.report import as_markdown
+        from msal_cli.report import as_markdown
 
-    return partial(as_markdown.encoded, most_bytes=github.room_in_summary(name))
+        return partial(as_markdown.encoded, most_bytes=github.room_in_summary(name))
+    if name.lower().endswith(".html"):
+        return lambda run, records: _page(run, records, backup)
+    return report.writer(name)
+
+
+def _page(run: Run, records: Sequence[MeshRecord], backup: str | None) -> bytes:
+    """The HTML report with its pictures, which take by far the most time."""
+    from msal_cli import gallery
+    from msal_cli.report import as_html
+
+    shown = gallery.made(records, backup=gallery.BACKUP if backup is None else backup)
+    return as_html.encoded(run, records, shown)
 
 
 def _guarded(effect: Callable[[], None], name: str) -> None:

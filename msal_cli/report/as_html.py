@@ -23,12 +23,11 @@ from string import Template
 from typing import Any
 
 from msal_cli.records import MeshRecord
-from msal_cli.report import gallery as galleries
 from msal_cli.report import histogram
 from msal_cli.report import rows as table
 from msal_cli.report.as_text import percent_text, rate_text, reason, seconds_text
 from msal_cli.report.document import Run, Totals, plain, totals
-from msal_cli.report.gallery import Gallery, Pictures
+from msal_cli.report.illustrations import EMPTY, Gallery, Pictures
 from msal_cli.report.names import shown
 from msal_cli.report.worst import WORDS, broken_gates, worst_first
 
@@ -46,7 +45,7 @@ _MOST_FAILURES = 200
 def encoded(
     run: Run,
     records: Sequence[MeshRecord],
-    gallery: Gallery = galleries.EMPTY,
+    gallery: Gallery = EMPTY,
     *,
     most_bytes: int = MOST_BYTES,
 ) -> bytes:

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 
 from msal_cli.dataclass import dataclass
 
-BINS = 24
-"""Bars between the lowest and the highest value that the axis has."""
+MOST_BINS, LEAST_BINS = 24, 8
+"""Bars between the ends of the axis: more for more files."""
 
 _WIDTH, _HEIGHT = 360, 170
 _LEFT, _RIGHT, _TOP, _BOTTOM = 34, 8, 14, 26
@@ -36,11 +36,12 @@ def binned(values: Sequence[float]) -> Bins:
     if high <= low:
         pad = abs(low) * 0.05 or 0.5
         low, high = low - pad, high + pad
-    step = (high - low) / BINS
+    n_bins = min(MOST_BINS, max(LEAST_BINS, round(1.5 * math.sqrt(len(ranked)))))
+    step = (high - low) / n_bins
     if not (math.isfinite(step) and low + step > low):
         # Values that are too large or too close for steps between them.
         return Bins((low, high), (len(values),), 0, 0)
-    counts = [0] * BINS
+    counts = [0] * n_bins
     below = beyond = 0
     for value in values:
         if value < low:
@@ -48,8 +49,8 @@ def binned(values: Sequence[float]) -> Bins:
         elif value > high:
             beyond += 1
         else:
-            counts[min(BINS - 1, int((value - low) / step))] += 1
-    return Bins(tuple(low + step * at for at in range(BINS + 1)), tuple(counts), below, beyond)
+            counts[min(n_bins - 1, int((value - low) / step))] += 1
+    return Bins(tuple(low + step * at for at in range(n_bins + 1)), tuple(counts), below, beyond)
 
 
 def svg(title: str, values: Sequence[float], words: Callable[[float], str]) -> str:

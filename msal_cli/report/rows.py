@@ -9,7 +9,7 @@ from typing import Any
 from msal_cli.records import MeshRecord
 from msal_cli.report.as_text import defects_text, reason
 from msal_cli.report.names import shown
-from msal_cli.report.worst import broken_gates
+from msal_cli.report.worst import broken_gates, gate_words
 
 Column = dict[str, str]
 Row = dict[str, Any]
@@ -20,9 +20,9 @@ _FIGURES = (
     ("Vertices", ""),
     ("Volume", "%"),
     ("Mean move", "edges"),
-    ("Largest move", "edges"),
-    ("Largest move", "file units"),
-    ("Normals turned", "mean, deg"),
+    ("Max move", "edges"),
+    ("Max move", "file units"),
+    ("Normals", "mean turn, deg"),
     ("Flipped", "faces"),
     ("Time", "s"),
 )
@@ -96,7 +96,7 @@ def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
         yield "Reason", reason(failure.where, failure.message, failure.code)
         yield "What to do", failure.hint
     for gate in record.gates:
-        yield "Gate broken" if gate.broken else "Gate held", f"{gate.expression} ({gate.reason})"
+        yield ("Gate broken" if gate.broken else "Gate held"), gate_words(gate)
     for warning in record.warnings:
         yield "Warning", warning
     yield "Output", record.output or ""

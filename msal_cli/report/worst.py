@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from msal_cli.records import MeshRecord
+from msal_cli.records import GateResult, MeshRecord
 
 WORDS = (
     "Worst first: what failed, then what broke a gate (the most gates first), then what was not "
@@ -25,7 +25,13 @@ def worst_first(records: Sequence[MeshRecord]) -> list[MeshRecord]:
 
 def broken_gates(record: MeshRecord) -> tuple[str, ...]:
     """The gates that a file did not pass, in words; none if all were passed."""
-    return tuple(f"{one.expression} ({one.reason})" for one in record.gates if one.broken)
+    return tuple(gate_words(one) for one in record.gates if one.broken)
+
+
+def gate_words(gate: GateResult) -> str:
+    """A gate with the values that it was decided by, or why it could not be decided."""
+    words = f"{gate.expression} ({gate.reason})"
+    return words if gate.decided else f"not decided: {words}"
 
 
 def needs_attention(record: MeshRecord) -> bool:

@@ -33,7 +33,6 @@ def test_every_status(mixed, tmp_path):
         (1, ["denoise", mixed / "bad.ply", "-o", tmp_path / "o.ply"]),
         (2, ["denoise", tmp_path / "missing", "-o", out]),
         (3, ["denoise", mixed, "-o", out, "--json", "-vv", "--log-file", tmp_path / "log"]),
-        (4, ["denoise", mixed / "a.ply", "-o", tmp_path / "g.ply", "--fail-on", "faces > 0"]),
         (5, ["denoise", mixed, "-o", out, "--include", "*.stl"]),
     )
     for status, words in cases:

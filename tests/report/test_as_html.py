@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from msal_cli.records import MeshRecord
 from msal_cli.report import as_html
-from msal_cli.report.gallery import Gallery, Pictures, Scale
+from msal_cli.report.illustrations import Gallery, Pictures, Scale
 from msal_cli.report.names import shown
 from msal_cli.report.worst import worst_first
 from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, of, written
@@ -133,7 +133,7 @@ def test_pictures_stand_in_the_order_of_the_rows():
     records = [written("good"), failed("bad"), gated("gate")]
     gallery = Gallery(
         pictures={0: Pictures(b"a", b"b"), 2: Pictures(b"c", b"d", b"e")},
-        scale=Scale("moved", "-1", "0", "1", ("#000000", "#ffffff")),
+        scale=Scale("moved", "-1", "1", ("#000000", "#ffffff")),
     )
     _, reader = page(records, gallery)
     coded = [base64.b64encode(one).decode() for one in (b"c", b"d", b"e", b"a", b"b")]

@@ -46,6 +46,7 @@
     if (Number.isInteger(value) && !column.unit) return value.toLocaleString("en");
     if (column.unit === "%") return `${value > 0 ? "+" : ""}${value.toPrecision(3)}`.replace("-", "−");
     if (column.unit === "faces") return value.toLocaleString("en");
+    if (column.unit === "s") return value.toFixed(2);
     if (!value) return "0";
     return Math.abs(value) >= 1e5 || Math.abs(value) < 1e-3 ? value.toExponential(2) : String(Number(value.toPrecision(value >= 1000 ? 5 : 3)));
   }
@@ -61,7 +62,7 @@
     const made = element("tr", { class: row.kind });
     if (pictures) {
       const views = element("td", { class: "views" });
-      (pictures[k] || []).forEach((text, view) => text && views.append(picture(text, VIEWS[view], { width: 72, height: 54 })));
+      (pictures[k] || []).forEach((text, view) => text && views.append(picture(text, VIEWS[view], { width: 64, height: 48 })));
       made.append(views);
     }
     columns.forEach((column, at) => {
@@ -141,7 +142,7 @@
     head.classList.add("live");
     head.dataset.column = column;
   });
-  if (pictures) heads.prepend(element("th", { scope: "col" }, "Before, after, deviation"));
+  if (pictures) heads.prepend(element("th", { scope: "col" }, "Before, after,", element("small", {}, "deviation")));
 
   const choose = (kind) => {
     Object.assign(state, { kind, first: 0 });

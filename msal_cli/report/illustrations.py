@@ -23,7 +23,6 @@ class Scale:
 
     title: str
     low: str
-    middle: str
     high: str
     colours: tuple[str, ...]
 
