@@ -29,6 +29,7 @@ MAY_IMPORT = {
     "records": {"errors"},
     "constraints": {"core", "files", "mesh", "errors"},
     "corruption": {"files", "mesh", "noise", "errors"},
+    "baseline": {"records", "errors"},
     "comparison": {"colours", "files", "metrics", "mesh", "records", "errors"},
     "gates": {"records", "errors"},
     "fields": {"colours", "files", "metrics", "mesh", "records", "errors"},
@@ -68,6 +69,7 @@ MAY_IMPORT = {
         "errors",
     },
     "cli": {
+        "baseline",
         "constraints",
         "batch",
         "colours",

@@ -43,7 +43,7 @@ def lines(data: bytes, name: str) -> list[MeshRecord]:
 
 def _parsed(data: bytes, name: str, where: str) -> Any:
     try:
-        return _restored(json.loads(data))
+        return restored_names(json.loads(data))
     except (ValueError, RecursionError) as error:
         reason = "it is nested too deep" if isinstance(error, RecursionError) else str(error)
         raise _not_a_report(name, f"it is not JSON: {reason}", where) from None
@@ -59,14 +59,14 @@ def _record(data: Any, name: str, where: str) -> MeshRecord:
     return record
 
 
-def _restored(value: Any) -> Any:
+def restored_names(value: Any) -> Any:
     """Names with the bytes that JSON could not hold."""
     if isinstance(value, str):
         return restored(value)
     if isinstance(value, list):
-        return [_restored(one) for one in value]
+        return [restored_names(one) for one in value]
     if isinstance(value, dict):
-        return {restored(key): _restored(one) for key, one in value.items()}
+        return {restored(key): restored_names(one) for key, one in value.items()}
     return value
 
 
