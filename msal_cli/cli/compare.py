@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,7 +14,7 @@ from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from msal_cli.batch.inputs import Found
-    from msal_cli.gates import Gate
+    from msal_cli.cli.measure import Measure
     from msal_cli.records import ComparisonRecord
 
 _PATH = click.Path(readable=False, allow_dash=False)
@@ -30,8 +31,22 @@ class Request:
     exclude: tuple[str, ...]
     format: str | None
     fail_on: tuple[str, ...]
+    baseline: str | None
+    tolerance: float | None
     as_json: bool
     verbose: int
+
+
+def _tolerance(
+    context: click.Context, parameter: click.Parameter, value: str | None
+) -> float | None:
+    """A share that is written in percent; None for None."""
+    if value is None:
+        return None
+    match = re.fullmatch(r"(?a)(\d{1,9}(?:\.\d{1,9})?)\s*%", value.strip())
+    if match is None:
+        raise click.BadParameter(f"{value!r} is not a percentage such as 2% or 0.5%")
+    return float(match[1]) / 100.0
 
 
 @click.command(
@@ -40,7 +55,8 @@ class Request:
     epilog="""\b
 Examples:
   msal compare truth.ply denoised.ply --heatmap deviation.ply
-  msal compare scans denoised --json
+  msal compare scans denoised --json > known.json
+  msal compare scans denoised --baseline known.json --tolerance 2%
 \b
 Exit status: see msal --help.""",
 )
@@ -73,6 +89,20 @@ Exit status: see msal --help.""",
     "'hausdorff > 0.5e' (mean edge lengths of A). Repeatable.",
 )
 @click.option(
+    "--baseline",
+    metavar="REPORT.json",
+    type=_PATH,
+    help="Exit with 4 if a figure is worse than in REPORT.json: what --json printed before, or a "
+    "report of msal denoise --reference.",
+)
+@click.option(
+    "--tolerance",
+    metavar="PERCENT",
+    callback=_tolerance,
+    help="With --baseline: by how much of what it was a figure may be worse, such as 2%.  "
+    "[default: 1%]",
+)
+@click.option(
     "--json",
     "as_json",
     is_flag=True,
@@ -102,10 +132,9 @@ def _compared(request: Request) -> int:
     from msal_cli import files
     from msal_cli.batch.inputs import found
     from msal_cli.cli import words
-    from msal_cli.gates import parsed
-    from msal_cli.records import ComparisonRecord
+    from msal_cli.cli.measure import measure_of
 
-    gates = parsed(request.fail_on, ComparisonRecord)
+    measure = measure_of(request.fail_on, request.baseline, request.tolerance)
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
     before, after = (
         found((one,), request.include, request.exclude) for one in (request.before, request.after)
@@ -114,7 +143,7 @@ def _compared(request: Request) -> int:
     if are_folders == [False, False]:
         if request.heatmap is not None:
             _refuse_target(request, request.heatmap)
-        return _told_of_two(request, format, gates)
+        return _told_of_two(request, format, measure)
     if not all(are_folders):
         raise UsageError(
             "one of A and B is a file and the other a folder",
@@ -122,25 +151,28 @@ def _compared(request: Request) -> int:
         )
     if request.heatmap is not None:
         raise UsageError("--heatmap is for two files", hint="compare them one by one")
-    return _told_of_many(request, list(_pairs(request, before, after, format)), gates)
+    pairs = dict(_pairs(request, before, after, format))
+    return _told_of_many(request, pairs, measure)
 
 
 def _pairs(
     request: Request, before: tuple[Found, ...], after: tuple[Found, ...], format: str | None
-) -> Iterator[ComparisonRecord]:
-    """A record for every relative path that one of the folders has, those of A first."""
+) -> Iterator[tuple[str, ComparisonRecord]]:
+    """Every relative path that one of the folders has and its record, those of A first."""
     from msal_cli import comparison
 
     partners = {one.relative: one.path for one in after}
     for one in before:
         other = partners.pop(one.relative, None)
         if other is None:
-            yield _lonely(one, one.path, _place(request.after, one), request.after)
+            lonely = _lonely(one, one.path, _place(request.after, one), request.after)
+            yield one.relative, lonely
         else:
-            yield comparison.compare_files(one.path, other, format)
+            yield one.relative, comparison.compare_files(one.path, other, format)
     for one in after:
         if one.relative in partners:
-            yield _lonely(one, _place(request.before, one), one.path, request.before)
+            lonely = _lonely(one, _place(request.before, one), one.path, request.before)
+            yield one.relative, lonely
 
 
 def _place(folder: str, one: Found) -> str:
@@ -155,14 +187,13 @@ def _lonely(one: Found, before: str, after: str, folder: str) -> ComparisonRecor
     return ComparisonRecord(before, after, version=__version__, error=failure)
 
 
-def _told_of_two(request: Request, format: str | None, gates: tuple[Gate, ...]) -> int:
+def _told_of_two(request: Request, format: str | None, measure: Measure) -> int:
     from msal_cli import comparison
     from msal_cli.errors import MsalError
-    from msal_cli.gates import is_any_broken, with_gates
+    from msal_cli.gates import is_any_broken
     from msal_cli.report import as_json, comparison_text, document
 
-    record = comparison.compare_files(request.before, request.after, format)
-    (record,) = with_gates(gates, [record])
+    record = measure.of_two(comparison.compare_files(request.before, request.after, format))
     failure: MsalError | None = None
     if request.heatmap is not None and record.error is None:
         # What was measured is told, whatever becomes of the picture.
@@ -215,15 +246,18 @@ def _write_heatmap(request: Request, target: str, format: str | None) -> None:
     talk.say(f"{file_name(target)}: deviation, pale to dark for {made.low:g} to {made.high:.4g}")
 
 
-def _told_of_many(
-    request: Request, records: list[ComparisonRecord], gates: tuple[Gate, ...]
-) -> int:
+def _told_of_many(request: Request, pairs: Mapping[str, ComparisonRecord], measure: Measure) -> int:
     from msal_cli import __version__
-    from msal_cli.gates import is_any_broken, with_gates
+    from msal_cli.gates import is_any_broken
     from msal_cli.records import ComparisonRecord
     from msal_cli.report import as_json, comparison_text, document
+    from msal_cli.report.as_text import file_name
 
-    records = with_gates(gates, records)
+    names = list(pairs)
+    records = measure.of_many(list(pairs.values()), names)
+    # Who leaves out files by a pattern does not miss them.
+    is_all = not request.include and not request.exclude
+    vanished = measure.vanished(names) if is_all else []
     n_failed = sum(record.error is not None for record in records)
     if request.as_json:
         data = {
@@ -238,4 +272,7 @@ def _told_of_many(
     else:
         talk.put_lines(comparison_text.table(records, width=talk.width()))
     talk.say_lines(comparison_text.broken_gates(records))
-    return exit_codes.of_files(len(records), n_failed, is_gate_failed=is_any_broken(records))
+    for name in vanished:
+        talk.say(f"{file_name(name)}: in the baseline, and not here", "bad")
+    is_broken = is_any_broken(records) or bool(vanished)
+    return exit_codes.of_files(len(records), n_failed, is_gate_failed=is_broken)

@@ -29,10 +29,9 @@ def comparisons(data: bytes, name: str) -> dict[str, ComparisonRecord | Referenc
     if schema == SCHEMA:
         return _references(data, name)
     if schema != ComparisonRecord.schema:
-        raise _not_a_comparison(
-            name, f"it does not say that its schema is {ComparisonRecord.schema}"
-        )
-    records = content["records"] if "records" in content else [content]
+        wanted = ComparisonRecord.schema
+        raise _not_a_comparison(name, f"it does not say that its schema is {wanted}")
+    records = content.get("records", [content])
     if not isinstance(records, list):
         raise _not_a_comparison(name, "it has no list of records")
     found: dict[str, ComparisonRecord | Reference] = {}
