@@ -2,25 +2,25 @@
 
     python docs/make_pictures.py
 
-Needs nothing but msal itself; takes under a minute.
+Needs nothing but msal itself; takes some seconds.
 """
 
 from __future__ import annotations
 
 import struct
-import sys
 import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from rendering import Array, picture, turned, write_png
-
-from msal_cli import files, methods
+from msal_cli import files, methods, parameter_grid, pictures, render
+from msal_cli.comparison import Surface
 from msal_cli.mesh import prepared
+from msal_cli.render.camera import framing, turned
+
+Array = NDArray[Any]
 
 DOCS = Path(__file__).resolve().parent
 SAMPLES = DOCS.parent / "sample_meshes"
@@ -98,15 +98,36 @@ def _read_png(path: Path) -> Array:
 
 def panel(name: str, mesh: tuple[Array, Array], size: tuple[int, int]) -> Array:
     """One mesh as a picture, framed as the clean one is."""
-    view = turned(*VIEWS[name])
-    clean = opened(sample(name, "clean"))[0] @ view.T
-    low, high = clean.min(axis=0), clean.max(axis=0)
-    half = 0.52 * max(high[1] - low[1], (high[0] - low[0]) * size[1] / size[0])
-    window = (0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), half)
-    vertices, faces = mesh
+    axes = turned(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *VIEWS[name])
+    camera = framing(axes, opened(sample(name, "clean"))[0])
     stored = vertex_colours(name)
-    colours = None if stored is None else stored[faces].mean(axis=1)
-    return picture(vertices, faces, view, size, window=window, colours=colours)
+    colours = None if stored is None else stored.astype(np.uint8)
+    return render.shaded(*mesh, camera, *size, colours)
+
+
+def compared(name: str) -> Array:
+    """What ``msal view`` shows of a noisy sample and its denoised surface."""
+    vertices, faces = opened(sample(name, "noisy"))
+    moved, _ = denoised(sample(name, "noisy"), "msal")
+    names = (f"{name}_noisy.ply", f"{name}.ply")
+    scene = pictures.scene_of(Surface(vertices, faces), Surface(moved, faces), names)
+    return pictures.drawn(scene, pictures.View(size=420))
+
+
+def tried(name: str) -> Array:
+    """What ``msal sweep`` shows of a noisy sample, with the clean one as its reference."""
+    view = pictures.View(size=230)
+    noisy, clean = (Surface(*opened(sample(name, kind))) for kind in ("noisy", "clean"))
+    on = parameter_grid.subject(noisy, f"{name}_noisy.ply", clean, f"{name}_clean.ply", view)
+    wanted = parameter_grid.grid(methods.find("msal"), "iterations=2,4", "K=0.25,0.5,1", {})
+    made = parameter_grid.cells(on, wanted)
+    done = [(cell, parameter_grid.drawn(on, mesh, view)) for cell, mesh in made]
+    return parameter_grid.sheet(on, wanted, done, view)
+
+
+def write_png(path: Path, image: Array, most_colours: int = 256) -> None:
+    """Write a picture as small as a page wants it."""
+    path.write_bytes(render.png_bytes(image, most_colours))
 
 
 def row(panels: list[Array]) -> Array:
@@ -142,6 +163,8 @@ def main() -> None:
         [panel(name, denoised(sample(name, "noisy"), "msal", K=0.7), size) for name in names]
     )
     write_png(folder / "models.png", np.concatenate([above, below]))
+    write_png(folder / "view.png", compared("coin"))
+    write_png(folder / "sweep.png", tried("dragon_egg"), 128)
 
 
 if __name__ == "__main__":

@@ -189,11 +189,12 @@ def png_bytes(image: Image, most_colours: int | None = None) -> bytes:
     """
     from PIL import Image as Pictures
 
-    picture = Pictures.fromarray(np.ascontiguousarray(image))
-    if most_colours is not None:
-        picture = picture.quantize(
-            most_colours, method=Pictures.Quantize.MEDIANCUT, dither=Pictures.Dither.NONE
-        )
+    from msal_cli.render.palette import indexed
+
+    if most_colours is None:
+        picture = Pictures.fromarray(np.ascontiguousarray(image))
+    else:
+        picture = indexed(image, most_colours)
     sink = io.BytesIO()
     picture.save(sink, format="PNG", optimize=True)
     return sink.getvalue()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from msal_cli import colours
 from msal_cli.render import DARK, LIGHT, Legend, labelled_panels, png_bytes
 from msal_cli.render.text import fitted
 
@@ -93,3 +94,22 @@ def test_fewer_colours_make_a_smaller_file():
     assert len(small) < 0.6 * len(png_bytes(image))
     back = np.asarray(Image.open(io.BytesIO(small)).convert("RGB")).astype(int)
     assert np.abs(back - image).mean() < 20
+
+
+def test_few_colours_are_kept_exactly():
+    image = np.array([[(255, 255, 255), (1, 2, 3)], [(9, 9, 9), (1, 2, 3)]], dtype=np.uint8)
+    back = Image.open(io.BytesIO(png_bytes(image, 256))).convert("RGB")
+    assert (np.asarray(back) == image).all()
+
+
+def test_a_palette_keeps_the_background_and_comes_near_to_all_else():
+    random = np.random.default_rng(8)
+    image = np.full((120, 200, 3), (254, 255, 251), dtype=np.uint8)
+    # Clay over most of it, and a small scale with all colours of a map.
+    image[:80] = random.integers(60, 220, (80, 200, 1)) + np.array([4, 2, 0])
+    image[100, :200] = colours.table("diverging")[:200]
+    back = Image.open(io.BytesIO(png_bytes(image, 256))).convert("RGB")
+    off = np.abs(np.asarray(back).astype(int) - image).max(axis=2)
+    assert (off[85:95] == 0).all()
+    assert off.max() <= 12
+    assert off[:80].mean() < 2.0
