@@ -68,6 +68,7 @@ MAY_IMPORT = {
         "report.worst",
         "errors",
     },
+    "pages": {"page", "pictures", "mesh", "records", "render", "errors"},
     "cli": {
         "baseline",
         "constraints",
@@ -85,7 +86,7 @@ MAY_IMPORT = {
         "methods",
         "metrics",
         "noise",
-        "page",
+        "pages",
         "parameter_grid",
         "pictures",
         "pipeline",

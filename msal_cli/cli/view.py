@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -16,7 +16,6 @@ from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from msal_cli.pictures import Scene, View
-    from msal_cli.records import ComparisonRecord
 
 _PATH = click.Path(readable=False, allow_dash=True)
 
@@ -215,83 +214,10 @@ def _kind(output: str) -> str:
 
 
 def _page(request: Request, scene: Scene, view: View) -> bytes:
-    """The page for two meshes, or one, with the picture for where it cannot be turned."""
     import shlex
 
-    from msal_cli import pictures, render
-    from msal_cli.page import viewer
-    from msal_cli.report.names import shown
+    from msal_cli import pages
 
-    titles = [shown(title) for title in pictures.titles_of(scene.names)]
-    edge = scene.before.mean_edge_length
-    scale = pictures.scale_of_scene(scene)
-    still = pictures.drawn(scene, view)
-    command = ["msal", "view", *scene.names, "-o", request.output]
-    return viewer.page_bytes(
-        " and ".join(titles),
-        scene.before,
-        scene.after,
-        scene.deviation,
-        numbers=_tables(scene, titles),
-        notes=(
-            f"e is the mean edge length of {titles[0]}: {edge:.6g} file units.",
-            shown(f"Made by: {shlex.join(command)}"),
-        ),
-        picture=render.png_bytes(still, 256),
-        description=f"{', '.join(titles)}: the meshes side by side, from one place",
-        names=(titles[0], titles[-1]),
-        deviation_name=f"{pictures.deviation_name(scene)}, file units",
-        ends=None if scale is None else (scale.low, scale.high),
-        view=pictures.camera_of(scene, view).axes,
-    )
-
-
-def _tables(scene: Scene, titles: list[str]) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Headings, and under each the names and values of numbers."""
-    from msal_cli import pictures
-
-    tables = []
-    for title, mesh in zip(titles, (scene.before, scene.after), strict=False):
-        if mesh is not None:
-            n_vertices = pictures.count_of_vertices(mesh)
-            rows = [("triangles", f"{len(mesh.faces):,}"), ("vertices", f"{n_vertices:,}")]
-            tables.append((title, rows))
-    if scene.record is not None:
-        tables += _differences(scene.record)
-    return tables
-
-
-def _differences(
-    record: ComparisonRecord,
-) -> Iterator[tuple[str, list[tuple[str, str]]]]:
-    distance = record.displacement or record.distance_to_before
-    if distance is not None:
-        rows = [
-            (word, f"{length:.4g} ({edges:.3g} e)")
-            for word, length, edges in (
-                ("mean", distance.mean, distance.mean_edges),
-                ("RMS", distance.rms, distance.rms_edges),
-                ("95 % below", distance.p95, distance.p95_edges),
-                ("largest", distance.max, distance.max_edges),
-            )
-        ]
-        yield "Distance to before" if record.displacement is None else "Displacement", rows
-    yield "Change", list(_changes(record))
-
-
-def _changes(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
-    from msal_cli.report.names import shown
-
-    if record.mean_angular_error_deg is not None and record.max_angular_error_deg is not None:
-        yield "normals", f"{record.mean_angular_error_deg:.3g}\N{DEGREE SIGN}"
-        yield "normals, most", f"{record.max_angular_error_deg:.4g}\N{DEGREE SIGN}"
-    if record.flipped_faces is not None:
-        yield "flipped faces", f"{record.flipped_faces:,}"
-    if record.hausdorff is not None and record.hausdorff_edges is not None:
-        yield "Hausdorff", f"{record.hausdorff:.4g} ({record.hausdorff_edges:.3g} e)"
-    if record.volume_change_percent is not None:
-        yield "volume", f"{record.volume_change_percent:+.3g} %"
-    elif record.volume is not None and record.volume.reason:
-        yield "volume", f"none: {shown(record.volume.reason)}"
-    if record.area_change_percent is not None:
-        yield "area", f"{record.area_change_percent:+.3g} %"
+    default = ("view", *scene.names, "-o", request.output)
+    arguments = click.get_current_context().find_root().obj or default
+    return pages.page_of(scene, view, shlex.join(("msal", *arguments)))

@@ -29,8 +29,8 @@ _SCRIPTS = ("decoding.js", "camera.js", "drawing.js", "viewer.js")
 _SHORT = 20
 _KEY = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
-Figures = Sequence[tuple[str, Sequence[tuple[str, str]]]]
-"""Tables of numbers: a heading, and rows of a name and a value."""
+Figures = Sequence[tuple[str, Sequence[tuple[str, ...]]]]
+"""Tables of numbers: a heading, and rows of a name and values; one without a name heads columns."""
 
 
 def script() -> str:
@@ -75,7 +75,9 @@ def embedded_scene(
     starts: str = "click",
     before: str = "Before",
     after: str = "After",
-    deviation: str = "Deviation, file units",
+    deviation: str = "Deviation",
+    deviation_note: str = "",
+    is_flat: bool = False,
 ) -> str:
     """The elements of one scene, for a page that also holds ``script()`` (behind) and ``style()``.
 
@@ -87,11 +89,25 @@ def embedded_scene(
     description : what the picture shows, for those who do not see it.
     starts : ``click`` to wait for a button, ``now`` to start with the page.
     before, after : what the two sides are called.
-    deviation : the heading of the colour scale.
+    deviation, deviation_note : the heading of the colour scale, and what is to be said below it.
+    is_flat : whether every face is shown at the start, not a rounded surface.
     """
     if drawn is None:
         return f'<div class="msal-scene">{_still(picture, description)}</div>'
-    return _box(key, picture, description, starts, (before, after, deviation)) + _data(key, drawn)
+    if not _KEY.fullmatch(key):
+        raise InternalError(f"{key!r} cannot be the id of a scene")
+    told = {
+        "scene": key,
+        "start": starts,
+        "before": before,
+        "after": after,
+        "deviation": deviation,
+        "note": deviation_note,
+        "shading": "flat" if is_flat else "smooth",
+    }
+    attributes = " ".join(f'data-{name}="{_text(value)}"' for name, value in told.items())
+    box = f'<div class="msal-scene" {attributes}>{_still(picture, description)}</div>'
+    return f'{box}\n<script type="application/octet-stream" id="{key}">{drawn.text}</script>\n'
 
 
 def page_bytes(
@@ -105,9 +121,12 @@ def page_bytes(
     picture: bytes | None = None,
     description: str = "",
     names: tuple[str, str] = ("Before", "After"),
-    deviation_name: str = "Deviation, file units",
+    deviation_name: str = "Deviation",
+    deviation_note: str = "",
     ends: tuple[float, float] | None = None,
     view: Floats | None = None,
+    is_flat: bool = False,
+    theme: str = "",
     most_faces: int = scene.MOST_FACES,
 ) -> bytes:
     """A self-contained HTML page that shows one mesh, or two with a slider between them.
@@ -120,7 +139,8 @@ def page_bytes(
     notes : sentences below them, such as the command that made the page.
     picture, description : see ``embedded_scene``.
     names : what the two sides are called.
-    deviation_name : the heading of the colour scale, with its unit.
+    deviation_name, deviation_note, is_flat : see ``embedded_scene``.
+    theme : ``light`` or ``dark`` at the start, empty for what the reader's system has.
     """
     drawn = scene.encoded(before, after, deviation, ends=ends, view=view, most_faces=most_faces)
     has_deviation = deviation is not None
@@ -132,31 +152,25 @@ def page_bytes(
         version=_text(__version__),
         title=_text(title),
         style=looks,
-        scene=_box("scene", picture, description or title, "now", (*names, deviation_name)),
-        data=_data("scene", drawn),
+        scene=embedded_scene(
+            "scene",
+            drawn,
+            picture=picture,
+            description=description or title,
+            starts="now",
+            before=names[0],
+            after=names[1],
+            deviation=deviation_name,
+            deviation_note=deviation_note,
+            is_flat=is_flat,
+        ),
+        theme=f' data-theme="{_text(theme)}"' if theme else "",
         numbers="\n".join(_table(heading, rows) for heading, rows in numbers),
         notes="\n".join(f'<p class="note">{_text(note)}</p>' for note in said),
         keys=_keys(after is not None, has_deviation),
         script=code,
     )
     return page.encode("utf-8")
-
-
-def _box(
-    key: str, picture: bytes | None, description: str, starts: str, names: tuple[str, str, str]
-) -> str:
-    if not _KEY.fullmatch(key):
-        raise InternalError(f"{key!r} cannot be the id of a scene")
-    before, after, deviation = map(_text, names)
-    return (
-        f'<div class="msal-scene" data-scene="{key}" data-start="{_text(starts)}"'
-        f' data-before="{before}" data-after="{after}" data-deviation="{deviation}">'
-        f"{_still(picture, description)}</div>\n"
-    )
-
-
-def _data(key: str, drawn: scene.Scene) -> str:
-    return f'<script type="application/octet-stream" id="{key}">{drawn.text}</script>'
 
 
 def _still(picture: bytes | None, description: str) -> str:
@@ -166,17 +180,19 @@ def _still(picture: bytes | None, description: str) -> str:
     return f'<figure><img alt="{_text(description)}" src="data:image/png;base64,{data}"></figure>'
 
 
-def _table(heading: str, rows: Sequence[tuple[str, str]]) -> str:
-    lines = "".join(
-        f'<tr><th scope="row">{_text(name)}</th><td>{_cell(value)}</td></tr>'
-        for name, value in rows
-    )
+def _table(heading: str, rows: Sequence[tuple[str, ...]]) -> str:
+    lines = "".join(_row(name, values) for name, *values in rows)
     return f"<section><h2>{_text(heading)}</h2><table>{lines}</table></section>"
 
 
-def _cell(value: str) -> str:
-    """A value; a short one stays on its line."""
-    return _text(value).replace(" ", "&nbsp;" if len(value) <= _SHORT else " ")
+def _row(name: str, values: Sequence[str]) -> str:
+    if not name:
+        return f"<tr><td></td>{''.join(f'<th>{_text(value)}</th>' for value in values)}</tr>"
+    # A short value stays on its line.
+    cells = "".join(
+        f"<td{' class=long' if len(value) > _SHORT else ''}>{_text(value)}</td>" for value in values
+    )
+    return f'<tr><th scope="row">{_text(name)}</th>{cells}</tr>'
 
 
 def _decimation(drawn: scene.Scene) -> list[str]:
@@ -199,8 +215,9 @@ def _decimation(drawn: scene.Scene) -> list[str]:
 
 
 def _precision(drawn: scene.Scene) -> list[str]:
-    digits = max(0, 1 - math.floor(math.log10(drawn.rounding)))
-    rounding = f"{drawn.rounding:.{digits}f}" if digits < 9 else f"{drawn.rounding:.1e}"
+    digits = max(0, -math.floor(math.log10(drawn.rounding)))
+    upwards = math.ceil(drawn.rounding * 10.0**digits - 1e-9) / 10.0**digits
+    rounding = f"{upwards:.{digits}f}" if digits < 9 else f"{upwards:.0e}"
     return [f"Coordinates are drawn to within {rounding} file units."]
 
 
@@ -209,11 +226,12 @@ def _keys(is_pair: bool, has_deviation: bool) -> str:
     rows = ""
     if is_pair:
         rows += (
-            "<tr><th>Split</th><td>drag the line; <kbd>[</kbd> <kbd>]</kbd>; arrows on the line;"
-            " <kbd>1</kbd> before, <kbd>2</kbd> half, <kbd>3</kbd> after</td></tr>\n"
+            '<tr><th scope="row">Split</th><td>drag the line; <kbd>[</kbd> <kbd>]</kbd>;'
+            " arrows on the line; <kbd>1</kbd> before, <kbd>2</kbd> half, <kbd>3</kbd> after"
+            "</td></tr>\n"
         )
     if has_deviation:
-        rows += "<tr><th>Deviation</th><td><kbd>d</kbd></td></tr>\n"
+        rows += '<tr><th scope="row">Deviation</th><td><kbd>d</kbd></td></tr>\n'
     return rows
 
 

@@ -53,7 +53,7 @@ def page(name="scan.ply", **options):
             MESH,
             MESH,
             np.arange(8.0),
-            numbers=[(name, [(name, name)])],
+            numbers=[(name, [("", name), (name, 9 * name)])],
             notes=[name],
             names=(name, name),
             description=name,

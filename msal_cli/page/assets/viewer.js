@@ -23,6 +23,7 @@ class Viewer {
     for (const mesh of scene.meshes) mesh.positions = mesh.normals = mesh.corners = null;
     this.listen();
     if (box.dataset.show === "deviation") this.map(true);
+    if (box.dataset.shading === "flat") this.flat(true);
     this.resize();
   }
 
@@ -95,13 +96,18 @@ class Viewer {
     const strip = element("div", { class: "msal-strip" });
     strip.style.background = `linear-gradient(to right, ${stops.join(", ")})`;
     const ticks = element("div", { class: "msal-ticks" });
+    const rank = Math.floor(Math.log10(high));
+    const ten = rank < -3 || rank > 4 ? 10 ** rank : 1;
+    const said = (value) => short(value / ten, (high - low) / ten);
     for (let k = 0; k <= 4; k++) {
-      const value = low + ((high - low) * k) / 4;
       const beyond = (k === 0 && least < low) || (k === 4 && most > high);
-      ticks.append(element("span", {}, `${beyond ? (k ? "≥ " : "≤ ") : ""}${short(value, high - low)}`));
+      ticks.append(element("span", {}, `${beyond ? (k ? "≥ " : "≤ ") : ""}${said(low + ((high - low) * k) / 4)}`));
     }
-    const legend = element("div", { class: "msal-legend" }, element("b", {}, this.box.dataset.deviation || "Deviation, file units"), strip, ticks);
-    legend.append(element("small", {}, `${short(least, high - low)} to ${short(most, high - low)} in all`));
+    const unit = ten === 1 ? "file units" : `10${raised(rank)} file units`;
+    const head = element("div", {}, element("b", {}, this.box.dataset.deviation || "Deviation"), " ", element("small", {}, unit));
+    const legend = element("div", { class: "msal-legend" }, head, strip, ticks);
+    const note = this.box.dataset.note ? `; ${this.box.dataset.note}` : "";
+    legend.append(element("small", {}, `${said(least)} to ${said(most)} in all${note}`));
     legend.hidden = true;
     return legend;
   }
@@ -279,11 +285,16 @@ class Viewer {
   }
 }
 
+const raised = (rank) => String(rank).replace("-", "⁻").replace(/\d/g, (one) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[one]);
+
 // A number with the digits that a scale of this span needs.
 function short(value, span) {
   if (!value) return "0";
   const size = Math.abs(span);
-  if (size >= 1e6 || size < 1e-4) return value.toExponential(2).replace("e+", "e").replace("-", "−").replace("e-", "e−");
+  if (size >= 1e6 || size < 1e-4) {
+    const [digits, rank] = value.toExponential(2).split("e");
+    return `${Number(digits)}·10${raised(Number(rank))}`.replace("-", "−");
+  }
   const text = value.toFixed(Math.max(0, Math.min(8, 2 - Math.floor(Math.log10(size)))));
   return text.replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "").replace("-", "−");
 }
