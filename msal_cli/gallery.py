@@ -11,7 +11,7 @@ import hashlib
 import logging
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from msal_cli.dataclass import dataclass
@@ -51,7 +51,7 @@ class Bounds:
     ``picture_bytes`` in all.
     """
 
-    seconds: float = 120.0
+    seconds: float = 60.0
     file_bytes: int = 200_000_000
     faces: int = 2_000_000
     scenes: int = 5
@@ -60,12 +60,16 @@ class Bounds:
 
 
 def made(
-    records: Sequence[MeshRecord], *, backup: str = BACKUP, bounds: Bounds | None = None
+    records: Sequence[MeshRecord],
+    *,
+    backup: str = BACKUP,
+    bounds: Bounds | None = None,
+    on_file: Callable[[int, int], None] | None = None,
 ) -> Gallery:
     """Pictures of as many files as the bounds allow, and scenes of the worst.
 
     Never raises for a file's fault.  ``backup`` is the suffix of the originals of files that were
-    denoised in place.
+    denoised in place.  ``on_file`` is told after each file how many of how many are dealt with.
     """
     bounds = bounds or Bounds()
     numbers = {id(record): at for at, record in enumerate(records)}
@@ -74,9 +78,10 @@ def made(
     pictures: dict[int, Pictures] = {}
     scenes: dict[int, str] = {}
     n_late = n_large = n_bytes = n_decimated = 0
-    for record in worst_first(records):
-        if not _is_shown(record):
-            continue
+    candidates = [record for record in worst_first(records) if _is_shown(record)]
+    for done, record in enumerate(candidates):
+        if on_file is not None:
+            on_file(done, len(candidates))
         if time.monotonic() > end or n_bytes > bounds.picture_bytes:
             n_late += 1
             continue

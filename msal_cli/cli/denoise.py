@@ -198,7 +198,14 @@ class _Session:
         try:
             if not request.dry_run:
                 github.annotate(records)
-                reports.write(request.reports, run, records, backup=request.backup)
+                reports.write(
+                    request.reports,
+                    run,
+                    records,
+                    backup=request.backup,
+                    is_in_haste=interrupted,
+                    is_quiet=request.quiet,
+                )
             elif request.reports:
                 talk.say("dry run: no report is written")
         finally:

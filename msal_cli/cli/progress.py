@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -124,6 +125,24 @@ def stream_bar(name: str, *, quiet: bool) -> Bar:
     if quiet or not talk.is_terminal(sys.stderr):
         return Silent()
     return SweepBar(name)
+
+
+@contextmanager
+def picture_bar(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """A bar for the pictures of a report; what it gives is told how many of how many are done."""
+    if quiet or not talk.is_terminal(sys.stderr):
+        yield lambda done, total: None
+        return
+    shown = _bar(desc="pictures", bar_format=_FORMAT, delay=_DELAY_S)
+
+    def tell(done: int, total: int) -> None:
+        shown.total = total
+        shown.update(done - shown.n)
+
+    try:
+        yield tell
+    finally:
+        shown.close()
 
 
 def heard_by(*listeners: Callable[[Event], None]) -> Callable[[Event], None]:

@@ -100,7 +100,7 @@ def _reported(request: Request) -> int:
     if request.check or gates:
         github.annotate(told.records)
     try:
-        reports.write(request.outputs, told.run, told.records)
+        reports.write(request.outputs, told.run, told.records, is_quiet=request.quiet)
     finally:
         if request.as_json:
             talk.put_bytes(as_json.encoded(told.run, told.records))

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from msal_cli.records import MeshRecord
     from msal_cli.report import Writer
     from msal_cli.report.document import Run
+    from msal_cli.report.illustrations import Gallery
 
 
 def check(names: Sequence[str], taken: Iterable[str]) -> None:
@@ -46,19 +47,35 @@ def check(names: Sequence[str], taken: Iterable[str]) -> None:
 
 
 def write(
-    names: Sequence[str], run: Run, records: Sequence[MeshRecord], *, backup: str | None = None
+    names: Sequence[str],
+    run: Run,
+    records: Sequence[MeshRecord],
+    *,
+    backup: str | None = None,
+    is_in_haste: bool = False,
+    is_quiet: bool = False,
 ) -> None:
     """Write every report, whole or not at all; OutputError names the first that cannot be.
 
-    One that cannot be written does not keep the others from being written.  ``backup`` is what was
-    added to the names of originals that were replaced, if it is known.
+    One that cannot be written does not keep the others from being written.
+
+    Parameters
+    ----------
+    backup : what was added to the names of originals that were replaced, if it is known.
+    is_in_haste : make no pictures, because somebody waits for the end.
+    is_quiet : show no bar while pictures are made.
     """
     from msal_cli.batch import signals
     from msal_cli.files import is_url, write_whole
 
     first: OutputError | None = None
-    for name in names:
-        data = _writer(name, backup)(run, records)
+    # Pages take longest: whoever loses patience has the other reports.
+    for name in sorted(names, key=_is_page):
+        if _is_page(name):
+            shown = None if is_in_haste else _gallery(records, backup, is_quiet)
+            data = _page(run, records, shown)
+        else:
+            data = _writer(name)(run, records)
         try:
             if github.is_step_summary(name):
                 github.append_to_summary(name, data)
@@ -77,7 +94,7 @@ def write(
         raise first
 
 
-def _writer(name: str, backup: str | None = None) -> Writer:
+def _writer(name: str) -> Writer:
     """The function that makes the bytes of a report of this name; UsageError if there is none."""
     if github.is_step_summary(name):
         from functools import partial
@@ -85,18 +102,28 @@ def _writer(name: str, backup: str | None = None) -> Writer:
         from msal_cli.report import as_markdown
 
         return partial(as_markdown.encoded, most_bytes=github.room_in_summary(name))
-    if name.lower().endswith(".html"):
-        return lambda run, records: _page(run, records, backup)
     return report.writer(name)
 
 
-def _page(run: Run, records: Sequence[MeshRecord], backup: str | None) -> bytes:
-    """The HTML report with its pictures, which take by far the most time."""
-    from msal_cli import gallery
-    from msal_cli.report import as_html
+def _is_page(name: str) -> bool:
+    return name.lower().endswith(".html") and not github.is_step_summary(name)
 
-    shown = gallery.made(records, backup=gallery.BACKUP if backup is None else backup)
-    return as_html.encoded(run, records, shown)
+
+def _gallery(records: Sequence[MeshRecord], backup: str | None, is_quiet: bool) -> Gallery:
+    from msal_cli import gallery
+    from msal_cli.cli import progress
+
+    with progress.picture_bar(quiet=is_quiet) as tell:
+        return gallery.made(
+            records, backup=gallery.BACKUP if backup is None else backup, on_file=tell
+        )
+
+
+def _page(run: Run, records: Sequence[MeshRecord], shown: Gallery | None) -> bytes:
+    from msal_cli.report import as_html
+    from msal_cli.report.illustrations import EMPTY
+
+    return as_html.encoded(run, records, shown or EMPTY)
 
 
 def _guarded(effect: Callable[[], None], name: str) -> None:

@@ -308,6 +308,10 @@ def _head(column: Mapping[str, str]) -> str:
 
 def _static_row(columns: Sequence[Mapping[str, str]], data: Mapping[str, Any]) -> str:
     cells = "".join(map(_static_cell, columns, data["values"]))
+    if data["kind"] == "failed":
+        figures = [one for one in columns if one["kind"] == "figure"]
+        first = "".join(map(_static_cell, columns[: -len(figures)], data["values"]))
+        cells = f'{first}<td colspan="{len(figures)}">{_text(data["details"][0][1])}</td>'
     return f'<tr class="{_text(data["kind"])}">{cells}</tr>'
 
 
@@ -342,13 +346,16 @@ def _settings(run: Run) -> str:
             for name, value in _flat("", data)
         )
         parts.append(f'<div class="facts"><h3>{title}</h3><table>{lines}</table></div>')
-    return "".join(parts)
+    return f'{"".join(parts[:-3])}<div class="grid">{"".join(parts[-3:])}</div>'
 
 
 def _flat(prefix: str, data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for name, value in data.items():
         if isinstance(value, Mapping):
             yield from _flat(f"{prefix}{name}.", value)
+        elif isinstance(value, list | tuple):
+            if value:
+                yield f"{prefix}{name}", ", ".join(map(str, value))
         elif value is not None and value != "":
             yield (
                 f"{prefix}{name}",

@@ -22,11 +22,11 @@ _FIGURES = (
     ("Mean move", "edges"),
     ("Max move", "edges"),
     ("Max move", "file units"),
-    ("Normals", "mean turn, deg"),
+    ("Normals", "mean turn, °"),
     ("Flipped", "faces"),
     ("Time", "s"),
 )
-_TO_REFERENCE = ("To reference", "mean angle, deg")
+_TO_REFERENCE = ("To reference", "mean angle, °")
 
 
 def columns(records: Sequence[MeshRecord]) -> list[Column]:

@@ -9,6 +9,7 @@ import pytest
 
 from msal_cli.cli import reports
 from msal_cli.errors import OutputError, UsageError
+from msal_cli.report.illustrations import EMPTY
 from tests.report.made import RUN, written
 
 
@@ -86,3 +87,29 @@ def test_a_summary_that_cannot_be_written_is_an_error(tmp_path, monkeypatch):
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(tmp_path / "no" / "summary"))
     with pytest.raises(OutputError, match="summary"):
         reports.write([str(tmp_path / "no" / "summary")], RUN, [written()])
+
+
+def test_who_waits_for_the_end_gets_a_page_without_pictures(tmp_path, monkeypatch):
+    from msal_cli import gallery
+
+    asked = []
+    monkeypatch.setattr(gallery, "made", lambda *_, **options: asked.append(options) or EMPTY)
+    reports.write([str(tmp_path / "a.html")], RUN, [written()], is_in_haste=True)
+    assert asked == []
+    reports.write([str(tmp_path / "b.html")], RUN, [written()], backup=".raw")
+    assert asked[0]["backup"] == ".raw"
+    pages = [(tmp_path / name).read_bytes() for name in ("a.html", "b.html")]
+    assert pages[0] == pages[1] and b"scan.ply" in pages[0]
+
+
+def test_pages_are_written_last(tmp_path, monkeypatch):
+    from msal_cli import gallery
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(gallery, "made", interrupted)
+    names = [str(tmp_path / "a.html"), str(tmp_path / "a.csv")]
+    with pytest.raises(KeyboardInterrupt):
+        reports.write(names, RUN, [written()])
+    assert [one.name for one in tmp_path.iterdir()] == ["a.csv"]

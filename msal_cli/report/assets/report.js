@@ -71,6 +71,9 @@
         const open = element("button", { type: "button", class: "open", "aria-expanded": state.open.has(k) }, value);
         open.addEventListener("click", () => toggle(k, made, open));
         made.append(element("th", { scope: "row" }, open));
+      } else if (row.kind === "failed" && column.kind === "figure") {
+        // Instead of figures that there are none of.
+        if (columns[at - 1].kind !== "figure") made.append(element("td", { class: "why", colspan: columns.length - at }, row.details[0][1]));
       } else if (column.kind === "figure") made.append(element("td", { class: "figure" }, figure(value, column)));
       else made.append(element("td", { class: "status" }, value));
     });
