@@ -279,6 +279,10 @@ class TestSettingsHash:
             {"precision": "float32"},
             {"strict": True},
             {"format": "ply"},
+            {"max_move": "0.3e"},
+            {"lock": ("boundary",)},
+            {"weights": "confidence"},
+            {"fields": ("lambda",)},
         ]
         hashes = [settings_hash(dataclasses.replace(SETTINGS, **change)) for change in changes]
         changed = {key for change in changes for key in change}
