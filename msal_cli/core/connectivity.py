@@ -241,7 +241,9 @@ def _closed_rings(start, stop, faces, face_start, incident, ring, opened):  # ty
     becomes True for all other vertices; what stands in their places is of no use.
     """
     # Who follows vertex i is marked i, and, once it has been found to go before it too, -2 - i.
-    mark = np.full(len(opened), -1, dtype=np.int32)
+    mark = np.empty(len(opened), dtype=np.int32)
+    for i in range(len(mark)):
+        mark[i] = -1
     for i in range(start, stop):
         row = face_start[i]
         end = face_start[i + 1]

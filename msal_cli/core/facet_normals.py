@@ -57,10 +57,16 @@ def replaced(start, stop, old, new, faces, normals, corners, changed):  # type: 
     time.  (As one body: called for every facet, its parts would not become one piece of code.)
     """
     # Three rows: the normal after and before the corners moved, and the stored one.
-    vectors = np.ones((3, 3, _BLOCK_FACETS))
-    lengths = np.ones((3, _BLOCK_FACETS))
-    longest = np.ones((2, _BLOCK_FACETS))
-    sums = np.ones(_BLOCK_FACETS)
+    vectors = np.empty((3, 3, _BLOCK_FACETS))
+    lengths = np.empty((3, _BLOCK_FACETS))
+    longest = np.empty((2, _BLOCK_FACETS))
+    sums = np.empty(_BLOCK_FACETS)
+    # What a block leaves over is divided too.
+    for row in range(3):
+        for at in range(_BLOCK_FACETS):
+            lengths[row, at] = 1.0
+            for axis in range(3):
+                vectors[row, axis, at] = 1.0
     which = np.empty(_BLOCK_FACETS, dtype=np.int64)
     f = start
     while f < stop:

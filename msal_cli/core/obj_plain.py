@@ -208,7 +208,7 @@ def walked(  # type: ignore[no-untyped-def]
             if result != WHOLE:
                 break
             if count == 5:
-                at = _past_line(buf, at, False)
+                at = _past_line(buf, at, first == 35)
                 if at < 0:
                     result = ODD
                     break
@@ -232,7 +232,7 @@ def walked(  # type: ignore[no-untyped-def]
             if not is_texture and first != 35:
                 result = ODD
                 break
-            at = _past_line(buf, at, not is_texture)
+            at = _past_line(buf, at, first == 35)
             if at < 0:
                 result = ODD
                 break

@@ -146,18 +146,19 @@ def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
 ):
     """x positions, h heights of the ring over the tangent plane; Huang & Ascher, eqs. (4), (5).
 
-    Points are flat, three numbers each.  Without ``moved`` it writes heights and sigma and returns
-    the largest sigma; with it, it makes the whole sweep: new offsets t, and v + t n into ``moved``.
+    Points are flat, three numbers each; rings are uint32.  Without ``moved`` it writes heights and
+    sigma and returns the largest sigma; with it, it makes the whole sweep: new offsets t, and
+    v + t n into ``moved``.
     """
-    # Unsigned indices need no look at their sign.
-    ring_start = ring_start.view(np.uint32)
-    ring = ring.view(np.uint32)
     stop = np.uint64(stop)
     widest = most_neighbours(start, stop, ring_start)
     rows = ROWS
-    room = np.zeros(rows + VECTOR * max(BLOCK_EDGES, widest))
+    # numba takes longer to compile zeros of another type than all of this line.
+    room = np.empty(np.int64(rows + VECTOR * max(BLOCK_EDGES, widest)))
+    for at in range(np.uint64(len(room))):
+        room[at] = 0.0
     lanes, shifts, chosen = widest + ONE, TWO * (widest + ONE), THREE * (widest + ONE)
-    table = np.zeros(chosen + BLOCK, np.uint64)
+    table = np.empty(np.int64(chosen + BLOCK), np.uint64)
     largest = 0.0
     first = np.uint64(start)
     while first < stop:
@@ -280,8 +281,9 @@ class AnisotropicLaplacian(RingOperator):
             len(positions),
             positions.reshape(-1),
             self.normals.reshape(-1),
-            self.ring_start,
-            self.ring,
+            # Unsigned indices need no look at their sign.
+            self.ring_start.view(np.uint32),
+            self.ring.view(np.uint32),
             self.free,
             max(SMALLEST_SIGMA * self.mean_edge_length, SMALLEST_LENGTH),
             heights,

@@ -23,6 +23,12 @@ MOST_DECIMALS = 16
 _TENS = np.array([10**n for n in range(17)], dtype=np.int64)
 _FLOAT_TENS = np.array([float(10**n) for n in range(23)])
 
+# As constants, not as calls in a kernel: each call takes numba a millisecond.
+_ONE, _TWO, _THREE, _FOUR, _FIVE, _SIX, _SEVEN = (np.uint64(count) for count in range(1, 8))
+_BITS_8, _BITS_16, _BITS_24, _BITS_32, _BITS_40, _BITS_48, _BITS_56 = (
+    np.uint64(8 * count) for count in range(1, 8)
+)
+
 
 @compiled
 def eight(buf, at):  # type: ignore[no-untyped-def]
@@ -31,13 +37,13 @@ def eight(buf, at):  # type: ignore[no-untyped-def]
     if at + 8 <= len(buf):
         return (
             np.uint64(buf[u])
-            | np.uint64(buf[u + np.uint64(1)]) << np.uint64(8)
-            | np.uint64(buf[u + np.uint64(2)]) << np.uint64(16)
-            | np.uint64(buf[u + np.uint64(3)]) << np.uint64(24)
-            | np.uint64(buf[u + np.uint64(4)]) << np.uint64(32)
-            | np.uint64(buf[u + np.uint64(5)]) << np.uint64(40)
-            | np.uint64(buf[u + np.uint64(6)]) << np.uint64(48)
-            | np.uint64(buf[u + np.uint64(7)]) << np.uint64(56)
+            | np.uint64(buf[u + _ONE]) << _BITS_8
+            | np.uint64(buf[u + _TWO]) << _BITS_16
+            | np.uint64(buf[u + _THREE]) << _BITS_24
+            | np.uint64(buf[u + _FOUR]) << _BITS_32
+            | np.uint64(buf[u + _FIVE]) << _BITS_40
+            | np.uint64(buf[u + _SIX]) << _BITS_48
+            | np.uint64(buf[u + _SEVEN]) << _BITS_56
         )
     word = np.uint64(0)
     for k in range(at, len(buf)):
@@ -50,13 +56,13 @@ def put_eight(out, at, word):  # type: ignore[no-untyped-def]
     """Write a word to the eight bytes at ``at``, which must be there."""
     u = np.uint64(at)
     out[u] = np.uint8(word)
-    out[u + np.uint64(1)] = np.uint8(word >> np.uint64(8))
-    out[u + np.uint64(2)] = np.uint8(word >> np.uint64(16))
-    out[u + np.uint64(3)] = np.uint8(word >> np.uint64(24))
-    out[u + np.uint64(4)] = np.uint8(word >> np.uint64(32))
-    out[u + np.uint64(5)] = np.uint8(word >> np.uint64(40))
-    out[u + np.uint64(6)] = np.uint8(word >> np.uint64(48))
-    out[u + np.uint64(7)] = np.uint8(word >> np.uint64(56))
+    out[u + _ONE] = np.uint8(word >> _BITS_8)
+    out[u + _TWO] = np.uint8(word >> _BITS_16)
+    out[u + _THREE] = np.uint8(word >> _BITS_24)
+    out[u + _FOUR] = np.uint8(word >> _BITS_32)
+    out[u + _FIVE] = np.uint8(word >> _BITS_40)
+    out[u + _SIX] = np.uint8(word >> _BITS_48)
+    out[u + _SEVEN] = np.uint8(word >> _BITS_56)
 
 
 @compiled
