@@ -99,7 +99,7 @@ def _changes(record: ComparisonRecord) -> Rows:
     if record.volume_change_percent is not None:
         rows.append(("Volume", _percent(record.volume_change_percent)))
     elif record.volume is not None:
-        rows.append(("Volume", f"unknown: {record.volume.reason}"))
+        rows.append(("Volume", "unknown"))
     if record.area_change_percent is not None:
         rows.append(("Area", _percent(record.area_change_percent)))
     if record.mean_angular_error_deg is not None:
@@ -134,9 +134,12 @@ def _sizes(record: ComparisonRecord) -> Rows:
 def _warnings(scene: Scene) -> Sequence[str]:
     if scene.record is None:
         return ()
+    said = list(scene.record.warnings)
     if scene.deviation is None:
-        return (*scene.record.warnings, "Other faces: no deviation without the package fcpw")
-    return scene.record.warnings
+        said.append("Other faces: no deviation without the package fcpw.")
+    if scene.record.volume is not None and scene.record.volume.reason:
+        said.append(f"No volume: {scene.record.volume.reason}.")
+    return said
 
 
 def _description(titles: Sequence[str], scene: Scene) -> str:

@@ -34,15 +34,21 @@ void main() {
   if (dot(facet, eye) < 0.0) facet = -facet;
   bool is_back = gl_FrontFacing == is_inside_out;
   vec3 n = facet;
-  if (!is_flat && dot(direction, direction) > 0.01)
-    n = normalize(gl_FrontFacing ? direction : -direction);
-  vec3 key = normalize(vec3(0.86 * cos(turn), 0.86 * sin(turn), 0.62));
+  if (!is_flat && dot(direction, direction) > 0.01) {
+    // Round, but for creases and roughness: there the face has its say.
+    vec3 smoothed = normalize(gl_FrontFacing ? direction : -direction);
+    n = normalize(mix(facet, smoothed, smoothstep(0.65, 1.0, dot(smoothed, facet))));
+  }
+  vec3 key = normalize(vec3(cos(turn), sin(turn), 0.55));
   vec3 fill = normalize(vec3(-cos(turn + 0.5), -sin(turn + 0.5), 0.75));
-  float light = 0.80 * max(dot(n, key), 0.0) + 0.23 * max(dot(n, fill), 0.0);
-  light += 0.13 + 0.10 * n.y + 0.09 * n.z;
+  float light = 0.86 * max(dot(n, key), 0.0) + 0.20 * max(dot(n, fill), 0.0);
+  light += 0.11 + 0.09 * n.y + 0.14 * n.z * n.z;
   vec3 paint = linear(clay);
   if (is_back) paint = mix(paint, vec3(0.12, 0.17, 0.24), 0.62);
-  if (is_mapped) paint = linear(texture(colours, vec2((value - range.x) * range.y, 0.5)).rgb);
+  if (is_mapped) {
+    paint = linear(texture(colours, vec2((value - range.x) * range.y, 0.5)).rgb);
+    light = 0.42 + 0.60 * light; // colours must be read in the shadow too
+  }
   float gleam = pow(max(dot(n, normalize(key + eye)), 0.0), 42.0) * (is_mapped ? 0.04 : 0.10);
   float rim = pow(1.0 - max(dot(n, eye), 0.0), 4.0) * 0.06;
   colour = vec4(pow(paint * light * 1.06 + gleam + rim, vec3(1.0 / 2.2)), 1.0);

@@ -295,7 +295,7 @@ function short(value, span) {
     const [digits, rank] = value.toExponential(2).split("e");
     return `${Number(digits)}·10${raised(Number(rank))}`.replace("-", "−");
   }
-  const text = value.toFixed(Math.max(0, Math.min(8, 2 - Math.floor(Math.log10(size)))));
+  const text = value.toFixed(Math.max(0, Math.min(8, 3 - Math.floor(Math.log10(size)))));
   return text.replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "").replace("-", "−");
 }
 
