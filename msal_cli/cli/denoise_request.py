@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from msal_cli.cli import words
 from msal_cli.cli.denoise_options import DEFAULT_BACKUP
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from msal_cli.cli.denoise_options import Request
     from msal_cli.cli.pipe import Pipe
     from msal_cli.gates import Gate
+    from msal_cli.methods import Method
     from msal_cli.pipeline import Limits, Settings
 
 
@@ -139,7 +140,7 @@ def limits_of(request: Request) -> Limits:
 
 def settings_of(request: Request) -> Settings:
     """What decides the bytes of the outputs; UsageError for what no method or format knows."""
-    from msal_cli import constraints, files, methods, pipeline
+    from msal_cli import files, methods, pipeline
     from msal_cli.cli import parameters
 
     method = methods.find(request.method)
@@ -154,13 +155,9 @@ def settings_of(request: Request) -> Settings:
     ]
     given += [parameters.assignment(text) for text in request.assignments]
     settled = parameters.settled(method, given)
-    if request.weights is not None and not method.has_data_term(settled):
-        schedules = any(spec.name == "schedule" for spec in method.parameters)
-        raise UsageError(
-            f"--weights needs a pull to the scanned positions, and {method.name} has none"
-            + (" with --schedule plain" if schedules else ""),
-            hint="choose --schedule constant or multiscale" if schedules else "choose msal",
-        )
+    if request.weights is not None:
+        _refuse_without_data_term(method, settled)
+    max_move, lock = _moves_of(request)
     return pipeline.Settings(
         method=method.name,
         parameters=settled,
@@ -169,10 +166,34 @@ def settings_of(request: Request) -> Settings:
         precision=request.precision,
         strict=request.strict,
         format=words.settled_format(request.format, files.readable_suffixes, "--format"),
-        max_move=None if request.max_move is None else str(constraints.length(request.max_move)),
-        lock=tuple(str(constraints.lock(one) or constraints.BOUNDARY) for one in request.lock),
+        max_move=max_move,
+        lock=lock,
         weights=request.weights,
         fields=_fields_of(request),
+    )
+
+
+def _refuse_without_data_term(method: Method, settled: dict[str, Any]) -> None:
+    """Refuse trust where nothing pulls a vertex back to where it was scanned; UsageError."""
+    if method.has_data_term(settled):
+        return
+    schedules = any(spec.name == "schedule" for spec in method.parameters)
+    raise UsageError(
+        f"--weights needs a pull to the scanned positions, and {method.name} has none"
+        + (" with --schedule plain" if schedules else ""),
+        hint="choose --schedule constant or multiscale" if schedules else "choose msal",
+    )
+
+
+def _moves_of(request: Request) -> tuple[str | None, tuple[str, ...]]:
+    """--max-move and --lock in one spelling each; UsageError for what means nothing."""
+    if request.max_move is None and not request.lock:
+        return None, ()
+    from msal_cli import constraints
+
+    max_move = None if request.max_move is None else str(constraints.length(request.max_move))
+    return max_move, tuple(
+        str(constraints.lock(one) or constraints.BOUNDARY) for one in request.lock
     )
 
 
