@@ -505,10 +505,10 @@ class _Run:
 
     def write_fields(self) -> None:
         """Write the file of fields, if one was asked for, over nothing but its like."""
-        from msal_cli import fields, files
-
         if self._fields_file is None:
             return
+        from msal_cli import fields, files
+
         data, told = self._fields_file
         if not files.is_url(told.path):
             fields.refuse_foreign(told.path)

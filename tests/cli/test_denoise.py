@@ -6,6 +6,8 @@ import csv
 import json
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -494,3 +496,17 @@ def test_a_folder_in_use_is_refused(scan, tmp_path):
         made = msal("denoise", scan.parent, "-o", tmp_path / "out")
     assert made.exit_code == 2
     assert "(E_LOCKED)" in made.stderr
+
+
+def test_what_is_not_asked_for_is_not_imported(scan, tmp_path):
+    """A small mesh takes a tenth of a second, most of it imports."""
+    unwanted = ("gates", "constraints", "fields", "render", "page", "pictures", "colours")
+    code = (
+        "import sys; from msal_cli.cli.main import program\n"
+        "try: program.main(sys.argv[1:])\n"
+        "except SystemExit: pass\n"
+        f"print([n for n in {unwanted} if 'msal_cli.' + n in sys.modules], 'PIL' in sys.modules)"
+    )
+    words = [sys.executable, "-c", code, "denoise", str(scan), "-o", str(tmp_path / "o.ply"), "-q"]
+    made = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert made.stdout.strip() == "[] False"
