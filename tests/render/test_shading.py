@@ -91,6 +91,13 @@ def test_hollows_are_darker():
     assert abs(trench[75, 40].sum() - plane[75, 40].sum()) < 10
 
 
+def test_a_tilted_plane_is_alike_all_over():
+    vertices, faces = square()
+    leaning = vertices + vertices[:, :1] * (0, 0, 1.5)
+    image = seen(leaning, faces)[4:46, 9:51]
+    assert np.ptp(image.reshape(-1, 3), axis=0).max() <= 1
+
+
 @pytest.mark.parametrize("style", [LIGHT, DARK])
 def test_the_background_is_that_of_the_style(style):
     image = seen(*square(), style=style)
