@@ -84,8 +84,14 @@ def _start(route: str, number: int) -> None:
         )
     except OSError:
         return
-    # It holds the pipe open until the helper, or this process, ends.
-    threading.Thread(target=helper.wait, name="msal-helper", daemon=True).start()
+    threading.Thread(target=_attend, args=(helper,), name="msal-helper", daemon=True).start()
+
+
+def _attend(helper: subprocess.Popen[bytes]) -> None:
+    """Hold the pipe open until the helper, or this process, ends."""
+    helper.wait()
+    if helper.stdin is not None:
+        helper.stdin.close()
 
 
 def help_on(route: str, number: int) -> None:
