@@ -21,7 +21,7 @@ _LEAST_COSINE = 0.25
 _CHECKS = 3
 """Times that contractions are checked against one another; what still fails then is left."""
 
-_STALLED = 0.03
+_STALLED = 0.12
 """Share of the faces that a round must take away; after a poorer one faces may turn over, which
 happens only where the noise is larger than the edges and the surface is folded anyhow."""
 
