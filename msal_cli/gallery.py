@@ -53,7 +53,7 @@ class Bounds:
 
     seconds: float = 60.0
     file_bytes: int = 200_000_000
-    faces: int = 2_000_000
+    faces: int = 1_000_000
     scenes: int = 5
     scene_faces: int = 100_000
     picture_bytes: int = 18_000_000
@@ -277,13 +277,13 @@ def _remarks(
     remarks = []
     if n_late:
         remarks.append(
-            f"Pictures are of the worst {n_shown:,} files: the other {n_late:,} would have taken "
-            f"more than {bounds.seconds:.0f} seconds or {bounds.picture_bytes / 1e6:.0f} MB."
+            f"Pictures are of the worst {_counted(n_shown)}: the other {n_late:,} would have "
+            f"taken more than {bounds.seconds:.0f} seconds or {bounds.picture_bytes / 1e6:.0f} MB."
         )
     if n_large:
         remarks.append(
-            f"{n_large:,} files of more than {bounds.faces / 1e6:g} million faces or "
-            f"{bounds.file_bytes / 1e6:.0f} MB have no pictures; `msal view` makes them."
+            f"{_counted(n_large)} of more than {bounds.faces:,} faces or "
+            f"{bounds.file_bytes / 1e6:.0f} MB without pictures here; `msal view` makes them."
         )
     if n_decimated:
         remarks.append(
@@ -291,3 +291,7 @@ def _remarks(
             "after alike; the figures are those of the full meshes."
         )
     return remarks
+
+
+def _counted(count: int) -> str:
+    return "1 file" if count == 1 else f"{count:,} files"

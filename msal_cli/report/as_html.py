@@ -25,7 +25,7 @@ from typing import Any
 from msal_cli.records import MeshRecord
 from msal_cli.report import histogram
 from msal_cli.report import rows as table
-from msal_cli.report.as_text import percent_text, rate_text, reason, seconds_text
+from msal_cli.report.as_text import percent_text, reason, seconds_text
 from msal_cli.report.document import Run, Totals, plain, totals
 from msal_cli.report.illustrations import EMPTY, Gallery, Pictures
 from msal_cli.report.names import shown
@@ -179,7 +179,7 @@ def _totals(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
     if run.seconds > 0.0:
         tiles.append((seconds_text(run.seconds), "wall time", ""))
         if sums.vertices:
-            rate = sums.vertices / run.seconds
+            rate = float(f"{sums.vertices / run.seconds:.3g}")
             tiles.append((_short(rate), "vertices a second", ""))
     spread = sums.volume_change_percent
     if spread is not None:
@@ -388,10 +388,10 @@ def _counted(count: int, word: str) -> str:
 
 
 def _short(number: float) -> str:
-    """A large number in few signs: ``718,940``, ``12.3 million``."""
+    """A large number in few signs: ``718,940``, ``12.3 M``."""
     if number < 1e6:
-        return rate_text(number) if number != int(number) else f"{number:,.0f}"
-    return f"{number / 1e6:.3g} million" if number < 1e9 else f"{number / 1e9:.3g} billion"
+        return f"{number:,.0f}"
+    return f"{number / 1e6:.3g} M" if number < 999.5e6 else f"{number / 1e9:.3g} G"
 
 
 def _percent(value: float) -> str:
