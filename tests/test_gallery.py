@@ -17,26 +17,26 @@ from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, open_scan
 from tests.report.made import written
 
 
-@pytest.fixture
-def run(tmp_path):
+def denoised(folder, *options):
     """Denoise a folder of three scans, one of them bad; the records."""
+    folder_of(folder / "in", a=closed_scan(), b=open_scan(), bad=BAD_SCAN)
+    if "--in-place" not in options:
+        options = (*options, "-o", folder / "out")
+    msal("denoise", folder / "in", *options, "--report", folder / "r.json", "-q", "-j", 1)
+    return reading.document((folder / "r.json").read_bytes(), "r.json")[1]
 
-    def denoised(*options):
-        folder_of(tmp_path / "in", a=closed_scan(), b=open_scan(), bad=BAD_SCAN)
-        if "--in-place" not in options:
-            options = (*options, "-o", tmp_path / "out")
-        msal("denoise", tmp_path / "in", *options, "--report", tmp_path / "r.json", "-q")
-        return reading.document((tmp_path / "r.json").read_bytes(), "r.json")[1]
 
-    return denoised
+@pytest.fixture(scope="module")
+def records(tmp_path_factory):
+    """Of a run whose files stay as they are."""
+    return denoised(tmp_path_factory.mktemp("run"))
 
 
 def shown(records, found):
     return sorted(records[at].input.rpartition("/")[2] for at in found.pictures)
 
 
-def test_every_file_that_was_written_is_shown(run):
-    records = run()
+def test_every_file_that_was_written_is_shown(records):
     found = gallery.made(records)
     assert shown(records, found) == ["a.ply", "b.ply"]
     assert set(found.scenes) == set(found.pictures) and found.script and found.style
@@ -46,19 +46,19 @@ def test_every_file_that_was_written_is_shown(run):
         assert one.before != one.after != one.deviation
 
 
-def test_in_place_the_backup_is_the_input(run, tmp_path):
-    records = run("--in-place", "--backup", ".raw")
+def test_in_place_the_backup_is_the_input(tmp_path):
+    records = denoised(tmp_path, "--in-place", "--backup", ".raw")
     assert shown(records, gallery.made(records, backup=".raw")) == ["a.ply", "b.ply"]
     assert gallery.made(records, backup=".orig").pictures == {}
 
 
-def test_in_place_without_a_backup_there_is_nothing_to_compare(run):
-    records = run("--in-place", "--no-backup")
+def test_in_place_without_a_backup_there_is_nothing_to_compare(tmp_path):
+    records = denoised(tmp_path, "--in-place", "--no-backup")
     assert gallery.made(records).pictures == {}
 
 
-def test_what_is_gone_or_has_changed_is_left_out(run, tmp_path):
-    records = run()
+def test_what_is_gone_or_has_changed_is_left_out(tmp_path):
+    records = denoised(tmp_path)
     (tmp_path / "in" / "a.ply").write_bytes(closed_scan(seed=5))
     (tmp_path / "out" / "b.ply").unlink()
     found = gallery.made(records)
@@ -75,8 +75,7 @@ def test_streams_stores_and_what_was_not_written_are_left_out():
     assert gallery.made(records).pictures == {}
 
 
-def test_the_bounds_are_kept_and_said(run):
-    records = run()
+def test_the_bounds_are_kept_and_said(records):
     found = gallery.made(records, bounds=Bounds(seconds=-1.0))
     assert found.pictures == {} and "the other 2 would have taken more" in found.remarks[0]
     found = gallery.made(records, bounds=Bounds(faces=100))
@@ -91,13 +90,12 @@ def test_the_bounds_are_kept_and_said(run):
     assert "decimated" in found.remarks[0]
 
 
-def test_what_cannot_be_drawn_keeps_back_no_report(run, monkeypatch):
+def test_what_cannot_be_drawn_keeps_back_no_report(records, monkeypatch):
     from msal_cli import pictures
 
     def broken(*_):
         raise RuntimeError
 
-    records = run()
     monkeypatch.setattr(pictures, "camera_of", broken)
     assert gallery.made(records).pictures == {}
 
