@@ -139,7 +139,14 @@ def _tables(worst: Sequence[MeshRecord]) -> Iterator[_Table]:
     yield _Table("Broken gates", "", ("file", "gate"), len(broken), rows)
     done = [record for record in worst if record.status not in ("failed", "planned")]
     rows = [_figures(record) for record in done[:MOST_ROWS]]
-    yield _Table("Files", WORDS, _HEADS, len(done), rows, n_figures=len(_HEADS) - 2)
+    heads: tuple[str, ...] = _HEADS
+    if any(record.reference is not None for record in done):
+        heads = (*heads, "to reference, deg")
+        rows = [
+            (*row, _to_reference(record))
+            for row, record in zip(rows, done[:MOST_ROWS], strict=True)
+        ]
+    yield _Table("Files", WORDS, heads, len(done), rows, n_figures=len(heads) - 2)
     warnings = [(record, one) for record in worst for one in record.warnings]
     rows = [(_name(record), _text(one)) for record, one in warnings[:MOST_ROWS]]
     yield _Table("Warnings", "", ("file", "warning"), len(warnings), rows)
@@ -172,6 +179,12 @@ def _figures(record: MeshRecord) -> tuple[str, ...]:
         f"{record.flipped_faces:,}" if record.flipped_faces is not None else "",
         f"{seconds.total:.2f}" if seconds is not None else "",
     )
+
+
+def _to_reference(record: MeshRecord) -> str:
+    """The mean angle to the reference's face normals; empty if it is not known."""
+    angle = record.reference.mean_angular_error_deg if record.reference is not None else None
+    return "" if angle is None else f"{angle:.2f}"
 
 
 def _failure(record: MeshRecord) -> tuple[str, ...]:

@@ -78,7 +78,7 @@ def _figures(record: MeshRecord, with_reference: bool) -> list[float | None]:
         record.seconds.total if record.seconds is not None else None,
     ]
     if with_reference:
-        reference = _reference(record)
+        reference = record.reference
         figures.append(None if reference is None else reference.mean_angular_error_deg)
     return [_rounded(one) for one in figures]
 
@@ -104,6 +104,10 @@ def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
     yield "Defects", defects_text(record)
     if record.volume is not None and not record.volume.valid:
         yield "Volume", f"no figure: {record.volume.reason}"
+    if record.reference is not None:
+        failure = record.reference.error
+        yield "Reference", record.reference.path
+        yield "No figures", "" if failure is None else reason(failure.where, failure.message, "")
     for sidecar in record.sidecars:
         yield "Beside it", sidecar
 
@@ -117,9 +121,5 @@ def _mesh(record: MeshRecord) -> str:
     return ", ".join(one for one in counts if one)
 
 
-def _reference(record: MeshRecord) -> Any:
-    return getattr(record, "reference", None)
-
-
 def _has_reference(records: Sequence[MeshRecord]) -> bool:
-    return any(_reference(record) is not None for record in records)
+    return any(record.reference is not None for record in records)

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.records import MeshRecord
+from msal_cli.records import MeshRecord, Reference
 from msal_cli.report import as_html
 from msal_cli.report.illustrations import Gallery, Pictures, Scale
 from msal_cli.report.names import shown
@@ -166,3 +166,14 @@ def test_the_largest_page_keeps_to_its_size():
 def test_ten_thousand_files_are_a_small_page():
     records = [written(f"scans/{at}.ply") for at in range(10_000)]
     assert len(as_html.encoded(RUN, records)) < 4_000_000
+
+
+def test_the_angle_to_a_reference_is_a_column_where_there_is_one():
+    reference = Reference("truth.ply", "vertices", mean_angular_error_deg=3.456)
+    _, reader = page([written("a.ply", reference=reference), written("b.ply")])
+    assert json.loads(reader.ids["columns"])[-1]["title"] == "To reference"
+    rows = json.loads(reader.ids["rows"])
+    assert [one["values"][-1] for one in rows] == [3.456, None]
+    assert ["Reference", "truth.ply"] in rows[0]["details"]
+    _, reader = page([written()])
+    assert json.loads(reader.ids["columns"])[-1]["title"] == "Time"

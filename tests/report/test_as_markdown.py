@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from msal_cli.records import Failure, MeshRecord
+from msal_cli.records import Failure, MeshRecord, Reference
 from msal_cli.report import as_markdown
 from msal_cli.report.document import Run
 from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, of, written
@@ -117,3 +117,10 @@ def test_what_is_beyond_the_first_rows_is_folded():
     page = text([written(f"{at}.ply") for at in range(60)])
     assert "<details><summary>35 more</summary>" in page
     assert html.unescape(page).count("<details>") == page.count("</details>") == 2
+
+
+def test_the_angle_to_a_reference_is_told_where_there_is_one():
+    reference = Reference("truth.ply", "vertices", mean_angular_error_deg=3.456)
+    (_, files) = tables(text([written("a.ply", reference=reference), written("b.ply")]))
+    assert files[0][-1] == "to reference, deg"
+    assert [row[-1] for row in files[1:]] == ["3.46", ""]
