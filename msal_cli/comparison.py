@@ -284,7 +284,7 @@ def _with_distances(record: ComparisonRecord, reference: Mesh, moved: Mesh) -> C
         return _warned(
             record,
             "no Hausdorff distance and no distances to the surfaces: they need the package fcpw "
-            "(pip install 'msal-cli[compare]')",
+            "(pip install fcpw)",
         )
     to_before, to_after, hausdorff = metrics.surface_distances(reference, moved)
     edge = reference.mean_edge_length

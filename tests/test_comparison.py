@@ -132,7 +132,7 @@ def test_without_the_library_all_else_is_told(monkeypatch):
     made = between(cube(), cube())
     assert made.hausdorff is made.distance_to_before is None
     assert made.vertex_error_percent == 0.0
-    assert "msal-cli[compare]" in made.warnings[0]
+    assert "pip install fcpw" in made.warnings[0]
 
 
 def test_a_position_that_is_not_finite():

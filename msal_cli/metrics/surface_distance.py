@@ -56,7 +56,7 @@ def distances_to_surface(points: Floats, surface: Mesh) -> Floats:
         raise UnsupportedError(
             "distances to a surface need the package fcpw, which is not installed",
             code="E_NO_LIBRARY",
-            hint="install it with: pip install 'msal-cli[compare]'",
+            hint="install it with pip install fcpw; where it has no wheel it must be built",
         ) from None
 
     vertices, faces = surface.vertices, surface.faces

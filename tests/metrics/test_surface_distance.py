@@ -102,4 +102,4 @@ def test_without_the_library_the_error_says_how_to_get_it(monkeypatch):
     with pytest.raises(UnsupportedError) as caught:
         distances_to_surface(np.zeros((1, 3)), Mesh(*cube()))
     assert caught.value.code == "E_NO_LIBRARY"
-    assert "msal-cli[compare]" in caught.value.hint
+    assert "pip install fcpw" in caught.value.hint
