@@ -459,7 +459,7 @@ def test_a_run_that_is_ended_reports_what_was_done(
 
 
 def test_an_interrupt_wins_over_a_report_that_cannot_be_written(mixed, tmp_path, monkeypatch):
-    def full(*given):
+    def full(*given, **named):
         raise OutputError("the disk is full")
 
     monkeypatch.setattr(run_module, "run", Ending(KeyboardInterrupt()))
@@ -470,12 +470,13 @@ def test_an_interrupt_wins_over_a_report_that_cannot_be_written(mixed, tmp_path,
 
 
 def test_a_report_that_cannot_be_written_is_fatal_but_json_is_printed(scan, tmp_path, monkeypatch):
-    def full(*given):
+    def full(*given, **named):
         raise OutputError("the disk is full")
 
     monkeypatch.setattr("msal_cli.cli.reports.write", full)
     made = msal("denoise", scan, "-o", tmp_path / "o.ply", "--json", "--report", tmp_path / "r.csv")
     assert made.exit_code == 1
+    assert "the disk is full" in made.stderr
     assert json.loads(made.stdout)["totals"]["written"] == 1
     assert (tmp_path / "o.ply").exists()
 
