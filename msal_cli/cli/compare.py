@@ -15,7 +15,7 @@ from msal_cli.errors import UsageError
 if TYPE_CHECKING:
     from msal_cli.batch.inputs import Found
     from msal_cli.cli.measure import Measure
-    from msal_cli.records import ComparisonRecord
+    from msal_cli.records import ComparisonRecord, Failure
 
 _PATH = click.Path(readable=False, allow_dash=False)
 
@@ -204,7 +204,7 @@ def _told_of_two(request: Request, format: str | None, measure: Measure) -> int:
     if request.as_json:
         talk.put_bytes(as_json.json_bytes(document.plain_record(record)))
     if record.error is not None:
-        talk.say_failure(record.after, record.error)
+        _say_failure(record, record.error)
         return exit_codes.FATAL
     if not request.as_json:
         talk.put_lines(comparison_text.told(record))
@@ -268,7 +268,7 @@ def _told_of_many(request: Request, pairs: Mapping[str, ComparisonRecord], measu
         talk.put_bytes(as_json.json_bytes(data))
         for record in records:
             if record.error is not None:
-                talk.say_failure(record.after, record.error)
+                _say_failure(record, record.error)
     else:
         talk.put_lines(comparison_text.table(records, width=talk.width()))
     talk.say_lines(comparison_text.broken_gates(records))
@@ -276,3 +276,14 @@ def _told_of_many(request: Request, pairs: Mapping[str, ComparisonRecord], measu
         talk.say(f"{file_name(name)}: in the baseline, and not here", "bad")
     is_broken = is_any_broken(records) or bool(vanished)
     return exit_codes.of_files(len(records), n_failed, is_gate_failed=is_broken)
+
+
+def _say_failure(record: ComparisonRecord, error: Failure) -> None:
+    """Tell why two files could not be compared, under the name of the one that is at fault."""
+    from dataclasses import replace
+
+    for path in (record.before, record.after):
+        if error.where == path or error.where.startswith(f"{path}: "):
+            talk.say_failure(path, replace(error, where=error.where[len(path) + 2 :]))
+            return
+    talk.say_failure(record.after, error)

@@ -25,7 +25,7 @@ class Request:
     """The command line of ``msal noise``, as click has read it."""
 
     inputs: tuple[str, ...]
-    output: str
+    output: str | None
     kind: str
     level: float
     seed: int
@@ -68,9 +68,9 @@ Exit status: see msal --help.""",
     "-o",
     "--output",
     metavar="OUT",
-    required=True,
     type=_PATH,
-    help="A file for one input, or a folder, which gets a mirrored tree; - for standard output.",
+    help="A file for one input, or a folder, which gets a mirrored tree. - is standard output, the "
+    "default when INPUT is -.",
 )
 @click.option(
     "--kind",
@@ -146,6 +146,8 @@ def _run(request: Request) -> int:
     one = pipe.pipe(request.inputs, request.output)
     if one is not None:
         return _piped(request, one, noise, format)
+    if request.output is None:
+        raise UsageError("there is no output", hint="name a file or a folder with -o")
     found = inputs.found(request.inputs, request.include, request.exclude, output=request.output)
     tasks = plan.built(found, request.output, force=request.force).tasks
     n_failed = 0

@@ -56,6 +56,14 @@ def test_a_file_that_cannot_be_read(scans):
     assert "Traceback" not in made.stderr
 
 
+@pytest.mark.parametrize("order", [("bad", "a"), ("a", "bad")])
+def test_the_file_at_fault_is_the_one_that_is_named(scans, order):
+    made = msal("compare", *(scans / f"{name}.ply" for name in order))
+    assert made.exit_code == 1
+    assert made.stderr.startswith(f"msal: error: {scans / 'bad.ply'}: ")
+    assert "a.ply" not in made.stderr.splitlines()[0].replace("bad.ply", "")
+
+
 def test_a_file_that_is_not_there(scans):
     made = msal("compare", scans / "a.ply", scans / "none.ply")
     assert (made.exit_code, made.stdout) == (2, "")

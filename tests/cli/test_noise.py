@@ -118,3 +118,15 @@ def test_an_input_is_not_overwritten_and_the_format_is_kept(scan):
     assert (made.exit_code, scan.with_name("out.stl").exists()) == (1, False)
     assert "the format" in made.stderr
     assert scan.read_bytes() == before
+
+
+def test_what_comes_in_by_a_stream_goes_out_by_one(scan, tmp_path):
+    target = tmp_path / "noisy.ply"
+    msal("noise", scan, "-o", target, "--seed", 2)
+    assert msal_on(scan.read_bytes(), "noise", "-", "--seed", 2).stdout_bytes == target.read_bytes()
+
+
+def test_a_file_needs_an_output(scan):
+    made = msal("noise", scan)
+    assert made.exit_code == 2
+    assert "there is no output" in made.stderr
