@@ -34,7 +34,9 @@ MAY_IMPORT = {
     "gates": {"records", "errors"},
     "fields": {"colours", "files", "metrics", "mesh", "records", "errors"},
     "inspection": {"files", "metrics", "noise", "mesh", "records", "errors"},
+    "tasks": {"files", "methods", "records"},
     "pipeline": {
+        "tasks",
         "constraints",
         "comparison",
         "fields",

@@ -1,0 +1,147 @@
+"""What is asked of one file, and what is known of it before it is read: names and forecasts."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import field
+from typing import TYPE_CHECKING, Any
+
+from msal_cli.dataclass import dataclass
+from msal_cli.records import ObjectMark
+
+if TYPE_CHECKING:
+    from msal_cli.files.forecast import Forecast
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything beside the input that decides the bytes of an output.
+
+    Attributes
+    ----------
+    method, parameters : the method's name and its settled parameters, every one of them.
+    to : suffix of the format to convert to, without a dot; None keeps the input's, or takes the
+        output name's.
+    encoding : ``same``, ``ascii`` or ``binary``.
+    precision : ``same``, ``float32`` or ``float64``.
+    strict : a conversion that loses something fails instead of warning.
+    format : the input's format where its name does not tell.
+    max_move, lock, weights : what keeps vertices near their place; see ``constraints``.
+    fields : what is written beside the output, see ``fields``.
+    """
+
+    method: str
+    parameters: dict[str, Any] = field(default_factory=dict)
+    to: str | None = None
+    encoding: str = "same"
+    precision: str = "same"
+    strict: bool = False
+    format: str | None = None
+    max_move: str | None = None
+    lock: tuple[str, ...] = ()
+    weights: str | None = None
+    fields: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one file may take; None is no limit.  Limits never change the bytes of an output.
+
+    Attributes
+    ----------
+    timeout_s : seconds of wall time, held by whoever supervises the worker.
+    memory_bytes : resident memory of the process that denoises it.
+    max_faces : faces as the file counts them.
+    """
+
+    timeout_s: float | None = None
+    memory_bytes: int | None = None
+    max_faces: int | None = None
+
+
+NO_LIMITS = Limits()
+
+_FIELDS_BYTES_PER_FACE = 64
+
+FORECAST = "forecast"
+"""The ``where`` of an ``E_MEMORY`` that was foreseen: trying again would not help."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One file to denoise; paths are text as ``os.fsdecode`` gives it, or URLs.
+
+    ``relative`` is the name by which reports and the manifest know the file.  With ``in_place``
+    the output is the input, and ``backup``, a suffix, keeps the original beside it.  An input in a
+    store has the mark that it had when it was found.
+    """
+
+    input: str
+    output: str
+    relative: str
+    in_place: bool = False
+    backup: str | None = None
+    input_mark: ObjectMark | None = None
+
+
+def is_mesh_name(name: str) -> bool:
+    """True if the suffix, a final ``.gz`` aside, is that of a format that can be read."""
+    from msal_cli.files import readable_suffixes
+
+    return suffix(name) in readable_suffixes()
+
+
+def writable_formats() -> tuple[str, ...]:
+    """The words that ``--to`` takes."""
+    from msal_cli.files import writable_formats
+
+    return tuple(writable_formats())
+
+
+def output_name(name: str, to: str | None) -> str:
+    """The name of the output for an input's name: another suffix for ``to``; ``.gz`` is kept."""
+    if to is None:
+        return name
+    packed = name[-3:] if name.lower().endswith(".gz") else ""
+    stem = name[: len(name) - len(packed)]
+    return stem[: len(stem) - len(suffix(name))] + "." + to.lower().lstrip(".") + packed
+
+
+def suffix(name: str) -> str:
+    """The last suffix in lower case with its dot, a final ``.gz`` aside; empty if none."""
+    base = os.path.basename(name).lower()
+    return os.path.splitext(base.removesuffix(".gz"))[1]
+
+
+def forecast(task: Task, settings: Settings) -> Forecast:
+    """What a file will ask for, from its size and its first bytes; it never raises for a file."""
+    from msal_cli.files import forecast
+
+    told = suffix(task.output).lstrip(".") if is_mesh_name(task.output) else None
+    to = settings.to or told
+    is_same = to in (None, suffix(task.input).lstrip("."))
+    if is_same and settings.encoding == "same" and settings.precision == "same":
+        to = None
+    return forecast.forecast(
+        task.input,
+        format=settings.format,
+        to=to,
+        method_bytes_per_face=method_bytes_per_face(settings),
+    )
+
+
+def method_bytes_per_face(settings: Settings) -> int:
+    """Memory per triangle that the method needs beyond what all do; 0 if there is no such."""
+    from msal_cli import methods
+
+    if settings.method not in methods.names():
+        return 0
+    extra = _FIELDS_BYTES_PER_FACE if settings.fields else 0
+    return methods.find(settings.method).bytes_per_face + extra
+
+
+def least_memory_bytes() -> int:
+    """What denoising takes however small the file is: no memory limit can be less."""
+    from msal_cli.files.forecast import BASE_BYTES
+
+    return BASE_BYTES
