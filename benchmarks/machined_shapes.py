@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,19 +69,19 @@ def stepped_cylinder() -> tuple[Floats, Ints]:
     )
     spacing = 0.05
     profile = [outline[0]]
-    for a, b in zip(outline[:-1], outline[1:], strict=True):
-        steps = max(int(round(float(np.linalg.norm(b - a)) / spacing)), 1)
+    for a, b in itertools.pairwise(outline):
+        steps = max(round(float(np.linalg.norm(b - a)) / spacing), 1)
         profile += [a + (b - a) * (k / steps) for k in range(1, steps + 1)]
     rows, points, n = [], [], 0
     for radius, height in profile:
-        around = max(int(round(2.0 * np.pi * radius / spacing)), 1) if radius > 0.0 else 1
+        around = max(round(2.0 * np.pi * radius / spacing), 1) if radius > 0.0 else 1
         turn = 2.0 * np.pi * (np.arange(around) + 0.5 * (len(rows) % 2)) / around
         z = np.full(around, height)
         points.append(np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1))
         rows.append((np.arange(n, n + around), turn))
         n += around
     faces = []
-    for (low, low_turn), (high, high_turn) in zip(rows[:-1], rows[1:], strict=True):
+    for (low, low_turn), (high, high_turn) in itertools.pairwise(rows):
         faces += _zipped(low, low_turn, high, high_turn)
     return np.concatenate(points), np.array(faces)
 
