@@ -29,8 +29,9 @@ from paper_models import (
     volume,
 )
 
-from msal_cli import colours, noise
+from msal_cli import colours
 from msal_cli.metrics.curvature import mean_curvature
+from msal_cli.noise_estimate import estimated
 from msal_cli.render import Legend, labelled_panels
 from msal_cli.render.camera import viewed
 
@@ -110,7 +111,7 @@ def figure_2(folder: Path) -> Made:
         ends = before[part].mean(), then[part].mean()
         cells = [f"{end:.1f}°" for end in ends]
         table.append([name, *cells, f"{100.0 * (ends[1] / ends[0] - 1.0):+.0f} %"])
-    levels = [noise.noise_level(mesh) / scan.mean_edge_length for mesh in (scan, result)]
+    levels = [estimated(mesh).file_units / scan.mean_edge_length for mesh in (scan, result)]
     cells = [f"{100.0 * level:.1f} %" for level in levels]
     change = f"{100.0 * (levels[1] / levels[0] - 1.0):+.0f} %"
     table.append(["noise that `msal info` estimates, in mean edge lengths", *cells, change])
@@ -126,7 +127,7 @@ def figure_3(folder: Path) -> Made:
     table = [["", "scan", "AL"]]
     turns = [f"{bends(mesh)[1].mean():.2f}°" for mesh in (scan, result)]
     table.append(["bend between neighbouring faces", *turns])
-    levels = [100.0 * noise.noise_level(mesh) / scan.mean_edge_length for mesh in (scan, result)]
+    levels = [100.0 * estimated(mesh).file_units / scan.mean_edge_length for mesh in (scan, result)]
     table.append(["estimated noise, in mean edge lengths", *(f"{one:.1f} %" for one in levels)])
     return Made(labelled_panels(panels(shown, camera, (420, 540))), table)
 

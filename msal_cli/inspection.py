@@ -114,8 +114,11 @@ def _polygon_sizes(mesh_file: MeshFile) -> dict[str, int]:
 
 
 def noise_estimate(mesh: Mesh) -> NoiseEstimate:
-    """The noise along the normals, in mean edge lengths and in file units (see ``noise``)."""
-    from msal_cli.noise import noise_level
+    """The noise along the normals, as records tell it (see ``noise_estimate``)."""
+    from msal_cli.noise_estimate import estimated
 
-    level = noise_level(mesh)
-    return NoiseEstimate(level / mesh.mean_edge_length, level)
+    level = estimated(mesh)
+    return NoiseEstimate(
+        mean_edges=level.mean_edges,
+        file_units=level.file_units,
+    )

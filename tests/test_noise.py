@@ -7,7 +7,8 @@ import pytest
 
 from msal_cli.errors import UsageError
 from msal_cli.mesh import prepared
-from msal_cli.noise import KINDS, WHITE_NOISE_GAIN, noise_level, noisy
+from msal_cli.noise import KINDS, noisy
+from msal_cli.noise_estimate import WHITE_NOISE_GAIN, estimated
 from tests.shapes import grid, torus
 
 
@@ -29,25 +30,25 @@ def test_the_gain_is_that_of_the_stencil():
 @pytest.mark.parametrize("level", [0.05, 0.1, 0.2, 0.3])
 def test_gaussian_noise_is_told(level):
     mesh, amount = with_normal_noise(*torus(160, 80), level)
-    assert noise_level(mesh) == pytest.approx(amount, rel=0.08)
+    assert estimated(mesh).file_units == pytest.approx(amount, rel=0.08)
 
 
 def test_a_smooth_mesh_has_none():
     mesh = prepared(*torus(160, 80)).mesh
-    assert noise_level(mesh) < 0.002 * mesh.mean_edge_length
+    assert estimated(mesh).file_units < 0.002 * mesh.mean_edge_length
 
 
 def test_open_and_tiny_meshes_give_a_number():
-    assert noise_level(prepared(*grid(3, 3)).mesh) == 0.0
+    assert estimated(prepared(*grid(3, 3)).mesh).file_units == 0.0
     triangle = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]])
-    assert noise_level(prepared(*triangle).mesh) == 0.0
+    assert estimated(prepared(*triangle).mesh).file_units == 0.0
 
 
 def test_outliers_do_not_pass_for_noise():
     vertices, faces = torus(160, 80)
     vertices[::97] *= 1.2
     mesh = prepared(vertices, faces).mesh
-    assert noise_level(mesh) < 0.05 * mesh.mean_edge_length
+    assert estimated(mesh).file_units < 0.05 * mesh.mean_edge_length
 
 
 KINDS_MOVED = {"gaussian-normal": 1.0, "gaussian": 1.0, "mixed": 1.0, "impulsive": 0.1}
