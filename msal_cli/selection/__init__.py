@@ -1,0 +1,85 @@
+"""Choosing method and parameters for one mesh: what ``--auto`` does.
+
+A choice depends on the mesh and the wishes alone, never on clocks, threads or other files, so that
+the same file comes out the same everywhere.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from msal_cli.dataclass import dataclass
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from msal_cli.mesh import Mesh
+    from msal_cli.noise_estimate import NoiseLevel
+
+    OnStep = Callable[[int, int], None]
+    """Called as ``on_step(done, total)`` while candidates are looked at."""
+
+NONE = "none"
+"""In place of a method: the mesh stays as it is."""
+
+METHODS = ("al", "bilateral_normal", "msal")
+"""The methods that are ever chosen: memory is set aside for the hungriest of them."""
+
+BYTES_PER_FACE = 0
+"""Memory per triangle that choosing takes beyond what the method does that is chosen."""
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the user cares for.
+
+    Attributes
+    ----------
+    prefer : ``balanced``, ``positions``, ``normals`` or ``volume``: what is to come out best.
+    keep : ``texture``, ``edges`` or ``shape``, what must not suffer; None if nothing was said.
+    strength : -2 to 2, around the automatic choice: greater is smoother.
+    budget : most time for choosing and denoising, in default MSAL runs over the same mesh, by what
+        candidates are known to cost and not by a clock.
+    """
+
+    prefer: str = "balanced"
+    keep: str | None = None
+    strength: float = 0.0
+    budget: float = 10.0
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was chosen for a mesh, and why.
+
+    Attributes
+    ----------
+    method : name of a method, or ``NONE``.
+    parameters : its settled parameters, every one of them; empty for ``NONE``.
+    reason : a sentence, such as ``noise 0.11 e; textured; MSAL, K = 0.6, 3 sweeps``.
+    surface : ``machined``, ``organic``, ``textured`` or ``clean``.
+    noise : the estimated noise.
+    risk : estimated error of the result, mean edge lengths; None if nothing was estimated.
+    tried : candidates that were looked at.
+    runners_up : label and risk of the next best, best first, at most 3.
+    """
+
+    method: str
+    parameters: dict[str, Any]
+    reason: str
+    surface: str
+    noise: NoiseLevel
+    risk: float | None = None
+    tried: int = 0
+    runners_up: tuple[tuple[str, float], ...] = ()
+
+
+def chosen(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
+    """The method and the parameters for ``mesh``.
+
+    Vertices that the mesh holds stay where they are.  Where it has trust (``Mesh.trust``) the
+    method is one that has a data term, which the trust scales.
+    """
+    from msal_cli.selection import search
+
+    return search.chosen(mesh, wishes, on_step)
