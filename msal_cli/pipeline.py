@@ -35,6 +35,7 @@ from msal_cli.records import (
 )
 
 # Whoever runs files needs these with it, from one place.
+from msal_cli.tasks import AUTO as AUTO
 from msal_cli.tasks import FORECAST as FORECAST
 from msal_cli.tasks import NO_LIMITS as NO_LIMITS
 from msal_cli.tasks import Limits as Limits
@@ -55,7 +56,8 @@ if TYPE_CHECKING:
     from msal_cli.constraints import Constraints
     from msal_cli.files.base import Buffer, MeshFile
     from msal_cli.files.forecast import Forecast
-    from msal_cli.mesh import Prepared
+    from msal_cli.mesh import Mesh, Prepared
+    from msal_cli.methods import Method
 
     Floats = NDArray[np.float64]
 
@@ -281,7 +283,6 @@ class _Run:
     def _denoised(self, mesh_file: MeshFile) -> Floats:
         """The new positions of a file's vertices; what leads to them is let go of before the
         output is built, for that takes as much memory again."""
-        from msal_cli import methods
         from msal_cli.mesh import prepared
 
         settings = self.settings
@@ -294,38 +295,61 @@ class _Run:
             self._know_defects(ready, mesh_file.merged_vertices)
             constraints = self._constraints(ready, mesh_file)
             mesh_file.forget_vertices()
+        mesh = ready.mesh if constraints is None else constraints.mesh
+        method, parameters = self._method(mesh)
+        fidelity = None
         with self.stage("sweeps"):
-            method = methods.find(settings.method)
-            result = method.denoised(
-                ready.mesh if constraints is None else constraints.mesh,
-                settings.parameters,
-                lambda done, total: self._on_progress("sweeps", done, total),
-            )
-            self._check_result(ready, result.vertices)
-            moved = result.vertices
+            moved = mesh.vertices
+            if method is not None:
+                result = method.denoised(
+                    mesh,
+                    parameters,
+                    lambda done, total: self._on_progress("sweeps", done, total),
+                )
+                self._check_result(ready, result.vertices)
+                moved = result.vertices
             if constraints is not None:
                 moved, n_clamped = constraints.applied(moved)
                 if constraints.limit is not None:
                     self.know(clamped_vertices=n_clamped)
-        # The method's own account tells how much of its time went into normals.
-        normals = result.seconds.get("normals", 0.0)
-        self._seconds["sweeps"] -= normals
-        self._seconds["normals"] = normals
-        fidelity = result.fields.get("fidelity") if settings.fields else None
-        # It may hold more arrays, for which nobody asks here.
-        del result
+        if method is not None:
+            # The method's own account tells how much of its time went into normals.
+            normals = result.seconds.get("normals", 0.0)
+            self._seconds["sweeps"] -= normals
+            self._seconds["normals"] = normals
+            fidelity = result.fields.get("fidelity") if settings.fields else None
+            # It may hold more arrays, for which nobody asks here.
+            del result
         with self.stage("measure"):
             if settings.fields:
                 from msal_cli import fields
 
                 self._field_values = fields.computed(
-                    settings.fields, ready, moved, fidelity, settings.parameters
+                    settings.fields, ready, moved, fidelity, parameters
                 )
             self._measure(ready, moved)
             ready.mesh.forget_normals()
             vertices = ready.scattered(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
+
+    def _method(self, mesh: Mesh) -> tuple[Method | None, dict[str, Any]]:
+        """What is to be run, with its parameters; None where the mesh stays as it is."""
+        settings = self.settings
+        if settings.method != AUTO:
+            from msal_cli import methods
+
+            return methods.find(settings.method), settings.parameters
+        with self.stage("choose"):
+            from msal_cli import automatic
+
+            found = automatic.settled(
+                mesh,
+                settings.parameters,
+                lambda done, total: self._on_progress("choose", done, total),
+            )
+            self.know(method=found.used, choice=found.made)
+        return found.method, found.used.parameters
 
     def _constraints(self, ready: Prepared, mesh_file: MeshFile) -> Constraints | None:
         """What keeps vertices of this file near their place; None if nothing was asked for."""
@@ -431,12 +455,15 @@ class _Run:
         import numpy as np
 
         if vertices.shape != ready.mesh.vertices.shape:
-            raise InternalError(f"{self.settings.method} changed the number of vertices")
+            raise InternalError(f"{self._method_name()} changed the number of vertices")
         if not np.isfinite(vertices).all():
             bad = int(np.argmin(np.isfinite(vertices).all(axis=1)))
             raise InternalError(
-                f"{self.settings.method} made a position that is not finite", where=f"vertex {bad}"
+                f"{self._method_name()} made a position that is not finite", where=f"vertex {bad}"
             )
+
+    def _method_name(self) -> str:
+        return self.settings.method if self._record.method is None else self._record.method.name
 
     def _know_defects(self, ready: Prepared, merged: int) -> None:
         defects = ready.defects

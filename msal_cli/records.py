@@ -87,11 +87,38 @@ class MethodUsed:
 
 
 @dataclass(frozen=True, slots=True)
+class RunnerUp:
+    """What was nearly chosen by --auto, and its estimated error."""
+
+    label: str
+    risk_edges: float
+
+
+@dataclass(frozen=True, slots=True)
+class ChoiceMade:
+    """Why --auto chose what ``method`` tells; lengths are in mean edge lengths.
+
+    ``method`` is ``none`` where the mesh stays as it is.  ``repeat`` are the options that do the
+    same without --auto.
+    """
+
+    reason: str
+    surface: str
+    noise_edges: float
+    risk_edges: float | None
+    tried: int
+    runners_up: tuple[RunnerUp, ...]
+    wishes: dict[str, Any]
+    repeat: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Seconds:
     """Wall-clock seconds by stage, in the order in which the stages run."""
 
     read: float = 0.0
     connectivity: float = 0.0
+    choose: float = 0.0
     normals: float = 0.0
     sweeps: float = 0.0
     measure: float = 0.0
@@ -262,6 +289,7 @@ class MeshRecord:
     locked_vertices: int | None = None
     noise_estimate: NoiseEstimate | None = None
     method: MethodUsed | None = None
+    choice: ChoiceMade | None = None
     seconds: Seconds | None = None
     vertices_per_second: float | None = None
     peak_memory_bytes: int | None = None

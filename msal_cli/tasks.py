@@ -12,6 +12,9 @@ from msal_cli.records import ObjectMark
 if TYPE_CHECKING:
     from msal_cli.files.forecast import Forecast
 
+AUTO = "auto"
+"""In place of a method's name: each mesh gets the one that suits it, see ``selection``."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -19,7 +22,8 @@ class Settings:
 
     Attributes
     ----------
-    method, parameters : the method's name and its settled parameters, every one of them.
+    method, parameters : the method's name and its settled parameters, every one of them; with
+        ``AUTO`` the fields of ``selection.Wishes``.
     to : suffix of the format to convert to, without a dot; None keeps the input's, or takes the
         output name's.
     encoding : ``same``, ``ascii`` or ``binary``.
@@ -134,9 +138,14 @@ def method_bytes_per_face(settings: Settings) -> int:
     """Memory per triangle that the method needs beyond what all do; 0 if there is no such."""
     from msal_cli import methods
 
+    extra = _FIELDS_BYTES_PER_FACE if settings.fields else 0
+    if settings.method == AUTO:
+        from msal_cli import selection
+
+        most = max(methods.find(name).bytes_per_face for name in selection.METHODS)
+        return most + selection.BYTES_PER_FACE + extra
     if settings.method not in methods.names():
         return 0
-    extra = _FIELDS_BYTES_PER_FACE if settings.fields else 0
     return methods.find(settings.method).bytes_per_face + extra
 
 

@@ -95,7 +95,7 @@ class _Judge:
         self._manifests = manifests
         self._settings = settings
         self._is_stopped = is_stopped
-        self._method: MethodUsed | None = None
+        self._methods: dict[str, MethodUsed] = {}
 
     def _entry(self, index: int) -> Entry | None:
         home = self._plan.homes[index]
@@ -109,12 +109,14 @@ class _Judge:
         if entry is not None and not self._plan.fresh:
             if self._is_current(task, entry):
                 record = _up_to_date(task, entry)
-                # Equal by the settings' hash; thousands of copies would be much memory.
-                self._method = self._method or record.method
-                return Standing(index, record=replace(record, method=self._method))
+                return Standing(index, record=replace(record, method=self._shared(record.method)))
             if failed := self._failed_before(task, entry):
                 return Standing(index, record=failed)
         return self._in_place_standing(index, task, entry) if task.in_place else Standing(index)
+
+    def _shared(self, method: MethodUsed | None) -> MethodUsed | None:
+        """The first of equal ones: thousands of copies would be much memory."""
+        return None if method is None else self._methods.setdefault(repr(method), method)
 
     def _is_current(self, task: Task, entry: Entry) -> bool:
         if not entry.is_done or entry.settings != self._settings:

@@ -1,0 +1,60 @@
+"""``--auto`` for one file: what is run, and what the record tells of why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from msal_cli.dataclass import dataclass
+from msal_cli.records import ChoiceMade, MethodUsed, RunnerUp
+from msal_cli.selection import NONE, Wishes, chosen
+
+if TYPE_CHECKING:
+    from msal_cli.mesh import Mesh
+    from msal_cli.methods import Method
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """What is run on a mesh: a method, or None where the mesh stays as it is, with parameters."""
+
+    method: Method | None
+    used: MethodUsed
+    made: ChoiceMade
+
+
+def settled(
+    mesh: Mesh, parameters: Mapping[str, Any], on_step: Callable[[int, int], None]
+) -> Settled:
+    """The choice for ``mesh``; ``parameters`` are the fields of ``Wishes``."""
+    from msal_cli import methods
+
+    choice = chosen(mesh, Wishes(**parameters), on_step)
+    method = None if choice.method == NONE else methods.find(choice.method)
+    # Checked as if the user had given them.
+    values = {} if method is None else method.settled(choice.parameters)
+    made = ChoiceMade(
+        reason=choice.reason,
+        surface=choice.surface,
+        noise_edges=choice.noise.mean_edges,
+        risk_edges=choice.risk,
+        tried=choice.tried,
+        runners_up=tuple(RunnerUp(label, risk) for label, risk in choice.runners_up),
+        wishes=dict(parameters),
+        repeat=_options(method, values),
+    )
+    return Settled(method, MethodUsed(choice.method, values), made)
+
+
+def _options(method: Method | None, values: Mapping[str, Any]) -> tuple[str, ...]:
+    """The options of ``msal denoise`` that do the same by hand."""
+    if method is None:
+        return ("--method", "msal", "--set", "iterations=0")
+    words = ["--method", method.name]
+    for spec in method.parameters:
+        value = values[spec.name]
+        if value != spec.default:
+            # repr gives the very number back.
+            text = repr(value) if isinstance(value, float) else str(value)
+            words += ["--set", f"{spec.name}={text}"]
+    return tuple(words)
