@@ -57,6 +57,7 @@ SHORT_NAMES: dict[str, tuple[tuple[str, ...], Unit | None]] = {
     "vertex_error_percent": (("reference.vertex_error_percent",), None),
     "hausdorff": (("reference.hausdorff",), None),
     "noise": (("noise_estimate.file_units",), None),
+    "risk": (("choice.risk_edges",), None),
     "seconds": (("seconds.total",), None),
 }
 """Fields that a short name stands for, the first that is known, and its unit if it is another.

@@ -2,9 +2,10 @@
 
 RFC 4180 in UTF-8 without a byte order mark: commas, line ends CR LF, cells quoted where they need
 it, a header row.  Nested fields have dotted names such as ``volume.change_percent``; the columns
-are those of the record, in its order, and depend on the run only in the method's parameters, which
-are sorted.  What is not known is empty; several texts in one cell are joined by ``"; "``.  A gate
-is such a text: ``broken: abs(volume_change) > 1% (volume_change is -2.1%)``, or ``held: ...``.
+are those of the record, in its order, and depend on the run only in the method's parameters and in
+what was wished of --auto, which are sorted.  What is not known is empty; several texts in one cell
+are joined by ``"; "``.  A gate is such a text: ``broken: abs(volume_change) > 1% (volume_change is
+-2.1%)``, or ``held: ...``; so is what was nearly chosen, with its risk: ``AL, 3 sweeps (0.0724)``.
 
 Text, but never a number, that a spreadsheet would take for a formula (it begins with ``=``, ``+``,
 ``-``, ``@``, tab, CR or LF) gets an apostrophe in front.  So does text that begins with an
@@ -24,7 +25,7 @@ from msal_cli.records import MeshRecord
 from msal_cli.report.document import Run, plain_record
 
 _TAKEN_FOR_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "'")
-_FREE_FORM = "method.parameters"
+_FREE_FORM = ("method.parameters", "choice.wishes")
 
 
 def encoded(run: Run, records: Sequence[MeshRecord]) -> bytes:
@@ -40,7 +41,7 @@ def encoded(run: Run, records: Sequence[MeshRecord]) -> bytes:
 
 def _columns(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     for name in _field_names(MeshRecord, ""):
-        if name == _FREE_FORM:
+        if name in _FREE_FORM:
             yield from sorted({key for row in rows for key in row if key.startswith(f"{name}.")})
         else:
             yield name
@@ -66,9 +67,13 @@ def _flattened(data: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
 
 
 def _text(value: Any) -> str:
-    """One of several texts; the only records of which there are several are those of gates."""
+    """One of several texts; the only records of which there are several are those of gates and of
+    runners-up."""
     if not isinstance(value, dict):
         return str(value)
+    if "label" in value:
+        risk = value["risk_edges"]
+        return f"{value['label']} ({'?' if risk is None else f'{risk:.4g}'})"
     word = "broken" if value["broken"] else "held"
     return f"{word}: {value['expression']} ({value['reason']})"
 

@@ -123,6 +123,8 @@ def _figures(record: MeshRecord) -> Iterator[str]:
         parts.append(f"moved {moved.mean_edges:.3g} (most {moved.max_edges:.3g}) mean edge lengths")
     if record.volume is not None and record.volume.valid:
         parts.append(f"volume {percent_text(record.volume.change_percent)}")
+    if record.choice is not None:
+        parts.append(f"chosen: {shown(record.choice.reason)}")
     if defects := defects_text(record):
         parts.append(defects)
     if parts:

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 
 from msal_cli.dataclass import dataclass
 from msal_cli.records import MeshRecord
-from msal_cli.report.as_text import percent_text, rate_text, seconds_text
+from msal_cli.report.as_text import chosen_text, percent_text, rate_text, seconds_text
 from msal_cli.report.document import Run, Totals, plain, totals
 from msal_cli.report.names import shortened, shown
 from msal_cli.report.worst import WORDS, broken_gates, worst_first
@@ -41,7 +41,7 @@ _MARKUP = re.compile(
 class _Table:
     """A section with a table: the first of ``n_rows`` rows, as Markdown.
 
-    The last ``n_figures`` columns are figures.
+    Figures are ``n_figures`` columns after the first two.
     """
 
     title: str
@@ -96,6 +96,8 @@ def _totals(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
     ]
     if sums.vertices and run.seconds > 0.0:
         rows.append(("vertices/s", rate_text(sums.vertices / run.seconds)))
+    if sums.chosen:
+        rows.append(("chosen by --auto", _markup_free(chosen_text(sums.chosen))))
     spread = sums.volume_change_percent
     if spread is not None:
         rows.append(
@@ -146,7 +148,11 @@ def _tables(worst: Sequence[MeshRecord]) -> Iterator[_Table]:
             (*row, _to_reference(record))
             for row, record in zip(rows, done[:MOST_ROWS], strict=True)
         ]
-    yield _Table("Files", WORDS, heads, len(done), rows, n_figures=len(heads) - 2)
+    n_figures = len(heads) - 2
+    if any(record.choice is not None for record in done):
+        heads = (*heads, "chosen")
+        rows = [(*row, _chosen(record)) for row, record in zip(rows, done[:MOST_ROWS], strict=True)]
+    yield _Table("Files", WORDS, heads, len(done), rows, n_figures)
     warnings = [(record, one) for record in worst for one in record.warnings]
     rows = [(_name(record), _text(one)) for record, one in warnings[:MOST_ROWS]]
     yield _Table("Warnings", "", ("file", "warning"), len(warnings), rows)
@@ -181,6 +187,11 @@ def _figures(record: MeshRecord) -> tuple[str, ...]:
     )
 
 
+def _chosen(record: MeshRecord) -> str:
+    """Why --auto did what it did; empty without it."""
+    return "" if record.choice is None else _text(record.choice.reason)
+
+
 def _to_reference(record: MeshRecord) -> str:
     """The mean angle to the reference's face normals; empty if it is not known."""
     angle = record.reference.mean_angular_error_deg if record.reference is not None else None
@@ -203,8 +214,8 @@ def _section(table: _Table, most_bytes: int) -> str:
     """A title and a table in about ``most_bytes``; nothing for a table without rows."""
     if not table.rows:
         return ""
-    figures = ["--:"] * table.n_figures
-    rule = ["---"] * (len(table.heads) - table.n_figures) + figures
+    rule = ["---"] * len(table.heads)
+    rule[2 : 2 + table.n_figures] = ["--:"] * table.n_figures
     head = f"{_line(table.heads)}{_line(rule)}"
     text = f"### {table.title}: {table.n_rows:,}\n\n"
     text += f"{table.words}\n\n" if table.words else ""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal
 
 from msal_cli.dataclass import dataclass
-from msal_cli.records import GateResult, MeshRecord, Reference
+from msal_cli.records import ChoiceMade, GateResult, MeshRecord, Reference, RunnerUp
 from msal_cli.report.document import Run, Totals, totals
 from msal_cli.report.names import columns, padded, shortened, shown
 
@@ -135,11 +135,17 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str]]:
     yield "mesh", ", ".join([part for part in counts if part] + ([storage] if storage else []))
     if defects := defects_text(record):
         yield "defects", defects
+    if record.choice is not None:
+        yield "chosen", shown(record.choice.reason)
     if record.method is not None:
         parameters = ", ".join(
             f"{name} {shown(str(value))}" for name, value in record.method.parameters.items()
         )
-        yield "method", f"{record.method.name} ({parameters})"
+        yield "method", record.method.name + (f" ({parameters})" if parameters else "")
+    if record.choice is not None:
+        if record.choice.runners_up:
+            yield "next best", ", ".join(map(runner_up_text, record.choice.runners_up))
+        yield "by hand", by_hand(record.choice)
     if record.volume is not None:
         yield "volume", _volume_in_full(record)
     if record.displacement is not None:
@@ -156,11 +162,25 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str]]:
     if told := ", ".join(one for one in kept if one[0] != " "):
         yield "constraints", told
     if record.seconds is not None:
-        stages = ("read", "connectivity", "normals", "sweeps", "measure", "write")
+        stages = ["read", "connectivity", "normals", "sweeps", "measure", "write"]
+        if record.choice is not None:
+            stages.insert(2, "choose")
         spent = ", ".join(f"{one} {getattr(record.seconds, one):.2f}" for one in stages)
         rate = rate_text(record.vertices_per_second)
         speed = f"; {rate} vertices/s" if rate else ""
         yield "time", f"{seconds_text(record.seconds.total)} ({spent}){speed}"
+
+
+def by_hand(choice: ChoiceMade) -> str:
+    """The options that repeat a choice, as a shell takes them."""
+    import shlex
+
+    return shown(shlex.join(choice.repeat))
+
+
+def runner_up_text(one: RunnerUp) -> str:
+    """What was nearly chosen: ``AL, 3 sweeps (risk 0.072 e)``."""
+    return f"{shown(one.label)} (risk {one.risk_edges:.2g} e)"
 
 
 def _volume_in_full(record: MeshRecord) -> str:
@@ -240,6 +260,8 @@ def _figures(record: MeshRecord) -> tuple[str, ...]:
 
 def _note(record: MeshRecord) -> str:
     notes = []
+    if record.choice is not None and record.method is not None:
+        notes.append(shown(record.method.name))
     if record.status == "unchanged":
         notes.append("no vertex moved")
     if record.status == "up-to-date":
@@ -354,6 +376,8 @@ def _totals(run: Run, sums: Totals) -> Iterator[Line]:
             f"from {percent_text(spread.lowest)} to {percent_text(spread.highest)} "
             f"({_counted(spread.files, 'closed file')})"
         )
+    if sums.chosen:
+        yield Line(f"chosen: {chosen_text(sums.chosen)}")
     counts = [
         (sums.written, "written"),
         (sums.unchanged, "unchanged"),
@@ -370,6 +394,11 @@ def _totals(run: Run, sums: Totals) -> Iterator[Line]:
             f"{rate_text(sums.vertices / run.seconds)} vertices/s"
         )
     yield Line(text, "bad" if sums.failed or sums.gate_broken or run.interrupted else "good")
+
+
+def chosen_text(chosen: Mapping[str, int]) -> str:
+    """What --auto chose, and how often: ``msal 12, bilateral_normal 5, none 3``."""
+    return ", ".join(f"{shown(name)} {count:,}" for name, count in chosen.items())
 
 
 # Figures

@@ -43,8 +43,9 @@ class Spread:
 class Totals:
     """Sums over the records of a run.
 
-    ``vertices`` and ``work_seconds`` count the files that were denoised in this run, and
-    ``volume_change_percent`` those whose volume can be trusted, up-to-date ones included.
+    ``chosen`` counts files by the method that --auto chose for them.  ``vertices`` and
+    ``work_seconds`` count the files that were denoised in this run, and ``volume_change_percent``
+    those whose volume can be trusted, up-to-date ones included.
     """
 
     files: int
@@ -54,6 +55,7 @@ class Totals:
     planned: int
     failed: int
     gate_broken: int
+    chosen: Mapping[str, int]
     vertices: int
     work_seconds: float
     volume_change_percent: Spread | None
@@ -80,6 +82,7 @@ def totals(records: Sequence[MeshRecord]) -> Totals:
         planned=states["planned"],
         failed=states["failed"],
         gate_broken=sum(any(one.broken for one in record.gates) for record in records),
+        chosen=_chosen(records),
         vertices=sum(record.vertices or 0 for record in fresh),
         work_seconds=sum(record.seconds.total for record in fresh if record.seconds is not None),
         volume_change_percent=(
@@ -88,6 +91,15 @@ def totals(records: Sequence[MeshRecord]) -> Totals:
             else None
         ),
     )
+
+
+def _chosen(records: Sequence[MeshRecord]) -> dict[str, int]:
+    counts = Counter(
+        record.method.name
+        for record in records
+        if record.choice is not None and record.method is not None and record.error is None
+    )
+    return dict(sorted(counts.items(), key=lambda one: (-one[1], one[0])))
 
 
 def heading(run: Run, records: Sequence[MeshRecord]) -> dict[str, Any]:

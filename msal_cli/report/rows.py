@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from msal_cli.records import MeshRecord
-from msal_cli.report.as_text import defects_text, reason
+from msal_cli.report.as_text import by_hand, defects_text, reason, runner_up_text
 from msal_cli.report.names import shown
 from msal_cli.report.worst import broken_gates, gate_words
 
@@ -16,6 +16,7 @@ Row = dict[str, Any]
 
 _NAME = {"title": "File", "unit": "", "kind": "name"}
 _STATUS = {"title": "Status", "unit": "", "kind": "word"}
+_CHOSEN = {"title": "Chosen", "unit": "", "kind": "word"}
 _FIGURES = (
     ("Vertices", ""),
     ("Volume", "%"),
@@ -33,17 +34,22 @@ def columns(records: Sequence[MeshRecord]) -> list[Column]:
     """What the table shows: title, unit, and ``kind``: ``name``, ``word`` or ``figure``."""
     titles = [*_FIGURES, *([_TO_REFERENCE] if _has_reference(records) else [])]
     figures = [{"title": title, "unit": unit, "kind": "figure"} for title, unit in titles]
-    return [_NAME, _STATUS, *figures]
+    return [_NAME, _STATUS, *([_CHOSEN] if _has_choice(records) else []), *figures]
 
 
 def rows(records: Sequence[MeshRecord]) -> list[Row]:
     """For each record its ``kind`` (``failed``, ``gate``, ``planned``, ``good``), ``values`` in the
     order of the columns (None: not known) and ``details``, pairs of a word and a text."""
-    with_reference = _has_reference(records)
+    with_reference, with_choice = _has_reference(records), _has_choice(records)
     return [
         {
             "kind": _kind(record),
-            "values": [_name(record), _status(record), *_figures(record, with_reference)],
+            "values": [
+                _name(record),
+                _status(record),
+                *([_chosen(record)] if with_choice else []),
+                *_figures(record, with_reference),
+            ],
             "details": [[word, shown(text)] for word, text in _details(record) if text],
         }
         for record in records
@@ -59,6 +65,12 @@ def _kind(record: MeshRecord) -> str:
 def _status(record: MeshRecord) -> str:
     words = {"planned": "not finished", "up-to-date": "up to date"}
     return "gate broken" if broken_gates(record) else words.get(record.status, record.status)
+
+
+def _chosen(record: MeshRecord) -> str:
+    """The method that --auto chose; empty where it did not."""
+    chose = record.choice is not None and record.method is not None
+    return shown(record.method.name) if chose and record.method is not None else ""
 
 
 def _name(record: MeshRecord) -> str:
@@ -99,6 +111,10 @@ def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
         yield ("Gate broken" if gate.broken else "Gate held"), gate_words(gate)
     for warning in record.warnings:
         yield "Warning", warning
+    if record.choice is not None:
+        yield "Chosen", record.choice.reason
+        yield "By hand", by_hand(record.choice)
+        yield "Next best", ", ".join(map(runner_up_text, record.choice.runners_up))
     yield "Output", record.output or ""
     yield "Mesh", _mesh(record)
     yield "Defects", defects_text(record)
@@ -119,6 +135,10 @@ def _mesh(record: MeshRecord) -> str:
         " ".join(one for one in (record.format, record.encoding, record.precision) if one),
     )
     return ", ".join(one for one in counts if one)
+
+
+def _has_choice(records: Sequence[MeshRecord]) -> bool:
+    return any(record.choice is not None for record in records)
 
 
 def _has_reference(records: Sequence[MeshRecord]) -> bool:

@@ -43,6 +43,10 @@ DESCRIPTIONS: dict[str, str] = {
     "Totals.planned": "files not dealt with: by a dry run, or because the run ended before",
     "Totals.failed": "files that failed",
     "Totals.gate_broken": "files written or up to date that break a gate",
+    "Totals.chosen": (
+        "files written, unchanged or up to date by the method that --auto chose, the most frequent "
+        "first; empty without --auto"
+    ),
     "Totals.vertices": "vertices of the files denoised in this run",
     "Totals.work_seconds": "sum of the seconds of the files denoised in this run",
     "Totals.volume_change_percent": "change of volume over the files whose volume is valid",
@@ -88,7 +92,8 @@ DESCRIPTIONS: dict[str, str] = {
         "vertices that --lock pinned; null without that option; vertices at one place are one"
     ),
     "MeshRecord.noise_estimate": "noise of the input, estimated",
-    "MeshRecord.method": "method and parameters",
+    "MeshRecord.method": "method and parameters; with --auto the chosen ones",
+    "MeshRecord.choice": "why --auto chose that method; null without --auto",
     "MeshRecord.seconds": "wall-clock seconds by stage",
     "MeshRecord.vertices_per_second": "vertices over total seconds",
     "MeshRecord.peak_memory_bytes": "highest memory of the process so far",
@@ -129,10 +134,26 @@ DESCRIPTIONS: dict[str, str] = {
     "NormalChange.max_deg": "largest angle, degrees",
     "NoiseEstimate.mean_edges": "standard deviation along the normals, mean edge lengths",
     "NoiseEstimate.file_units": "standard deviation along the normals, file units",
-    "MethodUsed.name": "name of the method",
+    "MethodUsed.name": (
+        "name of the method; none where --auto left the mesh as it is, auto where it did not get "
+        "so far"
+    ),
     "MethodUsed.parameters": "every parameter by name, defaults included",
     "Seconds.read": "reading and parsing",
     "Seconds.connectivity": "welding, connectivity, defects and plain vertex normals",
+    "ChoiceMade.reason": "in one sentence: the noise, the surface, the method",
+    "ChoiceMade.surface": "machined, organic, textured or clean",
+    "ChoiceMade.noise_edges": "noise that the choice was made for, mean edge lengths",
+    "ChoiceMade.risk_edges": (
+        "estimated error of the result (null if none was estimated), mean edge lengths"
+    ),
+    "ChoiceMade.tried": "candidates that were looked at",
+    "ChoiceMade.runners_up": "the next best candidates, best first, at most three",
+    "ChoiceMade.wishes": "what was wished for: prefer, keep, strength, budget",
+    "ChoiceMade.repeat": "options of msal denoise that do the same without --auto",
+    "RunnerUp.label": "method and parameters in words",
+    "RunnerUp.risk_edges": "estimated error of its result, mean edge lengths",
+    "Seconds.choose": "choosing method and parameters, with --auto",
     "Seconds.normals": "mollified normals, and what else a method adds to them",
     "Seconds.sweeps": "the sweeps of the method",
     "Seconds.measure": "volume, displacement and the other measures",
