@@ -254,7 +254,9 @@ def test_parameters_that_pages_set_are_allowed() -> None:
     from msal_cli import methods
 
     words = [
-        word for page in PAGES for word in re.findall(r"--set (\w+=\w+)", page.read_text("utf-8"))
+        word
+        for page in PAGES
+        for word in re.findall(r"--set (\w+=\w+(?:\.\d+)?)", page.read_text("utf-8"))
     ]
     known = {spec.name: spec for name in methods.names() for spec in methods.find(name).parameters}
     assert len(words) > 3

@@ -276,6 +276,8 @@ def _log_record(record: MeshRecord) -> None:
         return
     seconds = record.seconds.total if record.seconds is not None else 0.0
     _log.info("%s: %s in %.3f s -> %s", record.input, record.status, seconds, record.output)
+    if record.choice is not None:
+        _log.info("%s: %s", record.input, record.choice.reason)
     for warning in record.warnings:
         _log.info("%s: %s", record.input, warning)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from msal_cli.cli import words
+from msal_cli.cli import auto_options, words
 from msal_cli.dataclass import dataclass
 
 DEFAULT_BACKUP = ".orig"
@@ -23,12 +23,17 @@ class Request:
 
     inputs: tuple[str, ...]
     output: str | None
-    method: str
+    method: str | None
     iterations: str | None
     factor: str | None
     mollify: str | None
     schedule: str | None
     assignments: tuple[str, ...]
+    auto: bool
+    keep: str | None
+    strength: float | None
+    prefer: str | None
+    auto_budget: float | None
     max_move: str | None
     lock: tuple[str, ...]
     weights: str | None
@@ -81,10 +86,8 @@ _METHOD = (
     click.option(
         "--method",
         metavar="NAME",
-        default="msal",
-        show_default=True,
         shell_complete=words.completed_method,
-        help="How to denoise; `msal methods` lists them.",
+        help="How to denoise; `msal methods` lists them, and auto is --auto.  [default: msal]",
     ),
     click.option(
         "-n",
@@ -322,9 +325,20 @@ _REPORTS = (
     ),
 )
 
+_ALL = (
+    _OUTPUT,
+    *_METHOD,
+    *auto_options.OPTIONS,
+    *_MOVES,
+    *_FILES,
+    *_WORK,
+    *_RERUNS,
+    *_REPORTS,
+)
+
 
 def options(function: Callable[..., Any]) -> Callable[..., Any]:
     """A command with all options of ``msal denoise``, in the order in which help shows them."""
-    for option in reversed((_OUTPUT, *_METHOD, *_MOVES, *_FILES, *_WORK, *_RERUNS, *_REPORTS)):
+    for option in reversed(_ALL):
         function = option(function)
     return function

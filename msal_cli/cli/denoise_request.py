@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.cli import words
+from msal_cli.cli import auto_options, words
 from msal_cli.cli.denoise_options import DEFAULT_BACKUP
 from msal_cli.cli.pipe import STREAM
 from msal_cli.errors import UsageError
@@ -20,11 +20,14 @@ if TYPE_CHECKING:
     from msal_cli.methods import Method
     from msal_cli.pipeline import Limits, Settings
 
+_DEFAULT_METHOD = "msal"
+
 
 def refuse_contradictions(request: Request) -> None:
     """Refuse options that contradict or need each other; UsageError."""
     from msal_cli.cli import engines
 
+    auto_options.refuse_contradictions(request)
     if request.output is None and not request.in_place and STREAM not in request.inputs:
         raise UsageError(
             "there is no output",
@@ -140,10 +143,33 @@ def limits_of(request: Request) -> Limits:
 
 def settings_of(request: Request) -> Settings:
     """What decides the bytes of the outputs; UsageError for what no method or format knows."""
-    from msal_cli import files, methods, pipeline
+    from msal_cli import files, pipeline
+
+    method, parameters = _method_of(request)
+    max_move, lock = _moves_of(request)
+    return pipeline.Settings(
+        method=method,
+        parameters=parameters,
+        to=words.settled_format(request.to, pipeline.writable_formats, "--to"),
+        encoding=request.encoding,
+        precision=request.precision,
+        strict=request.strict,
+        format=words.settled_format(request.format, files.readable_suffixes, "--format"),
+        max_move=max_move,
+        lock=lock,
+        weights=request.weights,
+        fields=_fields_of(request),
+    )
+
+
+def _method_of(request: Request) -> tuple[str, dict[str, Any]]:
+    """The method's name and its settled parameters; with --auto, what is wished for."""
+    from msal_cli import methods, pipeline
     from msal_cli.cli import parameters
 
-    method = methods.find(request.method)
+    if auto_options.is_asked(request):
+        return pipeline.AUTO, auto_options.wishes_of(request)
+    method = methods.find(request.method or _DEFAULT_METHOD)
     shortcuts = (
         ("-n", "iterations", request.iterations),
         ("-K", "K", request.factor),
@@ -157,20 +183,7 @@ def settings_of(request: Request) -> Settings:
     settled = parameters.settled(method, given)
     if request.weights is not None:
         _refuse_without_data_term(method, settled)
-    max_move, lock = _moves_of(request)
-    return pipeline.Settings(
-        method=method.name,
-        parameters=settled,
-        to=words.settled_format(request.to, pipeline.writable_formats, "--to"),
-        encoding=request.encoding,
-        precision=request.precision,
-        strict=request.strict,
-        format=words.settled_format(request.format, files.readable_suffixes, "--format"),
-        max_move=max_move,
-        lock=lock,
-        weights=request.weights,
-        fields=_fields_of(request),
-    )
+    return method.name, settled
 
 
 def _refuse_without_data_term(method: Method, settled: dict[str, Any]) -> None:

@@ -26,6 +26,8 @@ _BETWEEN_S = 0.1
 # ... and a file of this size is not over in one; reading it alone takes longer.
 _LARGE_BYTES = 8 << 20
 
+_COUNTED = ("choose", "sweeps")
+
 
 class Silent:
     """No bar: nobody is looking, or nobody wants to see one."""
@@ -58,8 +60,8 @@ class SweepBar:
             self.on_progress(event.stage, event.done, event.total)
 
     def on_progress(self, stage: str, done: int, total: int) -> None:
-        """Show ``done`` of ``total`` steps of ``stage``; only sweeps are counted."""
-        is_counted = stage == "sweeps" and done > 0
+        """Show ``done`` of ``total`` steps of ``stage``; only choosing and sweeps are counted."""
+        is_counted = stage in _COUNTED and done > 0
         if stage != self._stage or is_counted != (self._bar.bar_format == _FORMAT):
             self._stage = stage
             self._bar.bar_format = _FORMAT if is_counted else "{desc}"

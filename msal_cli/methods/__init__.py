@@ -25,8 +25,8 @@ def find(name: str) -> Method:
         import difflib
 
         close = difflib.get_close_matches(name, names(), n=3)
-        raise UsageError(
-            f"there is no method '{name}'",
-            hint=f"did you mean {' or '.join(close)}?" if close else "see `msal methods`",
-        )
+        hint = f"did you mean {' or '.join(close)}?" if close else "see `msal methods`"
+        if name == "auto":
+            hint = "`msal denoise --auto` chooses one for each mesh"
+        raise UsageError(f"there is no method '{name}'", hint=hint)
     return Method(name, importlib.import_module(f"{__name__}.{name}"))

@@ -501,7 +501,10 @@ def test_a_folder_in_use_is_refused(scan, tmp_path):
 
 def test_what_is_not_asked_for_is_not_imported(scan, tmp_path):
     """A small mesh takes a tenth of a second, most of it imports."""
-    unwanted = ("gates", "constraints", "fields", "render", "page", "pictures", "colours")
+    unwanted = (
+        *("gates", "constraints", "fields", "render", "page", "pictures", "colours"),
+        *("selection", "automatic"),
+    )
     code = (
         "import sys; from msal_cli.cli.main import program\n"
         "try: program.main(sys.argv[1:])\n"

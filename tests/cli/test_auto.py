@@ -1,0 +1,467 @@
+"""`msal denoise --auto`: how it is asked for, and what is told of what was chosen.
+
+The choice itself stands in for that of `selection`, except where any choice must keep a promise.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import shlex
+from collections import Counter
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from msal_cli import methods, selection
+from msal_cli.cli import auto_options
+from msal_cli.cli.denoise import command
+from msal_cli.noise_estimate import estimated
+from msal_cli.pipeline import AUTO
+from msal_cli.report.schema import report_schema
+from tests.cli.scans import closed_scan, folder_of, msal, msal_on, open_scan, ply_text, process
+from tests.shapes import torus
+
+REASON = "noise 0.11 e; organic; MSAL, K = 0.7, 3 sweeps"
+
+
+def fixed(name="msal", given=None, **changes):
+    """A chooser that chooses always the same; it keeps the wishes that it was given."""
+
+    def chosen(mesh, wishes, on_step=None):
+        chosen.wishes.append(wishes)
+        if on_step is not None:
+            on_step(1, 1)
+        parameters = {} if name == "none" else methods.find(name).settled(given or {})
+        values = {
+            "reason": REASON,
+            "surface": "organic",
+            "noise": dataclasses.replace(estimated(mesh), mean_edges=0.11),
+            "risk": 0.0625,
+            "tried": 7,
+            "runners_up": (("AL, 3 sweeps", 0.0724),),
+        }
+        return selection.Choice(name, parameters, **(values | changes))
+
+    chosen.wishes = []
+    return chosen
+
+
+@pytest.fixture
+def choose(monkeypatch):
+    """Lets a test say what is chosen."""
+
+    def use(chosen):
+        monkeypatch.setattr("msal_cli.selection.search.chosen", chosen)
+        return chosen
+
+    return use
+
+
+@pytest.fixture
+def scan(tmp_path):
+    return folder_of(tmp_path / "in", scan=closed_scan()) / "scan.ply"
+
+
+def record_of(*words):
+    made = msal("denoise", *words, "--json", "-q")
+    assert made.exit_code == 0, made.stderr
+    document = json.loads(made.stdout)
+    Draft202012Validator(report_schema()).validate(document)
+    (record,) = document["records"]
+    return record
+
+
+# Asking for it
+
+
+@pytest.mark.parametrize(
+    ("words", "wishes"),
+    [
+        (("--auto",), {}),
+        (("--method", "auto"), {}),
+        (("--auto", "--method", "auto"), {}),
+        (("--keep", "edges"), {"keep": "edges"}),
+        (("--strength", "-1.5"), {"strength": -1.5}),
+        (("--strength", "0"), {}),
+        (("--strength", "-0"), {}),
+        (("--prefer", "volume", "--auto"), {"prefer": "volume"}),
+        (("--auto-budget", "3"), {"budget": 3.0}),
+    ],
+)
+def test_every_way_to_ask_reaches_the_chooser(scan, tmp_path, choose, words, wishes):
+    chooser = choose(fixed())
+    record = record_of(scan, "-o", tmp_path / "o.ply", *words)
+    assert chooser.wishes == [selection.Wishes(**wishes)]
+    assert repr(record["choice"]["wishes"]["strength"]) != "-0.0"
+    assert selection.Wishes(**record["choice"]["wishes"]) == chooser.wishes[0]
+
+
+@pytest.mark.parametrize(
+    "hand",
+    [
+        ("--method", "al"),
+        ("--method", "msal"),
+        ("-n", "3"),
+        ("-K", "0.5"),
+        ("--mollify", "0"),
+        ("--schedule", "plain"),
+        ("--set", "iterations=4"),
+    ],
+)
+@pytest.mark.parametrize("asking", [("--auto",), ("--keep", "shape"), ("--strength", "0")])
+def test_what_is_given_by_hand_contradicts_it(scan, tmp_path, hand, asking):
+    made = msal("denoise", scan, "-o", tmp_path / "o.ply", *asking, *hand)
+    assert made.exit_code == 2
+    assert asking[0] in made.stderr and hand[0] in made.stderr
+    assert "contradict each other" in made.stderr
+    assert "hint: let --auto choose" in made.stderr
+    assert ("implies --auto" in made.stderr) == (asking[0] != "--auto")
+    assert not (tmp_path / "o.ply").exists()
+
+
+def test_the_method_auto_takes_no_parameters(scan, tmp_path):
+    made = msal("denoise", scan, "-o", tmp_path / "o.ply", "--method", "auto", "-n", "3")
+    assert made.exit_code == 2
+    assert "--method auto and -n contradict each other" in made.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--strength", "2.5"), "'2.5' is not a number from -2 to 2"),
+        (("--strength", "nan"), "'nan' is not a number from -2 to 2"),
+        (("--strength", "much"), "'much' is not a number from -2 to 2"),
+        (("--auto-budget", "0.5"), "'0.5' is not a number from 1 up"),
+        (("--auto-budget", "inf"), "'inf' is not a number from 1 up"),
+        (("--keep", "noise"), "'texture', 'edges', 'shape'"),
+        (("--prefer", "speed"), "'positions', 'normals', 'volume'"),
+    ],
+)
+def test_wishes_that_mean_nothing_are_refused(scan, tmp_path, words, said):
+    made = msal("denoise", scan, "-o", tmp_path / "o.ply", *words)
+    assert made.exit_code == 2
+    assert said in made.stderr
+
+
+def test_other_commands_say_where_auto_is(scan, tmp_path):
+    for words in (("sweep", scan, "-o", tmp_path / "o.png", "--method"), ("methods",)):
+        made = msal(*words, "auto")
+        assert made.exit_code == 2
+        assert "hint: `msal denoise --auto` chooses one" in made.stderr
+
+
+def test_the_words_on_the_command_line_are_those_of_the_pipeline():
+    assert auto_options.AUTO == AUTO
+    assert AUTO not in methods.names() and selection.NONE not in methods.names()
+    defaults = selection.Wishes()
+    said = {one.name: one.help for one in command.params if hasattr(one, "help")}
+    assert f"[default: {defaults.strength:g}]" in said["strength"]
+    assert f"[default: {defaults.budget:g}]" in said["auto_budget"]
+
+
+# What is told
+
+
+def test_the_record_tells_what_was_run_and_why(scan, tmp_path, choose):
+    choose(fixed("msal", {"K": 0.7, "iterations": 3}))
+    record = record_of(scan, "-o", tmp_path / "o.ply", "--keep", "shape")
+    settled = methods.find("msal").settled({"K": 0.7, "iterations": 3})
+    assert record["method"] == {"name": "msal", "parameters": settled}
+    assert record["choice"] == {
+        "reason": REASON,
+        "surface": "organic",
+        "noise_edges": 0.11,
+        "risk_edges": 0.0625,
+        "tried": 7,
+        "runners_up": [{"label": "AL, 3 sweeps", "risk_edges": 0.0724}],
+        "wishes": {"prefer": "balanced", "keep": "shape", "strength": 0.0, "budget": 10.0},
+        "repeat": ["--method", "msal", "--set", "iterations=3", "--set", "K=0.7"],
+    }
+    assert record["seconds"]["choose"] > 0.0
+    stages = {name: spent for name, spent in record["seconds"].items() if name != "total"}
+    assert sum(stages.values()) == pytest.approx(record["seconds"]["total"], rel=1e-9)
+
+
+def test_without_it_nothing_is_told(scan, tmp_path):
+    record = record_of(scan, "-o", tmp_path / "o.ply")
+    assert record["choice"] is None
+    assert record["seconds"]["choose"] == 0.0
+    assert "chosen" not in msal("denoise", scan.parent, "-o", tmp_path / "out", "--fresh").stderr
+
+
+def test_one_file_is_told_in_one_sentence(scan, tmp_path, choose):
+    choose(fixed("msal", {"K": 0.7}))
+    said = msal("denoise", scan, "-o", tmp_path / "o.ply", "--auto").stderr
+    assert f"  chosen        {REASON}\n" in said
+    assert "  next best     AL, 3 sweeps (risk 0.072 e)\n" in said
+    assert "  by hand       --method msal --set K=0.7\n" in said
+    assert ", choose 0." in said
+
+
+@pytest.fixture(scope="module")
+def batch(tmp_path_factory):
+    """A run over a clean and two noisy scans: its folder, its records and what it said."""
+    folder = tmp_path_factory.mktemp("batch")
+    vertices, faces = torus()
+    scans = {"clean": ply_text(vertices, faces), "b": closed_scan(), "c": closed_scan(1)}
+    folder_of(folder / "in", **scans)
+    reports = [f"--report={folder / 'report.'}{form}" for form in ("csv", "md", "xml", "html")]
+    words = ("denoise", folder / "in", "-o", folder / "out", "--auto", "-j", "1")
+    made = msal(*words, *reports, "--log-file", folder / "log", "--json")
+    assert made.exit_code == 0, made.stderr
+    return folder, json.loads(made.stdout)["records"], made.stderr
+
+
+def test_many_files_are_counted_and_each_has_a_line_in_the_log(batch):
+    folder, records, said = batch
+    counts = Counter(one["method"]["name"] for one in records)
+    (line,) = [one for one in said.splitlines() if one.startswith("chosen: ")]
+    assert dict(word.split() for word in line.removeprefix("chosen: ").split(", ")) == {
+        name: str(count) for name, count in counts.items()
+    }
+    log = (folder / "log").read_text()
+    for record in records:
+        assert f"{record['input']}: {record['choice']['reason']}\n" in log
+        assert record["choice"]["reason"] not in said
+
+
+def test_verbose_says_the_reason_of_every_file(batch, tmp_path):
+    folder, records, _ = batch
+    said = msal("denoise", folder / "in", "-o", tmp_path, "--auto", "-v", "-j", "1").stderr
+    for record in records:
+        assert f"msal: info: {record['input']}: {record['choice']['reason']}\n" in said
+
+
+def test_what_is_up_to_date_keeps_its_own_choice(batch):
+    folder, records, _ = batch
+    made = msal("denoise", folder / "in", "-o", folder / "out", "--auto", "--json")
+    again = json.loads(made.stdout)["records"]
+    assert [one["status"] for one in again] == ["up-to-date"] * 3
+    kept = [(one["method"], one["choice"]) for one in again]
+    assert kept == [(one["method"], one["choice"]) for one in records]
+    methods_used = [one["method"] for one in records]
+    assert any(one != methods_used[0] for one in methods_used), "a case that can fail"
+
+
+def test_every_report_tells_it(batch):
+    folder, records, _ = batch
+    reasons = [one["choice"]["reason"] for one in records]
+    with (folder / "report.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["method.name"] for row in rows] == [one["method"]["name"] for one in records]
+    assert [row["choice.reason"] for row in rows] == reasons
+    assert {row["choice.wishes.prefer"] for row in rows} == {"balanced"}
+    # What begins like a formula gets an apostrophe.
+    assert all(row["choice.repeat"].startswith("'--method; ") for row in rows)
+    text, cases, page = (
+        (folder / f"report.{form}").read_text(encoding="utf-8") for form in ("md", "xml", "html")
+    )
+    assert "| chosen by --auto | " in text
+    assert '"title":"Chosen"' in page
+    for record, reason in zip(records, reasons, strict=True):
+        assert f"| {reason} |" in text
+        assert f"chosen: {reason}" in cases
+        assert f'["Chosen","{reason}"]' in page
+        assert f'["By hand","{shlex.join(record["choice"]["repeat"])}"]' in page
+
+
+def test_what_a_folder_remembers_makes_the_same_rows_again(batch):
+    folder, _, _ = batch
+    assert msal("report", folder / "out", "-o", folder / "again.csv").exit_code == 0
+    one, other = ((folder / name).read_bytes() for name in ("report.csv", "again.csv"))
+    assert one.splitlines()[0] == other.splitlines()[0]
+    assert b"choice.reason" in other and one.count(b"noise 0.") == other.count(b"noise 0.")
+
+
+def test_records_from_before_there_was_a_choice_are_read(scan, tmp_path):
+    msal("denoise", scan, "-o", tmp_path / "o.ply", "--report", tmp_path / "new.json")
+    data = json.loads((tmp_path / "new.json").read_text())
+    del data["records"][0]["choice"], data["records"][0]["seconds"]["choose"]
+    del data["totals"]["chosen"]
+    (tmp_path / "old.json").write_text(json.dumps(data))
+    made = msal("report", tmp_path / "old.json", "--json")
+    assert made.exit_code == 0
+    assert json.loads(made.stdout)["records"][0]["choice"] is None
+
+
+def test_gates_know_the_risk(scan, tmp_path, choose):
+    choose(fixed())
+    words = ("denoise", scan, "-o", tmp_path / "o.ply", "--auto", "--fail-on")
+    assert msal(*words, "risk > 0.1e").exit_code == 0
+    made = msal(*words, "risk > 0.05e or choice.noise_edges > 1e")
+    assert made.exit_code == 4
+    assert "risk is 0.0625e" in made.stderr
+
+
+# What is done
+
+
+def test_none_gives_the_very_bytes_back(scan, tmp_path, choose):
+    choose(fixed("none", risk=None))
+    output = tmp_path / "o.ply"
+    made = msal("denoise", scan, "-o", output, "--auto", "--max-move", "0.1e", "--json")
+    assert output.read_bytes() == scan.read_bytes()
+    (record,) = json.loads(made.stdout)["records"]
+    assert record["status"] == "unchanged"
+    assert record["method"] == {"name": "none", "parameters": {}}
+    assert record["choice"]["reason"] == REASON
+    assert record["displacement"]["max"] == 0.0
+    again = tmp_path / "again.ply"
+    assert msal("denoise", scan, "-o", again, *record["choice"]["repeat"]).exit_code == 0
+    assert again.read_bytes() == scan.read_bytes()
+
+
+def test_none_in_another_format_is_a_conversion(scan, tmp_path, choose):
+    choose(fixed("none"))
+    one, other = tmp_path / "1.obj", tmp_path / "2.obj"
+    assert record_of(scan, "-o", one, "--auto")["status"] == "written"
+    assert msal("denoise", scan, "-o", other, "-n", "0").exit_code == 0
+    assert one.read_bytes() == other.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("al", {"iterations": 2, "time_step": 1 / 3, "boundary": "fixed"}),
+        ("msal", {"K": 0.1 + 0.2}),
+        ("bilateral_normal", {"iterations": 3, "similarity": 0.45}),
+        ("taubin", {}),
+    ],
+)
+def test_the_options_told_repeat_the_result(scan, tmp_path, choose, name, given):
+    choose(fixed(name, given))
+    one, other = tmp_path / "1.ply", tmp_path / "2.ply"
+    limit = ("--max-move", "0.3e")
+    record = record_of(scan, "-o", one, "--auto", *limit)
+    again = record_of(scan, "-o", other, *record["choice"]["repeat"], *limit)
+    assert again["method"] == record["method"]
+    assert one.read_bytes() == other.read_bytes() != scan.read_bytes()
+
+
+@pytest.mark.parametrize("keep", [(), ("--keep", "edges"), ("--strength", "2")])
+def test_the_options_told_repeat_a_real_choice(tmp_path, keep):
+    one, other = tmp_path / "1.ply", tmp_path / "2.ply"
+    scan = "sample_meshes/toadstool_noisy.ply"
+    record = record_of(scan, "-o", one, "--auto", *keep)
+    assert record["method"]["name"] in (*selection.METHODS, selection.NONE)
+    assert record["choice"]["reason"].startswith("noise 0.")
+    again = record_of(scan, "-o", other, *record["choice"]["repeat"])
+    if record["method"]["name"] != selection.NONE:
+        assert again["method"] == record["method"]
+    assert one.read_bytes() == other.read_bytes()
+
+
+def test_a_failure_before_the_choice_says_what_was_asked(tmp_path):
+    scans = folder_of(tmp_path / "in", bad=b"ply\n")
+    made = msal("denoise", scans, "-o", tmp_path / "out", "--strength", "1", "--json")
+    assert made.exit_code == 1
+    (record,) = json.loads(made.stdout)["records"]
+    assert record["method"]["name"] == "auto"
+    assert record["method"]["parameters"]["strength"] == 1.0
+    assert record["choice"] is None
+
+
+def test_the_wishes_are_part_of_what_is_current(scan, tmp_path, choose):
+    choose(fixed())
+    output = tmp_path / "out"
+
+    def is_current(*words):
+        return "is up to date" in msal("denoise", scan.parent, "-o", output, *words).stderr
+
+    assert not is_current("--auto")
+    assert is_current("--auto")
+    assert is_current("--strength", "-0")
+    assert is_current("--method", "auto", "--auto-budget", "10")
+    assert not is_current("--strength", "0.5")
+    assert not is_current("--strength", "0.5", "--prefer", "normals")
+    assert not is_current("--strength", "0.5", "--keep", "texture")
+    assert not is_current("--auto", "--auto-budget", "9")
+    assert not is_current()
+    assert not is_current("--auto")
+
+
+def test_it_works_in_a_pipe(scan, tmp_path):
+    output = tmp_path / "o.ply"
+    assert msal("denoise", scan, "-o", output, "--auto").exit_code == 0
+    made = msal_on(scan.read_bytes(), "denoise", "-", "-o", "-", "--auto")
+    assert made.exit_code == 0
+    assert made.stdout_bytes == output.read_bytes()
+    assert "  chosen        noise 0." in made.stderr
+
+
+def test_it_works_with_constraints_and_fields(tmp_path):
+    scan = folder_of(tmp_path / "in", scan=open_scan()) / "scan.ply"
+    words = ("--lock", "boundary", "--max-move", "0.05e", "--fields", "lambda,displacement")
+    record = record_of(scan, "-o", tmp_path / "o.ply", "--auto", *words)
+    assert record["locked_vertices"] == record["boundary_edges"]
+    assert record["displacement"]["max_edges"] <= 0.05
+    assert record["fields"]["names"] == ["lambda", "displacement"]
+    assert record["choice"]["tried"] >= 0
+
+
+def test_with_trust_the_method_has_a_data_term(tmp_path):
+    vertices, faces = torus()
+    noise = [(-1) ** at * 0.06 for at in range(len(vertices))]
+    lines = [
+        f"{x + e:.6f} {y:.6f} {z:.6f} 0.{1 + at % 9}"
+        for at, ((x, y, z), e) in enumerate(zip(vertices, noise, strict=True))
+    ]
+    lines += ["3 " + " ".join(map(str, face)) for face in faces]
+    head = (
+        f"ply\nformat ascii 1.0\nelement vertex {len(vertices)}\nproperty float x\n"
+        "property float y\nproperty float z\nproperty float quality\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    scan = tmp_path / "scan.ply"
+    scan.write_text(head + "\n".join(lines) + "\n")
+    for at, wish in enumerate(([], ["--keep", "edges"], ["--strength", "2"])):
+        words = ("--weights", "quality")
+        one, other = tmp_path / f"{at}.ply", tmp_path / f"again-{at}.ply"
+        record = record_of(scan, "-o", one, "--auto", *wish, *words)
+        assert record["method"]["name"] != selection.NONE
+        assert (
+            msal("denoise", scan, "-o", other, *record["choice"]["repeat"], *words).exit_code == 0
+        )
+        assert one.read_bytes() == other.read_bytes()
+
+
+def test_ctrl_c_while_choosing_writes_nothing(scan, tmp_path, choose):
+    def interrupted(mesh, wishes, on_step=None):
+        raise KeyboardInterrupt
+
+    choose(interrupted)
+    output = tmp_path / "o.ply"
+    made = msal_on(scan.read_bytes(), "denoise", "-", "-o", output, "--auto")
+    assert made.exit_code == 130
+    assert not output.exists()
+
+
+def test_a_chooser_that_fails_is_a_failed_record(scan, tmp_path, choose):
+    choose(lambda *given: 1 / 0)
+    made = msal("denoise", scan, "-o", tmp_path / "o.ply", "--auto", "--json")
+    assert made.exit_code == 1
+    (record,) = json.loads(made.stdout)["records"]
+    assert record["error"]["code"] == "E_INTERNAL"
+    assert record["seconds"]["choose"] > 0.0
+    assert not (tmp_path / "o.ply").exists()
+
+
+def test_the_same_bytes_with_any_jobs_and_threads(tmp_path):
+    scans = folder_of(tmp_path / "in", a=closed_scan(), b=open_scan(), c=closed_scan(5))
+    made = []
+    for at, (jobs, threads) in enumerate((("1", "1"), ("2", "2"), ("1", "2"))):
+        output = tmp_path / f"out{at}"
+        words = ("denoise", scans, "-o", output, "--auto", "--strength", "0.5", "-j", jobs, "-q")
+        env = {"MSAL_THREADS": threads, "NUMBA_NUM_THREADS": threads}
+        done = process(*words, "--json", env=env)
+        assert done.returncode == 0, done.stderr
+        records = json.loads(done.stdout)["records"]
+        made.append(
+            (
+                [(output / f"{name}.ply").read_bytes() for name in "abc"],
+                [(one["method"], one["choice"]) for one in records],
+            )
+        )
+    assert made[0] == made[1] == made[2]
