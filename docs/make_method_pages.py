@@ -110,7 +110,7 @@ def index(all_methods: list[Method]) -> str:
     scheduled = [
         f"[`{one.name}`]({one.name}.md)"
         for one in all_methods
-        if any(spec.name == "schedule" for spec in one.parameters)
+        if any("plain" in spec.choices for spec in one.parameters)
     ]
     return (
         MADE
@@ -118,8 +118,9 @@ def index(all_methods: list[Method]) -> str:
         + INDEX
         + "| method | what it does | source |\n|---|---|---|\n"
         + rows
-        + "\n`--schedule plain|constant|multiscale` composes the iteration of `msal` with another "
-        f"operator: {', '.join(scheduled)} take it.\n"
+        + "\n`--schedule plain|constant|multiscale|robust|wiener` composes the iterations of "
+        f"`msal` with another operator: {', '.join(scheduled)} take it. `msal` itself takes the "
+        "last three.\n"
     )
 
 

@@ -22,7 +22,7 @@ MAY_IMPORT = {
     "colours": set(),
     "core": {"errors"},
     "mesh": {"core", "errors"},
-    "methods": {"mesh", "core", "errors"},
+    "methods": {"mesh", "noise_estimate", "core", "errors"},
     "metrics": {"mesh", "core", "errors"},
     "noise": {"mesh", "core", "errors"},
     "noise_estimate": {"mesh", "core", "errors"},

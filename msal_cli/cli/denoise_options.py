@@ -100,7 +100,7 @@ _METHOD = (
         "-K",
         "factor",
         metavar="K",
-        help="msal, or --schedule multiscale: factor by which the smoothing shrinks from sweep to "
+        help="--schedule multiscale or robust: factor by which the smoothing shrinks from sweep to "
         "sweep, 0 < K <= 1; greater is smoother, less keeps more texture.  [default: 0.5]",
     ),
     click.option(
@@ -111,9 +111,10 @@ _METHOD = (
     ),
     click.option(
         "--schedule",
-        type=click.Choice(["plain", "constant", "multiscale"]),
-        help="How the sweeps of al, umbrella and the like go on: alike, with a constant pull to "
-        "the data, or multiscale as in msal.  [default: plain]",
+        type=click.Choice(["plain", "constant", "multiscale", "robust", "wiener"]),
+        help="How the sweeps of msal, al, umbrella and the like go on: alike, with a constant pull "
+        "to the data, multiscale, robust beside spikes, or with what is more than noise given back "
+        "at the end.  [default: multiscale for msal, else plain]",
     ),
     click.option(
         "--set",

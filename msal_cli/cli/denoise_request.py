@@ -194,7 +194,9 @@ def _refuse_without_data_term(method: Method, settled: dict[str, Any]) -> None:
     raise UsageError(
         f"--weights needs a pull to the scanned positions, and {method.name} has none"
         + (" with --schedule plain" if schedules else ""),
-        hint="choose --schedule constant or multiscale" if schedules else "choose msal",
+        hint="choose --schedule constant, multiscale, robust or wiener"
+        if schedules
+        else "choose msal",
     )
 
 

@@ -6,6 +6,8 @@ those of the number looked for are then partitioned.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,3 +69,14 @@ def median(values: Floats) -> float:
     if len(values) % 2:
         return ranked(values, middle)[0]
     return sum(ranked(values, middle - 1, middle)) / 2.0
+
+
+def quantile_above_zero(values: Floats, share: float) -> float:
+    """The least value which at least ``share`` of those above zero do not exceed; 0.0 if none is.
+
+    ``values`` (n,) are not below zero and not NaN; 0 < ``share`` <= 1, where 1 gives the largest.
+    """
+    above = int(np.count_nonzero(values))
+    if not above:
+        return 0.0
+    return ranked(values, len(values) - above + math.ceil(share * above) - 1)[0]

@@ -9,7 +9,7 @@ from msal_cli.dataclass import dataclass
 
 @dataclass(frozen=True)
 class Pace:
-    """One sweep's tau and lambda: lambda_i = constant + per_sigma * sigma_i.
+    """One sweep's tau and lambda: lambda_i = min(1, constant + per_sigma * sigma_i).
 
     ``per_sigma`` is in reciprocal file units, the others are pure numbers.
     """
@@ -20,15 +20,18 @@ class Pace:
 
 
 class Schedule(Protocol):
-    """Gives the pace of every sweep; ``uses_sigma`` tells whether it looks at sigma."""
+    """Gives the pace of every sweep."""
 
     @property
-    def uses_sigma(self) -> bool:
-        """Whether ``largest_sigma`` must be given."""
+    def quantile(self) -> float | None:
+        """Which quantile of the sigma above zero it must be given, 1 for max sigma; None for none.
+
+        It is the least that at least this share of them do not exceed.
+        """
         ...
 
-    def __call__(self, sweep: int, largest_sigma: float | None) -> Pace:
-        """The pace of sweep 0, 1, ..., from max sigma at its start, file units."""
+    def __call__(self, sweep: int, scale: float | None) -> Pace:
+        """The pace of sweep 0, 1, ..., from that quantile at its start, file units."""
         ...
 
 
@@ -37,9 +40,9 @@ class Plain:
     """The same time step tau at every sweep and no fidelity, lambda = 0 (section 2)."""
 
     time_step: float = 1.0
-    uses_sigma = False
+    quantile = None
 
-    def __call__(self, sweep: int, largest_sigma: float | None) -> Pace:
+    def __call__(self, sweep: int, scale: float | None) -> Pace:
         """tau and no fidelity."""
         return Pace(self.time_step)
 
@@ -50,9 +53,9 @@ class Constant:
 
     time_step: float = 1.0
     fidelity: float = 0.1
-    uses_sigma = False
+    quantile = None
 
-    def __call__(self, sweep: int, largest_sigma: float | None) -> Pace:
+    def __call__(self, sweep: int, scale: float | None) -> Pace:
         """tau and lambda."""
         return Pace(self.time_step, constant=self.fidelity)
 
@@ -63,18 +66,23 @@ class Multiscale:
 
     With ``decay`` K below 1 later sweeps smooth less, the sooner the smaller K is; tau_0, the
     ``time_step``, is 1 in the paper.  On a mesh with sigma = 0 everywhere lambda is zero.
+
+    max sigma may belong to a single spike, beside which every other lambda is next to nothing.
+    With a ``quantile`` q below 1 it is not asked: lambda = min(1, sigma / q-quantile of sigma),
+    the quantile being that of the sigma above zero, so that planes and vertices without faces do
+    not count.  The smaller q is, the stronger the pull.
     """
 
     decay: float = 0.5
     time_step: float = 1.0
-    uses_sigma = True
+    quantile: float | None = 1.0
 
-    def __call__(self, sweep: int, largest_sigma: float | None) -> Pace:
-        """tau and 1 / max sigma."""
-        largest = largest_sigma or 0.0
+    def __call__(self, sweep: int, scale: float | None) -> Pace:
+        """tau and 1 / scale."""
+        scale = scale or 0.0
         return Pace(
             self.time_step * self.decay**sweep,
-            per_sigma=1.0 / largest if largest > 0.0 else 0.0,
+            per_sigma=1.0 / scale if scale > 0.0 else 0.0,
         )
 
 
@@ -84,8 +92,27 @@ class Alternating:
 
     shrink: float = 0.5
     inflate: float = -0.53
-    uses_sigma = False
+    quantile = None
 
-    def __call__(self, sweep: int, largest_sigma: float | None) -> Pace:
+    def __call__(self, sweep: int, scale: float | None) -> Pace:
         """One of the two steps."""
         return Pace(self.inflate if sweep % 2 else self.shrink)
+
+
+@dataclass(frozen=True)
+class Wiener:
+    """The same time step tau at every sweep, and one pull at the end, by how far the local power
+    of what the sweeps took exceeds that of noise: see ``core.restoration``.
+
+    ``noise`` is its standard deviation in mean edge lengths, None if it is to be estimated;
+    ``caution`` the multiple of its power below which nothing comes back.
+    """
+
+    time_step: float = 1.0
+    noise: float | None = None
+    caution: float = 1.3
+    quantile = None
+
+    def __call__(self, sweep: int, scale: float | None) -> Pace:
+        """tau and no fidelity."""
+        return Pace(self.time_step)

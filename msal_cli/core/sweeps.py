@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
+from msal_cli.core.medians import quantile_above_zero
 from msal_cli.core.operators import Operator, RingOperator
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.schedules import Pace, Schedule
@@ -41,7 +42,7 @@ def _moved_along_normals(  # type: ignore[no-untyped-def]
     start, stop, v, normals, heights, sigma, tau, constant, per_sigma, offsets, fidelity, x
 ):
     for i in range(start, stop):
-        pull = constant + per_sigma * sigma[i]
+        pull = min(constant + per_sigma * sigma[i], 1.0)
         if len(fidelity):
             fidelity[i] = pull
         t = offsets[i]
@@ -55,7 +56,7 @@ def _moved_along_normals(  # type: ignore[no-untyped-def]
 @compiled
 def _moved_freely(start, stop, v, moves, sigma, tau, constant, per_sigma, x):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
-        fidelity = constant + per_sigma * sigma[i]
+        fidelity = min(constant + per_sigma * sigma[i], 1.0)
         for axis in range(3):
             back = v[i, axis] - x[i, axis]
             x[i, axis] += tau * moves[i, axis] + fidelity * back
@@ -94,20 +95,17 @@ def swept(
     for sweep in range(iterations):
         step = operator(x)
         sigma, largest = step.sigma, step.largest_sigma
-        if schedule.uses_sigma:
-            if sigma is None:
-                if scale is None:
-                    raise ValueError("the schedule needs sigma, and nothing computes it")
-                sigma = scale(x)
-            if largest is None:
-                largest = float(sigma.max(initial=0.0))
-        pace: Pace = schedule(sweep, largest)
+        if schedule.quantile is not None and sigma is None:
+            if scale is None:
+                raise ValueError("the schedule needs sigma, and nothing computes it")
+            sigma = scale(x)
+        pace: Pace = _pace(schedule, sweep, sigma, largest)
         if sigma is None:
             sigma = unused
         if trust is not None:
             pace, sigma = _trusted(pace, sigma, trust)
         if sweep == 0:
-            fidelity = pace.constant + pace.per_sigma * sigma
+            fidelity = _pulls(pace, sigma)
         if operator.normals is None:
             over_ranges(
                 _moved_freely,
@@ -129,10 +127,26 @@ def swept(
     return Swept(x, fidelity)
 
 
+def _pace(schedule: Schedule, sweep: int, sigma: Floats | None, largest: float | None) -> Pace:
+    """The pace of a sweep; ``largest`` is max sigma, where it is known."""
+    share = schedule.quantile
+    if sigma is None or share is None:
+        return schedule(sweep, None)
+    if share == 1.0:
+        return schedule(sweep, float(sigma.max(initial=0.0)) if largest is None else largest)
+    return schedule(sweep, quantile_above_zero(sigma, share))
+
+
+def _pulls(pace: Pace, sigma: Floats) -> Floats:
+    """lambda (n,)."""
+    pulls: Floats = np.minimum(pace.constant + pace.per_sigma * sigma, 1.0)
+    return pulls
+
+
 def _trusted(pace: Pace, sigma: Floats, trust: Floats) -> tuple[Pace, Floats]:
     """The pace, and what stands in for sigma, by which lambda_i is ``trust`` (n,) times what it
     would be: the kernels need not know of it."""
-    pulls: Floats = trust * (pace.constant + pace.per_sigma * sigma)
+    pulls: Floats = trust * _pulls(pace, sigma)
     return Pace(pace.time_step, per_sigma=1.0), pulls
 
 
@@ -176,7 +190,7 @@ def _swept_over_rings(
     asks for the largest one, which is known only when every vertex has been looked at: then
     heights and sigma are kept, and a second pass moves.  So it is with a lambda by trust.
     """
-    is_measured = schedule.uses_sigma or trust is not None
+    is_measured = schedule.quantile is not None or trust is not None
     n = len(vertices)
     assert operator.normals is not None
     offsets = np.zeros(n)
@@ -185,7 +199,8 @@ def _swept_over_rings(
     heights, sigma = (np.empty(n), np.empty(n)) if is_measured else (none, none)
     for sweep in range(iterations):
         if is_measured:
-            pace, pulls = schedule(sweep, operator.measure(x, heights, sigma)), sigma
+            pace = _pace(schedule, sweep, sigma, operator.measure(x, heights, sigma))
+            pulls = sigma
             if trust is not None:
                 pace, pulls = _trusted(pace, sigma, trust)
             first = none if sweep else fidelity

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.operators import AnisotropicLaplacian, Operator
-from msal_cli.core.schedules import Constant, Multiscale, Plain, Schedule
-from msal_cli.core.sweeps import swept
+from msal_cli.core.schedules import Constant, Multiscale, Plain, Schedule, Wiener
+from msal_cli.core.sweeps import Swept, swept
 from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
@@ -49,6 +50,42 @@ class NormalParameters:
     )
 
 
+def quantile_parameter() -> Any:
+    """The parameter of the robust schedule."""
+    return parameter(
+        0.99,
+        "robust schedule: sigma of this rank among all, from 0 to 1, stands in for max sigma",
+        symbol="q",
+        low=0.0,
+        high=1.0,
+        low_open=True,
+        more="smoother; 1 is the multiscale schedule",
+    )
+
+
+def noise_parameter() -> Any:
+    """A parameter of the Wiener schedule."""
+    return parameter(
+        0.0,
+        "wiener schedule: standard deviation of the noise; 0 has it estimated",
+        low=0.0,
+        high=100.0,
+        unit="mean edge lengths",
+        more="smoother, above 0",
+    )
+
+
+def caution_parameter() -> Any:
+    """The other parameter of the Wiener schedule."""
+    return parameter(
+        1.3,
+        "wiener schedule: nothing comes back below this multiple of the noise's power",
+        low=0.0,
+        high=100.0,
+        more="smoother, less texture",
+    )
+
+
 @dataclass(frozen=True)
 class ScheduledParameters(NormalParameters):
     """Parameters of a method whose operator can run under any schedule of equation (2)."""
@@ -64,8 +101,9 @@ class ScheduledParameters(NormalParameters):
     )
     schedule: str = parameter(
         "plain",
-        "how the sweeps go on: alike; with a constant pull to the data; or multiscale, as in msal",
-        choices=("plain", "constant", "multiscale"),
+        "how the sweeps go on: alike; with a constant pull to the data; multiscale, as in msal; "
+        "robust, the same beside spikes; or alike, and what is more than noise comes back (wiener)",
+        choices=("plain", "constant", "multiscale", "robust", "wiener"),
     )
     fidelity: float = parameter(
         0.1,
@@ -77,13 +115,17 @@ class ScheduledParameters(NormalParameters):
     )
     K: float = parameter(
         0.5,
-        "multiscale schedule: factor by which the smoothing shrinks from sweep to sweep",
+        "multiscale and robust schedules: factor by which the smoothing shrinks from sweep to "
+        "sweep",
         symbol="K",
         low=0.0,
         high=1.0,
         low_open=True,
         more="smoother; less keeps more texture, and more noise",
     )
+    quantile: float = quantile_parameter()
+    noise: float = noise_parameter()
+    caution: float = caution_parameter()
 
     @property
     def has_data_term(self) -> bool:
@@ -96,6 +138,10 @@ class ScheduledParameters(NormalParameters):
             return Constant(self.time_step, self.fidelity)
         if self.schedule == "multiscale":
             return Multiscale(self.K, self.time_step)
+        if self.schedule == "robust":
+            return Multiscale(self.K, self.time_step, self.quantile)
+        if self.schedule == "wiener":
+            return Wiener(self.time_step, self.noise or None, self.caution)
         return Plain(self.time_step)
 
 
@@ -147,11 +193,12 @@ def run(
     Making it counts as the stage ``normals``.  For a schedule that needs sigma over an operator
     that does not compute it, sigma is that of eq. (4) along the mesh's vertex normals.  lambda is
     scaled by the mesh's trust, where it has such.  The
-    result's field ``fidelity`` is lambda of the first sweep.
+    result's field ``fidelity`` is lambda of the first sweep, of the Wiener schedule that at the
+    end.
     """
     started = time.perf_counter()
     made = operator()
-    laplacian = anisotropic_laplacian(mesh, parameters) if schedule.uses_sigma else None
+    laplacian = anisotropic_laplacian(mesh, parameters) if schedule.quantile is not None else None
 
     def scale(positions: Floats) -> Floats:
         assert laplacian is not None
@@ -163,9 +210,32 @@ def run(
     result = swept(
         mesh.vertices, made, schedule, parameters.iterations, on_sweep, scale, mesh.trust
     )
+    if isinstance(schedule, Wiener) and parameters.iterations:
+        result = _restored(mesh, parameters, result.vertices, schedule)
     finished = time.perf_counter()
     return Result(
         result.vertices,
         fields={"fidelity": result.fidelity},
         seconds={"normals": ready - started, "sweeps": finished - ready},
     )
+
+
+def _restored(mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule: Wiener) -> Swept:
+    """Positions from which the sweeps came to ``smooth`` (n, 3), as far as more than noise went.
+
+    What comes back comes along the mesh's normals.
+    """
+    from msal_cli.core.restoration import restoration
+    from msal_cli.noise_estimate import estimated
+
+    if schedule.noise is None:
+        noise = estimated(mesh).file_units
+    else:
+        noise = schedule.noise * mesh.mean_edge_length
+    normals = mesh.vertex_normals(parameters.normals, parameters.mollify)
+    residual = np.einsum("ij,ij->i", smooth - mesh.vertices, normals)
+    links = mesh.links
+    found = restoration(residual, links.ring_start, links.ring, noise, schedule.caution)
+    pull = found.returned if mesh.trust is None else mesh.trust * found.returned
+    share = found.share if mesh.trust is None else mesh.trust * found.share
+    return Swept(smooth - pull[:, None] * normals, share)

@@ -112,8 +112,19 @@ def test_the_schedules_offered_are_those_of_the_methods():
     assert tuple(option.type.choices) == methods.find("al").spec("schedule").choices
 
 
+@pytest.mark.parametrize("schedule", ["robust", "wiener"])
+def test_msal_takes_schedules_and_writes_their_lambda(scan, tmp_path, schedule):
+    target = tmp_path / "out.ply"
+    words = ("denoise", scan, "-o", target, "--schedule", schedule, "--fields", "lambda")
+    assert msal(*words).exit_code == 0
+    assert b"property float lambda" in (tmp_path / "out.fields.ply").read_bytes()
+    made = msal("denoise", scan, "-o", tmp_path / "other.ply", "--schedule", "plain")
+    assert made.exit_code == 2
+    assert "allowed: multiscale | robust | wiener" in made.stderr
+
+
 def test_a_method_without_schedules_refuses_one(scan, tmp_path):
-    for method in ("msal", "hc", "taubin"):
+    for method in ("hc", "taubin"):
         made = msal(
             *("denoise", scan, "-o", tmp_path / "out.ply", "--method", method),
             *("--schedule", "constant"),

@@ -12,7 +12,7 @@ from tests.shapes import noisy, torus
 SCHEDULED = [
     name
     for name in methods.names()
-    if any(spec.name == "schedule" for spec in methods.find(name).parameters)
+    if any("plain" in spec.choices for spec in methods.find(name).parameters)
 ]
 
 
@@ -77,3 +77,22 @@ def test_multiscale_comes_back_to_the_input(run, mesh):
     # Section 3: as sweeps go on the process converges to the data, over any operator.
     few, many = (moved(mesh, run(n=n, schedule="multiscale")).max() for n in (4, 200))
     assert many < 1e-3 * few
+
+
+def test_a_robust_schedule_that_asks_for_the_largest_is_the_multiscale_one(run):
+    robust = run(schedule="robust", quantile=1.0, K=0.3, n=3)
+    assert (robust == run(schedule="multiscale", K=0.3, n=3)).all()
+    assert not (robust == run(schedule="robust", quantile=0.5, K=0.3, n=3)).all()
+
+
+def test_wiener_gives_back_all_if_there_is_no_noise_and_nothing_if_there_is_much(run, mesh):
+    plain = run(n=4)
+    normals = mesh.vertex_normals("uniform", 1)
+
+    def along(vertices):
+        return ((vertices - mesh.vertices) * normals).sum(axis=1)
+
+    assert np.abs(along(run(n=4, schedule="wiener", noise=1e-12))).max() < 1e-13
+    assert (run(n=4, schedule="wiener", noise=100) == plain).all()
+    some = along(run(n=4, schedule="wiener", noise=0.005))
+    assert 0 < np.linalg.norm(some) < np.linalg.norm(along(plain))

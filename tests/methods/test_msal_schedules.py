@@ -1,0 +1,226 @@
+"""The robust and the Wiener schedule: against their definitions, and where the paper's fails."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from msal_cli import methods
+from msal_cli.mesh import prepared
+from tests.methods import plain_restoration as plain
+from tests.shapes import ball, cube, grid, noisy, torus
+
+MSAL = methods.find("msal")
+
+
+def run(vertices, faces, name="msal", **given):
+    method = methods.find(name)
+    return method.denoised(prepared(vertices, faces).mesh, method.settled(given))
+
+
+def textured_ball():
+    """A sphere with waves of a third of an edge length, and a little noise."""
+    vertices, faces = ball(96, 48)
+    outward = vertices / np.linalg.norm(vertices, axis=1)[:, None]
+    wave = 0.02 * np.sin(24 * outward[:, 0]) * np.sin(24 * outward[:, 2])
+    heights = 0.004 * np.random.default_rng(0).normal(size=len(vertices))
+    return vertices + (wave + heights)[:, None] * outward, faces
+
+
+def spiked(vertices):
+    """The same with one vertex far out."""
+    result = vertices.copy()
+    result[len(result) // 2] *= 3.0
+    return result
+
+
+SHAPES = {
+    "torus": (noisy(torus()[0], 1), torus()[1]),
+    "open grid": (noisy(grid(9, 8)[0], 2, 0.2), grid(9, 8)[1]),
+    "cube": (noisy(cube()[0], 3, 0.1), cube()[1]),
+    "tiny": (noisy(torus()[0], 5) * 1e-6, torus()[1]),
+}
+
+
+def centred(shape):
+    vertices, faces = SHAPES[shape]
+    return vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2, faces
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("quantile", [0.25, 0.9, 0.99])
+@pytest.mark.parametrize("mollify", [0, 1])
+def test_robust_is_what_its_definition_says(shape, quantile, mollify):
+    vertices, faces = centred(shape)
+    expected = plain.robust(vertices, faces, 4, 0.5, quantile, mollify)
+    actual = run(vertices, faces, schedule="robust", quantile=quantile, mollify=mollify).vertices
+    assert np.abs(actual - expected).max() < 1e-12 * np.ptp(vertices)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    level=st.floats(0.0, 0.5),
+    quantile=st.floats(0.01, 1.0),
+    K=st.floats(0.05, 1.0),
+)
+def test_lambda_stays_within_0_and_1_and_the_definition(seed, level, quantile, K):
+    vertices, faces = torus(9, 7)
+    vertices = noisy(vertices, seed, level)
+    vertices -= (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    result = run(vertices, faces, schedule="robust", quantile=quantile, K=K, n=3)
+    expected = plain.robust(vertices, faces, 3, K, quantile, 1)
+    assert np.abs(result.vertices - expected).max() <= 1e-12 * np.ptp(vertices)
+    fidelity = result.fields["fidelity"]
+    assert fidelity.min() >= 0.0
+    assert fidelity.max() == 1.0
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_quantile_of_1_is_the_paper_bit_for_bit(shape):
+    vertices, faces = SHAPES[shape]
+    robust = run(vertices, faces, schedule="robust", quantile=1)
+    paper = run(vertices, faces)
+    assert (robust.vertices == paper.vertices).all()
+    assert (robust.fields["fidelity"] == paper.fields["fidelity"]).all()
+
+
+def test_the_smaller_the_quantile_the_stronger_the_pull():
+    vertices, faces = SHAPES["torus"]
+    ways = [
+        np.linalg.norm(run(vertices, faces, schedule="robust", q=q).vertices - vertices)
+        for q in (0.2, 0.5, 0.9, 1.0)
+    ]
+    assert ways == sorted(ways)
+    assert ways[0] < 0.9 * ways[-1]
+
+
+def test_one_spike_takes_the_papers_lambda_and_not_the_robust_one():
+    vertices, faces = textured_ball()
+    spike = spiked(vertices)
+
+    def fidelity(positions, schedule):
+        return float(np.median(run(positions, faces, schedule=schedule).fields["fidelity"]))
+
+    assert fidelity(spike, "multiscale") < 0.1 * fidelity(vertices, "multiscale")
+    assert fidelity(spike, "robust") == pytest.approx(fidelity(vertices, "robust"), rel=0.05)
+
+
+def test_planes_and_vertices_without_faces_do_not_move_the_quantile():
+    vertices, faces = SHAPES["open grid"]
+    flat = grid(30, 30)[0] + [50.0, 0.0, 0.0]
+    more = np.concatenate([vertices, flat, [[7.0, 7.0, 7.0]]])
+    more_faces = np.concatenate([faces, grid(30, 30)[1] + len(vertices)])
+    alone = run(vertices, faces, schedule="robust", q=0.9).fields["fidelity"]
+    beside = run(more, more_faces, schedule="robust", q=0.9).fields["fidelity"]
+    assert beside[: len(vertices)] == pytest.approx(alone, rel=1e-12)
+    assert not beside[len(vertices) :].any()
+
+
+def test_a_plane_has_no_lambda():
+    vertices, faces = grid(6, 6)
+    for schedule in ("robust", "wiener"):
+        result = run(vertices, faces, schedule=schedule)
+        assert (result.vertices == prepared(vertices, faces).mesh.vertices).all()
+        assert not result.fields["fidelity"].any()
+
+
+@pytest.mark.parametrize("shape", ["torus", "open grid", "tiny"])
+@pytest.mark.parametrize(("noise", "caution"), [(0.1, 1.3), (0.02, 1.0), (0.05, 0.3)])
+def test_wiener_is_what_its_definition_says(shape, noise, caution):
+    vertices, faces = centred(shape)
+    unit = prepared(vertices, faces).mesh.mean_edge_length
+    expected = plain.wiener(vertices, faces, 3, noise * unit, caution, 1)
+    given = {"schedule": "wiener", "noise": noise, "caution": caution, "n": 3}
+    assert np.abs(run(vertices, faces, **given).vertices - expected).max() < 1e-12 * np.ptp(
+        vertices
+    )
+
+
+def test_wiener_estimates_the_noise_unless_told():
+    from msal_cli.noise_estimate import estimated
+
+    vertices, faces = SHAPES["torus"]
+    told = estimated(prepared(vertices, faces).mesh).mean_edges
+    by_itself = run(vertices, faces, schedule="wiener").vertices
+    assert np.allclose(by_itself, run(vertices, faces, schedule="wiener", noise=told).vertices)
+    assert not np.allclose(
+        by_itself, run(vertices, faces, schedule="wiener", noise=3 * told).vertices
+    )
+
+
+@pytest.mark.parametrize("name", ["al", "umbrella", "bilateral", "mean_curvature_flow"])
+def test_under_much_noise_wiener_is_plain_and_without_caution_the_input(name):
+    vertices, faces = SHAPES["torus"]
+    mesh = prepared(vertices, faces).mesh
+    smooth = run(vertices, faces, name, schedule="plain").vertices
+    much = run(vertices, faces, name, schedule="wiener", noise=100)
+    assert (much.vertices == smooth).all()
+    assert not much.fields["fidelity"].any()
+    none = run(vertices, faces, name, schedule="wiener", noise=0.1, caution=0)
+    assert (none.fields["fidelity"] == 1.0).all()
+    normals = mesh.vertex_normals("uniform", 1)
+    along = ((none.vertices - mesh.vertices) * normals).sum(axis=1)
+    assert np.abs(along).max() < 1e-14  # along the normals all is back
+
+
+def test_the_same_schedule_over_al_is_that_of_msal():
+    vertices, faces = SHAPES["torus"]
+    for chosen in ({"schedule": "robust", "q": 0.9, "K": 0.3}, {"schedule": "wiener"}):
+        one, other = run(vertices, faces, "al", **chosen), run(vertices, faces, **chosen)
+        assert (one.vertices == other.vertices).all()
+
+
+@pytest.mark.parametrize("schedule", ["robust", "wiener"])
+@pytest.mark.parametrize("name", ["msal", "umbrella"])
+def test_trust_scales_the_pull_and_what_is_held_stays(schedule, name):
+    vertices, faces = SHAPES["torus"]
+    mesh = prepared(vertices, faces).mesh
+    method = methods.find(name)
+    parameters = method.settled({"schedule": schedule})
+    assert method.has_data_term(parameters)
+    trust = np.random.default_rng(0).random(len(vertices))
+    whole = method.denoised(mesh, parameters)
+    scaled = method.denoised(mesh.constrained(None, trust), parameters)
+    assert np.allclose(
+        scaled.fields["fidelity"], trust * whole.fields["fidelity"], rtol=1e-14, atol=0
+    )
+    held = np.arange(len(vertices)) % 5 == 0
+    stays = method.denoised(mesh.constrained(held, None), parameters)
+    assert (stays.vertices[held] == mesh.vertices[held]).all()
+    assert (stays.vertices[~held] != mesh.vertices[~held]).any()
+
+
+@pytest.mark.parametrize("schedule", ["robust", "wiener"])
+def test_nothing_depends_on_the_unit(schedule):
+    vertices, faces = textured_ball()
+    one = run(vertices, faces, schedule=schedule).vertices
+    other = run(vertices * 1e4, faces, schedule=schedule).vertices
+    assert np.abs(other / 1e4 - one).max() < 1e-12
+
+
+@pytest.mark.parametrize("schedule", ["robust", "wiener"])
+def test_no_sweeps_change_no_bit(schedule):
+    vertices, faces = SHAPES["torus"]
+    result = run(vertices, faces, schedule=schedule, n=0).vertices
+    assert (result == prepared(vertices, faces).mesh.vertices).all()
+
+
+def test_wiener_comes_closer_to_waves_under_noise_than_the_others():
+    vertices, faces = torus(96, 48)
+    normals = prepared(vertices, faces).mesh.vertex_normals()
+    wave = 0.06 * np.sin(4 * vertices[:, 0]) * np.sin(4 * vertices[:, 1])
+    true = vertices + wave[:, None] * normals
+    noise = 0.02 * np.random.default_rng(0).normal(size=len(vertices))
+    scan = true + noise[:, None] * normals
+    origin = prepared(scan, faces).origin
+
+    def error(**given):
+        found = run(scan, faces, **given).vertices + origin
+        return np.linalg.norm(found - true, axis=1).mean()
+
+    wiener = error(schedule="wiener")
+    assert wiener < 0.6 * np.abs(noise).mean()
+    assert wiener < 0.85 * min(error(), error(schedule="robust"), error(name="al"))
