@@ -46,11 +46,14 @@ class SweepBar:
     """A bar for one mesh: the stage it is at, and the sweeps."""
 
     def __init__(self, name: str, *, is_large: bool = False) -> None:
-        delay = 0.0 if is_large else _DELAY_S
         self._name = _short(name)
         self._stage = ""
-        self._bar = _bar(total=1, bar_format="{desc}", delay=delay)
-        self._wakes = time.monotonic() + delay
+        self._wakes = time.monotonic() + (0.0 if is_large else _DELAY_S)
+        self._bar = self._empty()
+
+    def _empty(self) -> Any:
+        delay = max(0.0, self._wakes - time.monotonic())
+        return _bar(total=1, bar_format="{desc}", delay=delay)
 
     def on_event(self, event: Event) -> None:
         """Follow the one file of a run."""
@@ -62,6 +65,10 @@ class SweepBar:
     def on_progress(self, stage: str, done: int, total: int) -> None:
         """Show ``done`` of ``total`` steps of ``stage``; only choosing and sweeps are counted."""
         is_counted = stage in _COUNTED and done > 0
+        if stage != self._stage and self._bar.n:
+            # Another stage is counted from its own beginning, at its own pace.
+            self._bar.close()
+            self._bar = self._empty()
         if stage != self._stage or is_counted != (self._bar.bar_format == _FORMAT):
             self._stage = stage
             self._bar.bar_format = _FORMAT if is_counted else "{desc}"

@@ -88,6 +88,11 @@ def test_a_bar_over_sweeps(monkeypatch):
     bar.on_event(Started(0, task))
     bar.on_event(Progress(0, "read", 0, 1))
     assert frames(stream)[-1] == "scan.ply: read"
+    bar.on_event(Progress(0, "choose", 0, 1))
+    assert frames(stream)[-1] == "scan.ply: choose"
+    bar.on_event(Progress(0, "choose", 3, 12))
+    assert "3/12" in frames(stream)[-1]
+    assert frames(stream)[-1].startswith("scan.ply: choose  25 %|")
     bar.on_event(Progress(0, "sweeps", 0, 1))
     for done in (1, 2, 3):
         bar.on_event(Progress(0, "sweeps", done, 4))
