@@ -21,6 +21,7 @@ class Settled:
     method: Method | None
     used: MethodUsed
     made: ChoiceMade
+    warnings: tuple[str, ...]
 
 
 def settled(
@@ -43,7 +44,11 @@ def settled(
         wishes=dict(parameters),
         repeat=_options(method, values),
     )
-    return Settled(method, MethodUsed(choice.method, values), made)
+    warnings: tuple[str, ...] = ()
+    if mesh.trust is not None and method is not None and not method.has_data_term(values):
+        # A choice keeps away from this where it can.
+        warnings = (f"--weights has no effect: {method.name} has no pull to the scanned positions",)
+    return Settled(method, MethodUsed(choice.method, values), made, warnings)
 
 
 def _options(method: Method | None, values: Mapping[str, Any]) -> tuple[str, ...]:

@@ -349,6 +349,7 @@ class _Run:
                 lambda done, total: self._on_progress("choose", done, total),
             )
             self.know(method=found.used, choice=found.made)
+            self.warn(*found.warnings)
         return found.method, found.used.parameters
 
     def _constraints(self, ready: Prepared, mesh_file: MeshFile) -> Constraints | None:

@@ -307,7 +307,11 @@ def _head(column: Mapping[str, str]) -> str:
 
 
 def _static_row(columns: Sequence[Mapping[str, str]], data: Mapping[str, Any]) -> str:
-    cells = "".join(map(_static_cell, columns, data["values"]))
+    why = dict(data["details"])
+    cells = "".join(
+        _static_cell(one, value, why.get(one["title"], ""))
+        for one, value in zip(columns, data["values"], strict=True)
+    )
     if data["kind"] == "failed":
         figures = [one for one in columns if one["kind"] == "figure"]
         first = "".join(map(_static_cell, columns[: -len(figures)], data["values"]))
@@ -315,11 +319,13 @@ def _static_row(columns: Sequence[Mapping[str, str]], data: Mapping[str, Any]) -
     return f'<tr class="{_text(data["kind"])}">{cells}</tr>'
 
 
-def _static_cell(column: Mapping[str, str], value: Any) -> str:
+def _static_cell(column: Mapping[str, str], value: Any, why: str = "") -> str:
+    """A cell of the table; ``why`` explains a word where one points at it."""
     if column["kind"] == "name":
         return f'<th scope="row">{_text(value)}</th>'
     if column["kind"] != "figure":
-        return f"<td>{_text(value or '')}</td>"
+        title = f' title="{_text(why)}"' if why else ""
+        return f"<td{title}>{_text(value or '')}</td>"
     return f'<td class="figure">{"" if value is None else f"{value:,.4g}"}</td>'
 
 

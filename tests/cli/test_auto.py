@@ -264,6 +264,7 @@ def test_every_report_tells_it(batch):
         assert f"| {reason} |" in text
         assert f"chosen: {reason}" in cases
         assert f'["Chosen","{reason}"]' in page
+        assert f'<td title="{reason}">{record["method"]["name"]}</td>' in page
         assert f'["By hand","{shlex.join(record["choice"]["repeat"])}"]' in page
 
 
@@ -293,6 +294,16 @@ def test_gates_know_the_risk(scan, tmp_path, choose):
     made = msal(*words, "risk > 0.05e or choice.noise_edges > 1e")
     assert made.exit_code == 4
     assert "risk is 0.0625e" in made.stderr
+    reports = ("--report", tmp_path / "r.json")
+    assert msal("denoise", scan, "-o", tmp_path / "o.ply", "--auto", *reports).exit_code == 0
+    assert msal("report", tmp_path / "r.json", "--fail-on", "risk > 0.05e").exit_code == 4
+
+
+def test_it_can_be_measured_against_a_reference(scan, tmp_path):
+    record = record_of(scan, "-o", tmp_path / "o.ply", "--auto", "--reference", scan)
+    assert record["reference"]["vertex_error_percent"] == pytest.approx(
+        100 * record["displacement"]["mean_edges"]
+    )
 
 
 # What is done
@@ -425,6 +436,20 @@ def test_with_trust_the_method_has_a_data_term(tmp_path):
             msal("denoise", scan, "-o", other, *record["choice"]["repeat"], *words).exit_code == 0
         )
         assert one.read_bytes() == other.read_bytes()
+
+
+def test_trust_without_effect_is_a_warning(tmp_path, choose):
+    choose(fixed("al"))
+    vertices, faces = torus()
+    head, _, rest = ply_text(vertices, faces).partition(b"\nelement face")
+    lines = rest.split(b"\n")
+    body = [line + b" 1" if 2 < at < 3 + len(vertices) else line for at, line in enumerate(lines)]
+    scan = tmp_path / "scan.ply"
+    scan.write_bytes(head + b"\nproperty float q\nelement face" + b"\n".join(body))
+    record = record_of(scan, "-o", tmp_path / "o.ply", "--auto", "--weights", "q")
+    assert record["warnings"] == [
+        "--weights has no effect: al has no pull to the scanned positions"
+    ]
 
 
 def test_ctrl_c_while_choosing_writes_nothing(scan, tmp_path, choose):

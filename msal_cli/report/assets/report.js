@@ -75,7 +75,11 @@
         // Instead of figures that there are none of.
         if (columns[at - 1].kind !== "figure") made.append(element("td", { class: "why", colspan: columns.length - at }, row.details[0][1]));
       } else if (column.kind === "figure") made.append(element("td", { class: "figure" }, figure(value, column)));
-      else made.append(element("td", { class: "status" }, value));
+      else {
+        // A word that the details explain, such as what was chosen, tells why where one points at it.
+        const why = row.details.find(([word]) => word === column.title);
+        made.append(element("td", { class: "status", ...(why && { title: why[1] }) }, value));
+      }
     });
     return made;
   }
