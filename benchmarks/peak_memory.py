@@ -3,9 +3,9 @@
     python benchmarks/peak_memory.py [--around 1000] [--formats | --methods] [WORD ...]
 
 The mesh is a noisy torus of AROUND * AROUND / 2 vertices and twice as many faces.  Every case
-runs in a fresh process, kernels compiled before; printed are megabytes (10^6 bytes) of resident
-memory at the peak.  The figures in ``files/forecast.py`` come from this program: the rows
-``empty`` give what a process needs before it reads anything.
+runs in a fresh process, kernels compiled before; ``auto`` among the methods is --auto.  Printed are
+megabytes (10^6 bytes) of resident memory at the peak.  The figures in ``files/forecast.py`` come
+from this program: the rows ``empty`` give what a process needs before it reads anything.
 """
 
 from __future__ import annotations
@@ -19,14 +19,16 @@ from pathlib import Path
 import numpy as np
 
 from msal_cli import files, methods
-from msal_cli.pipeline import Settings, Task, forecast
+from msal_cli.pipeline import AUTO, Settings, Task, forecast
 
 _CHILD = """
 import sys
-from msal_cli import methods
-from msal_cli.pipeline import Settings, Task, denoise_file
+from dataclasses import asdict
+from msal_cli import methods, selection
+from msal_cli.pipeline import AUTO, Settings, Task, denoise_file
 source, target, name = sys.argv[1:]
-record = denoise_file(Task(source, target, "x"), Settings(name, methods.find(name).settled({})))
+given = asdict(selection.Wishes()) if name == AUTO else methods.find(name).settled({})
+record = denoise_file(Task(source, target, "x"), Settings(name, given))
 assert record.error is None, record.error
 for line in open("/proc/self/status"):
     if line.startswith("VmHWM"):
@@ -128,7 +130,8 @@ def main() -> None:
             rows += [(one, path, "msal") for one, path in some.items()]
         if arguments.methods or everything:
             (path,) = cases(folder, arguments.around, ["ply"]).values()
-            wanted = [one for one in methods.names() if one in (arguments.words or methods.names())]
+            known = (*methods.names(), AUTO)
+            wanted = [one for one in known if one in (arguments.words or known)]
             rows += [(one, path, one) for one in wanted]
         small = folder / "small.ply"
         small.write_bytes(torus(24, 12))
