@@ -25,7 +25,7 @@ from typing import Any
 from msal_cli.records import MeshRecord
 from msal_cli.report import histogram
 from msal_cli.report import rows as table
-from msal_cli.report.as_text import percent_text, reason, seconds_text
+from msal_cli.report.as_text import chosen_text, percent_text, reason, seconds_text
 from msal_cli.report.document import Run, Totals, plain, totals
 from msal_cli.report.illustrations import EMPTY, Gallery, Pictures
 from msal_cli.report.names import shown
@@ -62,12 +62,14 @@ def encoded(
     scenes, room = _fitting_scenes(order, gallery.scenes, room)
     pictures, n_dropped = _fitting_pictures(order, gallery.pictures, room)
     remarks = list(gallery.remarks)
+    sums = totals(records)
+    if sums.chosen:
+        remarks.insert(0, f"Chosen by --auto: {chosen_text(sums.chosen)}.")
     if n_dropped:
         remarks.append(
             f"Pictures of {n_dropped:,} files that are not among the worst were left out, "
             f"to keep this page below {most_bytes / 1e6:.0f} MB."
         )
-    sums = totals(records)
     scripts = ([gallery.script] if scenes else []) + [_asset("report.js")]
     styles = ([gallery.style] if scenes else []) + [_asset("report.css")]
     shown_scenes = [(records[at], scenes[at]) for at in order if at in scenes]

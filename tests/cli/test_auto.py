@@ -260,6 +260,7 @@ def test_every_report_tells_it(batch):
     )
     assert "| chosen by --auto | " in text
     assert '"title":"Chosen"' in page
+    assert '<p class="note">Chosen by --auto: ' in page
     for record, reason in zip(records, reasons, strict=True):
         assert f"| {reason} |" in text
         assert f"chosen: {reason}" in cases
