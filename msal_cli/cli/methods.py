@@ -46,6 +46,7 @@ def _table(chosen: list[Method]) -> Iterator[str]:
         yield f"{method.name:<{widest}}  {method.summary}"
     yield ""
     yield "`msal methods NAME` tells what one does, its parameters and their ranges."
+    yield "`msal denoise --auto` chooses one for each mesh."
 
 
 def _page(method: Method) -> Iterator[str]:
