@@ -105,12 +105,12 @@ class Wiener:
     of what the sweeps took exceeds that of noise: see ``core.restoration``.
 
     ``noise`` is its standard deviation in mean edge lengths, None if it is to be estimated;
-    ``caution`` the multiple of its power below which nothing comes back.
+    ``caution`` scales the power of it that is reckoned with.
     """
 
     time_step: float = 1.0
     noise: float | None = None
-    caution: float = 1.3
+    caution: float = 1.0
     quantile = None
 
     def __call__(self, sweep: int, scale: float | None) -> Pace:

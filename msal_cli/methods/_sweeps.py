@@ -78,8 +78,8 @@ def noise_parameter() -> Any:
 def caution_parameter() -> Any:
     """The other parameter of the Wiener schedule."""
     return parameter(
-        1.3,
-        "wiener schedule: nothing comes back below this multiple of the noise's power",
+        1.0,
+        "wiener schedule: factor of the noise's power that is reckoned with",
         low=0.0,
         high=100.0,
         more="smoother, less texture",

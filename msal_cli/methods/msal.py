@@ -20,13 +20,14 @@ It stays closer to the scan, and suits noise up to 0.1.  ``wiener`` sweeps with 
 as ``al`` does.  Then it cuts what that took, t along the normals, into five bands from fine to
 coarse, and gives back of each band, vertex by vertex, what is more than noise:
 
-    lambda_i = max(0, 1 - caution c sigma_n^2 / P_i)
+    lambda_i = Q_i / (Q_i + 0.6 caution c sigma_n^2)
 
 Here sigma_n is the ``noise`` (estimated, unless it is told), c the share of white noise in the
-band, and P_i the mean square of the band around the vertex.  Over scans of organic and of textured
-objects this comes closer to the truth than the paper's does at its best K and number of sweeps, and
-the number of sweeps hardly matters.  It needs to know the noise to a fifth or so, and texture as
-fine as the mesh is easily taken for noise: there a ``noise`` that is told helps most.
+band, and Q_i the mean square around the vertex of what a first such look took for shape.  Over
+scans of organic and of textured objects this comes closer to the truth than the paper's does at its
+best K and number of sweeps, and the number of sweeps hardly matters.  It needs to know the noise to
+a fifth or so.  Texture as fine as the mesh is easily taken for noise: there a ``noise`` that is
+told helps most.
 
 ``weights`` and ``deviation`` are choices of the weights and of sigma, as in ``al``, and with them
 of lambda.  The multiscale schedule over the operators that are scaled for mixed triangle sizes is

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from tests.paper import normal_field, one_rings
@@ -63,22 +61,35 @@ def noise_shares(bands: int) -> list[float]:
     return [*shares, (values**2).sum()]
 
 
-def returned(t, rings, noise: float, caution: float, bands: int, place: int) -> np.ndarray:
+def returned(t, rings, noise: float, caution: float, bands: int) -> np.ndarray:
     """What of the residual t (n,) is more than noise."""
 
     def mean(a):
         return np.array([np.mean([a[i], *a[ring]]) for i, ring in enumerate(rings)])
 
-    result, rest = np.zeros(len(t)), t
-    for band, alone in enumerate(noise_shares(bands)):
-        low = mean(rest) if band + 1 < bands else np.zeros(len(t))
-        part, rest = rest - low, low
-        power = part**2
-        for _ in range(place):
-            power = mean(power)
-        for i in range(len(t)):
-            if power[i] > 0 and not math.isclose(t[i], 0, abs_tol=0):
-                result[i] += max(0, 1 - caution * alone * noise**2 / power[i]) * part[i]
+    def cut(rest):
+        for _ in range(bands - 1):
+            low = mean(rest)
+            yield rest - low
+            rest = low
+        yield rest
+
+    def around(a, passes):
+        for _ in range(passes):
+            a = mean(a)
+        return a
+
+    shares = noise_shares(bands)
+    guess = np.zeros(len(t))
+    for part, share in zip(cut(t), shares, strict=True):
+        for i, power in enumerate(around(part**2, 6)):
+            if power > 0:
+                guess[i] += max(0, 1 - 1.4 * caution * share * noise**2 / power) * part[i]
+    result = np.zeros(len(t))
+    for part, known, share in zip(cut(t), cut(guess), shares, strict=True):
+        for i, power in enumerate(around(known**2, 3)):
+            if power > 0 and t[i] != 0:
+                result[i] += power / (power + 0.6 * caution * share * noise**2) * part[i]
     return result
 
 
@@ -89,4 +100,4 @@ def wiener(v, faces, iterations: int, noise: float, caution: float, mollify: int
     for _ in range(iterations):
         x = x + heights_and_sigma(x, rings, normals)[0][:, None] * normals
     t = ((x - v) * normals).sum(axis=1)
-    return x - returned(t, rings, noise, caution, 5, 6)[:, None] * normals
+    return x - returned(t, rings, noise, caution, 5)[:, None] * normals
