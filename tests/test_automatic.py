@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+
+import numpy as np
 import pytest
 
 from msal_cli import automatic, methods, selection
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 from msal_cli.noise_estimate import estimated
+from msal_cli.pipeline import denoise_bytes
 from msal_cli.tasks import AUTO, Settings, method_bytes_per_face
 from tests.shapes import noisy, torus
 
@@ -79,3 +83,33 @@ def test_choosing_changes_nothing_of_the_mesh(mesh):
     before = mesh.vertices.copy()
     selection.chosen(mesh, selection.Wishes())
     assert (mesh.vertices == before).all()
+
+
+@pytest.mark.parametrize("wishes", [selection.Wishes(), selection.Wishes(keep="edges")])
+def test_the_choice_is_free_of_scale(mesh, wishes):
+    larger = Mesh(mesh.vertices * 2.0**20, mesh.faces)
+    one, other = (selection.chosen(each, wishes) for each in (mesh, larger))
+    assert (one.method, one.parameters) == (other.method, other.parameters)
+    assert one.reason == other.reason
+
+
+def soup(seed):
+    """An OBJ of triangles between any vertices, of any size, some of them flat."""
+    draw = np.random.default_rng(seed)
+    vertices = draw.normal(size=(draw.integers(3, 30), 3)) * 10.0 ** draw.integers(-12, 12)
+    if seed % 4 == 0:
+        vertices[:, 2] = 0.0
+    faces = draw.integers(0, len(vertices), (draw.integers(1, 60), 3)) + 1
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+    return "\n".join(lines + [f"f {i} {j} {k}" for i, j, k in faces]).encode() + b"\n"
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_mesh_is_too_odd_to_choose_for(seed):
+    wishes = dataclasses.asdict(selection.Wishes(strength=2.0, keep=(None, "edges")[seed % 2]))
+    made, record = denoise_bytes(soup(seed), "soup.obj", Settings(AUTO, wishes))
+    again, other = denoise_bytes(soup(seed), "soup.obj", Settings(AUTO, wishes))
+    assert record.error is None or record.error.code == "E_NO_FACES"
+    assert made == again
+    # A risk that is not a number equals nothing, itself included.
+    assert repr(record.choice) == repr(other.choice)
