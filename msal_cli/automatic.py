@@ -12,6 +12,7 @@ from msal_cli.selection import NONE, Wishes, chosen
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
     from msal_cli.methods import Method
+    from msal_cli.noise_estimate import NoiseLevel
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +22,7 @@ class Settled:
     method: Method | None
     used: MethodUsed
     made: ChoiceMade
+    noise: NoiseLevel
     warnings: tuple[str, ...]
 
 
@@ -48,7 +50,7 @@ def settled(
     if mesh.trust is not None and method is not None and not method.has_data_term(values):
         # A choice keeps away from this where it can.
         warnings = (f"--weights has no effect: {method.name} has no pull to the scanned positions",)
-    return Settled(method, MethodUsed(choice.method, values), made, warnings)
+    return Settled(method, MethodUsed(choice.method, values), made, choice.noise, warnings)
 
 
 def _options(method: Method | None, values: Mapping[str, Any]) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from msal_cli.records import Failure, InfoRecord, NoiseEstimate
 if TYPE_CHECKING:
     from msal_cli.files.base import Buffer, MeshFile
     from msal_cli.mesh import Mesh
+    from msal_cli.noise_estimate import NoiseLevel
 
 log = logging.getLogger("msal")
 
@@ -113,11 +114,12 @@ def _polygon_sizes(mesh_file: MeshFile) -> dict[str, int]:
     return {str(size): int(count) for size, count in zip(sizes, counts, strict=True)}
 
 
-def noise_estimate(mesh: Mesh) -> NoiseEstimate:
-    """The noise along the normals, as records tell it (see ``noise_estimate``)."""
+def noise_estimate(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate:
+    """The noise along the normals, as records tell it (see ``noise_estimate``); ``known`` is what
+    was estimated of this mesh before."""
     from msal_cli.noise_estimate import estimated
 
-    level = estimated(mesh)
+    level = known or estimated(mesh)
     return NoiseEstimate(
         mean_edges=level.mean_edges,
         file_units=level.file_units,

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from msal_cli.files.forecast import Forecast
     from msal_cli.mesh import Mesh, Prepared
     from msal_cli.methods import Method
+    from msal_cli.noise_estimate import NoiseLevel
 
     Floats = NDArray[np.float64]
 
@@ -181,6 +182,8 @@ class _Run:
             method=MethodUsed(settings.method, dict(settings.parameters)),
         )
         self._changed = False
+        # What was estimated to choose a method.
+        self._noise: NoiseLevel | None = None
         self._field_values: dict[str, Floats] = {}
         self._fields_file: tuple[Buffer, FieldsFile] | None = None
         self._output_digest: Callable[[], str] | None = None
@@ -350,6 +353,7 @@ class _Run:
             )
             self.know(method=found.used, choice=found.made)
             self.warn(*found.warnings)
+            self._noise = found.noise
         return found.method, found.used.parameters
 
     def _constraints(self, ready: Prepared, mesh_file: MeshFile) -> Constraints | None:
@@ -502,7 +506,7 @@ class _Run:
             displacement=displaced(one, edge),
             normal_change=NormalChange(turned.mean_angular_error_deg, turned.max_angular_error_deg),
             flipped_faces=turned.flipped_faces,
-            noise_estimate=noise_estimate(before),
+            noise_estimate=noise_estimate(before, self._noise),
         )
         self.know(
             volume=volume_changed(

@@ -36,7 +36,7 @@ MAY_IMPORT = {
     "fields": {"colours", "files", "metrics", "mesh", "records", "errors"},
     "inspection": {"files", "metrics", "noise_estimate", "mesh", "records", "errors"},
     "selection": {"methods", "metrics", "noise_estimate", "mesh", "core", "errors"},
-    "automatic": {"selection", "methods", "mesh", "records"},
+    "automatic": {"selection", "methods", "noise_estimate", "mesh", "records"},
     "tasks": {"files", "methods", "records", "selection"},
     "pipeline": {
         "automatic",

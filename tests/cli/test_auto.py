@@ -193,6 +193,8 @@ def test_the_record_tells_what_was_run_and_why(scan, tmp_path, choose):
         "wishes": {"prefer": "balanced", "keep": "shape", "strength": 0.0, "budget": 10.0},
         "repeat": ["--method", "msal", "--set", "iterations=3", "--set", "K=0.7"],
     }
+    # The noise is estimated once.
+    assert record["noise_estimate"]["mean_edges"] == 0.11
     assert record["seconds"]["choose"] > 0.0
     stages = {name: spent for name, spent in record["seconds"].items() if name != "total"}
     assert sum(stages.values()) == pytest.approx(record["seconds"]["total"], rel=1e-9)
