@@ -301,27 +301,6 @@ def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
 
 
 @compiled
-def _umbrella_heights(start, stop, vertices, normals, ring_start, ring, heights):  # type: ignore[no-untyped-def]
-    for i in range(start, stop):
-        m = ring_start[i + 1] - ring_start[i]
-        sx = sy = sz = 0.0
-        for at in range(ring_start[i], ring_start[i + 1]):
-            k = ring[at]
-            sx += vertices[k, 0] - vertices[i, 0]
-            sy += vertices[k, 1] - vertices[i, 1]
-            sz += vertices[k, 2] - vertices[i, 2]
-        along = normals[i, 0] * sx + normals[i, 1] * sy + normals[i, 2] * sz
-        heights[i] = along / m if m else 0.0
-
-
-def umbrella_heights(vertices: Floats, normals: Floats, ring_start: Ints, ring: Ints) -> Floats:
-    """Heights (n,) of the mean of each one-ring along the vertex's normal; 0 where it is empty."""
-    heights = np.empty(len(vertices))
-    over_ranges(_umbrella_heights, len(vertices), vertices, normals, ring_start, ring, heights)
-    return heights
-
-
-@compiled
 def _ring_means(start, stop, values, ring_start, ring, result):  # type: ignore[no-untyped-def]
     for i in range(start, stop):
         m = ring_start[i + 1] - ring_start[i]
