@@ -293,6 +293,16 @@ def test_what_a_folder_remembers_makes_the_same_rows_again(batch):
     assert b"choice.reason" in other and one.count(b"noise 0.") == other.count(b"noise 0.")
 
 
+def test_rows_alone_tell_what_was_asked(scan, tmp_path, choose):
+    choose(fixed())
+    words = ("--strength", "1", "--report", tmp_path / "r.jsonl")
+    msal("denoise", scan, "-o", tmp_path / "o.ply", *words)
+    made = msal("report", tmp_path / "r.jsonl", "--json")
+    settings = json.loads(made.stdout)["settings"]
+    assert settings["method"] == "auto"
+    assert settings["parameters"]["strength"] == 1.0
+
+
 def test_records_from_before_there_was_a_choice_are_read(scan, tmp_path):
     msal("denoise", scan, "-o", tmp_path / "o.ply", "--report", tmp_path / "new.json")
     data = json.loads((tmp_path / "new.json").read_text())
