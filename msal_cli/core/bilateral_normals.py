@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.exponential import exponentials
+from msal_cli.core.exponential import LOG2_E, power_of_two
 from msal_cli.core.geometry import VANISHED
 from msal_cli.core.parallel import over_ranges
+from msal_cli.core.ring_blocks import ONE, THREE, TWO, most_neighbours
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-BLOCK_PAIRS = 1024
+BLOCK_PAIRS = np.uint64(1024)
 """Pairs of faces that are worked on at a time: what belongs to them fits a first-level cache."""
 
 OUT_OF_REACH = 1e300
@@ -28,86 +29,90 @@ OUT_OF_REACH = 1e300
 
 
 @compiled
-def _distances(start, stop, centroids, falloff, handicaps, ring_start, ring, exponents):  # type: ignore[no-untyped-def]
-    for f in range(start, stop):
-        for at in range(ring_start[f], ring_start[f + 1]):
-            g = ring[at]
-            dx = centroids[g, 0] - centroids[f, 0]
-            dy = centroids[g, 1] - centroids[f, 1]
-            dz = centroids[g, 2] - centroids[f, 2]
+def _distances(start, stop, c, falloff, handicaps, ring_start, ring, exponents):  # type: ignore[no-untyped-def]
+    """c centroids, flat; rows and numbers are unsigned, so that none is looked at for its sign."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        own = THREE * f
+        x, y, z = c[own], c[own + ONE], c[own + TWO]
+        for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
+            g = np.uint64(ring[at])
+            other = THREE * g
+            dx, dy, dz = c[other] - x, c[other + ONE] - y, c[other + TWO] - z
             exponents[at] = (dx * dx + dy * dy + dz * dz) * falloff + handicaps[g]
 
 
 def distance_exponents(
     centroids: Floats, ring_start: Ints, ring: Ints, closeness: float, handicaps: Floats
 ) -> Floats:
-    """|c_i - c_j|^2 / (2 sigma_c^2) + handicap_j of all pairs in the rows, (pairs,).
+    """|c_i - c_j|^2 / (2 sigma_c^2 ln 2) + handicap_j of all pairs in the rows, (pairs,).
 
-    ``closeness`` is sigma_c > 0, in the unit of the centroids (m, 3); ``handicaps`` are (m,).
+    2 to minus them are the Gaussians, if all handicaps are zero.  ``closeness`` is sigma_c > 0,
+    in the unit of the centroids (m, 3); ``handicaps`` are (m,).
     """
     exponents = np.empty(len(ring))
     over_ranges(
         _distances,
         len(centroids),
-        centroids,
-        0.5 / closeness**2,
+        centroids.reshape(-1),
+        0.5 * LOG2_E / closeness**2,
         handicaps,
-        ring_start,
-        ring,
+        ring_start.view(np.uint32),
+        ring.view(np.uint32),
         exponents,
     )
     return exponents
 
 
 @compiled
-def _averaged(start, stop, normals, exponents, falloff, ring_start, ring, result):  # type: ignore[no-untyped-def]
-    """Faces are taken in blocks: the exponents of all, all exponentials, then the sums."""
-    widest = 0
-    for f in range(start, stop):
-        widest = max(widest, ring_start[f + 1] - ring_start[f])
-    capacity = max(BLOCK_PAIRS, widest)
-    weight = np.empty(capacity)
-    scratch = np.empty(capacity)
-    scratch_bits = scratch.view(np.int64)
-    f = start
+def _averaged(start, stop, n, exponents, falloff, ring_start, ring, result):  # type: ignore[no-untyped-def]
+    """n normals, flat as the result; exponents and ``falloff`` are those of powers of two.
+
+    Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.
+    """
+    stop = np.uint64(stop)
+    weight = np.empty(np.int64(max(BLOCK_PAIRS, most_neighbours(start, stop, ring_start))))
+    capacity = np.uint64(len(weight))
+    f = np.uint64(start)
     while f < stop:
         first = f
-        origin = ring_start[f]
-        while f < stop and ring_start[f + 1] - origin <= capacity:
-            nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
+        origin = np.uint64(ring_start[f])
+        while f < stop and np.uint64(ring_start[f + ONE]) - origin <= capacity:
+            own = THREE * f
+            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
+            row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
             least = np.inf
-            for at in range(ring_start[f], ring_start[f + 1]):
-                g = ring[at]
+            for at in range(row, end):
+                g = THREE * ring[at]
                 # |n_f - n_g|^2 = 2 - 2 n_f . n_g of unit vectors.
-                alike = nx * normals[g, 0] + ny * normals[g, 1] + nz * normals[g, 2]
+                alike = nx * n[g] + ny * n[g + ONE] + nz * n[g + TWO]
                 exponent = exponents[at] + (1.0 - alike) * falloff
                 weight[at - origin] = exponent
-                least = exponent if exponent < least else least
+                least = min(least, exponent)
             # The largest Gaussian is made 1: the direction of the sum stays the same, and the
             # sum cannot vanish by underflow.
-            for at in range(ring_start[f], ring_start[f + 1]):
+            for at in range(row, end):
                 weight[at - origin] = least - weight[at - origin]
-            f += 1
-        exponentials(weight, scratch, scratch_bits, ring_start[f] - origin)
+            f += ONE
+        for at in range(np.uint64(ring_start[f]) - origin):
+            weight[at] = power_of_two(weight[at])
         for i in range(first, f):
             sx = sy = sz = weights = 0.0
-            for at in range(ring_start[i], ring_start[i + 1]):
-                g = ring[at]
+            for at in range(np.uint64(ring_start[i]), np.uint64(ring_start[i + ONE])):
+                g = THREE * ring[at]
                 w = weight[at - origin]
                 weights += w
-                sx += w * normals[g, 0]
-                sy += w * normals[g, 1]
-                sz += w * normals[g, 2]
+                sx += w * n[g]
+                sy += w * n[g + ONE]
+                sz += w * n[g + TWO]
             length = np.sqrt(sx * sx + sy * sy + sz * sz)
-            has_normal = normals[i, 0] != 0.0 or normals[i, 1] != 0.0 or normals[i, 2] != 0.0
+            own = THREE * i
+            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
+            has_normal = nx != 0.0 or ny != 0.0 or nz != 0.0
             if has_normal and length > VANISHED * weights:
-                result[i, 0] = sx / length
-                result[i, 1] = sy / length
-                result[i, 2] = sz / length
-            else:
-                result[i, 0] = normals[i, 0]
-                result[i, 1] = normals[i, 1]
-                result[i, 2] = normals[i, 2]
+                nx, ny, nz = sx / length, sy / length, sz / length
+            result[own] = nx
+            result[own + ONE] = ny
+            result[own + TWO] = nz
 
 
 def bilateral_averages(
@@ -138,12 +143,15 @@ def bilateral_averages(
     """
     usable = (normals != 0.0).any(axis=1) & (areas > 0.0)
     handicaps = np.full(len(areas), OUT_OF_REACH)
-    handicaps[usable] = -np.log(areas[usable])
+    handicaps[usable] = -np.log2(areas[usable])
     exponents = distance_exponents(centroids, ring_start, ring, closeness, handicaps)
-    falloff = 1.0 / similarity**2
-    for _ in range(passes):
-        result = np.empty_like(normals)
-        over_ranges(_averaged, len(normals), normals, exponents, falloff, ring_start, ring, result)
-        normals = result
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    falloff = LOG2_E / similarity**2
+    for done in range(passes):
+        # The input must stay as it is; from the third pass on, two arrays take turns.
+        result = np.empty_like(normals) if done < 2 else spare
+        flat = normals.reshape(-1), exponents, falloff, *rows, result.reshape(-1)
+        over_ranges(_averaged, len(normals), *flat)
+        normals, spare = result, normals
         on_pass()
     return normals

@@ -6,53 +6,71 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.exponential import exponentials
+from msal_cli.core.exponential import LOG2_E, power_of_two
 from msal_cli.core.geometry import VANISHED
 from msal_cli.core.parallel import over_ranges
+from msal_cli.core.ring_blocks import ONE, THREE, TWO, most_neighbours
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 LongInts = NDArray[np.int64]
 
 
+BLOCK_PAIRS = np.uint64(1024)
+"""Pairs of faces that are worked on at a time: what belongs to them fits a first-level cache."""
+
+
 @compiled
 def _filtered(  # type: ignore[no-untyped-def]
     start, stop, n, g, c, areas, near_start, near, per_distance, per_guide, result
 ):
-    """n normals, g guides, c centroids; squares are multiplied with -1 / (2 sigma^2)."""
-    widest = 0
-    for i in range(start, stop):
-        widest = max(widest, near_start[i + 1] - near_start[i])
-    weights = np.empty(widest)
-    scratch = np.empty(widest)
-    bits = scratch.view(np.int64)
-    for i in range(start, stop):
-        row = near_start[i]
-        count = near_start[i + 1] - row
-        cx, cy, cz = c[i, 0], c[i, 1], c[i, 2]
-        gx, gy, gz = g[i, 0], g[i, 1], g[i, 2]
-        for at in range(count):
-            j = near[row + at]
-            dx, dy, dz = c[j, 0] - cx, c[j, 1] - cy, c[j, 2] - cz
-            ex, ey, ez = g[j, 0] - gx, g[j, 1] - gy, g[j, 2] - gz
-            weights[at] = per_distance * (dx * dx + dy * dy + dz * dz) + per_guide * (
-                ex * ex + ey * ey + ez * ez
-            )
-        exponentials(weights, scratch, bits, count)
-        total = areas[i]
-        sx, sy, sz = total * n[i, 0], total * n[i, 1], total * n[i, 2]
-        for at in range(count):
-            j = near[row + at]
-            weight = areas[j] * weights[at]
-            sx += weight * n[j, 0]
-            sy += weight * n[j, 1]
-            sz += weight * n[j, 2]
-            total += weight
-        length = np.sqrt(sx * sx + sy * sy + sz * sz)
-        if length <= VANISHED * total:
-            result[i, 0], result[i, 1], result[i, 2] = n[i, 0], n[i, 1], n[i, 2]
-        else:
-            result[i, 0], result[i, 1], result[i, 2] = sx / length, sy / length, sz / length
+    """n normals, g guides, c centroids, flat; squares are multiplied with -1 / (2 sigma^2 ln 2).
+
+    Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.
+    All indices are unsigned, so that none is looked at for its sign.
+    """
+    stop = np.uint64(stop)
+    weight = np.empty(np.int64(max(BLOCK_PAIRS, most_neighbours(start, stop, near_start))))
+    area = np.empty_like(weight)
+    capacity = np.uint64(len(weight))
+    i = np.uint64(start)
+    while i < stop:
+        first = i
+        origin = np.uint64(near_start[i])
+        while i < stop and near_start[i + ONE] - origin <= capacity:
+            own = THREE * i
+            cx, cy, cz = c[own], c[own + ONE], c[own + TWO]
+            gx, gy, gz = g[own], g[own + ONE], g[own + TWO]
+            for at in range(near_start[i], near_start[i + ONE]):
+                k = np.uint64(near[at])
+                j = THREE * k
+                dx, dy, dz = c[j] - cx, c[j + ONE] - cy, c[j + TWO] - cz
+                ex, ey, ez = g[j] - gx, g[j + ONE] - gy, g[j + TWO] - gz
+                weight[at - origin] = per_distance * (dx * dx + dy * dy + dz * dz) + per_guide * (
+                    ex * ex + ey * ey + ez * ez
+                )
+                area[at - origin] = areas[k]
+            i += ONE
+        for at in range(near_start[i] - origin):
+            weight[at] = area[at] * power_of_two(weight[at])
+        for f in range(first, i):
+            own = THREE * f
+            total = areas[f]
+            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
+            sx, sy, sz = total * nx, total * ny, total * nz
+            for at in range(near_start[f], near_start[f + ONE]):
+                j = THREE * near[at]
+                w = weight[at - origin]
+                sx += w * n[j]
+                sy += w * n[j + ONE]
+                sz += w * n[j + TWO]
+                total += w
+            length = np.sqrt(sx * sx + sy * sy + sz * sz)
+            if length > VANISHED * total:
+                nx, ny, nz = sx / length, sy / length, sz / length
+            result[own] = nx
+            result[own + ONE] = ny
+            result[own + TWO] = nz
 
 
 def joint_bilateral(
@@ -83,14 +101,14 @@ def joint_bilateral(
     over_ranges(
         _filtered,
         len(normals),
-        normals,
-        guides,
-        centroids,
+        normals.reshape(-1),
+        guides.reshape(-1),
+        centroids.reshape(-1),
         areas,
-        near_start,
-        near,
-        -0.5 / sigma_s**2,
-        -0.5 / sigma_r**2,
-        result,
+        near_start.view(np.uint64),
+        near.view(np.uint32),
+        -0.5 * LOG2_E / sigma_s**2,
+        -0.5 * LOG2_E / sigma_r**2,
+        result.reshape(-1),
     )
     return result

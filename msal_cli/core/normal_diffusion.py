@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.exponential import BLOCK, exponentials
+from msal_cli.core.exponential import LOG2_E, power_of_two
 from msal_cli.core.face_rings import face_centroids
 from msal_cli.core.geometry import VANISHED, face_normals_and_areas
 from msal_cli.core.medians import median
 from msal_cli.core.parallel import over_ranges
+from msal_cli.core.ring_blocks import ONE, THREE, TWO, most_neighbours
 from msal_cli.core.robust_laplacian import PER_MEDIAN
 
 Floats = NDArray[np.float64]
@@ -28,6 +29,9 @@ LONGEST = 0.75
 
 LEAST_SIMILARITY = 1e-6
 """Floor of the width mu: differences of normals below it are rounding."""
+
+BLOCK_PAIRS = np.uint64(1024)
+"""Pairs of faces that are worked on at a time: what belongs to them fits a first-level cache."""
 
 
 @compiled
@@ -61,44 +65,47 @@ def _shares(start, stop, x, faces, centroids, areas, ring_start, ring, time_step
 
 
 @compiled
-def _diffused(start, stop, normals, shares, inverse, ring_start, ring, result):  # type: ignore[no-untyped-def]
-    """Faces are taken in blocks: first the exponents of all, then the exponentials, then sums."""
-    widest = 0
-    for f in range(start, stop):
-        widest = max(widest, ring_start[f + 1] - ring_start[f])
-    capacity = max(BLOCK, widest)
-    weights = np.empty(capacity)
-    scratch = np.empty(capacity)
-    scratch_bits = scratch.view(np.int64)
-    f = start
+def _diffused(start, stop, n, shares, inverse, ring_start, ring, result):  # type: ignore[no-untyped-def]
+    """n normals, flat as the result; ``inverse`` is 1 / (2 mu^2 ln 2).
+
+    Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.
+    All indices are unsigned, so that none is looked at for its sign.
+    """
+    stop = np.uint64(stop)
+    weights = np.empty(np.int64(max(BLOCK_PAIRS, most_neighbours(start, stop, ring_start))))
+    capacity = np.uint64(len(weights))
+    f = np.uint64(start)
     while f < stop:
         first = f
-        origin = ring_start[f]
-        while f < stop and ring_start[f + 1] - origin <= capacity:
-            nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
-            for at in range(ring_start[f], ring_start[f + 1]):
-                # Unsigned, so that no index is looked at for being negative.
-                g = np.uint64(ring[at])
-                dx, dy, dz = normals[g, 0] - nx, normals[g, 1] - ny, normals[g, 2] - nz
+        origin = np.uint64(ring_start[f])
+        while f < stop and np.uint64(ring_start[f + ONE]) - origin <= capacity:
+            own = THREE * f
+            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
+            for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
+                g = THREE * ring[at]
+                dx, dy, dz = n[g] - nx, n[g + ONE] - ny, n[g + TWO] - nz
                 weights[at - origin] = -(dx * dx + dy * dy + dz * dz) * inverse
-            f += 1
-        exponentials(weights, scratch, scratch_bits, ring_start[f] - origin)
-        for own in range(first, f):
-            nx, ny, nz = normals[own, 0], normals[own, 1], normals[own, 2]
+            f += ONE
+        count = np.uint64(ring_start[f]) - origin
+        for at in range(count):
+            weights[at] = shares[origin + at] * power_of_two(weights[at])
+        for i in range(first, f):
+            own = THREE * i
+            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
             sx = sy = sz = 0.0
-            for at in range(ring_start[own], ring_start[own + 1]):
-                g = np.uint64(ring[at])
-                weight = shares[at] * weights[at - origin]
-                sx += weight * (normals[g, 0] - nx)
-                sy += weight * (normals[g, 1] - ny)
-                sz += weight * (normals[g, 2] - nz)
+            for at in range(np.uint64(ring_start[i]), np.uint64(ring_start[i + ONE])):
+                g = THREE * ring[at]
+                weight = weights[at - origin]
+                sx += weight * (n[g] - nx)
+                sy += weight * (n[g + ONE] - ny)
+                sz += weight * (n[g + TWO] - nz)
             sx, sy, sz = nx + sx, ny + sy, nz + sz
             length = np.sqrt(sx * sx + sy * sy + sz * sz)
             if length > VANISHED:
                 nx, ny, nz = sx / length, sy / length, sz / length
-            result[own, 0] = nx
-            result[own, 1] = ny
-            result[own, 2] = nz
+            result[own] = nx
+            result[own + ONE] = ny
+            result[own + TWO] = nz
 
 
 def difference_width(normals: Floats, ring_start: Ints, ring: Ints) -> float:
@@ -156,11 +163,14 @@ def diffused_normals(
         time_step,
         shares,
     )
-    inverse = 0.5 / max(similarity, LEAST_SIMILARITY) ** 2
+    inverse = 0.5 * LOG2_E / max(similarity, LEAST_SIMILARITY) ** 2
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    spare = np.empty_like(normals)
     for _ in range(steps):
-        result = np.empty_like(normals)
-        over_ranges(_diffused, count, normals, shares, inverse, ring_start, ring, result)
-        normals = result
+        over_ranges(
+            _diffused, count, normals.reshape(-1), shares, inverse, *rows, spare.reshape(-1)
+        )
+        normals, spare = spare, normals
         if on_step is not None:
             on_step()
     return normals

@@ -13,9 +13,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.core.bilateral_normals import BLOCK_PAIRS, distance_exponents
+from msal_cli.core.bilateral_normals import distance_exponents
 from msal_cli.core.compiled import compiled
-from msal_cli.core.exponential import exponentials
+from msal_cli.core.exponential import LOG2_E, power_of_two
 from msal_cli.core.parallel import over_ranges
 from msal_cli.dataclass import dataclass
 
@@ -29,8 +29,6 @@ ALONE = 1e-200
 @compiled
 def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, totals):  # type: ignore[no-untyped-def]
     """Turn distance exponents into w_ij / A_j, which is symmetric; sum up w_ij for every i."""
-    scratch = np.empty(BLOCK_PAIRS)
-    scratch_bits = scratch.view(np.int64)
     for f in range(start, stop):
         for at in range(ring_start[f], ring_start[f + 1]):
             g = ring[at]
@@ -40,9 +38,8 @@ def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, t
                 + normals[f, 2] * normals[g, 2]
             )
             values[at] = min(0.0, (alike - 1.0) * falloff - values[at])
-    for first in range(ring_start[start], ring_start[stop], BLOCK_PAIRS):
-        last = min(first + BLOCK_PAIRS, ring_start[stop])
-        exponentials(values[first:last], scratch, scratch_bits, last - first)
+    for at in range(np.uint64(ring_start[start]), np.uint64(ring_start[stop])):
+        values[at] = power_of_two(values[at])
     for f in range(start, stop):
         total = 0.0
         for at in range(ring_start[f], ring_start[f + 1]):
@@ -165,7 +162,7 @@ def normal_system(
     values = distance_exponents(centroids, ring_start, ring, closeness, np.zeros(m))
     totals = np.empty(m)
     over_ranges(
-        _gaussians, m, normals, relative, 1.0 / similarity**2, ring_start, ring, values, totals
+        _gaussians, m, normals, relative, LOG2_E / similarity**2, ring_start, ring, values, totals
     )
     linked = usable & (totals > ALONE)
     inverse = np.where(linked, 1.0 / np.where(linked, totals, 1.0), 0.0)
