@@ -11,45 +11,61 @@ from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
 from msal_cli.core.parallel import over_ranges
+from msal_cli.core.ring_blocks import ONE, THREE, TWO, most_neighbours
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 LongInts = NDArray[np.int64]
 
 
+CHUNK_FACES = 1 << 18
+"""Faces whose rows are found before they are put away: they lie apart until then."""
+
+
 @compiled
 def _reached(  # type: ignore[no-untyped-def]
-    start, stop, centroids, ring_start, ring, square_radius, most, sizes, near_start, near
+    start, stop, first, c, ring_start, ring, square_radius, most, sizes, rows
 ):
-    """Fill the rows of ``near``; where it is empty, count their ``sizes``."""
-    seen = np.full(len(centroids), -1, dtype=np.int32)
-    found = np.empty(most + 1, dtype=np.int32)
-    filling = len(near) > 0
-    for f in range(start, stop):
-        x, y, z = centroids[f, 0], centroids[f, 1], centroids[f, 2]
-        seen[f] = f
-        found[0] = f
-        count = 1
-        at = 0
-        while at < count and count <= most:
-            g = found[at]
-            at += 1
-            for entry in range(ring_start[g], ring_start[g + 1]):
-                k = ring[entry]
-                if seen[k] == f:
-                    continue
-                seen[k] = f
-                dx, dy, dz = centroids[k, 0] - x, centroids[k, 1] - y, centroids[k, 2] - z
-                if dx * dx + dy * dy + dz * dz <= square_radius:
-                    found[count] = k
-                    count += 1
-                    if count > most:
-                        break
-        sizes[f] = count - 1
-        if filling:
-            row = near_start[f]
-            for at in range(1, count):
-                near[row + at - 1] = found[at]
+    """Rows of the faces from ``first`` + start on, one behind the other from start * most on.
+
+    c centroids, flat.  Returns where the rows begin and end.
+    """
+    seen = np.empty(len(ring_start) - 1, dtype=np.uint32)
+    nobody = np.uint32(len(seen))
+    for at in range(np.uint64(len(seen))):
+        seen[at] = nobody
+    first, most = np.uint64(first), np.uint64(most)
+    low, high = first + np.uint64(start), first + np.uint64(stop)
+    found = np.empty(np.int64(most + most_neighbours(np.uint64(0), nobody, ring_start)), np.uint32)
+    filled = (low - first) * most
+    for own in range(low, high):
+        p = THREE * own
+        x, y, z = c[p], c[p + ONE], c[p + TWO]
+        name = np.uint32(own)
+        seen[own] = name
+        g = own
+        count = at = np.uint64(0)
+        while True:
+            for entry in range(np.uint64(ring_start[g]), np.uint64(ring_start[g + ONE])):
+                # Whether a face is new and near cannot be foreseen: without a branch each is
+                # written down, and kept by being counted.
+                k = np.uint64(ring[entry])
+                p = THREE * k
+                dx, dy, dz = c[p] - x, c[p + ONE] - y, c[p + TWO] - z
+                is_near = dx * dx + dy * dy + dz * dz <= square_radius
+                found[count] = ring[entry]
+                count += np.uint64(is_near & (seen[k] != name))
+                seen[k] = name
+            if at >= count or count >= most:
+                break
+            g = np.uint64(found[at])
+            at += ONE
+        count = min(count, most)
+        for at in range(count):
+            rows[filled + at] = found[at]
+        sizes[own] = count
+        filled += count
+    return np.int64((low - first) * most), np.int64(filled)
 
 
 def faces_within(
@@ -66,13 +82,23 @@ def faces_within(
 
     A face is not in its own row.  Rows begin with the nearest neighbours, in steps along ``ring``.
     """
-    sizes = np.empty(len(centroids), dtype=np.int32)
-    near_start = np.zeros(len(centroids) + 1, dtype=np.int64)
-    near = np.empty(0, dtype=np.int32)
-    known = (centroids, ring_start, ring, radius * radius, most, sizes)
-    over_ranges(_reached, len(centroids), *known, near_start, near)
+    m = len(centroids)
+    sizes = np.empty(m, dtype=np.int32)
+    # Where nothing is written to, there is no memory.
+    rows = np.empty(min(m, CHUNK_FACES) * most, dtype=np.int32)
+    around = centroids.reshape(-1), ring_start.view(np.uint32), ring.view(np.uint32)
+    pieces = []
+    for first in range(0, m, CHUNK_FACES):
+        count = min(CHUNK_FACES, m - first)
+        known = (first, *around, radius * radius, most, sizes, rows.view(np.uint32))
+        pieces += [rows[one:end].copy() for one, end in over_ranges(_reached, count, *known)]
+    near_start = np.zeros(m + 1, dtype=np.int64)
     np.cumsum(sizes, dtype=np.int64, out=near_start[1:])
-    if near_start[-1]:
-        near = np.empty(near_start[-1], dtype=np.int32)
-        over_ranges(_reached, len(centroids), *known, near_start, near)
+    near = np.empty(near_start[-1], dtype=np.int32)
+    filled = len(near)
+    while pieces:
+        # Each is let go of as soon as it is copied.
+        last = pieces.pop()
+        near[filled - len(last) : filled] = last
+        filled -= len(last)
     return near_start, near
