@@ -19,6 +19,7 @@ from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.face_rings import face_rings
 from msal_cli.core.geometry import VANISHED
 from msal_cli.core.parallel import over_ranges
+from msal_cli.core.ring_blocks import ONE, THREE, TWO, most_neighbours
 from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
@@ -26,6 +27,11 @@ Ints = NDArray[np.int32]
 LongInts = NDArray[np.int64]
 
 EPSILON = 1e-9
+
+BLOCK_PATCHES = np.uint64(32)
+"""Patches that are worked on at a time: what belongs to them fits a first-level cache."""
+
+FOUR = np.uint64(4)
 
 
 @compiled
@@ -67,79 +73,140 @@ def _inner(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _jumps(start, stop, normals, pairs, jumps):  # type: ignore[no-untyped-def]
-    """|n_a - n_b| of every pair; zero where either has no normal."""
-    for pair in range(start, stop):
-        a, b = pairs[pair, 0], pairs[pair, 1]
-        ax, ay, az = normals[a, 0], normals[a, 1], normals[a, 2]
-        bx, by, bz = normals[b, 0], normals[b, 1], normals[b, 2]
-        if (ax == 0.0 and ay == 0.0 and az == 0.0) or (bx == 0.0 and by == 0.0 and bz == 0.0):
-            jumps[pair] = 0.0
-        else:
-            dx, dy, dz = ax - bx, ay - by, az - bz
-            jumps[pair] = np.sqrt(dx * dx + dy * dy + dz * dz)
+def _jumps(start, stop, n, pairs, jumps):  # type: ignore[no-untyped-def]
+    """|n_a - n_b| of every pair; zero where either has no normal.  n normals, flat as the pairs."""
+    for pair in range(np.uint64(start), np.uint64(stop)):
+        a, b = THREE * pairs[TWO * pair], THREE * pairs[TWO * pair + ONE]
+        ax, ay, az = n[a], n[a + ONE], n[a + TWO]
+        bx, by, bz = n[b], n[b + ONE], n[b + TWO]
+        dx, dy, dz = ax - bx, ay - by, az - bz
+        jump = np.sqrt(dx * dx + dy * dy + dz * dz)
+        has_first = (ax != 0.0) | (ay != 0.0) | (az != 0.0)
+        has_second = (bx != 0.0) | (by != 0.0) | (bz != 0.0)
+        jumps[pair] = jump if has_first & has_second else 0.0
 
 
 @compiled
-def _scored(  # type: ignore[no-untyped-def]
-    start, stop, normals, areas, ring_start, ring, jumps, inner_start, inner, scores, means
-):
-    """Score and area-weighted mean normal of every patch; infinity where the mean vanishes."""
-    widest = 0
-    for f in range(start, stop):
-        widest = max(widest, ring_start[f + 1] - ring_start[f])
-    members = np.empty((widest + 1, 3))
-    for f in range(start, stop):
-        row = ring_start[f]
-        count = 0
+def _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums):  # type: ignore[no-untyped-def]
+    """Put the normals of the patches of a block side by side, and add up areas and normals.
+
+    Those of a patch are followed by themselves, from the first on, for ``half`` places: so that
+    the k-th after each is another of its patch.  Returns how many places are filled.
+    """
+    filled = np.uint64(0)
+    for f in range(first, last):
+        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
         sx = sy = sz = weight = 0.0
-        for at in range(row - 1, ring_start[f + 1]):
-            k = f if at < row else ring[at]
-            nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
-            if nx == 0.0 and ny == 0.0 and nz == 0.0:
-                continue
-            members[count, 0] = nx
-            members[count, 1] = ny
-            members[count, 2] = nz
-            count += 1
-            area = areas[k]
+        own = filled
+        for at in range(row, end + ONE):
+            k = np.uint64(ring[at]) if at < end else f
+            p = THREE * k
+            nx, ny, nz = n[p], n[p + ONE], n[p + TWO]
+            x[filled] = nx
+            y[filled] = ny
+            z[filled] = nz
+            has_normal = (nx != 0.0) | (ny != 0.0) | (nz != 0.0)
+            filled += np.uint64(has_normal)
+            area = areas[k] if has_normal else 0.0
             sx += area * nx
             sy += area * ny
             sz += area * nz
             weight += area
-        length = np.sqrt(sx * sx + sy * sy + sz * sz)
-        if length <= VANISHED * weight:
-            scores[f] = np.inf
-            continue
-        means[f, 0] = sx / length
-        means[f, 1] = sy / length
-        means[f, 2] = sz / length
-        widest_square = 0.0
-        for a in range(count):
-            ax, ay, az = members[a, 0], members[a, 1], members[a, 2]
-            for b in range(a):
-                dx, dy, dz = members[b, 0] - ax, members[b, 1] - ay, members[b, 2] - az
-                square = dx * dx + dy * dy + dz * dz
-                if square > widest_square:
-                    widest_square = square
-        greatest = total = 0.0
-        for at in range(inner_start[f], inner_start[f + 1]):
-            jump = jumps[inner[at]]
-            greatest = max(greatest, jump)
-            total += jump
-        scores[f] = np.sqrt(widest_square) * greatest / (EPSILON + total)
+        place = FOUR * (f - first)
+        sums[place] = sx
+        sums[place + ONE] = sy
+        sums[place + TWO] = sz
+        sums[place + THREE] = weight
+        counts[f - first] = filled - own
+        if filled > own:
+            for at in range(own, own + half):
+                x[filled] = x[at]
+                y[filled] = y[at]
+                z[filled] = z[at]
+                filled += ONE
+    return filled
 
 
 @compiled
-def _chosen(start, stop, normals, ring_start, ring, scores, means, guides):  # type: ignore[no-untyped-def]
-    for f in range(start, stop):
+def _widest(half, filled, x, y, z, squares):  # type: ignore[no-untyped-def]
+    """The greatest square of a difference between each vector and the next ``half``, an even
+    number of them; vector code, for which the places of a block are many enough."""
+    for at in range(filled):
+        squares[at] = 0.0
+    places = max(filled, half) - half
+    for k in range(ONE, half, TWO):
+        for at in range(places):
+            ax, ay, az = x[at], y[at], z[at]
+            bx, by, bz = x[at + k] - ax, y[at + k] - ay, z[at + k] - az
+            cx, cy, cz = x[at + k + ONE] - ax, y[at + k + ONE] - ay, z[at + k + ONE] - az
+            square = max(bx * bx + by * by + bz * bz, cx * cx + cy * cy + cz * cz)
+            squares[at] = max(squares[at], square)
+
+
+@compiled
+def _scored(  # type: ignore[no-untyped-def]
+    start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, scores, means
+):
+    """Score and area-weighted mean normal of every patch; infinity where the mean vanishes.
+
+    n normals, flat as the means.  All indices are unsigned, so that none is looked at for its sign.
+    """
+    start, stop = np.uint64(start), np.uint64(stop)
+    # A patch has one face more than its ring, and as many places again at most.
+    room = np.int64(BLOCK_PATCHES * TWO * (most_neighbours(start, stop, ring_start) + THREE))
+    x, y, z, squares = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
+    counts = np.empty(np.int64(BLOCK_PATCHES), dtype=np.uint64)
+    sums = np.empty(np.int64(FOUR * BLOCK_PATCHES))
+    for first in range(start, stop, BLOCK_PATCHES):
+        last = min(first + BLOCK_PATCHES, stop)
+        # All pairs of k normals are each with those up to k / 2 places on; here an even number.
+        half = (most_neighbours(first, last, ring_start) + THREE) // FOUR * TWO
+        filled = _gathered(
+            first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums
+        )
+        _widest(half, filled, x, y, z, squares)
+        place = np.uint64(0)
+        for f in range(first, last):
+            count = counts[f - first]
+            square = 0.0
+            for at in range(place, place + count):
+                square = max(square, squares[at])
+            place += count + half if count else count
+            greatest = total = 0.0
+            for at in range(np.uint64(inner_start[f]), np.uint64(inner_start[f + ONE])):
+                jump = jumps[inner[at]]
+                greatest = max(greatest, jump)
+                total += jump
+            of = FOUR * (f - first)
+            sx, sy, sz = sums[of], sums[of + ONE], sums[of + TWO]
+            length = np.sqrt(sx * sx + sy * sy + sz * sz)
+            if length <= VANISHED * sums[of + THREE]:
+                scores[f] = np.inf
+                continue
+            scores[f] = np.sqrt(square) * greatest / (EPSILON + total)
+            p = THREE * f
+            means[p] = sx / length
+            means[p + ONE] = sy / length
+            means[p + TWO] = sz / length
+
+
+@compiled
+def _chosen(start, stop, n, ring_start, ring, scores, means, guides):  # type: ignore[no-untyped-def]
+    """n normals, flat as the means and guides."""
+    for f in range(np.uint64(start), np.uint64(stop)):
         best = f
-        for at in range(ring_start[f], ring_start[f + 1]):
-            if scores[ring[at]] < scores[best]:
-                best = ring[at]
-        known = scores[best] < np.inf
-        for axis in range(3):
-            guides[f, axis] = means[best, axis] if known else normals[f, axis]
+        least = scores[f]
+        for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
+            k = np.uint64(ring[at])
+            score = scores[k]
+            # Two choices without a branch: which patch is best cannot be foreseen.
+            best = k if score < least else best
+            least = min(least, score)
+        p, q = THREE * f, THREE * best
+        known = least < np.inf
+        guides[p] = means[q] if known else n[p]
+        guides[p + ONE] = means[q + ONE] if known else n[p + ONE]
+        guides[p + TWO] = means[q + TWO] if known else n[p + TWO]
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,24 +239,16 @@ class Patches:
         """
         m = len(normals)
         jumps = np.empty(len(self.pairs))
-        over_ranges(_jumps, len(self.pairs), normals, self.pairs, jumps)
+        flat = normals.reshape(-1)
+        pairs = self.pairs.reshape(-1).view(np.uint32)
+        over_ranges(_jumps, len(self.pairs), flat, pairs, jumps)
+        rows = self.ring_start.view(np.uint32), self.ring.view(np.uint32)
+        inner = self.inner_start.view(np.uint64), self.inner.view(np.uint32)
         scores = np.empty(m)
-        means = np.empty((m, 3))
-        over_ranges(
-            _scored,
-            m,
-            normals,
-            areas,
-            self.ring_start,
-            self.ring,
-            jumps,
-            self.inner_start,
-            self.inner,
-            scores,
-            means,
-        )
+        means = np.empty(3 * m)
+        over_ranges(_scored, m, flat, areas, *rows, jumps, *inner, scores, means)
         guides = np.empty((m, 3))
-        over_ranges(_chosen, m, normals, self.ring_start, self.ring, scores, means, guides)
+        over_ranges(_chosen, m, flat, *rows, scores, means, guides.reshape(-1))
         return guides
 
 

@@ -84,14 +84,15 @@ def faces_within(
     """
     m = len(centroids)
     sizes = np.empty(m, dtype=np.int32)
-    # Where nothing is written to, there is no memory.
-    rows = np.empty(min(m, CHUNK_FACES) * most, dtype=np.int32)
     around = centroids.reshape(-1), ring_start.view(np.uint32), ring.view(np.uint32)
     pieces = []
     for first in range(0, m, CHUNK_FACES):
         count = min(CHUNK_FACES, m - first)
+        # Where nothing is written to, there is no memory.
+        rows = np.empty(count * most, dtype=np.int32)
         known = (first, *around, radius * radius, most, sizes, rows.view(np.uint32))
-        pieces += [rows[one:end].copy() for one, end in over_ranges(_reached, count, *known)]
+        pieces += [rows[one:end] for one, end in over_ranges(_reached, count, *known)]
+        del rows, known
     near_start = np.zeros(m + 1, dtype=np.int64)
     np.cumsum(sizes, dtype=np.int64, out=near_start[1:])
     near = np.empty(near_start[-1], dtype=np.int32)
@@ -101,4 +102,5 @@ def faces_within(
         last = pieces.pop()
         near[filled - len(last) : filled] = last
         filled -= len(last)
+        del last
     return near_start, near

@@ -19,42 +19,76 @@ from numpy.typing import NDArray
 from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.parallel import over_ranges
+from msal_cli.core.ring_blocks import ONE, THREE, TWO
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
+FOUR = np.uint64(4)
+
+
+THIRD = 1.0 / 3.0
+
+
+@compiled
+def _planes(start, stop, normals, planes):  # type: ignore[no-untyped-def]
+    """The first three numbers of every plane: its normal n'."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        planes[f, 0] = normals[f, 0]
+        planes[f, 1] = normals[f, 1]
+        planes[f, 2] = normals[f, 2]
+
+
+@compiled
+def _shares(start, stop, planes, face_start, incident, free, share):  # type: ignore[no-untyped-def]
+    """One over the number of faces that have a normal; zero for vertices that stay."""
+    for i in range(np.uint64(start), np.uint64(stop)):
+        count = 0
+        for at in range(np.uint64(face_start[i]), np.uint64(face_start[i + ONE])):
+            f = FOUR * incident[at]
+            count += (planes[f] != 0.0) | (planes[f + ONE] != 0.0) | (planes[f + TWO] != 0.0)
+        share[i] = 1.0 / max(count, 1) if free[i] and count else 0.0
+
 
 @compiled
 def _offsets(start, stop, x, faces, planes):  # type: ignore[no-untyped-def]
-    """x positions; a plane is its normal n' and n' . c, in this order."""
-    for f in range(start, stop):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        offset = 0.0
-        for axis in range(3):
-            corner = x[a, axis]
-            # In this way the centroid of equal coordinates is just these.
-            middle = corner + ((x[b, axis] - corner) + (x[c, axis] - corner)) / 3.0
-            offset += planes[f, axis] * middle
-        planes[f, 3] = offset
+    """The fourth number of every plane: n' . c.  All arrays are flat; x positions.
+
+    Indices are unsigned, so that none is looked at for its sign.
+    """
+    for f in range(np.uint64(start), np.uint64(stop)):
+        a = THREE * faces[THREE * f]
+        b = THREE * faces[THREE * f + ONE]
+        c = THREE * faces[THREE * f + TWO]
+        ax, ay, az = x[a], x[a + ONE], x[a + TWO]
+        # In this way the centroid of equal coordinates is just these.
+        cx = ax + ((x[b] - ax) + (x[c] - ax)) * THIRD
+        cy = ay + ((x[b + ONE] - ay) + (x[c + ONE] - ay)) * THIRD
+        cz = az + ((x[b + TWO] - az) + (x[c + TWO] - az)) * THIRD
+        plane = FOUR * f
+        planes[plane + THREE] = (
+            planes[plane] * cx + planes[plane + ONE] * cy + planes[plane + TWO] * cz
+        )
 
 
 @compiled
 def _moved(start, stop, planes, face_start, incident, share, x):  # type: ignore[no-untyped-def]
-    """x positions; the sum of the ways to the planes counts by ``share``."""
-    for i in range(start, stop):
-        xi, yi, zi = x[i, 0], x[i, 1], x[i, 2]
+    """x positions, flat as the planes; the sum of the ways to the planes counts by ``share``."""
+    for i in range(np.uint64(start), np.uint64(stop)):
+        own = THREE * i
+        xi, yi, zi = x[own], x[own + ONE], x[own + TWO]
         sx = sy = sz = 0.0
-        for at in range(face_start[i], face_start[i + 1]):
-            f = incident[at]
-            nx, ny, nz = planes[f, 0], planes[f, 1], planes[f, 2]
-            height = planes[f, 3] - (nx * xi + ny * yi + nz * zi)
+        for at in range(np.uint64(face_start[i]), np.uint64(face_start[i + ONE])):
+            f = FOUR * incident[at]
+            nx, ny, nz = planes[f], planes[f + ONE], planes[f + TWO]
+            height = planes[f + THREE] - (nx * xi + ny * yi + nz * zi)
             sx += height * nx
             sy += height * ny
             sz += height * nz
-        x[i, 0] = xi + share[i] * sx
-        x[i, 1] = yi + share[i] * sy
-        x[i, 2] = zi + share[i] * sz
+        x[own] = xi + share[i] * sx
+        x[own + ONE] = yi + share[i] * sy
+        x[own + TWO] = zi + share[i] * sz
 
 
 def updated_vertices(
@@ -78,15 +112,17 @@ def updated_vertices(
     on_pass : called after every pass; what it raises ends the run.
     """
     n, m = len(vertices), len(faces)
-    planes = np.zeros((m, 4))
-    planes[:, :3] = normals
-    counted = faces[(normals != 0.0).any(axis=1)]
-    count = np.bincount(counted.reshape(-1), minlength=n)
-    share = np.where(free & (count > 0), 1.0 / np.maximum(count, 1), 0.0)
+    planes = np.empty((m, 4))
+    over_ranges(_planes, m, normals, planes)
+    planes = planes.reshape(-1)
+    around = planes, links.face_start.view(np.uint32), links.incident_faces.view(np.uint32)
+    share = np.empty(n)
+    over_ranges(_shares, n, *around, free, share)
+    corners = faces.reshape(-1).view(np.uint32)
     x = vertices.copy()
     for _ in range(passes):
-        over_ranges(_offsets, m, x, faces, planes)
-        over_ranges(_moved, n, planes, links.face_start, links.incident_faces, share, x)
+        over_ranges(_offsets, m, x.reshape(-1), corners, planes)
+        over_ranges(_moved, n, *around, share, x.reshape(-1))
         if on_pass is not None:
             on_pass()
     return x
