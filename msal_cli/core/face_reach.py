@@ -18,15 +18,11 @@ Ints = NDArray[np.int32]
 LongInts = NDArray[np.int64]
 
 
-CHUNK_FACES = 1 << 18
-"""Faces whose rows are found before they are put away: they lie apart until then."""
-
-
 @compiled
 def _reached(  # type: ignore[no-untyped-def]
-    start, stop, first, c, ring_start, ring, square_radius, most, sizes, rows
+    start, stop, c, ring_start, ring, square_radius, most, sizes, near
 ):
-    """Rows of the faces from ``first`` + start on, one behind the other from start * most on.
+    """Write the rows of a range of faces one behind the other, from start * most on.
 
     c centroids, flat.  Returns where the rows begin and end.
     """
@@ -34,11 +30,10 @@ def _reached(  # type: ignore[no-untyped-def]
     nobody = np.uint32(len(seen))
     for at in range(np.uint64(len(seen))):
         seen[at] = nobody
-    first, most = np.uint64(first), np.uint64(most)
-    low, high = first + np.uint64(start), first + np.uint64(stop)
+    start, stop, most = np.uint64(start), np.uint64(stop), np.uint64(most)
     found = np.empty(np.int64(most + most_neighbours(np.uint64(0), nobody, ring_start)), np.uint32)
-    filled = (low - first) * most
-    for own in range(low, high):
+    filled = start * most
+    for own in range(start, stop):
         p = THREE * own
         x, y, z = c[p], c[p + ONE], c[p + TWO]
         name = np.uint32(own)
@@ -62,10 +57,10 @@ def _reached(  # type: ignore[no-untyped-def]
             at += ONE
         count = min(count, most)
         for at in range(count):
-            rows[filled + at] = found[at]
+            near[filled + at] = found[at]
         sizes[own] = count
         filled += count
-    return np.int64((low - first) * most), np.int64(filled)
+    return np.int64(start * most), np.int64(filled)
 
 
 def faces_within(
@@ -84,23 +79,25 @@ def faces_within(
     """
     m = len(centroids)
     sizes = np.empty(m, dtype=np.int32)
-    around = centroids.reshape(-1), ring_start.view(np.uint32), ring.view(np.uint32)
-    pieces = []
-    for first in range(0, m, CHUNK_FACES):
-        count = min(CHUNK_FACES, m - first)
-        # Where nothing is written to, there is no memory.
-        rows = np.empty(count * most, dtype=np.int32)
-        known = (first, *around, radius * radius, most, sizes, rows.view(np.uint32))
-        pieces += [rows[one:end] for one, end in over_ranges(_reached, count, *known)]
-        del rows, known
+    # Room for the longest rows: what is not written to takes no memory.
+    near = np.empty(m * most, dtype=np.int32)
+    ends = over_ranges(
+        _reached,
+        m,
+        centroids.reshape(-1),
+        ring_start.view(np.uint32),
+        ring.view(np.uint32),
+        radius * radius,
+        most,
+        sizes,
+        near.view(np.uint32),
+    )
+    filled = ends[0][1]
+    for start, end in ends[1:]:
+        near[filled : filled + end - start] = near[start:end]
+        filled += end - start
+    # A shorter array keeps its place, and what is behind it is given back.
+    near.resize(filled, refcheck=False)
     near_start = np.zeros(m + 1, dtype=np.int64)
     np.cumsum(sizes, dtype=np.int64, out=near_start[1:])
-    near = np.empty(near_start[-1], dtype=np.int32)
-    filled = len(near)
-    while pieces:
-        # Each is let go of as soon as it is copied.
-        last = pieces.pop()
-        near[filled - len(last) : filled] = last
-        filled -= len(last)
-        del last
     return near_start, near
