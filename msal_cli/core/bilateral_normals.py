@@ -147,9 +147,10 @@ def bilateral_averages(
     exponents = distance_exponents(centroids, ring_start, ring, closeness, handicaps)
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
     falloff = LOG2_E / similarity**2
-    for done in range(passes):
+    given = spare = normals
+    for _ in range(passes):
         # The input must stay as it is; from the third pass on, two arrays take turns.
-        result = np.empty_like(normals) if done < 2 else spare
+        result = np.empty_like(normals) if spare is given else spare
         flat = normals.reshape(-1), exponents, falloff, *rows, result.reshape(-1)
         over_ranges(_averaged, len(normals), *flat)
         normals, spare = result, normals

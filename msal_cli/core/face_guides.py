@@ -161,9 +161,7 @@ def _scored(  # type: ignore[no-untyped-def]
         last = min(first + BLOCK_PATCHES, stop)
         # All pairs of k normals are each with those up to k / 2 places on; here an even number.
         half = (most_neighbours(first, last, ring_start) + THREE) // FOUR * TWO
-        filled = _gathered(
-            first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums
-        )
+        filled = _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums)
         _widest(half, filled, x, y, z, squares)
         place = np.uint64(0)
         for f in range(first, last):
@@ -194,7 +192,7 @@ def _scored(  # type: ignore[no-untyped-def]
 def _chosen(start, stop, n, ring_start, ring, scores, means, guides):  # type: ignore[no-untyped-def]
     """n normals, flat as the means and guides."""
     for f in range(np.uint64(start), np.uint64(stop)):
-        best = f
+        best = np.uint64(f)
         least = scores[f]
         for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
             k = np.uint64(ring[at])

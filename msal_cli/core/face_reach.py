@@ -28,8 +28,8 @@ def _reached(  # type: ignore[no-untyped-def]
     """
     seen = np.empty(len(ring_start) - 1, dtype=np.uint32)
     nobody = np.uint32(len(seen))
-    for at in range(np.uint64(len(seen))):
-        seen[at] = nobody
+    for face in range(np.uint64(len(seen))):
+        seen[face] = nobody
     start, stop, most = np.uint64(start), np.uint64(stop), np.uint64(most)
     found = np.empty(np.int64(most + most_neighbours(np.uint64(0), nobody, ring_start)), np.uint32)
     filled = start * most
@@ -38,7 +38,7 @@ def _reached(  # type: ignore[no-untyped-def]
         x, y, z = c[p], c[p + ONE], c[p + TWO]
         name = np.uint32(own)
         seen[own] = name
-        g = own
+        g = np.uint64(own)
         count = at = np.uint64(0)
         while True:
             for entry in range(np.uint64(ring_start[g]), np.uint64(ring_start[g + ONE])):
@@ -56,8 +56,8 @@ def _reached(  # type: ignore[no-untyped-def]
             g = np.uint64(found[at])
             at += ONE
         count = min(count, most)
-        for at in range(count):
-            near[filled + at] = found[at]
+        for place in range(count):
+            near[filled + place] = found[place]
         sizes[own] = count
         filled += count
     return np.int64(start * most), np.int64(filled)

@@ -112,9 +112,8 @@ def updated_vertices(
     on_pass : called after every pass; what it raises ends the run.
     """
     n, m = len(vertices), len(faces)
-    planes = np.empty((m, 4))
-    over_ranges(_planes, m, normals, planes)
-    planes = planes.reshape(-1)
+    planes = np.empty(4 * m)
+    over_ranges(_planes, m, normals, planes.reshape(-1, 4))
     around = planes, links.face_start.view(np.uint32), links.incident_faces.view(np.uint32)
     share = np.empty(n)
     over_ranges(_shares, n, *around, free, share)

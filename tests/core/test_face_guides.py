@@ -62,3 +62,10 @@ def test_without_any_mean_normal_a_face_is_guided_by_its_own():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0], [0, 1, 0]], dtype=float)
     faces = np.array([[0, 1, 2], [0, 2, 1]], dtype=np.int32)
     assert (guides(vertices, faces) == [[0, 0, 1], [0, 0, -1]]).all()
+
+
+def test_no_face_may_have_a_normal():
+    # Forty faces, more than one block, and none of them has an area.
+    vertices, faces = grid(6, 5)
+    vertices[:, 1:] = 0.0
+    assert (guides(vertices, faces) == 0.0).all()
