@@ -8,6 +8,8 @@ follow it, where all faces are wound one way and close; else as these faces name
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,11 @@ from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+
+Kept = TypeVar("Kept")
+
+KEPT_FACES = 100_000
+"""Faces up to which a mesh keeps what was found out about its faces, 200 bytes each or so."""
 
 MOST_THREADS = 4
 """Threads that build rings at the same time."""
@@ -359,6 +366,24 @@ class Connectivity:
     def incidence(self) -> tuple[Ints, Ints]:
         """Rows of the faces around each vertex: where they start (n + 1,), and the faces (3 m,)."""
         return incidence(len(self.ring_start) - 1, self.faces)
+
+    def kept(self, name: str, made: Callable[[], Kept]) -> Kept:
+        """What ``made`` gives, from the first such call on; but only for small meshes.
+
+        Whoever looks for the best setting runs many over the same small mesh, and what follows
+        from its faces is then half of the work.  With large meshes it would take memory from
+        whatever comes after.
+        """
+        if len(self.faces) > KEPT_FACES:
+            return made()
+        if name not in self._kept:
+            self._kept[name] = made()
+        known: Kept = self._kept[name]
+        return known
+
+    @functools.cached_property
+    def _kept(self) -> dict[str, Any]:
+        return {}
 
     @property
     def face_start(self) -> Ints:

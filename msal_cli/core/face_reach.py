@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.parallel import over_ranges
+from msal_cli.core.found_rows import found_rows
 from msal_cli.core.ring_blocks import ONE, THREE, TWO, most_neighbours
 
 Floats = NDArray[np.float64]
@@ -20,20 +20,17 @@ LongInts = NDArray[np.int64]
 
 @compiled
 def _reached(  # type: ignore[no-untyped-def]
-    start, stop, c, ring_start, ring, square_radius, most, sizes, near
+    start, stop, first, c, ring_start, ring, square_radius, most, sizes, near
 ):
-    """Write the rows of a range of faces one behind the other, from start * most on.
-
-    c centroids, flat.  Returns where the rows begin and end.
-    """
+    """Find rows as ``found_rows`` wants them; c centroids, flat."""
     seen = np.empty(len(ring_start) - 1, dtype=np.uint32)
     nobody = np.uint32(len(seen))
     for face in range(np.uint64(len(seen))):
         seen[face] = nobody
-    start, stop, most = np.uint64(start), np.uint64(stop), np.uint64(most)
+    most = np.uint64(most)
     found = np.empty(np.int64(most + most_neighbours(np.uint64(0), nobody, ring_start)), np.uint32)
-    filled = start * most
-    for own in range(start, stop):
+    filled = np.uint64(start) * most
+    for own in range(np.uint64(first + start), np.uint64(first + stop)):
         p = THREE * own
         x, y, z = c[p], c[p + ONE], c[p + TWO]
         name = np.uint32(own)
@@ -60,7 +57,7 @@ def _reached(  # type: ignore[no-untyped-def]
             near[filled + place] = found[place]
         sizes[own] = count
         filled += count
-    return np.int64(start * most), np.int64(filled)
+    return start * np.int64(most), np.int64(filled)
 
 
 def faces_within(
@@ -77,27 +74,16 @@ def faces_within(
 
     A face is not in its own row.  Rows begin with the nearest neighbours, in steps along ``ring``.
     """
-    m = len(centroids)
-    sizes = np.empty(m, dtype=np.int32)
-    # Room for the longest rows: what is not written to takes no memory.
-    near = np.empty(m * most, dtype=np.int32)
-    ends = over_ranges(
+    sizes, near = found_rows(
         _reached,
-        m,
+        len(centroids),
+        most,
         centroids.reshape(-1),
         ring_start.view(np.uint32),
         ring.view(np.uint32),
         radius * radius,
         most,
-        sizes,
-        near.view(np.uint32),
     )
-    filled = ends[0][1]
-    for start, end in ends[1:]:
-        near[filled : filled + end - start] = near[start:end]
-        filled += end - start
-    # A shorter array keeps its place, and what is behind it is given back.
-    near.resize(filled, refcheck=False)
-    near_start = np.zeros(m + 1, dtype=np.int64)
+    near_start = np.zeros(len(centroids) + 1, dtype=np.int64)
     np.cumsum(sizes, dtype=np.int64, out=near_start[1:])
     return near_start, near

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
+from msal_cli.core.found_rows import found_rows
 from msal_cli.core.geometry import mean_edge_length
 from msal_cli.core.parallel import over_ranges
+from msal_cli.core.ring_blocks import ONE, THREE, TWO, ZERO
 from msal_cli.errors import TooLargeError
 
 Floats = NDArray[np.float64]
@@ -26,82 +28,91 @@ Ints = NDArray[np.int32]
 MOST_AROUND = 64
 """Faces around an edge or a vertex beyond which sharing it does not make neighbours."""
 
+_MOST = np.uint64(MOST_AROUND)
+
 MOST_PAIRS = 2**31 - 1
 """Entries that 32-bit rows can number."""
 
 
 @compiled
-def _circles(faces, face_start, incident, following):  # type: ignore[no-untyped-def]
+def _circles(start, stop, faces, face_start, incident, following):  # type: ignore[no-untyped-def]
     """Link each side of a face to the next side along the same edge, round in a circle.
 
-    Side 3 f + c of face f runs from its corner c to the next; an open edge's follows itself.
+    Side 3 f + c of face f runs from its corner c to the next; an open edge's follows itself.  A
+    range of vertices has the edges from them to vertices of higher number.  All arrays are flat
+    and unsigned, so that no index is looked at for its sign.
     """
-    n = len(face_start) - 1
-    stamp = np.full(n, -1, dtype=np.int32)
-    first = np.empty(n, dtype=np.int32)
-    last = np.empty(n, dtype=np.int32)
+    n = np.uint64(len(face_start)) - ONE
+    stamp = np.empty(np.int64(n), dtype=np.uint32)
     for i in range(n):
-        for at in range(face_start[i], face_start[i + 1]):
-            f = incident[at]
-            own = 0
-            while faces[f, own] != i:
-                own += 1
-            before = (own + 2) % 3
-            for turn in range(2):
-                k = faces[f, before] if turn else faces[f, (own + 1) % 3]
-                if k < i:
-                    continue
-                side = 3 * f + (before if turn else own)
-                if stamp[k] != i:
-                    stamp[k] = i
-                    first[k] = side
-                else:
-                    following[last[k]] = side
-                last[k] = side
-                following[side] = first[k]
+        stamp[i] = n
+    first = np.empty_like(stamp)
+    last = np.empty_like(stamp)
+    for i in range(np.uint64(start), np.uint64(stop)):
+        for at in range(np.uint64(face_start[i]), np.uint64(face_start[i + ONE])):
+            side = THREE * incident[at]
+            a, b, c = faces[side], faces[side + ONE], faces[side + TWO]
+            # Without branches: which corner of a face a vertex is cannot be foreseen.
+            own = ZERO if a == i else (ONE if b == i else TWO)
+            previous = TWO if own == ZERO else own - ONE
+            after = b if a == i else (c if b == i else a)
+            before = c if a == i else (a if b == i else b)
+            for k, here in ((after, side + own), (before, side + previous)):
+                if k > i:
+                    if stamp[k] != i:
+                        stamp[k] = i
+                        first[k] = here
+                    else:
+                        following[last[k]] = here
+                    last[k] = here
+                    following[here] = first[k]
 
 
 @compiled
 def _neighbours(  # type: ignore[no-untyped-def]
-    start, stop, faces, face_start, incident, following, at_corners, sizes, ring_start, ring
+    start, stop, first, faces, face_start, incident, following, at_corners, most, sizes, ring
 ):
-    """Fill the rows of ``ring``; where it is empty, count their ``sizes``."""
-    seen = np.full(len(faces), -1, dtype=np.int32)
-    filling = len(ring) > 0
-    for f in range(start, stop):
-        seen[f] = f
-        found = 0
-        row = ring_start[f]
-        for side in range(3 * f, 3 * f + 3):
-            around = 1
-            at = following[side]
-            while at != side and around <= MOST_AROUND:
-                around += 1
-                at = following[at]
-            if around > MOST_AROUND:
+    """Find rows as ``found_rows`` wants them.
+
+    Whether a face was met before cannot be foreseen: without a branch each is written down, and
+    kept by being counted.
+    """
+    seen = np.empty(len(faces) // 3, dtype=np.uint32)
+    for face in range(np.uint64(len(seen))):
+        seen[face] = len(seen)
+    filled = np.uint64(start * most)
+    for f in range(np.uint64(first + start), np.uint64(first + stop)):
+        name = np.uint32(f)
+        seen[f] = name
+        row = filled
+        for side in range(THREE * f, THREE * f + THREE):
+            around = ONE
+            at = np.uint64(following[side])
+            while at != side and around <= _MOST:
+                around += ONE
+                at = np.uint64(following[at])
+            if around > _MOST:
                 continue
-            at = following[side]
-            while at != side:
-                g = at // 3
-                if seen[g] != f:
-                    seen[g] = f
-                    if filling:
-                        ring[row + found] = g
-                    found += 1
-                at = following[at]
+            for _ in range(around - ONE):
+                at = np.uint64(following[at])
+                g = at // THREE
+                ring[filled] = g
+                filled += np.uint64(seen[g] != name)
+                seen[g] = name
         if at_corners:
-            for corner in range(3):
-                i = faces[f, corner]
-                if face_start[i + 1] - face_start[i] > MOST_AROUND:
+            for corner in range(THREE * f, THREE * f + THREE):
+                i = np.uint64(faces[corner])
+                entry, end = np.uint64(face_start[i]), np.uint64(face_start[i + ONE])
+                if end - entry > _MOST:
                     continue
-                for entry in range(face_start[i], face_start[i + 1]):
-                    g = incident[entry]
-                    if seen[g] != f:
-                        seen[g] = f
-                        if filling:
-                            ring[row + found] = g
-                        found += 1
-        sizes[f] = found
+                while entry < end:
+                    g = np.uint64(incident[entry])
+                    ring[filled] = g
+                    filled += np.uint64(seen[g] != name)
+                    seen[g] = name
+                    entry += ONE
+        sizes[f] = filled - row
+    return start * most, np.int64(filled)
 
 
 def face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, Ints]:
@@ -117,25 +128,27 @@ def face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, In
     TooLargeError
         where the faces have more than ``MOST_PAIRS`` neighbours in all.
     """
-    around = (faces, links.face_start, links.incident_faces)
-    following = np.empty(3 * len(faces), dtype=np.int32)
-    _circles(*around, following)
-    sizes = np.empty(len(faces), dtype=np.int32)
-    ring_start = np.zeros(len(faces) + 1, dtype=np.int32)
-    ring = np.empty(0, dtype=np.int32)
-    at_corners = sharing == "vertex"
-    counted = (*around, following, at_corners, sizes)
-    over_ranges(_neighbours, len(faces), *counted, ring_start, ring)
-    total = int(sizes.sum(dtype=np.int64))
-    if total > MOST_PAIRS:
+    return links.kept(f"face rings, {sharing}", lambda: _made(faces, links, sharing))
+
+
+def _made(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, Ints]:
+    m = len(faces)
+    face_start = links.face_start.view(np.uint32)
+    around = faces.reshape(-1).view(np.uint32), face_start, links.incident_faces.view(np.uint32)
+    following = np.empty(3 * m, dtype=np.uint32)
+    over_ranges(_circles, len(face_start) - 1, *around, following)
+    # A row has fewer than MOST_AROUND faces for each corner: around it, or around the edges
+    # between corners where there are too many.
+    widest = int(np.diff(face_start).max())
+    most = 3 * min(widest, MOST_AROUND) + 1
+    sizes, ring = found_rows(_neighbours, m, most, *around, following, sharing == "vertex", most)
+    if len(ring) > MOST_PAIRS:
         raise TooLargeError(
-            f"the {len(faces)} faces have {total} neighbours, too many to number",
+            f"the {m} faces have {len(ring)} neighbours, too many to number",
             hint="cut the mesh into parts",
         )
+    ring_start = np.zeros(m + 1, dtype=np.int32)
     np.cumsum(sizes, out=ring_start[1:])
-    if total:
-        ring = np.empty(total, dtype=np.int32)
-        over_ranges(_neighbours, len(faces), *counted, ring_start, ring)
     return ring_start, ring
 
 

@@ -72,12 +72,12 @@ def test_the_order_is_side_by_side_then_corner_by_corner():
 
 def test_threads_do_not_change_the_rows(monkeypatch):
     _, faces = torus(40, 20)
-    links = connectivity(800, faces)
     monkeypatch.setattr("msal_cli.core.parallel.SMALLEST_RANGE", 100)
+    monkeypatch.setattr("msal_cli.core.found_rows.SMALLEST_PART", 1)
     results = []
     for count in ("1", "2", "5"):
         monkeypatch.setenv("MSAL_THREADS", count)
-        results.append(face_rings(faces, links, "vertex"))
+        results.append(face_rings(faces, connectivity(800, faces), "vertex"))
     for start, ring in results[1:]:
         assert (start == results[0][0]).all()
         assert (ring == results[0][1]).all()
@@ -113,13 +113,24 @@ def test_hubs_cost_no_more_than_other_parts():
     assert seconds[1] < 5.0
 
 
+def test_small_meshes_keep_their_rows(monkeypatch):
+    _, faces = grid(5, 4)
+    links = connectivity(20, faces)
+    kept = face_rings(faces, links, "vertex")
+    assert face_rings(faces, links, "vertex") is kept
+    assert len(face_rings(faces, links, "edge")[1]) < len(kept[1])
+    monkeypatch.setattr("msal_cli.core.connectivity.KEPT_FACES", len(faces) - 1)
+    assert face_rings(faces, links, "vertex") is not kept
+
+
 def test_too_many_neighbours_are_refused(monkeypatch):
     _, faces = grid(5, 4)
     links = connectivity(20, faces)
     _, ring = face_rings(faces, links, "vertex")
     monkeypatch.setattr(module, "MOST_PAIRS", len(ring))
-    face_rings(faces, links, "vertex")
+    face_rings(faces, connectivity(20, faces), "vertex")
     monkeypatch.setattr(module, "MOST_PAIRS", len(ring) - 1)
+    links = connectivity(20, faces)  # the others keep their rings
     with pytest.raises(TooLargeError, match=f"{len(ring)} neighbours"):
         face_rings(faces, links, "vertex")
 
