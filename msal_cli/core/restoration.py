@@ -36,7 +36,7 @@ it is the sum of squares of s^b - s^(b + 1), as convolutions; of s^4 for the las
 PLACE, SECOND_PLACE = 6, 3
 """Passes by which a power is averaged around a vertex, for the first look and for the second."""
 
-CAUTION, SECOND_CAUTION = 1.4, 0.6
+CAUTION, SECOND_CAUTION = 1.4, 0.4
 """Multiples of the noise's power that gains are reckoned with; chosen on noisy meshes whose true
 shape is known.  The first look has to tell shape from the scatter of averaged noise."""
 
@@ -134,7 +134,7 @@ def restoration(
     and the sum r over the bands is near the shape that was lost.  The second look knows its power:
     with Q = S^3 of the squares of that band of r, it takes
 
-        Q / (Q + 0.6 caution c s^2) of the band of t.
+        Q / (Q + 0.4 caution c s^2) of the band of t.
 
     Parameters
     ----------

@@ -63,11 +63,11 @@ def quantile_parameter() -> Any:
     )
 
 
-def noise_parameter() -> Any:
+def noise_parameter(of: str = "wiener schedule: ") -> Any:
     """A parameter of the Wiener schedule."""
     return parameter(
         0.0,
-        "wiener schedule: standard deviation of the noise; 0 has it estimated",
+        of + "standard deviation of the noise; 0 has it estimated",
         low=0.0,
         high=100.0,
         unit="mean edge lengths",
@@ -75,11 +75,11 @@ def noise_parameter() -> Any:
     )
 
 
-def caution_parameter() -> Any:
+def caution_parameter(default: float = 1.0, of: str = "wiener schedule: ") -> Any:
     """The other parameter of the Wiener schedule."""
     return parameter(
-        1.0,
-        "wiener schedule: factor of the noise's power that is reckoned with",
+        default,
+        of + "factor of the noise's power that is reckoned with",
         low=0.0,
         high=100.0,
         more="smoother, less texture",
@@ -220,18 +220,21 @@ def run(
     )
 
 
+def told_or_estimated(mesh: Mesh, noise: float) -> float:
+    """Noise in file units from the parameter ``noise`` in mean edge lengths, 0 for the estimate."""
+    from msal_cli.noise_estimate import estimated
+
+    return noise * mesh.mean_edge_length if noise else estimated(mesh).file_units
+
+
 def _restored(mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule: Wiener) -> Swept:
     """Positions from which the sweeps came to ``smooth`` (n, 3), as far as more than noise went.
 
     What comes back comes along the mesh's normals.
     """
     from msal_cli.core.restoration import restoration
-    from msal_cli.noise_estimate import estimated
 
-    if schedule.noise is None:
-        noise = estimated(mesh).file_units
-    else:
-        noise = schedule.noise * mesh.mean_edge_length
+    noise = told_or_estimated(mesh, schedule.noise or 0.0)
     normals = mesh.vertex_normals(parameters.normals, parameters.mollify)
     residual = np.einsum("ij,ij->i", smooth - mesh.vertices, normals)
     links = mesh.links

@@ -20,7 +20,7 @@ It stays closer to the scan, and suits noise up to 0.1.  ``wiener`` sweeps with 
 as ``al`` does.  Then it cuts what that took, t along the normals, into five bands from fine to
 coarse, and gives back of each band, vertex by vertex, what is more than noise:
 
-    lambda_i = Q_i / (Q_i + 0.6 caution c sigma_n^2)
+    lambda_i = Q_i / (Q_i + 0.4 caution c sigma_n^2)
 
 Here sigma_n is the ``noise`` (estimated, unless it is told), c the share of white noise in the
 band, and Q_i the mean square around the vertex of what a first such look took for shape.  Over

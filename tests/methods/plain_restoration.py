@@ -89,7 +89,7 @@ def returned(t, rings, noise: float, caution: float, bands: int) -> np.ndarray:
     for part, known, share in zip(cut(t), cut(guess), shares, strict=True):
         for i, power in enumerate(around(known**2, 3)):
             if power > 0 and t[i] != 0:
-                result[i] += power / (power + 0.6 * caution * share * noise**2) * part[i]
+                result[i] += power / (power + 0.4 * caution * share * noise**2) * part[i]
     return result
 
 

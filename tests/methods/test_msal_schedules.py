@@ -75,7 +75,7 @@ def test_lambda_stays_within_0_and_1_and_the_definition(seed, level, quantile, K
     assert np.abs(result.vertices - expected).max() <= 1e-12 * np.ptp(vertices)
     fidelity = result.fields["fidelity"]
     assert fidelity.min() >= 0.0
-    assert fidelity.max() == 1.0
+    assert 1.0 - 1e-15 <= fidelity.max() <= 1.0
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -1,0 +1,167 @@
+"""The Wiener-filtered residual with the normals that follow it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli import methods
+from msal_cli.mesh import prepared
+from msal_cli.metrics.surface import normal_statistics
+from tests.shapes import cube, grid, noisy, torus
+
+WIENER = methods.find("wiener")
+
+
+def run(mesh, name="wiener", **given):
+    method = methods.find(name)
+    return method.denoised(mesh, method.settled(given)).vertices
+
+
+def scan(around=24, across=12, level=0.05):
+    vertices, faces = torus(around, across)
+    return prepared(noisy(vertices, 1, level), faces).mesh
+
+
+def wavy():
+    """A torus with waves, and the same under noise of a tenth of an edge length."""
+    vertices, faces = torus(96, 48)
+    normals = prepared(vertices, faces).mesh.vertex_normals()
+    true = (
+        vertices
+        + (0.06 * np.sin(4 * vertices[:, 0]) * np.sin(4 * vertices[:, 1]))[:, None] * normals
+    )
+    heights = 0.02 * np.random.default_rng(0).normal(size=len(vertices))
+    ready = prepared(true + heights[:, None] * normals, faces)
+    return ready.mesh, ready.mesh.moved(true - ready.origin)
+
+
+def geometry(x, faces):
+    corners = x[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(cross, axis=1)
+    return cross / length[:, None], length / 2, corners.mean(axis=1)
+
+
+def follows(mesh, guide, sigma_s, closeness, share, passes, vertex_passes):
+    """Step 3, face by face, from its definition."""
+    faces = mesh.faces
+    around = [
+        [g for g in range(len(faces)) if g != f and set(faces[g]) & set(faces[f])]
+        for f in range(len(faces))
+    ]
+    like, areas, centroids = geometry(guide, faces)
+    pairs = [
+        (f, g)
+        for f in range(len(faces))
+        for g in range(f)
+        if len(set(faces[g]) & set(faces[f])) == 2
+    ]
+    unit = np.mean([np.linalg.norm(centroids[f] - centroids[g]) for f, g in pairs])
+    normals = share * geometry(mesh.vertices, faces)[0] + (1 - share) * like
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    for _ in range(passes):
+        result = np.empty_like(normals)
+        for f, ring in enumerate(around):
+            total = np.zeros(3)
+            for g in [f, *ring]:
+                far = ((centroids[f] - centroids[g]) ** 2).sum() / (2 * (closeness * unit) ** 2)
+                unlike = ((like[f] - like[g]) ** 2).sum() / (2 * sigma_s**2)
+                total += areas[g] * np.exp(-far - unlike) * normals[g]
+            result[f] = total / np.linalg.norm(total)
+        normals = result
+    x = guide.copy()
+    for _ in range(vertex_passes):
+        centroids = x[faces].mean(axis=1)
+        x = np.array(
+            [
+                x[i]
+                + np.mean(
+                    [
+                        (normals[f] @ (centroids[f] - x[i])) * normals[f]
+                        for f in np.flatnonzero((faces == i).any(axis=1))
+                    ],
+                    axis=0,
+                )
+                for i in range(len(x))
+            ]
+        )
+    return x
+
+
+def test_without_the_normals_it_is_the_schedule_of_al():
+    mesh = scan()
+    for given in ({}, {"noise": 0.1}, {"mollify": 1, "n": 3, "boundary": "fixed"}):
+        chosen = {"n": 6, "mollify": 2, "caution": 0.75} | given
+        expected = run(mesh, "al", schedule="wiener", **chosen)
+        assert (run(mesh, normal_iterations=0, **given) == expected).all()
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3])
+@pytest.mark.parametrize("shape", [torus(9, 7), grid(6, 6), cube()])
+def test_the_normals_follow_as_the_definition_says(shape, share):
+    vertices, faces = shape
+    mesh = prepared(noisy(vertices, 2, 0.1), faces).mesh
+    guide = run(mesh, normal_iterations=0, noise=0.2)
+    expected = follows(mesh, guide, 2.0 * 0.2, 1.5, share, 2, 3)
+    actual = run(
+        mesh,
+        noise=0.2,
+        similarity=2.0,
+        closeness=1.5,
+        scan_share=share,
+        normal_iterations=2,
+        vertex_iterations=3,
+    )
+    assert np.abs(actual - expected).max() < 1e-12 * np.ptp(vertices)
+    assert np.abs(actual - guide).max() > 1e-3
+
+
+def test_it_comes_closer_than_its_parts_in_positions_and_in_normals():
+    mesh, true = wavy()
+
+    def errors(name, **given):
+        found = run(mesh, name, **given)
+        angle = normal_statistics(true, mesh.moved(found)).mean_angular_error_deg
+        return np.array([np.linalg.norm(found - true.vertices, axis=1).mean(), angle])
+
+    whole = errors("wiener")
+    for name, given in (
+        ("msal", {}),
+        ("al", {"n": 2}),
+        ("msal", {"schedule": "wiener"}),
+    ):
+        assert (whole < errors(name, **given)).all(), name
+    assert (whole < 0.5 * errors("wiener", n=0)).all()
+
+
+def test_hardly_any_noise_leaves_the_scan_as_it_is():
+    mesh = scan()
+    moved = np.abs(run(mesh, noise=1e-9) - mesh.vertices).max()
+    assert moved < 1e-6 * mesh.mean_edge_length
+
+
+def test_more_noise_is_smoother():
+    mesh = scan()
+    ways = [np.linalg.norm(run(mesh, noise=one) - mesh.vertices) for one in (0.01, 0.05, 0.2)]
+    assert ways == sorted(ways)
+
+
+def test_what_is_held_stays():
+    mesh = scan()
+    held = np.arange(len(mesh.vertices)) % 4 == 0
+    found = run(mesh.constrained(held, None))
+    assert (found[held] == mesh.vertices[held]).all()
+    assert (found[~held] != mesh.vertices[~held]).any()
+
+
+def test_open_edges_are_fixed_where_that_is_asked():
+    vertices, faces = grid(12, 10)
+    mesh = prepared(noisy(vertices, 0, 0.1), faces).mesh
+    rim = mesh.links.boundary
+    assert (run(mesh, boundary="fixed")[rim] == mesh.vertices[rim]).all()
+    assert (run(mesh)[rim] != mesh.vertices[rim]).any()
+
+
+def test_it_has_no_data_term_that_trust_could_scale():
+    assert not WIENER.has_data_term(WIENER.settled({}))
