@@ -132,7 +132,7 @@ def test_it_comes_closer_than_its_parts_in_positions_and_in_normals():
         ("msal", {"schedule": "wiener"}),
     ):
         assert (whole < errors(name, **given)).all(), name
-    assert (whole < 0.5 * errors("wiener", n=0)).all()
+    assert (whole < 0.6 * errors("wiener", n=0)).all()
 
 
 def test_hardly_any_noise_leaves_the_scan_as_it_is():
