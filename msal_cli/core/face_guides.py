@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.face_rings import face_rings
+from msal_cli.core.found_rows import found_rows
 from msal_cli.core.geometry import VANISHED
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.ring_blocks import ONE, THREE, TWO, most_neighbours
@@ -51,25 +52,31 @@ def _pairs(edge_start, edge_ring, first_pair, pairs):  # type: ignore[no-untyped
 
 @compiled
 def _inner(  # type: ignore[no-untyped-def]
-    start, stop, ring_start, ring, first_pair, pairs, sizes, inner_start, inner
+    start, stop, first, ring_start, ring, first_pair, pairs, most, sizes, inner
 ):
-    """Fill the rows of ``inner``; where it is empty, count their ``sizes``."""
-    member = np.full(len(ring_start) - 1, -1, dtype=np.int32)
-    filling = len(inner) > 0
-    for f in range(start, stop):
-        row, end = ring_start[f], ring_start[f + 1]
-        member[f] = f
+    """Find rows as ``found_rows`` wants them: of each pair as many as both faces are in a patch.
+
+    ``pairs`` flat.  Which are cannot be foreseen: without a branch each is written down, and kept
+    by being counted.
+    """
+    member = np.empty(len(ring_start) - 1, dtype=np.uint32)
+    for face in range(np.uint64(len(member))):
+        member[face] = len(member)
+    filled = np.uint64(start * most)
+    for f in range(np.uint64(first + start), np.uint64(first + stop)):
+        name = np.uint32(f)
+        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
+        member[f] = name
         for at in range(row, end):
-            member[ring[at]] = f
-        count = 0
-        for at in range(row - 1, end):
-            a = f if at < row else ring[at]
-            for pair in range(first_pair[a], first_pair[a + 1]):
-                if member[pairs[pair, 1]] == f:
-                    if filling:
-                        inner[inner_start[f] + count] = pair
-                    count += 1
-        sizes[f] = count
+            member[ring[at]] = name
+        before = filled
+        for at in range(row, end + ONE):
+            a = np.uint64(ring[at]) if at < end else f
+            for pair in range(np.uint64(first_pair[a]), np.uint64(first_pair[a + ONE])):
+                inner[filled] = pair
+                filled += np.uint64(member[pairs[TWO * pair + ONE]] == name)
+        sizes[f] = filled - before
+    return start * most, np.int64(filled)
 
 
 @compiled
@@ -255,19 +262,22 @@ def patches(faces: Ints, links: Connectivity) -> Patches:
 
     Raises TooLargeError as ``face_rings`` does.
     """
+    return links.kept("patches", lambda: _made(faces, links))
+
+
+def _made(faces: Ints, links: Connectivity) -> Patches:
     m = len(faces)
     ring_start, ring = face_rings(faces, links, "vertex")
     edge_start, edge_ring = face_rings(faces, links, "edge")
     first_pair = np.empty(m + 1, dtype=np.int32)
     pairs = np.empty((len(edge_ring) // 2, 2), dtype=np.int32)
     _pairs(edge_start, edge_ring, first_pair, pairs)
-    sizes = np.empty(m, dtype=np.int32)
+    # Every pair of a patch is an edge of two of its faces.
+    widest, across = int(np.diff(ring_start).max()), int(np.diff(edge_start).max())
+    most = (widest + 1) * across // 2 + 1
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    numbered = first_pair.view(np.uint32), pairs.reshape(-1).view(np.uint32)
+    sizes, inner = found_rows(_inner, m, most, *rows, *numbered, most)
     inner_start = np.zeros(m + 1, dtype=np.int64)
-    inner = np.empty(0, dtype=np.int32)
-    known = (ring_start, ring, first_pair, pairs, sizes)
-    over_ranges(_inner, m, *known, inner_start, inner)
     np.cumsum(sizes, dtype=np.int64, out=inner_start[1:])
-    if inner_start[-1]:
-        inner = np.empty(inner_start[-1], dtype=np.int32)
-        over_ranges(_inner, m, *known, inner_start, inner)
     return Patches(ring_start, ring, edge_start, edge_ring, pairs, inner_start, inner)
