@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
 from msal_cli.core.exponential import LOG2_E, power_of_two
-from msal_cli.core.face_rings import face_centroids
 from msal_cli.core.geometry import VANISHED, face_normals_and_areas
 from msal_cli.core.medians import median
 from msal_cli.core.parallel import over_ranges
@@ -35,32 +34,56 @@ BLOCK_PAIRS = np.uint64(1024)
 
 
 @compiled
-def _shares(start, stop, x, faces, centroids, areas, ring_start, ring, time_step, shares):  # type: ignore[no-untyped-def]
-    """min(tau / A, limit) l / d: edge length l, way between centroids d, own area A, 0 for none."""
-    for f in range(start, stop):
+def _without_normals(start, stop, normals, areas):  # type: ignore[no-untyped-def]
+    """Faces that have no normal get no area."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        has_normal = (normals[f, 0] != 0.0) | (normals[f, 1] != 0.0) | (normals[f, 2] != 0.0)
+        areas[f] = areas[f] if has_normal else 0.0
+
+
+@compiled
+def _square(x, i, j):  # type: ignore[no-untyped-def]
+    """Of the distance between two vertices; x flat."""
+    p, q = THREE * i, THREE * j
+    dx, dy, dz = x[p] - x[q], x[p + ONE] - x[q + ONE], x[p + TWO] - x[q + TWO]
+    return dx * dx + dy * dy + dz * dz
+
+
+@compiled
+def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):  # type: ignore[no-untyped-def]
+    """min(tau / A, limit) l / d: edge length l, way between centroids d, own area A, 0 for none.
+
+    All arrays are flat; x positions.  Of two faces with a common edge the centroids are a third
+    as far apart as the corners that are off it.
+    """
+    for f in range(np.uint64(start), np.uint64(stop)):
+        p = THREE * f
+        a, b, c = np.uint64(faces[p]), np.uint64(faces[p + ONE]), np.uint64(faces[p + TWO])
+        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
         total = 0.0
-        for at in range(ring_start[f], ring_start[f + 1]):
-            g = ring[at]
-            left = right = -1
-            for corner in range(3):
-                i = faces[f, corner]
-                if i == faces[g, 0] or i == faces[g, 1] or i == faces[g, 2]:
-                    right = left
-                    left = i
-            edge = way = 0.0
-            for axis in range(3):
-                edge += (x[left, axis] - x[right, axis]) ** 2
-                way += (centroids[f, axis] - centroids[g, axis]) ** 2
-            shares[at] = 0.0
-            if areas[f] > 0.0 and areas[g] > 0.0 and way > 0.0:
-                shares[at] = np.sqrt(edge / way)
-            total += shares[at]
+        for at in range(row, end):
+            g = np.uint64(ring[at])
+            q = THREE * g
+            i, j, k = np.uint64(faces[q]), np.uint64(faces[q + ONE]), np.uint64(faces[q + TWO])
+            # Without branches: where in the faces their edge is cannot be foreseen.
+            has_b = (b == i) | (b == j) | (b == k)
+            has_c = (c == i) | (c == j) | (c == k)
+            left = c if has_c else b
+            right = b if has_b & has_c else a
+            apex = a if has_b & has_c else (b if has_c else c)
+            edge = _square(x, left, right)
+            way = _square(x, apex, i + j + k - left - right) / 9.0
+            share = np.sqrt(edge / way)
+            counts = (areas[f] > 0.0) & (areas[g] > 0.0) & (way > 0.0)
+            share = share if counts else 0.0
+            shares[at] = share
+            total += share
         step = 0.0
         if total > 0.0:
             step = LONGEST / total
             if time_step < step * areas[f]:
                 step = time_step / areas[f]
-        for at in range(ring_start[f], ring_start[f + 1]):
+        for at in range(row, end):
             shares[at] *= step
 
 
@@ -108,19 +131,42 @@ def _diffused(start, stop, n, shares, inverse, ring_start, ring, result):  # typ
             result[own + TWO] = nz
 
 
+@compiled
+def _differences(start, stop, n, ring_start, ring, lengths):  # type: ignore[no-untyped-def]
+    """|n - m| over the neighbours of greater number, -1 for all that do not count; n flat."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        own = THREE * f
+        nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
+        is_usable = (nx != 0.0) | (ny != 0.0) | (nz != 0.0)
+        for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
+            g = THREE * ring[at]
+            mx, my, mz = n[g], n[g + ONE], n[g + TWO]
+            dx, dy, dz = mx - nx, my - ny, mz - nz
+            length = np.sqrt(dx * dx + dy * dy + dz * dz)
+            counts = is_usable & ((mx != 0.0) | (my != 0.0) | (mz != 0.0)) & (g > own)
+            lengths[at] = length if counts else -1.0
+
+
 def difference_width(normals: Floats, ring_start: Ints, ring: Ints) -> float:
     """1.4826 times the median absolute deviation of |n - m| over neighbours n, m.
 
     ``normals`` (m, 3), zero for faces that have none, which are left out; the rows are those of
     ``face_rings``.  Zero where there are no neighbours.
     """
-    usable = (normals != 0.0).any(axis=1)
-    own = np.repeat(np.arange(len(normals), dtype=np.int32), np.diff(ring_start))
-    pairs = usable[own] & usable[ring]
-    if not pairs.any():
+    lengths = np.empty(len(ring))
+    over_ranges(
+        _differences,
+        len(normals),
+        normals.reshape(-1),
+        ring_start.view(np.uint32),
+        ring.view(np.uint32),
+        lengths,
+    )
+    lengths = lengths[lengths >= 0.0]
+    if not len(lengths):
         return 0.0
-    lengths = np.sqrt(((normals[own[pairs]] - normals[ring[pairs]]) ** 2).sum(axis=1))
-    return float(PER_MEDIAN * median(np.abs(lengths - median(lengths))))
+    lengths -= median(lengths)
+    return float(PER_MEDIAN * median(np.abs(lengths, out=lengths)))
 
 
 def diffused_normals(
@@ -149,22 +195,12 @@ def diffused_normals(
     """
     count = len(faces)
     normals, areas = face_normals_and_areas(vertices, faces)
-    areas[~(normals != 0.0).any(axis=1)] = 0.0
-    shares = np.empty(len(ring))
-    over_ranges(
-        _shares,
-        count,
-        vertices,
-        faces,
-        face_centroids(vertices, faces),
-        areas,
-        ring_start,
-        ring,
-        time_step,
-        shares,
-    )
-    inverse = 0.5 * LOG2_E / max(similarity, LEAST_SIMILARITY) ** 2
+    over_ranges(_without_normals, count, normals, areas)
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    corners = faces.reshape(-1).view(np.uint32)
+    shares = np.empty(len(ring))
+    over_ranges(_shares, count, vertices.reshape(-1), corners, areas, *rows, time_step, shares)
+    inverse = 0.5 * LOG2_E / max(similarity, LEAST_SIMILARITY) ** 2
     spare = np.empty_like(normals)
     for _ in range(steps):
         over_ranges(
