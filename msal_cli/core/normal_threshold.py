@@ -10,37 +10,37 @@ from numpy.typing import NDArray
 from msal_cli.core.compiled import compiled
 from msal_cli.core.geometry import VANISHED
 from msal_cli.core.parallel import over_ranges
+from msal_cli.core.ring_blocks import ONE, THREE, TWO
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
 @compiled
-def _averaged(start, stop, normals, threshold, ring_start, ring, result):  # type: ignore[no-untyped-def]
-    for f in range(start, stop):
-        nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
-        own = 1.0 - threshold
-        weights = own * own
+def _averaged(start, stop, n, threshold, ring_start, ring, result):  # type: ignore[no-untyped-def]
+    """n normals, flat as the result; indices are unsigned, and not looked at for their sign."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        own = THREE * f
+        nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
+        weights = (1.0 - threshold) * (1.0 - threshold)
         sx, sy, sz = weights * nx, weights * ny, weights * nz
-        for at in range(ring_start[f], ring_start[f + 1]):
-            g = ring[at]
-            mx, my, mz = normals[g, 0], normals[g, 1], normals[g, 2]
-            above = max(nx * mx + ny * my + nz * mz - threshold, 0.0)
+        for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
+            g = THREE * ring[at]
+            mx, my, mz = n[g], n[g + ONE], n[g + TWO]
+            above = nx * mx + ny * my + nz * mz - threshold
+            above = above if above > 0.0 else 0.0
             weight = above * above
             weights += weight
             sx += weight * mx
             sy += weight * my
             sz += weight * mz
         length = np.sqrt(sx * sx + sy * sy + sz * sz)
-        if length <= VANISHED * weights:
+        if length > VANISHED * weights:
             # A face without a normal finds none: a product of zero is below any threshold.
-            result[f, 0] = nx
-            result[f, 1] = ny
-            result[f, 2] = nz
-        else:
-            result[f, 0] = sx / length
-            result[f, 1] = sy / length
-            result[f, 2] = sz / length
+            nx, ny, nz = sx / length, sy / length, sz / length
+        result[own] = nx
+        result[own + ONE] = ny
+        result[own + TWO] = nz
 
 
 def threshold_averages(
@@ -63,9 +63,13 @@ def threshold_averages(
     threshold : 0 <= threshold < 1, a cosine.
     on_pass : called after every pass; what it raises ends the run.
     """
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    given = spare = normals
     for _ in range(passes):
-        result = np.empty_like(normals)
-        over_ranges(_averaged, len(normals), normals, threshold, ring_start, ring, result)
-        normals = result
+        # The input must stay as it is; from the third pass on, two arrays take turns.
+        result = np.empty_like(normals) if spare is given else spare
+        flat = normals.reshape(-1), threshold, *rows, result.reshape(-1)
+        over_ranges(_averaged, len(normals), *flat)
+        normals, spare = result, normals
         on_pass()
     return normals
