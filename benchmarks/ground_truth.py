@@ -26,6 +26,9 @@ SAMPLES = Path(__file__).resolve().parents[1] / "sample_meshes"
 CLASSES = ("machined", "organic", "texture 0.1", "texture 0.2", "clean")
 """In the order of the tables."""
 
+PAIRS = ("Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2")
+"""Folders of published noisy meshes, each with its true one."""
+
 Floats = NDArray[np.float64]
 
 
@@ -85,23 +88,21 @@ def _made(name: str) -> Mesh:
     return prepared(vertices, faces).mesh
 
 
-def cases(quick: bool = False) -> Iterator[Case]:
-    """Every case whose files are there, class by class; ``quick`` leaves out those of more than
-    50,000 vertices."""
+def sources(quick: bool = False) -> dict[str, Callable[[], Mesh]]:
+    """Every true shape whose file is there, by name; ``quick`` leaves out those of more than 50,000
+    vertices."""
     folder = data_folder()
-    sources: dict[str, Callable[[], Mesh]] = {}
+    found: dict[str, Callable[[], Mesh]] = {}
     for path in sorted(SAMPLES.glob("*_clean.*")):
         if path.name.split(".")[-1] in ("ply", "obj", "stl", "gz"):
-            sources[path.name.split("_clean")[0]] = functools.partial(opened, path)
+            found[path.name.split("_clean")[0]] = functools.partial(opened, path)
     for name in ("star_prism", "stepped_cylinder", "chipped_cube"):
-        sources[name] = functools.partial(_made, name)
+        found[name] = functools.partial(_made, name)
     if folder is not None:
-        for name in ("Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2"):
-            path = folder / "pairs" / name
-            if path.is_dir():
-                sources[name[:-3]] = functools.partial(opened, path / "Original.obj")
-                of = "machined" if name.endswith("0.3") else "organic"
-                yield Case(name, of, functools.partial(pair, path))
+        for name in PAIRS:
+            path = folder / "pairs" / name / "Original.obj"
+            if path.exists():
+                found[name[:-3]] = functools.partial(opened, path)
         clean = {
             "bunny": folder / "clean" / "stanford-bunny.obj",
             "igea": folder / "clean" / "igea.ply",
@@ -110,15 +111,29 @@ def cases(quick: bool = False) -> Iterator[Case]:
         }
         for name, path in clean.items():
             if path.exists() and not (quick and name in ("igea", "dragon")):
-                sources[name] = functools.partial(opened, path)
+                found[name] = functools.partial(opened, path)
+    return found
+
+
+def cases(quick: bool = False) -> Iterator[Case]:
+    """Every case whose files are there, class by class; ``quick`` leaves out those of more than
+    50,000 vertices."""
+    shapes = sources(quick)
+    folder = data_folder()
+    if folder is not None:
+        for name in PAIRS:
+            path = folder / "pairs" / name
+            if path.is_dir():
+                of = "machined" if name.endswith("0.3") else "organic"
+                yield Case(name, of, functools.partial(pair, path))
 
     seed = 0
     for of, rows in _MADE.items():
         for name, level, *kind in rows:
             seed += 1
-            if name not in sources:
+            if name not in shapes:
                 continue
-            source, told = sources[name], kind[0] if kind else "gaussian-normal"
+            source, told = shapes[name], kind[0] if kind else "gaussian-normal"
             label = f"{name} {level:g}" + (f" {told}" if kind else "")
 
             def made(

@@ -87,13 +87,13 @@ class Lock:
         return result
 
 
-def length(text: str) -> Length:
-    """``0.3e`` or ``0.05``; UsageError for anything else."""
+def length(text: str, option: str = "--max-move") -> Length:
+    """``0.3e`` or ``0.05``; UsageError, which names the option, for anything else."""
     match = _LENGTH.fullmatch(text)
     value = float(match[1]) if match else 0.0
     if match is None or not 0.0 < value < math.inf:
         raise UsageError(
-            f"--max-move {text}: this is no length above 0",
+            f"{option} {text}: this is no length above 0",
             hint="write 0.3e for mean edge lengths, or 0.05 for file units",
         )
     return Length(value, bool(match[2]))

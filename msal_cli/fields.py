@@ -43,6 +43,9 @@ KINDS = {
         "pull back to the input in the first sweep, eq. (7): sigma / max sigma", "sequential", 0.99
     ),
     "sigma": Kind("local scale of the input, eq. (4), file units", "sequential", 0.99),
+    "noise": Kind(
+        "noise of the input around the vertex, by region, file units", "sequential", 0.99
+    ),
     "displacement": Kind("move along the normal, outward positive, file units", "diverging", 0.99),
     "curvature": Kind(
         "mean curvature of the output, bulges positive, 1 / file units; 0 at open edges",
@@ -86,6 +89,7 @@ def computed(
     """
     from msal_cli.metrics.curvature import mean_curvature
     from msal_cli.metrics.local_scale import local_scale
+    from msal_cli.noise_estimate import regional
 
     mesh = ready.mesh
     normals = mesh.vertex_normals(
@@ -97,6 +101,8 @@ def computed(
             field = ((moved - mesh.vertices) * normals).sum(axis=1)
         elif name == "curvature":
             field = mean_curvature(mesh.moved(moved))
+        elif name == "noise":
+            field = regional(mesh)
         else:
             field = local_scale(mesh, normals)
             largest = float(field.max(initial=0.0))

@@ -123,4 +123,14 @@ def noise_estimate(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate
     return NoiseEstimate(
         mean_edges=level.mean_edges,
         file_units=level.file_units,
+        low_edges=level.low,
+        high_edges=level.high,
+        clean_edges=level.clean_edges,
+        rms_edges=level.rms_edges,
+        tail=level.tail,
+        negligible=level.is_negligible,
+        lowest_edges=level.lowest,
+        highest_edges=level.highest,
+        regions=level.regions,
+        uneven=level.is_uneven,
     )

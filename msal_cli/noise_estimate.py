@@ -41,7 +41,7 @@ TEXTURE = 0.5
 """Texture in what the best fit leaves over, as variance, for each unit that the next coarser fit
 leaves more; measured on clean scans, see docs/noise.md."""
 
-MOST_TEXTURE = 0.5
+MOST_TEXTURE = 0.75
 """Share of the variance that is taken for texture, at most."""
 
 TEXTURE_BOUND = 2.0
@@ -65,8 +65,9 @@ FAR_OUT_EXCESS = 0.08
 NEGLIGIBLE = 0.005
 """Mean edge lengths below which no noise can be seen."""
 
-DOUBTFUL = 0.03
-"""Mean edge lengths below which noise is none to speak of where all of it may be texture."""
+DOUBTFUL = 0.05
+"""Mean edge lengths: noise whose interval goes from 0 to less is none to speak of, for all of it
+may be texture."""
 
 SPREAD = 0.1
 """What the upper end allows for spikes that do not stand out."""
@@ -116,6 +117,10 @@ class NoiseLevel:
     lowest: float
     highest: float
     regions: int
+
+    def is_below(self, edges: float) -> bool:
+        """Whether neither the level nor single spikes reach so many mean edge lengths."""
+        return self.mean_edges < edges and self.rms_edges < max(edges, SPIKES)
 
     @property
     def is_uneven(self) -> bool:
@@ -205,7 +210,7 @@ def _told(mesh: Mesh) -> tuple[NoiseLevel, Floats, Floats]:
     if is_impulsive:
         high = max(high, rms * (1.0 + SPREAD + error))
     edges = level / edge
-    is_small = edges < NEGLIGIBLE or (low == 0.0 and edges < DOUBTFUL)
+    is_small = edges < NEGLIGIBLE or (low == 0.0 and high < DOUBTFUL * edge)
     noise = NoiseLevel(
         mean_edges=edges,
         low=min(low, level) / edge,

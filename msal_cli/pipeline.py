@@ -37,6 +37,7 @@ from msal_cli.records import (
 # Whoever runs files needs these with it, from one place.
 from msal_cli.tasks import AUTO as AUTO
 from msal_cli.tasks import FORECAST as FORECAST
+from msal_cli.tasks import NEGLIGIBLE as NEGLIGIBLE
 from msal_cli.tasks import NO_LIMITS as NO_LIMITS
 from msal_cli.tasks import Limits as Limits
 from msal_cli.tasks import Settings as Settings
@@ -61,6 +62,9 @@ if TYPE_CHECKING:
     from msal_cli.noise_estimate import NoiseLevel
 
     Floats = NDArray[np.float64]
+
+NO_METHOD = "none"
+"""The method of a record whose mesh stays as it is."""
 
 OnProgress = Callable[[str, int, int], None]
 """Called as ``on_progress(stage, done, total)``; the stages are those of ``records.Seconds``."""
@@ -339,6 +343,12 @@ class _Run:
     def _method(self, mesh: Mesh) -> tuple[Method | None, dict[str, Any]]:
         """What is to be run, with its parameters; None where the mesh stays as it is."""
         settings = self.settings
+        if settings.min_noise is not None:
+            with self.stage("choose"):
+                why = self._too_little_noise(mesh, settings.min_noise)
+            if why:
+                self.know(left_alone=why, method=MethodUsed(NO_METHOD, {}))
+                return None, {}
         if settings.method != AUTO:
             from msal_cli import methods
 
@@ -355,6 +365,18 @@ class _Run:
             self.warn(*found.warnings)
             self._noise = found.noise
         return found.method, found.used.parameters
+
+    def _too_little_noise(self, mesh: Mesh, least: str) -> str:
+        """Why a mesh with less noise than ``least`` stays as it is; empty if it has more."""
+        from msal_cli import constraints
+        from msal_cli.noise_estimate import estimated
+
+        self._noise = noise = estimated(mesh)
+        level = f"noise {noise.mean_edges:.2g} e"
+        if least == NEGLIGIBLE:
+            return f"{level}: none to speak of" if noise.is_negligible else ""
+        bound = constraints.length(least).in_units(mesh.mean_edge_length) / mesh.mean_edge_length
+        return f"{level}, below --min-noise {least}" if noise.is_below(bound) else ""
 
     def _constraints(self, ready: Prepared, mesh_file: MeshFile) -> Constraints | None:
         """What keeps vertices of this file near their place; None if nothing was asked for."""

@@ -72,10 +72,23 @@ class NormalChange:
 
 @dataclass(frozen=True, slots=True)
 class NoiseEstimate:
-    """Estimated standard deviation of the noise along the normals."""
+    """Estimated standard deviation of the noise along the normals, and what is behind it.
+
+    Records of earlier versions have the first two fields only.
+    """
 
     mean_edges: float
     file_units: float
+    low_edges: float | None = None
+    high_edges: float | None = None
+    clean_edges: float | None = None
+    rms_edges: float | None = None
+    tail: float | None = None
+    negligible: bool | None = None
+    lowest_edges: float | None = None
+    highest_edges: float | None = None
+    regions: int | None = None
+    uneven: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,6 +301,7 @@ class MeshRecord:
     clamped_vertices: int | None = None
     locked_vertices: int | None = None
     noise_estimate: NoiseEstimate | None = None
+    left_alone: str | None = None
     method: MethodUsed | None = None
     choice: ChoiceMade | None = None
     seconds: Seconds | None = None

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 AUTO = "auto"
 """In place of a method's name: each mesh gets the one that suits it, see ``selection``."""
 
+NEGLIGIBLE = "auto"
+"""In place of a least noise: as the estimate judges it."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -32,6 +35,8 @@ class Settings:
     format : the input's format where its name does not tell.
     max_move, lock, weights : what keeps vertices near their place; see ``constraints``.
     fields : what is written beside the output, see ``fields``.
+    min_noise : below which noise a mesh stays as it is: a length as of ``constraints``, or
+        ``NEGLIGIBLE`` for "no noise to speak of".
     """
 
     method: str
@@ -45,6 +50,7 @@ class Settings:
     lock: tuple[str, ...] = ()
     weights: str | None = None
     fields: tuple[str, ...] = ()
+    min_noise: str | None = None
 
 
 @dataclass(frozen=True)

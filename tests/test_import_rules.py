@@ -33,7 +33,7 @@ MAY_IMPORT = {
     "baseline": {"records", "errors"},
     "comparison": {"colours", "files", "metrics", "mesh", "records", "errors"},
     "gates": {"records", "errors"},
-    "fields": {"colours", "files", "metrics", "mesh", "records", "errors"},
+    "fields": {"colours", "files", "metrics", "noise_estimate", "mesh", "records", "errors"},
     "inspection": {"files", "metrics", "noise_estimate", "mesh", "records", "errors"},
     "selection": {"methods", "metrics", "noise_estimate", "mesh", "core", "errors"},
     "automatic": {"selection", "methods", "noise_estimate", "mesh", "records"},

@@ -278,6 +278,8 @@ def _log_record(record: MeshRecord) -> None:
     _log.info("%s: %s in %.3f s -> %s", record.input, record.status, seconds, record.output)
     if record.choice is not None:
         _log.info("%s: %s", record.input, record.choice.reason)
+    if record.left_alone is not None:
+        _log.info("%s: left as it is: %s", record.input, record.left_alone)
     for warning in record.warnings:
         _log.info("%s: %s", record.input, warning)
 

@@ -37,6 +37,7 @@ class Request:
     max_move: str | None
     lock: tuple[str, ...]
     weights: str | None
+    min_noise: str | None
     include: tuple[str, ...]
     exclude: tuple[str, ...]
     in_place: bool
@@ -144,6 +145,12 @@ _MOVES = (
         metavar="PROPERTY",
         help="PLY vertex property, such as confidence, as trust: the pull to the scanned position "
         "is scaled by it. For msal, and methods with a --schedule other than plain.",
+    ),
+    click.option(
+        "--min-noise",
+        metavar="LEVEL|auto",
+        help="Leave meshes as they are whose estimated noise is less: 0.03e is mean edge lengths, "
+        "0.01 file units; auto where there is none to speak of.  [default: none]",
     ),
 )
 
@@ -288,8 +295,8 @@ _REPORTS = (
         "--fields",
         metavar="NAME,...",
         callback=words.listed,
-        help="Write lambda, sigma, displacement or curvature of every vertex to a PLY beside each "
-        "output (scan.fields.ply): properties, and the first one as colours too.",
+        help="Write lambda, sigma, noise, displacement or curvature of every vertex to a PLY "
+        "beside each output (scan.fields.ply): properties, and the first one as colours too.",
     ),
     click.option(
         "--reference",

@@ -159,6 +159,7 @@ def settings_of(request: Request) -> Settings:
         lock=lock,
         weights=request.weights,
         fields=_fields_of(request),
+        min_noise=_min_noise_of(request),
     )
 
 
@@ -210,6 +211,15 @@ def _moves_of(request: Request) -> tuple[str | None, tuple[str, ...]]:
     return max_move, tuple(
         str(constraints.lock(one) or constraints.BOUNDARY) for one in request.lock
     )
+
+
+def _min_noise_of(request: Request) -> str | None:
+    """--min-noise in one spelling; UsageError for what means nothing."""
+    from msal_cli import constraints, pipeline
+
+    if request.min_noise in (None, pipeline.NEGLIGIBLE):
+        return request.min_noise
+    return str(constraints.length(str(request.min_noise), "--min-noise"))
 
 
 def _fields_of(request: Request) -> tuple[str, ...]:

@@ -6,7 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal
 
 from msal_cli.dataclass import dataclass
-from msal_cli.records import ChoiceMade, GateResult, MeshRecord, Reference, RunnerUp
+from msal_cli.records import (
+    ChoiceMade,
+    GateResult,
+    MeshRecord,
+    NoiseEstimate,
+    Reference,
+    RunnerUp,
+)
 from msal_cli.report.document import Run, Totals, totals
 from msal_cli.report.names import columns, padded, shortened, shown
 
@@ -17,6 +24,9 @@ MOST_ROWS = 40
 
 MOST_WARNINGS = 20
 MOST_FAILURES = 200
+
+IMPULSIVE_TAIL = 0.02
+"""Share of vertices that stand out from which people are told so; Gaussian noise has 0.01."""
 
 _NARROWEST_NAME = 16
 
@@ -83,9 +93,8 @@ def _of_one(run: Run, record: MeshRecord) -> Iterator[Line]:
     if record.status == "up-to-date":
         yield Line(f"{_output_name(record)} is up to date", "good")
     else:
-        ending = (
-            ", byte for byte as it was: no vertex moved" if record.status == "unchanged" else ""
-        )
+        why = shown(record.left_alone or "no vertex moved")
+        ending = f", byte for byte as it was: {why}" if record.status == "unchanged" else ""
         yield Line(f"{name} -> {_output_name(record)}{ending}", "good")
     for word, text in _facts(record):
         yield Line(f"  {word:<13} {text}")
@@ -135,8 +144,12 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str]]:
     yield "mesh", ", ".join([part for part in counts if part] + ([storage] if storage else []))
     if defects := defects_text(record):
         yield "defects", defects
+    if record.noise_estimate is not None:
+        yield "noise", "; ".join(noise_texts(record.noise_estimate))
     if record.choice is not None:
         yield "chosen", shown(record.choice.reason)
+    if record.left_alone and record.status != "unchanged":
+        yield "left as it is", shown(record.left_alone)
     if record.method is not None:
         parameters = ", ".join(
             f"{name} {shown(str(value))}" for name, value in record.method.parameters.items()
@@ -163,12 +176,32 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str]]:
         yield "constraints", told
     if record.seconds is not None:
         stages = ["read", "connectivity", "normals", "sweeps", "measure", "write"]
-        if record.choice is not None:
+        if record.choice is not None or record.seconds.choose:
             stages.insert(2, "choose")
         spent = ", ".join(f"{one} {getattr(record.seconds, one):.2f}" for one in stages)
         rate = rate_text(record.vertices_per_second)
         speed = f"; {rate} vertices/s" if rate else ""
         yield "time", f"{seconds_text(record.seconds.total)} ({spent}){speed}"
+
+
+def noise_texts(noise: NoiseEstimate) -> list[str]:
+    """What is estimated of a mesh's noise: the level, then what is peculiar about it."""
+    level = f"{noise.mean_edges:.3g} mean edge lengths"
+    if noise.low_edges is not None and noise.high_edges is not None:
+        level += f", {noise.low_edges:.2g} to {noise.high_edges:.2g}"
+    level += f" ({noise.file_units:.3g} in file units)"
+    if noise.negligible:
+        return [f"{level}: none to speak of"]
+    texts = [level]
+    if noise.uneven and noise.lowest_edges is not None and noise.highest_edges is not None:
+        texts.append(f"uneven: {noise.lowest_edges:.2g} to {noise.highest_edges:.2g} by region")
+    stand_out, rms = noise.tail, noise.rms_edges
+    if stand_out is not None and rms is not None and stand_out >= IMPULSIVE_TAIL:
+        texts.append(
+            f"impulsive: {100.0 * stand_out:.1f} % of the vertices stand out; with them "
+            f"{rms:.3g} mean edge lengths"
+        )
+    return texts
 
 
 def by_hand(choice: ChoiceMade) -> str:
@@ -263,7 +296,7 @@ def _note(record: MeshRecord) -> str:
     if record.choice is not None and record.method is not None:
         notes.append(shown(record.method.name))
     if record.status == "unchanged":
-        notes.append("no vertex moved")
+        notes.append("no vertex moved" if record.left_alone is None else "left as it is")
     if record.status == "up-to-date":
         notes.append("up to date")
     if record.volume is not None and not record.volume.valid:

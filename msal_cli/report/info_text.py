@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from msal_cli.records import InfoRecord
-from msal_cli.report.as_text import Line, file_name, reason
+from msal_cli.report.as_text import Line, file_name, noise_texts, reason
 from msal_cli.report.names import shown
 
 _SHAPES = {"3": "triangles", "4": "quads"}
@@ -55,11 +55,9 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
         yield "volume", f"- {shown(record.volume_reason)}".rstrip()
     yield "mean edge", _figure(record.mean_edge_length)
     if record.noise_estimate is not None:
-        noise = record.noise_estimate
-        yield (
-            "noise estimate",
-            f"{noise.mean_edges:.3g} mean edge lengths ({noise.file_units:.3g} in file units)",
-        )
+        level, *rest = noise_texts(record.noise_estimate)
+        yield "noise estimate", level
+        yield from (("", text) for text in rest)
     yield "carried along", ", ".join(shown(one) for one in record.properties) or "nothing else"
     if record.references:
         yield "refers to", ", ".join(shown(one) for one in record.references)

@@ -7,7 +7,13 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from msal_cli.records import MeshRecord
-from msal_cli.report.as_text import by_hand, defects_text, reason, runner_up_text
+from msal_cli.report.as_text import (
+    by_hand,
+    defects_text,
+    noise_texts,
+    reason,
+    runner_up_text,
+)
 from msal_cli.report.names import shown
 from msal_cli.report.worst import broken_gates, gate_words
 
@@ -115,9 +121,12 @@ def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
         yield "Chosen", record.choice.reason
         yield "By hand", by_hand(record.choice)
         yield "Next best", ", ".join(map(runner_up_text, record.choice.runners_up))
+    yield "Left as it is", record.left_alone or ""
     yield "Output", record.output or ""
     yield "Mesh", _mesh(record)
     yield "Defects", defects_text(record)
+    if record.noise_estimate is not None:
+        yield "Noise", "; ".join(noise_texts(record.noise_estimate))
     if record.volume is not None and not record.volume.valid:
         yield "Volume", f"no figure: {record.volume.reason}"
     if record.reference is not None:

@@ -92,6 +92,7 @@ DESCRIPTIONS: dict[str, str] = {
         "vertices that --lock pinned; null without that option; vertices at one place are one"
     ),
     "MeshRecord.noise_estimate": "noise of the input, estimated",
+    "MeshRecord.left_alone": "why --min-noise left the mesh as it is; null if it did not",
     "MeshRecord.method": "method and parameters; with --auto the chosen ones",
     "MeshRecord.choice": "why --auto chose that method; null without --auto",
     "MeshRecord.seconds": "wall-clock seconds by stage",
@@ -134,9 +135,28 @@ DESCRIPTIONS: dict[str, str] = {
     "NormalChange.max_deg": "largest angle, degrees",
     "NoiseEstimate.mean_edges": "standard deviation along the normals, mean edge lengths",
     "NoiseEstimate.file_units": "standard deviation along the normals, file units",
+    "NoiseEstimate.low_edges": (
+        "lower end of an interval for it, mean edge lengths: as if all that may be texture were"
+    ),
+    "NoiseEstimate.high_edges": "upper end of the interval, mean edge lengths",
+    "NoiseEstimate.clean_edges": (
+        "the level in mean edge lengths of the surface without the noise, which are shorter"
+    ),
+    "NoiseEstimate.rms_edges": (
+        "root mean square with single spikes, which the level leaves out, mean edge lengths"
+    ),
+    "NoiseEstimate.tail": (
+        "share of the vertices, 0 to 1, that stand out from the others around them as one in 100 "
+        "does with Gaussian noise; 0.02 and more is impulsive noise"
+    ),
+    "NoiseEstimate.negligible": "whether there is no noise to speak of",
+    "NoiseEstimate.lowest_edges": "level of the least noisy region, mean edge lengths",
+    "NoiseEstimate.highest_edges": "level of the most noisy region, mean edge lengths",
+    "NoiseEstimate.regions": "number of regions that were told apart",
+    "NoiseEstimate.uneven": "whether the noise is not the same everywhere",
     "MethodUsed.name": (
-        "name of the method; none where --auto left the mesh as it is, auto where it did not get "
-        "so far"
+        "name of the method; none where --auto or --min-noise left the mesh as it is, auto where "
+        "it was not chosen yet"
     ),
     "MethodUsed.parameters": "every parameter by name, defaults included",
     "Seconds.read": "reading and parsing",
@@ -153,7 +173,7 @@ DESCRIPTIONS: dict[str, str] = {
     "ChoiceMade.repeat": "options of msal denoise that do the same without --auto",
     "RunnerUp.label": "method and parameters in words",
     "RunnerUp.risk_edges": "estimated error of its result, mean edge lengths",
-    "Seconds.choose": "choosing method and parameters, with --auto",
+    "Seconds.choose": "choosing method and parameters, with --auto; whether to, with --min-noise",
     "Seconds.normals": "mollified normals, and what else a method adds to them",
     "Seconds.sweeps": "the sweeps of the method",
     "Seconds.measure": "volume, displacement and the other measures",

@@ -283,6 +283,7 @@ class TestSettingsHash:
             {"lock": ("boundary",)},
             {"weights": "confidence"},
             {"fields": ("lambda",)},
+            {"min_noise": "auto"},
         ]
         hashes = [settings_hash(dataclasses.replace(SETTINGS, **change)) for change in changes]
         changed = {key for change in changes for key in change}

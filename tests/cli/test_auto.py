@@ -220,7 +220,7 @@ def test_one_file_is_told_in_one_sentence(scan, tmp_path, choose):
 def batch(tmp_path_factory):
     """A run over a clean and two noisy scans: its folder, its records and what it said."""
     folder = tmp_path_factory.mktemp("batch")
-    vertices, faces = torus()
+    vertices, faces = torus(60, 30)
     scans = {"clean": ply_text(vertices, faces), "b": closed_scan(), "c": closed_scan(1)}
     folder_of(folder / "in", **scans)
     reports = [f"--report={folder / 'report.'}{form}" for form in ("csv", "md", "xml", "html")]

@@ -69,3 +69,34 @@ def test_a_failure_is_told_with_its_hint():
         "x.ply: byte 9: it ends early (E_TRUNCATED)",
         "  hint: copy it",
     ]
+
+
+def noise(**changes):
+    values = {
+        "mean_edges": 0.1,
+        "file_units": 0.025,
+        "low_edges": 0.09,
+        "high_edges": 0.115,
+        "rms_edges": 0.1,
+        "tail": 0.01,
+        "negligible": False,
+        "lowest_edges": 0.05,
+        "highest_edges": 0.2,
+        "regions": 8,
+        "uneven": False,
+    }
+    return NoiseEstimate(**(values | changes))
+
+
+def test_noise_is_told_with_its_interval_and_what_is_peculiar_about_it():
+    def lines(estimate):
+        told = [line.text[18:] for line in info_text.told(made(noise_estimate=estimate))]
+        (first,) = [at for at, one in enumerate(told) if "in file units" in one]
+        return told[first:]
+
+    text = "0.1 mean edge lengths, 0.09 to 0.12 (0.025 in file units)"
+    assert lines(noise())[0] == text
+    assert lines(noise(negligible=True, uneven=True))[0] == f"{text}: none to speak of"
+    uneven, impulsive = lines(noise(uneven=True, tail=0.031, rms_edges=0.15))[1:3]
+    assert uneven == "uneven: 0.05 to 0.2 by region"
+    assert impulsive.startswith("impulsive: 3.1 % of the vertices stand out; with them 0.15 mean")
