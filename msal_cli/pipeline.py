@@ -368,13 +368,14 @@ class _Run:
 
     def _too_little_noise(self, mesh: Mesh, least: str) -> str:
         """Why a mesh with less noise than ``least`` stays as it is; empty if it has more."""
-        from msal_cli import constraints
         from msal_cli.noise_estimate import estimated
 
         self._noise = noise = estimated(mesh)
         level = f"noise {noise.mean_edges:.2g} e"
         if least == NEGLIGIBLE:
             return f"{level}: none to speak of" if noise.is_negligible else ""
+        from msal_cli import constraints
+
         bound = constraints.length(least).in_units(mesh.mean_edge_length) / mesh.mean_edge_length
         return f"{level}, below --min-noise {least}" if noise.is_below(bound) else ""
 

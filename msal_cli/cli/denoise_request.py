@@ -215,11 +215,14 @@ def _moves_of(request: Request) -> tuple[str | None, tuple[str, ...]]:
 
 def _min_noise_of(request: Request) -> str | None:
     """--min-noise in one spelling; UsageError for what means nothing."""
-    from msal_cli import constraints, pipeline
+    from msal_cli import pipeline
 
-    if request.min_noise in (None, pipeline.NEGLIGIBLE):
-        return request.min_noise
-    return str(constraints.length(str(request.min_noise), "--min-noise"))
+    least = request.min_noise
+    if least is None or least == pipeline.NEGLIGIBLE:
+        return least
+    from msal_cli import constraints
+
+    return str(constraints.length(least, "--min-noise"))
 
 
 def _fields_of(request: Request) -> tuple[str, ...]:
