@@ -34,8 +34,9 @@ FLATTEST = 0.2
 """Share of the places whose surface is taken for flat enough: less, and patched holes would count
 for the whole; more, and texture would."""
 
-MARGIN = 0.95
-"""A fit over the one-ring counts only where it leaves less than this of what the others do."""
+MARGIN = 1.03
+"""What fits over the one-ring leave over counts for so much: they have fewer degrees of freedom,
+and the least of several that differ by chance would be too little."""
 
 TEXTURE = 0.5
 """Texture in what the best fit leaves over, as variance, for each unit that the next coarser fit
@@ -82,6 +83,9 @@ FEWEST_PLACES = 48
 
 UNEVEN = 2.0
 """Ratio of the most to the least noisy region from which noise is not the same everywhere."""
+
+BLOCK_VERTICES = 1 << 14
+"""Vertices whose distances to all regions stand in memory at a time."""
 
 LEAST_UNEVEN = 0.05
 """Mean edge lengths that the most noisy region needs for that."""
@@ -230,14 +234,17 @@ def _told(mesh: Mesh) -> tuple[NoiseLevel, Floats, Floats]:
 def _places(mesh: Mesh) -> Places:
     """Vertices around which to look, evenly over their numbers, but in no step with any pattern
     of them."""
-    used = np.flatnonzero(mesh.links.has_ring)
-    wanted = min(max(len(used) // VERTICES_PER_PATCH, FEWEST_PATCHES), MOST_PATCHES)
-    if len(used) <= wanted:
-        return used
+    has_ring = mesh.links.has_ring
+    # Nearly always all have, and numbers of all need not stand in memory.
+    used = None if has_ring.all() else np.flatnonzero(has_ring)
+    n_used = len(has_ring) if used is None else len(used)
+    wanted = min(max(n_used // VERTICES_PER_PATCH, FEWEST_PATCHES), MOST_PATCHES)
+    if n_used <= wanted:
+        return np.arange(n_used) if used is None else used
     count = np.arange(wanted)
     golden = (math.sqrt(5.0) - 1.0) / 2.0
-    at = (count + count * golden % 1.0) * (len(used) / wanted)
-    return used[at.astype(np.int64)]
+    at = ((count + count * golden % 1.0) * (n_used / wanted)).astype(np.int64)
+    return at if used is None else used[at]
 
 
 def _fits(mesh: Mesh, places: Places) -> _Fits:
@@ -250,11 +257,7 @@ def _fits(mesh: Mesh, places: Places) -> _Fits:
 
 def _least(plane: float, near: float, far: float, cubic: float) -> float:
     """The least of what the fits tell; 0 where none tells anything."""
-    least = min(far, cubic)
-    for other in (plane, near):
-        # The least of several that differ by chance would be too little.
-        if other < MARGIN * least:
-            least = other
+    least = min(far, cubic, plane * MARGIN, near * MARGIN)
     return least if least < math.inf else 0.0
 
 
@@ -301,9 +304,11 @@ def _regions(vertices: Floats, n_vertices: int) -> tuple[Places, Places]:
 
 def _nearest(vertices: Floats, middles: Floats) -> Places:
     """Which of the middles (r, 3) is the nearest to each of the vertices (n, 3)."""
-    axes = np.ascontiguousarray(vertices.T)
-    distances = np.stack([_squared_distances(axes, middle) for middle in middles])
-    nearest: Places = distances.argmin(axis=0)
+    nearest = np.empty(len(vertices), dtype=np.int64)
+    for first in range(0, len(vertices), BLOCK_VERTICES):
+        axes = np.ascontiguousarray(vertices[first : first + BLOCK_VERTICES].T)
+        distances = [_squared_distances(axes, middle) for middle in middles]
+        nearest[first : first + BLOCK_VERTICES] = np.argmin(distances, axis=0)
     return nearest
 
 

@@ -58,6 +58,27 @@ def test_noise_in_all_directions_is_told_by_its_part_along_the_normals():
     assert estimated(mesh).file_units == pytest.approx(amount, rel=0.1)
 
 
+@pytest.mark.parametrize("kind", ["uniform", "laplace"])
+def test_the_distribution_hardly_matters(kind):
+    mesh = prepared(*torus(160, 80)).mesh
+    draw = np.random.default_rng(4)
+    amount = 0.1 * mesh.mean_edge_length
+    heights = {
+        "uniform": draw.uniform(-(3**0.5), 3**0.5, len(mesh.vertices)),
+        "laplace": draw.laplace(0.0, 0.5**0.5, len(mesh.vertices)),
+    }[kind]
+    moved = mesh.moved(mesh.vertices + amount * heights[:, None] * mesh.vertex_normals())
+    assert estimated(moved).file_units == pytest.approx(amount, rel=0.13)
+
+
+def test_draws_of_one_noise_read_alike():
+    levels = [
+        estimated(with_noise(torus(100, 50), 0.1, seed=seed)[0]).mean_edges for seed in range(8)
+    ]
+    assert np.std(levels) < 0.04 * np.mean(levels)
+    assert np.mean(levels) == pytest.approx(0.1, rel=0.04)
+
+
 def test_the_level_in_clean_edges():
     mesh, _ = with_noise(grid(120, 100), 0.5)
     noise = estimated(mesh)
