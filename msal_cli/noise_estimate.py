@@ -76,6 +76,9 @@ SPREAD = 0.1
 SPIKES = 0.07
 """Mean edge lengths, root mean square, from which single spikes are noise to speak of."""
 
+FEWEST_SPIKES = 0.005
+"""Share of the vertices that have to stand out for that."""
+
 VERTICES_PER_REGION = 800
 MOST_REGIONS = 16
 FEWEST_PLACES = 48
@@ -124,7 +127,8 @@ class NoiseLevel:
 
     def is_below(self, edges: float) -> bool:
         """Whether neither the level nor single spikes reach so many mean edge lengths."""
-        return self.mean_edges < edges and self.rms_edges < max(edges, SPIKES)
+        are_spikes = _are_spikes(self.rms_edges, self.tail) and self.rms_edges >= edges
+        return self.mean_edges < edges and not are_spikes
 
     @property
     def is_uneven(self) -> bool:
@@ -223,7 +227,7 @@ def _told(mesh: Mesh) -> tuple[NoiseLevel, Floats, Floats]:
         clean_edges=_of_clean_edges(edges),
         rms_edges=rms / edge,
         tail=tail,
-        is_negligible=is_small and rms < SPIKES * edge,
+        is_negligible=is_small and not _are_spikes(rms / edge, tail),
         lowest=lowest / edge,
         highest=highest / edge,
         regions=len(regions),
@@ -340,6 +344,12 @@ def _levels(
             if among.sum() >= FEWEST_PLACES:
                 levels[region] = level * compared(among) / everywhere
     return levels
+
+
+def _are_spikes(rms: float, tail: float) -> bool:
+    """Whether spikes with this root mean square, in mean edge lengths, are noise to speak of; the
+    tip of a cone or two corners are not."""
+    return rms >= SPIKES and tail >= FEWEST_SPIKES
 
 
 def _are_uneven(lowest: float, highest: float) -> bool:

@@ -220,8 +220,9 @@ def _fitted(  # type: ignore[no-untyped-def]
                 left = equations[HEIGHT, VERTEX]
                 alone = left * left / (1.0 - leverage)
                 gaps[at] = left / (1.0 - leverage) * size
-                if rest - alone > ROUNDING * rest:
-                    ratios[at] = np.sqrt(alone * (rows - rank - 1) / (rest - alone))
+                if rest > 0.0:
+                    others = max(rest - alone, ROUNDING * rest)
+                    ratios[at] = np.sqrt(alone * (rows - rank - 1) / others)
 
 
 def fitted(
