@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.parallel import SMALLEST_RANGE, over_ranges
+from msal_cli.core.parallel import MARKING_THREADS, over_ranges
 from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
@@ -25,9 +25,6 @@ Kept = TypeVar("Kept")
 
 KEPT_FACES = 100_000
 """Faces up to which a mesh keeps what was found out about its faces, 200 bytes each or so."""
-
-MOST_THREADS = 4
-"""Threads that build rings at the same time."""
 
 
 @compiled
@@ -409,11 +406,8 @@ def connectivity(n_vertices: int, faces: Ints) -> Connectivity:
     face_start, incident = incidence(n_vertices, faces)
     ring = np.empty(len(incident), dtype=np.int32)
     opened = np.empty(n_vertices, dtype=bool)
-    # Every thread marks all vertices, so that many threads would take much memory.
-    least = max(SMALLEST_RANGE, n_vertices // MOST_THREADS)
-    over_ranges(
-        _closed_rings, n_vertices, faces, face_start, incident, ring, opened, smallest=least
-    )
+    rows = faces, face_start, incident, ring, opened
+    over_ranges(_closed_rings, n_vertices, *rows, most=MARKING_THREADS)
     boundary = np.zeros(n_vertices, dtype=bool)
     if not opened.any():
         return Connectivity(faces, face_start, ring, boundary, 0, 0, 0)

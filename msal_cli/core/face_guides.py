@@ -18,7 +18,7 @@ from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.face_rings import face_rings
 from msal_cli.core.found_rows import found_rows
-from msal_cli.core.geometry import VANISHED
+from msal_cli.core.geometry import VANISHED, usable_areas
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.ring_blocks import ONE, THREE, TWO, most_neighbours
 from msal_cli.dataclass import dataclass
@@ -98,27 +98,32 @@ def _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, su
     """Put the normals of the patches of a block side by side, and add up areas and normals.
 
     Those of a patch are followed by themselves, from the first on, for ``half`` places: so that
-    the k-th after each is another of its patch.  Returns how many places are filled.
+    the k-th after each is another of its patch.  Faces without an area are left out.  Returns how
+    many places are filled.
     """
     filled = np.uint64(0)
     for f in range(first, last):
         row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
         sx = sy = sz = weight = 0.0
         own = filled
-        for at in range(row, end + ONE):
-            k = np.uint64(ring[at]) if at < end else f
+        k = np.uint64(f)
+        at = row
+        while True:
             p = THREE * k
             nx, ny, nz = n[p], n[p + ONE], n[p + TWO]
             x[filled] = nx
             y[filled] = ny
             z[filled] = nz
-            has_normal = (nx != 0.0) | (ny != 0.0) | (nz != 0.0)
-            filled += np.uint64(has_normal)
-            area = areas[k] if has_normal else 0.0
+            area = areas[k]
+            filled += np.uint64(area > 0.0)
             sx += area * nx
             sy += area * ny
             sz += area * nz
             weight += area
+            if at == end:
+                break
+            k = np.uint64(ring[at])
+            at += ONE
         place = FOUR * (f - first)
         sums[place] = sx
         sums[place + ONE] = sy
@@ -126,10 +131,10 @@ def _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, su
         sums[place + THREE] = weight
         counts[f - first] = filled - own
         if filled > own:
-            for at in range(own, own + half):
-                x[filled] = x[at]
-                y[filled] = y[at]
-                z[filled] = z[at]
+            for one in range(own, own + half):
+                x[filled] = x[one]
+                y[filled] = y[one]
+                z[filled] = z[one]
                 filled += ONE
     return filled
 
@@ -251,6 +256,7 @@ class Patches:
         inner = self.inner_start.view(np.uint64), self.inner.view(np.uint32)
         scores = np.empty(m)
         means = np.empty(3 * m)
+        areas = usable_areas(normals, areas)
         over_ranges(_scored, m, flat, areas, *rows, jumps, *inner, scores, means)
         guides = np.empty((m, 3))
         over_ranges(_chosen, m, flat, *rows, scores, means, guides.reshape(-1))

@@ -18,7 +18,7 @@ from msal_cli.core.compiled import compiled
 from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.found_rows import found_rows
 from msal_cli.core.geometry import mean_edge_length
-from msal_cli.core.parallel import over_ranges
+from msal_cli.core.parallel import MARKING_THREADS, over_ranges
 from msal_cli.core.ring_blocks import ONE, THREE, TWO, ZERO
 from msal_cli.errors import TooLargeError
 
@@ -136,7 +136,7 @@ def _made(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, Ints]:
     face_start = links.face_start.view(np.uint32)
     around = faces.reshape(-1).view(np.uint32), face_start, links.incident_faces.view(np.uint32)
     following = np.empty(3 * m, dtype=np.uint32)
-    over_ranges(_circles, len(face_start) - 1, *around, following)
+    over_ranges(_circles, len(face_start) - 1, *around, following, most=MARKING_THREADS)
     # A row has fewer than MOST_AROUND faces for each corner: around it, or around the edges
     # between corners where there are too many.
     widest = int(np.diff(face_start).max())

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.core.parallel import over_ranges
+from msal_cli.core.parallel import MARKING_THREADS, over_ranges
 
 Ints = NDArray[np.int32]
 
@@ -40,7 +40,7 @@ def found_rows(
         items = min(part, count - first)
         # What is not written to takes no memory.
         found = np.empty(items * most, dtype=np.uint32)
-        ends = over_ranges(kernel, items, first, *known, sizes, found)
+        ends = over_ranges(kernel, items, first, *known, sizes, found, most=MARKING_THREADS)
         pieces += [found[start:end] for start, end in ends]
         del found
     if len(pieces) == 1:

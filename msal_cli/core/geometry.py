@@ -75,6 +75,20 @@ def face_normals_and_areas(vertices: Floats, faces: Ints) -> tuple[Floats, Float
     return normals, doubled_areas
 
 
+@compiled
+def _usable_areas(start, stop, normals, areas, result):  # type: ignore[no-untyped-def]
+    for f in range(np.uint64(start), np.uint64(stop)):
+        has_normal = (normals[f, 0] != 0.0) | (normals[f, 1] != 0.0) | (normals[f, 2] != 0.0)
+        result[f] = areas[f] if has_normal else 0.0
+
+
+def usable_areas(normals: Floats, areas: Floats) -> Floats:
+    """Areas (m,), zero for faces whose normal, of ``normals`` (m, 3), is zero."""
+    result = np.empty(len(areas))
+    over_ranges(_usable_areas, len(areas), normals, areas, result)
+    return result
+
+
 def face_normals(vertices: Floats, faces: Ints) -> Floats:
     """Unit face normals (m, 3), zeros for degenerate faces."""
     return face_normals_and_areas(vertices, faces)[0]

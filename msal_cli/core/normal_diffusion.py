@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
 from msal_cli.core.exponential import LOG2_E, power_of_two
-from msal_cli.core.geometry import VANISHED, face_normals_and_areas
+from msal_cli.core.geometry import VANISHED, face_normals_and_areas, usable_areas
 from msal_cli.core.medians import median
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.ring_blocks import ONE, THREE, TWO, most_neighbours
@@ -31,14 +31,6 @@ LEAST_SIMILARITY = 1e-6
 
 BLOCK_PAIRS = np.uint64(1024)
 """Pairs of faces that are worked on at a time: what belongs to them fits a first-level cache."""
-
-
-@compiled
-def _without_normals(start, stop, normals, areas):  # type: ignore[no-untyped-def]
-    """Faces that have no normal get no area."""
-    for f in range(np.uint64(start), np.uint64(stop)):
-        has_normal = (normals[f, 0] != 0.0) | (normals[f, 1] != 0.0) | (normals[f, 2] != 0.0)
-        areas[f] = areas[f] if has_normal else 0.0
 
 
 @compiled
@@ -195,7 +187,7 @@ def diffused_normals(
     """
     count = len(faces)
     normals, areas = face_normals_and_areas(vertices, faces)
-    over_ranges(_without_normals, count, normals, areas)
+    areas = usable_areas(normals, areas)
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
     corners = faces.reshape(-1).view(np.uint32)
     shares = np.empty(len(ring))

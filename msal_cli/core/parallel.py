@@ -10,6 +10,9 @@ from typing import Any
 SMALLEST_RANGE = 32_768
 """Items per thread below which starting a thread costs more than it saves."""
 
+MARKING_THREADS = 4
+"""Threads for kernels of which each marks all items: of more the marks would take much memory."""
+
 
 def usable_cores() -> int:
     """Cores that this process may run on."""
@@ -27,17 +30,23 @@ def threads() -> int:
 
 
 def over_ranges(
-    kernel: Callable[..., Any], count: int, *arguments: object, smallest: int = SMALLEST_RANGE
+    kernel: Callable[..., Any],
+    count: int,
+    *arguments: object,
+    smallest: int | None = None,
+    most: int | None = None,
 ) -> list[Any]:
     """Call ``kernel(start, stop, *arguments)`` so that the ranges cover ``0 ... count``.
 
     Returns what the ranges returned, in their order.
 
     The kernel must release the interpreter lock and write only to items of its own range; then
-    the result cannot depend on the number of threads.  No range has fewer than ``smallest`` items.
-    An exception of any range is raised here.
+    the result cannot depend on the number of threads.  No range has fewer than ``smallest`` items,
+    by default ``SMALLEST_RANGE``; there are no more than ``most`` ranges.  An exception of any
+    range is raised here.
     """
-    parts = max(1, min(threads(), count // smallest))
+    least = SMALLEST_RANGE if smallest is None else smallest
+    parts = max(1, min(threads(), count // least, count if most is None else most))
     if parts == 1:
         return [kernel(0, count, *arguments)]
     bounds = [count * part // parts for part in range(parts + 1)]

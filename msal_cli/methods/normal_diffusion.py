@@ -51,7 +51,7 @@ from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import free_vertices
 
-BYTES_PER_FACE = 215
+BYTES_PER_FACE = 130
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 

@@ -80,7 +80,7 @@ def test_ranges_do_not_change_a_bit(kind, of, schedule, monkeypatch):
     made, x = operator(kind, of)
     whole = swept(x, made, schedule, 3)
     monkeypatch.setenv("MSAL_THREADS", "7")
-    monkeypatch.setattr(parallel.over_ranges, "__kwdefaults__", {"smallest": 10})
+    monkeypatch.setattr(parallel, "SMALLEST_RANGE", 10)
     cut = swept(x, made, schedule, 3)
     assert (cut.vertices == whole.vertices).all()
     assert (cut.fidelity == whole.fidelity).all()
