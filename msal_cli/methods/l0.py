@@ -44,6 +44,7 @@ from msal_cli.core.flaps import dihedral_angles, flaps
 from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._normal_filters import settled, sliding_parameter
 from msal_cli.methods._sweeps import free_vertices
 
 FIRST_BETA = 1e-3
@@ -94,6 +95,7 @@ class Parameters:
         "vertices at open edges: moved like the others by the edges that they have, or fixed",
         choices=("free", "fixed"),
     )
+    sliding: str = sliding_parameter()
 
 
 def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
@@ -126,6 +128,8 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         ).values
         if on_sweep is not None:
             on_sweep(step + 1, parameters.iterations)
+    if parameters.iterations:
+        positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
     finished = time.perf_counter()
     return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})
 

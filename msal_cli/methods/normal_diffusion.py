@@ -49,6 +49,7 @@ from msal_cli.core.vertex_update import updated_vertices
 from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._normal_filters import settled, sliding_parameter
 from msal_cli.methods._sweeps import free_vertices
 
 BYTES_PER_FACE = 130
@@ -104,6 +105,7 @@ class Parameters:
         "vertices at open edges: fixed, or fitted like the others to the faces that they have",
         choices=("fixed", "free"),
     )
+    sliding: str = sliding_parameter()
 
 
 def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
@@ -143,4 +145,6 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         in_vertices += time.perf_counter() - between
         if on_sweep is not None:
             on_sweep(done + 1, parameters.iterations)
+    if parameters.iterations:
+        positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
     return Result(positions, seconds={"normals": in_normals, "sweeps": in_vertices})

@@ -60,6 +60,7 @@ from msal_cli.core.vertex_update import updated_vertices
 from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._normal_filters import settled, sliding_parameter
 from msal_cli.methods._sweeps import free_vertices
 
 Floats = NDArray[np.float64]
@@ -143,6 +144,7 @@ class Parameters:
         "vertices at open edges: fitted like the others to the faces that they have, or fixed",
         choices=("free", "fixed"),
     )
+    sliding: str = sliding_parameter()
 
 
 def _filtered_normals(
@@ -200,5 +202,7 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         )
         if on_sweep is not None:
             on_sweep(iteration + 1, parameters.iterations)
+    if parameters.iterations:
+        positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
     finished = time.perf_counter()
     return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})

@@ -1,0 +1,78 @@
+"""Filters of normals whose sideways motion is undone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli import methods
+from msal_cli.mesh import prepared
+from msal_cli.methods._normal_filters import settled
+from msal_cli.metrics.surface import normal_statistics
+from tests.shapes import grid, torus
+
+SLIDING = [
+    name
+    for name in methods.names()
+    if any(spec.name == "sliding" for spec in methods.find(name).parameters)
+]
+
+
+def scan():
+    """A torus under noise along its normals, and the torus."""
+    vertices, faces = torus(48, 24)
+    normals = prepared(vertices, faces).mesh.vertex_normals()
+    heights = 0.08 * np.random.default_rng(0).normal(size=len(vertices))
+    ready = prepared(vertices + heights[:, None] * normals, faces)
+    return ready.mesh, ready.mesh.moved(vertices - ready.origin)
+
+
+def run(name, mesh, **given):
+    method = methods.find(name)
+    return method.denoised(mesh, method.settled(given)).vertices
+
+
+def test_every_filter_of_normals_has_the_choice():
+    assert set(SLIDING) >= {"bilateral_normal", "guided_normal", "l0", "normal_diffusion"}
+
+
+def test_what_slid_within_a_plane_comes_back_exactly():
+    vertices, faces = grid(7, 6)
+    mesh = prepared(vertices, faces).mesh
+    slid = mesh.vertices.copy()
+    slid[:, :2] += np.random.default_rng(0).uniform(-0.2, 0.2, (len(slid), 2))
+    assert settled(mesh, slid, "kept", "free") is slid
+    assert np.abs(settled(mesh, slid, "undone", "free") - mesh.vertices).max() < 1e-15
+
+
+def test_heights_over_a_plane_stay():
+    vertices, faces = grid(7, 6)
+    mesh = prepared(vertices, faces).mesh
+    raised = mesh.vertices + [0.1, -0.05, 0.3]
+    back = settled(mesh, raised, "undone", "free")
+    assert np.abs(back - mesh.vertices - [0.0, 0.0, 0.3]).max() < 1e-15
+
+
+@pytest.mark.parametrize("name", SLIDING)
+def test_it_comes_closer_where_the_noise_was_along_the_normals(name):
+    mesh, true = scan()
+    few = {"iterations": 5} if name != "l0" else {}
+    found = {sliding: run(name, mesh, sliding=sliding, **few) for sliding in ("kept", "undone")}
+    assert (found["kept"] == run(name, mesh, **few)).all()
+    kept, undone = (
+        np.linalg.norm(found[one] - true.vertices, axis=1).mean() for one in ("kept", "undone")
+    )
+    assert undone < 0.97 * kept
+    angles = {
+        one: normal_statistics(true, mesh.moved(found[one])).mean_angular_error_deg for one in found
+    }
+    assert angles["undone"] < 1.03 * angles["kept"]
+
+
+@pytest.mark.parametrize("name", SLIDING)
+def test_no_iterations_change_no_bit_and_what_is_held_stays(name):
+    mesh, _ = scan()
+    assert (run(name, mesh, iterations=0, sliding="undone") == mesh.vertices).all()
+    held = np.arange(len(mesh.vertices)) % 3 == 0
+    found = run(name, mesh.constrained(held, None), iterations=2, sliding="undone")
+    assert np.abs(found[held] - mesh.vertices[held]).max() < 1e-14
