@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
 from msal_cli.core.exponential import LOG2_E, power_of_two
-from msal_cli.core.geometry import VANISHED
+from msal_cli.core.geometry import VANISHED, usable_areas
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.ring_blocks import ONE, THREE, TWO, most_neighbours
 
@@ -141,9 +141,9 @@ def bilateral_averages(
     similarity : sigma_s > 0, a length of differences of unit normals.
     on_pass : called after every pass; what it raises ends the run.
     """
-    usable = (normals != 0.0).any(axis=1) & (areas > 0.0)
-    handicaps = np.full(len(areas), OUT_OF_REACH)
-    handicaps[usable] = -np.log2(areas[usable])
+    with np.errstate(divide="ignore"):
+        handicaps = -np.log2(usable_areas(normals, areas))
+    np.minimum(handicaps, OUT_OF_REACH, out=handicaps)
     exponents = distance_exponents(centroids, ring_start, ring, closeness, handicaps)
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
     falloff = LOG2_E / similarity**2
