@@ -20,7 +20,10 @@ PARTS = 8
 """Parts of the items, at most: the rows of one are in memory twice."""
 
 SMALLEST_PART = 1 << 17
-"""Items in a part, at least."""
+"""Items in a part, at least, unless their rows may be very long."""
+
+MOST_ROOM = 1 << 26
+"""Indices that there is room for in a part: a limit on memory counts it, even if unused."""
 
 
 def found_rows(
@@ -35,6 +38,7 @@ def found_rows(
     """
     sizes = np.empty(count, dtype=np.int32)
     part = max(SMALLEST_PART, -(-count // PARTS))
+    part = max(1, min(part, MOST_ROOM // max(most, 1)))
     pieces = []
     for first in range(0, count, part):
         items = min(part, count - first)

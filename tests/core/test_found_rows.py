@@ -36,6 +36,19 @@ def test_rows_are_in_order(monkeypatch, count, part, threads):
     assert rows.dtype == np.int32
 
 
+def test_very_long_rows_take_smaller_parts(monkeypatch):
+    monkeypatch.setattr(module, "MOST_ROOM", 3 * MOST + 1)
+    parts = []
+
+    def noted(start, stop, first, sizes, found):
+        parts.append((first, len(found)))
+        return shares(start, stop, first, sizes, found)
+
+    _, rows = found_rows(noted, 8, MOST)
+    assert parts == [(0, 3 * MOST), (3, 3 * MOST), (6, 2 * MOST)]
+    assert rows.tolist() == [10 * i + k for i in range(8) for k in range(i % MOST)]
+
+
 def test_all_rows_may_be_empty():
     sizes, rows = found_rows(lambda start, stop, first, sizes, found: (0, 0), 3, 0)
     assert len(sizes) == 3
