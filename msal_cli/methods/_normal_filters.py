@@ -5,58 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.core.geometry import face_normals
 from msal_cli.core.vertex_update import updated_vertices
 from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._sliding import settled, sliding_parameter
 from msal_cli.methods._sweeps import free_vertices
 
 Floats = NDArray[np.float64]
-
-
-SETTLING = 3
-"""Passes that fit the vertices once more after their sliding is undone."""
-
-
-def sliding_parameter() -> Any:
-    """The parameter that ``settled`` reads."""
-    return parameter(
-        "kept",
-        "the way that vertices came sideways: kept; or undone at the end, for scans whose noise is "
-        "along their normals, so that only heights are wrong",
-        choices=("kept", "undone"),
-    )
-
-
-def settled(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> Floats:
-    """The outcome (n, 3) of a filter, with its sliding kept or undone.
-
-    Fitting vertices to normals also moves them within the surface, a fifth of an edge and more
-    under strong noise.  Where the noise was along the normals that is away from the truth.  To undo
-    it, each vertex goes back sideways until it is on the line through its scanned position along
-    the outcome's normal; then a few passes fit it to the outcome's faces once more.
-    """
-    if sliding == "kept":
-        return positions
-    outcome = mesh.moved(positions)
-    normals = outcome.vertex_normals()
-    heights = np.einsum("ij,ij->i", positions - mesh.vertices, normals)
-    has_normal = (normals != 0.0).any(axis=1)[:, None]
-    on_lines = np.where(has_normal, mesh.vertices + heights[:, None] * normals, positions)
-    return updated_vertices(
-        on_lines,
-        face_normals(positions, mesh.faces),
-        mesh.faces,
-        mesh.links,
-        free_vertices(mesh, boundary),
-        SETTLING,
-    )
 
 
 @dataclass(frozen=True)

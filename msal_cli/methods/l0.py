@@ -44,7 +44,7 @@ from msal_cli.core.flaps import dihedral_angles, flaps
 from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._normal_filters import settled, sliding_parameter
+from msal_cli.methods._sliding import settled, sliding_parameter
 from msal_cli.methods._sweeps import free_vertices
 
 FIRST_BETA = 1e-3

@@ -60,7 +60,7 @@ from msal_cli.core.vertex_update import updated_vertices
 from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._normal_filters import settled, sliding_parameter
+from msal_cli.methods._sliding import settled, sliding_parameter
 from msal_cli.methods._sweeps import free_vertices
 
 Floats = NDArray[np.float64]

@@ -7,7 +7,7 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.mesh import prepared
-from msal_cli.methods._normal_filters import settled
+from msal_cli.methods._sliding import SIDEWAYS, settled, sideways_share
 from msal_cli.metrics.surface import normal_statistics
 from tests.shapes import grid, torus
 
@@ -76,3 +76,31 @@ def test_no_iterations_change_no_bit_and_what_is_held_stays(name):
     held = np.arange(len(mesh.vertices)) % 3 == 0
     found = run(name, mesh.constrained(held, None), iterations=2, sliding="undone")
     assert np.abs(found[held] - mesh.vertices[held]).max() < 1e-14
+
+
+def test_auto_undoes_it_only_where_the_noise_was_along_the_normals():
+    along, _ = scan()
+    vertices, faces = torus(48, 24)
+    every_way = prepared(
+        vertices + 0.08 * np.random.default_rng(0).normal(size=vertices.shape), faces
+    ).mesh
+    for mesh, as_with in ((along, "undone"), (every_way, "kept")):
+        by_itself, expected = (
+            run("guided_normal", mesh, iterations=3, sliding=one) for one in ("auto", as_with)
+        )
+        assert (by_itself == expected).all()
+
+
+def test_the_share_of_noise_within_the_surface():
+    vertices, faces = torus(96, 48)
+    normals = prepared(vertices, faces).mesh.vertex_normals()
+    random = np.random.default_rng(0)
+    heights = 0.04 * random.normal(size=len(vertices))[:, None] * normals
+    ways = random.normal(size=vertices.shape)
+    ways -= (ways * normals).sum(axis=1)[:, None] * normals
+    for share in (0.0, 0.5, 1.0):
+        mesh = prepared(vertices + heights + 0.04 * share * ways, faces).mesh
+        # A torus has some of its own: its rings are uneven.
+        assert sideways_share(mesh) == pytest.approx(share, rel=0.15, abs=0.15)
+    assert 0.2 < SIDEWAYS < 0.8
+    assert sideways_share(prepared(*grid(6, 6)).mesh) == np.inf
