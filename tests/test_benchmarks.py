@@ -13,6 +13,8 @@ import pytest
 from benchmarks import (
     batch,
     contest,
+    fidelity,
+    ground_truth,
     large_file,
     machine,
     measured,
@@ -152,3 +154,30 @@ def test_batch_prints_its_tables(tmp_path, capsys):
     assert re.search(r"^\| meshio and numpy, a process per file \| \d.* \| 1 files \|$", said, re.M)
     # Another run finds the scans that this one left, and makes none.
     assert sorted(path.name for path in tmp_path.iterdir()) == ["scans-6-300"]
+
+
+def test_ways_of_pulling_back_are_held_against_the_truth(capsys, monkeypatch):
+    from msal_cli.mesh import prepared
+    from tests.shapes import torus
+
+    vertices, faces = torus(32, 16)
+    true = prepared(vertices, faces).mesh
+    cases = [
+        ground_truth.Case("torus", of, lambda: ground_truth.corrupted(true, 0.2, 1))
+        for of in fidelity.CLASSES
+    ]
+    monkeypatch.setattr(ground_truth, "cases", lambda quick: iter(cases))
+    monkeypatch.setattr(ground_truth, "data_folder", lambda: None)
+    monkeypatch.setattr(
+        fidelity, "ROWS", {label: settings[:2] for label, settings in fidelity.ROWS.items()}
+    )
+    fidelity.main(["--models"])
+    printed = capsys.readouterr().out
+    for of in fidelity.CLASSES:
+        assert f"{of} (1 models)" in printed
+    rows = [line.split("|") for line in printed.splitlines() if line.startswith("| ")]
+    found = {row[1].strip(): row[3].strip() for row in rows if "/" in row[3]}
+    noisy, wiener = (
+        float(found[one].split("/")[0]) for one in ("noisy", "`wiener` method, default")
+    )
+    assert wiener < 0.6 * noisy
