@@ -59,7 +59,7 @@ class ParameterSpec:
     kind : ``int``, ``float`` or ``str``.
     default : in use where the user says nothing.
     low, high, low_open, high_open : the range of a number; open ends are excluded.
-    choices : the words allowed, for ``str``.
+    choices : the words allowed, for ``str``; none if any text is, which ``Parameters`` checks.
     unit : of the value; empty for a pure number.
     help : what it is.
     more : what a greater value does.
@@ -83,6 +83,8 @@ class ParameterSpec:
         """The range for people: ``0 < K <= 1``, ``0, 1, 2, ...`` or the words allowed."""
         if self.choices:
             return " | ".join(self.choices)
+        if self.kind is str:
+            return "text"
         low = "" if math.isinf(self.low) else f"{self.low:g} {'<' if self.low_open else '<='} "
         high = "" if math.isinf(self.high) else f" {'<' if self.high_open else '<='} {self.high:g}"
         return f"{low}{self.name}{high}" + (" (whole number)" if self.kind is int else "")
@@ -91,7 +93,7 @@ class ParameterSpec:
         """``given``, text or value, as a valid value; UsageError says what is allowed."""
         value: Any = given
         if self.kind is str:
-            if value not in self.choices:
+            if (self.choices and value not in self.choices) or not isinstance(value, str):
                 raise self._refusal(given)
             return value
         try:

@@ -22,7 +22,19 @@ if TYPE_CHECKING:
 NONE = "none"
 """In place of a method: the mesh stays as it is."""
 
-METHODS = ("al", "bilateral_normal", "msal")
+METHODS = (
+    "al",
+    "bilateral_non_iterative",
+    "bilateral_normal",
+    "blend",
+    "guided_normal",
+    "hybrid",
+    "l0",
+    "msal",
+    "normal_diffusion",
+    "normal_threshold",
+    "wiener",
+)
 """The methods that are ever chosen: memory is set aside for the hungriest of them."""
 
 BYTES_PER_FACE = 0

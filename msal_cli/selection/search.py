@@ -1,61 +1,282 @@
-"""The choice by the level of the noise alone: a ladder from gentle to strong."""
+"""The search: candidates on a part of the mesh, their errors estimated, the best blend of them.
+
+1. The noise is estimated.  Where there is none to speak of nothing is done.
+2. Every candidate that the budget allows runs on a part of the mesh, and on probes of it, and
+   Stein's lemma gives the error of any blend of them; the best blend is a first result.
+3. If that has sharp edges between smooth parts, or noise could hide them, dear filters join in.
+4. The best ones rehearse: the first result stands for the truth, with noise put on it.
+5. The blend that is best by both estimates is taken, without members that hardly count.
+
+Everything is a function of the mesh and the wishes: probes have fixed seeds, and costs are those
+of a table.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli import methods
+from msal_cli.mesh import Mesh
+from msal_cli.methods.blend import written
+from msal_cli.noise_estimate import NoiseLevel, estimated
 from msal_cli.selection import NONE, Choice, Wishes
+from msal_cli.selection.candidates import CANDIDATES, Candidate
+from msal_cli.selection.patches import Part, representative
+from msal_cli.selection.risk import PROBES, Risk, Stein, rehearsed
+from msal_cli.selection.surface import CLEAN, MACHINED, kind_of
+from msal_cli.selection.weighing import best_weights, rounded
 
 if TYPE_CHECKING:
-    from msal_cli.mesh import Mesh
+    from collections.abc import Callable, Sequence
+
     from msal_cli.selection import OnStep
 
-# From gentle to strong, each from a noise level (mean edge lengths) up.
-_LADDER: tuple[tuple[float, str, dict[str, Any], str], ...] = (
-    (0.0, "msal", {"K": 0.35, "iterations": 4}, "MSAL, K = 0.35, 4 sweeps"),
-    (0.05, "msal", {"K": 0.5, "iterations": 4}, "MSAL, K = 0.5, 4 sweeps"),
-    (0.08, "msal", {"K": 0.7, "iterations": 3}, "MSAL, K = 0.7, 3 sweeps"),
-    (0.15, "al", {"iterations": 3}, "AL, 3 sweeps"),
-    (0.35, "al", {"iterations": 5}, "AL, 5 sweeps"),
-)
-# In place of what has no data term for trust to scale.
-_WITH_DATA_TERM = ("msal", {"K": 1.0, "iterations": 4}, "MSAL, K = 1, 4 sweeps")
-# In place of what rounds edges.
-_EDGES = (
-    "bilateral_normal",
-    {"similarity": 0.35},
-    "bilateral filter of the normals, sigma_s = 0.35",
-)
+Floats = NDArray[np.float64]
 
-_STEPS = {"texture": -1, "shape": 1, "positions": -1, "volume": -1, "normals": 1}
-_SURFACES = {"texture": "textured", "edges": "machined"}
+RUN = 3.5
+"""What a default run costs beyond its filter, in filters of its kind over the same mesh: reading,
+measuring and writing; measured by benchmarks/candidate_costs.py."""
+
+START = 1_000_000
+"""Vertices that the filter would do while a run starts."""
+
+SEARCH = 0.4
+"""Part of the budget that may go into looking at candidates."""
+
+LEAST_PART, MOST_PART = 3_000, 16_000
+"""Vertices that candidates are tried on."""
+
+REHEARSING = 14
+"""Candidates that rehearse beside the members of the first blend, at most: the best by themselves."""
+
+CAUTION = 1.05
+"""By which the noise is taken for greater where Stein's lemma is used: noise that is left hurts
+angles more than smoothing too much does."""
+
+LEAST_WEIGHT = 0.04
+"""Members below this weight are left out."""
+
+IMPULSIVE_TAIL, IMPULSIVE_EXCESS = 0.02, 1.03
+"""Share of outliers, and their root mean square over the robust level, from which on the noise is
+taken for impulsive."""
+
+HEAVY = 0.35
+"""Noise in mean edge lengths under which no first result shows whether there are sharp edges."""
+
+STRENGTH = 1.2
+"""Factor of the noise that is reckoned with for each step of ``Wishes.strength``."""
+
+_SLOPES = {"balanced": 0.5, "positions": 0.25, "normals": 0.75, "volume": 0.4}
+_DRIFT = {"volume": 100.0}
+# What is to be kept: factor of the noise, share of the slopes.
+_KEEP = {"texture": (0.8, 0.5), "edges": (1.0, 0.7), "shape": (1.25, 0.4)}
 
 
 def chosen(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
     """See ``selection.chosen``."""
-    from msal_cli import methods
-    from msal_cli.noise_estimate import estimated
-
     noise = estimated(mesh)
-    level = noise.mean_edges
-    if on_step is not None:
-        on_step(1, 1)
-    if noise.is_negligible:
-        reason = f"noise {level:.2g} e; clean; left as it is"
-        return Choice(NONE, {}, reason, "clean", noise)
-    step = sum(level >= least for least, *_ in _LADDER) - 1
-    step += round(wishes.strength) + _STEPS.get(wishes.prefer, 0)
-    step += _STEPS.get(wishes.keep or "", 0)
-    _, name, given, label = _LADDER[min(max(step, 0), len(_LADDER) - 1)]
-    if mesh.trust is not None and name != "msal":
-        name, given, label = _WITH_DATA_TERM
-    elif mesh.trust is None and wishes.keep == "edges" and step >= 2:
-        name, given, label = _EDGES
-    surface = _SURFACES.get(wishes.keep or "", "organic")
-    return Choice(
-        name,
-        methods.find(name).settled(given),
-        f"noise {level:.2g} e; {surface}; {label}",
-        surface,
-        noise,
-    )
+    if noise.is_negligible or not mesh.links.has_ring.any():
+        if on_step is not None:
+            on_step(1, 1)
+        reason = f"noise {noise.mean_edges:.2g} e; {CLEAN}; left as it is"
+        return Choice(NONE, {}, reason, CLEAN, noise)
+    return _Search(mesh, wishes, noise, on_step).chosen()
+
+
+class _Search:
+    """One search: what is known of the mesh, and the budget that is left."""
+
+    def __init__(
+        self, mesh: Mesh, wishes: Wishes, noise: NoiseLevel, on_step: OnStep | None
+    ) -> None:
+        self.mesh, self.wishes, self.noise = mesh, wishes, noise
+        self._on_step = on_step
+        self.is_impulsive = (
+            noise.tail >= IMPULSIVE_TAIL and noise.rms_edges > IMPULSIVE_EXCESS * noise.mean_edges
+        )
+        edges = noise.rms_edges if self.is_impulsive else noise.mean_edges
+        factor, self.slopes = _KEEP.get(wishes.keep or "", (1.0, _SLOPES[wishes.prefer]))
+        if wishes.keep is not None and wishes.prefer != "balanced":
+            self.slopes = _SLOPES[wishes.prefer]
+        self.drift = _DRIFT.get(wishes.prefer, 0.0)
+        self.level = edges * factor * STRENGTH**wishes.strength * mesh.mean_edge_length
+        n = len(mesh.vertices)
+        # In filters of the default run over one vertex.
+        self.allowance = (wishes.budget - 1.0) * ((RUN + 1.0) * n + START) + n
+        self._done = self._total = 0
+
+    def chosen(self) -> Choice:
+        """The best blend, or single method, that the budget allows."""
+        usable = [one for one in CANDIDATES if self._is_usable(one)]
+        at_first = [one for one in usable if not one.is_last_resort]
+        dear = [one for one in usable if one.is_last_resort]
+        part = representative(self.mesh, self._part_size(at_first))
+        self._total = (1 + PROBES) * (len(at_first) + len(dear)) + REHEARSING + len(at_first) // 4
+        judge = Stein(part, CAUTION * self.level)
+        looked = at_first
+        self._look(judge, part, at_first)
+        risk = judge.risk()
+        weights = self._best([risk])
+        first = part.mesh.vertices + _blend(weights, judge.moves)
+        surface = kind_of(part.mesh.moved(first))
+        if dear and (surface == MACHINED or self._noise_edges(self.mesh) >= HEAVY):
+            self._look(judge, part, dear)
+            looked = at_first + dear
+            risk = judge.risk()
+            weights = self._best([risk])
+            first = part.mesh.vertices + _blend(weights, judge.moves)
+        shortlist = self._shortlist(risk, weights)
+        members = [looked[k] for k in shortlist]
+        again = rehearsed(
+            part,
+            first,
+            [self._run(member, part.mesh) for member in members],
+            self.level,
+            self.is_impulsive,
+            self._step,
+        )
+        risks = [risk.of(shortlist), again]
+        final = self._pruned(members, risks)
+        self._finish()
+        return self._choice(members, final, risks, surface, len(looked))
+
+    def _is_usable(self, candidate: Candidate) -> bool:
+        """Whether one may be chosen: its run over the mesh fits, and trust has an effect."""
+        spare = self.allowance * (1.0 - SEARCH)
+        if self.mesh.trust is not None:
+            method = methods.find(candidate.method)
+            return method.has_data_term(method.settled(candidate.given))
+        return candidate.cost * len(self.mesh.vertices) <= spare
+
+    def _part_size(self, candidates: Sequence[Candidate]) -> int:
+        """Vertices of the part on which all candidates together keep within the budget."""
+        cost = sum(candidate.cost for candidate in candidates) * (PROBES + 2)
+        size = SEARCH * self.allowance / max(cost, 1.0)
+        return int(min(max(size, LEAST_PART), MOST_PART))
+
+    def _run(self, candidate: Candidate, mesh: Mesh) -> Callable[[Mesh], Floats]:
+        """What the candidate moves a mesh like ``mesh`` by."""
+        method = methods.find(candidate.method)
+        settled = method.settled(candidate.settings(self._noise_edges(mesh)))
+
+        def run(other: Mesh) -> Floats:
+            moves: Floats = method.denoised(other, settled).vertices - other.vertices
+            return moves
+
+        return run
+
+    def _noise_edges(self, mesh: Mesh) -> float:
+        """The noise in mean edge lengths, with as many digits as are worth writing down."""
+        return round(self.level / mesh.mean_edge_length, 4)
+
+    def _look(self, judge: Stein, part: Part, candidates: Sequence[Candidate]) -> None:
+        """Run the candidates on the part and on probes of it."""
+        for candidate in candidates:
+            judge.add(self._run(candidate, part.mesh), self._step)
+
+    def _best(self, risks: Sequence[Risk]) -> Floats:
+        if self.mesh.trust is not None:
+            # Trust scales the pull of one method, not a blend.
+            weights = np.zeros(len(risks[0].drift))
+            weights[int(np.argmin(self._scores(risks)))] = 1.0
+            return weights
+        return best_weights(risks, self.slopes, self.drift)
+
+    def _scores(self, risks: Sequence[Risk]) -> Floats:
+        """How the candidates do by themselves; less is better."""
+        score = np.zeros(len(risks[0].drift))
+        for risk in risks:
+            score += (1.0 - self.slopes) * np.log(np.maximum(risk.positions.singles(), 0.01))
+            score += self.slopes * np.log(np.maximum(risk.slopes.singles(), 0.01))
+        return score
+
+    def _shortlist(self, risk: Risk, weights: Floats) -> list[int]:
+        """Who rehearses: the members of the first blend, and the best by themselves."""
+        best = np.argsort(self._scores([risk]), kind="stable")[:REHEARSING]
+        return sorted({*np.flatnonzero(weights >= 0.01).tolist(), *best.tolist()})
+
+    def _pruned(self, members: Sequence[Candidate], risks: Sequence[Risk]) -> Floats:
+        """The best weights, rounded, of few members whose runs over the mesh fit the budget."""
+        spare = self.allowance * (1.0 - SEARCH) / len(self.mesh.vertices)
+        costs = np.array([member.cost for member in members])
+        kept = list(range(len(members)))
+        while True:
+            weights = self._best([risk.of(kept) for risk in risks])
+            small = weights < LEAST_WEIGHT
+            if not small.all() and small.any():
+                kept = [k for k, is_small in zip(kept, small, strict=True) if not is_small]
+            elif costs[kept].sum() > spare and len(kept) > 1:
+                # The least useful for what it takes.
+                del kept[int(np.argmin(weights / costs[kept]))]
+            else:
+                break
+        result = np.zeros(len(members))
+        result[kept] = rounded(weights)
+        return result
+
+    def _choice(
+        self,
+        members: Sequence[Candidate],
+        weights: Floats,
+        risks: Sequence[Risk],
+        surface: str,
+        tried: int,
+    ) -> Choice:
+        edge = self.mesh.mean_edge_length
+        noise_edges = self._noise_edges(self.mesh)
+        used = np.flatnonzero(weights)
+        alone = np.maximum(*(risk.positions.singles() for risk in risks))
+        singles = np.sqrt(np.maximum(alone, 0.0)) * self.level / edge
+        order = np.argsort(self._scores(risks), kind="stable")
+        told = tuple((members[k].label, float(singles[k])) for k in order if weights[k] < 1.0)[:3]
+        method, parameters, label = NONE, {}, "left as it is"
+        if len(used) == 1 and weights[used[0]] == 1.0:
+            one = members[used[0]]
+            method, label = one.method, one.label
+            parameters = methods.find(method).settled(one.settings(noise_edges))
+        elif len(used):
+            largest = sorted(used, key=lambda k: (-weights[k], k))
+            listed: list[tuple[float, str, dict[str, Any]]] = [
+                (float(weights[k]), members[k].method, members[k].settings(noise_edges))
+                for k in largest
+            ]
+            method, parameters = (
+                "blend",
+                methods.find("blend").settled({"members": written(listed)}),
+            )
+            parts = [f"{weights[k]:.0%} {members[k].label}" for k in largest]
+            rest = 1.0 - float(weights.sum())
+            label = " + ".join(parts) + (f" + {rest:.0%} as it was" if rest > 0.005 else "")
+        # Stein's estimate scatters about small errors, and may be below zero.
+        part = max(risk.positions.at(weights) for risk in risks)
+        error = max(part, 0.0) ** 0.5 * self.level / edge
+        what = "impulsive noise" if self.is_impulsive else "noise"
+        level = self.noise.rms_edges if self.is_impulsive else self.noise.mean_edges
+        return Choice(
+            method,
+            parameters,
+            f"{what} {level:.2g} e; {surface}; {label}",
+            surface,
+            self.noise,
+            error,
+            tried,
+            told,
+        )
+
+    def _step(self) -> None:
+        self._done += 1
+        if self._on_step is not None:
+            self._on_step(min(self._done, self._total - 1), self._total)
+
+    def _finish(self) -> None:
+        if self._on_step is not None:
+            self._on_step(self._total, self._total)
+
+
+def _blend(weights: Floats, moves: Floats) -> Floats:
+    """Moves (m, 3) of a blend."""
+    moved: Floats = np.einsum("k,kij->ij", weights, moves)
+    return moved

@@ -1,0 +1,137 @@
+"""What is looked at for every mesh: methods and settings, what they cost, and their names.
+
+Each has won somewhere on the noisy meshes of known truth in benchmarks/ground_truth.py, by itself
+or as a member of a blend; settings that are never missed were left out.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from msal_cli.dataclass import dataclass
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One method with its settings.
+
+    Attributes
+    ----------
+    method, given : the method's name, and the parameters that are not at their defaults.
+    cost : time for a mesh, in runs of the filter ``msal`` at its defaults over the same mesh, on one
+        core; measured by benchmarks/candidate_costs.py.
+    takes_noise : it has a parameter ``noise``, in mean edge lengths, that it must be given.
+    is_last_resort : dear, and worth trying only where others that sharpen edges do well.
+    """
+
+    method: str
+    given: dict[str, Any]
+    cost: float
+    takes_noise: bool = False
+    is_last_resort: bool = False
+
+    def settings(self, noise_edges: float) -> dict[str, Any]:
+        """The parameters for a mesh with that noise, mean edge lengths of the mesh."""
+        if not self.takes_noise:
+            return dict(self.given)
+        return {"noise": noise_edges, **self.given}
+
+    @property
+    def label(self) -> str:
+        """In words: ``guided normals (sigma_r 0.45, 5 iterations)``."""
+        told = _WORDS.get(self.method, "").format(**self.given)
+        return NAMES[self.method] + (f" ({told})" if told else "")
+
+
+NAMES = {
+    "al": "AL",
+    "msal": "MSAL",
+    "bilateral_non_iterative": "Jones's projections",
+    "bilateral_normal": "bilateral normals",
+    "guided_normal": "guided normals",
+    "hybrid": "regularised AL",
+    "l0": "L0",
+    "normal_diffusion": "diffused normals",
+    "normal_threshold": "thresholded normals",
+    "wiener": "Wiener",
+}
+"""What people call the methods."""
+
+_WORDS = {
+    "guided_normal": "sigma_r {similarity:g}, {iterations} iterations",
+    "bilateral_normal": "sigma_s {similarity:g}, {iterations} iterations",
+    "normal_diffusion": "mu {similarity:g}, {iterations} rounds of {normal_iterations} steps",
+    "wiener": "caution {caution:g}, sigma_s {similarity:g}",
+    "msal": "K = {K:g}, normals mollified {mollify} times",
+    "al": "{iterations} sweeps, normals mollified {mollify} times",
+    "normal_threshold": "threshold {threshold:g}, {iterations} iterations",
+}
+
+
+def _al(iterations: int, mollify: int, cost: float) -> Candidate:
+    return Candidate("al", {"iterations": iterations, "mollify": mollify}, cost)
+
+
+def _msal(factor: float, mollify: int, cost: float) -> Candidate:
+    return Candidate("msal", {"K": factor, "mollify": mollify}, cost)
+
+
+def _bilateral(similarity: float, iterations: int, cost: float) -> Candidate:
+    given = {"similarity": similarity, "iterations": iterations}
+    return Candidate("bilateral_normal", given, cost)
+
+
+def _diffusion(rounds: int, steps: int, similarity: float, cost: float) -> Candidate:
+    given = {"iterations": rounds, "normal_iterations": steps, "similarity": similarity}
+    return Candidate("normal_diffusion", given, cost)
+
+
+def _guided(similarity: float, iterations: int, cost: float, last: bool = False) -> Candidate:
+    given = {"similarity": similarity, "iterations": iterations}
+    return Candidate("guided_normal", given, cost, is_last_resort=last)
+
+
+def _wiener(caution: float, similarity: float) -> Candidate:
+    given = {"caution": caution, "similarity": similarity}
+    return Candidate("wiener", given, 13.0, takes_noise=True)
+
+
+CANDIDATES: tuple[Candidate, ...] = (
+    _al(1, 1, 0.8),
+    _al(2, 1, 0.9),
+    _al(2, 2, 1.1),
+    _al(3, 2, 1.2),
+    _al(5, 2, 1.5),
+    _msal(0.25, 1, 1.1),
+    _msal(0.5, 1, 1.1),
+    _msal(0.5, 2, 1.2),
+    _bilateral(0.35, 1, 8.0),
+    _bilateral(0.35, 3, 9.0),
+    _bilateral(0.6, 2, 8.0),
+    _bilateral(0.45, 5, 11.0),
+    _bilateral(0.45, 10, 14.0),
+    _bilateral(0.35, 20, 21.0),
+    _diffusion(1, 5, 0.3, 5.5),
+    _diffusion(1, 5, 0.5, 5.5),
+    _diffusion(3, 15, 0.0, 25.0),
+    _diffusion(5, 15, 0.0, 49.0),
+    Candidate("bilateral_non_iterative", {}, 22.0),
+    Candidate("hybrid", {}, 7.0),
+    Candidate(
+        "normal_threshold", {"threshold": 0.5, "iterations": 20, "vertex_iterations": 10}, 16.0
+    ),
+    _wiener(0.35, 2.25),
+    _wiener(0.75, 2.25),
+    _wiener(1.5, 2.25),
+    _wiener(0.75, 3.2),
+    _wiener(1.5, 3.2),
+    _guided(0.35, 2, 23.0),
+    _guided(0.6, 2, 23.0),
+    _guided(0.35, 5, 48.0),
+    _guided(0.6, 5, 48.0),
+    _guided(0.45, 10, 82.0),
+    _guided(0.3, 20, 165.0, last=True),
+    _guided(0.2, 60, 480.0, last=True),
+    _guided(0.3, 60, 480.0, last=True),
+    Candidate("l0", {}, 260.0, is_last_resort=True),
+)

@@ -1,0 +1,261 @@
+"""The error of any blend of filters, estimated without the truth.
+
+A blend with weights w moves the vertices by d = sum w_k d_k, d_k what filter k does.  Its squared
+error over the vertices is a quadratic in w,
+
+    |d - (t - y)|^2 = w'Mw - 2 w'b + c,   M_kl = <d_k, d_l>,  b_k = <d_k, t - y>,  c = |t - y|^2
+
+for noisy positions y = t + noise.  M can be seen; the truth t, and so b and c, cannot.  Two ways to
+know them, which err differently:
+
+``Stein`` takes the mesh as it is.  With Gaussian noise of standard deviation s along the normals
+n, the mean of <d_k, noise> is s^2 times the divergence of d_k along them (Stein's lemma), and that
+is measured with probes u of +1 and -1: (u n) . (d_k(y + e u n) - d_k(y)) / e.
+
+``rehearsed`` takes a mesh whose truth is known: a first result stands for the truth, noise of the
+same kind is put on it, and every filter is run on that.
+
+Both are taken for the positions, and for the slopes, the differences along edges over their
+length, which the angles between face normals follow.  Vertices that are not judged do not count.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.dataclass import dataclass
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from msal_cli.mesh import Mesh
+    from msal_cli.selection.patches import Part
+
+    Run = Callable[[Mesh], "Floats"]
+    """Gives what a filter moves the vertices of a mesh by, (m, 3)."""
+
+Floats = NDArray[np.float64]
+
+PROBES = 2
+"""Probes of a divergence: with two its scatter is that of the noise itself."""
+
+PROBE_STEP = 0.1
+"""How far a probe moves vertices, in standard deviations of the noise."""
+
+SHORTEST_EDGE = 0.3
+"""In mean edge lengths: shorter ones are taken for so long, or single slivers would count for
+all."""
+
+LEAST_NOISE = 1e-6
+"""Of the noise, in mean edge lengths, that probes are made for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """Squared error of a blend in parts of that of the input: 1 - 2 w'b + w'Mw.
+
+    Attributes
+    ----------
+    gram : (k, k), M over c.
+    gain : (k,), b over c.
+    """
+
+    gram: Floats
+    gain: Floats
+
+    def at(self, weights: Floats) -> float:
+        """The value for weights (k,); below zero only by errors of the estimate."""
+        return float(1.0 - 2.0 * (weights @ self.gain) + weights @ self.gram @ weights)
+
+    def singles(self) -> Floats:
+        """The value (k,) of every filter by itself."""
+        value: Floats = 1.0 - 2.0 * self.gain + np.diag(self.gram)
+        return value
+
+    def of(self, members: Sequence[int]) -> Quadratic:
+        """The same for some of the filters."""
+        rows = np.array(members, dtype=np.int64)
+        return Quadratic(self.gram[np.ix_(rows, rows)], self.gain[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Risk:
+    """Errors of blends of the same filters, in positions and in slopes.
+
+    ``drift`` (k,) is what each filter moves the surface by as a whole, outwards on the mean, in
+    standard deviations of the noise.
+    """
+
+    positions: Quadratic
+    slopes: Quadratic
+    drift: Floats
+
+    def of(self, members: Sequence[int]) -> Risk:
+        """The same for some of the filters."""
+        rows = np.array(members, dtype=np.int64)
+        return Risk(self.positions.of(members), self.slopes.of(members), self.drift[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Differences of heights along the judged edges of a mesh, over the edges' lengths."""
+
+    first: NDArray[np.int32]
+    second: NDArray[np.int32]
+    directions: Floats
+
+    def __call__(self, moves: Floats) -> Floats:
+        difference = moves[self.first] - moves[self.second]
+        slopes: Floats = np.einsum("ij,ij->i", difference, self.directions)
+        return slopes
+
+
+def _slopes(mesh: Mesh, normals: Floats, judged: NDArray[np.bool_]) -> _Slopes:
+    """Lengths are those along the surface: across it edges are as long as the noise makes them,
+    which would tie the slope to the very noise that is to be judged."""
+    links = mesh.links
+    counts = np.diff(links.ring_start)
+    first = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+    kept = (first < links.ring) & judged[first] & judged[links.ring]
+    first, second = first[kept], links.ring[kept]
+    across = normals[first] + normals[second]
+    length = np.sqrt(np.einsum("ij,ij->i", across, across))
+    across /= np.maximum(length, 1e-9)[:, None]
+    edges = mesh.vertices[first] - mesh.vertices[second]
+    edges -= np.einsum("ij,ij->i", edges, across)[:, None] * across
+    lengths = np.sqrt(np.einsum("ij,ij->i", edges, edges))
+    floor = SHORTEST_EDGE * float(lengths.mean()) if len(lengths) else 1.0
+    across /= np.maximum(lengths, max(floor, np.finfo(float).tiny))[:, None]
+    return _Slopes(first, second, across)
+
+
+def _gram(rows: Floats) -> Floats:
+    """All scalar products (k, k) of rows (k, ...), added up in one fixed order.
+
+    Not by a matrix product: that of a library may differ in the last digit with the number of its
+    threads.
+    """
+    flat = rows.reshape(len(rows), -1)
+    gram = np.empty((len(flat), len(flat)))
+    for k, row in enumerate(flat):
+        gram[k, k:] = np.einsum("ij,j->i", flat[k:], row)
+        gram[k:, k] = gram[k, k:]
+    return gram
+
+
+class Stein:
+    """The risk by Stein's lemma, for filters that are added one after the other.
+
+    ``noise`` is the standard deviation along the normals of ``part``, file units, above 0.
+    """
+
+    def __init__(self, part: Part, noise: float) -> None:
+        self._part, self._noise = part, noise
+        mesh = part.mesh
+        self._normals = mesh.vertex_normals("uniform", 1)
+        self._slopes = _slopes(mesh, self._normals, part.judged)
+        self._count = max(int(part.judged.sum()), 1)
+        self._step = PROBE_STEP * max(noise, LEAST_NOISE * mesh.mean_edge_length)
+        self._pushes, self._tilts, self._probes = [], [], []
+        for probe in range(PROBES):
+            draw = np.random.Generator(np.random.PCG64(probe + 1))
+            signs = np.where(draw.random(len(self._normals)) < 0.5, -1.0, 1.0)
+            push = signs[:, None] * self._normals
+            self._pushes.append(np.where(part.judged[:, None], push, 0.0))
+            self._tilts.append(self._slopes(push))
+            self._probes.append(mesh.moved(mesh.vertices + self._step * push))
+        self._moves: list[Floats] = []
+        self._places: list[float] = []
+        self._turns: list[float] = []
+
+    def add(self, run: Run, on_run: Callable[[], object]) -> None:
+        """Run one more filter on the part, and on its probes."""
+        moves = run(self._part.mesh)
+        on_run()
+        place = turn = 0.0
+        for push, tilt, probe in zip(self._pushes, self._tilts, self._probes, strict=True):
+            change = (run(probe) - moves) / self._step
+            place += float(np.einsum("ij,ij->", push, change)) / PROBES
+            turn += float(np.einsum("i,i->", tilt, self._slopes(change))) / PROBES
+            on_run()
+        self._moves.append(moves)
+        self._places.append(place)
+        self._turns.append(turn)
+
+    @property
+    def moves(self) -> Floats:
+        """(k, m, 3), what each filter moves the vertices of the part by."""
+        return np.stack(self._moves)
+
+    def risk(self) -> Risk:
+        """The risk of blends of all that were added."""
+        variance = self._noise * self._noise
+        seen = np.where(self._part.judged[None, :, None], self.moves, 0.0)
+        tilted = np.stack([self._slopes(move) for move in self._moves])
+        unit = sum(float(np.einsum("i,i->", tilt, tilt)) for tilt in self._tilts) / PROBES
+        # Without a judged edge there are no slopes to tell of.
+        unit = max(unit, np.finfo(float).tiny)
+        return Risk(
+            Quadratic(
+                _gram(seen) / (self._count * variance), -np.array(self._places) / self._count
+            ),
+            Quadratic(_gram(tilted) / (unit * variance), -np.array(self._turns) / unit),
+            _drift(seen, self._normals, self._count, self._noise),
+        )
+
+
+def rehearsed(
+    part: Part,
+    pilot: Floats,
+    runs: Sequence[Run],
+    noise: float,
+    is_impulsive: bool,
+    on_run: Callable[[], object],
+) -> Risk:
+    """The risk on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with noise.
+
+    The noise is Gaussian along the pilot's normals, or, if it is ``is_impulsive``, what the pilot
+    took from the part, dealt out anew over the vertices and scaled to ``noise``.
+    """
+    truth = part.mesh.moved(pilot)
+    normals = truth.vertex_normals("uniform", 1)
+    draw = np.random.Generator(np.random.PCG64(PROBES + 1))
+    heights = draw.standard_normal(len(pilot))
+    if is_impulsive:
+        taken = np.einsum("ij,ij->i", part.mesh.vertices - pilot, normals)
+        taken -= np.median(taken)
+        spread = float(taken[part.judged].std())
+        if spread > 0.0:
+            heights = draw.permutation(taken) / spread
+    noisy = truth.moved(pilot + (noise * heights)[:, None] * normals)
+    judged = part.judged
+    seen_normals = noisy.vertex_normals("uniform", 1)
+    slopes = _slopes(noisy, seen_normals, judged)
+    back = pilot - noisy.vertices
+    moves = np.empty((len(runs), *pilot.shape))
+    for k, run in enumerate(runs):
+        moves[k] = run(noisy)
+        on_run()
+    seen = np.where(judged[None, :, None], moves, 0.0)
+    count = max(int(judged.sum()), 1)
+    return Risk(
+        _known(seen, np.where(judged[:, None], back, 0.0)),
+        _known(np.stack([slopes(move) for move in moves]), slopes(back)),
+        _drift(seen, seen_normals, count, noise),
+    )
+
+
+def _known(rows: Floats, wanted: Floats) -> Quadratic:
+    """The quadratic for rows (k, ...) that should be ``wanted`` (...)."""
+    flat = rows.reshape(len(rows), -1)
+    aim = wanted.reshape(-1)
+    scale = max(float(np.einsum("i,i->", aim, aim)), np.finfo(float).tiny)
+    return Quadratic(_gram(flat) / scale, np.einsum("ij,j->i", flat, aim) / scale)
+
+
+def _drift(seen: Floats, normals: Floats, count: int, noise: float) -> Floats:
+    drift: Floats = np.einsum("kij,ij->k", seen, normals) / (count * noise)
+    return drift
