@@ -18,8 +18,8 @@ class Candidate:
     Attributes
     ----------
     method, given : the method's name, and the parameters that are not at their defaults.
-    cost : time for a mesh, in runs of the filter ``msal`` at its defaults over the same mesh, on one
-        core; measured by benchmarks/candidate_costs.py.
+    cost : time for a mesh, in runs of the filter ``msal`` at its defaults over the same mesh, on
+        one core; measured by benchmarks/candidate_costs.py.
     takes_noise : it has a parameter ``noise``, in mean edge lengths, that it must be given.
     is_last_resort : dear, and worth trying only where others that sharpen edges do well.
     """

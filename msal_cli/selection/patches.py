@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 Flags = NDArray[np.bool_]
 Ints = NDArray[np.int32]
 
-PATCHES = 8
-"""Patches of a mesh that is not looked at as a whole."""
+PATCH = 2_500
+"""Vertices of a patch, about: in smaller ones too much is near the cut."""
 
 MARGIN = 2
 """Rings at the cut of a patch that are filtered with it, but not judged: what lies beyond is
@@ -52,8 +52,9 @@ def representative(mesh: Mesh, most: int) -> Part:
         whole = mesh if mesh.held is None and mesh.trust is None else mesh.constrained(None, None)
         return Part(whole, judged)
     inside = np.zeros(n, dtype=np.bool_)
-    for seed in _spread(mesh, PATCHES):
-        _grow(int(seed), most // PATCHES, links, inside)
+    count = max(most // PATCH, 1)
+    for seed in _spread(mesh, count):
+        _grow(int(seed), most // count, links, inside)
     faces = mesh.faces[inside[mesh.faces].all(axis=1)]
     used, corners = np.unique(faces, return_inverse=True)
     cut = inside & _next_to(~inside, links)

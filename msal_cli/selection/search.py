@@ -43,14 +43,14 @@ measuring and writing; measured by benchmarks/candidate_costs.py."""
 START = 1_000_000
 """Vertices that the filter would do while a run starts."""
 
-SEARCH = 0.4
+SEARCH = 0.5
 """Part of the budget that may go into looking at candidates."""
 
-LEAST_PART, MOST_PART = 3_000, 16_000
-"""Vertices that candidates are tried on."""
+LEAST_PART, MOST_PART = 5_000, 20_000
+"""Vertices that candidates are tried on; on fewer the estimates scatter too much."""
 
 REHEARSING = 14
-"""Candidates that rehearse beside the members of the first blend, at most: the best by themselves."""
+"""The best candidates by themselves that rehearse beside the members of the first blend."""
 
 CAUTION = 1.05
 """By which the noise is taken for greater where Stein's lemma is used: noise that is left hurts
@@ -170,7 +170,7 @@ class _Search:
 
     def _noise_edges(self, mesh: Mesh) -> float:
         """The noise in mean edge lengths, with as many digits as are worth writing down."""
-        return round(self.level / mesh.mean_edge_length, 4)
+        return float(round(self.level / mesh.mean_edge_length, 4))
 
     def _look(self, judge: Stein, part: Part, candidates: Sequence[Candidate]) -> None:
         """Run the candidates on the part and on probes of it."""
@@ -227,11 +227,13 @@ class _Search:
     ) -> Choice:
         edge = self.mesh.mean_edge_length
         noise_edges = self._noise_edges(self.mesh)
-        used = np.flatnonzero(weights)
+        used = np.flatnonzero(weights).tolist()
         alone = np.maximum(*(risk.positions.singles() for risk in risks))
         singles = np.sqrt(np.maximum(alone, 0.0)) * self.level / edge
         order = np.argsort(self._scores(risks), kind="stable")
-        told = tuple((members[k].label, float(singles[k])) for k in order if weights[k] < 1.0)[:3]
+        told = tuple(
+            (members[k].label, float(singles[k])) for k in order.tolist() if weights[k] < 1.0
+        )[:3]
         method, parameters, label = NONE, {}, "left as it is"
         if len(used) == 1 and weights[used[0]] == 1.0:
             one = members[used[0]]

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msal_cli.mesh import Mesh
+
+Floats = NDArray[np.float64]
 
 MACHINED, TEXTURED, ORGANIC, CLEAN = "machined", "textured", "organic", "clean"
 
@@ -28,7 +31,7 @@ def kind_of(mesh: Mesh) -> str:
     return TEXTURED if rough >= ROUGH_DEG else ORGANIC
 
 
-def _angles_deg(mesh: Mesh) -> np.ndarray:
+def _angles_deg(mesh: Mesh) -> Floats:
     """Angles between the normals of faces that share an edge, degrees, each pair once."""
     from msal_cli.core.face_rings import face_rings
     from msal_cli.core.geometry import face_normals_and_areas
@@ -38,4 +41,5 @@ def _angles_deg(mesh: Mesh) -> np.ndarray:
     first = np.repeat(np.arange(len(start) - 1), np.diff(start))
     kept = (first < ring) & (areas[first] > 0.0) & (areas[ring] > 0.0)
     alike = np.einsum("ij,ij->i", normals[first[kept]], normals[ring[kept]])
-    return np.degrees(np.arccos(np.clip(alike, -1.0, 1.0)))
+    angles: Floats = np.degrees(np.arccos(np.clip(alike, -1.0, 1.0)))
+    return angles
