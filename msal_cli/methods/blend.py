@@ -116,6 +116,7 @@ class Parameters:
     members: str = parameter(
         "0.5*guided_normal(similarity=0.45,iterations=5)+0.5*al(iterations=2,mollify=2)",
         "weights and methods with their parameters: W*METHOD(NAME=VALUE,...)+...",
+        more="the more a member weighs, the more the result is like its own",
     )
 
     def __post_init__(self) -> None:

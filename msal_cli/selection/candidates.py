@@ -46,7 +46,7 @@ class Candidate:
 NAMES = {
     "al": "AL",
     "msal": "MSAL",
-    "bilateral_non_iterative": "Jones's projections",
+    "bilateral_non_iterative": "non-iterative bilateral",
     "bilateral_normal": "bilateral normals",
     "guided_normal": "guided normals",
     "hybrid": "regularised AL",

@@ -514,7 +514,7 @@ def slow_to_choose(tmp_path):
 def test_the_time_limit_holds_while_choosing(tmp_path, slow_to_choose):
     env, begun = slow_to_choose
     scans = folder_of(tmp_path / "in", a=closed_scan(), b=closed_scan(1))
-    words = ("--auto", "--timeout", "1s", "--retries", "0", "--json", "-q")
+    words = ("--auto", "--timeout", "2s", "--retries", "0", "--json", "-q")
     made = process("denoise", scans, "-o", tmp_path / "out", *words, env=env)
     assert made.returncode == 1, made.stderr
     records = json.loads(made.stdout)["records"]
