@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.dataclass import dataclass
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh
 
 if TYPE_CHECKING:
     from msal_cli.core.connectivity import Connectivity
 
 Flags = NDArray[np.bool_]
-Ints = NDArray[np.int32]
+Floats = NDArray[np.float64]
+Ints = NDArray[Any]
 
 PATCH = 2_500
 """Vertices of a patch, about: in smaller ones too much is near the cut."""
@@ -44,55 +45,70 @@ class Part:
 def representative(mesh: Mesh, most: int) -> Part:
     """Patches of about ``most`` vertices together; the whole mesh if it has hardly more.
 
-    Vertices that the mesh holds are not judged.  The part itself neither holds nor trusts any.
+    Vertices that the mesh holds are not judged, nor are those that no face has.  The part itself
+    neither holds nor trusts any.
     """
     links, n = mesh.links, len(mesh.vertices)
     judged = links.has_ring if mesh.held is None else links.has_ring & ~mesh.held
     if n <= most + most // 4:
         whole = mesh if mesh.held is None and mesh.trust is None else mesh.constrained(None, None)
         return Part(whole, judged)
+    # Where nobody is judged there is nothing to learn, and patches need not begin there.
+    places = np.flatnonzero(judged if judged.any() else links.has_ring)
+    order = places[_in_space(mesh.vertices[places])]
     inside = np.zeros(n, dtype=np.bool_)
     count = max(most // PATCH, 1)
-    for seed in _spread(mesh, count):
-        _grow(int(seed), most // count, links, inside)
-    faces = mesh.faces[inside[mesh.faces].all(axis=1)]
-    used, corners = np.unique(faces, return_inverse=True)
-    cut = inside & _next_to(~inside, links)
-    for _ in range(MARGIN - 1):
-        cut |= inside & _next_to(cut, links)
-    part = prepared(mesh.vertices[used], corners.reshape(-1, 3).astype(np.int32))
-    kept = judged[used] & ~cut[used]
-    return Part(part.mesh, kept if kept.any() else judged[used])
+    for patch in range(count):
+        _grow(order, (2 * patch + 1) * len(order) // (2 * count), most // count, links, inside)
+    all_inside = inside[mesh.faces].all(axis=1)
+    # A vertex with more neighbours than a patch has room for may leave no face whole.
+    chosen = all_inside if all_inside.any() else inside[mesh.faces].any(axis=1)
+    used, corners = np.unique(mesh.faces[chosen], return_inverse=True)
+    kept = judged[used] & ~_near_cut(used, links)[used]
+    part = Mesh(mesh.vertices[used], corners.reshape(-1, 3).astype(np.int32))
+    return Part(part, kept if kept.any() else judged[used])
 
 
-def _spread(mesh: Mesh, count: int) -> Ints:
-    """``count`` vertices at equal distances in an order in which neighbours in space are near."""
-    low = mesh.vertices.min(axis=0)
-    extent = max(float((mesh.vertices.max(axis=0) - low).max()), np.finfo(float).tiny)
-    cell = np.minimum((mesh.vertices - low) * (CELLS / extent), CELLS - 1).astype(np.int64)
+def _in_space(vertices: Floats) -> NDArray[np.int64]:
+    """An order of the vertices (n, 3) in which those that are near in space are near."""
+    low = vertices.min(axis=0)
+    extent = max(float((vertices.max(axis=0) - low).max()), np.finfo(float).tiny * CELLS)
+    cell = np.minimum((vertices - low) * (CELLS / extent), CELLS - 1).astype(np.int64)
     key = np.zeros(len(cell), dtype=np.int64)
     for bit in range(CELLS.bit_length() - 1):
         for axis in range(3):
             key |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
-    order = np.argsort(key, kind="stable")
-    order = order[mesh.links.has_ring[order]]
-    places = ((np.arange(count) + 0.5) * len(order) / count).astype(np.int64)
-    spread: Ints = order[places].astype(np.int32)
-    return spread
+    return np.argsort(key, kind="stable")
 
 
-def _grow(seed: int, size: int, links: Connectivity, inside: Flags) -> None:
-    """Mark the ``size`` vertices nearest to ``seed`` along edges that are not marked yet."""
-    if inside[seed]:
-        return
-    inside[seed] = True
-    front = np.array([seed], dtype=np.int32)
-    marked = 1
-    while len(front) and marked < size:
-        reached = np.unique(_rings_of(front, links))
-        front = reached[~inside[reached]][: size - marked]
-        inside[front] = True
-        marked += len(front)
+def _grow(
+    order: NDArray[np.int64], start: int, size: int, links: Connectivity, inside: Flags
+) -> None:
+    """Mark ``size`` vertices that are not marked yet, the nearest along edges to the first such one
+    from place ``start`` of ``order`` on; where its component ends before, to the next such one."""
+    marked, place = 0, 0
+    while marked < size:
+        while place < len(order) and inside[order[(start + place) % len(order)]]:
+            place += 1
+        if place == len(order):
+            return
+        front = order[[(start + place) % len(order)]]
+        while len(front):
+            inside[front] = True
+            marked += len(front)
+            reached = np.unique(_rings_of(front, links))
+            front = reached[~inside[reached]][: size - marked]
+
+
+def _near_cut(used: Ints, links: Connectivity) -> Flags:
+    """Which vertices (n,) are within ``MARGIN`` rings of one that is not ``used``."""
+    near = np.ones(len(links.has_ring), dtype=np.bool_)
+    near[used] = False
+    ring = _rings_of(used, links)
+    owner = np.repeat(used, links.ring_start[used + 1] - links.ring_start[used])
+    for _ in range(MARGIN):
+        near[owner[near[ring]]] = True
+    return near
 
 
 def _rings_of(vertices: Ints, links: Connectivity) -> Ints:
@@ -100,13 +116,6 @@ def _rings_of(vertices: Ints, links: Connectivity) -> Ints:
     start, stop = links.ring_start[vertices], links.ring_start[vertices + 1]
     counts = (stop - start).astype(np.int64)
     ends = np.cumsum(counts)
-    places = np.arange(ends[-1] if len(ends) else 0) - np.repeat(ends - counts - start, counts)
+    places = np.arange(counts.sum()) + np.repeat(start - (ends - counts), counts)
     neighbours: Ints = links.ring[places]
     return neighbours
-
-
-def _next_to(flags: Flags, links: Connectivity) -> Flags:
-    """Which vertices have a marked neighbour."""
-    found = np.zeros_like(flags)
-    found[_rings_of(np.flatnonzero(flags).astype(np.int32), links)] = True
-    return found

@@ -50,7 +50,7 @@ SHORTEST_EDGE = 0.3
 all."""
 
 LEAST_NOISE = 1e-6
-"""Of the noise, in mean edge lengths, that probes are made for."""
+"""In mean edge lengths: less noise is taken for so much, for errors are in parts of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,16 +149,16 @@ def _gram(rows: Floats) -> Floats:
 class Stein:
     """The risk by Stein's lemma, for filters that are added one after the other.
 
-    ``noise`` is the standard deviation along the normals of ``part``, file units, above 0.
+    ``noise`` is the standard deviation along the normals of ``part``, file units.
     """
 
     def __init__(self, part: Part, noise: float) -> None:
-        self._part, self._noise = part, noise
         mesh = part.mesh
+        self._part, self._noise = part, _at_least(noise, mesh)
         self._normals = mesh.vertex_normals("uniform", 1)
         self._slopes = _slopes(mesh, self._normals, part.judged)
         self._count = max(int(part.judged.sum()), 1)
-        self._step = PROBE_STEP * max(noise, LEAST_NOISE * mesh.mean_edge_length)
+        self._step = PROBE_STEP * self._noise
         self._pushes, self._tilts, self._probes = [], [], []
         for probe in range(PROBES):
             draw = np.random.Generator(np.random.PCG64(probe + 1))
@@ -215,11 +215,13 @@ def rehearsed(
     is_impulsive: bool,
     on_run: Callable[[], object],
 ) -> Risk:
-    """The risk on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with noise.
+    """The risk on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with noise of
+    standard deviation ``noise``, file units.
 
     The noise is Gaussian along the pilot's normals, or, if it is ``is_impulsive``, what the pilot
     took from the part, dealt out anew over the vertices and scaled to ``noise``.
     """
+    noise = _at_least(noise, part.mesh)
     truth = part.mesh.moved(pilot)
     normals = truth.vertex_normals("uniform", 1)
     draw = np.random.Generator(np.random.PCG64(PROBES + 1))
@@ -254,6 +256,10 @@ def _known(rows: Floats, wanted: Floats) -> Quadratic:
     aim = wanted.reshape(-1)
     scale = max(float(np.einsum("i,i->", aim, aim)), np.finfo(float).tiny)
     return Quadratic(_gram(flat) / scale, np.einsum("ij,j->i", flat, aim) / scale)
+
+
+def _at_least(noise: float, mesh: Mesh) -> float:
+    return max(noise, LEAST_NOISE * mesh.mean_edge_length)
 
 
 def _drift(seen: Floats, normals: Floats, count: int, noise: float) -> Floats:

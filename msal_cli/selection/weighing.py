@@ -120,12 +120,14 @@ def _least_on(matrix: Floats, vector: Floats, inside: Sequence[int]) -> Floats:
 def rounded(weights: Floats, steps: int = 100) -> Floats:
     """The same in whole hundredths, with the sum that the sum itself rounds to.
 
-    What is written down is short, and no last digit of the arithmetic can change a result.
+    What is written down is short, and last digits of the arithmetic do not show in it: parts of a
+    step are compared in millionths.
     """
-    parts = np.floor(weights * steps)
-    missing = int(round(float(weights.sum()) * steps) - parts.sum())
+    exact = np.round(weights * steps, 6)
+    parts = np.floor(exact)
+    missing = round(round(float(weights.sum()) * steps, 6)) - int(parts.sum())
     # The largest remainders first; equal ones in order.
-    order = np.argsort(parts - weights * steps, kind="stable")
+    order = np.argsort(np.round(parts - exact, 6), kind="stable")
     parts[order[: max(missing, 0)]] += 1
     hundredths: Floats = parts / steps
     return hundredths
