@@ -17,7 +17,7 @@ Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Ints = NDArray[Any]
 
-PATCH = 2_500
+PATCH = 1_000
 """Vertices of a patch, about: in smaller ones too much is near the cut."""
 
 MARGIN = 2
