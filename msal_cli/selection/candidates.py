@@ -69,6 +69,10 @@ _WORDS = {
 }
 
 
+_SLIDING: dict[str, Any] = {"sliding": "auto"}
+"""Vertices that slid along the surface are taken back, where the noise is across it."""
+
+
 def _al(iterations: int, mollify: int, cost: float) -> Candidate:
     return Candidate("al", {"iterations": iterations, "mollify": mollify}, cost)
 
@@ -78,17 +82,18 @@ def _msal(factor: float, mollify: int, cost: float) -> Candidate:
 
 
 def _bilateral(similarity: float, iterations: int, cost: float) -> Candidate:
-    given = {"similarity": similarity, "iterations": iterations}
+    given = {"similarity": similarity, "iterations": iterations, **_SLIDING}
     return Candidate("bilateral_normal", given, cost)
 
 
 def _diffusion(rounds: int, steps: int, similarity: float, cost: float) -> Candidate:
     given = {"iterations": rounds, "normal_iterations": steps, "similarity": similarity}
+    given |= _SLIDING
     return Candidate("normal_diffusion", given, cost)
 
 
 def _guided(similarity: float, iterations: int, cost: float, last: bool = False) -> Candidate:
-    given = {"similarity": similarity, "iterations": iterations}
+    given = {"similarity": similarity, "iterations": iterations, **_SLIDING}
     return Candidate("guided_normal", given, cost, is_last_resort=last)
 
 
@@ -119,7 +124,9 @@ CANDIDATES: tuple[Candidate, ...] = (
     Candidate("bilateral_non_iterative", {}, 12.0),
     Candidate("hybrid", {}, 6.0),
     Candidate(
-        "normal_threshold", {"threshold": 0.5, "iterations": 20, "vertex_iterations": 10}, 11.0
+        "normal_threshold",
+        {"threshold": 0.5, "iterations": 20, "vertex_iterations": 10, **_SLIDING},
+        11.0,
     ),
     _wiener(0.35, 2.25),
     _wiener(0.75, 2.25),
@@ -133,5 +140,5 @@ CANDIDATES: tuple[Candidate, ...] = (
     _guided(0.45, 10, 48.0),
     _guided(0.3, 20, 85.0, last=True),
     _guided(0.25, 60, 235.0, last=True),
-    Candidate("l0", {}, 190.0, is_last_resort=True),
+    Candidate("l0", dict(_SLIDING), 190.0, is_last_resort=True),
 )
