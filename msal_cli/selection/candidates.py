@@ -142,3 +142,6 @@ CANDIDATES: tuple[Candidate, ...] = (
     _guided(0.25, 60, 235.0, last=True),
     Candidate("l0", dict(_SLIDING), 190.0, is_last_resort=True),
 )
+
+SMOOTHER = _wiener(0.75, 2.25)
+"""A cheap one that does well on most meshes: its result gives the directions of the noise."""

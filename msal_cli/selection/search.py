@@ -23,7 +23,7 @@ from msal_cli.mesh import Mesh
 from msal_cli.methods.blend import written
 from msal_cli.noise_estimate import NoiseLevel, estimated
 from msal_cli.selection import NONE, Choice, Wishes
-from msal_cli.selection.candidates import CANDIDATES, Candidate
+from msal_cli.selection.candidates import CANDIDATES, SMOOTHER, Candidate
 from msal_cli.selection.patches import Part, representative
 from msal_cli.selection.risk import PROBES, Risk, Stein, rehearsed
 from msal_cli.selection.surface import CLEAN, MACHINED, kind_of
@@ -53,7 +53,7 @@ LEAST_PART, MOST_PART = 8_000, 20_000
 REHEARSING = 14
 """The best candidates by themselves that rehearse beside the members of the first blend."""
 
-CAUTION = 1.05
+CAUTION = 1.0
 """By which the noise is taken for greater where Stein's lemma is used: noise that is left hurts
 angles more than smoothing too much does."""
 
@@ -121,7 +121,9 @@ class _Search:
         dear = [one for one in usable if one.is_last_resort]
         part = representative(self.mesh, self._part_size(at_first))
         self._total = (1 + PROBES) * (len(at_first) + len(dear)) + REHEARSING + len(at_first) // 4
-        judge = Stein(part, CAUTION * self.level)
+        smoothed = part.mesh.vertices + self._run(SMOOTHER, part.mesh)(part.mesh)
+        normals = part.mesh.moved(smoothed).vertex_normals("uniform")
+        judge = Stein(part, CAUTION * self.level, normals)
         looked = at_first
         self._look(judge, part, at_first)
         risk = judge.risk()

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-FLOOR = 0.01
+FLOOR = 0.02
 """Estimated errors below this part of the input's are not told apart: they are mostly scatter."""
 
 ROUNDS = 8
