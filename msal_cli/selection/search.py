@@ -53,10 +53,6 @@ LEAST_PART, MOST_PART = 8_000, 20_000
 REHEARSING = 14
 """The best candidates by themselves that rehearse beside the members of the first blend."""
 
-CAUTION = 1.0
-"""By which the noise is taken for greater where Stein's lemma is used: noise that is left hurts
-angles more than smoothing too much does."""
-
 LEAST_WEIGHT = 0.04
 """Members below this weight are left out."""
 
@@ -123,7 +119,7 @@ class _Search:
         self._total = (1 + PROBES) * (len(at_first) + len(dear)) + REHEARSING + len(at_first) // 4
         smoothed = part.mesh.vertices + self._run(SMOOTHER, part.mesh)(part.mesh)
         normals = part.mesh.moved(smoothed).vertex_normals("uniform")
-        judge = Stein(part, CAUTION * self.level, normals)
+        judge = Stein(part, self.level, normals)
         looked = at_first
         self._look(judge, part, at_first)
         risk = judge.risk()

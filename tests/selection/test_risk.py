@@ -62,7 +62,7 @@ def nothing():
 
 
 def stein(part, noise, *runs):
-    judge = Stein(part, noise)
+    judge = Stein(part, noise, part.mesh.vertex_normals("uniform", 1))
     for run in runs:
         judge.add(run, nothing)
     return judge.risk()
@@ -284,7 +284,7 @@ def test_risks_of_some_filters_are_those_among_all(level):
 def test_every_run_is_told_of(level):
     part, _ = sheet(noise=0.1)
     told = []
-    judge = Stein(part, 0.1)
+    judge = Stein(part, 0.1, part.mesh.vertex_normals("uniform", 1))
     judge.add(scaled(-0.5), lambda: told.append("stein"))
     assert told == ["stein"] * 3
     rehearsed(
