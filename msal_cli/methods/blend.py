@@ -12,12 +12,12 @@ weights depend on the mesh and its noise; ``--auto`` finds them by an estimate o
     0.6*guided_normal(similarity=0.45,iterations=5)+0.4*al(iterations=3)
 
 A member is the name of a method with those of its parameters that are not at their defaults;
-spaces do not matter.  Every member is run on the same input, so the cost is that of all.
+spaces do not matter.  Every member is run on the same input, so the time is that of all together,
+and the memory that of the hungriest.  One member of weight 1 is that method, to the last bit.
 
-Source: the idea of weighting several denoisers so that an estimate of the error is least is that
-of F. Luisier, T. Blu and M. Unser, A new SURE approach to image denoising: interscale orthonormal
-wavelet thresholding, IEEE Transactions on Image Processing 16 (2007), 593-606; the members have
-their own.
+Source: F. Luisier, T. Blu and M. Unser, A new SURE approach to image denoising: interscale
+orthonormal wavelet thresholding, IEEE Transactions on Image Processing 16 (2007), 593-606, for
+denoisers weighted so that an estimate of the error is least; the members have their own.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import Method, OnSweep, Result, parameter
 
 BYTES_PER_FACE = 455
-"""Memory beyond what every method needs, that of the hungriest usual member; see ``Method``."""
+"""Memory beyond what every method needs, that of the hungriest member that --auto takes; see
+``Method``."""
 
 MOST_MEMBERS = 16
 """More are taken for a mistake."""
@@ -45,7 +46,7 @@ STEPS = 100
 ROUNDING = 1e-9
 """By which weights may add up to more than 1."""
 
-_MEMBER = re.compile(r"([0-9.eE+-]+)\*([a-z_0-9]+)(?:\(([^()]*)\))?")
+_MEMBER = re.compile(r"([0-9.]+(?:[eE][+-]?[0-9]+)?)\*([a-z_0-9]+)(?:\(([^()]*)\))?")
 _EXAMPLE = "for example 0.6*guided_normal(iterations=5)+0.4*al(iterations=3)"
 
 
@@ -59,11 +60,14 @@ class Member:
 
 
 def written(members: list[tuple[float, str, dict[str, Any]]]) -> str:
-    """The text of ``members`` for weights, names and the parameters that are given."""
+    """The text of ``members`` for weights, names and the parameters that are given; ``read`` gives
+    the very numbers back."""
     parts = []
     for weight, name, given in members:
         inside = ",".join(f"{word}={value}" for word, value in given.items())
-        parts.append(f"{weight:g}*{name}" + (f"({inside})" if inside else ""))
+        # The shortest text of a number that is the number again.
+        shortest = repr(float(weight)).removesuffix(".0")
+        parts.append(f"{shortest}*{name}" + (f"({inside})" if inside else ""))
     return "+".join(parts)
 
 
@@ -71,30 +75,51 @@ def read(text: str) -> tuple[Member, ...]:
     """The members that a text names; UsageError says what is wrong with it."""
     from msal_cli import methods
 
-    found = []
+    found: list[Member] = []
     rest = "".join(text.split())
     while rest:
         match = _MEMBER.match(rest)
         if match is None:
-            raise UsageError(f"members are not understood from {rest!r} on", hint=_EXAMPLE)
+            raise _not_understood(rest)
         weight, name, inside = match.groups()
-        rest = rest[match.end() :]
-        if rest.startswith("+") and len(rest) > 1:
-            rest = rest[1:]
-        elif rest:
-            raise UsageError(f"members are not understood from {rest!r} on", hint=_EXAMPLE)
+        left = rest[match.end() :]
+        if left == "+" or left[:1] not in ("", "+"):
+            raise _not_understood(left)
+        rest = left[1:]
         if name == __name__.rpartition(".")[2]:
             raise UsageError("a blend cannot be a member of a blend", hint=_EXAMPLE)
         method = methods.find(name)
-        given = dict(part.partition("=")[::2] for part in (inside or "").split(",") if part)
-        found.append(Member(_weight(weight), method, method.settled(given)))
-    total = sum(member.weight for member in found)
-    if not found or total > 1.0 + ROUNDING or len(found) > MOST_MEMBERS:
-        what = f"the weights of members add up to {total:g}" if found else "there are no members"
+        found.append(Member(_weight(weight), method, _settled(method, inside or "")))
         if len(found) > MOST_MEMBERS:
-            what = f"there are more than {MOST_MEMBERS} members"
-        raise UsageError(what, hint="give at least one, and weights of 1 at most in all")
+            raise UsageError(f"there are more than {MOST_MEMBERS} members", hint=_EXAMPLE)
+    if not found:
+        raise UsageError("there are no members", hint=_EXAMPLE)
+    total = sum(member.weight for member in found)
+    if total > 1.0 + ROUNDING:
+        raise UsageError(
+            f"the weights of members add up to {total:g}",
+            hint="1 at most; what is left over to 1 belongs to the input",
+        )
     return tuple(found)
+
+
+def _not_understood(rest: str) -> UsageError:
+    return UsageError(f"members are not understood from '{rest}' on", hint=_EXAMPLE)
+
+
+def _settled(method: Method, inside: str) -> dict[str, Any]:
+    """The parameters of a member, given as ``NAME=VALUE,...``."""
+    given: dict[str, str] = {}
+    for part in inside.split(",") if inside else ():
+        word, _, value = part.partition("=")
+        if not word or not value:
+            raise UsageError(f"'{part}' of member {method.name} is not NAME=VALUE", hint=_EXAMPLE)
+        name = method.spec(word).name
+        if given.setdefault(name, value) != value:
+            raise UsageError(
+                f"member {method.name} has two different values of {name}", hint="give it once"
+            )
+    return method.settled(given)
 
 
 def _weight(text: str) -> float:
@@ -104,7 +129,7 @@ def _weight(text: str) -> float:
         weight = -1.0
     if not 0.0 < weight <= 1.0:
         raise UsageError(
-            f"{text} is not the weight of a member", hint=f"above 0, up to 1: {_EXAMPLE}"
+            f"{text} is not the weight of a member", hint=f"above 0, up to 1; {_EXAMPLE}"
         )
     return weight
 
@@ -128,6 +153,8 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
     """The blend of what the members make of ``mesh``; see the module's description."""
     started = time.perf_counter()
     members = read(parameters.members)
+    if [member.weight for member in members] == [1.0]:
+        return members[0].method.denoised(mesh, members[0].parameters, on_sweep)
     move = np.zeros_like(mesh.vertices)
     for k, member in enumerate(members):
 
@@ -135,10 +162,10 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
             if on_sweep is not None:
                 on_sweep(STEPS * k + STEPS * done // max(total, 1), STEPS * len(members))
 
-        result = member.method.denoised(mesh, member.parameters, going_on)
-        step = result.vertices - mesh.vertices
+        step = member.method.denoised(mesh, member.parameters, going_on).vertices
+        step = step - mesh.vertices
         step *= member.weight
         move += step
-        del result, step
+        del step
     move += mesh.vertices
     return Result(move, seconds={"normals": 0.0, "sweeps": time.perf_counter() - started})

@@ -113,6 +113,8 @@ class _Search:
     def chosen(self) -> Choice:
         """The best blend, or single method, that the budget allows."""
         usable = [one for one in CANDIDATES if self._is_usable(one)]
+        # A budget of one run leaves nothing for looking around.
+        usable = usable or [min(CANDIDATES, key=lambda one: one.cost)]
         at_first = [one for one in usable if not one.is_last_resort]
         dear = [one for one in usable if one.is_last_resort]
         part = representative(self.mesh, self._part_size(at_first))

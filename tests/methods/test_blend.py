@@ -1,0 +1,217 @@
+"""The weighted mean of methods: how it is written, and that it is that mean."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from msal_cli import methods, selection
+from msal_cli.errors import UsageError
+from msal_cli.mesh import prepared
+from msal_cli.methods.blend import MOST_MEMBERS, read, written
+from msal_cli.selection.candidates import CANDIDATES
+from tests.cli.scans import closed_scan, folder_of, msal
+from tests.shapes import noisy, torus
+
+BLEND = methods.find("blend")
+
+
+@pytest.fixture
+def mesh():
+    vertices, faces = torus()
+    return prepared(noisy(vertices, 0, 0.05), faces).mesh
+
+
+def blended(mesh, text, on_sweep=None):
+    return BLEND.denoised(mesh, BLEND.settled({"members": text}), on_sweep).vertices
+
+
+def alone(mesh, name, **given):
+    method = methods.find(name)
+    return method.denoised(mesh, method.settled(given)).vertices
+
+
+def test_it_is_the_weighted_mean_of_its_members(mesh):
+    made = blended(mesh, "0.5*al(iterations=3)+0.25*taubin+0.125*msal(K=0.7,mollify=2)")
+    by_hand = (
+        0.5 * alone(mesh, "al", iterations=3)
+        + 0.25 * alone(mesh, "taubin")
+        + 0.125 * alone(mesh, "msal", K=0.7, mollify=2)
+        + 0.125 * mesh.vertices
+    )
+    assert np.abs(made - by_hand).max() < 1e-14
+    assert np.abs(made - mesh.vertices).max() > 0.01
+
+
+@pytest.mark.parametrize("name", ["al", "msal", "bilateral_normal"])
+def test_one_member_of_weight_1_is_that_method_to_the_bit(mesh, name):
+    made = BLEND.denoised(mesh, BLEND.settled({"members": f"1*{name}"}))
+    assert (made.vertices == alone(mesh, name)).all()
+    assert set(made.fields) == set(
+        methods.find(name).denoised(mesh, methods.find(name).settled({})).fields
+    )
+
+
+def test_a_small_weight_moves_by_that_part(mesh):
+    whole = alone(mesh, "al") - mesh.vertices
+    part = blended(mesh, "0.01*al") - mesh.vertices
+    assert part == pytest.approx(0.01 * whole, abs=1e-15)
+
+
+def test_members_are_run_on_the_input_whatever_their_order(mesh):
+    one = blended(mesh, "0.3*al(iterations=2)+0.7*taubin")
+    other = blended(mesh, "0.7*taubin+0.3*al(iterations=2)")
+    assert np.abs(one - other).max() < 1e-14
+
+
+def test_held_vertices_stay_to_the_bit(mesh):
+    held = np.zeros(len(mesh.vertices), dtype=bool)
+    held[::7] = True
+    made = blended(mesh.constrained(held, None), "0.4*al+0.3*bilateral_normal+0.2*wiener")
+    assert (made[held] == mesh.vertices[held]).all()
+    assert (made[~held] != mesh.vertices[~held]).any(axis=1).all()
+
+
+def test_progress_goes_through_all_members(mesh):
+    told = []
+    blended(mesh, "0.5*al(iterations=4)+0.5*msal(iterations=2)", lambda *step: told.append(step))
+    assert [total for _, total in told] == [200] * len(told)
+    done = [one for one, _ in told]
+    assert done == sorted(done)
+    assert {25, 50, 75, 100, 150, 200} <= set(done)
+
+
+def test_an_interruption_passes_through(mesh):
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        blended(mesh, "0.5*al+0.5*msal", stop)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        " 0.6 * al ( iterations = 3 ,mollify=2 ) + 0.4*msal ",
+        "0.6*al(iterations=3,mollify=2)\n+\t0.4*msal()",
+        "6e-1*al(mollify=2,iterations=3)+.4*msal",
+        "0.60*al(iterations=3,iterations=3,mollify=2)+0.4*msal",
+    ],
+)
+def test_spaces_and_the_way_numbers_are_written_do_not_matter(text):
+    one, other = (
+        [(member.weight, member.method.name, member.parameters) for member in read(each)]
+        for each in (text, "0.6*al(iterations=3,mollify=2)+0.4*msal")
+    )
+    assert one == other
+
+
+def test_symbols_are_taken_as_by_set():
+    (member,) = read("1*msal(K=0.7)")
+    assert member.parameters == methods.find("msal").settled({"K": 0.7})
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("", "there are no members"),
+        ("  ", "there are no members"),
+        ("smooth it", "not understood from 'smoothit' on"),
+        ("0.5", "not understood from '0.5' on"),
+        ("0.5*al+", r"not understood from '\+' on"),
+        ("0.5*al++0.5*msal", r"not understood from '\+0.5\*msal' on"),
+        ("0.5*al-0.5*msal", r"not understood from '-0.5\*msal' on"),
+        ("0.5*al(iterations=3", r"not understood from '\(iterations=3' on"),
+        ("0.5*AL", r"not understood from '0.5\*AL' on"),
+        ("-0.5*al", r"not understood from '-0.5\*al' on"),
+        ("nan*al", r"not understood from 'nan\*al' on"),
+        ("0*al", "0 is not the weight of a member"),
+        ("1.5*al", "1.5 is not the weight of a member"),
+        ("1e400*al", "1e400 is not the weight of a member"),
+        ("0.1.2*al", "0.1.2 is not the weight of a member"),
+        ("0.6*al+0.6*msal", "add up to 1.2"),
+        ("0.5*best", "no method 'best'"),
+        ("0.5*none", "no method 'none'"),
+        ("0.5*auto", "no method 'auto'"),
+        ("0.5*blend(members=1)", "a blend cannot be a member of a blend"),
+        ("0.5*al(sweeps=3)", "al has no parameter 'sweeps'"),
+        ("0.5*al(iterations=-1)", "iterations = -1 is not allowed"),
+        ("0.5*al(iterations=many)", "iterations = many is not allowed"),
+        ("0.5*al(iterations)", "'iterations' of member al is not NAME=VALUE"),
+        ("0.5*al(iterations=)", "'iterations=' of member al is not NAME=VALUE"),
+        ("0.5*al(iterations=3,)", "'' of member al is not NAME=VALUE"),
+        ("0.5*al(iterations=3,iterations=4)", "two different values of iterations"),
+        ("+".join(["0.01*al"] * (MOST_MEMBERS + 1)), "more than 16 members"),
+    ],
+)
+def test_what_means_nothing_is_refused(text, what):
+    for refuse in (lambda: read(text), lambda: BLEND.settled({"members": text})):
+        with pytest.raises(UsageError, match=what) as refused:
+            refuse()
+        assert refused.value.hint
+
+
+def test_as_many_members_as_are_allowed():
+    assert len(read("+".join(["0.0625*al"] * MOST_MEMBERS))) == MOST_MEMBERS
+    # Tenths do not add up to 1 in binary.
+    assert len(read("+".join(["0.1*al"] * 10))) == 10
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(0.0, 1.0, exclude_min=True),
+            st.sampled_from(CANDIDATES),
+            st.floats(0.0, 0.9),
+        ),
+        min_size=1,
+        max_size=MOST_MEMBERS,
+    )
+)
+def test_what_is_written_is_read_again(members):
+    total = sum(weight for weight, _, _ in members)
+    scale = 1.0 if total <= 1.0 else 0.999 / total
+    given_members = [
+        (weight * scale, one.method, one.settings(noise)) for weight, one, noise in members
+    ]
+    given_members = [one for one in given_members if one[0] > 0.0]
+    if not given_members:
+        return
+    found = read(written(given_members))
+    assert [one.weight for one in found] == [weight for weight, _, _ in given_members]
+    for member, (_, name, values) in zip(found, given_members, strict=True):
+        assert member.method.name == name
+        assert member.parameters == methods.find(name).settled(values)
+
+
+def test_whole_hundredths_are_written_short():
+    assert written([(0.29, "al", {"iterations": 3}), (0.71, "msal", {})]) == (
+        "0.29*al(iterations=3)+0.71*msal"
+    )
+    assert written([(1.0, "al", {})]) == "1*al"
+
+
+def test_memory_is_that_of_the_hungriest_member_that_is_ever_chosen():
+    most = max(methods.find(one.method).bytes_per_face for one in CANDIDATES)
+    assert BLEND.bytes_per_face >= most
+    assert {one.method for one in CANDIDATES} | {"blend"} == set(selection.METHODS)
+
+
+def test_from_the_command_line(tmp_path):
+    scan = folder_of(tmp_path / "in", scan=closed_scan()) / "scan.ply"
+    members = "0.25*al(iterations=2) + 0.5*msal(K=0.7)"
+    words = ("denoise", scan, "--method", "blend", "-q", "--json")
+    made = msal(*words, "-o", tmp_path / "o.ply", "--set", f"members={members}")
+    assert made.exit_code == 0, made.stderr
+    (record,) = json.loads(made.stdout)["records"]
+    assert record["method"] == {"name": "blend", "parameters": {"members": members}}
+    assert (tmp_path / "o.ply").read_bytes() != scan.read_bytes()
+    refused = msal(*words, "-o", tmp_path / "no.ply", "--set", "members=0.25*al+2*msal")
+    assert refused.exit_code == 2
+    assert "2 is not the weight of a member" in refused.stderr
+    assert not (tmp_path / "no.ply").exists()
