@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from dataclasses import field
 from typing import TYPE_CHECKING, Any
@@ -132,12 +133,17 @@ def forecast(task: Task, settings: Settings) -> Forecast:
     is_same = to in (None, suffix(task.input).lstrip("."))
     if is_same and settings.encoding == "same" and settings.precision == "same":
         to = None
-    return forecast.forecast(
+    told_of = forecast.forecast(
         task.input,
         format=settings.format,
         to=to,
         method_bytes_per_face=method_bytes_per_face(settings),
     )
+    if settings.method != AUTO or told_of.memory_bytes is None:
+        return told_of
+    from msal_cli import selection
+
+    return dataclasses.replace(told_of, memory_bytes=told_of.memory_bytes + selection.BYTES)
 
 
 def method_bytes_per_face(settings: Settings) -> int:
@@ -149,7 +155,7 @@ def method_bytes_per_face(settings: Settings) -> int:
         from msal_cli import selection
 
         most = max(methods.find(name).bytes_per_face for name in selection.METHODS)
-        return most + selection.BYTES_PER_FACE + extra
+        return most + extra
     if settings.method not in methods.names():
         return 0
     return methods.find(settings.method).bytes_per_face + extra

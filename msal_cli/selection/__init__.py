@@ -37,8 +37,9 @@ METHODS = (
 )
 """The methods that are ever chosen: memory is set aside for the hungriest of them."""
 
-BYTES_PER_FACE = 0
-"""Memory per triangle that choosing takes beyond what the method does that is chosen."""
+BYTES = 25_000_000
+"""Memory that choosing takes at most beyond what methods do, however large the mesh is: candidates
+run on a part of it.  Measured by benchmarks/peak_memory.py, as ``auto``."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,317 @@
+"""The choice for whole meshes: what it promises, and that it pays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msal_cli import files, methods, noise, selection
+from msal_cli.mesh import Mesh, prepared
+from msal_cli.methods.blend import read
+from msal_cli.metrics.surface import normal_statistics
+from msal_cli.selection import NONE, Wishes
+from msal_cli.selection.candidates import CANDIDATES
+from msal_cli.selection.search import RUN, START
+from tests.shapes import grid, noisy, torus
+
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
+
+
+def scan(around=40, across=20, level=0.05, seed=0):
+    vertices, faces = torus(around, across)
+    return prepared(noisy(vertices, seed, level), faces).mesh
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return scan()
+
+
+@pytest.fixture(scope="module")
+def large():
+    return scan(250, 120, 0.01)
+
+
+def chosen(mesh, **wishes):
+    return selection.chosen(mesh, Wishes(**wishes))
+
+
+def told(choice):
+    """All of a choice that can be compared."""
+    return (choice.method, choice.parameters, choice.reason, choice.risk, choice.runners_up)
+
+
+def denoised(mesh, **wishes):
+    """The mesh as its choice makes it."""
+    return made_by(chosen(mesh, **wishes), mesh)
+
+
+def made_by(choice, mesh):
+    if choice.method == NONE:
+        return mesh
+    return mesh.moved(methods.find(choice.method).denoised(mesh, choice.parameters).vertices)
+
+
+def moved_edges(before, after):
+    """Mean displacement in mean edge lengths."""
+    lengths = np.linalg.norm(after.vertices - before.vertices, axis=1)
+    return float(lengths.mean()) / before.mean_edge_length
+
+
+def angle(true, other):
+    return normal_statistics(true, other).mean_angular_error_deg
+
+
+def members_of(choice):
+    """The candidates that a choice is made of, and their weights."""
+    if choice.method == NONE:
+        return []
+    if choice.method != "blend":
+        parts = [(1.0, methods.find(choice.method), choice.parameters)]
+    else:
+        parts = [
+            (member.weight, member.method, member.parameters)
+            for member in read(choice.parameters["members"])
+        ]
+    return [
+        (weight, one)
+        for weight, method, values in parts
+        for one in CANDIDATES
+        if one.method == method.name
+        and method.settled(one.settings(values.get("noise", 0.0))) == values
+    ]
+
+
+# What it depends on
+
+
+def test_it_is_the_same_with_any_number_of_threads(large, monkeypatch):
+    made = []
+    for threads in ("1", "2"):
+        monkeypatch.setenv("MSAL_THREADS", threads)
+        made.append(told(chosen(Mesh(large.vertices.copy(), large.faces.copy()), budget=4.0)))
+    assert made[0] == made[1]
+
+
+def test_it_is_the_same_whatever_was_chosen_before(mesh):
+    other = scan(30, 24, 0.08, seed=3)
+    first = told(chosen(mesh))
+    assert told(chosen(other)) == told(chosen(scan(30, 24, 0.08, seed=3)))
+    assert told(chosen(mesh)) == first
+
+
+def test_it_is_free_of_scale_and_place():
+    vertices, faces = torus(40, 20)
+    # Digits to spare, so that moving loses none.
+    vertices = np.round(noisy(vertices, 0, 0.05) * 2.0**20) / 2.0**20
+    here = told(chosen(prepared(vertices, faces).mesh))
+    assert told(chosen(prepared(vertices + [512.0, -1024.0, 4096.0], faces).mesh)) == here
+    for scale in (2.0**-30, 25.4):
+        other = chosen(prepared(vertices * scale, faces).mesh)
+        assert (other.method, other.parameters, other.reason) == here[:3]
+        assert other.risk == pytest.approx(here[3], rel=1e-6)
+
+
+def test_it_is_free_of_the_axes():
+    # Not of mirrors: winding and probes are those of the numbers.
+    vertices, faces = torus(40, 20)
+    mesh = prepared(noisy(vertices, 0, 0.05), faces).mesh
+    turned = prepared(mesh.vertices[:, [1, 2, 0]], faces).mesh
+    one, other = chosen(mesh), chosen(turned)
+    assert one.reason == other.reason
+    assert one.risk == pytest.approx(other.risk, rel=1e-6)
+
+
+# Wishes
+
+
+def test_more_strength_moves_more(mesh):
+    moved = [moved_edges(mesh, denoised(mesh, strength=x)) for x in (-2.0, 0.0, 2.0)]
+    assert moved == sorted(moved)
+    assert moved[0] < moved[-1]
+
+
+def test_keeping_texture_moves_less_and_keeping_shape_more():
+    # Bumps of two edges' length on a torus, and noise beneath them.
+    vertices, faces = torus(60, 30)
+    bumps = 0.02 * np.sin(9.0 * vertices[:, 0]) * np.sin(9.0 * vertices[:, 1])
+    vertices[:, 2] += bumps
+    mesh = prepared(noisy(vertices, 0, 0.04), faces).mesh
+    texture, plain, shape = (
+        moved_edges(mesh, denoised(mesh, **wish))
+        for wish in ({"keep": "texture"}, {}, {"keep": "shape"})
+    )
+    assert texture < plain < shape
+
+
+def test_what_is_preferred_comes_out_no_worse():
+    vertices, faces = torus(60, 30)
+    true = prepared(vertices, faces).mesh
+    scans = [true.moved(noise.noisy(true, "gaussian-normal", 0.2, seed)) for seed in (1, 2)]
+    errors = {}
+    for prefer in ("positions", "normals", "volume"):
+        made = [denoised(one, prefer=prefer) for one in scans]
+        errors[prefer] = (
+            np.mean([moved_edges(true, one) for one in made]),
+            np.mean([angle(true, one) for one in made]),
+            np.mean([abs(volume(one) / volume(true) - 1.0) for one in made]),
+        )
+    assert errors["positions"][0] <= 1.01 * errors["normals"][0]
+    assert errors["normals"][1] <= 1.01 * errors["positions"][1]
+    assert errors["volume"][2] <= 1.2 * errors["normals"][2]
+
+
+def volume(mesh):
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
+
+
+@pytest.mark.parametrize("budget", [1.0, 1.2, 2.0, 10.0])
+def test_the_choice_keeps_within_the_budget(large, budget):
+    choice = chosen(large, budget=budget)
+    n = len(large.vertices)
+    assert choice.method != NONE
+    cost = sum(candidate.cost for _, candidate in members_of(choice)) * n
+    assert cost <= (budget - 1.0) * ((RUN + 1.0) * n + START) + n
+    if budget == 1.0:
+        assert choice.tried == 1
+        assert cost <= n
+
+
+def test_weights_are_whole_hundredths_of_methods_that_were_tried(mesh):
+    choice = chosen(mesh)
+    members = members_of(choice)
+    assert len(members) == choice.parameters["members"].count("*") > 1
+    assert sum(weight for weight, _ in members) <= 1.0 + 1e-9
+    assert all(round(weight, 2) == weight > 0.0 for weight, _ in members)
+
+
+# Vertices that are held or trusted
+
+
+def test_with_trust_the_method_has_a_data_term(mesh):
+    trust = np.linspace(0.0, 1.0, len(mesh.vertices))
+    for wish in ({}, {"budget": 1.0}, {"strength": 2.0}):
+        choice = chosen(mesh.constrained(None, trust), **wish)
+        assert methods.find(choice.method).has_data_term(choice.parameters)
+
+
+def test_held_vertices_stay_and_are_not_learned_from(mesh):
+    held = mesh.vertices[:, 0] < 0.0
+    wild = mesh.vertices.copy()
+    wild[held] += np.random.default_rng(0).normal(0.0, 0.001, (int(held.sum()), 3))
+    constrained = mesh.moved(wild).constrained(held, None)
+    choice = chosen(constrained)
+    made = made_by(choice, constrained)
+    assert (made.vertices[held] == constrained.vertices[held]).all()
+    assert (made.vertices[~held] != constrained.vertices[~held]).any()
+    everything = mesh.constrained(np.ones_like(held), None)
+    assert (made_by(chosen(everything), everything).vertices == mesh.vertices).all()
+
+
+# Odd meshes
+
+
+def odd_meshes():
+    draw = np.random.default_rng(0)
+    vertices, faces = torus(40, 20)
+    rough = noisy(vertices, 0, 0.05)
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    line = np.column_stack([draw.random(50), np.zeros(50), np.zeros(50)])
+    yield "tetrahedron", noisy(corners, 0, 0.3), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    yield "triangle", np.eye(3), [[0, 1, 2]]
+    yield "two triangles", noisy(corners, 1, 0.5), [[0, 1, 2], [2, 1, 3]]
+    yield "ten vertices", draw.normal(size=(10, 3)), draw.integers(0, 10, (16, 3))
+    yield "no area", line, draw.integers(0, 50, (90, 3))
+    part = np.concatenate([faces, 800 + draw.integers(0, 50, (900, 3))])
+    yield "half of it without area", np.concatenate([rough, line]), part
+    crowded = np.column_stack([faces[:80, 0], faces[:80, 1], np.roll(faces[:80, 2], 5)])
+    yield "non-manifold", rough, np.concatenate([faces, crowded])
+    for factor in (10.0, 1e6):
+        spiked = rough.copy()
+        spiked[::97] *= factor
+        yield f"spikes of {factor:g}", spiked, faces
+    flat, sheet = grid(30, 30)
+    flat[draw.random(900) < 0.02, 2] = 2.0
+    yield "spikes on a plane", flat, sheet
+    apart = draw.normal(size=(300, 1, 3)) * 50.0 + draw.normal(size=(300, 3, 3))
+    yield "confetti", apart.reshape(-1, 3), np.arange(900).reshape(-1, 3)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("vertices", "faces"),
+    [pytest.param(vertices, faces, id=name) for name, vertices, faces in odd_meshes()],
+)
+def test_odd_meshes_are_chosen_for(vertices, faces):
+    mesh = prepared(np.asarray(vertices, dtype=float), np.array(faces, dtype=np.int32)).mesh
+    choice = chosen(mesh)
+    assert np.isfinite(made_by(choice, mesh).vertices).all()
+    assert choice.risk is None or np.isfinite(choice.risk)
+    assert all(np.isfinite(risk) for _, risk in choice.runners_up)
+    assert len(choice.runners_up) <= 3
+
+
+def test_clean_meshes_stay_as_they_are():
+    for shape in (torus(60, 30), grid(20, 20)):
+        choice = chosen(prepared(*shape).mesh)
+        assert choice.method == NONE
+        assert choice.parameters == {}
+        assert choice.reason.endswith("left as it is")
+
+
+# On the way
+
+
+def test_progress_goes_up_and_ends_at_the_total(mesh):
+    for wishes in (Wishes(), Wishes(budget=1.0), Wishes(keep="edges")):
+        steps = []
+        selection.chosen(mesh, wishes, lambda *step, steps=steps: steps.append(step))
+        (total,) = {total for _, total in steps}
+        done = [one for one, _ in steps]
+        assert done == sorted(done)
+        assert done[-1] == total
+        assert done.count(total) == 1
+    steps = []
+    selection.chosen(prepared(*grid()).mesh, Wishes(), lambda *step: steps.append(step))
+    assert steps == [(1, 1)]
+
+
+def test_an_interruption_passes_through(mesh):
+    def stop(done, total):
+        if done == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        selection.chosen(mesh, Wishes(), stop)
+
+
+# It pays
+
+
+def sample(name):
+    data = (SAMPLES / name).read_bytes()
+    mesh_file = files.open_mesh(data, name)
+    return prepared(mesh_file.vertices, mesh_file.faces).mesh
+
+
+@pytest.mark.parametrize(
+    ("name", "level"),
+    [("bear_clean.obj", 0.2), ("vase_clean.obj", 0.1), ("toadstool_clean.ply", 0.3)],
+)
+def test_it_is_better_than_the_default_and_than_the_scan(name, level):
+    true = sample(name)
+    rough = true.moved(noise.noisy(true, "gaussian-normal", level, 7))
+    default = methods.find("msal")
+    plain = rough.moved(default.denoised(rough, default.settled({})).vertices)
+    made = denoised(rough)
+    assert angle(true, made) < 0.9 * min(angle(true, plain), angle(true, rough))
+    assert moved_edges(true, made) < 0.9 * min(moved_edges(true, plain), moved_edges(true, rough))
+
+
+@pytest.mark.parametrize("name", ["bear_clean.obj", "bracket_clean.ply", "knot_clean.stl"])
+def test_clean_samples_hardly_move(name):
+    true = sample(name)
+    assert moved_edges(true, denoised(true)) < 0.015
