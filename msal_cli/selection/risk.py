@@ -85,8 +85,9 @@ class Quadratic:
 class Risk:
     """Errors of blends of the same filters, in positions and in slopes.
 
-    ``drift`` (k,) is what each filter moves the surface by as a whole, outwards on the mean, in
-    standard deviations of the noise.
+    ``drift`` (k,) is what each filter moves the surface by as a whole, outwards on the mean: the
+    volume that it sweeps over the area, in standard deviations of the noise.  That of a blend is
+    nearly the sum of its members' drifts, by weight.
     """
 
     positions: Quadratic
@@ -205,7 +206,7 @@ class Stein:
                 _gram(seen) / (self._count * variance), -np.array(self._places) / self._count
             ),
             Quadratic(_gram(tilted) / (unit * variance), -np.array(self._turns) / unit),
-            _drift(seen, self._normals, self._count, self._noise),
+            _drift(self._part.mesh, seen, self._noise),
         )
 
 
@@ -243,11 +244,10 @@ def rehearsed(
         moves[k] = run(noisy)
         on_run()
     seen = np.where(judged[None, :, None], moves, 0.0)
-    count = max(int(judged.sum()), 1)
     return Risk(
         _known(seen, np.where(judged[:, None], back, 0.0)),
         _known(np.stack([slopes(move) for move in moves]), slopes(back)),
-        _drift(seen, normals, count, noise),
+        _drift(noisy, seen, noise),
     )
 
 
@@ -263,6 +263,14 @@ def _at_least(noise: float, mesh: Mesh) -> float:
     return max(noise, LEAST_NOISE * mesh.mean_edge_length)
 
 
-def _drift(seen: Floats, normals: Floats, count: int, noise: float) -> Floats:
-    drift: Floats = np.einsum("kij,ij->k", seen, normals) / (count * noise)
-    return drift
+def _drift(mesh: Mesh, seen: Floats, noise: float) -> Floats:
+    """Volume swept (k,) by moves (k, m, 3), over the area and the noise; outwards is positive.
+
+    Without what vertices at open edges sweep: there the volume depends on the origin.
+    """
+    from msal_cli.core.geometry import area_and_volume
+
+    area, volume = area_and_volume(mesh.vertices, mesh.faces)
+    inner = ~mesh.links.boundary[:, None]
+    swept = [area_and_volume(mesh.vertices + inner * move, mesh.faces)[1] - volume for move in seen]
+    return np.array(swept) / max(area * noise, np.finfo(float).tiny)

@@ -71,9 +71,9 @@ STRENGTH = 1.2
 """Factor of the noise that is reckoned with for each step of ``Wishes.strength``."""
 
 _SLOPES = {"balanced": 0.5, "positions": 0.25, "normals": 0.75, "volume": 0.4}
-_DRIFT = {"volume": 100.0}
+_DRIFT = {"volume": 1000.0}
 # What is to be kept: factor of the noise, share of the slopes.
-_KEEP = {"texture": (0.8, 0.5), "edges": (1.0, 0.7), "shape": (1.25, 0.4)}
+_KEEP = {"texture": (0.9, 0.5), "edges": (1.0, 0.7), "shape": (1.25, 0.4)}
 
 
 def chosen(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
