@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli import files, methods, parameter_grid, pictures, render
+from msal_cli import files, methods, parameter_grid, pictures, render, selection
 from msal_cli.comparison import Surface
 from msal_cli.mesh import prepared
 from msal_cli.render.camera import framing, turned
@@ -52,6 +52,13 @@ def denoised(path: Path, method: str, **parameters: Any) -> tuple[Array, Array]:
     chosen = methods.find(method)
     result = chosen.denoised(ready.mesh, chosen.settled(parameters))
     return ready.scattered(result.vertices, vertices), faces
+
+
+def automatic(path: Path) -> tuple[Array, Array]:
+    """The same as ``msal denoise --auto`` makes them."""
+    vertices, faces = opened(path)
+    choice = selection.chosen(prepared(vertices, faces).mesh, selection.Wishes())
+    return denoised(path, choice.method, **choice.parameters)
 
 
 def sample(name: str, kind: str) -> Path:
@@ -150,6 +157,15 @@ def main() -> None:
     shown = [opened(egg), denoised(egg, "al"), denoised(egg, "msal")]
     shown.append(opened(sample("dragon_egg", "clean")))
     write_png(folder / "al_msal.png", row([panel("dragon_egg", mesh, size) for mesh in shown]))
+
+    size = (270, 240)
+    rows = []
+    for name in ("bracket", "coin"):
+        noisy = sample(name, "noisy")
+        shown = [opened(noisy), denoised(noisy, "msal"), automatic(noisy)]
+        shown.append(opened(sample(name, "clean")))
+        rows.append(row([panel(name, mesh, size) for mesh in shown]))
+    write_png(folder / "auto.png", np.concatenate(rows))
 
     bear = sample("bear", "noisy")
     size = (270, 300)
