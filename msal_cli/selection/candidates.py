@@ -6,6 +6,7 @@ or as a member of a blend; settings that are never missed were left out.
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from msal_cli.dataclass import dataclass
@@ -40,7 +41,7 @@ class Candidate:
     @property
     def label(self) -> str:
         """In words: ``guided normals (sigma_r 0.45, 5 iterations)``."""
-        told = _WORDS.get(self.method, "").format(**self.given)
+        told = re.sub(r"\b1 (\w+)s\b", r"1 \1", _WORDS.get(self.method, "").format(**self.given))
         return NAMES[self.method] + (f" ({told})" if told else "")
 
 
@@ -58,13 +59,14 @@ NAMES = {
 }
 """What people call the methods."""
 
+# With plurals; one of them is made singular.
 _WORDS = {
     "guided_normal": "sigma_r {similarity:g}, {iterations} iterations",
     "bilateral_normal": "sigma_s {similarity:g}, {iterations} iterations",
     "normal_diffusion": "mu {similarity:g}, {iterations} rounds of {normal_iterations} steps",
     "wiener": "caution {caution:g}, sigma_s {similarity:g}",
-    "msal": "K = {K:g}, normals mollified {mollify} times",
-    "al": "{iterations} sweeps, normals mollified {mollify} times",
+    "msal": "K = {K:g}, {mollify} mollifications",
+    "al": "{iterations} sweeps, {mollify} mollifications",
     "normal_threshold": "threshold {threshold:g}, {iterations} iterations",
 }
 

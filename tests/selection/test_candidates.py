@@ -1,0 +1,46 @@
+"""The table of what is tried."""
+
+from __future__ import annotations
+
+import pytest
+
+from msal_cli import methods
+from msal_cli.selection import candidates
+from msal_cli.selection.candidates import CANDIDATES, NAMES
+
+
+def label(method, **given):
+    return candidates.Candidate(method, given, 1.0).label
+
+
+@pytest.mark.parametrize("one", CANDIDATES, ids=lambda one: one.label)
+def test_settings_are_allowed(one):
+    method = methods.find(one.method)
+    settings = one.settings(0.125)
+    values = method.settled(settings)
+    assert ("noise" in settings) == one.takes_noise
+    if one.takes_noise:
+        assert values["noise"] == 0.125
+    assert one.cost > 0.0
+    assert {spec.name for spec in method.parameters} >= set(settings)
+
+
+def test_all_differ_in_what_they_are_and_in_what_they_are_called():
+    assert len({one.label for one in CANDIDATES}) == len(CANDIDATES)
+    made = {repr((one.method, sorted(one.settings(0.1).items()))) for one in CANDIDATES}
+    assert len(made) == len(CANDIDATES)
+
+
+def test_every_name_is_in_use():
+    used = {one.method for one in CANDIDATES}
+    assert set(NAMES) == used
+    assert set(candidates._WORDS) <= used
+
+
+def test_labels_read_like_words():
+    assert label("al", iterations=1, mollify=2) == "AL (1 sweep, 2 mollifications)"
+    assert label("msal", K=0.25, mollify=1) == "MSAL (K = 0.25, 1 mollification)"
+    assert label("guided_normal", similarity=0.6, iterations=21) == (
+        "guided normals (sigma_r 0.6, 21 iterations)"
+    )
+    assert label("l0") == "L0"
