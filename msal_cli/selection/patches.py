@@ -60,9 +60,10 @@ def representative(mesh: Mesh, most: int) -> Part:
     count = max(most // PATCH, 1)
     for patch in range(count):
         _grow(order, (2 * patch + 1) * len(order) // (2 * count), most // count, links, inside)
-    all_inside = inside[mesh.faces].all(axis=1)
-    # A vertex with more neighbours than a patch has room for may leave no face whole.
-    chosen = all_inside if all_inside.any() else inside[mesh.faces].any(axis=1)
+    chosen = np.flatnonzero(inside[mesh.faces].all(axis=1))
+    if not len(chosen):
+        # A vertex with more neighbours than a patch has room for may leave no face whole.
+        chosen = np.flatnonzero(inside[mesh.faces].any(axis=1))[:most]
     used, corners = np.unique(mesh.faces[chosen], return_inverse=True)
     kept = judged[used] & ~_near_cut(used, links)[used]
     part = Mesh(mesh.vertices[used], corners.reshape(-1, 3).astype(np.int32))

@@ -143,13 +143,25 @@ def test_vertices_without_faces_are_no_part_of_it(large):
     assert len(representative(few, 10_000).mesh.vertices) == 288
 
 
-def test_a_vertex_with_more_neighbours_than_a_patch_has_room_for():
-    vertices, faces = fan(np.sin(np.arange(30_000)))
-    shuffled = np.random.default_rng(0).permutation(len(vertices))
-    mesh = prepared(vertices[np.argsort(shuffled)], shuffled[faces]).mesh
-    part = representative(mesh, 5_000)
-    assert len(part.mesh.faces)
+def test_a_vertex_with_more_neighbours_than_a_patch_has_room_for(monkeypatch):
+    count = 4_000
+    vertices, faces = fan(np.sin(np.arange(count)))
+    # Every other vertex of the rim first: the first ones have no edge between them.
+    old = np.concatenate([[0], 1 + np.arange(0, count, 2), 2 + np.arange(0, count, 2)])
+    new = np.argsort(old)
+    mesh = prepared(vertices[old], new[faces]).mesh
+    plain = representative(mesh, 1_000)
+    assert len(plain.mesh.faces)
+    assert plain.judged.any()
+    # The patch begins with the middle of the fan.
+    monkeypatch.setattr(
+        "msal_cli.selection.patches._in_space",
+        lambda vertices: np.roll(np.arange(len(vertices)), len(vertices) // 2),
+    )
+    part = representative(mesh, 1_000)
+    assert 0 < len(part.mesh.faces)
     assert part.judged.any()
+    assert len(part.mesh.faces) <= 1_000
 
 
 def test_vertices_that_coincide_keep_their_numbers(large):

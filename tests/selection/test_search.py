@@ -145,21 +145,21 @@ def test_keeping_texture_moves_less_and_keeping_shape_more():
     assert texture < plain < shape
 
 
-def test_what_is_preferred_comes_out_no_worse():
-    vertices, faces = torus(60, 30)
-    true = prepared(vertices, faces).mesh
-    scan = true.moved(noise.noisy(true, "gaussian-normal", 0.2, 1))
+def test_what_is_preferred_comes_out_better():
+    true = prepared(*torus(30, 24)).mesh
+    scan = true.moved(noise.noisy(true, "gaussian-normal", 0.4, 1))
     errors = {}
     for prefer in ("positions", "normals", "volume"):
         made = denoised(scan, prefer=prefer)
         errors[prefer] = (
             moved_edges(true, made),
             angle(true, made),
-            abs(volume(made) / volume(true) - 1.0),
+            abs(volume(made) / volume(scan) - 1.0),
         )
-    assert errors["positions"][0] <= 1.01 * errors["normals"][0]
-    assert errors["normals"][1] <= 1.01 * errors["positions"][1]
-    assert errors["volume"][2] <= 1.2 * errors["normals"][2]
+    # Within what an estimate may err.
+    assert errors["positions"][0] <= 1.02 * errors["normals"][0]
+    assert errors["normals"][1] <= 1.02 * errors["positions"][1]
+    assert errors["volume"][2] < 0.5 * errors["normals"][2]
 
 
 def volume(mesh):
@@ -177,6 +177,8 @@ def test_the_choice_keeps_within_the_budget(large, budget):
     if budget == 1.0:
         assert choice.tried == 1
         assert cost <= n
+        # What was chosen is not among the next best.
+        assert choice.runners_up == ()
 
 
 def test_weights_are_whole_hundredths_of_methods_that_were_tried(mesh):
