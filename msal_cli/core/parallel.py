@@ -46,7 +46,9 @@ def over_ranges(
     range is raised here.
     """
     least = SMALLEST_RANGE if smallest is None else smallest
-    parts = max(1, min(threads(), count // least, count if most is None else most))
+    parts = min(count // least, count if most is None else most)
+    # Small meshes call kernels by the thousand: they need not ask how many threads there are.
+    parts = min(parts, threads()) if parts > 1 else 1
     if parts == 1:
         return [kernel(0, count, *arguments)]
     bounds = [count * part // parts for part in range(parts + 1)]

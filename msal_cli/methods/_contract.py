@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
 import inspect
 import math
 import typing
@@ -144,6 +145,16 @@ def parameter(
     )
 
 
+@functools.cache
+def _specs(made: type[Any]) -> tuple[ParameterSpec, ...]:
+    """The fields of a ``Parameters``; --auto asks for those of a method a hundred times."""
+    kinds = typing.get_type_hints(made)
+    return tuple(
+        ParameterSpec(one.name, kind=kinds[one.name], default=one.default, **one.metadata)
+        for one in dataclasses.fields(made)
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Method:
     """A denoising method found in this folder."""
@@ -179,11 +190,7 @@ class Method:
     @property
     def parameters(self) -> tuple[ParameterSpec, ...]:
         """Its parameters in the order of the dataclass."""
-        kinds = typing.get_type_hints(self.module.Parameters)
-        return tuple(
-            ParameterSpec(one.name, kind=kinds[one.name], default=one.default, **one.metadata)
-            for one in dataclasses.fields(self.module.Parameters)
-        )
+        return _specs(self.module.Parameters)
 
     def spec(self, word: str) -> ParameterSpec:
         """The parameter with that name or symbol; UsageError if there is none."""
