@@ -1,11 +1,13 @@
 """Kernels compiled ahead, by processes on the cores that a first run leaves idle.
 
 numba compiles in one thread.  What a run will ask for is known, though: ``needed.json`` lists it
-for each kind of file with the default method (``python -m benchmarks.needed_kernels`` writes it).
-So the first listed kernel that the cache does not have starts a few processes, which compile what
-else is listed, the longest first, and pass over what another process has in hand.  They are for
-the cache alone: they print nothing, their failures change nothing, and they end with whoever
-started them.  There is one set of them for a cache, however many processes begin on it.
+for each kind of file with the default method, and what --auto needs beyond that
+(``python -m benchmarks.needed_kernels`` writes it).  So the first listed kernel that the cache does
+not have starts a few processes, which compile what else is listed, the longest first, and pass over
+what another process has in hand.  What a run has said that it will need (``compiled.expect``) comes
+before the kernels for its file, at which it is itself.  They are for the cache alone: they print
+nothing, their failures change nothing, and they end with whoever started them.  There is one set of
+them for a cache, however many processes begin on it.
 
 ``MSAL_COMPILE_AHEAD=0`` in the environment keeps them away.
 """
@@ -18,10 +20,12 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from msal_cli.core import machine_code
+from msal_cli.core.compiled import AUTO
 from msal_cli.core.parallel import threads, usable_cores
 
 MOST_HELPERS = 3
@@ -32,7 +36,7 @@ ROOM_BYTES = 400 << 20
 
 _BOOT = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from msal_cli.core import ahead; ahead.help_on(sys.argv[2], int(sys.argv[3]))"
+    "from msal_cli.core import ahead; ahead.help_on(sys.argv[3:], int(sys.argv[2]))"
 )
 
 Wanted = tuple[str, tuple[Any, ...]]
@@ -42,7 +46,7 @@ _is_begun = threading.Event()
 
 
 def routes() -> dict[str, list[Wanted]]:
-    """What a run needs, by kind of file, the longest to compile first."""
+    """What a run needs, by kind of file, and ``AUTO``: each with the longest to compile first."""
     listed = json.loads(Path(__file__).with_name("needed.json").read_text(encoding="utf-8"))
     return {
         route: [
@@ -53,10 +57,11 @@ def routes() -> dict[str, list[Wanted]]:
     }
 
 
-def begin(name: str, kinds: tuple[Any, ...]) -> None:
+def begin(name: str, kinds: tuple[Any, ...], expected: tuple[str, ...] = ()) -> None:
     """Have the rest of a run's kernels compiled, now that it turns out to lack one of them.
 
-    Only the first call of a process does anything; it takes milliseconds and never fails.
+    ``expected`` are routes that the run will need beside that of its file.  Only the first call of
+    a process does anything; it takes milliseconds and never fails.
     """
     if _is_begun.is_set():
         return
@@ -68,16 +73,19 @@ def begin(name: str, kinds: tuple[Any, ...]) -> None:
     if not sys.executable or sys.flags.optimize or _is_limited() or _free_bytes() < ROOM_BYTES:
         return
     try:
-        route = next((one for one, wanted in routes().items() if (name, kinds) in wanted), None)
+        known = routes().items()
     except (OSError, ValueError):
         return
-    if route is not None and machine_code.is_nobody_helping():
+    of_file = (one for one, wanted in known if one != AUTO and (name, kinds) in wanted)
+    wanted_routes = (*expected, *list(of_file)[:1])
+    if wanted_routes and machine_code.is_nobody_helping():
         for number in range(count):
-            _start(route, number)
+            _start(wanted_routes, number)
 
 
-def _start(route: str, number: int) -> None:
-    command = [sys.executable, "-P", "-c", _BOOT, json.dumps(sys.path), route, str(number)]
+def _start(wanted_routes: tuple[str, ...], number: int) -> None:
+    command = [sys.executable, "-P", "-c", _BOOT, json.dumps(sys.path), str(number)]
+    command += wanted_routes
     try:
         helper = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
@@ -94,7 +102,7 @@ def _attend(helper: subprocess.Popen[bytes]) -> None:
         helper.stdin.close()
 
 
-def help_on(route: str, number: int) -> None:
+def help_on(wanted_routes: Sequence[str], number: int) -> None:
     """Compile what a run needs and nobody has in hand; what a helper does, and all it does."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     # The helper of a helper would be one too many.
@@ -102,7 +110,8 @@ def help_on(route: str, number: int) -> None:
     with machine_code.as_helper(number) as is_needed:
         if not is_needed:
             return
-        for name, kinds in routes()[route]:
+        listed = routes()
+        for name, kinds in [one for route in wanted_routes for one in listed[route]]:
             module, _, function = name.partition(".")
             kernel = getattr(importlib.import_module(f"msal_cli.core.{module}"), function)
             try:

@@ -26,8 +26,14 @@ import numpy as np
 
 from msal_cli.core import machine_code
 
+AUTO = "auto"
+"""The route of what choosing takes, and what is mostly chosen, beyond the default method."""
+
 _LOCK = threading.RLock()
 _log = logging.getLogger("msal.core")
+
+# Not in ``ahead``, which nobody imports whose kernels are all in the cache.
+_EXPECTED: dict[str, None] = {}
 
 
 class Kernel:
@@ -62,7 +68,7 @@ class Kernel:
             if code is None:
                 from msal_cli.core import ahead
 
-                ahead.begin(name, kinds)
+                ahead.begin(name, kinds, tuple(_EXPECTED))
                 with machine_code.alone(name, said), _garbage_left():
                     # Whoever was first has kept it by now.
                     code = machine_code.found(name, said)
@@ -160,6 +166,14 @@ def _garbage_left() -> Iterator[None]:
 def compiled(function: Callable[..., Any]) -> Kernel:
     """Make a kernel of a function over arrays and numbers (a decorator)."""
     return Kernel(cast(types.FunctionType, function))
+
+
+def expect(route: str) -> None:
+    """Say that this run will need the kernels of a route (see ``ahead``) beside its file's.
+
+    They are compiled ahead once the run lacks any kernel; until then this does nothing.
+    """
+    _EXPECTED[route] = None
 
 
 def kind(argument: Any) -> str | tuple[str, int, str, bool, bool]:

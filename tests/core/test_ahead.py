@@ -12,6 +12,7 @@ import pytest
 
 from benchmarks import needed_kernels, scans
 from msal_cli.core import ahead, machine_code
+from msal_cli.core.compiled import AUTO
 
 pytestmark = pytest.mark.skipif(machine_code.fcntl is None, reason="the system has no such locks")
 
@@ -20,7 +21,7 @@ _SMALL = ("medians._counted", (("<u8", 1, "C", True, True), ("<i8", 1, "C", True
 _HELP = (
     "from msal_cli.core import ahead\n"
     f"ahead.routes = lambda: {{'small': [{_SMALL!r}]}}\n"
-    "ahead.help_on('small', 0)\n"
+    "ahead.help_on(['small'], 0)\n"
 )
 _HOLD = (
     "import sys\n"
@@ -84,13 +85,35 @@ def test_a_run_begins_helpers_for_its_own_kind_of_file(form, started):
     first = {"ply": "connectivity._marked", "ply-ascii": "ply_plain.read_scalars"}
     first |= {"stl": "soup._indexed", "obj": "obj_plain.counted"}
     ahead.begin(*next(one for one in ahead.routes()[form] if one[0] == first[form]))
-    assert started == [(form, 0), (form, 1)]
+    assert started == [((form,), 0), ((form,), 1)]
+
+
+def test_the_list_for_auto_is_what_it_asks_for_beside(tmp_path):
+    listed = json.loads(needed_kernels.TARGET.read_text())
+    default = [json.dumps(one) for one in listed["ply"]]
+    wanted = {json.dumps(one) for one in listed[AUTO]}
+    # If not: python -m benchmarks.needed_kernels --write
+    assert wanted == set(needed_kernels.auto_asked_for(tmp_path, default))
+
+
+def test_only_runs_that_expect_it_have_the_kernels_of_auto_compiled(started):
+    ahead.begin(*ahead.routes()[AUTO][0])
+    assert not started
+    ahead._is_begun.clear()
+    of_stl = next(one for one in ahead.routes()["stl"] if one[0] == "soup._indexed")
+    ahead.begin(*of_stl, (AUTO,))
+    assert started == [((AUTO, "stl"), 0), ((AUTO, "stl"), 1)]
+    started.clear()
+    ahead._is_begun.clear()
+    # The default method's are in the cache.
+    ahead.begin(*ahead.routes()[AUTO][0], (AUTO,))
+    assert started == [((AUTO,), 0), ((AUTO,), 1)]
 
 
 def test_there_is_a_helper_for_every_other_core_and_once(started, monkeypatch):
     ahead.begin(*ahead.routes()["ply"][0])
     ahead.begin(*ahead.routes()["ply"][1])
-    assert started == [("ply", 0), ("ply", 1)]
+    assert started == [(("ply",), 0), (("ply",), 1)]
     monkeypatch.setenv("MSAL_THREADS", "64")
     monkeypatch.setattr(ahead, "usable_cores", lambda: 64)
     started.clear()
@@ -152,7 +175,7 @@ def test_a_helper_ends_with_whoever_started_it(cache):
         "    print(helper.pid, flush=True)\n"
         "    return helper\n"
         "subprocess.Popen = noted\n"
-        "ahead._start('ply', 0)\n"
+        "ahead._start(('ply',), 0)\n"
         "sys.stdin.read()\n"
         "os._exit(1)\n"
     )
