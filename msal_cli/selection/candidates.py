@@ -147,3 +147,6 @@ CANDIDATES: tuple[Candidate, ...] = (
 
 SMOOTHER = _wiener(0.75, 2.25)
 """A cheap one that does well on most meshes: its result gives the directions of the noise."""
+
+ROBUST = _guided(0.35, 5, 26.0)
+"""One that single vertices far out mislead little: a first result where the noise is impulsive."""

@@ -23,7 +23,7 @@ from msal_cli.mesh import Mesh
 from msal_cli.methods.blend import written
 from msal_cli.noise_estimate import NoiseLevel, estimated
 from msal_cli.selection import NONE, Choice, Wishes
-from msal_cli.selection.candidates import CANDIDATES, SMOOTHER, Candidate
+from msal_cli.selection.candidates import CANDIDATES, ROBUST, SMOOTHER, Candidate
 from msal_cli.selection.patches import Part, representative
 from msal_cli.selection.risk import PROBES, Risk, Stein, rehearsed
 from msal_cli.selection.surface import CLEAN, MACHINED, kind_of
@@ -118,6 +118,16 @@ class _Search:
         at_first = [one for one in usable if not one.is_last_resort]
         dear = [one for one in usable if one.is_last_resort]
         part = representative(self.mesh, self._part_size(at_first))
+        look = self._by_rehearsals if self.is_impulsive else self._by_stein
+        members, risks, surface, tried = look(part, at_first, dear)
+        final = self._pruned(members, risks)
+        self._finish()
+        return self._choice(members, final, risks, surface, tried)
+
+    def _by_stein(
+        self, part: Part, at_first: list[Candidate], dear: list[Candidate]
+    ) -> tuple[list[Candidate], list[Risk], str, int]:
+        """The shortlist, its risks by Stein's lemma and by a rehearsal, and the kind of surface."""
         self._total = (1 + PROBES) * (len(at_first) + len(dear)) + REHEARSING + len(at_first) // 4
         smoothed = part.mesh.vertices + self._run(SMOOTHER, part.mesh)(part.mesh)
         normals = part.mesh.moved(smoothed).vertex_normals("uniform")
@@ -128,7 +138,7 @@ class _Search:
         weights = self._best([risk])
         first = part.mesh.vertices + _blend(weights, judge.moves)
         surface = kind_of(part.mesh.moved(first))
-        if dear and (surface == MACHINED or self._noise_edges(self.mesh) >= HEAVY):
+        if dear and self._may_be_sharp(surface):
             self._look(judge, part, dear)
             looked = at_first + dear
             risk = judge.risk()
@@ -136,18 +146,36 @@ class _Search:
             first = part.mesh.vertices + _blend(weights, judge.moves)
         shortlist = self._shortlist(risk, weights)
         members = [looked[k] for k in shortlist]
-        again = rehearsed(
-            part,
-            first,
-            [self._run(member, part.mesh) for member in members],
-            self.level,
-            self.is_impulsive,
-            self._step,
-        )
-        risks = [risk.of(shortlist), again]
-        final = self._pruned(members, risks)
-        self._finish()
-        return self._choice(members, final, risks, surface, len(looked))
+        again = self._rehearsed(part, first, members)
+        return members, [risk.of(shortlist), again], surface, len(looked)
+
+    def _by_rehearsals(
+        self, part: Part, at_first: list[Candidate], dear: list[Candidate]
+    ) -> tuple[list[Candidate], list[Risk], str, int]:
+        """The same for impulsive noise, of which Stein's lemma knows nothing: two rehearsals, the
+        second one on what the first has chosen."""
+        first = part.mesh.vertices + self._run(ROBUST, part.mesh)(part.mesh)
+        surface = kind_of(part.mesh.moved(first))
+        looked = at_first + dear if self._may_be_sharp(surface) else at_first
+        self._total = 2 * len(looked)
+        risk = self._rehearsed(part, first, looked)
+        weights = self._best([risk])
+        shortlist = self._shortlist(risk, weights)
+        members = [looked[k] for k in shortlist]
+        moves = np.zeros_like(first)
+        for weight, member in zip(weights[shortlist], members, strict=True):
+            if weight > 0.0:
+                moves += weight * self._run(member, part.mesh)(part.mesh)
+        again = self._rehearsed(part, part.mesh.vertices + moves, members)
+        return members, [again], surface, len(looked)
+
+    def _may_be_sharp(self, surface: str) -> bool:
+        return surface == MACHINED or self._noise_edges(self.mesh) >= HEAVY
+
+    def _rehearsed(self, part: Part, first: Floats, members: Sequence[Candidate]) -> Risk:
+        """The risk of members on ``first`` (m, 3) with the mesh's noise put on it."""
+        runs = [self._run(member, part.mesh) for member in members]
+        return rehearsed(part, first, runs, self.level, self.is_impulsive, self._step)
 
     def _is_usable(self, candidate: Candidate) -> bool:
         """Whether one may be chosen: its run over the mesh fits, and trust has an effect."""
@@ -234,7 +262,7 @@ class _Search:
         edge = self.mesh.mean_edge_length
         noise_edges = self._noise_edges(self.mesh)
         used = np.flatnonzero(weights).tolist()
-        alone = np.maximum(*(risk.positions.singles() for risk in risks))
+        alone = np.max([risk.positions.singles() for risk in risks], axis=0)
         singles = np.sqrt(np.maximum(alone, 0.0)) * self.level / edge
         order = np.argsort(self._scores(risks), kind="stable")
         told = tuple(
