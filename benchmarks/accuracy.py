@@ -1,143 +1,124 @@
-"""Every method at its default setting on noisy meshes whose true shape is known.
+"""How near ``--auto`` and every method come to the truth, class by class.
 
-    MSAL_DATA=FOLDER python benchmarks/accuracy.py
+    MSAL_DATA=FOLDER python -m benchmarks.accuracy --cache FILE.json [--quick] [--again]
 
-FOLDER holds pairs/NAME/{Noisy,Original}.obj; the number in a name is the noise in mean edge
-lengths.  Prints the tables of docs/accuracy.md: mean angle between corresponding face normals in
-degrees / mean distance between corresponding vertices in % of the original's mean edge length.
+Prints the tables of docs/accuracy.md over the noisy meshes of ``benchmarks.ground_truth``: mean
+angle between corresponding face normals in degrees / mean distance between corresponding vertices
+in % of the true mean edge length.  The settings are those of ``benchmarks.accuracy_grid``.  Without
+MSAL_DATA the sample meshes and the shapes that are made here remain.
+
+An interrupted run goes on from its cache.  After filters have changed take another one; after the
+choice has changed ``--again`` repeats what ``--auto`` does, and nothing else.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
-from typing import Any
 
-from msal_cli import files, methods
-from msal_cli.mesh import Mesh, prepared
-from msal_cli.metrics.comparison import moved_statistics, vertex_error_percent
-from msal_cli.metrics.surface import normal_statistics
+from benchmarks import accuracy_tables, accuracy_trials, ground_truth
+from benchmarks.accuracy_grid import defaults, grid
+from benchmarks.accuracy_outcomes import AUTO, Outcome, Outcomes
+from msal_cli.selection import Wishes
 
-PUBLISHED = (
-    (
-        "AL, 3 sweeps, no mollification",
-        "al",
-        {"iterations": 3, "mollify": 0},
-        ("10.41 / 14.4", "12.38 / 16.2", "6.31 / 10.8", "6.99 / 8.2"),
-    ),
-    (
-        "AL, 3 sweeps, 1 mollification",
-        "al",
-        {"iterations": 3},
-        ("9.77 / 13.8", "11.31 / 16.2", "5.91 / 10.3", "6.04 / 7.3"),
-    ),
-    (
-        "MSAL, 3 sweeps, K = 1/2, no mollification",
-        "msal",
-        {"iterations": 3, "mollify": 0},
-        ("15.09 / 14.3", "14.63 / 13.7", "7.75 / 8.7", "9.38 / 8.1"),
-    ),
-    (
-        "implicit fairing",
-        "mean_curvature_flow",
-        {"time_step": 1, "iterations": 1, "boundary": "free"},
-        ("11.71", "11.82", "6.89", "7.94"),
-    ),
-    ("Taubin", "taubin", {}, ("9.94 / 16.1", "11.18 / 15.2", "6.25 / 12.7", "6.92 / 17.5")),
-    (
-        "Fleishman 2003, 5 sweeps",
-        "bilateral",
-        {"variant": "fleishman", "iterations": 5},
-        ("11.11 / 14.1", "16.74 / 16.3", "8.51 / 9.6", "10.29 / 9.0"),
-    ),
-    (
-        "Jones 2003",
-        "bilateral_non_iterative",
-        {},
-        ("10.99 / 14.8", "15.03 / 15.7", "6.50 / 8.4", "7.86 / 8.9"),
-    ),
-    (
-        "Sun 2007, T 0.5, 20 + 50",
-        "normal_threshold",
-        {},
-        ("4.27 / 10.7", "11.82 / 21.2", "9.51 / 21.9", "8.68 / 16.7"),
-    ),
-    (
-        "Zheng 2011 local, 20 + 10",
-        "bilateral_normal",
-        {},
-        ("3.49 / 7.2", "8.29 / 10.3", "6.64 / 10.6", "6.81 / 8.3"),
-    ),
-    (
-        "Zheng 2011 global",
-        "bilateral_normal",
-        {"variant": "global"},
-        ("11.19 / 12.6", "16.55 / 14.1", "6.50 / 7.7", "8.32 / 7.2"),
-    ),
-    ("L0 2013", "l0", {}, ("2.20 / 8.1", "10.60 / 17.4", "", "8.67 / 13.5")),
-    (
-        "Guided 2015, 20 + 10",
-        "guided_normal",
-        {},
-        ("2.93 / 8.7", "8.17 / 13.3", "6.66 / 11.1", "7.97 / 10.8"),
-    ),
-)
-"""Settings of public implementations, and what these reached on the pairs of ``ORDER``."""
+COMMON = {
+    "machined": ("Fandisk0.3", "SharpSphere0.3"),
+    "organic": ("Bunny0.2", "Julius0.2"),
+    "texture 0.1": ("bunny 0.1", "igea 0.1", "dragon 0.1"),
+    "texture 0.2": ("bunny 0.2", "igea 0.2", "dragon 0.2"),
+}
+"""Members that the classes share with those that the goals were set for."""
 
-ORDER = ("Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2")
+PARTS = ("classes", "wishes", "robustness", "reasons")
+
+Rows = dict[str, dict[str, Outcome]]
 
 
-def pair(folder: Path) -> tuple[Mesh, Mesh]:
-    """The noisy and the true mesh of a folder, about one origin."""
-    opened = []
-    for name in ("Noisy.obj", "Original.obj"):
-        data = files.read_whole(str(folder / name))
-        opened.append(files.open_mesh(data, name))
-    noisy = prepared(opened[0].vertices, opened[0].faces)
-    return noisy.mesh, noisy.mesh.moved(opened[1].vertices - noisy.origin)
+def class_rows(held: Outcomes, quick: bool) -> dict[str, Rows]:
+    """The outcomes of every class, by model: small meshes are run before the large ones."""
+    settings = {of: defaults() if of == "clean" else grid() for of in ground_truth.CLASSES}
+    wish = {AUTO: Wishes()}
+    if not quick:
+        for case in ground_truth.cases(quick=True):
+            held.of(case, settings[case.of], wish)
+    found: dict[str, Rows] = {of: {} for of in ground_truth.CLASSES}
+    for case in ground_truth.cases(quick):
+        found[case.of][case.name] = held.of(case, settings[case.of], wish)
+    return {of: rows for of, rows in found.items() if rows}
 
 
-def errors(true: Mesh, mesh: Mesh) -> str:
-    """Mean angle in degrees / mean vertex error in % of the mean edge length."""
-    angle = normal_statistics(true, mesh).mean_angular_error_deg
-    percent = vertex_error_percent(true, moved_statistics(true, mesh))
-    return f"{angle:.2f} / {percent:.1f}"
+def print_classes(found: dict[str, Rows]) -> None:
+    """The tables of every class."""
+    print("\n### Overview\n")
+    filtered = {of: rows for of, rows in found.items() if of != "clean"}
+    print("\n".join(accuracy_tables.overview(filtered, grid())))
+    for of, rows in found.items():
+        print(f"\n### {of.capitalize()}\n")
+        if of == "clean":
+            moved = accuracy_tables.errors(rows, [AUTO])[:, 0, 1]
+            goal = accuracy_tables.CLEAN_GOAL
+            print(
+                f"`--auto` moves vertices by {moved.mean():.2f} % of the mean edge; goal: {goal}.\n"
+            )
+            print("\n".join(accuracy_tables.models(rows, defaults(), is_tuned=False)))
+            continue
+        print("\n".join(accuracy_tables.summary(of, rows, grid())))
+        shared = {name: rows[name] for name in COMMON[of] if name in rows}
+        if len(shared) == len(COMMON[of]):
+            print("\nThose of them that the goals were set for, too:\n")
+            print("\n".join(accuracy_tables.summary(of, shared, grid())))
+        print("\nModel by model:\n")
+        print("\n".join(accuracy_tables.models(rows, grid())), flush=True)
 
 
-def main() -> None:
+def print_wishes(held: Outcomes, quick: bool) -> None:
+    """The table of wishes."""
+    rows = {
+        case.name: held.of(case, [], accuracy_trials.WISHES)
+        for case in ground_truth.cases(quick)
+        if case.name in accuracy_trials.WISHED
+    }
+    print(
+        "\n### Wishes\n\n" + "\n".join(accuracy_tables.wishes(rows, list(accuracy_trials.WISHES)))
+    )
+
+
+def print_robustness(held: Outcomes) -> None:
+    """The table of other models and other noise."""
+    settings = grid(coarse=True)
+    rows = {
+        case.name: held.of(case, settings, {AUTO: Wishes()})
+        for case in accuracy_trials.other_cases()
+    }
+    print("\n### Robustness\n\n" + "\n".join(accuracy_tables.robustness(rows, settings)))
+
+
+def main(words: list[str] | None = None) -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.parse_args()
-    if "MSAL_DATA" not in os.environ:
-        parser.error("set MSAL_DATA to the folder that holds pairs/")
-    folder = Path(os.environ["MSAL_DATA"]) / "pairs"
-    pairs = [pair(folder / name) for name in ORDER]
-
-    def row(label: str, name: str, given: dict[str, Any], beside: tuple[str, ...] = ()) -> str:
-        method = methods.find(name)
-        settled = method.settled(given)
-        cells = [
-            errors(true, noisy.moved(method.denoised(noisy, settled).vertices))
-            for noisy, true in pairs
-        ]
-        if beside:
-            cells = [
-                f"{cell} ({other})" if other else cell
-                for cell, other in zip(cells, beside, strict=True)
-            ]
-        return f"| {label} | " + " | ".join(cells) + " |"
-
-    heads = "| " + " | ".join(ORDER) + " |\n" + "|---" * (1 + len(ORDER)) + "|"
-    print("Every method at its default setting:\n")
-    print(f"| method {heads}")
-    print("| noisy | " + " | ".join(errors(true, noisy) for noisy, true in pairs) + " |")
-    for name in methods.names():
-        print(row(f"`{name}`", name, {}), flush=True)
-    print("\nAt the settings of public implementations, with what those reached in brackets:\n")
-    print(f"| setting {heads}")
-    for label, name, given, beside in PUBLISHED:
-        print(row(label, name, given, beside), flush=True)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--cache", type=Path, help="JSON file that keeps what was run")
+    parser.add_argument("--quick", action="store_true", help="leave igea and the dragon out")
+    parser.add_argument("--again", action="store_true", help="run --auto anew")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="default: all")
+    told = parser.parse_args(words)
+    try:
+        held = Outcomes(told.cache)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        parser.error(f"{told.cache} is not a cache of this benchmark: {error}")
+    if told.again:
+        held.forget_automatic()
+    if {"classes", "reasons"} & set(told.parts):
+        found = class_rows(held, told.quick)
+        if "classes" in told.parts:
+            print_classes(found)
+    if "wishes" in told.parts:
+        print_wishes(held, told.quick)
+    if "robustness" in told.parts:
+        print_robustness(held)
+    if "reasons" in told.parts:
+        print("\n### What `--auto` said\n\n| | |\n|---|---|")
+        for rows in found.values():
+            print("\n".join(accuracy_tables.reasons(rows)))
 
 
 if __name__ == "__main__":

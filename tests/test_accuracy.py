@@ -1,0 +1,257 @@
+"""The benchmark of accuracy: its cases, its settings, its tables and its cache."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from benchmarks import (
+    accuracy,
+    accuracy_outcomes,
+    accuracy_tables,
+    accuracy_trials,
+    ground_truth,
+)
+from benchmarks.accuracy_grid import Setting, defaults, grid
+from benchmarks.accuracy_outcomes import AUTO, NOISY, Outcome
+from msal_cli import methods
+from msal_cli.mesh import prepared
+from msal_cli.noise_estimate import estimated
+from msal_cli.selection import Choice
+from tests.shapes import torus
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "accuracy.md"
+
+SETTINGS = [Setting("al", {}), Setting("al", {"iterations": 1}), Setting("wiener", {})]
+
+
+def test_classes_are_whole_without_any_data(monkeypatch):
+    ground_truth.data_folder.cache_clear()
+    monkeypatch.delenv("MSAL_DATA", raising=False)
+    found: dict[str, list[str]] = {}
+    for case in ground_truth.cases():
+        found.setdefault(case.of, []).append(case.name)
+    ground_truth.data_folder.cache_clear()
+    assert found == {
+        "machined": [
+            "bracket 0.3",
+            "star_prism 0.4",
+            "stepped_cylinder 0.5 impulsive",
+            "chipped_cube 0.4",
+        ],
+        "organic": ["bear 0.2", "vase 0.3", "toadstool 0.2"],
+        "texture 0.1": ["dragon_egg 0.1", "coin 0.1", "rock 0.1"],
+        "texture 0.2": ["dragon_egg 0.2", "coin 0.2", "rock 0.2"],
+        "clean": ["dragon_egg", "coin", "rock", "bracket", "bear"],
+    }
+
+
+def test_common_members_and_wished_ones_are_cases(monkeypatch, tmp_path):
+    # Files that are there by name alone: nothing is read before a case is made.
+    paths = [tmp_path / "pairs" / name / "Original.obj" for name in ground_truth.PAIRS]
+    names = ("clean/stanford-bunny.obj", "clean/igea.ply", "scans/dragon_vrip_res2.ply.gz")
+    for path in [*paths, *(tmp_path / name for name in names)]:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    monkeypatch.setattr(ground_truth, "data_folder", lambda: tmp_path)
+    known = {(case.of, case.name) for case in ground_truth.cases()}
+    assert {(of, name) for of, some in accuracy.COMMON.items() for name in some} <= known
+    assert set(accuracy_trials.WISHED) <= {name for _, name in known}
+    quick = {(case.of, case.name) for case in ground_truth.cases(quick=True)}
+    assert {name.split()[0] for _, name in known - quick} == {"igea", "dragon"}
+
+
+def test_other_trials_are_apart_from_the_classes():
+    classes = {case.name for case in ground_truth.cases()}
+    others = [case.name for case in accuracy_trials.other_cases()]
+    assert len(set(others)) == len(others) and not classes & set(others)
+    assert {"torus 0.05", "knot 0.5", "torus 0.2 mixed", "knot 0.1 gaussian"} <= set(others)
+    noisy, true = next(accuracy_trials.other_cases()).made()
+    assert estimated(noisy).mean_edges == pytest.approx(0.05, rel=0.1)
+    assert (noisy.faces == true.faces).all()
+
+
+@pytest.mark.parametrize("coarse", [False, True])
+def test_the_grid_has_every_default_and_nothing_twice(coarse):
+    settings = grid(coarse)
+    assert settings[0] == defaults()[0]
+    assert {one.method for one in settings if one.is_default} == set(methods.names())
+    texts = [one.text for one in settings]
+    assert len(set(texts)) == len(texts) > 50
+    settled = {
+        (one.method, *methods.find(one.method).settled(one.given).items()) for one in settings
+    }
+    assert len(settled) == len(settings)
+
+
+def test_what_is_our_own_is_not_called_published():
+    own = {one.text for one in grid() if not one.is_published}
+    assert {
+        "wiener",
+        "blend",
+        "msal schedule=wiener",
+        "guided_normal sliding=undone",
+        "wiener caution=1.5 similarity=3.2",
+    } <= own
+    assert not {"al", "msal", "guided_normal", "l0", "bilateral_normal iterations=5"} & own
+    assert sum(one.is_published for one in grid()) > 100
+
+
+def rows():
+    """Two models; which setting is best differs with the model and the measure."""
+    al, short, wiener = (one.text for one in SETTINGS)
+    return {
+        "one": {
+            NOISY: Outcome(20.0, 16.0, 0.0),
+            al: Outcome(4.0, 10.0, -1.0),
+            short: Outcome(8.0, 6.0, 0.0),
+            wiener: Outcome(5.0, 5.0, 0.0),
+            AUTO: Outcome(5.0, 5.0, 0.5, "noise 0.1 e; because"),
+        },
+        "two": {
+            NOISY: Outcome(20.0, 16.0, 0.0),
+            al: Outcome(6.0, 10.0, 0.0),
+            short: Outcome(7.0, 8.0, 0.0),
+            wiener: Outcome(9.0, 9.0, 0.0),
+            AUTO: Outcome(5.0, 7.0, 0.0),
+        },
+    }
+
+
+def test_a_summary_by_hand():
+    lines = accuracy_tables.summary("organic", rows(), SETTINGS)
+    cells = [[one.strip() for one in line.strip("|").split("|")] for line in lines[2:]]
+    found = {label: values for label, *values in cells}
+    assert lines[0].startswith("| organic: 2 models | angle | vertex error |")
+    assert found["best published setting, by angle"] == ["5.00", "10.00", "`al`"]
+    assert found["best published setting, by vertex error"] == ["7.50", "7.00", "`al` iterations=1"]
+    # 7 x 7 is less than 5 x 10 and 7.5 x 7.
+    assert found["best setting of this package, by both"] == ["7.00", "7.00", "`wiener`"]
+    assert found["tuned for each model, by angle"] == ["5.00", "10.00", ""]
+    assert found["tuned for each model, by vertex error"] == ["6.00", "6.50", ""]
+    assert found["tuned for each model, by both"] == ["6.00", "6.50", ""]
+    assert found["**`--auto`**"] == ["5.00", "6.00", ""]
+    assert found["goal"] == ["5.40", "7.80", ""]
+    assert found["`--auto` / best published setting"] == ["1.00", "0.86", ""]
+    assert found["`--auto` / tuning for both at once"] == ["0.83", "0.92", ""]
+
+
+def test_an_overview_by_hand():
+    lines = accuracy_tables.overview({"organic": rows()}, SETTINGS)
+    told = "20.00 / 16.0 | 5.00 / 10.0 | 7.50 / 7.0 | 5.00 / 6.0 | 6.00 / 6.5 | 5.40 / 7.8"
+    assert lines[2] == f"| organic (2) | {told} |"
+
+
+def test_a_table_of_models_has_all_columns():
+    lines = accuracy_tables.models(rows(), SETTINGS)
+    assert lines[0] == "| | mean | one | two |"
+    assert lines[2] == "| noisy | 20.00 / 16.0 | 20.00 / 16.0 | 20.00 / 16.0 |"
+    # Of settings only defaults have rows.
+    assert [line.split("|")[1].strip() for line in lines[3:]] == [
+        "`al`",
+        "`wiener`",
+        "**`--auto`**",
+        "tuned, by angle",
+        "tuned, by vertex error",
+        "tuned, by both",
+    ]
+    assert lines[-3] == "| tuned, by angle | 5.00 / 10.0 | 4.00 / 10.0 | 6.00 / 10.0 |"
+
+
+def test_what_was_not_run_is_never_best():
+    some = rows()
+    del some["one"]["wiener"]
+    lines = accuracy_tables.summary("organic", some, SETTINGS)
+    assert not any("`wiener`" in line for line in lines)
+    table = accuracy_tables.models(some, SETTINGS)
+    assert "| `wiener` | - | - | 9.00 / 9.0 |" in table
+    assert "| tuned, by vertex error | 7.50 / 7.0 | 8.00 / 6.0 | 7.00 / 8.0 |" in table
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """One small torus in every class, three settings, and a choice that costs nothing; gives the
+    list of what is run."""
+    true = prepared(*torus(24, 12)).mesh
+    cases = [
+        ground_truth.Case(
+            f"torus {n}",
+            of,
+            lambda of=of: ground_truth.corrupted(true, 0.0 if of == "clean" else 0.2, 1),
+        )
+        for n, of in enumerate(ground_truth.CLASSES)
+    ]
+    ran: list[str] = []
+    run = accuracy_outcomes._run
+
+    def counted(noisy, true, name, given, reason=""):
+        ran.append(AUTO if reason else name)
+        return run(noisy, true, name, given, reason)
+
+    def chosen(mesh, wishes):
+        parameters = {"iterations": 2 + int(wishes.strength)}
+        return Choice("al", parameters, "for a test", "organic", estimated(mesh))
+
+    monkeypatch.setattr(ground_truth, "cases", lambda quick=False: iter(cases))
+    monkeypatch.setattr(accuracy_trials, "WISHED", ("torus 1",))
+    monkeypatch.setattr(accuracy_trials, "other_cases", lambda: iter(cases[:1]))
+    monkeypatch.setattr(accuracy, "grid", lambda coarse=False: SETTINGS)
+    monkeypatch.setattr(accuracy, "defaults", lambda: SETTINGS[:1])
+    monkeypatch.setattr(accuracy_outcomes, "_run", counted)
+    monkeypatch.setattr(accuracy_outcomes, "chosen", chosen)
+    return ran
+
+
+def test_a_run_goes_on_from_its_cache(small, tmp_path, capsys):
+    words = ["--cache", str(tmp_path / "held.json")]
+    accuracy.main([*words, "--parts", "classes"])
+    first = capsys.readouterr().out
+    assert len(small) == 4 * 4 + 2
+    accuracy.main([*words, "--parts", "classes"])
+    assert capsys.readouterr().out == first
+    assert len(small) == 4 * 4 + 2
+    accuracy.main([*words, "--parts", "classes", "--again"])
+    assert capsys.readouterr().out == first
+    assert small[4 * 4 + 2 :] == [AUTO] * 5
+    headings = re.findall(r"^### (.+)$", first, re.M)
+    assert headings == ["Overview", *(of.capitalize() for of in ground_truth.CLASSES)]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["held.json"]
+
+
+def test_large_meshes_go_without_dear_settings(small, monkeypatch, tmp_path):
+    monkeypatch.setattr(accuracy_outcomes, "LARGE", 100)
+    case = next(ground_truth.cases())
+    settings = [Setting("al", {}), Setting("l0", {}), Setting("guided_normal", {"iterations": 20})]
+    for _ in range(2):
+        held = accuracy_outcomes.Outcomes(tmp_path / "held.json")
+        assert list(held.of(case, settings, {})) == [NOISY, "al"]
+    assert small == ["al"]
+
+
+def test_wishes_and_robustness_have_their_tables(small, capsys):
+    accuracy.main(["--parts", "wishes", "robustness", "reasons"])
+    said = capsys.readouterr().out
+    for text in accuracy_trials.WISHES:
+        assert f"| `{text.removeprefix(AUTO).strip() or '--auto'}` | " in said
+    assert "| noisy | **`--auto`** | tuned, by angle |" in said
+    assert "| torus 4 | for a test |" in said
+
+
+def test_what_is_no_cache_is_refused(tmp_path, capsys):
+    for text in ("", "[]", '{"a": 1}', '{"a": {"b": [1]}}'):
+        (tmp_path / "held.json").write_text(text, encoding="utf-8")
+        with pytest.raises(SystemExit) as ended:
+            accuracy.main(["--cache", str(tmp_path / "held.json")])
+        assert ended.value.code == 2
+        assert "is not a cache of this benchmark" in capsys.readouterr().err
+
+
+def test_the_page_has_every_class_and_every_method():
+    page = PAGE.read_text(encoding="utf-8")
+    for of in ground_truth.CLASSES:
+        part = page.partition(f"\n### {of.capitalize()}\n")[2].partition("\n### ")[0]
+        assert "**`--auto`**" in part, of
+        for name in methods.names():
+            assert f"\n| `{name}` | " in part, (of, name)
