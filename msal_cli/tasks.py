@@ -158,7 +158,7 @@ def method_bytes_per_face(settings: Settings) -> int:
         return most + extra
     if settings.method not in methods.names():
         return 0
-    return methods.find(settings.method).bytes_per_face + extra
+    return methods.find(settings.method).bytes_per_face_of(settings.parameters) + extra
 
 
 def least_memory_bytes() -> int:

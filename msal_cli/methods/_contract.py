@@ -187,6 +187,11 @@ class Method:
         """
         return int(getattr(self.module, "BYTES_PER_FACE", 0))
 
+    def bytes_per_face_of(self, given: Mapping[str, Any]) -> int:
+        """The same for parameters of which ``given`` are set, where they decide it."""
+        told = getattr(self.module.Parameters(**given), "bytes_per_face", None)
+        return self.bytes_per_face if told is None else int(told)
+
     @property
     def parameters(self) -> tuple[ParameterSpec, ...]:
         """Its parameters in the order of the dataclass."""

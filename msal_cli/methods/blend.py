@@ -33,9 +33,12 @@ from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import Method, OnSweep, Result, parameter
 
-BYTES_PER_FACE = 455
-"""Memory beyond what every method needs, that of the hungriest member that --auto takes; see
-``Method``."""
+BYTES_PER_FACE = 485
+"""Memory with the hungriest member that is ever chosen, ``l0``; see ``Method``."""
+
+KEPT_PER_FACE = 30
+"""Memory per triangle that goes on top of the hungriest member's: the sum so far, and what a run
+leaves scattered behind."""
 
 MOST_MEMBERS = 16
 """More are taken for a mistake."""
@@ -148,6 +151,11 @@ class Parameters:
         """Refuse members that mean nothing."""
         read(self.members)
 
+    @property
+    def bytes_per_face(self) -> int:
+        """Memory per triangle for these members; see ``Method``."""
+        return KEPT_PER_FACE + max(one.method.bytes_per_face for one in read(self.members))
+
 
 def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """The blend of what the members make of ``mesh``; see the module's description."""
@@ -167,5 +175,7 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         step *= member.weight
         move += step
         del step
+        # Each set of them takes as much as the vertices, and far less time than a filter.
+        mesh.forget_normals()
     move += mesh.vertices
     return Result(move, seconds={"normals": 0.0, "sweeps": time.perf_counter() - started})

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from msal_cli import methods, selection
 from msal_cli.errors import UsageError
 from msal_cli.mesh import prepared
-from msal_cli.methods.blend import MOST_MEMBERS, read, written
+from msal_cli.methods.blend import KEPT_PER_FACE, MOST_MEMBERS, read, written
 from msal_cli.selection.candidates import CANDIDATES
+from msal_cli.tasks import Settings, method_bytes_per_face
 from tests.cli.scans import closed_scan, folder_of, msal
 from tests.shapes import noisy, torus
 
@@ -198,8 +199,24 @@ def test_whole_hundredths_are_written_short():
 
 def test_memory_is_that_of_the_hungriest_member_that_is_ever_chosen():
     most = max(methods.find(one.method).bytes_per_face for one in CANDIDATES)
-    assert BLEND.bytes_per_face >= most
+    assert BLEND.bytes_per_face >= most + KEPT_PER_FACE
     assert {one.method for one in CANDIDATES} | {"blend"} == set(selection.METHODS)
+
+
+def test_memory_follows_the_members_that_are_given():
+    of = {one: methods.find(one).bytes_per_face for one in ("al", "wiener", "static_dynamic")}
+    for name, least in of.items():
+        given = {"members": f"0.4*al+0.6*{name}"}
+        assert BLEND.bytes_per_face_of(given) == least + KEPT_PER_FACE
+    light = Settings("blend", {"members": "0.4*al+0.6*al(iterations=5)"})
+    heavy = Settings("blend", {"members": "0.4*al+0.6*static_dynamic"})
+    between = method_bytes_per_face(heavy) - method_bytes_per_face(light)
+    assert between == of["static_dynamic"] - of["al"]
+
+
+def test_normals_of_members_are_not_kept(mesh):
+    blended(mesh, "0.5*al(mollify=2)+0.5*al")
+    assert not mesh._known_normals
 
 
 def test_from_the_command_line(tmp_path):
