@@ -232,7 +232,7 @@ def rehearsed(
     if is_impulsive:
         taken = np.einsum("ij,ij->i", part.mesh.vertices - pilot, normals)
         taken -= np.median(taken)
-        spread = float(taken[part.judged].std())
+        spread = float(taken[part.judged].std()) if part.judged.any() else 0.0
         if spread > 0.0:
             heights = draw.permutation(taken) / spread
     noisy = truth.moved(pilot + (noise * heights)[:, None] * normals)

@@ -192,11 +192,13 @@ def test_what_is_not_judged_does_not_count(level):
     assert again[1].slopes.gain == pytest.approx(again[0].slopes.gain, rel=1e-12)
 
 
+@pytest.mark.filterwarnings("error")
 def test_with_nobody_to_judge_nothing_is_gained(level):
     part, _ = sheet(noise=0.1, judged=np.zeros(24 * 20, dtype=bool))
     for risk in (
         stein(part, 0.1, scaled(-1.0)),
         rehearsed(part, part.mesh.vertices, [scaled(-1.0)], 0.1, False, nothing),
+        rehearsed(part, 2.0 * part.mesh.vertices, [scaled(-1.0)], 0.1, True, nothing),
     ):
         assert risk.positions.gram.tolist() == [[0.0]]
         assert risk.positions.gain.tolist() == [0.0]

@@ -30,6 +30,13 @@ def mesh():
 
 
 @pytest.fixture(scope="module")
+def spiky():
+    """A scan with noise at one vertex in ten, and none at the others."""
+    true = prepared(*torus(40, 20)).mesh
+    return true.moved(noise.noisy(true, "impulsive", 0.5, 3, fraction=0.1))
+
+
+@pytest.fixture(scope="module")
 def large():
     return scan(250, 120, 0.01)
 
@@ -123,6 +130,11 @@ def test_it_is_free_of_the_axes():
     assert one.risk == pytest.approx(other.risk, rel=1e-6)
 
 
+def test_noise_at_few_vertices_is_called_impulsive(mesh, spiky):
+    assert chosen(spiky, budget=1.0).reason.startswith("impulsive noise 0.")
+    assert chosen(mesh, budget=1.0).reason.startswith("noise 0.")
+
+
 # Wishes
 
 
@@ -199,6 +211,15 @@ def test_with_trust_the_method_has_a_data_term(mesh):
         assert methods.find(choice.method).has_data_term(choice.parameters)
 
 
+@pytest.mark.filterwarnings("error")
+def test_where_all_vertices_are_held_nothing_is_done(mesh, spiky):
+    for one in (mesh, spiky):
+        held = np.ones(len(one.vertices), dtype=bool)
+        choice = chosen(one.constrained(held, None))
+        assert choice.method == NONE
+        assert np.isfinite(choice.risk)
+
+
 def test_held_vertices_stay_and_are_not_learned_from(mesh):
     held = mesh.vertices[:, 0] < 0.0
     wild = mesh.vertices.copy()
@@ -208,8 +229,6 @@ def test_held_vertices_stay_and_are_not_learned_from(mesh):
     made = made_by(choice, constrained)
     assert (made.vertices[held] == constrained.vertices[held]).all()
     assert (made.vertices[~held] != constrained.vertices[~held]).any()
-    everything = mesh.constrained(np.ones_like(held), None)
-    assert (made_by(chosen(everything), everything).vertices == mesh.vertices).all()
 
 
 # Odd meshes
@@ -266,10 +285,15 @@ def test_clean_meshes_stay_as_they_are():
 # On the way
 
 
-def test_progress_goes_up_and_ends_at_the_total(mesh):
-    for wishes in (Wishes(), Wishes(budget=1.0), Wishes(keep="edges")):
+def test_progress_goes_up_and_ends_at_the_total(mesh, spiky):
+    for one, wishes in (
+        (mesh, Wishes()),
+        (mesh, Wishes(budget=1.0)),
+        (spiky, Wishes()),
+        (spiky, Wishes(budget=1.0)),
+    ):
         steps = []
-        selection.chosen(mesh, wishes, lambda *step, steps=steps: steps.append(step))
+        selection.chosen(one, wishes, lambda *step, steps=steps: steps.append(step))
         (total,) = {total for _, total in steps}
         done = [one for one, _ in steps]
         assert done == sorted(done)
