@@ -156,6 +156,18 @@ def test_what_means_nothing_is_refused(text, what):
         assert refused.value.hint
 
 
+@settings(max_examples=150, deadline=None)
+@given(st.text(alphabet="0159.eE+-*()=, \tal_msKnoiteraĲ٣\x00", max_size=40))
+def test_any_text_is_read_or_refused(text):
+    try:
+        members = read(text)
+    except UsageError as refusal:
+        assert refusal.hint
+    else:
+        assert members
+        assert all(0.0 < member.weight <= 1.0 for member in members)
+
+
 def test_as_many_members_as_are_allowed():
     assert len(read("+".join(["0.0625*al"] * MOST_MEMBERS))) == MOST_MEMBERS
     # Tenths do not add up to 1 in binary.
