@@ -6,30 +6,26 @@ fault: whatever goes wrong becomes a failed record, and the output appears whole
 
 from __future__ import annotations
 
-import errno
 import logging
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import __version__
+from msal_cli import __version__, changes, memory, output
 from msal_cli.errors import (
     InternalError,
-    LossError,
     MsalError,
-    OutputError,
     ResourceError,
     TooLargeError,
 )
+from msal_cli.memory import megabytes
 from msal_cli.records import (
     Failure,
     FieldsFile,
     MeshRecord,
     MethodUsed,
-    NormalChange,
     ObjectMark,
     Seconds,
 )
@@ -94,11 +90,11 @@ def denoise_file(
             if limits.memory_bytes is not None or limits.max_faces is not None:
                 run.admit(forecast(task, settings))
             data = files.read_input(task.input, settings.format)
-        output = run.denoise(data, task.output)
+        denoised = run.denoise(data, task.output)
         with run.stage("write"):
             if task.in_place and task.backup:
-                _keep_backup(task, data)
-            _make_folder_of(task.output)
+                output.keep_backup(task, data)
+            output.make_folder_of(task.output)
             # Before the output: what is there then has all that belongs to it.
             run.write_fields()
             notes: tuple[str, ...] = ()
@@ -107,7 +103,7 @@ def denoise_file(
                 marked = (note for note in notes if note.startswith("warning: "))
                 run.warn(*(note.removeprefix("warning: ") for note in marked))
             mark = files.write_whole(
-                task.output, [output], mode_like=task.input if task.in_place else None
+                task.output, [denoised], mode_like=task.input if task.in_place else None
             )
             run.know(output_object=None if mark is None else ObjectMark(*mark))
         return run.finished(task.output, sidecars=notes)
@@ -128,41 +124,10 @@ def denoise_bytes(
     """
     run = _Run(name, settings, on_progress, limits)
     try:
-        output = run.denoise(data, None)
-        return output, run.finished(None)
+        denoised = run.denoise(data, None)
+        return denoised, run.finished(None)
     except Exception as error:
         return None, run.failed(error)
-
-
-def _make_folder_of(path: str) -> None:
-    """Make the folder that a file is to be written to, if it is not there; stores have none."""
-    from msal_cli.files import is_url
-
-    if is_url(path):
-        return
-    folder = os.path.dirname(path) or os.curdir
-    try:
-        os.makedirs(folder, exist_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"the folder {folder!r} cannot be made: {error.strerror}",
-            hint="choose another output, or mend the permissions",
-        ) from None
-
-
-def _keep_backup(task: Task, data: Buffer) -> None:
-    """Write the original beside the file that is about to be replaced."""
-    from msal_cli import files
-
-    backup = task.input + str(task.backup)
-    if os.path.lexists(backup):
-        if os.path.isfile(backup) and files.read_whole(backup) == data:
-            return
-        raise OutputError(
-            f"the backup {backup!r} exists and is not this file",
-            hint="move it away or choose another --backup suffix",
-        )
-    files.write_whole(backup, [data], mode_like=task.input)
 
 
 class _Run:
@@ -277,19 +242,19 @@ class _Run:
             self._check_faces(mesh_file.n_polygons)
         vertices = self._denoised(mesh_file)
         with self.stage("write"):
-            compress = is_compressed
-            if output_path is not None:
-                compress = output_path.lower().endswith(".gz")
-            output = self._written(mesh_file, vertices, output_path, data, compress, is_compressed)
+            source = output.Source(data, name, is_compressed)
+            built = output.built(mesh_file, vertices, settings, output_path, source)
+            self.references = built.references
+            self.warn(*built.losses)
             if self._field_values and output_path is not None:
                 from msal_cli import fields
 
                 self._fields_file = fields.encoded(
                     mesh_file, vertices, self._field_values, fields.path_beside(output_path)
                 )
-            self._changed = output is not data
-            self._output_digest = files.sha256_meanwhile(output)
-        return output
+            self._changed = built.data is not data
+            self._output_digest = files.sha256_meanwhile(built.data)
+        return built.data
 
     def _denoised(self, mesh_file: MeshFile) -> Floats:
         """The new positions of a file's vertices; what leads to them is let go of before the
@@ -303,7 +268,8 @@ class _Run:
                 mesh_file.faces,
                 are_distinct=mesh_file.merged_vertices > 0,
             )
-            self._know_defects(ready, mesh_file.merged_vertices)
+            self.know(**changes.defects_told(ready, mesh_file.merged_vertices))
+            self.warn(*changes.warnings_of(ready.defects))
             constraints = self._constraints(ready, mesh_file)
             mesh_file.forget_vertices()
         mesh = ready.mesh if constraints is None else constraints.mesh
@@ -338,7 +304,7 @@ class _Run:
                 self._field_values = fields.computed(
                     settings.fields, ready, moved, fidelity, parameters
                 )
-            self._measure(ready, moved)
+            self.know(**changes.measured(ready, moved, self._noise))
             ready.mesh.forget_normals()
             vertices = ready.scattered(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))
@@ -349,7 +315,11 @@ class _Run:
         settings = self.settings
         if settings.min_noise is not None:
             with self.stage("choose"):
-                why = self._too_little_noise(mesh, settings.min_noise)
+                from msal_cli.left_alone import too_little
+                from msal_cli.noise_estimate import estimated
+
+                self._noise = estimated(mesh)
+                why = too_little(self._noise, mesh, settings.min_noise)
             if why:
                 self.know(left_alone=why, method=MethodUsed(NO_METHOD, {}))
                 return None, {}
@@ -370,19 +340,6 @@ class _Run:
             self._noise = found.noise
         return found.method, found.used.parameters
 
-    def _too_little_noise(self, mesh: Mesh, least: str) -> str:
-        """Why a mesh with less noise than ``least`` stays as it is; empty if it has more."""
-        from msal_cli.noise_estimate import estimated
-
-        self._noise = noise = estimated(mesh)
-        level = f"noise {noise.mean_edges:.2g} e"
-        if least == NEGLIGIBLE:
-            return f"{level}: none to speak of" if noise.is_negligible else ""
-        from msal_cli import constraints
-
-        bound = constraints.length(least).in_units(mesh.mean_edge_length) / mesh.mean_edge_length
-        return f"{level}, below --min-noise {least}" if noise.is_below(bound) else ""
-
     def _constraints(self, ready: Prepared, mesh_file: MeshFile) -> Constraints | None:
         """What keeps vertices of this file near their place; None if nothing was asked for."""
         settings = self.settings
@@ -396,47 +353,6 @@ class _Run:
             self.know(locked_vertices=int(found.held.sum()))
         return found
 
-    def _written(
-        self,
-        mesh_file: MeshFile,
-        vertices: Floats,
-        output_path: str | None,
-        data: Buffer,
-        compress: bool,
-        is_compressed: bool,
-    ) -> Buffer:
-        """The bytes of the output file; ``data`` itself where nothing has changed."""
-        from msal_cli import files
-
-        settings = self.settings
-        target = self._target(mesh_file, output_path)
-        as_is = settings.encoding == "same" and settings.precision == "same"
-        if target != mesh_file.format:
-            output, losses = files.converted(
-                mesh_file, vertices, target, settings.encoding, settings.precision
-            )
-            if losses and settings.strict:
-                raise LossError(
-                    f"{mesh_file.format} to {target} would lose {', '.join(losses)}",
-                    hint="leave --strict away, or keep the format",
-                )
-            self.warn(*(f"lost in {target}: {loss}" for loss in losses))
-            self._check_reopened(output, target, mesh_file, vertices)
-            return files.compressed(output) if compress else output
-        self.references = mesh_file.references
-        if as_is:
-            if _are_equal(vertices, mesh_file.vertices):
-                if compress == is_compressed:
-                    return data
-                output = files.expanded(data, self._record.input)[0]
-            else:
-                output = mesh_file.replaced(vertices)
-                mesh_file.check(output, vertices)
-        else:
-            output = mesh_file.encoded(vertices, settings.encoding, settings.precision)
-            self._check_reopened(output, target, mesh_file, vertices)
-        return files.compressed(output) if compress else output
-
     def write_fields(self) -> None:
         """Write the file of fields, if one was asked for, over nothing but its like."""
         if self._fields_file is None:
@@ -448,39 +364,6 @@ class _Run:
             fields.refuse_foreign(told.path)
         files.write_whole(told.path, [data])
         self.know(fields=told)
-
-    def _target(self, mesh_file: MeshFile, output_path: str | None) -> str:
-        """The format to write: ``--to``, else the output name's, else the input's."""
-        if self.settings.to is not None:
-            return self.settings.to.lower().lstrip(".")
-        named = suffix(output_path or "").lstrip(".")
-        if named and output_path is not None and is_mesh_name(output_path):
-            return named
-        return mesh_file.format
-
-    def _check_reopened(
-        self, output: Buffer, target: str, mesh_file: MeshFile, vertices: Floats
-    ) -> None:
-        """Read a re-encoded or converted file back before it is trusted."""
-        import numpy as np
-
-        from msal_cli import files
-
-        if f".{target}" not in files.readable_suffixes():
-            return
-        try:
-            again = files.open_mesh(bytes(output), f"output.{target}", target)
-        except MsalError as error:
-            raise InternalError(f"the {target} output cannot be read back: {error}") from error
-        if len(again.faces) != len(mesh_file.faces):
-            raise InternalError(
-                f"the {target} output has {len(again.faces)} triangles, not {len(mesh_file.faces)}"
-            )
-        span = float(np.abs(vertices).max(initial=0.0))
-        corners = again.vertices[again.faces.reshape(-1)]
-        wanted = vertices[mesh_file.faces.reshape(-1)]
-        if float(np.abs(corners - wanted).max(initial=0.0)) > 1e-5 * span:
-            raise InternalError(f"the {target} output holds other positions than it should")
 
     def _check_result(self, ready: Prepared, vertices: Floats) -> None:
         """A method must return finite positions for the same vertices."""
@@ -497,51 +380,6 @@ class _Run:
     def _method_name(self) -> str:
         return self.settings.method if self._record.method is None else self._record.method.name
 
-    def _know_defects(self, ready: Prepared, merged: int) -> None:
-        defects = ready.defects
-        self.know(
-            components=defects.components,
-            boundary_edges=defects.boundary_edges,
-            non_manifold_edges=defects.non_manifold_edges,
-            inconsistent_edges=defects.inconsistent_edges,
-            degenerate_faces=defects.degenerate_faces,
-            duplicate_faces=defects.duplicate_faces,
-            unreferenced_vertices=defects.unreferenced_vertices,
-            welded_vertices=defects.welded_vertices + merged,
-            mean_edge_length=ready.mesh.mean_edge_length,
-        )
-        if defects.inconsistent_edges:
-            self.warn(
-                f"inconsistent winding at {defects.inconsistent_edges} edges; "
-                f"{defects.turned_faces} faces were turned for the computation only"
-            )
-
-    def _measure(self, ready: Prepared, moved: Floats) -> None:
-        """Fill in what changed when the mesh's positions became ``moved`` (n, 3)."""
-        from msal_cli.comparison import area_changed, displaced, volume_changed
-        from msal_cli.inspection import noise_estimate
-        from msal_cli.metrics.displacement import displacement_statistics
-        from msal_cli.metrics.surface import surface_change
-
-        before, after = ready.mesh, ready.mesh.moved(moved)
-        used = before.links.has_ring
-        edge = before.mean_edge_length
-        one = displacement_statistics(before.vertices, after.vertices, used)
-        surface = surface_change(before, after)
-        turned = surface.normals
-        self.know(
-            displacement=displaced(one, edge),
-            normal_change=NormalChange(turned.mean_angular_error_deg, turned.max_angular_error_deg),
-            flipped_faces=turned.flipped_faces,
-            noise_estimate=noise_estimate(before, self._noise),
-        )
-        self.know(
-            volume=volume_changed(
-                surface.volume_before, surface.volume_after, ready.defects.volume_objection
-            ),
-            area=area_changed(surface.area_before, surface.area_after),
-        )
-
     def finished(self, output_path: str | None, sidecars: tuple[str, ...] = ()) -> MeshRecord:
         """The record of a file that was written."""
         if self._output_digest is not None:
@@ -554,13 +392,13 @@ class _Run:
             sidecars=sidecars,
             seconds=seconds,
             vertices_per_second=n / seconds.total if seconds.total > 0.0 else None,
-            peak_memory_bytes=_peak_memory_bytes(),
+            peak_memory_bytes=memory.peak_bytes(),
         )
         return self._record
 
     def failed(self, error: Exception) -> MeshRecord:
         """The record of a file that was not written, for any error."""
-        if _is_want_of_memory(error):
+        if memory.is_want_of_memory(error):
             known: MsalError = ResourceError(
                 error.message if isinstance(error, MsalError) else "not enough memory",
                 code="E_MEMORY",
@@ -578,49 +416,6 @@ class _Run:
             status="failed",
             error=Failure(known.code, known.message, known.hint, known.where),
             seconds=self._spent(),
-            peak_memory_bytes=_peak_memory_bytes(),
+            peak_memory_bytes=memory.peak_bytes(),
         )
         return self._record
-
-
-def _are_equal(vertices: Floats, others: Floats) -> bool:
-    """Whether all positions (n, 3) are the same; it ends where two differ."""
-    step = 1 << 14
-    return all(
-        bool((vertices[at : at + step] == others[at : at + step]).all())
-        for at in range(0, len(vertices), step)
-    )
-
-
-def _is_want_of_memory(error: BaseException | None) -> bool:
-    """Whether an error, or what it was raised from, comes of memory that was not given."""
-    while error is not None:
-        said = str(error)
-        if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
-            return True
-        if isinstance(error, ImportError) and "allocate memory" in said:
-            return True
-        if isinstance(error, RuntimeError) and "can't start new thread" in said:
-            return True
-        error = error.__cause__
-    return False
-
-
-def megabytes(n_bytes: int, *, rounded_up: bool = True) -> str:
-    """``499 MB`` or ``3.21 GB``, rounded so that what is refused never looks as if it fitted."""
-    unit, digits = (10**6, 0) if n_bytes <= 999 * 10**6 else (10**9, 2)
-    step = unit // 10**digits
-    steps = -(-n_bytes // step) if rounded_up else n_bytes // step
-    return f"{steps} MB" if unit == 10**6 else f"{steps / 100:.2f} GB"
-
-
-def _peak_memory_bytes() -> int | None:
-    """The largest resident size of this process so far; None where the system does not tell."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    import sys
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return int(peak if sys.platform == "darwin" else peak * 1024)

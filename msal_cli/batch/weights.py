@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from msal_cli.batch.memory import available_bytes
 from msal_cli.dataclass import dataclass
+from msal_cli.memory import megabytes
 from msal_cli.pipeline import (
     FORECAST,
     Limits,
@@ -14,7 +15,6 @@ from msal_cli.pipeline import (
     Task,
     forecast,
     least_memory_bytes,
-    megabytes,
     method_bytes_per_face,
 )
 from msal_cli.records import Failure

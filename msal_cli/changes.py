@@ -1,0 +1,69 @@
+"""What the record of one file tells of its mesh: the defects found, and what denoising changed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from msal_cli.records import NormalChange
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from msal_cli.mesh import Defects, Prepared
+    from msal_cli.noise_estimate import NoiseLevel
+
+    Floats = NDArray[np.float64]
+
+
+def defects_told(ready: Prepared, merged: int) -> dict[str, Any]:
+    """Fields of the record: the defects; ``merged`` vertices were one before the mesh was made."""
+    defects = ready.defects
+    return {
+        "components": defects.components,
+        "boundary_edges": defects.boundary_edges,
+        "non_manifold_edges": defects.non_manifold_edges,
+        "inconsistent_edges": defects.inconsistent_edges,
+        "degenerate_faces": defects.degenerate_faces,
+        "duplicate_faces": defects.duplicate_faces,
+        "unreferenced_vertices": defects.unreferenced_vertices,
+        "welded_vertices": defects.welded_vertices + merged,
+        "mean_edge_length": ready.mesh.mean_edge_length,
+    }
+
+
+def warnings_of(defects: Defects) -> tuple[str, ...]:
+    """What the user should be told of the defects."""
+    if not defects.inconsistent_edges:
+        return ()
+    return (
+        f"inconsistent winding at {defects.inconsistent_edges} edges; "
+        f"{defects.turned_faces} faces were turned for the computation only",
+    )
+
+
+def measured(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> dict[str, Any]:
+    """Fields of the record: what changed when the mesh's positions became ``moved`` (n, 3).
+
+    ``noise`` is the noise of the mesh where it is known already.
+    """
+    from msal_cli.comparison import area_changed, displaced, volume_changed
+    from msal_cli.inspection import noise_estimate
+    from msal_cli.metrics.displacement import displacement_statistics
+    from msal_cli.metrics.surface import surface_change
+
+    before, after = ready.mesh, ready.mesh.moved(moved)
+    used = before.links.has_ring
+    one = displacement_statistics(before.vertices, after.vertices, used)
+    surface = surface_change(before, after)
+    turned = surface.normals
+    return {
+        "displacement": displaced(one, before.mean_edge_length),
+        "normal_change": NormalChange(turned.mean_angular_error_deg, turned.max_angular_error_deg),
+        "flipped_faces": turned.flipped_faces,
+        "noise_estimate": noise_estimate(before, noise),
+        "volume": volume_changed(
+            surface.volume_before, surface.volume_after, ready.defects.volume_objection
+        ),
+        "area": area_changed(surface.area_before, surface.area_after),
+    }
