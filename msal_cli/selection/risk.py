@@ -68,7 +68,9 @@ class Quadratic:
 
     def at(self, weights: Floats) -> float:
         """The value for weights (k,); below zero only by errors of the estimate."""
-        return float(1.0 - 2.0 * (weights @ self.gain) + weights @ self.gram @ weights)
+        # As in ``_gram``, no product of a library whose last digit depends on the machine.
+        gained = np.einsum("i,i->", weights, self.gain)
+        return float(1.0 - 2.0 * gained + np.einsum("i,ij,j->", weights, self.gram, weights))
 
     def singles(self) -> Floats:
         """The value (k,) of every filter by itself."""
