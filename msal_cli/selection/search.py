@@ -217,7 +217,8 @@ class _Search:
             weights = np.zeros(len(risks[0].drift))
             weights[int(np.argmin(self._scores(risks)))] = 1.0
             return weights
-        return best_weights(risks, self.slopes, self.drift)
+        # Rounded at once: what the last digits of a solver are must not show in what follows.
+        return rounded(best_weights(risks, self.slopes, self.drift))
 
     def _scores(self, risks: Sequence[Risk]) -> Floats:
         """How the candidates do by themselves; less is better."""
@@ -248,7 +249,7 @@ class _Search:
             else:
                 break
         result = np.zeros(len(members))
-        result[kept] = rounded(weights)
+        result[kept] = weights
         return result
 
     def _choice(
