@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks import (
+    auto_seconds,
     batch,
     contest,
     fidelity,
@@ -142,6 +143,31 @@ def test_small_file_prints_its_tables(capsys):
 def test_stages_prints_its_table(capsys):
     stages.main(["--around", "24", "--repeats", "1", "--forms", "obj"])
     assert re.search(r"^\| OBJ \| \d.* \d+\.\d % \| \d+ \|$", capsys.readouterr().out, re.M)
+
+
+@pytest.mark.parametrize("across", [45, 108])
+def test_the_rippled_torus_is_closed_and_as_noisy_as_said(across, monkeypatch):
+    from msal_cli.mesh import prepared
+
+    noisy = auto_seconds.rippled_torus(across)
+    monkeypatch.setattr(auto_seconds, "NOISE", 0.0)
+    smooth = auto_seconds.rippled_torus(across)
+    ready = prepared(noisy.vertices, noisy.faces)
+    assert len(noisy.vertices) == 3 * across**2 and len(noisy.faces) == 6 * across**2
+    assert ready.defects.boundary_edges == ready.defects.inconsistent_edges == 0
+    moved = np.linalg.norm(noisy.vertices - smooth.vertices, axis=1)
+    spread = np.sqrt((moved**2).mean()) / ready.mesh.mean_edge_length
+    assert spread == pytest.approx(0.15, rel=0.03)
+
+
+@pytest.mark.slow
+def test_auto_seconds_prints_its_table(tmp_path, capsys):
+    words = ["--across", "12", "--repeats", "1", "--cores", "one", "--folder", str(tmp_path)]
+    auto_seconds.main(words)
+    said = capsys.readouterr().out
+    assert re.search(r"^\| 432 \| one \| default \| .* \| 1\.0 \| 1\.0 \|$", said, re.M)
+    assert re.search(r"^\| 432 \| one \| --auto \| .* \| \d+\.\d \|$", said, re.M)
+    assert re.search(r"^432 vertices: noise 0\.\d", said, re.M)
 
 
 def test_batch_prints_its_tables(tmp_path, capsys):
