@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli.mesh import Mesh, prepared
-from msal_cli.selection.patches import MARGIN, PATCH, representative
+from msal_cli.selection.patches import MARGIN, PATCH, _in_space, representative
 from tests.shapes import fan, noisy, torus
 
 
@@ -170,3 +170,15 @@ def test_vertices_that_coincide_keep_their_numbers(large):
     vertices[1] = vertices[0]
     part = representative(Mesh(vertices, large.faces), 20_000)
     assert len(part.judged) == len(part.mesh.vertices)
+
+
+def test_the_order_in_space_halves_the_box_again_and_again():
+    steps = np.arange(4.0)
+    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    draw = np.random.default_rng(0).permutation(len(grid))
+    order = grid[draw][_in_space(grid[draw])].astype(int)
+    # z decides between halves first, then y, then x; then the same within a half's halves.
+    octants = [tuple(one) for one in order[::8] // 2]
+    assert octants == [(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
+    for first in range(0, len(order), 8):
+        assert [tuple(one) for one in order[first : first + 8] % 2] == octants
