@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,10 @@ Over the machined and the organic meshes of benchmarks/ground_truth.py it is mea
 0.48 with noise along the normals, as 0.58 to 0.82 where noise of the same strength is in one more
 direction as well, and as 0.86 to 1.06 where it is in every direction.  Scans that are
 unevenly sampled (the dragon: 0.75 and more) are taken for the latter, and nothing is undone."""
+
+
+# Known for as long as the mesh is: every member of a blend asks again for the same one.
+_shares: weakref.WeakKeyDictionary[Mesh, float] = weakref.WeakKeyDictionary()
 
 
 def sliding_parameter() -> Any:
@@ -65,6 +70,17 @@ def settled(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> Float
 
 def sideways_share(mesh: Mesh) -> float:
     """Noise within the surface over that along the normals, per direction; inf without the latter.
+
+    It is computed once for a mesh.
+    """
+    known = _shares.get(mesh)
+    if known is None:
+        known = _shares[mesh] = _sideways_share(mesh)
+    return known
+
+
+def _sideways_share(mesh: Mesh) -> float:
+    """The same, computed.
 
     Noise is what is left of the positions when the umbrella is applied twice, by the median over
     the vertices within the surface; uneven sampling counts as noise within it.

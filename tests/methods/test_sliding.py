@@ -7,6 +7,7 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.mesh import prepared
+from msal_cli.methods import _sliding
 from msal_cli.methods._sliding import SIDEWAYS, settled, sideways_share
 from msal_cli.metrics.surface import normal_statistics
 from tests.shapes import grid, torus
@@ -104,3 +105,17 @@ def test_the_share_of_noise_within_the_surface():
         assert sideways_share(mesh) == pytest.approx(share, rel=0.15, abs=0.15)
     assert 0.2 < SIDEWAYS < 0.8
     assert sideways_share(prepared(*grid(6, 6)).mesh) == np.inf
+
+
+def test_the_way_of_the_noise_is_found_once_for_a_mesh(monkeypatch):
+    asked = []
+
+    def counted(mesh):
+        asked.append(mesh)
+        return 0.3
+
+    monkeypatch.setattr(_sliding, "_sideways_share", counted)
+    mesh, _ = scan()
+    other = mesh.moved(mesh.vertices.copy())
+    assert [sideways_share(one) for one in (mesh, mesh, other, mesh)] == [0.3] * 4
+    assert [one is mesh for one in asked] == [True, False]
