@@ -101,7 +101,7 @@ def _guided(similarity: float, iterations: int, cost: float, last: bool = False)
 
 def _wiener(caution: float, similarity: float) -> Candidate:
     given = {"caution": caution, "similarity": similarity}
-    return Candidate("wiener", given, 9.0, takes_noise=True)
+    return Candidate("wiener", given, 10.0, takes_noise=True)
 
 
 CANDIDATES: tuple[Candidate, ...] = (
@@ -113,30 +113,30 @@ CANDIDATES: tuple[Candidate, ...] = (
     _msal(0.25, 1, 1.1),
     _msal(0.5, 1, 1.1),
     _msal(0.5, 2, 1.1),
-    _bilateral(0.35, 1, 3.5),
-    _bilateral(0.35, 3, 4.5),
-    _bilateral(0.6, 2, 4.0),
-    _bilateral(0.45, 5, 6.0),
-    _bilateral(0.45, 10, 9.0),
-    _bilateral(0.35, 20, 15.0),
-    _diffusion(1, 5, 0.3, 3.0),
-    _diffusion(1, 5, 0.5, 3.0),
-    _diffusion(3, 15, 0.0, 16.0),
-    _diffusion(5, 15, 0.0, 26.0),
+    _bilateral(0.35, 1, 7.0),
+    _bilateral(0.35, 3, 8.0),
+    _bilateral(0.6, 2, 7.0),
+    _bilateral(0.45, 5, 9.0),
+    _bilateral(0.45, 10, 12.0),
+    _bilateral(0.35, 20, 18.0),
+    _diffusion(1, 5, 0.3, 5.5),
+    _diffusion(1, 5, 0.5, 5.5),
+    _diffusion(3, 15, 0.0, 18.0),
+    _diffusion(5, 15, 0.0, 28.0),
     Candidate("bilateral_non_iterative", {}, 12.0),
     Candidate("hybrid", {}, 6.0),
     Candidate(
         "normal_threshold",
         {"threshold": 0.5, "iterations": 20, "vertex_iterations": 10, **_SLIDING},
-        11.0,
+        13.0,
     ),
     _wiener(0.35, 2.25),
     _wiener(0.75, 2.25),
     _wiener(1.5, 2.25),
     _wiener(0.75, 3.2),
     _wiener(1.5, 3.2),
-    _guided(0.35, 2, 14.0),
-    _guided(0.6, 2, 14.0),
+    _guided(0.35, 2, 16.0),
+    _guided(0.6, 2, 16.0),
     _guided(0.35, 5, 26.0),
     _guided(0.6, 5, 26.0),
     _guided(0.45, 10, 48.0),

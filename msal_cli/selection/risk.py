@@ -89,17 +89,24 @@ class Risk:
 
     ``drift`` (k,) is what each filter moves the surface by as a whole, outwards on the mean: the
     volume that it sweeps over the area, in standard deviations of the noise.  That of a blend is
-    nearly the sum of its members' drifts, by weight.
+    nearly the sum of its members' drifts, by weight.  ``importance``, from 0, is by how much it
+    counts where there is more than one estimate.
     """
 
     positions: Quadratic
     slopes: Quadratic
     drift: Floats
+    importance: float = 1.0
 
     def of(self, members: Sequence[int]) -> Risk:
         """The same for some of the filters."""
         rows = np.array(members, dtype=np.int64)
-        return Risk(self.positions.of(members), self.slopes.of(members), self.drift[rows])
+        positions, slopes = self.positions.of(members), self.slopes.of(members)
+        return Risk(positions, slopes, self.drift[rows], self.importance)
+
+    def counted(self, importance: float) -> Risk:
+        """The same, of another importance beside other estimates of the same filters."""
+        return Risk(self.positions, self.slopes, self.drift, importance)
 
 
 @dataclass(frozen=True, eq=False)

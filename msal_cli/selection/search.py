@@ -3,9 +3,11 @@
 1. The noise is estimated.  Where there is none to speak of nothing is done.
 2. Every candidate that the budget allows runs on a part of the mesh, and on probes of it, and
    Stein's lemma gives the error of any blend of them; the best blend is a first result.
-3. If that has sharp edges between smooth parts, or noise could hide them, dear filters join in.
-4. The best ones rehearse: the first result stands for the truth, with noise put on it.
-5. The blend that is best by both estimates is taken, without members that hardly count.
+3. If that has sharp edges between smooth parts, or noise could hide them, dear filters join in,
+   and they and the best are tried again.
+4. The best ones rehearse: the best result yet stands for the truth, with noise put on it.
+5. The blend that is best by both estimates is taken, without members that hardly count.  Stein's
+   counts the more the less sure it is what is noise and what is texture.
 
 Everything is a function of the mesh and the wishes: probes have fixed seeds, and costs are those
 of a table.
@@ -27,7 +29,7 @@ from msal_cli.selection.candidates import CANDIDATES, ROBUST, SMOOTHER, Candidat
 from msal_cli.selection.patches import Part, representative
 from msal_cli.selection.risk import PROBES, Risk, Stein, rehearsed
 from msal_cli.selection.surface import CLEAN, MACHINED, kind_of
-from msal_cli.selection.weighing import best_weights, rounded
+from msal_cli.selection.weighing import FLOOR, best_weights, rounded
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -47,7 +49,7 @@ START = 1_000_000
 SEARCH = 0.4
 """Part of the budget that may go into looking at candidates."""
 
-LEAST_PART, MOST_PART = 8_000, 20_000
+LEAST_PART, MOST_PART = 8_000, 16_000
 """Vertices that candidates are tried on; on fewer the estimates scatter too much."""
 
 REHEARSING = 14
@@ -56,9 +58,16 @@ REHEARSING = 14
 LEAST_WEIGHT = 0.04
 """Members below this weight are left out."""
 
-DOUBT = 0.15
-"""By which part of the way to the lower end of its interval the noise is taken for less: where
-texture could be part of it, that way is long."""
+DOUBT, GREAT_DOUBT = 0.15, 0.5
+"""By which part of the way to the lower end of its interval the noise is taken for less, where
+that way is up to ``WIDE`` of the level, and where it is all of it: texture could be part of it."""
+
+WIDE = 0.3
+"""Width of the interval below the level, in parts of it, up to which it is a usual one."""
+
+SURE, UNSURE = 0.13, 0.23
+"""The same width, up to which a rehearsal is believed alone, and from which on
+Stein's risk counts as much."""
 
 IMPULSIVE_TAIL, IMPULSIVE_EXCESS = 0.02, 1.03
 """Share of outliers, and their root mean square over the robust level, from which on the noise is
@@ -99,7 +108,8 @@ class _Search:
             noise.tail >= IMPULSIVE_TAIL and noise.rms_edges > IMPULSIVE_EXCESS * noise.mean_edges
         )
         edges = noise.rms_edges if self.is_impulsive else noise.mean_edges
-        edges -= DOUBT * (noise.mean_edges - noise.low)
+        doubt = DOUBT + (GREAT_DOUBT - DOUBT) * max(self._width - WIDE, 0.0) / (1.0 - WIDE)
+        edges -= doubt * (noise.mean_edges - noise.low)
         factor, self.slopes = _KEEP.get(wishes.keep or "", (1.0, _SLOPES[wishes.prefer]))
         if wishes.keep is not None and wishes.prefer != "balanced":
             self.slopes = _SLOPES[wishes.prefer]
@@ -127,27 +137,34 @@ class _Search:
     def _by_stein(
         self, part: Part, at_first: list[Candidate], dear: list[Candidate]
     ) -> tuple[list[Candidate], list[Risk], str, int]:
-        """The shortlist, its risks by Stein's lemma and by a rehearsal, and the kind of surface."""
-        self._total = (1 + PROBES) * (len(at_first) + len(dear)) + REHEARSING + len(at_first) // 4
-        smoothed = part.mesh.vertices + self._run(SMOOTHER, part.mesh)(part.mesh)
-        normals = part.mesh.moved(smoothed).vertex_normals("uniform")
-        judge = Stein(part, self.level, normals)
-        looked = at_first
-        self._look(judge, part, at_first)
+        """The shortlist, its risks by Stein's lemma and by a rehearsal, the kind of surface, and
+        how many candidates were looked at."""
+        once = len(at_first) + len(dear) + REHEARSING
+        self._total = (1 + PROBES) * once + 2 * REHEARSING + len(at_first)
+        first = part.mesh.vertices + self._run(SMOOTHER, part.mesh)(part.mesh)
+        judge = self._judge(part, first, at_first)
+        looked, tried = at_first, len(at_first)
         risk = judge.risk()
         weights = self._best([risk])
         first = part.mesh.vertices + _blend(weights, judge.moves)
         surface = kind_of(part.mesh.moved(first))
-        if dear and self._may_be_sharp(surface):
-            self._look(judge, part, dear)
-            looked = at_first + dear
+        is_sharp = bool(dear) and self._may_be_sharp(surface)
+        if is_sharp:
+            # Along better directions: under the noise in which edges are sharp they matter.
+            looked = [at_first[k] for k in self._shortlist(risk, weights)] + dear
+            tried += len(dear)
+            judge = self._judge(part, first, looked)
             risk = judge.risk()
             weights = self._best([risk])
             first = part.mesh.vertices + _blend(weights, judge.moves)
         shortlist = self._shortlist(risk, weights)
         members = [looked[k] for k in shortlist]
+        risk, moves = risk.of(shortlist), judge.moves[shortlist]
         again = self._rehearsed(part, first, members)
-        return members, [risk.of(shortlist), again], surface, len(looked)
+        if not is_sharp:
+            better = part.mesh.vertices + _blend(self._best([risk, again]), moves)
+            again = self._rehearsed(part, better, members)
+        return members, [risk.counted(self._doubt), again], surface, tried
 
     def _by_rehearsals(
         self, part: Part, at_first: list[Candidate], dear: list[Candidate]
@@ -168,6 +185,20 @@ class _Search:
                 moves += weight * self._run(member, part.mesh)(part.mesh)
         again = self._rehearsed(part, part.mesh.vertices + moves, members)
         return members, [again], surface, len(looked)
+
+    @property
+    def _doubt(self) -> float:
+        """How much Stein's risk counts beside a rehearsal, 0 to 1.
+
+        A rehearsal scatters less, but takes for noise whatever the first result has taken away:
+        the wider the noise's interval, the more of that may be texture.
+        """
+        return min(max((self._width - SURE) / (UNSURE - SURE), 0.0), 1.0)
+
+    @property
+    def _width(self) -> float:
+        """How far below its level the noise may be, in parts of the level."""
+        return (self.noise.mean_edges - self.noise.low) / self.noise.mean_edges
 
     def _may_be_sharp(self, surface: str) -> bool:
         return surface == MACHINED or self._noise_edges(self.mesh) >= HEAVY
@@ -206,10 +237,13 @@ class _Search:
         """The noise in mean edge lengths, with as many digits as are worth writing down."""
         return float(round(self.level / mesh.mean_edge_length, 4))
 
-    def _look(self, judge: Stein, part: Part, candidates: Sequence[Candidate]) -> None:
-        """Run the candidates on the part and on probes of it."""
+    def _judge(self, part: Part, first: Floats, candidates: Sequence[Candidate]) -> Stein:
+        """Candidates run on the part and on probes of it, with the noise along the normals that the
+        part has at ``first`` (m, 3)."""
+        judge = Stein(part, self.level, part.mesh.moved(first).vertex_normals("uniform"))
         for candidate in candidates:
             judge.add(self._run(candidate, part.mesh), self._step)
+        return judge
 
     def _best(self, risks: Sequence[Risk]) -> Floats:
         if self.mesh.trust is not None:
@@ -224,8 +258,9 @@ class _Search:
         """How the candidates do by themselves; less is better."""
         score = np.zeros(len(risks[0].drift))
         for risk in risks:
-            score += (1.0 - self.slopes) * np.log(np.maximum(risk.positions.singles(), 0.01))
-            score += self.slopes * np.log(np.maximum(risk.slopes.singles(), 0.01))
+            places = np.log(np.maximum(risk.positions.singles(), FLOOR))
+            tilts = np.log(np.maximum(risk.slopes.singles(), FLOOR))
+            score += risk.importance * ((1.0 - self.slopes) * places + self.slopes * tilts)
         return score
 
     def _shortlist(self, risk: Risk, weights: Floats) -> list[int]:
@@ -288,7 +323,7 @@ class _Search:
             rest = 1.0 - float(weights.sum())
             label = " + ".join(parts) + (f" + {rest:.0%} as it was" if rest > 0.005 else "")
         # Stein's estimate scatters about small errors, and may be below zero.
-        part = max(risk.positions.at(weights) for risk in risks)
+        part = max(risk.positions.at(weights) for risk in risks if risk.importance > 0.0)
         error = max(part, 0.0) ** 0.5 * self.level / edge
         what = "impulsive noise" if self.is_impulsive else "noise"
         level = self.noise.rms_edges if self.is_impulsive else self.noise.mean_edges
