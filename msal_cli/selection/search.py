@@ -198,7 +198,8 @@ class _Search:
     @property
     def _width(self) -> float:
         """How far below its level the noise may be, in parts of the level."""
-        return (self.noise.mean_edges - self.noise.low) / self.noise.mean_edges
+        level = self.noise.mean_edges
+        return (level - self.noise.low) / level if level > 0.0 else 0.0
 
     def _may_be_sharp(self, surface: str) -> bool:
         return surface == MACHINED or self._noise_edges(self.mesh) >= HEAVY

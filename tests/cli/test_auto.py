@@ -328,8 +328,9 @@ def test_gates_know_the_risk(scan, tmp_path, choose):
 
 def test_it_can_be_measured_against_a_reference(scan, tmp_path):
     record = record_of(scan, "-o", tmp_path / "o.ply", "--auto", "--reference", scan)
+    # The reference is compared with what is in the file, to single precision.
     assert record["reference"]["vertex_error_percent"] == pytest.approx(
-        100 * record["displacement"]["mean_edges"]
+        100 * record["displacement"]["mean_edges"], rel=1e-4
     )
 
 
