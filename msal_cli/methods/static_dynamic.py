@@ -72,7 +72,7 @@ MOST_NEAR = 256
 MOST_STEPS = 100
 """Towards the minimum of the energy."""
 
-BYTES_PER_FACE = 1130
+BYTES_PER_FACE = 1450
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
