@@ -136,11 +136,11 @@ DESCRIPTIONS: dict[str, str] = {
     "NoiseEstimate.mean_edges": "standard deviation along the normals, mean edge lengths",
     "NoiseEstimate.file_units": "standard deviation along the normals, file units",
     "NoiseEstimate.low_edges": (
-        "lower end of an interval for it, mean edge lengths: as if all that may be texture were"
+        "lower end of an interval for it, as if all that may be texture were, mean edge lengths"
     ),
     "NoiseEstimate.high_edges": "upper end of the interval, mean edge lengths",
     "NoiseEstimate.clean_edges": (
-        "the level in mean edge lengths of the surface without the noise, which are shorter"
+        "the level by the surface without the noise, whose edges are shorter: in its mean edge lengths"
     ),
     "NoiseEstimate.rms_edges": (
         "root mean square with single spikes, which the level leaves out, mean edge lengths"
