@@ -140,7 +140,7 @@ DESCRIPTIONS: dict[str, str] = {
     ),
     "NoiseEstimate.high_edges": "upper end of the interval, mean edge lengths",
     "NoiseEstimate.clean_edges": (
-        "the level by the surface without the noise, whose edges are shorter: in its mean edge lengths"
+        "the level for the surface without the noise, whose edges are shorter, in mean edge lengths"
     ),
     "NoiseEstimate.rms_edges": (
         "root mean square with single spikes, which the level leaves out, mean edge lengths"
