@@ -10,23 +10,24 @@
    counts the more the less sure it is what is noise and what is texture.
 
 Everything is a function of the mesh and the wishes: probes have fixed seeds, and costs are those
-of a table.
+of a table.  The constants were chosen on the classes of benchmarks/ground_truth.py, by
+benchmarks/accuracy.py; docs/accuracy.md has other models as a check.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli import methods
 from msal_cli.mesh import Mesh
-from msal_cli.methods.blend import written
 from msal_cli.noise_estimate import NoiseLevel, estimated
 from msal_cli.selection import NONE, Choice, Wishes
 from msal_cli.selection.candidates import CANDIDATES, ROBUST, SMOOTHER, Candidate
 from msal_cli.selection.patches import Part, representative
+from msal_cli.selection.recipe import recipe
 from msal_cli.selection.risk import PROBES, Risk, Stein, rehearsed
 from msal_cli.selection.surface import CLEAN, MACHINED, kind_of
 from msal_cli.selection.weighing import FLOOR, best_weights, rounded
@@ -40,8 +41,8 @@ Floats = NDArray[np.float64]
 
 RUN = 1.7
 """What a default run costs beyond its filter, in filters of its kind over the same mesh: reading,
-measuring and writing.  One over a million vertices takes 0.69 s on one core, 0.18 s of it to
-start; the filter takes 0.18 s."""
+measuring and writing.  benchmarks/auto_seconds.py measures 2.7 at a million vertices, where the
+filter takes 0.13 s; less is reckoned with, since candidates cost more on scans in a worse order."""
 
 START = 1_000_000
 """Vertices that the filter would do while a run starts."""
@@ -142,27 +143,25 @@ class _Search:
         once = len(at_first) + len(dear) + REHEARSING
         self._total = (1 + PROBES) * once + 2 * REHEARSING + len(at_first)
         first = part.mesh.vertices + self._run(SMOOTHER, part.mesh)(part.mesh)
-        judge = self._judge(part, first, at_first)
         looked, tried = at_first, len(at_first)
-        risk = judge.risk()
+        risk, moves = self._judged(part, first, looked)
         weights = self._best([risk])
-        first = part.mesh.vertices + _blend(weights, judge.moves)
+        first = part.mesh.vertices + _blend(weights, moves)
         surface = kind_of(part.mesh.moved(first))
         is_sharp = bool(dear) and self._may_be_sharp(surface)
         if is_sharp:
             # Along better directions: under the noise in which edges are sharp they matter.
             looked = [at_first[k] for k in self._shortlist(risk, weights)] + dear
             tried += len(dear)
-            judge = self._judge(part, first, looked)
-            risk = judge.risk()
+            risk, moves = self._judged(part, first, looked)
             weights = self._best([risk])
-            first = part.mesh.vertices + _blend(weights, judge.moves)
+            first = part.mesh.vertices + _blend(weights, moves)
         shortlist = self._shortlist(risk, weights)
         members = [looked[k] for k in shortlist]
-        risk, moves = risk.of(shortlist), judge.moves[shortlist]
+        risk = risk.of(shortlist)
         again = self._rehearsed(part, first, members)
         if not is_sharp:
-            better = part.mesh.vertices + _blend(self._best([risk, again]), moves)
+            better = part.mesh.vertices + _blend(self._best([risk, again]), moves[shortlist])
             again = self._rehearsed(part, better, members)
         return members, [risk.counted(self._doubt), again], surface, tried
 
@@ -238,13 +237,15 @@ class _Search:
         """The noise in mean edge lengths, with as many digits as are worth writing down."""
         return float(round(self.level / mesh.mean_edge_length, 4))
 
-    def _judge(self, part: Part, first: Floats, candidates: Sequence[Candidate]) -> Stein:
-        """Candidates run on the part and on probes of it, with the noise along the normals that the
-        part has at ``first`` (m, 3)."""
+    def _judged(
+        self, part: Part, first: Floats, candidates: Sequence[Candidate]
+    ) -> tuple[Risk, Floats]:
+        """Stein's risk of candidates, and what they move the part by (k, m, 3), with the noise
+        along the normals that the part has at ``first`` (m, 3)."""
         judge = Stein(part, self.level, part.mesh.moved(first).vertex_normals("uniform"))
         for candidate in candidates:
             judge.add(self._run(candidate, part.mesh), self._step)
-        return judge
+        return judge.risk(), judge.moves
 
     def _best(self, risks: Sequence[Risk]) -> Floats:
         if self.mesh.trust is not None:
@@ -300,46 +301,25 @@ class _Search:
         tried: int,
     ) -> Choice:
         edge = self.mesh.mean_edge_length
-        noise_edges = self._noise_edges(self.mesh)
-        used = np.flatnonzero(weights).tolist()
-        alone = np.max([risk.positions.singles() for risk in risks], axis=0)
-        singles = np.sqrt(np.maximum(alone, 0.0)) * self.level / edge
-        order = np.argsort(self._scores(risks), kind="stable")
-        told = tuple(
-            (members[k].label, float(singles[k])) for k in order.tolist() if weights[k] < 1.0
-        )[:3]
-        method, parameters, label = NONE, {}, "left as it is"
-        if len(used) == 1 and weights[used[0]] == 1.0:
-            one = members[used[0]]
-            method, label = one.method, one.label
-            parameters = methods.find(method).settled(one.settings(noise_edges))
-        elif len(used):
-            largest = sorted(used, key=lambda k: (-weights[k], k))
-            listed: list[tuple[float, str, dict[str, Any]]] = [
-                (float(weights[k]), members[k].method, members[k].settings(noise_edges))
-                for k in largest
-            ]
-            method, parameters = (
-                "blend",
-                methods.find("blend").settled({"members": written(listed)}),
-            )
-            parts = [f"{weights[k]:.0%} {members[k].label}" for k in largest]
-            rest = 1.0 - float(weights.sum())
-            label = " + ".join(parts) + (f" + {rest:.0%} as it was" if rest > 0.005 else "")
+        unit = self.level / edge
+        counted = [risk for risk in risks if risk.importance > 0.0]
         # Stein's estimate scatters about small errors, and may be below zero.
-        part = max(risk.positions.at(weights) for risk in risks if risk.importance > 0.0)
-        error = max(part, 0.0) ** 0.5 * self.level / edge
+        alone = np.maximum(np.max([risk.positions.singles() for risk in counted], axis=0), 0.0)
+        together = max(*(risk.positions.at(weights) for risk in counted), 0.0)
+        order = np.argsort(self._scores(risks), kind="stable").tolist()
+        beside = [k for k in order if weights[k] < 1.0][:3]
+        made = recipe(members, weights, self._noise_edges(self.mesh))
         what = "impulsive noise" if self.is_impulsive else "noise"
         level = self.noise.rms_edges if self.is_impulsive else self.noise.mean_edges
         return Choice(
-            method,
-            parameters,
-            f"{what} {level:.2g} e; {surface}; {label}",
+            made.method,
+            made.parameters,
+            f"{what} {level:.2g} e; {surface}; {made.label}",
             surface,
             self.noise,
-            error,
+            together**0.5 * unit,
             tried,
-            told,
+            tuple((members[k].label, float(alone[k]) ** 0.5 * unit) for k in beside),
         )
 
     def _step(self) -> None:
