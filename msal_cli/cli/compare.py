@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msal_cli.cli import exit_codes, talk
+from msal_cli.cli.file_options import file_options
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 
@@ -69,18 +70,7 @@ Exit status: see msal --help.""",
     help="Write B as PLY with its distance from A, vertex by vertex, as property deviation and as "
     "colours; comments in the file tell their range.",
 )
-@click.option(
-    "--include", metavar="PATTERN", multiple=True, help="Take only files that match. Repeatable."
-)
-@click.option(
-    "--exclude", metavar="PATTERN", multiple=True, help="Leave out what matches. Repeatable."
-)
-@click.option(
-    "--format",
-    "format",
-    metavar="FORMAT",
-    help="The files' format, where neither their names nor their content tells.",
-)
+@file_options("The files' format, where neither their names nor their content tells.")
 @click.option(
     "--fail-on",
     metavar="EXPR",

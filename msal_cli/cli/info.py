@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from msal_cli.cli import exit_codes, talk
+from msal_cli.cli.file_options import file_options
 from msal_cli.cli.pipe import STREAM
 from msal_cli.errors import UsageError
 
@@ -21,18 +22,7 @@ _PATH = click.Path(readable=False, allow_dash=True)
     "info", short_help="Tell what is in mesh files.", epilog="Exit status: see msal --help."
 )
 @click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=_PATH)
-@click.option(
-    "--include", metavar="PATTERN", multiple=True, help="Take only files that match. Repeatable."
-)
-@click.option(
-    "--exclude", metavar="PATTERN", multiple=True, help="Leave out what matches. Repeatable."
-)
-@click.option(
-    "--format",
-    "format",
-    metavar="FORMAT",
-    help="The inputs' format, where neither their name nor their content tells.",
-)
+@file_options("The inputs' format, where neither their name nor their content tells.")
 @click.option(
     "--json",
     "as_json",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msal_cli.cli import exit_codes, talk, words
+from msal_cli.cli.file_options import file_options
 from msal_cli.cli.pipe import STREAM
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import MsalError, UsageError
@@ -104,18 +105,7 @@ Exit status: see msal --help.""",
     callback=_share(0.0, 1.0, ""),
     help="Share of the vertices that impulsive noise moves.",
 )
-@click.option(
-    "--include", metavar="PATTERN", multiple=True, help="Take only files that match. Repeatable."
-)
-@click.option(
-    "--exclude", metavar="PATTERN", multiple=True, help="Leave out what matches. Repeatable."
-)
-@click.option(
-    "--format",
-    "format",
-    metavar="FORMAT",
-    help="The inputs' format, where neither their name nor their content tells.",
-)
+@file_options("The inputs' format, where neither their name nor their content tells.")
 @click.option("--force", is_flag=True, help="Replace files in the output folder.")
 @click.option("-q", "--quiet", is_flag=True, help="Tell only errors.")
 @click.option(
