@@ -10,6 +10,8 @@ The powers of the lost shape are those of a first guess, which is made in the sa
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,35 +44,43 @@ shape is known.  The first look has to tell shape from the scatter of averaged n
 
 
 @compiled
-def _band(start, stop, ring_start, ring, values, low, powers, band):  # type: ignore[no-untyped-def]
-    """The next coarser values, and the squares of what is between, into column ``band``."""
+def _mean(start, stop, ring_start, ring, values, low):  # type: ignore[no-untyped-def]
+    """The next coarser level: the mean over each vertex and its one-ring."""
     for i in range(start, stop):
         total = values[i]
         for at in range(ring_start[i], ring_start[i + 1]):
             total += values[ring[at]]
         low[i] = total / (ring_start[i + 1] - ring_start[i] + 1)
-        powers[i, band] = (values[i] - low[i]) ** 2
 
 
 @compiled
-def _rest(start, stop, values, powers, band):  # type: ignore[no-untyped-def]
+def _squares(start, stop, levels, powers):  # type: ignore[no-untyped-def]
+    """Squares of the bands: the differences of neighbouring levels, and the coarsest level."""
+    last = len(levels) - 1
     for i in range(start, stop):
-        powers[i, band] = values[i] ** 2
+        for band in range(last):
+            powers[i, band] = (levels[band, i] - levels[band + 1, i]) ** 2
+        powers[i, last] = levels[last, i] ** 2
 
 
 @compiled
 def _averaged(start, stop, ring_start, ring, powers, averages):  # type: ignore[no-untyped-def]
-    bands = powers.shape[1]
+    # Five sums by name: in registers, where a loop over the bands would go through memory.
     for i in range(start, stop):
-        for band in range(bands):
-            averages[i, band] = powers[i, band]
+        a, b, c, d, e = powers[i, 0], powers[i, 1], powers[i, 2], powers[i, 3], powers[i, 4]
         for at in range(ring_start[i], ring_start[i + 1]):
             k = ring[at]
-            for band in range(bands):
-                averages[i, band] += powers[k, band]
+            a += powers[k, 0]
+            b += powers[k, 1]
+            c += powers[k, 2]
+            d += powers[k, 3]
+            e += powers[k, 4]
         weight = 1.0 / (ring_start[i + 1] - ring_start[i] + 1)
-        for band in range(bands):
-            averages[i, band] *= weight
+        averages[i, 0] = a * weight
+        averages[i, 1] = b * weight
+        averages[i, 2] = c * weight
+        averages[i, 3] = d * weight
+        averages[i, 4] = e * weight
 
 
 @compiled
@@ -155,21 +165,20 @@ def restoration(
     def alone(caution: float) -> Floats:
         return caution * noise * noise * np.array(NOISE_SHARES)
 
-    def cut(values: Floats, lower: list[Floats]) -> None:
-        for band, low in enumerate(lower):
-            over_ranges(_band, n, ring_start, ring, values, low, powers, band)
-            values = low
-        over_ranges(_rest, n, values, powers, bands - 1)
+    def cut(levels: Floats) -> None:
+        """From the finest of the levels (5, n) all others, and the powers of the bands."""
+        for finer, coarser in itertools.pairwise(levels):
+            over_ranges(_mean, n, ring_start, ring, finer, coarser)
+        over_ranges(_squares, n, levels, powers)
 
     levels[0] = residual
-    cut(levels[0], list(levels[1:]))
+    cut(levels)
     averaged(PLACE)
-    guess, share = np.empty(n), np.empty(n)
-    over_ranges(_first_look, n, levels, powers, alone(CAUTION * caution), guess)
-    # Of the guess only powers are asked for: two arrays for its levels are enough.
-    spare = np.empty(n)
-    cut(guess, [(share, spare)[band % 2] for band in range(bands - 1)])
+    # Nothing needs the averages until the next pass: their memory holds the levels of the guess.
+    guess = averages.reshape(bands, n)
+    over_ranges(_first_look, n, levels, powers, alone(CAUTION * caution), guess[0])
+    cut(guess)
     averaged(SECOND_PLACE)
-    returned = guess
+    returned, share = np.empty(n), np.empty(n)
     over_ranges(_second_look, n, levels, powers, alone(SECOND_CAUTION * caution), returned, share)
     return Restoration(returned, share)
