@@ -1,4 +1,4 @@
-"""``--auto`` for one file: what is run, and what the record tells of why."""
+"""A choice for one file: what is run, and what the record says of why."""
 
 from __future__ import annotations
 
@@ -28,12 +28,18 @@ class Settled:
 
 
 def settled(
-    mesh: Mesh, parameters: Mapping[str, Any], on_step: Callable[[int, int], None]
+    mesh: Mesh, wishes: Mapping[str, Any] | None, on_step: Callable[[int, int], None]
 ) -> Settled:
-    """The choice for ``mesh``; ``parameters`` are the fields of ``Wishes``."""
+    """The choice for ``mesh``: among all methods by ``wishes``, the fields of ``Wishes``, or within
+    the family of equation (2) where they are None."""
     from msal_cli import methods
 
-    choice = chosen(mesh, Wishes(**parameters), on_step)
+    if wishes is None:
+        from msal_cli.selection import adaptive
+
+        choice = adaptive.chosen(mesh, on_step)
+    else:
+        choice = chosen(mesh, Wishes(**wishes), on_step)
     method = None if choice.method == NONE else methods.find(choice.method)
     # Checked as if the user had given them.
     values = {} if method is None else method.settled(choice.parameters)
@@ -44,8 +50,9 @@ def settled(
         risk_edges=choice.risk,
         tried=choice.tried,
         runners_up=tuple(RunnerUp(label, risk) for label, risk in choice.runners_up),
-        wishes=dict(parameters),
+        wishes=dict(wishes or {}),
         repeat=_options(method, values),
+        among=choice.among,
     )
     warnings: tuple[str, ...] = ()
     if mesh.trust is not None and method is not None and not method.has_data_term(values):

@@ -90,6 +90,10 @@ UNEVEN = 2.0
 BLOCK_VERTICES = 1 << 14
 """Vertices whose distances to all regions stand in memory at a time."""
 
+IMPULSIVE_TAIL, IMPULSIVE_EXCESS = 0.02, 1.03
+"""Share of outliers, and their root mean square over the robust level, from which on the noise is
+taken for impulsive."""
+
 LEAST_UNEVEN = 0.05
 """Mean edge lengths that the most noisy region needs for that."""
 
@@ -129,6 +133,13 @@ class NoiseLevel:
         """Whether neither the level nor single spikes reach so many mean edge lengths."""
         are_spikes = _are_spikes(self.rms_edges, self.tail) and self.rms_edges >= edges
         return self.mean_edges < edges and not are_spikes
+
+    @property
+    def is_impulsive(self) -> bool:
+        """Whether it has more outliers than Gaussian noise would."""
+        return (
+            self.tail >= IMPULSIVE_TAIL and self.rms_edges > IMPULSIVE_EXCESS * self.mean_edges
+        )
 
     @property
     def is_uneven(self) -> bool:

@@ -31,7 +31,9 @@ from msal_cli.records import (
 )
 
 # Whoever runs files needs these with it, from one place.
+from msal_cli.tasks import ADAPTIVE as ADAPTIVE
 from msal_cli.tasks import AUTO as AUTO
+from msal_cli.tasks import CHOOSING as CHOOSING
 from msal_cli.tasks import FORECAST as FORECAST
 from msal_cli.tasks import NEGLIGIBLE as NEGLIGIBLE
 from msal_cli.tasks import NO_LIMITS as NO_LIMITS
@@ -323,7 +325,7 @@ class _Run:
             if why:
                 self.know(left_alone=why, method=MethodUsed(NO_METHOD, {}))
                 return None, {}
-        if settings.method != AUTO:
+        if settings.method not in CHOOSING:
             from msal_cli import methods
 
             return methods.find(settings.method), settings.parameters
@@ -332,7 +334,7 @@ class _Run:
 
             found = automatic.settled(
                 mesh,
-                settings.parameters,
+                settings.parameters if settings.method == AUTO else None,
                 lambda done, total: self._on_progress("choose", done, total),
             )
             self.know(method=found.used, choice=found.made)

@@ -109,20 +109,21 @@ class RunnerUp:
 
 @dataclass(frozen=True, slots=True)
 class ChoiceMade:
-    """Why --auto chose what ``method`` tells; lengths are in mean edge lengths.
+    """Why ``method`` was chosen; lengths are in mean edge lengths.
 
     ``method`` is ``none`` where the mesh stays as it is.  ``repeat`` are the options that do the
-    same without --auto.
+    same by hand.
     """
 
     reason: str
-    surface: str
+    surface: str | None
     noise_edges: float
     risk_edges: float | None
     tried: int
     runners_up: tuple[RunnerUp, ...]
     wishes: dict[str, Any]
     repeat: tuple[str, ...]
+    among: str = "all"
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,13 @@ if TYPE_CHECKING:
 AUTO = "auto"
 """In place of a method's name: each mesh gets the one that suits it, see ``selection``."""
 
+ADAPTIVE = "adaptive"
+"""In place of a method's name: parameters of AL and MSAL are chosen for each mesh, see
+``selection.adaptive``."""
+
+CHOOSING = (ADAPTIVE, AUTO)
+"""The words in place of a method for which something is chosen."""
+
 NEGLIGIBLE = "auto"
 """In place of a least noise: as the estimate judges it."""
 
@@ -27,7 +34,7 @@ class Settings:
     Attributes
     ----------
     method, parameters : the method's name and its settled parameters, every one of them; with
-        ``AUTO`` the fields of ``selection.Wishes``.
+        ``AUTO`` the fields of ``selection.Wishes``, with ``ADAPTIVE`` none.
     to : suffix of the format to convert to, without a dot; None keeps the input's, or takes the
         output name's.
     encoding : ``same``, ``ascii`` or ``binary``.
@@ -139,11 +146,12 @@ def forecast(task: Task, settings: Settings) -> Forecast:
         to=to,
         method_bytes_per_face=method_bytes_per_face(settings),
     )
-    if settings.method != AUTO or told_of.memory_bytes is None:
+    if settings.method not in CHOOSING or told_of.memory_bytes is None:
         return told_of
     from msal_cli import selection
 
-    return dataclasses.replace(told_of, memory_bytes=told_of.memory_bytes + selection.BYTES)
+    choosing = selection.BYTES if settings.method == AUTO else selection.FAMILY_BYTES
+    return dataclasses.replace(told_of, memory_bytes=told_of.memory_bytes + choosing)
 
 
 def method_bytes_per_face(settings: Settings) -> int:
@@ -156,6 +164,10 @@ def method_bytes_per_face(settings: Settings) -> int:
 
         most = max(methods.find(name).bytes_per_face for name in selection.METHODS)
         return most + extra
+    if settings.method == ADAPTIVE:
+        from msal_cli import selection
+
+        return methods.find("al").bytes_per_face_of(selection.LARGEST_OF_FAMILY) + extra
     if settings.method not in methods.names():
         return 0
     return methods.find(settings.method).bytes_per_face_of(settings.parameters) + extra

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from msal_cli.cli.denoise_options import Request
 
-AUTO = "auto"
-"""What ``--method`` takes for ``--auto``."""
+AUTO, ADAPTIVE = "auto", "adaptive"
+"""What ``--method`` takes for ``--auto``, and for what is done without any method."""
 
 _STRONGEST = 2.0
 
@@ -94,27 +94,43 @@ def _implying(request: Request) -> str | None:
     return next((word for word, value in given.items() if value is not None), None)
 
 
-def refuse_contradictions(request: Request) -> None:
-    """Refuse a method or parameters by hand beside ``--auto``; UsageError."""
-    if not is_asked(request):
-        return
-    given = {
-        f"--method {request.method}": request.method not in (None, AUTO),
+def is_by_hand(request: Request) -> bool:
+    """Whether a method or parameters are given by hand."""
+    return any(_by_hand(request).values())
+
+
+def _by_hand(request: Request) -> dict[str, bool]:
+    """The options by which a method and its parameters are given, and whether they are."""
+    return {
+        f"--method {request.method}": request.method not in (None, AUTO, ADAPTIVE),
         "-n": request.iterations is not None,
         "-K": request.factor is not None,
         "--mollify": request.mollify is not None,
         "--schedule": request.schedule is not None,
         "--set": bool(request.assignments),
     }
-    asking = "--auto" if request.auto else _implying(request) or f"--method {AUTO}"
-    for word, is_given in given.items():
-        if is_given:
-            implies = "" if asking in ("--auto", f"--method {AUTO}") else ", which implies --auto,"
-            raise UsageError(
-                f"{asking}{implies} and {word} contradict each other",
-                hint="let --auto choose, with --keep, --strength or --prefer as wishes, or give "
-                "method and parameters by hand",
-            )
+
+
+def refuse_contradictions(request: Request) -> None:
+    """Refuse a method or parameters by hand beside ``--auto`` or adaptive; UsageError."""
+    implying = _implying(request)
+    if request.auto:
+        asking, implies = "--auto", ""
+    elif implying is not None:
+        asking, implies = implying, ", which implies --auto,"
+    elif request.method in (AUTO, ADAPTIVE):
+        asking, implies = f"--method {request.method}", ""
+    else:
+        return
+    given = [word for word, is_given in _by_hand(request).items() if is_given]
+    if request.method == ADAPTIVE and is_asked(request):
+        given.insert(0, f"--method {ADAPTIVE}")
+    if given:
+        raise UsageError(
+            f"{asking}{implies} and {given[0]} contradict each other",
+            hint="let --auto choose, with --keep, --strength or --prefer as wishes, or give "
+            "method and parameters by hand",
+        )
 
 
 def wishes_of(request: Request) -> dict[str, Any]:

@@ -88,14 +88,16 @@ _METHOD = (
         "--method",
         metavar="NAME",
         shell_complete=words.completed_method,
-        help="How to denoise; `msal methods` lists them, and auto is --auto.  [default: msal]",
+        help="How to denoise; `msal methods` lists them, and auto is --auto.  [default: adaptive, "
+        "which chooses the parameters of AL and MSAL for each mesh and leaves clean ones alone]",
     ),
     click.option(
         "-n",
         "--iterations",
         metavar="N",
-        help="Sweeps over the mesh; more is smoother, while msal comes back to the input after "
-        "many. Other methods may have other defaults.  [default: 4]",
+        help="Sweeps over the mesh; implies --method msal. More is smoother, but not for msal: its "
+        "smoothing fades from sweep to sweep while the pull to the scan stays, so more than about "
+        "6 sweeps lead back to the input. Other methods may have other defaults.  [default: 4]",
     ),
     click.option(
         "-K",

@@ -170,6 +170,8 @@ def _method_of(request: Request) -> tuple[str, dict[str, Any]]:
 
     if auto_options.is_asked(request):
         return pipeline.AUTO, auto_options.wishes_of(request)
+    if not auto_options.is_by_hand(request):
+        return pipeline.ADAPTIVE, {}
     method = methods.find(request.method or _DEFAULT_METHOD)
     shortcuts = (
         ("-n", "iterations", request.iterations),

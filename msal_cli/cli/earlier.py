@@ -260,9 +260,10 @@ def _unknown(rows: Sequence[Row], *, is_finished: bool) -> Run:
     if newest is not None and newest.method is not None:
         settings = {"method": newest.method.name, "parameters": newest.method.parameters}
     if newest is not None and newest.choice is not None:
-        from msal_cli.pipeline import AUTO
+        from msal_cli.pipeline import ADAPTIVE, AUTO
 
-        settings = {"method": AUTO, "parameters": newest.choice.wishes}
+        method = AUTO if newest.choice.wishes else ADAPTIVE
+        settings = {"method": method, "parameters": newest.choice.wishes}
     return Run(
         version=(newest.version if newest is not None else "") or __version__,
         command=(),

@@ -44,8 +44,8 @@ DESCRIPTIONS: dict[str, str] = {
     "Totals.failed": "files that failed",
     "Totals.gate_broken": "files written or up to date that break a gate",
     "Totals.chosen": (
-        "files written, unchanged or up to date by the method that --auto chose, the most frequent "
-        "first; empty without --auto"
+        "files written, unchanged or up to date by the method that was chosen, the most frequent "
+        "first; empty where the method was given"
     ),
     "Totals.vertices": "vertices of the files denoised in this run",
     "Totals.work_seconds": "sum of the seconds of the files denoised in this run",
@@ -93,8 +93,8 @@ DESCRIPTIONS: dict[str, str] = {
     ),
     "MeshRecord.noise_estimate": "noise of the input, estimated",
     "MeshRecord.left_alone": "why --min-noise left the mesh as it is; null if it did not",
-    "MeshRecord.method": "method and parameters; with --auto the chosen ones",
-    "MeshRecord.choice": "why --auto chose that method; null without --auto",
+    "MeshRecord.method": "method and parameters, given or chosen",
+    "MeshRecord.choice": "why that method was chosen; null where it was given",
     "MeshRecord.seconds": "wall-clock seconds by stage",
     "MeshRecord.vertices_per_second": "vertices over total seconds",
     "MeshRecord.peak_memory_bytes": "highest memory of the process so far",
@@ -155,21 +155,27 @@ DESCRIPTIONS: dict[str, str] = {
     "NoiseEstimate.regions": "number of regions that were told apart",
     "NoiseEstimate.uneven": "whether the noise is not the same everywhere",
     "MethodUsed.name": (
-        "name of the method; none where --auto or --min-noise left the mesh as it is, auto where "
+        "name of the method; none where the choice or --min-noise left the mesh as it is, adaptive or auto where "
         "it was not chosen yet"
     ),
     "MethodUsed.parameters": "every parameter by name, defaults included",
     "Seconds.read": "reading and parsing",
     "Seconds.connectivity": "welding, connectivity, defects and plain vertex normals",
     "ChoiceMade.reason": "in one sentence: the noise, the surface, the method",
-    "ChoiceMade.surface": "machined, organic, textured or clean",
+    "ChoiceMade.surface": (
+        "machined, organic, textured or clean; null where the choice does not depend on it"
+    ),
     "ChoiceMade.noise_edges": "noise that the choice was made for, mean edge lengths",
     "ChoiceMade.risk_edges": (
         "estimated error of the result (null if none was estimated), mean edge lengths"
     ),
     "ChoiceMade.tried": "candidates that were looked at",
     "ChoiceMade.runners_up": "the next best candidates, best first, at most three",
-    "ChoiceMade.wishes": "what was wished for: prefer, keep, strength, budget",
+    "ChoiceMade.wishes": "what was wished for: prefer, keep, strength, budget; empty without --auto",
+    "ChoiceMade.among": (
+        "what was chosen among: family, AL and MSAL with their schedules, by default; all, all "
+        "methods and their mixtures, with --auto"
+    ),
     "ChoiceMade.repeat": "options of msal denoise that do the same without --auto",
     "RunnerUp.label": "method and parameters in words",
     "RunnerUp.risk_edges": "estimated error of its result, mean edge lengths",

@@ -1,4 +1,6 @@
-"""Choosing method and parameters for one mesh: what ``--auto`` does.
+"""Choosing method and parameters for one mesh: what the plain command and ``--auto`` do.
+
+``adaptive`` chooses parameters of AL and MSAL, ``search`` among all methods and their mixtures.
 
 A choice depends on the mesh and the wishes alone, never on clocks, threads or other files, so that
 the same file comes out the same everywhere.
@@ -22,6 +24,9 @@ if TYPE_CHECKING:
 NONE = "none"
 """In place of a method: the mesh stays as it is."""
 
+FAMILY, ALL = "family", "all"
+"""Among what was chosen: AL and MSAL with the schedules of equation (2), or all methods."""
+
 METHODS = (
     "al",
     "bilateral_non_iterative",
@@ -36,6 +41,12 @@ METHODS = (
     "wiener",
 )
 """The methods that are ever chosen: memory is set aside for the hungriest of them."""
+
+LARGEST_OF_FAMILY = {"schedule": "wiener"}
+"""Parameters of ``al`` that take the most memory of all in the family."""
+
+FAMILY_BYTES = 6_000_000
+"""The same as ``BYTES`` for a choice within the family."""
 
 BYTES = 25_000_000
 """Memory that choosing takes at most beyond what methods do, however large the mesh is: candidates
@@ -70,21 +81,23 @@ class Choice:
     method : name of a method, or ``NONE``.
     parameters : its settled parameters, every one of them; empty for ``NONE``.
     reason : a sentence, such as ``noise 0.11 e; textured; MSAL, K = 0.6, 3 sweeps``.
-    surface : ``machined``, ``organic``, ``textured`` or ``clean``.
+    surface : ``machined``, ``organic``, ``textured`` or ``clean``; None where that was not asked.
     noise : the estimated noise.
     risk : estimated error of the result, mean edge lengths; None if nothing was estimated.
     tried : candidates that were looked at.
     runners_up : label and risk of the next best, best first, at most 3.
+    among : ``ALL`` or ``FAMILY``.
     """
 
     method: str
     parameters: dict[str, Any]
     reason: str
-    surface: str
+    surface: str | None
     noise: NoiseLevel
     risk: float | None = None
     tried: int = 0
     runners_up: tuple[tuple[str, float], ...] = ()
+    among: str = ALL
 
 
 def announce() -> None:

@@ -41,8 +41,9 @@ class Candidate:
     @property
     def label(self) -> str:
         """In words: ``guided normals (sigma_r 0.45, 5 iterations)``."""
-        told = re.sub(r"\b1 (\w+)s\b", r"1 \1", _WORDS.get(self.method, "").format(**self.given))
-        return NAMES[self.method] + (f" ({told})" if told else "")
+        kind = _KINDS.get((self.method, self.given.get("schedule")), self.method)
+        words = re.sub(r"\b1 (\w+)s\b", r"1 \1", _WORDS.get(kind, "").format(**self.given))
+        return NAMES[kind] + (f" ({words})" if words else "")
 
 
 NAMES = {
@@ -55,9 +56,16 @@ NAMES = {
     "l0": "L0",
     "normal_diffusion": "diffused normals",
     "normal_threshold": "thresholded normals",
+    "robust_msal": "robust MSAL",
     "wiener": "Wiener",
+    "wiener_al": "AL with Wiener fidelity",
 }
-"""What people call the methods."""
+"""What people call the methods, and those of their schedules in ``_KINDS``."""
+
+_KINDS: dict[tuple[str, Any], str] = {
+    ("al", "wiener"): "wiener_al",
+    ("msal", "robust"): "robust_msal",
+}
 
 # With plurals; one of them is made singular.
 _WORDS = {
@@ -68,6 +76,8 @@ _WORDS = {
     "msal": "K = {K:g}, {mollify} mollifications",
     "al": "{iterations} sweeps, {mollify} mollifications",
     "normal_threshold": "threshold {threshold:g}, {iterations} iterations",
+    "robust_msal": "K = {K:g}, {iterations} sweeps",
+    "wiener_al": "caution {caution:g}, {iterations} sweeps",
 }
 
 

@@ -42,8 +42,11 @@ class Part:
     judged: Flags
 
 
-def representative(mesh: Mesh, most: int) -> Part:
+def representative(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
     """Patches of about ``most`` vertices together; the whole mesh if it has hardly more.
+
+    Patches grow from any vertex, or from one of about ``seeds`` vertices evenly over their numbers:
+    to order a million of them by place takes longer than a short search can spend.
 
     Vertices that the mesh holds are not judged, nor are those that no face has.  The part itself
     neither holds nor trusts any.
@@ -55,6 +58,8 @@ def representative(mesh: Mesh, most: int) -> Part:
         return Part(whole, judged)
     # Where nobody is judged there is nothing to learn, and patches need not begin there.
     places = np.flatnonzero(judged if judged.any() else links.has_ring)
+    if seeds is not None and len(places) > 2 * seeds:
+        places = places[:: len(places) // seeds]
     order = places[_in_space(mesh.vertices[places])]
     inside = np.zeros(n, dtype=np.bool_)
     count = max(most // PATCH, 1)

@@ -70,10 +70,6 @@ SURE, UNSURE = 0.13, 0.23
 """The same width, up to which a rehearsal is believed alone, and from which on
 Stein's risk counts as much."""
 
-IMPULSIVE_TAIL, IMPULSIVE_EXCESS = 0.02, 1.03
-"""Share of outliers, and their root mean square over the robust level, from which on the noise is
-taken for impulsive."""
-
 HEAVY = 0.35
 """Noise in mean edge lengths under which no first result shows whether there are sharp edges."""
 
@@ -105,9 +101,7 @@ class _Search:
     ) -> None:
         self.mesh, self.wishes, self.noise = mesh, wishes, noise
         self._on_step = on_step
-        self.is_impulsive = (
-            noise.tail >= IMPULSIVE_TAIL and noise.rms_edges > IMPULSIVE_EXCESS * noise.mean_edges
-        )
+        self.is_impulsive = noise.is_impulsive
         edges = noise.rms_edges if self.is_impulsive else noise.mean_edges
         doubt = DOUBT + (GREAT_DOUBT - DOUBT) * max(self._width - WIDE, 0.0) / (1.0 - WIDE)
         edges -= doubt * (noise.mean_edges - noise.low)
