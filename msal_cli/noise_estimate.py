@@ -137,9 +137,7 @@ class NoiseLevel:
     @property
     def is_impulsive(self) -> bool:
         """Whether it has more outliers than Gaussian noise would."""
-        return (
-            self.tail >= IMPULSIVE_TAIL and self.rms_edges > IMPULSIVE_EXCESS * self.mean_edges
-        )
+        return self.tail >= IMPULSIVE_TAIL and self.rms_edges > IMPULSIVE_EXCESS * self.mean_edges
 
     @property
     def is_uneven(self) -> bool:

@@ -297,7 +297,10 @@ class _Run:
             self._seconds["sweeps"] -= normals
             self._seconds["normals"] = normals
             fidelity = result.fields.get("fidelity") if settings.fields else None
-            # It may hold more arrays, for which nobody asks here.
+            is_ruled = self._record.choice is None and advice.is_ruled_by_spike(
+                result.fields.get("fidelity")
+            )
+            # It may hold more arrays, which nothing needs here.
             del result
         with self.stage("measure"):
             if settings.fields:
@@ -307,10 +310,23 @@ class _Run:
                     settings.fields, ready, moved, fidelity, parameters
                 )
             self.know(**changes.measured(ready, moved, self._noise))
+            if self._record.choice is None and method is not None:
+                self._advise(method, parameters, is_ruled)
             ready.mesh.forget_normals()
             vertices = ready.scattered(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
+
+    def _advise(self, method: Method, parameters: dict[str, Any], fidelity: Floats | None) -> None:
+        """Warn where a method that was asked for by name harms the mesh."""
+        from msal_cli.advice import build_advice
+
+        record = self._record
+        if record.noise_estimate is not None and record.displacement is not None:
+            advice = build_advice(
+                method, parameters, record.noise_estimate, record.displacement, fidelity
+            )
+            self.warn(*advice)
 
     def _method(self, mesh: Mesh) -> tuple[Method | None, dict[str, Any]]:
         """What is to be run, with its parameters; None where the mesh stays as it is."""

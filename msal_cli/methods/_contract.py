@@ -228,6 +228,14 @@ class Method:
         lambda of equation (2), which a mesh's trust scales."""
         return bool(getattr(self.module.Parameters(**parameters), "has_data_term", False))
 
+    def most_noise_edges(self, parameters: Mapping[str, Any]) -> float:
+        """The strongest noise, mean edge lengths, that settled ``parameters`` are made for."""
+        return float(getattr(self.module.Parameters(**parameters), "most_noise_edges", math.inf))
+
+    def uses_largest_sigma(self, parameters: Mapping[str, Any]) -> bool:
+        """Whether lambda is scaled by the largest sigma (eq. 7), so that one spike can rule it."""
+        return bool(getattr(self.module.Parameters(**parameters), "uses_largest_sigma", False))
+
     def denoised(
         self, mesh: Mesh, parameters: Mapping[str, Any], on_sweep: OnSweep | None = None
     ) -> Result:

@@ -46,7 +46,13 @@ from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._heights import HeightParameters, height_operator
-from msal_cli.methods._sweeps import caution_parameter, noise_parameter, quantile_parameter, run
+from msal_cli.methods._sweeps import (
+    caution_parameter,
+    most_noise_of,
+    noise_parameter,
+    quantile_parameter,
+    run,
+)
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,16 @@ class Parameters(HeightParameters):
     def has_data_term(self) -> bool:
         """Every schedule has one."""
         return True
+
+    @property
+    def most_noise_edges(self) -> float:
+        """See ``Method.most_noise_edges``."""
+        return most_noise_of(self.schedule)
+
+    @property
+    def uses_largest_sigma(self) -> bool:
+        """See ``Method.uses_largest_sigma``."""
+        return self.schedule == "multiscale"
 
     def chosen_schedule(self) -> Schedule:
         """The schedule that these parameters describe."""

@@ -155,8 +155,8 @@ DESCRIPTIONS: dict[str, str] = {
     "NoiseEstimate.regions": "number of regions that were told apart",
     "NoiseEstimate.uneven": "whether the noise is not the same everywhere",
     "MethodUsed.name": (
-        "name of the method; none where the choice or --min-noise left the mesh as it is, adaptive or auto where "
-        "it was not chosen yet"
+        "name of the method; none where the choice or --min-noise left the mesh as it is, adaptive "
+        "or auto where it was not chosen yet"
     ),
     "MethodUsed.parameters": "every parameter by name, defaults included",
     "Seconds.read": "reading and parsing",
@@ -171,7 +171,9 @@ DESCRIPTIONS: dict[str, str] = {
     ),
     "ChoiceMade.tried": "candidates that were looked at",
     "ChoiceMade.runners_up": "the next best candidates, best first, at most three",
-    "ChoiceMade.wishes": "what was wished for: prefer, keep, strength, budget; empty without --auto",
+    "ChoiceMade.wishes": (
+        "what was wished for: prefer, keep, strength, budget; empty without --auto"
+    ),
     "ChoiceMade.among": (
         "what was chosen among: family, AL and MSAL with their schedules, by default; all, all "
         "methods and their mixtures, with --auto"

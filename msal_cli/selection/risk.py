@@ -207,7 +207,8 @@ class Stein:
         variance = self._noise * self._noise
         seen = np.where(self._part.judged[None, :, None], self.moves, 0.0)
         tilted = np.stack([self._slopes(move) for move in self._moves])
-        unit = sum(float(np.einsum("i,i->", tilt, tilt)) for tilt in self._tilts) / len(self._probes)
+        unit = sum(float(np.einsum("i,i->", tilt, tilt)) for tilt in self._tilts)
+        unit /= len(self._tilts)
         # Without a judged edge there are no slopes to tell of.
         unit = max(unit, np.finfo(float).tiny)
         return Risk(
