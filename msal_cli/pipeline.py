@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import __version__, changes, memory, output
+from msal_cli import __version__, advice, changes, memory, output
 from msal_cli.errors import (
     InternalError,
     MsalError,
@@ -317,16 +317,11 @@ class _Run:
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
 
-    def _advise(self, method: Method, parameters: dict[str, Any], fidelity: Floats | None) -> None:
+    def _advise(self, method: Method, parameters: dict[str, Any], is_ruled: bool) -> None:
         """Warn where a method that was asked for by name harms the mesh."""
-        from msal_cli.advice import build_advice
-
-        record = self._record
-        if record.noise_estimate is not None and record.displacement is not None:
-            advice = build_advice(
-                method, parameters, record.noise_estimate, record.displacement, fidelity
-            )
-            self.warn(*advice)
+        noise, moved = self._record.noise_estimate, self._record.displacement
+        if noise is not None and moved is not None:
+            self.warn(*advice.build_advice(method, parameters, noise, moved, is_ruled))
 
     def _method(self, mesh: Mesh) -> tuple[Method | None, dict[str, Any]]:
         """What is to be run, with its parameters; None where the mesh stays as it is."""
