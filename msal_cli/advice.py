@@ -32,9 +32,11 @@ def build_advice(
     is_ruled: bool,
 ) -> tuple[str, ...]:
     """Warnings about a run of ``method``; ``is_ruled`` is what ``is_ruled_by_spike`` gave."""
+    from msal_cli.noise_estimate import SURE
+
     if displacement.mean_edges is None or displacement.mean_edges < LEAST_MOVE_EDGES:
         return ()
-    if noise.negligible:
+    if noise.negligible and (noise.high_edges is None or noise.high_edges < SURE):
         return (
             f"no noise to speak of, and {method.name} moved vertices by "
             f"{displacement.mean_edges:.2g} e: give no --method, or --min-noise auto, to leave "

@@ -66,6 +66,9 @@ FAR_OUT_EXCESS = 0.08
 NEGLIGIBLE = 0.005
 """Mean edge lengths below which no noise can be seen."""
 
+SURE = 0.025
+"""Mean edge lengths: upper end of the interval below which there is certainly no noise."""
+
 DOUBTFUL = 0.05
 """Mean edge lengths: noise whose interval goes from 0 to less is none to speak of, for all of it
 may be texture."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli import methods
-from msal_cli.noise_estimate import NoiseLevel, estimated
+from msal_cli.noise_estimate import SURE, NoiseLevel, estimated
 from msal_cli.selection import FAMILY, NONE, Choice
 from msal_cli.selection.candidates import Candidate
 from msal_cli.selection.patches import representative
@@ -37,9 +37,6 @@ Floats = NDArray[np.float64]
 FEWEST_VERTICES = 256
 """Vertices below which the noise estimate takes the shape of coarse models for noise: a cone of 34,
 a torus of 96, a ring of 128.  Scans have more."""
-
-SURE_EDGES = 0.025
-"""Upper end of the noise's interval, mean edge lengths, below which there is certainly no noise."""
 
 STRONG_EDGES = 0.25
 """Noise in mean edge lengths from which normals are mollified twice."""
@@ -75,7 +72,7 @@ def _chosen(mesh: Mesh, on_step: OnStep) -> Choice:
     n_used = int(np.count_nonzero(mesh.links.has_ring))
     if n_used < FEWEST_VERTICES:
         return _none(noise, f"{n_used:,} vertices are too few to tell noise from shape")
-    if noise.is_negligible and noise.high < SURE_EDGES:
+    if noise.is_negligible and noise.high < SURE:
         return _none(noise, f"noise {noise.mean_edges:.2g} e; clean")
     if noise.is_negligible:
         what = f"noise not told from texture, at most {noise.high:.2g} e"

@@ -192,6 +192,7 @@ def test_the_record_tells_what_was_run_and_why(scan, tmp_path, choose):
         "runners_up": [{"label": "AL, 3 sweeps", "risk_edges": 0.0724}],
         "wishes": {"prefer": "balanced", "keep": "shape", "strength": 0.0, "budget": 10.0},
         "repeat": ["--method", "msal", "--set", "iterations=3", "--set", "K=0.7"],
+        "among": "all",
     }
     # The noise is estimated once.
     assert record["noise_estimate"]["mean_edges"] == 0.11
@@ -200,11 +201,12 @@ def test_the_record_tells_what_was_run_and_why(scan, tmp_path, choose):
     assert sum(stages.values()) == pytest.approx(record["seconds"]["total"], rel=1e-9)
 
 
-def test_without_it_nothing_is_told(scan, tmp_path):
-    record = record_of(scan, "-o", tmp_path / "o.ply")
-    assert record["choice"] is None
-    assert record["seconds"]["choose"] == 0.0
-    assert "chosen" not in msal("denoise", scan.parent, "-o", tmp_path / "out", "--fresh").stderr
+def test_a_method_by_hand_is_no_choice(scan, tmp_path):
+    given = ("--method", "msal")
+    record = json.loads(msal("denoise", scan, "-o", tmp_path / "o.ply", *given, "--json").stdout)
+    assert record["records"][0]["choice"] is None
+    assert record["records"][0]["seconds"]["choose"] == 0.0
+    assert "chosen" not in msal("denoise", scan.parent, "-o", tmp_path / "out", *given).stderr
 
 
 def test_one_file_is_told_in_one_sentence(scan, tmp_path, choose):

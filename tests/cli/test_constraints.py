@@ -15,7 +15,7 @@ def scan(tmp_path):
 
 
 def test_the_report_tells_what_was_kept(scan, tmp_path):
-    words = ("--max-move", "0.001e", "--lock", "boundary", "--json")
+    words = ("--method", "msal", "--max-move", "0.001e", "--lock", "boundary", "--json")
     made = msal("denoise", scan, "-o", tmp_path / "a.ply", *words)
     assert made.exit_code == 0
     document = json.loads(made.stdout)
@@ -29,9 +29,9 @@ def test_the_report_tells_what_was_kept(scan, tmp_path):
 
 
 def test_a_gate_at_the_limit_holds(scan, tmp_path):
-    words = ("--max-move", "0.001e", "--fail-on", "max_displacement > 0.001e")
+    words = ("-n", "4", "--max-move", "0.001e", "--fail-on", "max_displacement > 0.001e")
     assert msal("denoise", scan, "-o", tmp_path / "a.ply", *words).exit_code == 0
-    words = ("--max-move", "0.001e", "--fail-on", "clamped_vertices > 0")
+    words = ("-n", "4", "--max-move", "0.001e", "--fail-on", "clamped_vertices > 0")
     assert msal("denoise", scan, "-o", tmp_path / "b.ply", *words).exit_code == 4
 
 

@@ -219,9 +219,8 @@ def test_two_inputs_with_one_output_are_refused(tmp_path):
 def test_one_bad_file_is_one_failed_row(mixed, tmp_path):
     output = tmp_path / "out"
     reports = [tmp_path / f"r.{suffix}" for suffix in ("json", "jsonl", "csv")]
-    made = msal(
-        "denoise", mixed, "-o", output, *(word for one in reports for word in ("--report", one))
-    )
+    asked = [word for one in reports for word in ("--report", one)]
+    made = msal("denoise", mixed, "-o", output, "--method", "msal", *asked)
     assert made.exit_code == 3
     assert made.stdout == ""
     assert "failed: 1\n" in made.stderr
@@ -455,7 +454,10 @@ def test_a_run_that_is_ended_reports_what_was_done(
     report = tmp_path / "r.json"
     with monkeypatch.context() as patched:
         patched.setattr(run_module, "run", Ending(error))
-        made = msal("denoise", mixed, "-o", tmp_path / "out", "-j", "1", "--report", report)
+        made = msal(
+            *("denoise", mixed, "-o", tmp_path / "out", "-j", "1", "--report", report),
+            *("--method", "msal"),
+        )
     assert made.exit_code == status
     lines = made.stderr.splitlines()
     assert lines[-1] == words
@@ -465,7 +467,7 @@ def test_a_run_that_is_ended_reports_what_was_done(
     Draft202012Validator(report_schema()).validate(data)
     assert data["interrupted"] is True
     assert sorted(one["status"] for one in data["records"]) == ["planned", "written"]
-    again = msal("denoise", mixed, "-o", tmp_path / "out")
+    again = msal("denoise", mixed, "-o", tmp_path / "out", "--method", "msal")
     assert "1 written, 1 up to date" in again.stderr
 
 
@@ -523,5 +525,6 @@ def test_what_is_not_asked_for_is_not_imported(scan, tmp_path):
         f"print([n for n in {unwanted} if 'msal_cli.' + n in sys.modules], 'PIL' in sys.modules)"
     )
     words = [sys.executable, "-c", code, "denoise", str(scan), "-o", str(tmp_path / "o.ply"), "-q"]
+    words += ["--method", "msal"]
     made = subprocess.run(words, capture_output=True, text=True, check=True)
     assert made.stdout.strip() == "[] False"

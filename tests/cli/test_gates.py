@@ -12,6 +12,7 @@ from msal_cli.report.schema import report_schema
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on, open_scan
 
 MOVED = "max_displacement > 0"
+MSAL = ("--method", "msal")
 
 
 @pytest.fixture
@@ -28,7 +29,7 @@ def test_a_broken_gate_is_status_4_and_the_output_is_written(scans, tmp_path):
 
 
 def test_a_gate_that_holds_is_status_0(scans, tmp_path):
-    made = msal("denoise", scans, "-o", tmp_path / "out", "--fail-on", "max_displacement > 99e")
+    made = msal("denoise", scans, *MSAL, "-o", tmp_path / "out", "--fail-on", "max_displacement > 99e")
     assert made.exit_code == 0
     assert "broke a gate" not in made.stderr
 
@@ -38,7 +39,7 @@ def test_every_report_has_the_gates(scans, tmp_path):
     given = [word for one in expressions for word in ("--fail-on", one)]
     reports = [tmp_path / f"r.{suffix}" for suffix in ("json", "jsonl", "csv")]
     asked = [word for one in reports for word in ("--report", one)]
-    made = msal("denoise", scans, "-o", tmp_path / "out", *given, *asked, "--json")
+    made = msal("denoise", scans, *MSAL, "-o", tmp_path / "out", *given, *asked, "--json")
     assert made.exit_code == 4
     data = json.loads(made.stdout)
     Draft202012Validator(report_schema()).validate(data)
@@ -64,8 +65,8 @@ def test_every_report_has_the_gates(scans, tmp_path):
 
 def test_files_up_to_date_are_judged_from_the_manifest(scans, tmp_path):
     output = tmp_path / "out"
-    assert msal("denoise", scans, "-o", output).exit_code == 0
-    again = msal("denoise", scans, "-o", output, "--fail-on", MOVED)
+    assert msal("denoise", scans, *MSAL, "-o", output).exit_code == 0
+    again = msal("denoise", scans, *MSAL, "-o", output, "--fail-on", MOVED)
     assert again.exit_code == 4
     assert "2 up to date" in again.stderr
     assert again.stderr.count("broken: max_displacement > 0") == 2
@@ -73,14 +74,14 @@ def test_files_up_to_date_are_judged_from_the_manifest(scans, tmp_path):
 
 def test_failures_win_over_gates_and_are_not_judged(scans, tmp_path):
     (scans / "bad.ply").write_bytes(BAD_SCAN)
-    made = msal("denoise", scans, "-o", tmp_path / "out", "--fail-on", MOVED, "--json")
+    made = msal("denoise", scans, *MSAL, "-o", tmp_path / "out", "--fail-on", MOVED, "--json")
     assert made.exit_code == 3
     gates = [len(record["gates"]) for record in json.loads(made.stdout)["records"]]
     assert sorted(gates) == [0, 1, 1]
 
 
 def test_quiet_tells_broken_gates(scans, tmp_path):
-    made = msal("denoise", scans, "-o", tmp_path / "out", "--fail-on", MOVED, "-q")
+    made = msal("denoise", scans, *MSAL, "-o", tmp_path / "out", "--fail-on", MOVED, "-q")
     assert made.exit_code == 4
     assert made.stderr.startswith("broke a gate: 2\n")
     assert len(made.stderr.splitlines()) == 3
@@ -91,7 +92,7 @@ def test_quiet_tells_broken_gates(scans, tmp_path):
 )
 def test_what_means_nothing_is_refused_before_any_work(scans, tmp_path, expression):
     output = tmp_path / "out"
-    made = msal("denoise", scans, "-o", output, "--fail-on", expression)
+    made = msal("denoise", scans, *MSAL, "-o", output, "--fail-on", expression)
     assert made.exit_code == 2
     assert f"the gate {expression!r}, column " in made.stderr
     assert "hint: " in made.stderr
@@ -101,8 +102,8 @@ def test_what_means_nothing_is_refused_before_any_work(scans, tmp_path, expressi
 
 def test_a_dry_run_judges_nothing(scans, tmp_path):
     output = tmp_path / "out"
-    assert msal("denoise", scans, "-o", output).exit_code == 0
-    made = msal("denoise", scans, "-o", output, "--fail-on", MOVED, "--dry-run")
+    assert msal("denoise", scans, *MSAL, "-o", output).exit_code == 0
+    made = msal("denoise", scans, *MSAL, "-o", output, "--fail-on", MOVED, "--dry-run")
     assert made.exit_code == 0
 
 
@@ -115,7 +116,7 @@ def test_a_stream_is_written_and_judged():
 
 def test_report_judges_earlier_runs(scans, tmp_path):
     output, page = tmp_path / "out", tmp_path / "page.json"
-    assert msal("denoise", scans, "-o", output).exit_code == 0
+    assert msal("denoise", scans, *MSAL, "-o", output).exit_code == 0
     made = msal("report", output, "--fail-on", MOVED, "-o", page)
     assert made.exit_code == 4
     assert made.stderr.count("broken: max_displacement > 0") == 2
@@ -129,13 +130,13 @@ def test_report_judges_earlier_runs(scans, tmp_path):
 def test_report_with_a_gate_tells_failures_too(scans, tmp_path):
     (scans / "bad.ply").write_bytes(BAD_SCAN)
     output = tmp_path / "out"
-    assert msal("denoise", scans, "-o", output).exit_code == 3
+    assert msal("denoise", scans, *MSAL, "-o", output).exit_code == 3
     assert msal("report", output, "--fail-on", "max_displacement > 99e").exit_code == 3
 
 
 def test_the_log_has_broken_gates(scans, tmp_path):
     log = tmp_path / "log.txt"
-    msal("denoise", scans, "-o", tmp_path / "out", "--fail-on", MOVED, "--log-file", log, "-q")
+    msal("denoise", scans, *MSAL, "-o", tmp_path / "out", "--fail-on", MOVED, "--log-file", log, "-q")
     assert log.read_text().count("broke max_displacement > 0: max_displacement is ") == 2
 
 

@@ -40,6 +40,7 @@ def test_quiet_files_stay_byte_for_byte(scans, tmp_path):
         "noise_estimate.tail > 0.5 or noise_estimate.uneven": [False] * 3,
     }
     words = [word for gate in gates for word in ("--fail-on", gate)]
+    words += ["--method", "msal"]
     made = msal("denoise", scans, "-o", tmp_path / "out", "--min-noise", "0.06e", "--json", *words)
     assert made.exit_code == 4
     records = records_of(made)
@@ -67,8 +68,9 @@ def test_levels(scans, tmp_path, level, name, is_kept):
     assert (target.read_bytes() == source.read_bytes()) == is_kept
 
 
-def test_without_it_every_file_is_denoised(scans, tmp_path):
-    made = msal("denoise", scans / "clean.ply", "-o", tmp_path / "out.ply", "--json")
+def test_without_it_a_method_by_name_denoises_every_file(scans, tmp_path):
+    words = ("--method", "msal", "--json")
+    made = msal("denoise", scans / "clean.ply", "-o", tmp_path / "out.ply", *words)
     (record,) = json.loads(made.stdout)["records"]
     assert record["status"] == "written"
     assert record["left_alone"] is None

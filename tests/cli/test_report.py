@@ -123,7 +123,7 @@ class TestOneFolder:
         ]
         path.write_text("".join(json.dumps(line) + "\n" for line in old))
         document = told("out")
-        assert document["totals"]["written"] == 3 and document["settings"]["method"] == "msal"
+        assert document["totals"]["written"] == 3 and document["settings"]["method"] == "adaptive"
         assert "3 up to date" in denoised().stderr
 
 
