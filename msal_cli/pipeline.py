@@ -190,6 +190,12 @@ class _Run:
         """Add warnings to the record."""
         self.know(warnings=self._record.warnings + warnings)
 
+    def _warn_with_codes(self, warnings: tuple[tuple[str, str], ...]) -> None:
+        """Add warnings, each as a code and a text, to the record."""
+        self.warn(*(f"{text} ({code})" for code, text in warnings))
+        codes = tuple(code for code, _ in warnings)
+        self.know(warning_codes=self._record.warning_codes + codes)
+
     def admit(self, told: Forecast) -> None:
         """Refuse a file that is foreseen to go beyond the limits."""
         self._check_faces(told.faces)
@@ -234,7 +240,8 @@ class _Run:
                 format=mesh_file.format,
                 encoding=mesh_file.encoding,
                 precision=mesh_file.precision,
-                vertices=len(mesh_file.vertices) + mesh_file.merged_vertices,
+                vertices=len(mesh_file.vertices),
+                corners=files.corner_count(mesh_file),
                 faces=mesh_file.n_polygons,
                 triangles=len(mesh_file.faces),
             )
@@ -304,7 +311,9 @@ class _Run:
                 self._field_values = fields.computed(
                     settings.fields, ready, moved, fidelity, parameters
                 )
-            self.know(**changes.measured(ready, moved, self._noise))
+            measured = changes.measured(ready, moved, self._noise)
+            self.know(**measured.fields)
+            self._warn_with_codes(measured.warnings)
             ready.mesh.forget_normals()
             vertices = ready.scattered(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))
