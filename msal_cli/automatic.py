@@ -51,7 +51,7 @@ def settled(
         tried=choice.tried,
         runners_up=tuple(RunnerUp(label, risk) for label, risk in choice.runners_up),
         wishes=dict(wishes or {}),
-        repeat=_options(method, values),
+        repeat=options_of(method, values),
         among=choice.among,
     )
     warnings: tuple[str, ...] = ()
@@ -61,8 +61,8 @@ def settled(
     return Settled(method, MethodUsed(choice.method, values), made, choice.noise, warnings)
 
 
-def _options(method: Method | None, values: Mapping[str, Any]) -> tuple[str, ...]:
-    """The options of ``msal denoise`` that do the same by hand."""
+def options_of(method: Method | None, values: Mapping[str, Any]) -> tuple[str, ...]:
+    """The options of ``msal denoise`` that run a method by hand; None leaves a mesh as it is."""
     if method is None:
         return ("--method", "msal", "--set", "iterations=0")
     words = ["--method", method.name]

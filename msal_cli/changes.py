@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from msal_cli.dataclass import dataclass
 from msal_cli.records import NormalChange
 
 if TYPE_CHECKING:
@@ -11,9 +12,25 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from msal_cli.mesh import Defects, Prepared
+    from msal_cli.metrics.harm import Harm
     from msal_cli.noise_estimate import NoiseLevel
 
     Floats = NDArray[np.float64]
+
+INSIDE_OUT = "W_INSIDE_OUT"
+"""Code of the warning about a closed surface whose normals point inwards."""
+
+
+_ADVICE = "try --auto, another method, fewer sweeps or --max-move"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What changed: fields of the record, warnings, each with its code, and the harm, if any."""
+
+    fields: dict[str, Any]
+    warnings: tuple[tuple[str, str], ...]
+    harm: Harm | None
 
 
 def defects_told(ready: Prepared, merged: int) -> dict[str, Any]:
@@ -42,28 +59,40 @@ def warnings_of(defects: Defects) -> tuple[str, ...]:
     )
 
 
-def measured(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> dict[str, Any]:
-    """Fields of the record: what changed when the mesh's positions became ``moved`` (n, 3).
+def measured(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> Measured:
+    """What changed when the mesh's positions became ``moved`` (n, 3).
 
     ``noise`` is the noise of the mesh where it is known already.
     """
     from msal_cli.comparison import area_changed, displaced, volume_changed
     from msal_cli.inspection import noise_estimate
     from msal_cli.metrics.displacement import displacement_statistics
+    from msal_cli.metrics.harm import harmful_change
     from msal_cli.metrics.surface import surface_change
+    from msal_cli.metrics.volume import is_negative
 
     before, after = ready.mesh, ready.mesh.moved(moved)
     used = before.links.has_ring
     one = displacement_statistics(before.vertices, after.vertices, used)
     surface = surface_change(before, after)
     turned = surface.normals
-    return {
+    objection = ready.defects.volume_objection
+    inside_out = not objection and is_negative(surface.volume_before, surface.area_before)
+    warnings = []
+    if inside_out:
+        warnings.append((INSIDE_OUT, "the surface is inside out: its normals point inwards"))
+    harm = harmful_change(before, after, surface, has_volume=not objection)
+    if harm is not None:
+        warnings.append((harm.code, f"this looks like damage: {harm.reason}; {_ADVICE}"))
+    fields = {
         "displacement": displaced(one, before.mean_edge_length),
         "normal_change": NormalChange(turned.mean_angular_error_deg, turned.max_angular_error_deg),
         "flipped_faces": turned.flipped_faces,
         "noise_estimate": noise_estimate(before, noise),
+        "inside_out": inside_out,
         "volume": volume_changed(
-            surface.volume_before, surface.volume_after, ready.defects.volume_objection
+            surface.volume_before, surface.volume_after, surface.area_before, objection
         ),
         "area": area_changed(surface.area_before, surface.area_after),
     }
+    return Measured(fields, tuple(warnings), harm)

@@ -6,6 +6,7 @@ Like ``pipeline`` it never raises for a file's fault: that becomes a record with
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -53,6 +54,12 @@ class Surface:
     vertices: Floats
     faces: Ints
     merged_vertices: int = 0
+
+    @property
+    def n_corners(self) -> int | None:
+        """Corners that the file stores where it has no vertices of its own (STL), else None."""
+        n_merged = self.merged_vertices
+        return len(self.vertices) + n_merged if n_merged else None
 
 
 def opened(path: str, format: str | None = None) -> MeshFile:
@@ -143,8 +150,10 @@ def compared(
         after=after_name,
         version=__version__,
         correspondence="vertices" if is_same else "surface",
-        vertices_before=len(before.vertices) + before.merged_vertices,
-        vertices_after=len(after.vertices) + after.merged_vertices,
+        vertices_before=len(before.vertices),
+        vertices_after=len(after.vertices),
+        corners_before=before.n_corners,
+        corners_after=after.n_corners,
         faces_before=len(before.faces),
         faces_after=len(after.faces),
         mean_edge_length=first.mesh.mean_edge_length,
@@ -233,14 +242,19 @@ def _prepared(surface: Surface, name: str) -> Prepared:
 def _by_vertex(record: ComparisonRecord, first: Prepared, moved: Mesh) -> ComparisonRecord:
     from msal_cli.metrics import comparison as metrics
     from msal_cli.metrics.surface import surface_change
+    from msal_cli.metrics.volume import is_negative
 
     reference = first.mesh
     change = surface_change(reference, moved)
     distances = metrics.moved_statistics(reference, moved)
-    volume = volume_changed(
-        change.volume_before, change.volume_after, first.defects.volume_objection
-    )
+    objection = first.defects.volume_objection
+    volumes = (change.volume_before, change.volume_after)
+    volume = volume_changed(*volumes, change.area_before, objection)
     area = area_changed(change.area_before, change.area_after)
+    areas = (change.area_before, change.area_after)
+    record = _with_orientation(
+        record, *(not objection and is_negative(*one) for one in zip(volumes, areas, strict=True))
+    )
     return replace(
         record,
         mean_angular_error_deg=change.normals.mean_angular_error_deg,
@@ -253,7 +267,7 @@ def _by_vertex(record: ComparisonRecord, first: Prepared, moved: Mesh) -> Compar
 
 
 def _by_surface(record: ComparisonRecord, first: Prepared, second: Prepared) -> ComparisonRecord:
-    from msal_cli.metrics.volume import area_and_volume
+    from msal_cli.metrics.volume import area_and_volume, is_inside_out
 
     area_before, volume_before = area_and_volume(first.mesh)
     area_after, volume_after = area_and_volume(second.mesh)
@@ -261,16 +275,29 @@ def _by_surface(record: ComparisonRecord, first: Prepared, second: Prepared) -> 
     for word, ready in (("before", first), ("after", second)):
         if ready.defects.volume_objection:
             objections.append(f"{word}: {ready.defects.volume_objection}")
-    volume = volume_changed(volume_before, volume_after, "; ".join(objections))
+    # Each has its own faces, and may have its own side outside.
+    oriented = math.copysign(volume_after, volume_before)
+    volume = volume_changed(volume_before, oriented, area_before, "; ".join(objections))
+    record = _with_orientation(record, is_inside_out(first), is_inside_out(second))
     return replace(record, **_changes(volume, area_changed(area_before, area_after)))
+
+
+def _with_orientation(record: ComparisonRecord, before: bool, after: bool) -> ComparisonRecord:
+    """The record with which of the two surfaces is inside out."""
+    record = replace(record, inside_out_before=before, inside_out_after=after)
+    if not (before or after):
+        return record
+    which = f"the surface {'before' if before else 'after'} is"
+    if before and after:
+        which = "both surfaces are"
+    return _warned(record, f"{which} inside out: the normals point inwards")
 
 
 def _changes(volume: Volume, area: Area) -> dict[str, Any]:
     return {
         "volume": volume,
         "area": area,
-        # Nobody is to compare, or gate, what means nothing.
-        "volume_change_percent": volume.change_percent if volume.valid else None,
+        "volume_change_percent": volume.change_percent,
         "area_change_percent": area.change_percent,
     }
 
@@ -332,13 +359,17 @@ def displaced(one: DisplacementStatistics, edge: float) -> Displacement:
     )
 
 
-def volume_changed(before: float, after: float, objection: str) -> Volume:
-    """The record of a volume; ``objection`` says why it means nothing, empty if it does."""
+def volume_changed(before: float, after: float, area: float, objection: str) -> Volume:
+    """The record of a signed volume; ``area`` is the area before, and ``objection`` says why the
+    volume means nothing, empty if it does."""
+    from msal_cli.metrics.volume import relative_volume_change
+
+    share = relative_volume_change(before, after, area)
     return Volume(
         before=before,
         after=after,
-        change=after - before,
-        change_percent=100.0 * (after - before) / abs(before) if before else None,
+        change=math.copysign(1.0, before) * (after - before),
+        change_percent=None if share is None else 100.0 * share,
         valid=not objection,
         reason=objection,
     )

@@ -91,7 +91,7 @@ def corrupted(
     vertices = ready.scattered(positions, original)
     n_moved = int(np.count_nonzero((vertices != original).any(axis=1)))
     told = Corrupted(
-        vertices=len(original) + mesh_file.merged_vertices,
+        vertices=len(original),
         moved_vertices=n_moved,
         deviation=noise.level * ready.mesh.mean_edge_length,
         warnings=mesh_file.warnings,

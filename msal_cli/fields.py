@@ -85,22 +85,24 @@ def computed(
     sigma, and the direction of a displacement, are measured along the normals that the method moves
     along, where its ``parameters`` tell.  ``fidelity`` (n,) is lambda of the method's first sweep;
     without one, or where it pulls nothing back, lambda is sigma / max sigma.  Vertices that no face
-    uses have 0.
+    uses have 0.  Outward is away from the solid, also where its surface is inside out.
     """
     from msal_cli.metrics.curvature import mean_curvature
     from msal_cli.metrics.local_scale import local_scale
+    from msal_cli.metrics.volume import is_inside_out
     from msal_cli.noise_estimate import regional
 
     mesh = ready.mesh
     normals = mesh.vertex_normals(
         parameters.get("normals", "uniform"), parameters.get("mollify", 1)
     )
+    outwards = -1.0 if is_inside_out(ready) else 1.0
     values: dict[str, Floats] = {}
     for name in names:
         if name == "displacement":
-            field = ((moved - mesh.vertices) * normals).sum(axis=1)
+            field = outwards * ((moved - mesh.vertices) * normals).sum(axis=1)
         elif name == "curvature":
-            field = mean_curvature(mesh.moved(moved))
+            field = outwards * mean_curvature(mesh.moved(moved))
         elif name == "noise":
             field = regional(mesh)
         else:

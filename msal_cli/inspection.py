@@ -49,7 +49,7 @@ def _inspection_failure(name: str, error: MsalError) -> InfoRecord:
 def _inspected(data: Buffer, name: str, format: str | None) -> InfoRecord:
     from msal_cli import files
     from msal_cli.mesh import prepared
-    from msal_cli.metrics.volume import area_and_volume
+    from msal_cli.metrics.volume import area_and_volume, is_negative
 
     plain, is_compressed = files.expanded(data, name)
     mesh_file = files.open_mesh(plain, name, format)
@@ -73,7 +73,8 @@ def _inspected(data: Buffer, name: str, format: str | None) -> InfoRecord:
         precision=mesh_file.precision,
         compressed=is_compressed,
         bytes=len(data),
-        vertices=len(mesh_file.vertices) + mesh_file.merged_vertices,
+        vertices=len(mesh_file.vertices),
+        corners=files.corner_count(mesh_file),
         faces=mesh_file.n_polygons,
         triangles=len(mesh_file.faces),
         polygon_sizes=_polygon_sizes(mesh_file),
@@ -92,7 +93,8 @@ def _inspected(data: Buffer, name: str, format: str | None) -> InfoRecord:
             (float(high[0]), float(high[1]), float(high[2])),
         ),
         area=area,
-        volume=volume,
+        inside_out=not defects.volume_objection and is_negative(volume, area),
+        volume=None if defects.volume_objection else volume,
         volume_valid=not defects.volume_objection,
         volume_reason=defects.volume_objection,
         mean_edge_length=ready.mesh.mean_edge_length,

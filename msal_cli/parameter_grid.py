@@ -186,6 +186,7 @@ def subject(
 
 def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
     """The numbers and the mesh of each cell, row by row, one after the other."""
+    from msal_cli.comparison import volume_changed
     from msal_cli.metrics import comparison as metrics
     from msal_cli.metrics.surface import normal_statistics, surface_change
 
@@ -195,9 +196,9 @@ def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
         moved = mesh.moved(wanted.method.denoised(mesh, parameters).vertices)
         change = surface_change(mesh, moved)
         mean = metrics.moved_statistics(mesh, moved).mean
-        volume = None
-        if not objection and change.volume_before:
-            volume = 100.0 * (change.volume_after / change.volume_before - 1.0)
+        volume = volume_changed(
+            change.volume_before, change.volume_after, change.area_before, objection
+        )
         error = None
         if on.reference is not None:
             error = normal_statistics(on.reference, moved).mean_angular_error_deg
@@ -206,7 +207,7 @@ def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
             command=command(wanted, on.name, chosen),
             mean_displacement=mean,
             mean_displacement_edges=mean / mesh.mean_edge_length,
-            volume_change_percent=volume,
+            volume_change_percent=volume.change_percent,
             mean_angular_error_deg=error,
         )
         yield cell, moved

@@ -38,8 +38,9 @@ class Scene:
     names : of the files, one for each mesh.
     before, after : welded and wound one way; ``after`` is None where there is one mesh.
     deviation : (n,) one number in file units for each vertex of ``after``; None where unknown.
-    is_signed : whether it is the displacement along the normals of ``before``, outwards positive;
-        else it is the distance to the surface of ``before``.
+    is_signed : whether it is the displacement along the normals of ``before``, outwards positive,
+        also where they point inwards because the surface is inside out; else it is the distance
+        to the surface of ``before``.
     record : the numbers; None for one mesh.
     """
 
@@ -83,6 +84,7 @@ def scene_of(
     from msal_cli import comparison
     from msal_cli.metrics import comparison as metrics
     from msal_cli.metrics import surface_distance
+    from msal_cli.metrics.volume import is_inside_out
 
     first = ready_surface(before, names[0])
     if after is None:
@@ -92,6 +94,8 @@ def scene_of(
         moved = metrics.at_other_positions(first, after.vertices)
         step = moved.vertices - first.mesh.vertices
         along = (step * first.mesh.vertex_normals()).sum(axis=1)
+        if is_inside_out(first):
+            along = -along
         return Scene(names, first.mesh, moved, along, True, record)
     to_surface = to_surface and surface_distance.is_available()
     record = comparison.compared(before, after, *names, to_surface=to_surface)
@@ -235,6 +239,10 @@ def _changes(record: ComparisonRecord) -> list[str]:
         lines.append(f"Volume {record.volume_change_percent:+.3g} %")
     elif record.volume is not None and record.volume.reason:
         lines.append(f"No volume: {record.volume.reason}")
+    if record.inside_out_before and record.inside_out_after:
+        lines.append("Inside out")
+    elif record.inside_out_before or record.inside_out_after:
+        lines.append(f"Inside out {'before' if record.inside_out_before else 'after'} only")
     if record.mean_angular_error_deg is not None:
         lines.append(f"Normals turned by {record.mean_angular_error_deg:.3g}\N{DEGREE SIGN} (mean)")
     return lines

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from msal_cli.files.forecast import Forecast
     from msal_cli.mesh import Mesh, Prepared
     from msal_cli.methods import Method
+    from msal_cli.metrics.harm import Harm
     from msal_cli.noise_estimate import NoiseLevel
 
     Floats = NDArray[np.float64]
@@ -192,6 +193,12 @@ class _Run:
         """Add warnings to the record."""
         self.know(warnings=self._record.warnings + warnings)
 
+    def _warn_with_codes(self, warnings: tuple[tuple[str, str], ...]) -> None:
+        """Add warnings, each as a code and a text, to the record."""
+        self.warn(*(f"{text} ({code})" for code, text in warnings))
+        codes = tuple(code for code, _ in warnings)
+        self.know(warning_codes=self._record.warning_codes + codes)
+
     def admit(self, told: Forecast) -> None:
         """Refuse a file that is foreseen to go beyond the limits."""
         self._check_faces(told.faces)
@@ -236,7 +243,8 @@ class _Run:
                 format=mesh_file.format,
                 encoding=mesh_file.encoding,
                 precision=mesh_file.precision,
-                vertices=len(mesh_file.vertices) + mesh_file.merged_vertices,
+                vertices=len(mesh_file.vertices),
+                corners=files.corner_count(mesh_file),
                 faces=mesh_file.n_polygons,
                 triangles=len(mesh_file.faces),
             )
@@ -303,19 +311,41 @@ class _Run:
             # It may hold more arrays, which nothing needs here.
             del result
         with self.stage("measure"):
+            measured = changes.measured(ready, moved, self._noise)
+            if measured.harm is not None and self._record.choice is not None:
+                self._reject_choice(measured.harm)
+                moved, method, fidelity = mesh.vertices, None, None
+                measured = changes.measured(ready, moved, self._noise)
+            self.know(**measured.fields)
+            self._warn_with_codes(measured.warnings)
+            if self._record.choice is None and method is not None:
+                self._advise(method, parameters, is_ruled)
             if settings.fields:
                 from msal_cli import fields
 
                 self._field_values = fields.computed(
                     settings.fields, ready, moved, fidelity, parameters
                 )
-            self.know(**changes.measured(ready, moved, self._noise))
-            if self._record.choice is None and method is not None:
-                self._advise(method, parameters, is_ruled)
             ready.mesh.forget_normals()
             vertices = ready.scattered(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
+
+    def _reject_choice(self, harm: Harm) -> None:
+        """Record that the mesh stays as it is, since what was chosen would damage it."""
+        from msal_cli import automatic
+
+        choice = self._record.choice
+        assert choice is not None
+        self.know(
+            method=MethodUsed(NO_METHOD, {}),
+            choice=replace(
+                choice,
+                reason=f"{choice.reason}; rejected, for {harm.reason}; left as it is",
+                risk_edges=None,
+                repeat=automatic.options_of(None, {}),
+            ),
+        )
 
     def _advise(self, method: Method, parameters: dict[str, Any], is_ruled: bool) -> None:
         """Warn where a method that was asked for by name harms the mesh."""

@@ -28,7 +28,11 @@ Status = Literal["written", "unchanged", "up-to-date", "planned", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class Volume:
-    """Signed volume in cubed file units; ``reason`` says why it is not ``valid`` (open, ...)."""
+    """Signed volume in cubed file units, negative where the surface is inside out, and the change
+    of what it encloses; ``reason`` says why it is not ``valid`` (open, ...).
+
+    A volume that is not valid has no figures, also in records of earlier versions that had some.
+    """
 
     before: float | None
     after: float | None
@@ -36,6 +40,11 @@ class Volume:
     change_percent: float | None
     valid: bool
     reason: str
+
+    def __post_init__(self) -> None:
+        if not self.valid:
+            for name in ("before", "after", "change", "change_percent"):
+                object.__setattr__(self, name, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,6 +215,8 @@ class ComparisonRecord:
     correspondence: Literal["vertices", "surface"] | None = None
     vertices_before: int | None = None
     vertices_after: int | None = None
+    corners_before: int | None = None
+    corners_after: int | None = None
     faces_before: int | None = None
     faces_after: int | None = None
     mean_edge_length: float | None = None
@@ -216,6 +227,8 @@ class ComparisonRecord:
     flipped_faces: int | None = None
     volume_change_percent: float | None = None
     area_change_percent: float | None = None
+    inside_out_before: bool | None = None
+    inside_out_after: bool | None = None
     volume: Volume | None = None
     area: Area | None = None
     hausdorff: float | None = None
@@ -282,6 +295,7 @@ class MeshRecord:
     encoding: str | None = None
     precision: str | None = None
     vertices: int | None = None
+    corners: int | None = None
     faces: int | None = None
     triangles: int | None = None
     components: int | None = None
@@ -294,6 +308,7 @@ class MeshRecord:
     welded_vertices: int | None = None
     seam_gap: float | None = None
     mean_edge_length: float | None = None
+    inside_out: bool | None = None
     volume: Volume | None = None
     area: Area | None = None
     displacement: Displacement | None = None
@@ -316,6 +331,7 @@ class MeshRecord:
     fields: FieldsFile | None = None
     reference: Reference | None = None
     warnings: tuple[str, ...] = ()
+    warning_codes: tuple[str, ...] = ()
     gates: tuple[GateResult, ...] = ()
     remembered: bool = False
     error: Failure | None = None
@@ -333,6 +349,7 @@ class InfoRecord:
     compressed: bool = False
     bytes: int | None = None
     vertices: int | None = None
+    corners: int | None = None
     faces: int | None = None
     triangles: int | None = None
     polygon_sizes: dict[str, int] = field(default_factory=dict)
@@ -348,6 +365,7 @@ class InfoRecord:
     welded_vertices: int | None = None
     bounds: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     area: float | None = None
+    inside_out: bool | None = None
     volume: float | None = None
     volume_valid: bool | None = None
     volume_reason: str = ""

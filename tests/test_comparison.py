@@ -142,3 +142,42 @@ def test_a_position_that_is_not_finite():
     with pytest.raises(ContentError) as caught:
         between((vertices, faces), (broken, faces))
     assert (caught.value.path, caught.value.where) == ("b", "vertex 3")
+
+
+@pytest.mark.parametrize("scale", [0.9, 1.1])
+def test_a_surface_that_is_inside_out_shrinks_and_grows_like_any_other(scale):
+    vertices, faces = torus()
+    turned = faces[:, ::-1]
+    plain = between((vertices, faces), (vertices * scale, faces), to_surface=False)
+    made = between((vertices, turned), (vertices * scale, turned), to_surface=False)
+    assert made.volume_change_percent == pytest.approx(100.0 * (scale**3 - 1.0))
+    assert made.volume.change == pytest.approx(plain.volume.change)
+    assert made.volume.before < 0.0
+    assert (plain.inside_out_before, plain.inside_out_after) == (False, False)
+    assert (made.inside_out_before, made.inside_out_after) == (True, True)
+    assert made.warnings == ("both surfaces are inside out: the normals point inwards",)
+    assert not plain.warnings
+
+
+def test_one_of_two_surfaces_with_other_faces_is_inside_out():
+    vertices, faces = cube()
+    made = between(cube(), (2.0 * vertices, faces[::-1, ::-1]), to_surface=False)
+    assert made.correspondence == "surface"
+    assert made.volume_change_percent == pytest.approx(700.0)
+    assert (made.inside_out_before, made.inside_out_after) == (False, True)
+    assert made.warnings == ("the surface after is inside out: the normals point inwards",)
+
+
+def test_a_surface_that_passed_through_itself_lost_more_than_it_had():
+    vertices, faces = cube()
+    made = between((vertices, faces), (-vertices, faces), to_surface=False)
+    assert made.volume_change_percent == pytest.approx(-200.0)
+    assert (made.inside_out_before, made.inside_out_after) == (False, True)
+
+
+def test_an_open_surface_has_no_volume_and_no_inside():
+    made = between(grid(), grid(), to_surface=False)
+    assert made.volume.valid is False
+    assert made.volume.before is made.volume.after is made.volume.change is None
+    assert made.volume_change_percent is None
+    assert made.inside_out_before is made.inside_out_after is False

@@ -23,6 +23,14 @@ def test_a_ball_that_grows_moves_outwards_everywhere():
     assert scene.record.displacement.mean == pytest.approx(0.1)
 
 
+def test_outwards_is_away_from_the_solid_where_the_surface_is_inside_out():
+    vertices, faces = ball()
+    turned = faces[:, ::-1]
+    scene = pictures.scene_of(Surface(vertices, turned), Surface(1.1 * vertices, turned), NAMES)
+    assert scene.deviation == pytest.approx(np.full(len(vertices), 0.1), abs=2e-3)
+    assert scene.record.volume_change_percent > 0.0
+
+
 def test_split_vertices_are_drawn_as_one():
     vertices, faces = cube()
     soup = vertices[faces.reshape(-1)]

@@ -15,7 +15,7 @@ import pytest
 
 from msal_cli import files, inspection, methods, pipeline
 from msal_cli.pipeline import Limits, Settings, Task, denoise_bytes, denoise_file
-from tests.shapes import grid, noisy, torus
+from tests.shapes import cube, grid, noisy, torus
 
 
 def settings(method="msal", **given):
@@ -502,3 +502,55 @@ class TestLimits:
         limited = path.with_name("out.obj").read_bytes()
         assert self.done(path).error is None
         assert path.with_name("out.obj").read_bytes() == limited
+
+
+def measured(tmp_path, vertices, faces, method="taubin", name="a.ply", **given):
+    path = tmp_path / name
+    path.write_bytes(ply_binary(vertices, faces))
+    return denoise_file(Task(str(path), str(tmp_path / "out.ply"), name), settings(method, **given))
+
+
+def test_a_mesh_that_is_inside_out_has_the_figures_of_the_other_side(tmp_path):
+    vertices, faces = torus()
+    vertices = noisy(vertices)
+    plain = measured(tmp_path, vertices, faces, "al")
+    turned = measured(tmp_path, vertices, faces[:, ::-1], "al")
+    assert (plain.inside_out, turned.inside_out) == (False, True)
+    assert plain.volume.change_percent < -1.0
+    assert turned.volume.change_percent == pytest.approx(plain.volume.change_percent)
+    assert turned.volume.change == pytest.approx(plain.volume.change)
+    assert turned.volume.before == pytest.approx(-plain.volume.before)
+    assert turned.warning_codes == ("W_INSIDE_OUT",)
+    assert turned.warnings == (
+        "the surface is inside out: its normals point inwards (W_INSIDE_OUT)",
+    )
+    assert plain.warning_codes == plain.warnings == ()
+
+
+def test_an_open_mesh_has_no_figures_of_volume(tmp_path):
+    record = measured(tmp_path, *grid(12, 12), "al")
+    assert record.inside_out is False
+    assert dataclasses.astuple(record.volume) == (
+        None, None, None, None, False, "open (44 boundary edges)"
+    )  # fmt: skip
+    told = inspection.inspect_file(str(tmp_path / "a.ply"))
+    assert (told.volume, told.volume_valid, told.inside_out) == (None, False, False)
+    assert told.volume_reason == "open (44 boundary edges)"
+
+
+def test_what_is_inside_out_is_told_by_info(tmp_path):
+    vertices, faces = torus()
+    (tmp_path / "a.ply").write_bytes(ply_binary(vertices, faces[:, ::-1]))
+    told = inspection.inspect_file(str(tmp_path / "a.ply"))
+    assert told.inside_out is True
+    assert told.volume < 0.0
+
+
+def test_a_mesh_that_collapses_has_a_warning_with_a_code(tmp_path):
+    vertices, faces = cube()
+    record = measured(tmp_path, vertices, faces, "umbrella", iterations=4)
+    assert record.status == "written"
+    assert record.volume.change_percent < -50.0
+    assert record.warning_codes == ("W_VOLUME_CHANGE",)
+    assert record.warnings[0].startswith("this looks like damage: the volume changed by -")
+    assert record.warnings[0].endswith("(W_VOLUME_CHANGE)")

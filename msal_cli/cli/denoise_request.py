@@ -104,7 +104,10 @@ def gates_of(request: Request) -> tuple[Gate, ...]:
     from msal_cli import gates
     from msal_cli.records import MeshRecord
 
-    return gates.parsed(request.fail_on, MeshRecord)
+    found = gates.parsed(request.fail_on, MeshRecord)
+    if request.reference is None:
+        gates.refuse_without_reference(found, "give --reference TRUTH")
+    return found
 
 
 def references_of(request: Request, names: Sequence[str]) -> tuple[str, ...]:

@@ -77,7 +77,7 @@ def _reported(request: Request) -> int:
     from dataclasses import replace
 
     from msal_cli.cli import earlier, github, reports
-    from msal_cli.gates import parsed, with_gates
+    from msal_cli.gates import parsed, refuse_without_reference, with_gates
     from msal_cli.records import MeshRecord
     from msal_cli.report import as_json, as_text
 
@@ -85,6 +85,9 @@ def _reported(request: Request) -> int:
     reports.check(request.outputs, ())
     gates = parsed(request.fail_on, MeshRecord)
     told = earlier.account(request.runs)
+    done = [record for record in told.records if record.error is None and record.output]
+    if done and all(record.reference is None for record in done):
+        refuse_without_reference(gates, "name a JSON report of msal denoise --reference")
     told = replace(told, records=tuple(with_gates(gates, told.records)))
     meshes = [path for one in told.records for path in (one.input, one.output) if path is not None]
     reports.check(request.outputs, [*told.paths, *meshes])

@@ -33,12 +33,12 @@ def with_volume_of(original: Floats, vertices: Floats, faces: Ints) -> Floats:
 
     The factor is the cube root of the ratio of the volumes (Desbrun et al. 1999), the fixed point
     the centre of mass of the solid, so that the surface does not wander off.  Vertices that no
-    face (m, 3) has are left alone, and so are all where a volume is not positive.
+    face (m, 3) has are left alone, and so are all where a volume is zero or changed its sign.
     """
     wanted = area_and_volume(original, faces)[1]
     moment = np.zeros(3)
     volume = float(_volume_moment(vertices, faces, moment)) / 24.0
-    if not (wanted > 0.0 and volume > 0.0):
+    if wanted == 0.0 or volume == 0.0 or (wanted > 0.0) != (volume > 0.0):
         return vertices
     centre = moment / (24.0 * volume)
     used = np.zeros(len(vertices), dtype=bool)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 from msal_cli.files.allocator import give_back_large_arrays
-from msal_cli.files.base import Buffer, MeshFile
+from msal_cli.files.base import Buffer, MeshFile, corner_count
 from msal_cli.files.digests import sha256_meanwhile
 from msal_cli.files.first_look import read_input
 from msal_cli.files.streams import compressed, expanded, is_gzip_name, read_whole
@@ -22,6 +22,7 @@ __all__ = [
     "compressed",
     "content_format",
     "converted",
+    "corner_count",
     "expanded",
     "format_of_name",
     "give_back_large_arrays",

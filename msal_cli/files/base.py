@@ -77,3 +77,9 @@ class MeshFile(Protocol):
     def polygons(self) -> list[Any] | NDArray[np.int32]:
         """The faces as the file has them, for conversion: an (m, k) array or a list of arrays."""
         ...
+
+
+def corner_count(mesh_file: MeshFile) -> int | None:
+    """Corners that a file stores where it has no vertices of its own (STL), None for others."""
+    n_merged = mesh_file.merged_vertices
+    return len(mesh_file.vertices) + n_merged if n_merged else None

@@ -20,17 +20,23 @@ if TYPE_CHECKING:
     from msal_cli.gates.names import Quantity
     from msal_cli.records import ComparisonRecord, MeshRecord
 
+_AGAINST_INPUT = {
+    "mean_angular_error_deg": "normal_change.mean_deg",
+    "max_angular_error_deg": "normal_change.max_deg",
+}
+
 Record = TypeVar("Record", "MeshRecord", "ComparisonRecord")
 
 
 @dataclass(frozen=True)
 class Gate:
-    """One expression, its meaning, and the quantities that it names, in the order in which it
-    does."""
+    """One expression, its meaning, the quantities that it names, in the order in which it does,
+    and the names of those of which it asks whether they are known."""
 
     expression: str
     meaning: Meaning
     quantities: Mapping[str, Quantity]
+    tested: frozenset[str]
 
 
 def parsed(expressions: Sequence[str], kind: Hashable) -> tuple[Gate, ...]:
@@ -42,7 +48,7 @@ def parsed(expressions: Sequence[str], kind: Hashable) -> tuple[Gate, ...]:
         for what is no comparison, a name that no such record has, or units that do not go together;
         it names the column.
     """
-    from msal_cli.gates.grammar import names_in, tree
+    from msal_cli.gates.grammar import names_in, names_tested, tree
     from msal_cli.gates.meaning import meaning
     from msal_cli.gates.names import quantities
 
@@ -51,8 +57,33 @@ def parsed(expressions: Sequence[str], kind: Hashable) -> tuple[Gate, ...]:
     for text in expressions:
         parts = tree(text)
         found = meaning(text, parts, known)
-        gates.append(Gate(text, found, {name: known[name] for name in names_in(parts)}))
+        named = {name: known[name] for name in names_in(parts)}
+        gates.append(Gate(text, found, named, frozenset(names_tested(parts))))
     return tuple(gates)
+
+
+def refuse_without_reference(gates: Sequence[Gate], remedy: str) -> None:
+    """Refuse gates on what is measured against a reference, where there is none.
+
+    A gate that asks whether the value is known may stay.  ``remedy`` says how to get a reference.
+
+    Raises
+    ------
+    UsageError
+        for the first such gate.
+    """
+    from msal_cli.errors import UsageError
+
+    for gate in gates:
+        for name, quantity in gate.quantities.items():
+            if quantity.needs_reference and name not in gate.tested:
+                own = _AGAINST_INPUT.get(name)
+                instead = f", or write {own}: the angle to the input's normals" if own else ""
+                raise UsageError(
+                    f"the gate {gate.expression!r}: {name} is measured against a reference, and "
+                    "there is none",
+                    hint=remedy + instead,
+                )
 
 
 def judged(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]:

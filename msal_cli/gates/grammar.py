@@ -85,6 +85,13 @@ def names_in(part: Tree) -> list[str]:
     return list(dict.fromkeys(found))
 
 
+def names_tested(part: Tree) -> set[str]:
+    """The names of which an expression asks whether they are known."""
+    if part.sign == "known":
+        return set(names_in(part))
+    return set().union(*map(names_tested, part.parts))
+
+
 def _tokens(text: str) -> Iterator[_Token]:
     at = 0
     while text[at:].strip():

@@ -49,11 +49,8 @@ SHORT_NAMES: dict[str, tuple[tuple[str, ...], Unit | None]] = {
     "p95_displacement": (("displacement.p95",), None),
     "max_displacement": (("displacement.max",), None),
     "moved_vertices": (("displacement.moved_vertices",), None),
-    "mean_angular_error_deg": (
-        ("reference.mean_angular_error_deg", "normal_change.mean_deg"),
-        None,
-    ),
-    "max_angular_error_deg": (("reference.max_angular_error_deg", "normal_change.max_deg"), None),
+    "mean_angular_error_deg": (("reference.mean_angular_error_deg",), None),
+    "max_angular_error_deg": (("reference.max_angular_error_deg",), None),
     "vertex_error_percent": (("reference.vertex_error_percent",), None),
     "hausdorff": (("reference.hausdorff",), None),
     "noise": (("noise_estimate.file_units",), None),
@@ -83,10 +80,12 @@ class Quantity:
             value = _value(record, path)
             if value is not None and value - value == 0.0:
                 return value
-            if path.startswith("reference.") and getattr(record, "reference", None) is not None:
-                # What was to be measured against a reference is not judged by anything else.
-                return None
         return None
+
+    @property
+    def needs_reference(self) -> bool:
+        """Whether it is measured against a reference mesh, and against nothing else."""
+        return all(one.startswith("reference.") for one in self.fields)
 
     def why_unknown(self, record: Any) -> str:
         """Why there is no value in a record, in words."""
@@ -94,8 +93,9 @@ class Quantity:
         if volume is not None and not volume.valid and any("volume" in one for one in self.fields):
             return f"{self.name} is not known: {volume.reason or 'the volume means nothing'}"
         reference = getattr(record, "reference", None)
-        is_asked = any(one.startswith("reference.") for one in self.fields)
-        if is_asked and reference is not None and reference.error is not None:
+        if self.needs_reference and reference is None:
+            return f"{self.name} is not known: nothing was measured against a reference"
+        if self.needs_reference and reference is not None and reference.error is not None:
             return f"{self.name} is not known: {reference.error.message}"
         return f"{self.name} is not known for this file"
 
@@ -150,9 +150,6 @@ def _unit(path: str) -> Unit:
 def _value(record: Any, path: str) -> float | bool | None:
     for name in path.split("."):
         if record is None:
-            return None
-        # The volume of an open mesh is a number, and means nothing.
-        if getattr(record, "valid", True) is False and name != "valid":
             return None
         record = getattr(record, name)
     return typing.cast("float | bool | None", record)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from msal_cli.mesh import Mesh
+from msal_cli.mesh import Mesh, Prepared
 
 FLAT = 1e-9
 """A volume below this share of area ** 1.5 is rounding: the surface encloses nothing."""
@@ -22,8 +22,16 @@ def area_and_volume(mesh: Mesh) -> tuple[float, float]:
     return geometry.area_and_volume(mesh.vertices, mesh.faces)
 
 
-def is_inside_out(volume: float, area: float) -> bool:
-    """Whether the normals of a closed surface point inwards."""
+def is_inside_out(ready: Prepared) -> bool:
+    """Whether a surface is closed and its normals point inwards; an open one has no inside."""
+    if ready.defects.volume_objection:
+        return False
+    area, volume = area_and_volume(ready.mesh)
+    return is_negative(volume, area)
+
+
+def is_negative(volume: float, area: float) -> bool:
+    """Whether a closed surface with this signed volume and area is inside out."""
     return volume < -_flat_volume(area)
 
 

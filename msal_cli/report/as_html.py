@@ -242,7 +242,7 @@ def _histograms(records: Sequence[MeshRecord]) -> str:
     changes = [
         one.volume.change_percent
         for one in records
-        if one.volume is not None and one.volume.valid and one.volume.change_percent is not None
+        if one.volume is not None and one.volume.change_percent is not None
     ]
     moves = [one.displacement.max_edges for one in records if one.displacement is not None]
     times = [
@@ -281,7 +281,8 @@ def _caption(record: MeshRecord) -> str:
     if record.displacement is not None:
         parts.append(f"moved at most {record.displacement.max_edges:.3g} mean edge lengths")
     if record.volume is not None and record.volume.valid:
-        parts.append(f"volume {percent_text(record.volume.change_percent)}")
+        inside_out = ", inside out" if record.inside_out else ""
+        parts.append(f"volume {percent_text(record.volume.change_percent)}{inside_out}")
     return _text("; ".join(parts))
 
 

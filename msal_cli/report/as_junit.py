@@ -17,7 +17,7 @@ from typing import Any
 from xml.etree import ElementTree as Xml
 
 from msal_cli.records import MeshRecord
-from msal_cli.report.as_text import defects_text, percent_text, reason
+from msal_cli.report.as_text import defects_text, percent_text, reason, vertices_text
 from msal_cli.report.document import Run
 from msal_cli.report.names import shown
 from msal_cli.report.worst import broken_gates
@@ -117,7 +117,7 @@ def _figures(record: MeshRecord) -> Iterator[str]:
     """One line with the figures of a file; none if there are none."""
     parts = []
     if record.vertices is not None:
-        parts.append(f"{record.vertices:,} vertices")
+        parts.append(vertices_text(record.vertices, record.corners))
     if record.displacement is not None:
         moved = record.displacement
         parts.append(f"moved {moved.mean_edges:.3g} (most {moved.max_edges:.3g}) mean edge lengths")

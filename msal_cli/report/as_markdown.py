@@ -173,18 +173,24 @@ _HEADS = (
 
 def _figures(record: MeshRecord) -> tuple[str, ...]:
     volume, moved, seconds = record.volume, record.displacement, record.seconds
-    change = volume.change_percent if volume is not None and volume.valid else None
+    change = percent_text(volume.change_percent if volume is not None else None)
     return (
         _name(record),
         "**gate**" if broken_gates(record) else record.status,
-        f"{record.vertices:,}" if record.vertices is not None else "",
-        percent_text(change),
+        _vertices(record),
+        change + (" (inside out)" if record.inside_out else ""),
         f"{moved.mean_edges:.3f}" if moved is not None else "",
         f"{moved.max_edges:.3f}" if moved is not None else "",
         f"{moved.max:.4g}" if moved is not None else "",
         f"{record.flipped_faces:,}" if record.flipped_faces is not None else "",
         f"{seconds.total:.2f}" if seconds is not None else "",
     )
+
+
+def _vertices(record: MeshRecord) -> str:
+    """Vertices, with the corners where the file stores these (STL)."""
+    beside = f" ({record.corners:,} corners)" if record.corners is not None else ""
+    return "" if record.vertices is None else f"{record.vertices:,}{beside}"
 
 
 def _chosen(record: MeshRecord) -> str:

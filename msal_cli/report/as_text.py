@@ -137,7 +137,7 @@ def _output_name(record: MeshRecord) -> str:
 def _facts(record: MeshRecord) -> Iterator[tuple[str, str]]:
     storage = " ".join(part for part in (record.format, record.encoding, record.precision) if part)
     counts = [
-        _counted(record.vertices, "vertex", "vertices"),
+        vertices_text(record.vertices, record.corners),
         _counted(record.faces, "face"),
         _counted(record.components, "component"),
     ]
@@ -219,11 +219,18 @@ def runner_up_text(one: RunnerUp) -> str:
 def _volume_in_full(record: MeshRecord) -> str:
     volume = record.volume
     if volume is None or volume.before is None or volume.after is None:
-        return "-"
-    if not volume.valid:
-        return f"- {shown(volume.reason)}"
+        return "-" if volume is None else f"- {shown(volume.reason)}".rstrip()
     change = percent_text(volume.change_percent)
-    return f"{volume.before:.6g} -> {volume.after:.6g}" + (f" ({change})" if change else "")
+    # What is enclosed, whichever side the normals point to.
+    outwards = -1.0 if record.inside_out else 1.0
+    before, after = outwards * volume.before, outwards * volume.after
+    return f"{before:.6g} -> {after:.6g}" + (f" ({change})" if change else "")
+
+
+def vertices_text(vertices: int | None, corners: int | None) -> str:
+    """``6,720 vertices (of 40,320 corners)``: corners where the file stores these (STL)."""
+    beside = f" (of {corners:,} corners)" if corners is not None else ""
+    return _counted(vertices, "vertex", "vertices") + beside
 
 
 def defects_text(record: MeshRecord) -> str:
@@ -237,7 +244,8 @@ def defects_text(record: MeshRecord) -> str:
         _counted(record.duplicate_faces, "duplicate face"),
         _counted(record.unreferenced_vertices, "unreferenced vertex", "unreferenced vertices"),
     )  # fmt: skip
-    return ", ".join(one for one in counts if one and not one.startswith("0 "))
+    words = [one for one in counts if one and not one.startswith("0 ")]
+    return ", ".join([*words, *(["inside out"] if record.inside_out else [])])
 
 
 # Several files
@@ -283,7 +291,7 @@ def _figures(record: MeshRecord) -> tuple[str, ...]:
     is_new = record.status != "up-to-date"
     return (
         f"{record.vertices:,}" if record.vertices is not None else "-",
-        (percent_text(volume.change_percent) if volume is not None and volume.valid else "") or "-",
+        percent_text(volume.change_percent if volume is not None else None) or "-",
         f"{moved.mean_edges:.3f}" if moved is not None else "-",
         f"{moved.max_edges:.3f}" if moved is not None else "-",
         (rate_text(record.vertices_per_second) if is_new else "") or "-",
@@ -301,6 +309,10 @@ def _note(record: MeshRecord) -> str:
         notes.append("up to date")
     if record.volume is not None and not record.volume.valid:
         notes.append(shown(record.volume.reason))
+    if record.inside_out:
+        notes.append("inside out")
+    if record.corners is not None:
+        notes.append(f"{record.corners:,} corners")
     return ", ".join(notes)
 
 

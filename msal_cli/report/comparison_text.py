@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from msal_cli.records import ComparisonRecord, Displacement, SurfaceDistance
-from msal_cli.report.as_text import Line, file_name, gate_text, reason
+from msal_cli.report.as_text import Line, file_name, gate_text, reason, vertices_text
 from msal_cli.report.names import padded, shortened, shown
 
 _COLUMNS = ("angle", "vertex error", "max move", "volume", "area", "flipped", "Hausdorff")
@@ -16,9 +16,11 @@ def told(record: ComparisonRecord) -> list[Line]:
     """The lines on two files: their names, then one line per measure."""
     if record.error is not None:
         return list(_failure(record))
+    before = _counts(record.vertices_before, record.corners_before, record.faces_before)
+    after = _counts(record.vertices_after, record.corners_after, record.faces_after)
     lines = [
-        Line(f"before  {_file(record.before, record.vertices_before, record.faces_before)}"),
-        Line(f"after   {_file(record.after, record.vertices_after, record.faces_after)}"),
+        Line(f"before  {file_name(record.before)}: {before}"),
+        Line(f"after   {file_name(record.after)}: {after}"),
     ]
     lines += [Line(f"  {word:<18} {text}") for word, text in _facts(record)]
     return lines + [Line(f"  {'warning':<18} {shown(text)}", "bad") for text in record.warnings]
@@ -71,8 +73,8 @@ def _failure(record: ComparisonRecord) -> Iterator[Line]:
         yield Line(f"  hint: {shown(failure.hint)}")
 
 
-def _file(name: str, vertices: int | None, faces: int | None) -> str:
-    return f"{file_name(name)}: {vertices or 0:,} vertices, {faces or 0:,} triangles"
+def _counts(vertices: int | None, corners: int | None, faces: int | None) -> str:
+    return f"{vertices_text(vertices or 0, corners)}, {faces or 0:,} triangles"
 
 
 def _facts(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
@@ -95,7 +97,7 @@ def _facts(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
         yield "Hausdorff", f"{record.hausdorff:.4g} ({record.hausdorff_edges:.4g} e)"
     volume = record.volume
     if volume is not None:
-        if volume.valid:
+        if volume.change is not None:
             yield "volume", f"{_percent(volume.change_percent)} ({volume.change:+.4g})"
         else:
             yield "volume", f"- {shown(volume.reason)}"

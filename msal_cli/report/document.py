@@ -70,9 +70,7 @@ def totals(records: Sequence[MeshRecord]) -> Totals:
     changes = [
         record.volume.change_percent
         for record in records
-        if record.volume is not None
-        and record.volume.valid
-        and record.volume.change_percent is not None
+        if record.volume is not None and record.volume.change_percent is not None
     ]
     return Totals(
         files=len(records),

@@ -27,11 +27,12 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
     storage = [part for part in (record.format, record.encoding, record.precision) if part]
     size = f"{record.bytes:,} bytes" if record.bytes is not None else ""
     yield "format", ", ".join([*storage, *(["gzip"] if record.compressed else []), size])
-    yield "vertices", _count(record.vertices)
+    beside = f" (of {record.corners:,} corners)" if record.corners is not None else ""
+    yield "vertices", _count(record.vertices) + beside
     yield "faces", _faces(record)
     yield "components", _count(record.components)
     yield "surface", _surface(record)
-    yield "winding", shown(record.winding or "-")
+    yield "winding", shown(record.winding or "-") + (", inside out" if record.inside_out else "")
     for word, count in (
         ("degenerate", record.degenerate_faces),
         ("duplicate", record.duplicate_faces),
@@ -49,8 +50,13 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
         yield "to", _point(high)
         yield "size", " x ".join(f"{side:.6g}" for side in sides)
     yield "area", _figure(record.area)
-    if record.volume_valid:
-        yield "volume", _figure(record.volume)
+    if record.volume_valid and record.volume is not None:
+        yield (
+            "volume",
+            f"{_figure(abs(record.volume))} (inside out)"
+            if record.inside_out
+            else _figure(record.volume),
+        )
     else:
         yield "volume", f"- {shown(record.volume_reason)}".rstrip()
     yield "mean edge", _figure(record.mean_edge_length)

@@ -87,7 +87,7 @@ def _figures(record: MeshRecord, with_reference: bool) -> list[float | None]:
     volume, moved, turned = record.volume, record.displacement, record.normal_change
     figures = [
         record.vertices,
-        volume.change_percent if volume is not None and volume.valid else None,
+        volume.change_percent if volume is not None else None,
         moved.mean_edges if moved is not None else None,
         moved.max_edges if moved is not None else None,
         moved.max if moved is not None else None,
@@ -139,6 +139,7 @@ def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
 
 def _mesh(record: MeshRecord) -> str:
     counts = (
+        f"{record.corners:,} corners stored" if record.corners is not None else "",
         f"{record.faces:,} faces" if record.faces is not None else "",
         f"{record.components:,} parts" if record.components not in (None, 1) else "",
         " ".join(one for one in (record.format, record.encoding, record.precision) if one),

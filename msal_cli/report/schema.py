@@ -67,7 +67,11 @@ DESCRIPTIONS: dict[str, str] = {
     "MeshRecord.format": "format of the input",
     "MeshRecord.encoding": "ascii, binary_little_endian, binary_big_endian or binary",
     "MeshRecord.precision": "how the input stores positions: float32, float64 or text",
-    "MeshRecord.vertices": "vertices in the file",
+    "MeshRecord.vertices": (
+        "vertices in the file; of an STL, which stores corners of facets only, the vertices that "
+        "they are after welding"
+    ),
+    "MeshRecord.corners": "corners that an STL stores, null for files that have vertices",
     "MeshRecord.faces": "faces as the file counts them: a quad is one",
     "MeshRecord.triangles": "faces after polygons and strips were cut into triangles",
     "MeshRecord.components": "connected parts",
@@ -80,6 +84,9 @@ DESCRIPTIONS: dict[str, str] = {
     "MeshRecord.welded_vertices": "vertices merged with one at the same place for the computation",
     "MeshRecord.seam_gap": "largest distance afterwards between vertices that were at one place",
     "MeshRecord.mean_edge_length": "mean length of the edges before, file units",
+    "MeshRecord.inside_out": (
+        "true if the surface is closed and its normals point inwards; an open one has no inside"
+    ),
     "MeshRecord.volume": "enclosed volume",
     "MeshRecord.area": "surface area",
     "MeshRecord.displacement": "how far the vertices moved",
@@ -96,7 +103,7 @@ DESCRIPTIONS: dict[str, str] = {
     "MeshRecord.method": "method and parameters, given or chosen",
     "MeshRecord.choice": "why that method was chosen; null where it was given",
     "MeshRecord.seconds": "wall-clock seconds by stage",
-    "MeshRecord.vertices_per_second": "vertices over total seconds",
+    "MeshRecord.vertices_per_second": "vertices (of an STL after welding) over total seconds",
     "MeshRecord.peak_memory_bytes": "highest memory of the process so far",
     "MeshRecord.input_sha256": "SHA-256 of the input's bytes, hexadecimal",
     "MeshRecord.output_sha256": "SHA-256 of the output's bytes, hexadecimal",
@@ -104,6 +111,9 @@ DESCRIPTIONS: dict[str, str] = {
     "MeshRecord.output_object": "size and entity tag of an output that is an object in a store",
     "MeshRecord.sidecars": "what was done about files that the input refers to",
     "MeshRecord.warnings": "what a user should know although the file was written",
+    "MeshRecord.warning_codes": (
+        "stable codes of the warnings that have one: W_INSIDE_OUT, W_FLIPPED_FACES, W_VOLUME_CHANGE"
+    ),
     "MeshRecord.gates": "what became of each gate; empty if there was none, or no output",
     "MeshRecord.fields": "the file of --fields beside the output",
     "MeshRecord.reference": "the output against the mesh that --reference names",
@@ -113,10 +123,16 @@ DESCRIPTIONS: dict[str, str] = {
         "and was not tried again"
     ),
     # Parts of a MeshRecord
-    "Volume.before": "signed volume before, cubed file units",
+    "Volume.before": (
+        "signed volume before, negative if the surface is inside out, cubed file units; null if it "
+        "is not valid, as the next three"
+    ),
     "Volume.after": "signed volume after, cubed file units",
-    "Volume.change": "after - before",
-    "Volume.change_percent": "change in percent of |before|",
+    "Volume.change": (
+        "change of the enclosed volume: after - before, of a surface that is inside out before - "
+        "after"
+    ),
+    "Volume.change_percent": "the same in percent of |before|; null if nothing is enclosed before",
     "Volume.valid": "whether the volume means anything: the surface is closed and orientable",
     "Volume.reason": "why it does not; empty if it does",
     "Area.before": "area before, squared file units",
@@ -206,8 +222,15 @@ DESCRIPTIONS: dict[str, str] = {
         "vertices: both have the same faces, and vertices are compared one by one; surface: they "
         "have not, and only the surfaces are compared"
     ),
-    "ComparisonRecord.vertices_before": "vertices in the file before",
-    "ComparisonRecord.vertices_after": "vertices in the file after",
+    "ComparisonRecord.vertices_before": "vertices in the file before, of an STL after welding",
+    "ComparisonRecord.vertices_after": "vertices in the file after, of an STL after welding",
+    "ComparisonRecord.corners_before": "corners that an STL before stores, null for other files",
+    "ComparisonRecord.corners_after": "corners that an STL after stores, null for other files",
+    "ComparisonRecord.inside_out_before": (
+        "true if the surface before is closed and its normals point inwards; an open one has no "
+        "inside"
+    ),
+    "ComparisonRecord.inside_out_after": "the same of the surface after",
     "ComparisonRecord.faces_before": "triangles before",
     "ComparisonRecord.faces_after": "triangles after",
     "ComparisonRecord.mean_edge_length": "mean length of the edges before, file units",
@@ -222,7 +245,8 @@ DESCRIPTIONS: dict[str, str] = {
     ),
     "ComparisonRecord.displacement": "how far corresponding vertices are apart",
     "ComparisonRecord.volume_change_percent": (
-        "change of volume in percent of |before|; null if the volume means nothing, see volume"
+        "change of the enclosed volume in percent of |before|; null if the volume means nothing, "
+        "see volume"
     ),
     "ComparisonRecord.area_change_percent": "change of area in percent of the area before",
     "ComparisonRecord.hausdorff": (
@@ -283,7 +307,10 @@ DESCRIPTIONS: dict[str, str] = {
     "InfoRecord.winding": "consistent, inconsistent or not orientable",
     "InfoRecord.bounds": "lowest and highest x, y, z, file units",
     "InfoRecord.area": "surface area, squared file units",
-    "InfoRecord.volume": "signed volume, cubed file units",
+    "InfoRecord.volume": (
+        "signed volume, negative if the surface is inside out, cubed file units; null if it is not "
+        "valid"
+    ),
     "InfoRecord.volume_valid": "whether the volume means anything",
     "InfoRecord.volume_reason": "why it does not; empty if it does",
     "InfoRecord.mean_edge_length": "mean length of the edges, file units",

@@ -41,7 +41,7 @@ def needs_attention(record: MeshRecord) -> bool:
 
 def _rank(record: MeshRecord) -> tuple[int, int, float, float]:
     moved, volume = record.displacement, record.volume
-    change = volume.change_percent if volume is not None and volume.valid else None
+    change = volume.change_percent if volume is not None else None
     broken = len(broken_gates(record))
     group = (
         0 if record.status == "failed" else 1 if broken else 2 if record.status == "planned" else 3

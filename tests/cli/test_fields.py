@@ -11,7 +11,8 @@ from jsonschema import Draft202012Validator
 from msal_cli import files
 from msal_cli.fields import KINDS
 from msal_cli.report.schema import report_schema
-from tests.cli.scans import closed_scan, folder_of, msal, msal_on
+from tests.cli.scans import closed_scan, folder_of, msal, msal_on, ply_text
+from tests.shapes import ball
 
 ALL = ",".join(KINDS)
 
@@ -115,3 +116,17 @@ def test_wrong_use(scan, tmp_path):
     assert msal("denoise", scan, "--in-place", "--fields", "sigma").exit_code == 2
     made = msal_on(scan.read_bytes(), "denoise", "-", "-o", "-", "--fields", "sigma")
     assert made.exit_code == 2
+
+
+def test_outward_is_away_from_the_solid_where_the_surface_is_inside_out(tmp_path):
+    vertices, faces = ball()
+    for name, one in (("plain", faces), ("turned", faces[:, ::-1])):
+        scan, output = tmp_path / f"{name}.ply", tmp_path / f"{name}_out.ply"
+        scan.write_bytes(ply_text(vertices, one))
+        given = ("--method", "umbrella", "--fields", "displacement,curvature")
+        assert msal("denoise", scan, "-o", output, *given).exit_code == 0
+    plain, turned = (table(tmp_path / f"{one}_out.fields.ply") for one in ("plain", "turned"))
+    for name in ("displacement", "curvature"):
+        assert turned[name] == pytest.approx(plain[name], abs=1e-6)
+    assert turned["displacement"].mean() < 0.0
+    assert turned["curvature"].mean() > 0.0

@@ -9,7 +9,16 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from msal_cli.report.schema import report_schema
-from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on, open_scan
+from tests.cli.scans import (
+    BAD_SCAN,
+    closed_scan,
+    folder_of,
+    msal,
+    msal_on,
+    open_scan,
+    ply_text,
+)
+from tests.shapes import torus
 
 MOVED = "max_displacement > 0"
 MSAL = ("--method", "msal")
@@ -29,7 +38,9 @@ def test_a_broken_gate_is_status_4_and_the_output_is_written(scans, tmp_path):
 
 
 def test_a_gate_that_holds_is_status_0(scans, tmp_path):
-    made = msal("denoise", scans, *MSAL, "-o", tmp_path / "out", "--fail-on", "max_displacement > 99e")
+    made = msal(
+        "denoise", scans, *MSAL, "-o", tmp_path / "out", "--fail-on", "max_displacement > 99e"
+    )
     assert made.exit_code == 0
     assert "broke a gate" not in made.stderr
 
@@ -136,7 +147,9 @@ def test_report_with_a_gate_tells_failures_too(scans, tmp_path):
 
 def test_the_log_has_broken_gates(scans, tmp_path):
     log = tmp_path / "log.txt"
-    msal("denoise", scans, *MSAL, "-o", tmp_path / "out", "--fail-on", MOVED, "--log-file", log, "-q")
+    msal(
+        "denoise", scans, *MSAL, "-o", tmp_path / "out", "--fail-on", MOVED, "--log-file", log, "-q"
+    )
     assert log.read_text().count("broke max_displacement > 0: max_displacement is ") == 2
 
 
@@ -168,3 +181,64 @@ def test_a_reference_that_cannot_be_read_decides_nothing(scans, tmp_path):
     truth.write_bytes(closed_scan())
     made = msal("denoise", scans / "closed.ply", "-o", tmp_path / "out.ply", "--fresh", *gate)
     assert made.exit_code == 0
+
+
+@pytest.mark.parametrize("name", ["mean_angular_error_deg", "hausdorff"])
+def test_a_gate_against_a_reference_that_is_not_there_is_refused(scans, tmp_path, name):
+    output, report = tmp_path / "out", tmp_path / "r.json"
+    gate = ("--fail-on", f"{name} > 0")
+    made = msal("denoise", scans, "-o", output, *gate)
+    assert made.exit_code == 2
+    assert f"{name} is measured against a reference" in made.stderr
+    assert "give --reference TRUTH" in made.stderr
+    assert not output.exists()
+    assert msal("denoise", scans, "-o", output, "--report", report).exit_code == 0
+    for run in (output, report):
+        page = tmp_path / "page.json"
+        made = msal("report", run, *gate, "-o", page)
+        assert made.exit_code == 2
+        assert "name a JSON report of msal denoise --reference" in made.stderr
+        assert not page.exists()
+
+
+def test_a_gate_means_the_same_in_denoise_and_in_report(scans, tmp_path):
+    scan, report = scans / "closed.ply", tmp_path / "r.json"
+    given = ("--reference", scan, "--fail-on", "mean_angular_error_deg > 0", "--report", report)
+    made = msal("denoise", scan, "-o", tmp_path / "out.ply", *given)
+    assert made.exit_code == 4
+    (gate,) = json.loads(report.read_text())["records"][0]["gates"]
+    again = msal("report", report, "--fail-on", "mean_angular_error_deg > 0", "--json")
+    assert again.exit_code == 4
+    assert json.loads(again.stdout)["records"][0]["gates"] == [gate]
+
+
+def test_inside_out_meshes_are_named_by_a_gate(scans, tmp_path):
+    vertices, faces = torus()
+    (scans / "turned.ply").write_bytes(ply_text(vertices, faces[:, ::-1]))
+    reports = [tmp_path / f"r.{suffix}" for suffix in ("json", "csv", "md", "html", "xml")]
+    asked = [word for one in reports for word in ("--report", one)]
+    given = ("denoise", scans, "-o", tmp_path / "out", "--method", "al", *asked)
+    made = msal(*given, "--fail-on", "inside_out", "--fail-on", "volume_change > 0")
+    assert made.exit_code == 4
+    assert "turned.ply: broken: inside_out (inside_out is true)" in made.stderr
+    assert made.stderr.count("broken: inside_out") == 1
+    assert "broken: volume_change" not in made.stderr
+    data = json.loads(reports[0].read_text())
+    Draft202012Validator(report_schema()).validate(data)
+    turned = data["records"][2]
+    assert turned["inside_out"] is True
+    assert turned["volume"]["change_percent"] < 0.0
+    with reports[1].open(newline="") as table:
+        rows = {row["input"].rpartition("/")[2]: row for row in csv.DictReader(table)}
+    assert [rows[f"{one}.ply"]["inside_out"] for one in ("closed", "open", "turned")] == [
+        "false",
+        "false",
+        "true",
+    ]
+    assert rows["open.ply"]["volume.before"] == rows["open.ply"]["volume.change_percent"] == ""
+    assert rows["open.ply"]["volume.valid"] == "false"
+    assert rows["turned.ply"]["warning_codes"] == "W_INSIDE_OUT"
+    for report in reports[2:]:
+        assert "inside out" in report.read_text()
+    (row,) = [line for line in made.stderr.splitlines() if "turned.ply  " in line]
+    assert row.endswith("inside out")

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from msal_cli import inspection, methods, pipeline
+from msal_cli import comparison, inspection, methods, pipeline
 from msal_cli.errors import ContentError, InternalError, UnsupportedError
 from msal_cli.files import stl
 from tests.files import plain_stl
@@ -363,14 +363,20 @@ def test_a_signalling_nan_in_a_normal_makes_no_noise():
     assert bytes(file.replaced(above))[84:88] == data[84:88]
 
 
-def test_corners_are_counted_as_the_file_has_them(tmp_path):
+def test_vertices_are_counted_after_welding_and_corners_beside_them(tmp_path):
     path = tmp_path / "a.stl"
     path.write_bytes(plain_stl.binary(tetrahedron()))
     record = inspection.inspect_file(str(path))
-    assert (record.vertices, record.welded_vertices, record.unreferenced_vertices) == (12, 8, 0)
+    assert (record.vertices, record.corners, record.welded_vertices) == (4, 12, 8)
+    assert record.unreferenced_vertices == 0
     task = pipeline.Task(str(path), str(tmp_path / "b.stl"), "a.stl")
     done = pipeline.denoise_file(
         task, pipeline.Settings("al", methods.find("al").settled({"iterations": 1}))
     )
     assert done.status == "written"
-    assert (done.vertices, done.welded_vertices, done.unreferenced_vertices) == (12, 8, 0)
+    assert (done.vertices, done.corners, done.welded_vertices) == (4, 12, 8)
+    assert done.unreferenced_vertices == 0
+    assert done.vertices_per_second == pytest.approx(4 / done.seconds.total)
+    compared = comparison.compare_files(str(path), str(tmp_path / "b.stl"))
+    assert (compared.vertices_before, compared.corners_before) == (4, 12)
+    assert (compared.vertices_after, compared.corners_after) == (4, 12)

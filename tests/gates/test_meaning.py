@@ -9,9 +9,9 @@ import pytest
 
 from msal_cli import records
 from msal_cli.errors import UsageError
-from msal_cli.gates import judged, parsed, with_gates
+from msal_cli.gates import judged, parsed, refuse_without_reference, with_gates
 from msal_cli.gates.names import EDGES, LENGTH, NUMBER, PERCENT, SHORT_NAMES, quantities
-from msal_cli.records import Area, MeshRecord, NormalChange, Volume
+from msal_cli.records import Area, MeshRecord, NormalChange, Reference, Volume
 from msal_cli.report.schema import DESCRIPTIONS
 from tests.report.made import failed, written
 
@@ -65,8 +65,8 @@ def result(text, record=CLOSED):
         ("flipped_faces / faces > 0.01%", False),
         ("flipped_faces > 0.01% * faces", False),
         ("flipped_faces / 3 == 1", True),
-        ("mean_angular_error_deg > 6", False),
-        ("max_angular_error_deg == 50", True),
+        ("normal_change.mean_deg > 6", False),
+        ("normal_change.max_deg == 50", True),
         ("min(flipped_faces, 2) == 2 and max(1, flipped_faces, 2) == 3", True),
         ("not (flipped_faces == 3)", False),
         ("seconds > 0.9 and seconds < 1", True),
@@ -210,3 +210,51 @@ def test_units_of_fields_are_those_that_the_schema_tells():
     assert quantities(MeshRecord)["seam_gap"].unit == LENGTH
     assert quantities(MeshRecord)["volume.change"].unit.power == 3
     assert quantities(MeshRecord)["area.before"].unit.power == 2
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "mean_angular_error_deg",
+        "max_angular_error_deg",
+        "vertex_error_percent",
+        "hausdorff",
+        "reference.flipped_faces",
+    ],
+)
+def test_what_needs_a_reference_is_not_judged_by_the_input(name):
+    text = f"{name} > 0"
+    found = result(text)
+    assert (found.broken, found.decided) == (True, False)
+    assert "nothing was measured against a reference" in found.reason
+    with pytest.raises(UsageError, match="measured against a reference") as caught:
+        refuse_without_reference(parsed([text], MeshRecord), "give one")
+    assert caught.value.hint.startswith("give one")
+    is_angle = name.endswith("angular_error_deg")
+    assert ("normal_change." in caught.value.hint) == is_angle
+    asked = f"known({name}) and {text}"
+    refuse_without_reference(parsed([asked], MeshRecord), "give one")
+    assert not result(asked).broken
+
+
+def test_angles_are_those_to_the_reference():
+    reference = Reference(
+        "t.ply", "vertices", mean_angular_error_deg=7.0, max_angular_error_deg=9.0
+    )
+    record = dataclasses.replace(CLOSED, reference=reference)
+    assert result("mean_angular_error_deg == 7 and max_angular_error_deg == 9", record).broken
+    assert result("normal_change.mean_deg == 5", record).broken
+
+
+@pytest.mark.parametrize(("inside_out", "is_broken"), [(True, True), (False, False)])
+def test_inside_out_is_a_gate(inside_out, is_broken):
+    found = result("inside_out", dataclasses.replace(CLOSED, inside_out=inside_out))
+    assert (found.broken, found.decided) == (is_broken, True)
+
+
+def test_figures_of_an_invalid_volume_are_not_known():
+    assert OPEN.volume.before is OPEN.volume.change_percent is None
+    for text in ("volume.before > 0", "volume.change > 0", "volume_change > 0"):
+        found = result(text, OPEN)
+        assert not found.decided
+        assert "open (8 edges)" in found.reason

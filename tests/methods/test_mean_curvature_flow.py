@@ -225,8 +225,17 @@ def test_an_open_surface_is_not_scaled():
     vertices, faces = grid(9, 8)
     mesh = prepared(noisy(vertices, 5, 0.1), faces).mesh
     assert (flowed(mesh, volume="restore") == flowed(mesh)).all()
-    inside_out = np.ascontiguousarray(cube()[1][:, ::-1])
-    assert (with_volume_of(2 * cube()[0], cube()[0], inside_out) == cube()[0]).all()
+    # Nor is one that passed through itself.
+    vertices, faces = cube()
+    assert (with_volume_of(-2.0 * vertices, vertices, faces) == vertices).all()
+
+
+def test_a_surface_that_is_inside_out_is_scaled_like_any_other():
+    vertices, faces = cube()
+    inside_out = np.ascontiguousarray(faces[:, ::-1])
+    scaled = with_volume_of(2.0 * vertices, vertices, inside_out)
+    assert np.allclose(scaled, with_volume_of(2.0 * vertices, vertices, faces), atol=1e-14)
+    assert area_and_volume(scaled, inside_out)[1] == pytest.approx(-8.0)
 
 
 def test_multiscale_pulls_back_to_the_input():

@@ -9,7 +9,7 @@ from msal_cli import noise
 from msal_cli.mesh import prepared
 from msal_cli.metrics.harm import FLIPPED, VOLUME, folded_faces, harmful_change
 from msal_cli.metrics.surface import surface_change
-from msal_cli.metrics.volume import is_inside_out, relative_volume_change
+from msal_cli.metrics.volume import is_negative, relative_volume_change
 from tests.shapes import ball, cube, grid, torus
 
 
@@ -73,6 +73,6 @@ def test_a_sheet_with_two_sides_encloses_nothing():
         relative_volume_change(change.volume_before, change.volume_after, change.area_before)
         is None
     )
-    assert not is_inside_out(-abs(change.volume_before), change.area_before)
-    assert is_inside_out(-1.0, 6.0)
-    assert not is_inside_out(1.0, 6.0)
+    assert not is_negative(-abs(change.volume_before), change.area_before)
+    assert is_negative(-1.0, 6.0)
+    assert not is_negative(1.0, 6.0)

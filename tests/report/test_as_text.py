@@ -163,3 +163,21 @@ def test_figures():
     assert as_text.percent_text(None) == ""
     assert as_text.rate_text(1_234_567.8) == "1,230,000"
     assert as_text.rate_text(None) == ""
+
+
+def test_corners_stand_beside_the_vertices():
+    record = written("a.stl", format="stl", vertices=6720, corners=40320)
+    assert "6,720 vertices (of 40,320 corners), " in text([record])
+    (row,) = [
+        line for line in text([record, written("b")]).splitlines() if line.startswith("a.stl")
+    ]
+    assert row.split()[1] == "6,720"
+    assert row.endswith("  40,320 corners")
+
+
+def test_a_volume_that_is_inside_out_is_told_as_what_it_encloses():
+    volume = Volume(-10.0, -9.9734, -0.0266, -0.266, True, "")
+    record = written(volume=volume, inside_out=True)
+    assert "10 -> 9.9734 (-0.266 %)" in text([record])
+    assert "defects       inside out" in text([record])
+    assert text([record, written("b")]).splitlines()[1].endswith("inside out")

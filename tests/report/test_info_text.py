@@ -100,3 +100,13 @@ def test_noise_is_told_with_its_interval_and_what_is_peculiar_about_it():
     uneven, impulsive = lines(noise(uneven=True, tail=0.031, rms_edges=0.15))[1:3]
     assert uneven == "uneven: 0.05 to 0.2 by region"
     assert impulsive.startswith("impulsive: 3.1 % of the vertices stand out; with them 0.15 mean")
+
+
+def test_inside_out_is_told_with_the_volume_that_is_enclosed():
+    said = facts(made(volume=-3.0, volume_valid=True, volume_reason="", inside_out=True))[1]
+    assert said["volume"] == "3 (inside out)"
+    assert said["winding"].endswith(", inside out")
+
+
+def test_corners_stand_beside_the_vertices():
+    assert facts(made(corners=6000))[1]["vertices"] == "1,000 (of 6,000 corners)"
