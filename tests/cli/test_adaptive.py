@@ -1,0 +1,143 @@
+"""The plain command: parameters chosen for each mesh, told like those of --auto."""
+
+from __future__ import annotations
+
+import json
+import shlex
+
+import pytest
+
+from msal_cli import methods, selection
+from msal_cli.mesh import prepared
+from msal_cli.noise import noisy
+from msal_cli.noise_estimate import estimated
+from msal_cli.selection import adaptive
+from tests.cli.scans import closed_scan, folder_of, msal, msal_on, ply_text
+from tests.shapes import torus
+
+
+def scan_with(level):
+    vertices, faces = torus(60, 30)
+    mesh = prepared(vertices, faces).mesh
+    return ply_text(noisy(mesh, "gaussian-normal", level, 1), faces)
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory):
+    folder = folder_of(tmp_path_factory.mktemp("plain") / "in", loud=scan_with(0.2))
+    return folder_of(folder, clean=scan_with(0.0))
+
+
+def run(*words):
+    made = msal("denoise", *words, "--json")
+    assert made.exit_code == 0, made.stderr
+    return {one["input"].split("/")[-1]: one for one in json.loads(made.stdout)["records"]}, made
+
+
+def test_the_record_has_the_choice(scans, tmp_path):
+    records, made = run(scans, "-o", tmp_path / "out")
+    loud, clean = records["loud.ply"], records["clean.ply"]
+    assert (loud["status"], clean["status"]) == ("written", "unchanged")
+    assert (tmp_path / "out" / "clean.ply").read_bytes() == (scans / "clean.ply").read_bytes()
+    assert clean["method"] == {"name": "none", "parameters": {}}
+    assert loud["method"]["name"] == "al"
+    assert loud["method"]["parameters"]["schedule"] == "wiener"
+    for record in records.values():
+        assert (record["choice"]["among"], record["choice"]["wishes"]) == ("family", {})
+        assert record["warnings"] == []
+    assert loud["choice"]["reason"].startswith("noise 0.2 e; AL with Wiener fidelity")
+    assert loud["choice"]["risk_edges"] > 0.0
+    assert "chosen: al 1, none 1" in made.stderr
+    assert json.loads(made.stdout)["settings"]["method"] == "adaptive"
+
+
+def test_the_options_repeat_the_bytes(scans, tmp_path):
+    records, made = run(scans / "loud.ply", "-o", tmp_path / "a.ply")
+    by_hand = records["loud.ply"]["choice"]["repeat"]
+    assert f"by hand       {shlex.join(by_hand)}" in made.stderr
+    run(scans / "loud.ply", "-o", tmp_path / "b.ply", *by_hand)
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+def test_it_has_a_name(scans, tmp_path):
+    run(scans / "loud.ply", "-o", tmp_path / "a.ply")
+    run(scans / "loud.ply", "-o", tmp_path / "b.ply", "--method", "adaptive")
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("-n", "4"),
+        ("-K", "0.5"),
+        ("--mollify", "1"),
+        ("--set", "K=0.5"),
+        ("--schedule", "multiscale"),
+    ],
+)
+def test_any_parameter_is_the_filter_of_the_paper(scans, tmp_path, words):
+    records, _ = run(scans, "-o", tmp_path / "a", *words)
+    msal("denoise", scans, "-o", tmp_path / "b", "--method", "msal")
+    assert {record["method"]["name"] for record in records.values()} == {"msal"}
+    assert all(record["choice"] is None for record in records.values())
+    for name in ("loud.ply", "clean.ply"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--method", "adaptive", "-n", "3"), "--method adaptive and -n contradict"),
+        (("--method", "adaptive", "--auto"), "--auto and --method adaptive contradict"),
+        (
+            ("--method", "adaptive", "--keep", "edges"),
+            "--keep, which implies --auto, and --method adaptive contradict",
+        ),
+    ],
+)
+def test_contradictions_are_refused(scans, tmp_path, words, said):
+    made = msal("denoise", scans, "-o", tmp_path / "out", *words)
+    assert (made.exit_code, (tmp_path / "out").exists()) == (2, False)
+    assert said in made.stderr
+
+
+def test_a_stream(scans):
+    clean = (scans / "clean.ply").read_bytes()
+    assert msal_on(clean, "denoise", "-").stdout_bytes == clean
+    loud = (scans / "loud.ply").read_bytes()
+    made = msal_on(loud, "denoise", "-")
+    assert made.exit_code == 0 and made.stdout_bytes != loud
+
+
+def test_reports_of_earlier_runs_know_it(scans, tmp_path):
+    run(scans, "-o", tmp_path / "out")
+    again = json.loads(msal("report", tmp_path / "out", "--json").stdout)
+    assert again["settings"]["method"] == "adaptive"
+    assert {one["choice"]["among"] for one in again["records"]} == {"family"}
+
+
+@pytest.mark.parametrize("word", [None, "--auto"])
+def test_a_choice_that_damages_is_rejected(tmp_path, monkeypatch, word):
+    """A collapse is never written: the input comes back, and the reason says why."""
+
+    def collapsing(mesh, *given, **named):
+        values = methods.find("umbrella").settled({"iterations": 1000})
+        return selection.Choice("umbrella", values, "collapse", None, estimated(mesh))
+
+    monkeypatch.setattr(adaptive, "chosen", collapsing)
+    monkeypatch.setattr("msal_cli.automatic.chosen", collapsing)
+    scan = tmp_path / "scan.ply"
+    scan.write_bytes(closed_scan())
+    words = [] if word is None else [word]
+    records, _ = run(scan, "-o", tmp_path / "out.ply", *words)
+    record = records["scan.ply"]
+    assert (record["status"], record["method"]["name"]) == ("unchanged", "none")
+    assert (tmp_path / "out.ply").read_bytes() == scan.read_bytes()
+    assert record["displacement"]["max"] == 0.0
+    assert "; rejected, for the volume changed by -" in record["choice"]["reason"]
+    assert record["warnings"] == []
+    # By name it is done, with a warning.
+    words = ("--method", "umbrella", "-n", "1000", "--force")
+    records, _ = run(scan, "-o", tmp_path / "b.ply", *words)
+    assert records["scan.ply"]["status"] == "written"
+    assert any("damage" in one for one in records["scan.ply"]["warnings"])
