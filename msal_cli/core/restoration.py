@@ -49,7 +49,7 @@ def _mean(start, stop, ring_start, ring, values, low):  # type: ignore[no-untype
     for i in range(start, stop):
         total = values[i]
         for at in range(ring_start[i], ring_start[i + 1]):
-            total += values[ring[at]]
+            total += values[np.uint64(ring[at])]
         low[i] = total / (ring_start[i + 1] - ring_start[i] + 1)
 
 
@@ -65,22 +65,30 @@ def _squares(start, stop, levels, powers):  # type: ignore[no-untyped-def]
 
 @compiled
 def _averaged(start, stop, ring_start, ring, powers, averages):  # type: ignore[no-untyped-def]
-    # Five sums by name: in registers, where a loop over the bands would go through memory.
+    """Means over the one-rings of the five powers of each vertex, which stand one after the other.
+
+    Five sums by name stay in registers, where a loop over the bands would go through memory, and
+    unsigned places need no check for counting from the end.
+    """
+    one, two, three, four = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
+    five = np.uint64(5)
     for i in range(start, stop):
-        a, b, c, d, e = powers[i, 0], powers[i, 1], powers[i, 2], powers[i, 3], powers[i, 4]
-        for at in range(ring_start[i], ring_start[i + 1]):
-            k = ring[at]
-            a += powers[k, 0]
-            b += powers[k, 1]
-            c += powers[k, 2]
-            d += powers[k, 3]
-            e += powers[k, 4]
+        at = np.uint64(i) * five
+        a, b, c = powers[at], powers[at + one], powers[at + two]
+        d, e = powers[at + three], powers[at + four]
+        for place in range(ring_start[i], ring_start[i + 1]):
+            k = np.uint64(ring[place]) * five
+            a += powers[k]
+            b += powers[k + one]
+            c += powers[k + two]
+            d += powers[k + three]
+            e += powers[k + four]
         weight = 1.0 / (ring_start[i + 1] - ring_start[i] + 1)
-        averages[i, 0] = a * weight
-        averages[i, 1] = b * weight
-        averages[i, 2] = c * weight
-        averages[i, 3] = d * weight
-        averages[i, 4] = e * weight
+        averages[at] = a * weight
+        averages[at + one] = b * weight
+        averages[at + two] = c * weight
+        averages[at + three] = d * weight
+        averages[at + four] = e * weight
 
 
 @compiled
@@ -115,6 +123,19 @@ def _second_look(start, stop, levels, powers, noise, returned, share):  # type: 
         # What did not move has nothing to get back, though its neighbours may have.
         returned[i] = total if levels[0, i] != 0.0 else 0.0
         share[i] = given / power if power > 0.0 else 0.0
+
+
+@compiled
+def _given_back(start, stop, normals, pulls, x):  # type: ignore[no-untyped-def]
+    for i in range(start, stop):
+        for axis in range(3):
+            x[i, axis] -= pulls[i] * normals[i, axis]
+
+
+def given_back(positions: Floats, normals: Floats, pulls: Floats) -> Floats:
+    """``positions`` (n, 3), in their own memory, moved back along ``normals`` by ``pulls`` (n,)."""
+    over_ranges(_given_back, len(positions), normals, pulls, positions)
+    return positions
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +180,8 @@ def restoration(
     def averaged(passes: int) -> None:
         nonlocal powers, averages
         for _ in range(passes):
-            over_ranges(_averaged, n, ring_start, ring, powers, averages)
+            flat = powers.reshape(-1), averages.reshape(-1)
+            over_ranges(_averaged, n, ring_start, ring, *flat)
             powers, averages = averages, powers
 
     def alone(caution: float) -> Floats:

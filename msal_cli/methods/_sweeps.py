@@ -51,6 +51,9 @@ class NormalParameters:
     )
 
 
+WIENER_BYTES_PER_FACE = 60
+"""Memory of the Wiener schedule beyond that of the others; see ``Method.bytes_per_face``."""
+
 MOST_NOISE_MULTISCALE = 0.15
 """Mean edge lengths: with stronger noise the multiscale schedules leave much of it.  At 0.2 ten
 passes of Taubin's filter have the smaller angles on most models of benchmarks/ground_truth.py."""
@@ -142,6 +145,11 @@ class ScheduledParameters(NormalParameters):
     def has_data_term(self) -> bool:
         """Whether vertices are pulled back to where they were scanned."""
         return self.schedule != "plain"
+
+    @property
+    def bytes_per_face(self) -> int:
+        """See ``Method.bytes_per_face``."""
+        return WIENER_BYTES_PER_FACE if self.schedule == "wiener" else 0
 
     @property
     def most_noise_edges(self) -> float:
@@ -253,7 +261,7 @@ def _restored(mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule
 
     What comes back comes along the mesh's normals.
     """
-    from msal_cli.core.restoration import restoration
+    from msal_cli.core.restoration import given_back, restoration
 
     noise = told_or_estimated(mesh, schedule.noise or 0.0)
     normals = mesh.vertex_normals(parameters.normals, parameters.mollify)
@@ -262,4 +270,4 @@ def _restored(mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule
     found = restoration(residual, links.ring_start, links.ring, noise, schedule.caution)
     pull = found.returned if mesh.trust is None else mesh.trust * found.returned
     share = found.share if mesh.trust is None else mesh.trust * found.share
-    return Swept(smooth - pull[:, None] * normals, share)
+    return Swept(given_back(smooth, normals, pull), share)

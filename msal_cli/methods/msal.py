@@ -47,6 +47,7 @@ from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._heights import HeightParameters, height_operator
 from msal_cli.methods._sweeps import (
+    WIENER_BYTES_PER_FACE,
     caution_parameter,
     most_noise_of,
     noise_parameter,
@@ -83,6 +84,11 @@ class Parameters(HeightParameters):
     def has_data_term(self) -> bool:
         """Every schedule has one."""
         return True
+
+    @property
+    def bytes_per_face(self) -> int:
+        """See ``Method.bytes_per_face``."""
+        return WIENER_BYTES_PER_FACE if self.schedule == "wiener" else 0
 
     @property
     def most_noise_edges(self) -> float:

@@ -22,7 +22,6 @@ from msal_cli.noise_estimate import SURE, NoiseLevel, estimated
 from msal_cli.selection import FAMILY, NONE, Choice
 from msal_cli.selection.candidates import Candidate
 from msal_cli.selection.patches import representative
-from msal_cli.selection.recipe import recipe
 from msal_cli.selection.risk import Risk, Stein
 from msal_cli.selection.weighing import FLOOR
 
@@ -41,10 +40,11 @@ a torus of 96, a ring of 128.  Scans have more."""
 STRONG_EDGES = 0.25
 """Noise in mean edge lengths from which normals are mollified twice."""
 
-SWEEPS = 6
-"""With the Wiener schedule more sweeps hardly matter: 10 reduce the angle by 1 %."""
+FEW_SWEEPS, SWEEPS, FAIR_EDGES = 4, 6, 0.15
+"""Sweeps with the Wiener schedule, the second number from that noise on, in mean edge lengths.  More
+hardly matter: 10 reduce the angle by 1 %, and of weak noise two leave no more than six."""
 
-PART, SEEDS = 4_000, 65_536
+PART, SEEDS = 4_000, 16_384
 """Vertices that candidates run on, and places where patches of a large mesh may begin."""
 
 PROBES = 1
@@ -76,13 +76,13 @@ def _chosen(mesh: Mesh, on_step: OnStep) -> Choice:
         return _none(noise, f"noise {noise.mean_edges:.2g} e; clean")
     if noise.is_negligible:
         what = f"noise not told from texture, at most {noise.high:.2g} e"
-        return _choice(noise, what, noise.high, _wiener(1, 1.0))
+        return _choice(noise, what, noise.high, _wiener(noise.high))
     return _by_risk(mesh, noise, on_step)
 
 
 def _by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep) -> Choice:
     level = noise.rms_edges if noise.is_impulsive else noise.mean_edges
-    candidates = _candidates(mesh, 2 if level > STRONG_EDGES else 1)
+    candidates = _candidates(mesh, level)
     what = f"{'impulsive noise' if noise.is_impulsive else 'noise'} {level:.2g} e"
     if noise.is_impulsive:
         # Stein's lemma holds for Gaussian noise.
@@ -126,16 +126,21 @@ def _scores(risk: Risk) -> Floats:
     return scores
 
 
-def _wiener(mollify: int, caution: float) -> Candidate:
-    given = {"schedule": "wiener", "iterations": SWEEPS, "mollify": mollify, "caution": caution}
+def _wiener(level: float) -> Candidate:
+    """AL with the Wiener schedule, for noise of ``level`` mean edge lengths."""
+    given = {
+        "schedule": "wiener",
+        "iterations": SWEEPS if level > FAIR_EDGES else FEW_SWEEPS,
+        "mollify": 2 if level > STRONG_EDGES else 1,
+    }
     return Candidate("al", given, 2.0, takes_noise=True)
 
 
-def _candidates(mesh: Mesh, mollify: int) -> list[Candidate]:
+def _candidates(mesh: Mesh, level: float) -> list[Candidate]:
     """What is tried, the usual one first; with trust only what has a data term."""
     robust = Candidate("msal", {"schedule": "robust", "K": 0.2, "iterations": 3}, 1.0)
     single = Candidate("al", {"iterations": 1, "mollify": 0}, 0.5)
-    found = [_wiener(mollify, 1.0), robust]
+    found = [_wiener(level), robust]
     return found if mesh.trust is not None else [*found, single]
 
 
@@ -164,11 +169,11 @@ def _choice(
     tried: int = 0,
     others: tuple[tuple[str, float], ...] = (),
 ) -> Choice:
-    made = recipe([candidate], np.ones(1), round(level, 4))
+    parameters = methods.find(candidate.method).settled(candidate.settings(round(level, 4)))
     return Choice(
-        made.method,
-        made.parameters,
-        f"{what}; {made.label}",
+        candidate.method,
+        parameters,
+        f"{what}; {candidate.label}",
         None,
         noise,
         risk,

@@ -77,7 +77,7 @@ _WORDS = {
     "al": "{iterations} sweeps, {mollify} mollifications",
     "normal_threshold": "threshold {threshold:g}, {iterations} iterations",
     "robust_msal": "K = {K:g}, {iterations} sweeps",
-    "wiener_al": "caution {caution:g}, {iterations} sweeps",
+    "wiener_al": "{iterations} sweeps",
 }
 
 
