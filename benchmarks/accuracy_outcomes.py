@@ -101,9 +101,9 @@ class Outcomes:
             for setting in missing:
                 is_run = not (is_large and setting.is_dear)
                 row[setting.text] = (
-                    _run(noisy, true, setting.method, setting.given) if is_run else None
+                    run_setting(noisy, true, setting.method, setting.given) if is_run else None
                 )
-            row[NOISY] = _outcome(noisy, true, noisy)
+            row[NOISY] = outcome_of(noisy, true, noisy)
             self._write()
             print(f"{key}: {len(missing) + len(unasked)} run", file=sys.stderr, flush=True)
         texts = [NOISY, *(setting.text for setting in settings), *wishes]
@@ -125,7 +125,8 @@ class Outcomes:
         os.replace(beside, self._path)
 
 
-def _outcome(noisy: Mesh, true: Mesh, result: Mesh, reason: str = "") -> Outcome:
+def outcome_of(noisy: Mesh, true: Mesh, result: Mesh, reason: str = "") -> Outcome:
+    """How far ``result`` is from the truth; the volume's change is that from ``noisy``."""
     before, after = area_and_volume(noisy)[1], area_and_volume(result)[1]
     return Outcome(
         normal_statistics(true, result).mean_angular_error_deg,
@@ -135,14 +136,17 @@ def _outcome(noisy: Mesh, true: Mesh, result: Mesh, reason: str = "") -> Outcome
     )
 
 
-def _run(noisy: Mesh, true: Mesh, name: str, given: dict[str, Any], reason: str = "") -> Outcome:
+def run_setting(
+    noisy: Mesh, true: Mesh, name: str, given: dict[str, Any], reason: str = ""
+) -> Outcome:
+    """What a method makes of ``noisy``."""
     method = methods.find(name)
     vertices = method.denoised(noisy, method.settled(given)).vertices
-    return _outcome(noisy, true, noisy.moved(vertices), reason)
+    return outcome_of(noisy, true, noisy.moved(vertices), reason)
 
 
 def _automatic(noisy: Mesh, true: Mesh, wishes: Wishes) -> Outcome:
     choice = chosen(noisy, wishes)
     if choice.method == NONE:
-        return _outcome(noisy, true, noisy, choice.reason)
-    return _run(noisy, true, choice.method, choice.parameters, choice.reason)
+        return outcome_of(noisy, true, noisy, choice.reason)
+    return run_setting(noisy, true, choice.method, choice.parameters, choice.reason)

@@ -184,7 +184,7 @@ def small(monkeypatch):
         for n, of in enumerate(ground_truth.CLASSES)
     ]
     ran: list[str] = []
-    run = accuracy_outcomes._run
+    run = accuracy_outcomes.run_setting
 
     def counted(noisy, true, name, given, reason=""):
         ran.append(AUTO if reason else name)
@@ -199,7 +199,7 @@ def small(monkeypatch):
     monkeypatch.setattr(accuracy_trials, "other_cases", lambda: iter(cases[:1]))
     monkeypatch.setattr(accuracy, "grid", lambda coarse=False: SETTINGS)
     monkeypatch.setattr(accuracy, "defaults", lambda: SETTINGS[:1])
-    monkeypatch.setattr(accuracy_outcomes, "_run", counted)
+    monkeypatch.setattr(accuracy_outcomes, "run_setting", counted)
     monkeypatch.setattr(accuracy_outcomes, "chosen", chosen)
     return ran
 

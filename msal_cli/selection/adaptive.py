@@ -41,8 +41,8 @@ STRONG_EDGES = 0.25
 """Noise in mean edge lengths from which normals are mollified twice."""
 
 FEW_SWEEPS, SWEEPS, FAIR_EDGES = 4, 6, 0.15
-"""Sweeps with the Wiener schedule, the second number from that noise on, in mean edge lengths.  More
-hardly matter: 10 reduce the angle by 1 %, and of weak noise two leave no more than six."""
+"""Sweeps with the Wiener schedule, the second number above that noise, in mean edge lengths.  More
+hardly matter: 10 reduce the angle by 1 %, and weak noise is gone after four."""
 
 PART, SEEDS = 4_000, 16_384
 """Vertices that candidates run on, and places where patches of a large mesh may begin."""
