@@ -19,6 +19,7 @@ from msal_cli import files, methods, parameter_grid, pictures, render, selection
 from msal_cli.comparison import Surface
 from msal_cli.mesh import prepared
 from msal_cli.render.camera import framing, turned
+from msal_cli.selection import adaptive
 
 Array = NDArray[Any]
 
@@ -52,6 +53,13 @@ def denoised(path: Path, method: str, **parameters: Any) -> tuple[Array, Array]:
     chosen = methods.find(method)
     result = chosen.denoised(ready.mesh, chosen.settled(parameters))
     return ready.scattered(result.vertices, vertices), faces
+
+
+def plain(path: Path) -> tuple[Array, Array]:
+    """The same as ``msal denoise`` without a method makes them."""
+    vertices, faces = opened(path)
+    choice = adaptive.chosen(prepared(vertices, faces).mesh)
+    return denoised(path, choice.method, **choice.parameters)
 
 
 def automatic(path: Path) -> tuple[Array, Array]:
@@ -115,7 +123,7 @@ def panel(name: str, mesh: tuple[Array, Array], size: tuple[int, int]) -> Array:
 def compared(name: str) -> Array:
     """What ``msal view`` shows of a noisy sample and its denoised surface."""
     vertices, faces = opened(sample(name, "noisy"))
-    moved, _ = denoised(sample(name, "noisy"), "msal")
+    moved, _ = plain(sample(name, "noisy"))
     names = (f"{name}_noisy.ply", f"{name}.ply")
     scene = pictures.scene_of(Surface(vertices, faces), Surface(moved, faces), names)
     return pictures.drawn(scene, pictures.View(size=420))
@@ -149,7 +157,7 @@ def main() -> None:
     folder.mkdir(exist_ok=True)
     size = (370, 370)
     coin = sample("coin", "noisy")
-    shown = [opened(coin), denoised(coin, "msal"), opened(sample("coin", "clean"))]
+    shown = [opened(coin), automatic(coin), opened(sample("coin", "clean"))]
     write_png(folder / "coin.png", row([panel("coin", mesh, size) for mesh in shown]))
 
     egg = sample("dragon_egg", "noisy")
@@ -162,7 +170,7 @@ def main() -> None:
     rows = []
     for name in ("bracket", "coin"):
         noisy = sample(name, "noisy")
-        shown = [opened(noisy), denoised(noisy, "msal"), automatic(noisy)]
+        shown = [opened(noisy), plain(noisy), automatic(noisy)]
         shown.append(opened(sample(name, "clean")))
         rows.append(row([panel(name, mesh, size) for mesh in shown]))
     write_png(folder / "auto.png", np.concatenate(rows))
