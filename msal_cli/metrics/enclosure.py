@@ -23,9 +23,6 @@ Ints = NDArray[np.int32]
 MOST_PARTS = 1000
 """Parts beyond which only the sum of all is looked at: each is held against each other."""
 
-_AT_ONCE = 1 << 18
-"""Faces that are worked on at a time."""
-
 
 @dataclass(frozen=True, eq=False)
 class Enclosure:
@@ -53,8 +50,10 @@ class Enclosure:
             return ""
         if self.n_turned == self.n_parts:
             return "the surface is inside out: its normals point inwards"
-        are = "part is" if self.n_turned == 1 else "parts are"
-        return f"{self.n_turned:,} of {self.n_parts:,} {are} inside out: normals point inwards"
+        are = "is" if self.n_turned == 1 else "are"
+        return (
+            f"{self.n_turned:,} of {self.n_parts:,} parts {are} inside out: normals point inwards"
+        )
 
     def volume(self, mesh: Mesh, signed: float) -> float:
         """The volume that ``mesh``, with these faces and this ``signed`` volume, encloses."""
@@ -117,15 +116,14 @@ def _of_parts(mesh: Mesh) -> Enclosure:
 
 def _negative_parts(mesh: Mesh, parts: NDArray[np.intp], n_parts: int) -> NDArray[np.bool_]:
     """Which parts (n_parts,) have a negative volume; ``parts`` (n,) is that of each vertex."""
-    areas, volumes = np.zeros(n_parts), np.zeros(n_parts)
-    for start in range(0, len(mesh.faces), _AT_ONCE):
-        faces = mesh.faces[start : start + _AT_ONCE]
-        own = parts[faces[:, 0]]
-        a, b, c = (mesh.vertices[faces[:, corner]] for corner in range(3))
-        crossed = np.cross(b - a, c - a)
-        doubled = np.sqrt(np.einsum("ij,ij->i", crossed, crossed))
-        areas += np.bincount(own, doubled, n_parts) / 2.0
-        volumes += np.bincount(own, np.einsum("ij,ij->i", a, crossed), n_parts) / 6.0
+    from msal_cli.core.geometry import face_normals_and_areas
+
+    first = mesh.faces[:, 0]
+    normals, face_areas = face_normals_and_areas(mesh.vertices, mesh.faces)
+    # A face and the origin span a third of area times height.
+    heights = np.einsum("ij,ij->i", mesh.vertices[first], normals)
+    areas = np.bincount(parts[first], face_areas, n_parts)
+    volumes = np.bincount(parts[first], face_areas * heights, n_parts) / 3.0
     return np.array([is_negative(*one) for one in zip(volumes, areas, strict=True)])
 
 

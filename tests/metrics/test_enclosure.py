@@ -70,6 +70,8 @@ def test_words():
     assert enclosure(together(box(1.0, turned=True))[0]).words == (
         "the surface is inside out: its normals point inwards"
     )
+    one = together(box(1.0), box(1.0, 5.0, turned=True))[0]
+    assert enclosure(one).words == "1 of 2 parts is inside out: normals point inwards"
     some = together(box(1.0), box(1.0, 5.0, turned=True), box(1.0, 9.0, turned=True))[0]
     assert enclosure(some).words == "2 of 3 parts are inside out: normals point inwards"
 
