@@ -103,7 +103,7 @@ def _inspected(data: Buffer, name: str, format: str | None) -> InfoRecord:
         noise_estimate=noise_estimate(ready.mesh),
         properties=mesh_file.properties,
         references=mesh_file.references,
-        warnings=mesh_file.warnings,
+        warnings=mesh_file.warnings + ((enclosed.words,) if enclosed.is_inside_out else ()),
     )
 
 

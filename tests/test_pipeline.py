@@ -543,6 +543,7 @@ def test_what_is_inside_out_is_told_by_info(tmp_path):
     (tmp_path / "a.ply").write_bytes(ply_binary(vertices, faces[:, ::-1]))
     told = inspection.inspect_file(str(tmp_path / "a.ply"))
     assert told.inside_out is True
+    assert told.warnings == ("the surface is inside out: its normals point inwards",)
     assert told.volume == pytest.approx(2.0 * np.pi**2 * 3.0, rel=0.1)
 
 
