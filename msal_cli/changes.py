@@ -67,9 +67,9 @@ def measured(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> Measur
     from msal_cli.comparison import area_changed, displaced, volume_changed
     from msal_cli.inspection import noise_estimate
     from msal_cli.metrics.displacement import displacement_statistics
+    from msal_cli.metrics.enclosure import enclosure_of
     from msal_cli.metrics.harm import harmful_change
     from msal_cli.metrics.surface import surface_change
-    from msal_cli.metrics.volume import is_negative
 
     before, after = ready.mesh, ready.mesh.moved(moved)
     used = before.links.has_ring
@@ -77,10 +77,9 @@ def measured(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> Measur
     surface = surface_change(before, after)
     turned = surface.normals
     objection = ready.defects.volume_objection
-    inside_out = not objection and is_negative(surface.volume_before, surface.area_before)
-    warnings = []
-    if inside_out:
-        warnings.append((INSIDE_OUT, "the surface is inside out: its normals point inwards"))
+    enclosed = enclosure_of(before, ready.defects, surface.area_before, surface.volume_before)
+    surface = enclosed.change(before, after, surface)
+    warnings = [(INSIDE_OUT, enclosed.words)] if enclosed.is_inside_out else []
     harm = harmful_change(before, after, surface, has_volume=not objection)
     if harm is not None:
         warnings.append((harm.code, f"this looks like damage: {harm.reason}; {_ADVICE}"))
@@ -89,7 +88,7 @@ def measured(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> Measur
         "normal_change": NormalChange(turned.mean_angular_error_deg, turned.max_angular_error_deg),
         "flipped_faces": turned.flipped_faces,
         "noise_estimate": noise_estimate(before, noise),
-        "inside_out": inside_out,
+        "inside_out": enclosed.is_inside_out,
         "volume": volume_changed(
             surface.volume_before, surface.volume_after, surface.area_before, objection
         ),

@@ -6,7 +6,6 @@ Like ``pipeline`` it never raises for a file's fault: that becomes a record with
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from msal_cli.files.base import Buffer, MeshFile
     from msal_cli.mesh import Mesh, Prepared
     from msal_cli.metrics.displacement import DisplacementStatistics
+    from msal_cli.metrics.enclosure import Enclosure
     from msal_cli.metrics.surface_distance import DistanceStatistics
     from msal_cli.records import MeshRecord
 
@@ -241,20 +241,23 @@ def _prepared(surface: Surface, name: str) -> Prepared:
 
 def _by_vertex(record: ComparisonRecord, first: Prepared, moved: Mesh) -> ComparisonRecord:
     from msal_cli.metrics import comparison as metrics
+    from msal_cli.metrics.enclosure import enclosure_of
     from msal_cli.metrics.surface import surface_change
-    from msal_cli.metrics.volume import is_negative
 
     reference = first.mesh
     change = surface_change(reference, moved)
+    own = enclosure_of(reference, first.defects, change.area_before, change.volume_before)
+    other = enclosure_of(moved, first.defects, change.area_after, change.volume_after)
+    record = _with_orientation(record, own, other)
+    change = own.change(reference, moved, change)
     distances = metrics.moved_statistics(reference, moved)
-    objection = first.defects.volume_objection
-    volumes = (change.volume_before, change.volume_after)
-    volume = volume_changed(*volumes, change.area_before, objection)
-    area = area_changed(change.area_before, change.area_after)
-    areas = (change.area_before, change.area_after)
-    record = _with_orientation(
-        record, *(not objection and is_negative(*one) for one in zip(volumes, areas, strict=True))
+    volume = volume_changed(
+        change.volume_before,
+        change.volume_after,
+        change.area_before,
+        first.defects.volume_objection,
     )
+    area = area_changed(change.area_before, change.area_after)
     return replace(
         record,
         mean_angular_error_deg=change.normals.mean_angular_error_deg,
@@ -267,30 +270,38 @@ def _by_vertex(record: ComparisonRecord, first: Prepared, moved: Mesh) -> Compar
 
 
 def _by_surface(record: ComparisonRecord, first: Prepared, second: Prepared) -> ComparisonRecord:
-    from msal_cli.metrics.volume import area_and_volume, is_inside_out
+    from msal_cli.metrics.enclosure import enclosure_of
+    from msal_cli.metrics.volume import area_and_volume
 
     area_before, volume_before = area_and_volume(first.mesh)
     area_after, volume_after = area_and_volume(second.mesh)
+    # Each has its own faces, and may have its own side outside.
+    own = enclosure_of(first.mesh, first.defects, area_before, volume_before)
+    other = enclosure_of(second.mesh, second.defects, area_after, volume_after)
     objections = []
     for word, ready in (("before", first), ("after", second)):
         if ready.defects.volume_objection:
             objections.append(f"{word}: {ready.defects.volume_objection}")
-    # Each has its own faces, and may have its own side outside.
-    oriented = math.copysign(volume_after, volume_before)
-    volume = volume_changed(volume_before, oriented, area_before, "; ".join(objections))
-    record = _with_orientation(record, is_inside_out(first), is_inside_out(second))
+    volume = volume_changed(
+        own.volume(first.mesh, volume_before),
+        other.volume(second.mesh, volume_after),
+        area_before,
+        "; ".join(objections),
+    )
+    record = _with_orientation(record, own, other)
     return replace(record, **_changes(volume, area_changed(area_before, area_after)))
 
 
-def _with_orientation(record: ComparisonRecord, before: bool, after: bool) -> ComparisonRecord:
+def _with_orientation(
+    record: ComparisonRecord, before: Enclosure, after: Enclosure
+) -> ComparisonRecord:
     """The record with which of the two surfaces is inside out."""
-    record = replace(record, inside_out_before=before, inside_out_after=after)
-    if not (before or after):
-        return record
-    which = f"the surface {'before' if before else 'after'} is"
-    if before and after:
-        which = "both surfaces are"
-    return _warned(record, f"{which} inside out: the normals point inwards")
+    for word, one in (("before", before), ("after", after)):
+        if one.is_inside_out:
+            record = _warned(record, f"{word}: {one.words}")
+    return replace(
+        record, inside_out_before=before.is_inside_out, inside_out_after=after.is_inside_out
+    )
 
 
 def _changes(volume: Volume, area: Area) -> dict[str, Any]:
@@ -360,7 +371,7 @@ def displaced(one: DisplacementStatistics, edge: float) -> Displacement:
 
 
 def volume_changed(before: float, after: float, area: float, objection: str) -> Volume:
-    """The record of a signed volume; ``area`` is the area before, and ``objection`` says why the
+    """The record of an enclosed volume; ``area`` is the area before, and ``objection`` says why the
     volume means nothing, empty if it does."""
     from msal_cli.metrics.volume import relative_volume_change
 
@@ -368,7 +379,7 @@ def volume_changed(before: float, after: float, area: float, objection: str) -> 
     return Volume(
         before=before,
         after=after,
-        change=math.copysign(1.0, before) * (after - before),
+        change=after - before,
         change_percent=None if share is None else 100.0 * share,
         valid=not objection,
         reason=objection,

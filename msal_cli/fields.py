@@ -88,15 +88,15 @@ def computed(
     uses have 0.  Outward is away from the solid, also where its surface is inside out.
     """
     from msal_cli.metrics.curvature import mean_curvature
+    from msal_cli.metrics.enclosure import enclosure
     from msal_cli.metrics.local_scale import local_scale
-    from msal_cli.metrics.volume import is_inside_out
     from msal_cli.noise_estimate import regional
 
     mesh = ready.mesh
     normals = mesh.vertex_normals(
         parameters.get("normals", "uniform"), parameters.get("mollify", 1)
     )
-    outwards = -1.0 if is_inside_out(ready) else 1.0
+    outwards = enclosure(ready).outward_signs(mesh)
     values: dict[str, Floats] = {}
     for name in names:
         if name == "displacement":

@@ -49,7 +49,8 @@ def _inspection_failure(name: str, error: MsalError) -> InfoRecord:
 def _inspected(data: Buffer, name: str, format: str | None) -> InfoRecord:
     from msal_cli import files
     from msal_cli.mesh import prepared
-    from msal_cli.metrics.volume import area_and_volume, is_negative
+    from msal_cli.metrics.enclosure import enclosure_of
+    from msal_cli.metrics.volume import area_and_volume
 
     plain, is_compressed = files.expanded(data, name)
     mesh_file = files.open_mesh(plain, name, format)
@@ -60,6 +61,7 @@ def _inspected(data: Buffer, name: str, format: str | None) -> InfoRecord:
     )
     defects = ready.defects
     area, volume = area_and_volume(ready.mesh)
+    enclosed = enclosure_of(ready.mesh, defects, area, volume)
     low, high = mesh_file.vertices.min(axis=0), mesh_file.vertices.max(axis=0)
     winding = "consistent"
     if defects.unorientable_parts:
@@ -93,15 +95,15 @@ def _inspected(data: Buffer, name: str, format: str | None) -> InfoRecord:
             (float(high[0]), float(high[1]), float(high[2])),
         ),
         area=area,
-        inside_out=not defects.volume_objection and is_negative(volume, area),
-        volume=None if defects.volume_objection else volume,
+        inside_out=enclosed.is_inside_out,
+        volume=None if defects.volume_objection else enclosed.volume(ready.mesh, volume),
         volume_valid=not defects.volume_objection,
         volume_reason=defects.volume_objection,
         mean_edge_length=ready.mesh.mean_edge_length,
         noise_estimate=noise_estimate(ready.mesh),
         properties=mesh_file.properties,
         references=mesh_file.references,
-        warnings=mesh_file.warnings,
+        warnings=mesh_file.warnings + ((enclosed.words,) if enclosed.is_inside_out else ()),
     )
 
 

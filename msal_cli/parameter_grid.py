@@ -188,13 +188,15 @@ def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
     """The numbers and the mesh of each cell, row by row, one after the other."""
     from msal_cli.comparison import volume_changed
     from msal_cli.metrics import comparison as metrics
+    from msal_cli.metrics.enclosure import enclosure
     from msal_cli.metrics.surface import normal_statistics, surface_change
 
     mesh, objection = on.ready.mesh, on.ready.defects.volume_objection
+    enclosed = enclosure(on.ready)
     for chosen in wanted.settings():
         parameters = wanted.method.settled({**wanted.fixed, **chosen})
         moved = mesh.moved(wanted.method.denoised(mesh, parameters).vertices)
-        change = surface_change(mesh, moved)
+        change = enclosed.change(mesh, moved, surface_change(mesh, moved))
         mean = metrics.moved_statistics(mesh, moved).mean
         volume = volume_changed(
             change.volume_before, change.volume_after, change.area_before, objection

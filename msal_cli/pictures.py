@@ -84,7 +84,7 @@ def scene_of(
     from msal_cli import comparison
     from msal_cli.metrics import comparison as metrics
     from msal_cli.metrics import surface_distance
-    from msal_cli.metrics.volume import is_inside_out
+    from msal_cli.metrics.enclosure import enclosure
 
     first = ready_surface(before, names[0])
     if after is None:
@@ -94,8 +94,7 @@ def scene_of(
         moved = metrics.at_other_positions(first, after.vertices)
         step = moved.vertices - first.mesh.vertices
         along = (step * first.mesh.vertex_normals()).sum(axis=1)
-        if is_inside_out(first):
-            along = -along
+        along *= enclosure(first).outward_signs(first.mesh)
         return Scene(names, first.mesh, moved, along, True, record)
     to_surface = to_surface and surface_distance.is_available()
     record = comparison.compared(before, after, *names, to_surface=to_surface)

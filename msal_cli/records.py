@@ -28,8 +28,8 @@ Status = Literal["written", "unchanged", "up-to-date", "planned", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class Volume:
-    """Signed volume in cubed file units, negative where the surface is inside out, and the change
-    of what it encloses; ``reason`` says why it is not ``valid`` (open, ...).
+    """Volume in cubed file units that a surface encloses, whichever side its normals point to;
+    ``reason`` says why it is not ``valid`` (open, ...).
 
     A volume that is not valid has no figures, also in records of earlier versions that had some.
     """

@@ -152,10 +152,13 @@ def test_a_surface_that_is_inside_out_shrinks_and_grows_like_any_other(scale):
     made = between((vertices, turned), (vertices * scale, turned), to_surface=False)
     assert made.volume_change_percent == pytest.approx(100.0 * (scale**3 - 1.0))
     assert made.volume.change == pytest.approx(plain.volume.change)
-    assert made.volume.before < 0.0
+    assert made.volume.before == pytest.approx(plain.volume.before)
     assert (plain.inside_out_before, plain.inside_out_after) == (False, False)
     assert (made.inside_out_before, made.inside_out_after) == (True, True)
-    assert made.warnings == ("both surfaces are inside out: the normals point inwards",)
+    assert made.warnings == tuple(
+        f"{one}: the surface is inside out: its normals point inwards"
+        for one in ("before", "after")
+    )
     assert not plain.warnings
 
 
@@ -165,7 +168,7 @@ def test_one_of_two_surfaces_with_other_faces_is_inside_out():
     assert made.correspondence == "surface"
     assert made.volume_change_percent == pytest.approx(700.0)
     assert (made.inside_out_before, made.inside_out_after) == (False, True)
-    assert made.warnings == ("the surface after is inside out: the normals point inwards",)
+    assert made.warnings == ("after: the surface is inside out: its normals point inwards",)
 
 
 def test_a_surface_that_passed_through_itself_lost_more_than_it_had():

@@ -494,6 +494,15 @@ def count_components(n_vertices: int, faces: Ints, used: NDArray[np.bool_]) -> i
     return int(_count_components(faces, used, np.empty(n_vertices, dtype=np.int32)))
 
 
+def component_labels(n_vertices: int, faces: Ints) -> Ints:
+    """For each vertex (n,) the lowest number of a vertex in its connected part."""
+    labels = np.empty(n_vertices, dtype=np.int32)
+    _count_components(faces, np.ones(n_vertices, dtype=bool), labels)
+    while (above := labels[labels]).tobytes() != labels.tobytes():
+        labels = above
+    return labels
+
+
 @compiled
 def _root_and_parity(parent, parity, face):  # type: ignore[no-untyped-def]
     """Root of a face and whether the face is wound against it; paths are shortened."""

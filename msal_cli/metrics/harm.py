@@ -45,7 +45,8 @@ def harmful_change(
 
     Parameters
     ----------
-    change : ``surface_change(before, after)``.
+    change : ``surface_change(before, after)``, best with the volumes that are enclosed
+        (``Enclosure.change``): those of parts that are inside out would count against the others.
     has_volume : whether the volume means anything (``Defects.volume_objection`` is empty).
     """
     if has_volume:

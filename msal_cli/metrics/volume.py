@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from msal_cli.mesh import Mesh, Prepared
+from msal_cli.mesh import Mesh
 
 FLAT = 1e-9
 """A volume below this share of area ** 1.5 is rounding: the surface encloses nothing."""
@@ -22,14 +22,6 @@ def area_and_volume(mesh: Mesh) -> tuple[float, float]:
     return geometry.area_and_volume(mesh.vertices, mesh.faces)
 
 
-def is_inside_out(ready: Prepared) -> bool:
-    """Whether a surface is closed and its normals point inwards; an open one has no inside."""
-    if ready.defects.volume_objection:
-        return False
-    area, volume = area_and_volume(ready.mesh)
-    return is_negative(volume, area)
-
-
 def is_negative(volume: float, area: float) -> bool:
     """Whether a closed surface with this signed volume and area is inside out."""
     return volume < -_flat_volume(area)
@@ -38,8 +30,8 @@ def is_negative(volume: float, area: float) -> bool:
 def relative_volume_change(before: float, after: float, area: float) -> float | None:
     """Change of the volume that a closed surface encloses, over what it enclosed before.
 
-    ``before`` and ``after`` are signed volumes of the same faces, ``area`` is the area before.
-    Less is shrinking, also where the surface is inside out; below -1 the surface passed through
+    ``before`` and ``after`` are volumes of the same faces with one sign, ``area`` is the area
+    before.  Less is shrinking, also of negative volumes; below -1 the surface passed through
     itself.  None where it encloses nothing before.
     """
     if abs(before) <= _flat_volume(area):

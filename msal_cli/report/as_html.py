@@ -196,9 +196,10 @@ def _totals(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
 
 
 def _problems(worst: Sequence[MeshRecord]) -> str:
-    """What failed with reason and hint, and which gates are broken; nothing if all is well."""
+    """What failed with reason and hint, broken gates and warnings; nothing if all is well."""
     failed = [record for record in worst if record.error is not None]
     broken = [record for record in worst if broken_gates(record)]
+    warned = [record for record in worst if record.warnings and record.error is None]
     parts = []
     if failed:
         lines = "".join(map(_failure, failed[:_MOST_FAILURES]))
@@ -210,6 +211,13 @@ def _problems(worst: Sequence[MeshRecord]) -> str:
             for gates in ["<br>".join(map(_text, broken_gates(record)))]
         )
         parts.append(_problem_table("Broken gates", len(broken), ("File", "Gate"), lines))
+    if warned:
+        lines = "".join(
+            f"<tr><th scope=row>{_name(record)}</th><td>{texts}</td></tr>"
+            for record in warned[:_MOST_FAILURES]
+            for texts in ["<br>".join(map(_text, record.warnings))]
+        )
+        parts.append(_problem_table("Warnings", len(warned), ("File", "Warning"), lines))
     return "".join(parts)
 
 

@@ -221,10 +221,7 @@ def _volume_in_full(record: MeshRecord) -> str:
     if volume is None or volume.before is None or volume.after is None:
         return "-" if volume is None else f"- {shown(volume.reason)}".rstrip()
     change = percent_text(volume.change_percent)
-    # What is enclosed, whichever side the normals point to.
-    outwards = -1.0 if record.inside_out else 1.0
-    before, after = outwards * volume.before, outwards * volume.after
-    return f"{before:.6g} -> {after:.6g}" + (f" ({change})" if change else "")
+    return f"{volume.before:.6g} -> {volume.after:.6g}" + (f" ({change})" if change else "")
 
 
 def vertices_text(vertices: int | None, corners: int | None) -> str:

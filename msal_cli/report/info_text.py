@@ -53,7 +53,7 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
     if record.volume_valid and record.volume is not None:
         yield (
             "volume",
-            f"{_figure(abs(record.volume))} (inside out)"
+            f"{_figure(record.volume)} (inside out)"
             if record.inside_out
             else _figure(record.volume),
         )

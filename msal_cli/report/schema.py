@@ -85,7 +85,8 @@ DESCRIPTIONS: dict[str, str] = {
     "MeshRecord.seam_gap": "largest distance afterwards between vertices that were at one place",
     "MeshRecord.mean_edge_length": "mean length of the edges before, file units",
     "MeshRecord.inside_out": (
-        "true if the surface is closed and its normals point inwards; an open one has no inside"
+        "true if the surface is closed and its normals, or those of a part, point inwards; an open "
+        "one has no inside"
     ),
     "MeshRecord.volume": "enclosed volume",
     "MeshRecord.area": "surface area",
@@ -124,15 +125,12 @@ DESCRIPTIONS: dict[str, str] = {
     ),
     # Parts of a MeshRecord
     "Volume.before": (
-        "signed volume before, negative if the surface is inside out, cubed file units; null if it "
+        "enclosed volume before, whichever side the normals point to, cubed file units; null if it "
         "is not valid, as the next three"
     ),
-    "Volume.after": "signed volume after, cubed file units",
-    "Volume.change": (
-        "change of the enclosed volume: after - before, of a surface that is inside out before - "
-        "after"
-    ),
-    "Volume.change_percent": "the same in percent of |before|; null if nothing is enclosed before",
+    "Volume.after": "enclosed volume after, negative if the surface passed through itself",
+    "Volume.change": "after - before",
+    "Volume.change_percent": "change in percent of |before|; null if nothing is enclosed before",
     "Volume.valid": "whether the volume means anything: the surface is closed and orientable",
     "Volume.reason": "why it does not; empty if it does",
     "Area.before": "area before, squared file units",
@@ -227,8 +225,8 @@ DESCRIPTIONS: dict[str, str] = {
     "ComparisonRecord.corners_before": "corners that an STL before stores, null for other files",
     "ComparisonRecord.corners_after": "corners that an STL after stores, null for other files",
     "ComparisonRecord.inside_out_before": (
-        "true if the surface before is closed and its normals point inwards; an open one has no "
-        "inside"
+        "true if the surface before is closed and its normals, or those of a part, point inwards; "
+        "an open one has no inside"
     ),
     "ComparisonRecord.inside_out_after": "the same of the surface after",
     "ComparisonRecord.faces_before": "triangles before",
@@ -308,7 +306,7 @@ DESCRIPTIONS: dict[str, str] = {
     "InfoRecord.bounds": "lowest and highest x, y, z, file units",
     "InfoRecord.area": "surface area, squared file units",
     "InfoRecord.volume": (
-        "signed volume, negative if the surface is inside out, cubed file units; null if it is not "
+        "enclosed volume, whichever side the normals point to, cubed file units; null if it is not "
         "valid"
     ),
     "InfoRecord.volume_valid": "whether the volume means anything",

@@ -125,6 +125,14 @@ def test_it_tells_reason_hint_gate_command_and_settings():
     assert reader.texts["title"][0] == "msal: 2 files"
 
 
+def test_warnings_stand_on_the_page_with_their_files():
+    text, _ = page([written("a.ply", warnings=("it is inside out (W_INSIDE_OUT)",)), written("b")])
+    said = text.partition("<main>")[2].partition("<script")[0]
+    assert "Warnings <small>1</small>" in said
+    assert "<th scope=row>a.ply</th><td>it is inside out (W_INSIDE_OUT)</td>" in said
+    assert "Warnings <small>" not in page([written("b")])[0]
+
+
 def jpeg(size=1000):
     return b"\xff\xd8" + bytes(size)
 

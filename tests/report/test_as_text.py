@@ -175,9 +175,7 @@ def test_corners_stand_beside_the_vertices():
     assert row.endswith("  40,320 corners")
 
 
-def test_a_volume_that_is_inside_out_is_told_as_what_it_encloses():
-    volume = Volume(-10.0, -9.9734, -0.0266, -0.266, True, "")
-    record = written(volume=volume, inside_out=True)
-    assert "10 -> 9.9734 (-0.266 %)" in text([record])
+def test_inside_out_is_told_of_one_file_and_in_the_table():
+    record = written(inside_out=True)
     assert "defects       inside out" in text([record])
     assert text([record, written("b")]).splitlines()[1].endswith("inside out")

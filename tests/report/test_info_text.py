@@ -103,7 +103,7 @@ def test_noise_is_told_with_its_interval_and_what_is_peculiar_about_it():
 
 
 def test_inside_out_is_told_with_the_volume_that_is_enclosed():
-    said = facts(made(volume=-3.0, volume_valid=True, volume_reason="", inside_out=True))[1]
+    said = facts(made(volume=3.0, volume_valid=True, volume_reason="", inside_out=True))[1]
     assert said["volume"] == "3 (inside out)"
     assert said["winding"].endswith(", inside out")
 
