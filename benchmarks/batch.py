@@ -105,6 +105,7 @@ def by_msal(source: Path, target: Path) -> Watched:
     """One run of the command over the folder."""
     ready(source, target)
     command = [sys.executable, "-m", "msal_cli", "denoise", str(source), "-o", str(target)]
+    command += ["--method", "msal"]
     run = watched(command)
     fault = run.fault or missing(source, target)
     if fault:

@@ -61,10 +61,11 @@ class Row:
 
 
 def msal() -> Contestant:
-    """The command itself, under the Python that runs the benchmark."""
+    """The command with the paper's MSAL, under the Python that runs the benchmark."""
 
     def command(source: Path, target: Path) -> list[str]:
-        return [sys.executable, "-m", "msal_cli", "denoise", str(source), "-o", str(target)]
+        words = ["denoise", str(source), "-o", str(target), "--method", "msal"]
+        return [sys.executable, "-m", "msal_cli", *words]
 
     return Contestant("**msal**", command, is_peer=False)
 

@@ -53,7 +53,10 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--folder", type=Path, help="where meshes are kept for the next run")
     parser.add_argument("--auto", action="store_true", help="denoise with --auto")
     arguments = parser.parse_args(words)
-    stages, options = (_AUTO_STAGES, ("--auto",)) if arguments.auto else (_STAGES, ())
+    stages: tuple[str, ...] = _STAGES
+    options: tuple[str, ...] = ("--method", "msal")
+    if arguments.auto:
+        stages, options = _AUTO_STAGES, ("--auto",)
     scan = scans.large_torus(arguments.around)
     print(f"{machine.line()}\n{len(scan.vertices):,} vertices, one core, milliseconds.\n")
     print(f"| file | {' | '.join(stages)} | total | stages / total | outside |")
