@@ -25,6 +25,10 @@ _LONGEST_COUNT = 10
 """Digits of a list's count: more are more than a file holds."""
 
 
+_Record = tuple[list[int], list[int], int]
+"""First words and lengths of a record's properties, and the word behind it."""
+
+
 class _Words(NamedTuple):
     """Where all words of the file's body begin and end."""
 
@@ -161,28 +165,67 @@ def _find_records(
     """
     listed = element.properties
     count = element.count if listed else 0
-    if not any(one.is_list for one in listed):
+    if not count or not any(one.is_list for one in listed):
         after = first + count * len(listed)
         if after > len(words.starts):
             return None
         places = np.arange(first, after, dtype=np.int64).reshape(count, len(listed))
         return places, np.ones_like(places), after
+    is_list = [one.is_list for one in listed]
+    record = _find_record(data, words, is_list, first)
+    if record is None:
+        return None
+    alike = _repeat(data, words, is_list, record, count)
+    if alike is not None:
+        return alike
     places = np.empty((count, len(listed)), dtype=np.int64)
-    lengths = np.ones((count, len(listed)), dtype=np.int64)
+    lengths = np.empty((count, len(listed)), dtype=np.int64)
     at = first
-    for record in range(count):
-        for p, one in enumerate(listed):
-            places[record, p] = at
-            if one.is_list:
-                length = _read_count(data, words, at)
-                if length < 0:
-                    return None
-                lengths[record, p] = length
-                at += length
-            at += 1
-        if at > len(words.starts):
+    for k in range(count):
+        record = _find_record(data, words, is_list, at)
+        if record is None:
             return None
+        places[k], lengths[k], at = record
     return places, lengths, at
+
+
+def _find_record(data: Bytes, words: _Words, is_list: Sequence[bool], at: int) -> _Record | None:
+    """The record whose first word is number ``at``, as ``_find_records`` returns several."""
+    places, lengths = [], []
+    for one in is_list:
+        length = _read_count(data, words, at) if one else 1
+        if length < 0:
+            return None
+        places.append(at)
+        lengths.append(length)
+        at += 1 + length * one
+    return (places, lengths, at) if at <= len(words.starts) else None
+
+
+def _repeat(
+    data: Bytes, words: _Words, is_list: Sequence[bool], record: _Record, count: int
+) -> tuple[Longs, Longs, int] | None:
+    """The records of an element where the lists of all have the counts of the first one, as the
+    triangles of most files have; None where they do not."""
+    places, lengths, after = record
+    stride = after - places[0]
+    if places[0] + count * stride > len(words.starts):
+        return None
+    later = np.arange(count, dtype=np.int64) * stride
+    for place, one in zip(places, is_list, strict=True):
+        if one and not _are_alike(data, words, place + later):
+            return None
+    found = np.array(places, dtype=np.int64) + later[:, None]
+    return found, np.broadcast_to(np.array(lengths), found.shape), after + (count - 1) * stride
+
+
+def _are_alike(data: Bytes, words: _Words, which: Longs) -> bool:
+    """Whether these words have the same bytes."""
+    starts = words.starts[which]
+    sizes = words.stops[which] - starts
+    return bool((sizes == sizes[0]).all()) and all(
+        bool((data[starts + k] == data[starts[0] + k]).all()) for k in range(int(sizes[0]))
+    )
 
 
 def _read_count(data: Bytes, words: _Words, at: int) -> int:

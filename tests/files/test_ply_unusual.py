@@ -117,6 +117,12 @@ def test_normals_and_other_properties_of_a_stream():
         file.check(damaged, vertices)
 
 
+def test_an_element_without_records_or_properties_takes_no_words_of_a_stream():
+    more = "element nothing 99999999999\nelement none 0\nproperty list uchar int a\nelement face"
+    data = STREAMS["one word a line"].replace("element face", more).encode()
+    assert len(ply.read(data, "a.ply").faces) == 4
+
+
 @pytest.mark.parametrize(
     "data",
     [
