@@ -274,19 +274,21 @@ class ObjFile:
         parsed = self._content
         if parsed.face_normals is None:
             return ()
-        from msal_cli.core.shared_normals import find_misfits
+        from msal_cli.core.shared_normals import find_misfits, find_users
 
+        users = find_users(parsed.vertices, parsed.faces, parsed.face_normals, len(parsed.normals))
+        if users is None:
+            return ()
+        normals = self._new_normals(self._accepted(vertices))
         misfits = find_misfits(
+            users,
             parsed.vertices,
             vertices,
             parsed.faces,
-            parsed.face_normals,
             parsed.normals,
-            self._new_normals(vertices),
+            normals,
             math.radians(MISFIT_DEG),
         )
-        if misfits is None:
-            return ()
         face = np.repeat(np.arange(len(parsed.sizes)), parsed.sizes - 2)
         before = len(np.unique(face[misfits.faces_before]))
         after = len(np.unique(face[misfits.faces_after]))

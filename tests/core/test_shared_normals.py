@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from msal_cli.core.shared_normals import find_misfits
+from msal_cli.core.shared_normals import find_misfits, find_users
 
 UP = np.array([[0.0, 0.0, 1.0]])
 LIMIT = math.radians(30.0)
@@ -32,7 +32,10 @@ def found(before, after, entry, old=UP, new=UP):
     entry = np.asarray(entry, dtype=np.int32)
     if entry.shape != faces.shape:
         entry = np.repeat(entry.reshape(-1, 1), 3, axis=1)
-    return find_misfits(before, after, faces, entry, old, new, LIMIT)
+    users = find_users(before, faces, entry, len(old))
+    if users is None:
+        return None
+    return find_misfits(users, before, after, faces, old, new, LIMIT)
 
 
 def test_faces_that_turn_beyond_the_limit_are_found_and_others_are_not():
@@ -60,7 +63,7 @@ def test_a_normal_of_one_face_or_of_one_place_is_not_shared():
     # One for each vertex; one for each triangle; one at a place where two vertices are.
     faces = triangles(2)
     each = np.repeat(UP, 8, axis=0)
-    assert find_misfits(strip(0, 0), strip(40, 0), faces, faces, each, each, LIMIT) is None
+    assert find_users(strip(0, 0), faces, faces, 8) is None
     single = np.arange(4, dtype=np.int32)[:, None].repeat(3, axis=1)
     assert found(strip(0, 0), strip(40, 0), single, each, each) is None
     before = strip(0, 0)
@@ -69,6 +72,14 @@ def test_a_normal_of_one_face_or_of_one_place_is_not_shared():
     assert found(before, strip(40, 0), corners, two, two) is None
     before[4:] += 1.0
     assert found(before, strip(40, 0), corners, two, two) is not None
+
+
+def test_corners_of_their_own_and_whole_faces_share_as_well():
+    two = np.repeat(UP, 2, axis=0)
+    corners = np.array([[0, 1, 1], [-1, -1, -1], [0, 0, 0], [-1, -1, -1]])
+    misfits = found(strip(0, 0), strip(0, 70), corners, two, two)
+    assert misfits.faces_after.tolist() == [False, False, True, False]
+    assert misfits.entries.tolist() == [True, False]
 
 
 def test_what_has_no_direction_is_off_nothing():
