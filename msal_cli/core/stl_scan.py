@@ -93,6 +93,13 @@ def _past_two_words(buf, at, word):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _is_bare(buf, at, word):  # type: ignore[no-untyped-def]
+    """Whether the outer loop begins at ``at``, where ``word`` or its numbers should be: a facet
+    without a normal."""
+    return word == NORMAL and _past_word(buf, at, OUTER) >= 0
+
+
+@compiled
 def _number(buf, at):  # type: ignore[no-untyped-def]
     """The number at ``at``: value, end (-1 for none), decimals.
 
@@ -140,7 +147,7 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
             return (CUT if inside else WHOLE), at, FACET
         word = ENDSOLID if inside else SOLID
         stop = _past_word(buf, at, word)
-        if stop < 0 and inside:
+        if stop < 0 and inside and (buf[at] | 32) == 101:
             stop = _past_two_words(buf, at, ENDSOLID)
         if stop >= 0:
             if not inside:
@@ -163,20 +170,15 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
             if at >= len(buf):
                 return CUT, at, word
             stop = _past_word(buf, at, word)
-            if stop < 0 and word >= ENDLOOP:
-                stop = _past_two_words(buf, at, word)
-            if stop < 0 and (word != NORMAL or _past_word(buf, at, OUTER) < 0):
-                return WRONG, at, word
-            if stop >= 0:
-                at = stop
+            if stop < 0:
+                if word >= ENDLOOP:
+                    stop = _past_two_words(buf, at, word)
+                elif _is_bare(buf, at, word):
+                    stop = at
+                if stop < 0:
+                    return WRONG, at, word
+            at = stop
             if word != NORMAL and word != VERTEX:
-                continue
-            if word == NORMAL and _past_word(buf, _past_spaces(buf, at), OUTER) >= 0:
-                for token in range(3):
-                    offsets[n, token] = at - facet
-                    numbers[n, token] = np.nan
-                token = 3
-                state[WITHOUT_NORMAL] += 1
                 continue
             for _ in range(3):
                 at = _past_spaces(buf, at)
@@ -184,7 +186,14 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
                     return CUT, at, word
                 value, stop, used = _number(buf, at)
                 if stop < 0:
-                    if word != NORMAL or _past_word(buf, at, OUTER) >= 0:
+                    if _is_bare(buf, at, word) and token == 0:
+                        for token in range(3):
+                            offsets[n, token] = at - facet
+                            numbers[n, token] = np.nan
+                        token = 3
+                        state[WITHOUT_NORMAL] += 1
+                        break
+                    if word != NORMAL or _is_bare(buf, at, word):
                         return BAD_NUMBER, at, word
                     value, stop, used = np.nan, _token_stop(buf, at), 0
                 if stop - facet > 0x7FFFFFFF:
