@@ -35,7 +35,7 @@ class Output:
     ----------
     data : its bytes; those of the input itself where nothing has changed.
     references : files that it names, as the input does; a conversion drops them.
-    losses : what its format cannot hold, as warnings.
+    losses : what its format cannot hold, and normals that cannot fit, as warnings.
     """
 
     data: Buffer
@@ -83,7 +83,8 @@ def built(
         return Output(source.data, mesh_file.references)
     else:
         output = files.expanded(source.data, source.name)[0]
-    return Output(files.compressed(output) if compress else output, mesh_file.references)
+    notes = files.normal_warnings(mesh_file, vertices)
+    return Output(files.compressed(output) if compress else output, mesh_file.references, notes)
 
 
 def _target(mesh_file: MeshFile, output_path: str | None, settings: Settings) -> str:

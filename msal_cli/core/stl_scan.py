@@ -3,6 +3,8 @@
 The *tokens* of a facet are its twelve numbers in file order: the normal's three, then three for
 each corner.  Where they stand is kept as the facet's first byte, ``facet_at`` (n,) int64, and the
 distance of each token from it, ``offsets`` (n, 12) int32, a fifth of what two int64 per token take.
+A facet may be without a normal, and a normal's words need not be numbers: their values are NaN, and
+nothing is ever written there.
 The bytes come from strangers: compiled code does not check bounds, so every walk here compares
 with the end of the data before it reads.
 """
@@ -34,6 +36,9 @@ FACET, NORMAL, OUTER, LOOP, VERTEX, ENDLOOP, ENDFACET, SOLID, ENDSOLID = range(9
 WORDS = ("facet", "normal", "outer", "loop", "vertex", "endloop", "endfacet", "solid", "endsolid")
 _LETTERS = np.array([list(word.encode().ljust(8, b"\0")) for word in WORDS], dtype=np.uint8)
 _LENGTHS = np.array([len(word) for word in WORDS])
+
+AT, FACETS, SOLIDS, INSIDE, WITHOUT_NORMAL, N_STATE = range(6)
+"""Places in the state of a walk, see ``scan``."""
 
 MOST_SOLIDS = 16
 """Solids whose names are looked at."""
@@ -73,6 +78,28 @@ def _past_word(buf, at, word):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _past_two_words(buf, at, word):  # type: ignore[no-untyped-def]
+    """The end of ``word`` where it stands in two, as in ``end facet``; else -1."""
+    middle = _token_stop(buf, at)
+    tail = _past_spaces(buf, middle)
+    stop = tail + _LENGTHS[word] - 3
+    if middle - at != 3 or stop > len(buf) or _token_stop(buf, tail) != stop:
+        return -1
+    for k in range(_LENGTHS[word]):
+        c = buf[at + k] if k < 3 else buf[tail + k - 3]
+        if (c | np.uint8(32)) != _LETTERS[word, k]:
+            return -1
+    return stop
+
+
+@compiled
+def _is_bare(buf, at, word):  # type: ignore[no-untyped-def]
+    """Whether the outer loop begins at ``at``, where ``word`` or its numbers should be: a facet
+    without a normal."""
+    return word == NORMAL and _past_word(buf, at, OUTER) >= 0
+
+
+@compiled
 def _number(buf, at):  # type: ignore[no-untyped-def]
     """The number at ``at``: value, end (-1 for none), decimals.
 
@@ -102,7 +129,8 @@ def _number(buf, at):  # type: ignore[no-untyped-def]
 def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: ignore[no-untyped-def]
     """Read facets from ``buf`` (size,) uint8 until the arrays are full or the text ends.
 
-    state (4,) int64 : next byte, facets read, solids read, 1 within a solid; carried on.
+    state (N_STATE,) int64 : next byte, facets read, solids read, 1 within a solid, and facets
+        without a normal; carried on.
     numbers (n, 12) float64 : the tokens' values; see ``_number``.
     solid_at (MOST_SOLIDS,) int64 : where the first solids' names begin.
     decimals (4,) int64 : most decimals of normals and of corners, in plain numbers, and in
@@ -110,15 +138,17 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
 
     Returns (status, byte, word that was expected).
     """
-    at, n, n_solids = state[0], state[1], state[2]
-    inside = state[3] != 0
+    at, n, n_solids = state[AT], state[FACETS], state[SOLIDS]
+    inside = state[INSIDE] != 0
     while True:
         at = _past_spaces(buf, at)
-        state[0], state[1], state[2], state[3] = at, n, n_solids, inside
+        state[AT], state[FACETS], state[SOLIDS], state[INSIDE] = at, n, n_solids, inside
         if at >= len(buf):
             return (CUT if inside else WHOLE), at, FACET
         word = ENDSOLID if inside else SOLID
         stop = _past_word(buf, at, word)
+        if stop < 0 and inside and (buf[at] | 32) == 101:
+            stop = _past_two_words(buf, at, ENDSOLID)
         if stop >= 0:
             if not inside:
                 if n_solids < len(solid_at):
@@ -141,7 +171,12 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
                 return CUT, at, word
             stop = _past_word(buf, at, word)
             if stop < 0:
-                return WRONG, at, word
+                if word >= ENDLOOP:
+                    stop = _past_two_words(buf, at, word)
+                elif _is_bare(buf, at, word):
+                    stop = at
+                if stop < 0:
+                    return WRONG, at, word
             at = stop
             if word != NORMAL and word != VERTEX:
                 continue
@@ -151,7 +186,16 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
                     return CUT, at, word
                 value, stop, used = _number(buf, at)
                 if stop < 0:
-                    return BAD_NUMBER, at, word
+                    if _is_bare(buf, at, word) and token == 0:
+                        for token in range(3):
+                            offsets[n, token] = at - facet
+                            numbers[n, token] = np.nan
+                        token = 3
+                        state[WITHOUT_NORMAL] += 1
+                        break
+                    if word != NORMAL or _is_bare(buf, at, word):
+                        return BAD_NUMBER, at, word
+                    value, stop, used = np.nan, _token_stop(buf, at), 0
                 if stop - facet > 0x7FFFFFFF:
                     return TOO_LONG, facet, word
                 offsets[n, token] = at - facet

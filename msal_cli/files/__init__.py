@@ -27,6 +27,7 @@ __all__ = [
     "format_of_name",
     "give_back_large_arrays",
     "is_url",
+    "normal_warnings",
     "open_mesh",
     "read_input",
     "read_whole",
@@ -210,6 +211,16 @@ def converted(
     from msal_cli.files import convert
 
     return convert.converted(mesh_file, vertices, to, encoding, precision)
+
+
+def normal_warnings(mesh_file: MeshFile, vertices: NDArray[np.float64]) -> tuple[str, ...]:
+    """What a user should know of the normals that the file stores once its vertices are there.
+
+    Only an OBJ stores normals that several places of the surface share.
+    """
+    from msal_cli.files import obj
+
+    return mesh_file.normal_warnings(vertices) if isinstance(mesh_file, obj.ObjFile) else ()
 
 
 def vertex_property(mesh_file: MeshFile, name: str) -> NDArray[np.float64]:

@@ -87,7 +87,7 @@ def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
     elif wanted == "stl":
         from msal_cli.files import stl
 
-        is_text = stl.is_text(head)
+        is_text = stl.is_text(head, size)
         if not is_text:
             _refuse_behind(size, stl.wanted_bytes(head, size))
     elif wanted == "glb":

@@ -62,7 +62,7 @@ _CONVERTED = 450
 _CONVERTED_BY_A_LIBRARY = {"off": 950}
 
 _GLB_CHUNK = 20
-_FACET = re.compile(rb"\bfacet\s+normal\b", re.IGNORECASE)
+_FACET = re.compile(rb"\bfacet\s+(?:normal|outer)\b", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,6 +47,10 @@ _FAR_FINER = 1e-7
 """Of the bounding box's diagonal: positions are written at least this finely."""
 
 
+MISFIT_DEG = 30.0
+"""Angle between a face and its ``vn`` from which on it is warned that the vn does not fit."""
+
+
 def read(data: Buffer, name: str) -> ObjFile:
     """Open the OBJ file ``data`` (its bytes); ``name`` is there for all codecs alike.
 
@@ -264,6 +268,34 @@ class ObjFile:
             )
             self._last_normals = key, normals
         return self._last_normals[1]
+
+    def normal_warnings(self, vertices: Floats) -> tuple[str, ...]:
+        """A warning where ``vn`` that several places share cannot fit with the vertices (n, 3)."""
+        parsed = self._content
+        if parsed.face_normals is None:
+            return ()
+        from msal_cli.core.shared_normals import find_misfits, find_users
+
+        users = find_users(parsed.vertices, parsed.faces, parsed.face_normals, len(parsed.normals))
+        if users is None:
+            return ()
+        normals = self._new_normals(self._accepted(vertices))
+        misfits = find_misfits(
+            users,
+            parsed.vertices,
+            vertices,
+            parsed.faces,
+            parsed.normals,
+            normals,
+            math.radians(MISFIT_DEG),
+        )
+        face = np.repeat(np.arange(len(parsed.sizes)), parsed.sizes - 2)
+        before = len(np.unique(face[misfits.faces_before]))
+        after = len(np.unique(face[misfits.faces_after]))
+        if after <= before:
+            return ()
+        n_normals = int(misfits.entries.sum())
+        return (obj_words.misfit_warning(n_normals, before, after, len(parsed.sizes), MISFIT_DEG),)
 
     @functools.cached_property
     def _decimals(self) -> int:

@@ -109,7 +109,8 @@ def refuse_binary(data: Buffer) -> None:
             where="byte 0",
             hint="save it again with the encoding UTF-8",
         )
-    control = _CONTROL.search(head)
+    # Old systems end a text with this mark; it is kept as a line that is no statement.
+    control = _CONTROL.search(head.rstrip(b"\x1a\r\n") if len(data) <= _LOOKED_AT else head)
     # Zeros are looked for farther on: the first pages of a file may be sound.
     found = control.start() if control else bytes(memoryview(data)[:_ZEROS_LOOKED_AT]).find(0)
     if found >= 0:

@@ -124,5 +124,19 @@ def warnings(data: Buffer, parsed: Content) -> tuple[str, ...]:
     return tuple(found)
 
 
+def misfit_warning(
+    n_normals: int, n_before: int, n_after: int, n_faces: int, limit_deg: float
+) -> str:
+    """What to say where ``n_after`` of all faces are further than a limit from a ``vn`` that they
+    share, and fewer of them were before."""
+    before, after = (f"{100.0 * one / n_faces:.1f} %" for one in (n_before, n_after))
+    return (
+        f"{_counted(n_normals, 'vn is', 'vn are')} shared by faces that turned apart: {n_after} of"
+        f" {n_faces} faces ({after}) are now more than {limit_deg:.0f} degrees off their vn"
+        f" ({before} before); let the program that reads the file compute normals, or write PLY"
+        " (--to ply), which has one for each vertex"
+    )
+
+
 def _counted(number: int, one: str, many: str) -> str:
     return f"{number} {one if number == 1 else many}"

@@ -15,21 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.errors import ContentError, FormatError, InputError, InternalError
+from msal_cli.errors import ContentError, InputError, InternalError
 from msal_cli.files import plain_text, ply_layout
 from msal_cli.files.base import Buffer
-from msal_cli.files.ply_faces import CORNERS, Surface, corner_list, surface
-from msal_cli.files.ply_header import Element, Header, parsed
-from msal_cli.files.ply_layout import (
-    Bytes,
-    Fixed,
-    Flags,
-    Floats,
-    Lines,
-    Section,
-    Varied,
-    located,
-)
+from msal_cli.files.ply_ascii import Bytes, Flags, Floats, Lines
+from msal_cli.files.ply_faces import Surface, surface
+from msal_cli.files.ply_header import Header, parsed
+from msal_cli.files.ply_layout import Fixed, Section, Varied, located
+from msal_cli.files.ply_stream import Stream
 from msal_cli.files.ply_text import (
     SHORTEST,
     WHOLE,
@@ -39,13 +32,25 @@ from msal_cli.files.ply_text import (
     normal_decimals,
     position_decimals,
 )
-
-POSITION = ("x", "y", "z")
-NORMAL = ("nx", "ny", "nz")
+from msal_cli.files.ply_words import (
+    NORMAL,
+    POSITION,
+    check_strays,
+    has_normals,
+    precision_of,
+    properties_of,
+    vertex_element,
+    wanted_names,
+    warnings_of,
+)
 
 _CHUNK = 1 << 20
 """Bytes compared at a time, so that a comparison needs no temporary as large as the file."""
 
+
+_STREAM_WARNING = (
+    "the records do not stand one to a line: they are read as a stream of words, and the lines kept"
+)
 
 _PARTS = 8
 """Parts of a section that are worth a thread of their own."""
@@ -100,34 +105,38 @@ class PlyFile:
         self._bytes: Bytes = as_bytes(memoryview(data).cast("B"))
         self._header: Header = parsed(memoryview(data).cast("B"))
         self.encoding: str = self._header.encoding
-        vertex = _vertex_element(self._header)
-        sections, self._end = located(self._bytes, self._header, _wanted)
+        vertex = vertex_element(self._header)
+        sections, self._end = located(self._bytes, self._header, wanted_names)
         self._sections: dict[str, Section] = sections
         self._vertices: Floats | None = _finite(sections["vertex"])
         # Read here, so that a word that is no number is found before any work is done.
         self._normals = {
             name: section.numbers(NORMAL)
             for name, section in sections.items()
-            if name in ("vertex", "face") and _has_normals(section.element)
+            if name in ("vertex", "face") and has_normals(section.element)
         }
         self._surface: Surface = surface(sections, len(self.vertices))
         self.faces: NDArray[np.int32] = self._surface.triangles
         self.n_polygons: int = self._surface.n_polygons
-        self.precision: str = _precision(self._header, vertex)
-        self.properties: tuple[str, ...] = _properties(self._header)
+        self.precision: str = precision_of(self._header, vertex)
+        self.properties: tuple[str, ...] = properties_of(self._header)
         self._last_normals: tuple[bytes, list[Change]] = (b"", [])
         self._decimals_known: dict[tuple[str, tuple[str, ...]], int] = {}
         self.references: tuple[str, ...] = self._header.textures
+        rest = self._bytes[self._end :]
+        n_behind = len(rest.tobytes().strip()) if self.encoding == "ascii" else len(rest)
+        check_strays(self._header, n_behind)
         self.warnings: tuple[str, ...] = (
-            *_header_warnings(self._header, vertex),
+            *warnings_of(self._header, vertex),
             *self._surface.warnings,
-            *self._trailing_warning(),
+            *((_STREAM_WARNING,) if self._is_stream else ()),
+            *((f"{n_behind} bytes behind the last element are kept as they are",) * bool(n_behind)),
         )
 
-    def _trailing_warning(self) -> tuple[str, ...]:
-        rest = self._bytes[self._end :]
-        count = len(rest.tobytes().strip()) if self.encoding == "ascii" else len(rest)
-        return (f"{count} bytes behind the last element are kept as they are",) if count else ()
+    @property
+    def _is_stream(self) -> bool:
+        """Whether the ascii records do not stand one to a line."""
+        return isinstance(self._sections["vertex"], Stream)
 
     @property
     def vertices(self) -> Floats:
@@ -380,7 +389,7 @@ class PlyFile:
         last = [n for n, one in self._sections.items() if any(c.section is one for c in changes)]
         kept: list[tuple[Lines, Lines, Sequence[str], Flags]] = []
         try:
-            sections, _ = located(result, self._header, _wanted, last[-1])
+            sections, _ = located(result, self._header, wanted_names, last[-1])
             for section, names, values, where in changes:
                 new = sections[section.element.name]
                 if not isinstance(section, Lines) or not isinstance(new, Lines):
@@ -425,7 +434,9 @@ class PlyFile:
             retypable["vertex"] = POSITION + NORMAL
         if self._has_face_normals():
             retypable["face"] = NORMAL
-        recoding = Recoding(self._bytes, self._header, encoding, precision, retypable)
+        recoding = Recoding(
+            self._bytes, self._header, encoding, precision, retypable, self._is_stream
+        )
         if recoding.is_same:
             return self.replaced(vertices)
         self._require_shape(vertices)
@@ -488,40 +499,6 @@ def _require_same(before: Bytes, after: Bytes) -> None:
     over_ranges(compare, -(-len(before) // _CHUNK), smallest=4)
 
 
-def _wanted(element: Element) -> Sequence[str]:
-    """Properties whose places are kept: positions, normals, corners."""
-    if element.name == "vertex":
-        return POSITION + NORMAL
-    if element.name == "face":
-        return CORNERS + NORMAL
-    return CORNERS if element.name == "tristrips" else ()
-
-
-def _has_normals(element: Element) -> bool:
-    """Whether the element has nx, ny, nz as floating-point scalars."""
-    found = [element.find(name) for name in NORMAL]
-    return all(one is not None and not one.is_list and one.code[0] == "f" for one in found)
-
-
-def _vertex_element(header: Header) -> Element:
-    """The element ``vertex`` with x, y and z as scalars; FormatError without."""
-    vertex = header.find("vertex")
-    if vertex is None:
-        raise FormatError(
-            "the header declares no element 'vertex'",
-            where="header",
-            hint="this PLY file does not hold a mesh",
-        )
-    for name in POSITION:
-        one = vertex.find(name)
-        if one is None or one.is_list:
-            problem = "is a list" if one is not None else "is missing"
-            raise FormatError(
-                f"the coordinate '{name}' of element 'vertex' {problem}", where="header"
-            )
-    return vertex
-
-
 def _finite(section: Section) -> Floats:
     """The positions (n, 3); ContentError (``E_NONFINITE``) where one is NaN or infinite."""
     vertices = section.numbers(POSITION)
@@ -540,42 +517,3 @@ def _finite(section: Section) -> Floats:
             code="E_NONFINITE",
         )
     return vertices
-
-
-def _precision(header: Header, vertex: Element) -> str:
-    if header.encoding == "ascii":
-        return "text"
-    codes = {vertex.properties[vertex.index(name)].code for name in POSITION}
-    if "f4" in codes:
-        return "float32"
-    return "float64" if "f8" in codes else "integer"
-
-
-def _properties(header: Header) -> tuple[str, ...]:
-    """What the file carries besides positions and corners, in file order."""
-    carried: list[str] = []
-    for element in header.elements:
-        if element.name not in ("vertex", "face", "tristrips"):
-            carried.append(f"element {element.name} ({element.count})")
-            continue
-        known = POSITION if element.name == "vertex" else (corner_list(element),)
-        carried += [f"{element.name}.{one}" for one in element.properties if one.name not in known]
-    return tuple(carried)
-
-
-def _header_warnings(header: Header, vertex: Element) -> tuple[str, ...]:
-    warnings = []
-    whole = [n for n in POSITION if vertex.properties[vertex.index(n)].code[0] != "f"]
-    if whole:
-        warnings.append(
-            f"coordinates {', '.join(whole)} are whole numbers: new ones are rounded to the "
-            "nearest, halves to the even one"
-        )
-    for element in header.elements:
-        named = [one for one in element.properties if one.name in NORMAL]
-        if element.name in ("vertex", "face") and named and not _has_normals(element):
-            warnings.append(
-                f"the {', '.join(one.name for one in named)} of element '{element.name}' are not "
-                "three floating-point numbers: they are kept, not recomputed"
-            )
-    return tuple(warnings)

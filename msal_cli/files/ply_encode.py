@@ -15,17 +15,10 @@ from numpy.typing import NDArray
 
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, UsageError
-from msal_cli.files.ply_header import Header, Property, retyped
-from msal_cli.files.ply_layout import (
-    Bytes,
-    Flags,
-    Floats,
-    Lines,
-    Longs,
-    Section,
-    section_at,
-    stored,
-)
+from msal_cli.files.ply_ascii import Bytes, Flags, Floats, Lines, Longs
+from msal_cli.files.ply_header import Element, Header, Property, retyped
+from msal_cli.files.ply_layout import Section, section_at, stored
+from msal_cli.files.ply_stream import read_stream
 
 _ENCODINGS = {"ascii": "ascii", "binary": "binary_little_endian"}
 _CODES = {"float32": "f4", "float64": "f8"}
@@ -48,7 +41,8 @@ class Recoding:
     """A change of encoding and number types, and what it makes of a file.
 
     ``encoding`` is ``same``, ``ascii`` or ``binary`` (little endian); ``precision`` is ``same``,
-    ``float32`` or ``float64``.  Raises UsageError for any other word.
+    ``float32`` or ``float64``; ``is_stream`` says that the file's ascii records do not stand one
+    to a line.  Raises UsageError for any other word.
     """
 
     def __init__(
@@ -58,6 +52,7 @@ class Recoding:
         encoding: str,
         precision: str,
         retypable: Mapping[str, Sequence[str]],
+        is_stream: bool = False,
     ) -> None:
         if encoding not in ("same", *_ENCODINGS) or precision not in ("same", *_CODES):
             raise UsageError(
@@ -67,6 +62,7 @@ class Recoding:
             )
         self._data = data
         self._header = header
+        self._is_stream = is_stream
         self.encoding = _ENCODINGS.get(encoding, header.encoding)
         self._codes: dict[int, str] = {}
         if precision != "same":
@@ -100,9 +96,14 @@ class Recoding:
         written in place of the file's; ``end`` is the byte behind the last element."""
         output = bytearray(self.header())
         at = self._header.size
+        streamed: tuple[Mapping[str, Section], int] | None = None
+        if self._is_stream:
+            streamed = read_stream(self._data, self._header, _all_names)
         for element in self._header.elements:
-            names = [one.name for one in element.properties]
-            section = section_at(self._data, self._header, element, at, names)
+            if streamed is not None:
+                section = streamed[0][element.name]
+            else:
+                section = section_at(self._data, self._header, element, at, _all_names(element))
             at = section.stop
             is_touched = any(
                 (element.name, one.name) in values or one.line in self._codes
@@ -142,6 +143,10 @@ class Recoding:
                 _require_all(np.isfinite(column) | ~np.isfinite(given), section, one)
             return Column(one, column, lengths)
         return Column(one, given.astype(dtype), lengths)
+
+
+def _all_names(element: Element) -> Sequence[str]:
+    return [one.name for one in element.properties]
 
 
 def _require_all(

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, FormatError, TooLargeError
+from msal_cli.files.ply_ascii import Flags, Floats, Longs
 from msal_cli.files.ply_header import Element
-from msal_cli.files.ply_layout import Fixed, Flags, Floats, Longs, Section
+from msal_cli.files.ply_layout import Fixed, Section
 
 Triangles = NDArray[np.int32]
 

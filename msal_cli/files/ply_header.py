@@ -40,6 +40,12 @@ TYPES = {
 }
 """Number types as files spell them, and their numpy codes; the 64-bit integers are an extension."""
 
+_STRUCTURAL = ("format", "element", "property", "end_header")
+"""Keywords without which a header cannot be understood."""
+
+_ALIKE = 0.65
+"""Similarity, from 0 to 1, from which on a word counts as a misspelt keyword."""
+
 ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
 
 _RESPELT = {
@@ -125,6 +131,19 @@ class Element:
 
 
 @dataclass(frozen=True)
+class Stray:
+    """A header line without a known keyword, which is kept like a comment.
+
+    ``line`` counts from 1, ``text`` is for messages.  ``is_doubtful`` is set for one behind the
+    first ``element``: it could have declared something.
+    """
+
+    line: int
+    text: str
+    is_doubtful: bool
+
+
+@dataclass(frozen=True)
 class Header:
     """A parsed header.
 
@@ -137,6 +156,7 @@ class Header:
     newline : the header's line end, ``b"\\n"``, ``b"\\r\\n"`` or ``b"\\r"``.
     n_lines : lines of the header, ``end_header`` included.
     format_line : which line (from 0) states the encoding.
+    strays : lines that say nothing that is known.
     """
 
     encoding: str
@@ -146,6 +166,7 @@ class Header:
     newline: bytes
     n_lines: int
     format_line: int
+    strays: tuple[Stray, ...]
 
     def find(self, name: str) -> Element | None:
         """The element of that name, or None."""
@@ -247,6 +268,7 @@ class _Parser:
         self.format_line = -1
         self.textures: list[str] = []
         self.elements: list[Element] = []
+        self.strays: list[Stray] = []
         self.line = 0
 
     def fail(self, message: str, hint: str = "") -> FormatError:
@@ -318,14 +340,29 @@ class _Parser:
             self.read_element(words)
         elif words[0] == b"property":
             self.read_property(words)
+        elif _is_stray(text, words[0]):
+            # As old versions of Blender write: "Created by Blender3D 2.43", without "comment".
+            self.strays.append(Stray(self.line + 1, _shown(text), bool(self.elements)))
         else:
             raise self.fail(f"the header line {_shown(text)} is not understood")
+
+
+def _is_stray(text: bytes, keyword: bytes) -> bool:
+    """Whether a line is text whose first word cannot be meant as a structural keyword."""
+    from difflib import get_close_matches
+
+    if any((c < 32 and c != 9) or c == 127 for c in text.rstrip(b"\r")):
+        return False
+    word = _decoded(keyword[:60]).lower()
+    is_glued = any(word.startswith(one) for one in _STRUCTURAL)
+    return not is_glued and not get_close_matches(word, _STRUCTURAL, cutoff=_ALIKE)
 
 
 def parsed(data: memoryview, is_whole: bool = True) -> Header:
     """The header of the PLY file ``data`` (bytes), or of its beginning if not ``is_whole``.
 
-    Raises FormatError (not PLY, or a line that is not understood, with its number),
+    Lines of other words are kept among ``Header.strays``.  Raises FormatError (not PLY, or a line
+    that is damaged, with its number),
     UnsupportedError (another version), TruncatedError (the file ends within the header) and
     TooLargeError (no end within ``MOST_BYTES`` bytes or ``MOST_LINES`` lines).
     """
@@ -350,6 +387,7 @@ def parsed(data: memoryview, is_whole: bool = True) -> Header:
         newline=newline,
         n_lines=len(lines),
         format_line=parser.format_line,
+        strays=tuple(parser.strays),
     )
 
 

@@ -2,41 +2,38 @@
 
 Each element becomes a section: ``Fixed`` (binary records of one size, reached through strided
 views, nothing is copied), ``Varied`` (binary records that differ in size because of their lists)
-or ``Lines`` (ascii).  No section is made before every byte that its counts promise is known to
-be there.
+or ``Lines`` (ascii, in ``ply_ascii`` and ``ply_stream``).  No section is made before every byte
+that its counts promise is known to be there.
 """
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, TruncatedError
-from msal_cli.files import ply_plain
+from msal_cli.files.ply_ascii import (
+    CUT_HINT,
+    Bytes,
+    Flags,
+    Floats,
+    Lines,
+    Longs,
+    find_lines,
+    plain_lines,
+)
 from msal_cli.files.ply_header import Element, Header, Property
-from msal_cli.files.ply_plain import Numbers
-
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+from msal_cli.files.ply_stream import read_stream
 
 Wanted = Callable[[Element], Sequence[str]]
 """The properties of an element whose places are to be kept where that costs memory."""
 
 _RECORDS = 1 << 14
 """Records of one size that are worked on at a time."""
-
-_SAMPLE = 4_096
-"""Bytes behind an ascii header that are searched for signs of binary data when a line is wrong."""
-
-_CUT_HINT = "the file was cut short or its header counts are wrong; copy or export it again"
 
 
 @dataclass(frozen=True)
@@ -216,104 +213,6 @@ class Varied:
             scatter(within, starts - self.start, sizes, packed)
 
 
-class Tokens(NamedTuple):
-    """Words of ascii records: ``starts`` and ``stops`` (count, c) are those of the properties in
-    ``columns`` (of a list: of its count), ``lengths`` (count, c) their items."""
-
-    columns: dict[str, int]
-    starts: Longs
-    stops: Longs
-    lengths: Longs
-
-
-@dataclass(frozen=True)
-class Lines:
-    """Ascii records, one to a line.
-
-    ``kept`` are the properties whose values or words are known.  ``read`` are their values, where
-    the records are plain; then the places of words are found only when they are asked for.
-    """
-
-    data: Bytes
-    header: Header
-    element: Element
-    start: int
-    stop: int
-    kept: tuple[str, ...]
-    read: Numbers | None
-
-    @functools.cached_property
-    def tokens(self) -> Tokens:
-        """The places of all words of the properties ``kept``."""
-        return _tokens(self.data, self.header, self.element, self.start, self.kept)[0]
-
-    def where(self, record: int) -> str:
-        """The record in words, with its line."""
-        line = line_at(self.data, int(self.tokens.starts[record, 0]), self.header.newline)
-        return f"{self.element.name} {record}, line {line}"
-
-    def spans(self, names: Sequence[str]) -> tuple[Longs, Longs]:
-        """First bytes and ends (count * len(names),) of the tokens, record by record.
-
-        They ascend when ``names`` are in file order.
-        """
-        columns, starts, stops, _ = self.tokens
-        pick = [columns[name] for name in names]
-        if pick == list(range(starts.shape[1])):
-            return starts.reshape(-1), stops.reshape(-1)
-        return starts[:, pick].reshape(-1), stops[:, pick].reshape(-1)
-
-    def not_a_number(self, start: int, wanted: str) -> FormatError:
-        """The error that the token at byte ``start`` is not what was ``wanted``."""
-        token = self.data[start : start + 40].tobytes().split(maxsplit=1)[0].decode("latin-1")
-        return FormatError(
-            f"{token!r} in element '{self.element.name}' is not {wanted}",
-            where=f"line {line_at(self.data, start, self.header.newline)}",
-        )
-
-    def numbers(self, names: Sequence[str]) -> Floats:
-        """The scalars of ``names`` as (count, len(names)) float64; FormatError with the line."""
-        from msal_cli.core.text import numbers_at
-
-        if self.read is not None and set(names) <= set(self.read.names):
-            pick = [self.read.names.index(name) for name in names]
-            if pick == list(range(len(self.read.names))):
-                return self.read.values
-            return self.read.values[:, pick]
-        starts, stops = self.spans(names)
-        values, bad = numbers_at(self.data, starts, stops)
-        if bad >= 0:
-            raise self.not_a_number(int(starts[bad]), "a number")
-        return values.reshape(self.element.count, len(names))
-
-    def items(self, name: str) -> tuple[NDArray[np.integer[Any]], NDArray[np.integer[Any]]]:
-        """All items of a list of whole numbers, and each record's number (count,)."""
-        from msal_cli.core.ply_scan import list_integers
-
-        if self.read is not None and name == self.read.list_name:
-            return self.read.items, self.read.lengths
-        k = self.tokens.columns[name]
-        lengths = np.ascontiguousarray(self.tokens.lengths[:, k])
-        stops = np.ascontiguousarray(self.tokens.stops[:, k])
-        items = np.empty(int(lengths.sum()), dtype=np.int64)
-        bad = list_integers(self.data, stops, lengths, items)
-        if bad >= 0:
-            raise self.not_a_number(int(bad), "a whole number")
-        return items, lengths
-
-    def item_spans(self, name: str) -> tuple[Longs, Longs, Longs]:
-        """First bytes and ends of all items of a list, and each record's number (count,)."""
-        from msal_cli.core.ply_scan import list_tokens
-
-        k = self.tokens.columns[name]
-        lengths = np.ascontiguousarray(self.tokens.lengths[:, k])
-        starts = np.empty(int(lengths.sum()), dtype=np.int64)
-        stops = np.empty_like(starts)
-        counts = np.ascontiguousarray(self.tokens.stops[:, k])
-        list_tokens(self.data, counts, lengths, starts, stops)
-        return starts, stops, lengths
-
-
 Section = Fixed | Varied | Lines
 
 
@@ -329,27 +228,38 @@ def stored(values: Floats, dtype: np.dtype[np.generic]) -> NDArray[np.generic]:
         return np.rint(values).astype(dtype)
 
 
-def line_at(data: Bytes, at: int, newline: bytes) -> int:
-    """Number, from 1, of the line on which byte ``at`` stands."""
-    return 1 + int(np.count_nonzero(data[:at] == newline[-1]))
-
-
 def located(
     data: Bytes, header: Header, wanted: Wanted, last: str = ""
 ) -> tuple[dict[str, Section], int]:
     """The sections of all elements by name, and the byte behind the last one.
 
     With ``last``, the search ends behind the element of that name.
-    Raises TruncatedError and FormatError with the element, record and, in ascii, line.
+    Ascii records that do not stand one to a line are read as a stream of words, if that leaves
+    nothing over.  Raises TruncatedError and FormatError with the element, record and, in ascii,
+    line.
     """
+    try:
+        return _in_turn(data, header, wanted, last)
+    except (FormatError, TruncatedError):
+        found = read_stream(data, header, wanted) if header.encoding == "ascii" else None
+        if found is None:
+            raise
+        return dict(found[0]), found[1]
+
+
+def _in_turn(
+    data: Bytes, header: Header, wanted: Wanted, last: str
+) -> tuple[dict[str, Section], int]:
+    """What ``located`` returns for binary records, and for ascii ones that have lines."""
     sections: dict[str, Section] = {}
     at = header.size
     for element in header.elements:
-        section = _plain(data, header, element, at, wanted(element)) or section_at(
-            data, header, element, at, wanted(element)
+        names = wanted(element)
+        plain = (
+            plain_lines(data, header, element, at, names) if header.encoding == "ascii" else None
         )
-        sections[element.name] = section
-        at = section.stop
+        sections[element.name] = plain or section_at(data, header, element, at, names)
+        at = sections[element.name].stop
         if element.name == last:
             break
     return sections, at
@@ -358,12 +268,13 @@ def located(
 def section_at(
     data: Bytes, header: Header, element: Element, at: int, names: Sequence[str]
 ) -> Section:
-    """The section of one element that begins at byte ``at``; errors as in ``located``.
+    """The section of one element that begins at byte ``at``; its ascii records have lines.
 
     ``names`` are the properties whose places are to be kept where that costs memory.
+    Errors as in ``located``.
     """
     if header.encoding == "ascii":
-        return _lines(data, header, element, at, names)
+        return find_lines(data, header, element, at, names)
     return _records(data, header, element, at, names)
 
 
@@ -404,7 +315,7 @@ def _records(
         raise TruncatedError(
             f"the file ends within element '{element.name}': {missing} bytes are missing",
             where=f"{element.name} {(len(data) - at) // stride}",
-            hint=_CUT_HINT,
+            hint=CUT_HINT,
         )
     return _varied(data, header, element, at, wanted)
 
@@ -448,108 +359,6 @@ def _varied(
             f"the file ends within element '{element.name}': {place} of {element.count} needs at "
             f"least {missing} more bytes",
             where=place,
-            hint=_CUT_HINT,
+            hint=CUT_HINT,
         )
     return Varied(data, element, header.byte_order, at, stop, columns, starts, lengths)
-
-
-def _plain(
-    data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
-) -> Lines | None:
-    """The section of an ascii element whose records are plain."""
-    if header.encoding != "ascii" or not _fits(data, element, at):
-        return None
-    found = ply_plain.numbers(data, element, at, wanted)
-    if found is None:
-        return None
-    return Lines(data, header, element, at, found[1], _kept(element, wanted), found[0])
-
-
-def _lines(data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]) -> Lines:
-    kept = _kept(element, wanted)
-    tokens, stop = _tokens(data, header, element, at, kept)
-    lines = Lines(data, header, element, at, stop, kept, None)
-    lines.__dict__["tokens"] = tokens
-    return lines
-
-
-def _kept(element: Element, wanted: Sequence[str]) -> tuple[str, ...]:
-    return tuple(one.name for one in element.properties if one.name in wanted)
-
-
-def _fits(data: Bytes, element: Element, at: int) -> bool:
-    """Whether the bytes from ``at`` on can hold the element."""
-    # A value is at least one digit and one separator; only the file's last one has none.
-    return 2 * len(element.properties) * element.count <= len(data) - at + 1
-
-
-def _tokens(
-    data: Bytes, header: Header, element: Element, at: int, kept: Sequence[str]
-) -> tuple[Tokens, int]:
-    """The places of the words of the properties ``kept``, and the end of the element."""
-    names = kept if _fits(data, element, at) else ()
-    shape = (element.count if names else 0, len(names))
-    tokens = Tokens(
-        {name: k for k, name in enumerate(names)},
-        np.empty(shape, dtype=np.int64),
-        np.empty(shape, dtype=np.int64),
-        np.empty(shape, dtype=np.int64),
-    )
-    stop = at
-    if element.properties and element.count:
-        stop = _walked(data, header, element, at, tokens)
-    return tokens, stop
-
-
-def _walked(
-    data: Bytes,
-    header: Header,
-    element: Element,
-    at: int,
-    tokens: Tokens,
-) -> int:
-    """Fill ``tokens`` and return the end of the element's last line."""
-    from msal_cli.core.ply_scan import BAD_COUNT, CUT, TOO_FEW, TOO_MANY, WHOLE, walk_text
-
-    listed = element.properties
-    records, stop, status = walk_text(
-        data,
-        at,
-        min(element.count, len(data) + 1),
-        np.array([one.is_list for one in listed]),
-        np.array([tokens.columns.get(one.name, -1) for one in listed]),
-        *tokens[1:],
-    )
-    if status != WHOLE and (data[header.size : header.size + _SAMPLE] == 0).any():
-        raise FormatError(
-            "the header says ascii, but binary data follow",
-            where=f"line {header.format_line + 1}",
-            hint="correct the format line, or export the file again",
-        )
-    place = f"{element.name} {records}, line {line_at(data, stop, header.newline)}"
-    if status == CUT or (status == TOO_FEW and stop == len(data)):
-        missing = element.count - records
-        raise TruncatedError(
-            f"the file ends within element '{element.name}': {missing} of {element.count} lines "
-            "are missing or not whole",
-            where=place,
-            hint=_CUT_HINT,
-        )
-    if status == BAD_COUNT:
-        raise FormatError(
-            f"the count of a list of {element.name} {records} is not a whole number from 0 up",
-            where=place,
-        )
-    if status == TOO_FEW:
-        raise FormatError(
-            f"{element.name} {records} has fewer values than the header declares",
-            where=place,
-            hint="each record of an ascii PLY file stands on one line of its own",
-        )
-    if status == TOO_MANY:
-        raise FormatError(
-            f"{element.name} {records} has more values than the header declares",
-            where=place,
-            hint="each record of an ascii PLY file stands on one line of its own",
-        )
-    return int(stop)

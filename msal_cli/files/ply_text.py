@@ -9,7 +9,7 @@ import numpy as np
 
 from msal_cli.dataclass import dataclass
 from msal_cli.files.plain_text import usual_decimals
-from msal_cli.files.ply_layout import Bytes, Flags, Floats, Lines, Longs
+from msal_cli.files.ply_ascii import Bytes, Flags, Floats, Lines, Longs
 
 NORMAL_DECIMALS = 6
 """Decimals that a recomputed unit normal has at the least."""

@@ -6,6 +6,7 @@ corners as little-endian float32, and one 16-bit word that some programs use for
 
 from __future__ import annotations
 
+import re
 from dataclasses import field
 
 import numpy as np
@@ -36,15 +37,18 @@ _AT_ONCE = 1 << 14
 """Facets whose bytes, old and new, stay in the processor's cache."""
 
 _PADDING = 8
+_NAMED_SOLID = re.compile(
+    rb"\s*solid[ \t][^\r\n]*[\r\n]\s*facet\s+(?:normal|outer)\s", re.IGNORECASE
+)
 _SURELY_FLOAT32 = 3.4e38
 
 
 def read(data: Buffer, name: str) -> StlFile | stl_ascii.StlTextFile:
     """Read an STL file, binary or ascii.
 
-    A file whose first kilobyte is text is ascii.  In a binary file, whatever it begins with, that
-    kilobyte holds the count and the first numbers, and with them control characters: the count
-    alone has some unless it is beyond 500 million.
+    A file whose first kilobyte is text is ascii (see ``is_text``).  In a binary file, whatever it
+    begins with, that kilobyte holds the count and the first numbers, and with them control
+    characters: the count alone has some unless it is beyond 500 million.
 
     Raises
     ------
@@ -57,7 +61,7 @@ def read(data: Buffer, name: str) -> StlFile | stl_ascii.StlTextFile:
     """
     size = len(memoryview(data).cast("B"))
     head = bytes(memoryview(data).cast("B")[:_LOOKED_AT])
-    if is_text(head):
+    if is_text(head, size):
         return stl_ascii.read(data, name)
     wanted = wanted_bytes(head, size)
     return _read_binary(data, (wanted - _FIRST_FACET) // FACET.itemsize)
@@ -92,14 +96,18 @@ def wanted_bytes(head: bytes, size: int) -> int:
     return wanted
 
 
-def is_text(head: bytes) -> bool:
-    """Whether the first kilobyte of ``head`` is text, of which ascii STL is made.
+def is_text(head: bytes, size: int) -> bool:
+    """Whether a file of ``size`` bytes is text, judged by the first kilobyte of ``head``.
 
-    A few bytes of padding at the end do not count; a header filled with zeros is not text.
+    A few bytes of padding at the end do not count, nor do control characters in the name of a solid
+    that begins with a facet in words; a header filled with zeros is not text.
     """
     head = head[:_LOOKED_AT]
     shown = head[:-_PADDING] + head[-_PADDING:].rstrip(b"\0\x1a")
-    return bool(shown) and not any(c < 32 and c not in b"\t\n\v\f\r" for c in shown)
+    if bool(shown) and not any(c < 32 and c not in b"\t\n\v\f\r" for c in shown):
+        return True
+    count = int.from_bytes(head[HEADER_BYTES:_FIRST_FACET], "little")
+    return size != _FIRST_FACET + FACET.itemsize * count and _NAMED_SOLID.match(head) is not None
 
 
 def _read_binary(data: Buffer, count: int) -> StlFile:

@@ -17,9 +17,7 @@ from msal_cli.files.stl_facets import check_countable, check_not_empty, not_fini
 
 Floats = NDArray[np.float64]
 
-SHORTEST_FACET = len(
-    "facet normal 0 0 0 outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet "
-)
+SHORTEST_FACET = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
 """Bytes of text that a facet takes at least."""
 
 _USUAL_FACET = 200
@@ -32,7 +30,10 @@ _NOISE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class _Scan:
-    """Facets of a text: see ``core.stl_scan`` for what the arrays are."""
+    """Facets of a text: see ``core.stl_scan`` for what the arrays are.
+
+    ``n_bare`` counts facets without a normal.
+    """
 
     facet_at: NDArray[np.int64]
     offsets: NDArray[np.int32]
@@ -40,6 +41,7 @@ class _Scan:
     names: tuple[str, ...]
     n_solids: int
     end: int
+    n_bare: int
 
 
 def read(data: Buffer, name: str) -> StlTextFile:
@@ -59,7 +61,7 @@ def read(data: Buffer, name: str) -> StlTextFile:
     found, numbers = _numbers(data)
     vertices, faces, _ = indexed(numbers[:, 3:])
     normals = np.ascontiguousarray(numbers[:, :3])
-    return StlTextFile(data, found, vertices, normals, faces, _warnings(data, found))
+    return StlTextFile(data, found, vertices, normals, faces, _warnings(data, found, normals))
 
 
 def _numbers(data: Buffer) -> tuple[_Scan, Floats]:
@@ -89,9 +91,31 @@ def _slow_number(view: memoryview, start: int) -> float:
         return float("nan")
 
 
-def _warnings(data: Buffer, found: _Scan) -> tuple[str, ...]:
+def _warnings(data: Buffer, found: _Scan, normals: Floats) -> tuple[str, ...]:
     trailing = len(memoryview(data).cast("B")) - found.end
-    return (f"{trailing} bytes behind the last solid are kept as they are",) if trailing else ()
+    n_bad = 0
+    # A sum is finite only if all are, and quicker; it may overflow, too.
+    with np.errstate(over="ignore", invalid="ignore"):
+        is_odd = not np.isfinite(normals.sum())
+    if is_odd:
+        n_bad = int((~np.isfinite(normals).all(axis=1)).sum()) - found.n_bare
+    warnings: list[str] = []
+    if found.n_bare:
+        warnings.append(
+            f"{_counted(found.n_bare, 'facet has', 'facets have')} no normal, and none is added"
+        )
+    if n_bad:
+        warnings.append(
+            f"{_counted(n_bad, 'facet has', 'facets have')} a normal that is not three finite "
+            "numbers: it is kept, not recomputed"
+        )
+    if trailing:
+        warnings.append(f"{trailing} bytes behind the last solid are kept as they are")
+    return tuple(warnings)
+
+
+def _counted(number: int, one: str, many: str) -> str:
+    return f"{number} {one if number == 1 else many}"
 
 
 def _scanned(data: Buffer) -> tuple[_Scan, Floats]:
@@ -106,9 +130,9 @@ def _scanned(data: Buffer) -> tuple[_Scan, Floats]:
     # Some editors end a text with a NUL or with the end-of-file mark of old systems.
     end = len(bytes(buf[-4096:]).rstrip(b"\0\x1a")) - min(len(buf), 4096) + len(buf)
     buf = buf[:end]
-    state = np.zeros(4, dtype=np.int64)
+    state = np.zeros(stl_scan.N_STATE, dtype=np.int64)
     if bytes(buf[:3]) == _BYTE_ORDER_MARK:
-        state[0] = len(_BYTE_ORDER_MARK)
+        state[stl_scan.AT] = len(_BYTE_ORDER_MARK)
     room = min(len(buf) // _USUAL_FACET, len(buf) // SHORTEST_FACET) + 1
     facet_at = np.empty(room, dtype=np.int64)
     offsets = np.empty((room, 12), dtype=np.int32)
@@ -117,7 +141,7 @@ def _scanned(data: Buffer) -> tuple[_Scan, Floats]:
     decimals = np.zeros(4, dtype=np.int64)
     while True:
         status, at, word = stl_scan.scan(buf, state, facet_at, offsets, numbers, solid_at, decimals)
-        n = int(state[1])
+        n = int(state[stl_scan.FACETS])
         if status != stl_scan.FULL:
             break
         room = min(len(buf) // SHORTEST_FACET + 1, n + n // 2 + 16)
@@ -131,9 +155,10 @@ def _scanned(data: Buffer) -> tuple[_Scan, Floats]:
         bytes(buf[at : at + 256]).splitlines()[0].decode("utf-8", "replace").strip()
         if at < len(buf)
         else ""
-        for at in (int(one) for one in solid_at[: state[2]])
+        for at in (int(one) for one in solid_at[: state[stl_scan.SOLIDS]])
     )
-    return _Scan(facet_at, offsets, decimals, names, int(state[2]), end), numbers
+    n_solids, n_bare = int(state[stl_scan.SOLIDS]), int(state[stl_scan.WITHOUT_NORMAL])
+    return _Scan(facet_at, offsets, decimals, names, n_solids, end, n_bare), numbers
 
 
 def _error(buf: NDArray[np.uint8], status: int, at: int, word: int, facet: int) -> InputError:
@@ -144,7 +169,8 @@ def _error(buf: NDArray[np.uint8], status: int, at: int, word: int, facet: int) 
     touches_end = at + len(token) == len(buf)
     where = f"facet {facet}, line {_line(buf, at)}"
     wanted = stl_scan.WORDS[word]
-    known = (wanted, "endsolid") if word == stl_scan.FACET else (wanted,)
+    others = {stl_scan.FACET: ("endsolid",), stl_scan.NORMAL: ("outer",)}
+    known = (wanted, *others.get(word, ()))
     cut = status == stl_scan.CUT or (
         touches_end
         and (
@@ -217,7 +243,8 @@ class StlTextFile:
         self.merged_vertices = self.faces.size - len(self.vertices)
         named = tuple(f"solid {name!r}" for name in self.solids if name)
         several = (f"{self.found.n_solids} solids",) if self.found.n_solids > 1 else ()
-        self.properties = ("facet normals", *several, *named)
+        is_bare = self.found.n_bare == len(self.faces)
+        self.properties = (*(("facet normals",) * (not is_bare)), *several, *named)
 
     @property
     def solids(self) -> tuple[str, ...]:

@@ -92,6 +92,14 @@ HEADERS = {
     "format without version": (GOOD.replace(b" 1.0", b""), "E_FORMAT", "line 2"),
     "unknown version": (GOOD.replace(b" 1.0", b" 2.0"), "E_UNSUPPORTED", "line 2"),
     "unknown keyword": (GOOD.replace(b"element face", b"elemnt face"), "E_FORMAT", "line 7"),
+    "capital keyword": (GOOD.replace(b"element face", b"ELEMENT face"), "E_FORMAT", "line 7"),
+    "glued keyword": (GOOD.replace(b"element face", b"elementface"), "E_FORMAT", "line 7"),
+    "half a keyword": (GOOD.replace(b"property float z", b"prop float z"), "E_FORMAT", "line 6"),
+    "unknown line among elements, and data left over": (
+        GOOD.replace(b"element face", b"polygons 2\nelement face") + b"3 0 1 3\n",
+        "E_FORMAT",
+        "line 7",
+    ),
     "binary rubbish in the header": (
         GOOD.replace(b"element face", b"\x00\xff\xfe face"),
         "E_FORMAT",
@@ -339,10 +347,15 @@ BODIES = {
         "E_FORMAT",
         "vertex 1, line 11",
     ),
-    "ascii: two records on a line": (
-        text(V4 + F1, V4_TEXT.replace("\n1", " 1") + "3 0 1 2\n"),
+    "ascii: two records on a line, and a word short": (
+        text(V4 + F1, V4_TEXT.replace("\n1", " 1") + "3 0 1\n"),
         "E_FORMAT",
         "vertex 0, line 10",
+    ),
+    "ascii: two elements on a line": (
+        text(V4 + F1, V4_TEXT[:-1] + " 3 0 1 2\n"),
+        "E_FORMAT",
+        "vertex 3, line 13",
     ),
     "ascii: list shorter than its count": (
         text(V4 + F1.replace("face 1", "face 2"), V4_TEXT + "4 0 1 2\n3 0 1 2\n"),
