@@ -22,7 +22,8 @@ def denoised(folder, *options):
     folder_of(folder / "in", a=closed_scan(), b=open_scan(), bad=BAD_SCAN)
     if "--in-place" not in options:
         options = (*options, "-o", folder / "out")
-    msal("denoise", folder / "in", *options, "--report", folder / "r.json", "-q", "-j", 1)
+    options = (*options, "--method", "msal", "-q", "-j", 1)
+    msal("denoise", folder / "in", *options, "--report", folder / "r.json")
     return reading.document((folder / "r.json").read_bytes(), "r.json")[1]
 
 

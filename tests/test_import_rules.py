@@ -42,7 +42,9 @@ MAY_IMPORT = {
     "changes": {"comparison", "inspection", "metrics", "noise_estimate", "mesh", "records"},
     "output": {"files", "tasks", "errors"},
     "tasks": {"files", "methods", "records", "selection"},
+    "advice": {"methods", "noise_estimate", "records"},
     "pipeline": {
+        "advice",
         "automatic",
         "changes",
         "constraints",
@@ -51,6 +53,7 @@ MAY_IMPORT = {
         "left_alone",
         "memory",
         "methods",
+        "metrics",
         "noise_estimate",
         "output",
         "tasks",

@@ -256,7 +256,8 @@ def scans(tmp_path):
 
 
 def msal(folder, *options, **more):
-    command = [sys.executable, "-m", "msal_cli", "denoise", "in", "-o", "out", *options]
+    command = [sys.executable, "-m", "msal_cli", "denoise", "in", "-o", "out", "--method", "msal"]
+    command += options
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, **more)
 
 

@@ -24,6 +24,7 @@ WHY = "needs the extra: pip install 'msal-cli[test]'"
 s3fs = pytest.importorskip("s3fs", reason=WHY)
 pytest.importorskip("moto.server", reason=WHY)
 
+PAPER = ("--method", "msal")
 NAMES = ("a/0.obj", "a/b/1.obj", "2.obj", "c d/%41#?ü+&=.obj")
 DENIED = (
     b"<?xml version='1.0'?><Error><Code>AccessDenied</Code><Message>Access Denied</Message></Error>"
@@ -135,7 +136,7 @@ def statuses(path):
 
 
 def test_from_bucket_to_bucket(server, expected, tmp_path):
-    command = ["denoise", "s3://scans", "-o", "s3://out/x", "-j", "1", "-q"]
+    command = ["denoise", "s3://scans", "-o", "s3://out/x", "-j", "1", "-q", *PAPER]
     report = tmp_path / "report.json"
     server.requests = []
     done = run(*command, "--report", str(report))
@@ -180,10 +181,10 @@ def test_from_bucket_to_bucket(server, expected, tmp_path):
 
 
 def test_objects_and_files_in_one_process(server, expected, tmp_path):
-    assert msal("denoise", "s3://scans/2.obj", "-o", "s3://out/one/b.obj").exit_code == 0
+    assert msal("denoise", "s3://scans/2.obj", "-o", "s3://out/one/b.obj", *PAPER).exit_code == 0
     assert list(listed("s3://out/one")) == ["b.obj"]
     assert read_whole("s3://out/one/b.obj") == expected["2.obj"]
-    assert msal("denoise", "s3://scans/*.obj", "-o", tmp_path).exit_code == 0
+    assert msal("denoise", "s3://scans/*.obj", "-o", tmp_path, *PAPER).exit_code == 0
     assert (tmp_path / "2.obj").read_bytes() == expected["2.obj"]
     assert msal("denoise", tmp_path / "2.obj", "-o", "s3://out/one/c.obj", "-q").exit_code == 0
     assert len(listed("s3://out/one")) == 2
@@ -219,7 +220,7 @@ def test_what_cannot_be_is_told_in_words(server, arguments, status, words):
 
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 def test_a_killed_run_leaves_whole_objects_and_the_next_does_the_rest(server, expected):
-    command = ["denoise", "s3://scans", "-o", "s3://out/killed", "-j", "1", "-q"]
+    command = ["denoise", "s3://scans", "-o", "s3://out/killed", "-j", "1", "-q", *PAPER]
     server.hold_up("/out/killed/a/b/1.obj")
     process = subprocess.Popen([*MSAL, *command], start_new_session=True)
     try:

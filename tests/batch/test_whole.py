@@ -83,7 +83,8 @@ def test_four_shards_at_once_write_what_one_run_writes(scans):
     """Real processes on one folder, started together; then a whole run finds nothing to do."""
     (scans / "bad.obj").write_text("v 1 2\nf 1 2 3\n")
     run(plan_of(scans, "one"), settings(), jobs=1)
-    command = [sys.executable, "-m", "msal_cli", "denoise", str(scans), "-j", "1", "-o"]
+    command = [sys.executable, "-m", "msal_cli", "denoise", str(scans), "-j", "1"]
+    command += ["--method", "msal", "-o"]
     shards = [
         subprocess.Popen([*command, str(scans.parent / "out"), "--shard", f"{k}/4", "-q"])
         for k in range(1, 5)
