@@ -35,6 +35,7 @@ from msal_cli.batch.shards import Shard
 from msal_cli.batch.temporaries import temporary_name
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import OutputError
+from msal_cli.files.regular import is_regular, open_regular
 from msal_cli.pipeline import Settings
 from msal_cli.records import MeshRecord, ObjectMark, as_data, from_data
 
@@ -58,6 +59,10 @@ _SPARE_LINES = 1000
 RUN_KINDS = ("run", "end")
 RUN_LINES_KEPT = 100
 """Lines about runs are kept for reports, but not without end."""
+
+LONGEST_LINE = 16 << 20
+"""Bytes that a line may have.  Lines of msal have some kilobytes; a longer one is damage, and a
+file with a hole would be one line as long as the hole."""
 
 _LARGEST_BLOCK = 1 << 20
 
@@ -136,7 +141,7 @@ class Place:
 
     def line(self) -> bytes:
         """The line as it is now; OSError if the file cannot be read."""
-        with self.path.open("rb", buffering=0) as file:
+        with open_regular(self.path, buffering=0) as file:
             file.seek(self.start)
             return file.read(self.length)
 
@@ -158,11 +163,11 @@ def file_sha256(path: str, is_stopped: Callable[[], bool] = lambda: False) -> st
     """SHA-256 of a file; an empty string if it cannot be read or ``is_stopped`` became true."""
     digest = hashlib.sha256()
     try:
-        with open(path, "rb", buffering=0) as file:
+        with open_regular(path, buffering=0) as file:
             # A block of full size for each of many small files would cost more than the hashing.
             block = bytearray(min(_LARGEST_BLOCK, os.fstat(file.fileno()).st_size + 1))
             view = memoryview(block)
-            while length := file.readinto(view):
+            while length := file.readinto(view):  # type: ignore[attr-defined]
                 if is_stopped():
                     return ""
                 digest.update(view[:length])
@@ -243,6 +248,9 @@ class Manifest:
                 # It would grow where nobody asked for anything to be written.
                 raise OSError(errno.ELOOP, "it is a link")
             is_new = not self._path.exists()
+            if not is_new and not is_regular(self._path):
+                # To open a pipe would wait for a reader.
+                raise OSError(errno.EINVAL, "it is not a regular file")
             self._file = self._path.open("ab")
             if is_new:
                 _sync_folder(self._path.parent)
@@ -323,9 +331,11 @@ def lines_of(path: Path) -> Iterator[tuple[Place, bytes]]:
     Raises OutputError if it cannot be read; a file that is not there has no lines.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             start = 0
-            for line in file:
+            while line := file.readline(LONGEST_LINE + 1):
+                if len(line) > LONGEST_LINE:
+                    raise OSError(errno.EFBIG, f"a line has more than {LONGEST_LINE:,} bytes")
                 if plain := line.rstrip(b"\n"):
                     yield Place(path, start, len(plain)), plain
                 start += len(line)
@@ -472,7 +482,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _ends_with_newline(path: Path) -> bool:
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         file.seek(-1, os.SEEK_END)
         return file.read(1) == b"\n"
 

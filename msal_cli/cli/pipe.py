@@ -48,7 +48,7 @@ def pipe(inputs: tuple[str, ...], output: str | None) -> Pipe | None:
 
     (source,) = inputs
     if source != STREAM and not is_url(source) and not os.path.isfile(source):
-        what = "a folder" if os.path.isdir(source) else "no file"
+        what = "a folder" if os.path.isdir(source) else "no regular file"
         raise UsageError(
             f"-o - takes one file, and {source!r} is {what}", hint="name an output folder with -o"
         )

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from msal_cli.errors import OutputError
+from msal_cli.files.regular import open_regular
 from msal_cli.files.urls import is_url
 from msal_cli.files.writing import write_new
 
@@ -42,8 +43,9 @@ def carried(
     Each is copied to the same place relative to the output as it has relative to the input, byte
     for byte; textures that a copied ``.mtl`` names come along.  A file that is there already with
     the same content is left alone.  An absolute reference needs nothing; one that leaves the
-    output folder, and one whose file is missing, is only told of.  To and from URLs nothing is
-    copied.
+    output folder, one whose file is missing or no regular file, and one that leads out of the
+    input's folder, as a link may, is only told of: a scan of somebody else's must not carry
+    files of this machine along.  To and from URLs nothing is copied.
 
     Parameters
     ----------
@@ -75,9 +77,10 @@ def carried(
             break
         done.add(reference)
         notes.append(_carried(reference, source_folder, target_folder))
-        source = _relative(reference, source_folder)
-        if reference.lower().endswith(".mtl") and source is not None:
-            waiting.extend(_from(reference, name) for name in _textures(source_folder / source))
+        library = _relative(reference, source_folder)
+        is_library = reference.lower().endswith(".mtl") and library is not None
+        if is_library and _is_within(source_folder / library, source_folder):
+            waiting.extend(_from(reference, name) for name in _textures(source_folder / library))
     return tuple(note for note in notes if note)
 
 
@@ -124,6 +127,8 @@ def _carried(reference: str, source_folder: Path, target_folder: Path) -> str:
         return "warning: a reference without a usable name is left alone"
     source, target = source_folder / relative, target_folder / relative
     if not _is_file(source):
+        if source.exists():
+            return f"warning: {reference} is not a regular file and is not copied"
         return f"warning: {reference} is missing beside the input"
     if not os.access(source, os.R_OK):
         return f"warning: {reference} may not be read"
@@ -134,8 +139,10 @@ def _carried(reference: str, source_folder: Path, target_folder: Path) -> str:
             return f"{reference} is in place already"
     except OSError as failure:
         return f"warning: {reference} cannot be compared: {failure.strerror}"
-    if not _is_within(target, target_folder):
+    if not _is_within(target.parent, target_folder):
         return f"warning: {reference} lies outside the output folder and is not found from there"
+    if not _is_within(source, source_folder):
+        return f"warning: {reference} leads out of the input's folder and is not copied"
     _copy(source, target)
     return f"copied {reference}"
 
@@ -151,10 +158,10 @@ def _is_same(source: Path, target: Path) -> bool:
     return target.is_file() and filecmp.cmp(source, target, shallow=False)
 
 
-def _is_within(target: Path, folder: Path) -> bool:
-    """Whether ``target`` lies in ``folder`` once ``..`` and links are followed."""
+def _is_within(path: Path, folder: Path) -> bool:
+    """Whether ``path`` lies in ``folder`` once ``..`` and links are followed."""
     try:
-        place = Path(os.path.realpath(target.parent))
+        place = Path(os.path.realpath(path))
         return place.is_relative_to(os.path.realpath(folder))
     except (OSError, ValueError):
         return False
@@ -186,7 +193,7 @@ def _taken(source: Path, target: Path) -> OutputError:
 
 
 def _pieces(source: Path) -> Iterator[bytes]:
-    with source.open("rb") as stream:
+    with open_regular(source) as stream:
         while piece := stream.read(_PIECE):
             yield piece
 
@@ -194,7 +201,7 @@ def _pieces(source: Path) -> Iterator[bytes]:
 def _textures(library: Path) -> list[str]:
     """Files that a material library names, in order; none if it cannot be read."""
     try:
-        with library.open("rb") as stream:
+        with open_regular(library) as stream:
             text = stream.read(LARGEST_MATERIAL)
     except OSError:
         return []
