@@ -77,10 +77,12 @@ def carried(
             break
         done.add(reference)
         notes.append(_carried(reference, source_folder, target_folder))
-        library = _relative(reference, source_folder)
-        is_library = reference.lower().endswith(".mtl") and library is not None
-        if is_library and _is_within(source_folder / library, source_folder):
-            waiting.extend(_from(reference, name) for name in _textures(source_folder / library))
+        relative = _relative(reference, source_folder)
+        if not reference.lower().endswith(".mtl") or relative is None:
+            continue
+        library = source_folder / relative
+        if _is_within(library, source_folder):
+            waiting.extend(_from(reference, name) for name in _textures(library))
     return tuple(note for note in notes if note)
 
 
