@@ -130,6 +130,32 @@ def denoise_bytes(
         return None, run.failed(error)
 
 
+def denoise_copy(
+    task: Task,
+    settings: Settings,
+    on_progress: OnProgress | None = None,
+    limits: Limits = NO_LIMITS,
+) -> MeshRecord:
+    """Denoise a stream that was copied to a file, as ``denoise_bytes``, into another such file.
+
+    The record knows the mesh as ``task.relative`` and has no output; nothing is read or written
+    beside the two files.
+    """
+    run = _Run(task.relative, settings, on_progress, limits)
+    try:
+        from msal_cli import files
+
+        with run.stage("read"):
+            run.admit(forecast(task, settings))
+            data = files.read_input(task.input, settings.format)
+        denoised = run.denoise(data, None)
+        with run.stage("write"):
+            files.write_whole(task.output, [denoised])
+        return run.finished(None)
+    except Exception as error:
+        return run.failed(error)
+
+
 class _Run:
     """The state of one file on its way: what is known so far ends up in the record."""
 

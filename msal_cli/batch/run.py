@@ -39,13 +39,14 @@ if TYPE_CHECKING:
     OnProgress = Callable[[str, int, int], None]
     Denoise = Callable[..., MeshRecord]
 
-_CODES = {
+LOSS_CODES = {
     "crash": "E_CRASH",
     "memory": "E_MEMORY",
     "timeout": "E_TIMEOUT",
     "exception": "E_INTERNAL",
     "changed": "E_CHANGED",
 }
+"""The code of a failure by the cause of a ``messages.Lost``."""
 
 _log = logging.getLogger("msal.batch")
 
@@ -102,7 +103,7 @@ def run(
         )
     if retries < 0:
         raise UsageError(f"the number of retries must be at least 0, not {retries}")
-    _check_limits(limits)
+    check_limits(limits)
     if limits != NO_LIMITS:
         denoise = functools.partial(denoise, limits=limits)
     with ExitStack() as stack:
@@ -388,7 +389,7 @@ class _Run:
         )
 
     def _lost(self, index: int, cause: str, reason: str, hint: str = "") -> MeshRecord:
-        failure = Failure(_CODES[cause], reason, hint)
+        failure = Failure(LOSS_CODES[cause], reason, hint)
         return replace(self._planned(index), output=None, status="failed", error=failure)
 
     def _set_right(self, index: int) -> str:
@@ -415,7 +416,8 @@ def do_one(task: Task, common: tuple[Denoise, Settings], on_progress: OnProgress
     return record
 
 
-def _check_limits(limits: Limits) -> None:
+def check_limits(limits: Limits) -> None:
+    """Refuse limits within which no file can be denoised; UsageError."""
     if limits.timeout_s is not None and not limits.timeout_s > 0.0:
         raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
     if limits.max_faces is not None and limits.max_faces < 1:
