@@ -17,6 +17,7 @@ so that clocks of several machines need not agree.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import hashlib
 import json
@@ -251,12 +252,12 @@ class Manifest:
             if not is_new and not is_regular(self._path):
                 # To open a pipe would wait for a reader.
                 raise OSError(errno.EINVAL, "it is not a regular file")
-            self._file = self._path.open("ab")
+            # With a buffer, what did not fit on a full disk would be tried again at the end.
+            self._file = self._path.open("ab", buffering=0)
             if is_new:
                 _sync_folder(self._path.parent)
             if self._file.tell() and not _ends_with_newline(self._path):
-                self._file.write(b"\n")
-                self._file.flush()
+                self._write(b"\n")
         except OSError as error:
             raise _unwritable(self._path, error) from None
 
@@ -270,13 +271,24 @@ class Manifest:
         if not text:
             return
         try:
-            self._file.write(text)
-            self._file.flush()
+            self._write(text)
             os.fsync(self._file.fileno())
         except OSError as error:
             raise _unwritable(self._path, error) from None
         self._newest = at
         self._n_lines += text.count(b"\n")
+
+    def _write(self, text: bytes) -> None:
+        """Add all of ``text``, or nothing: half a line would spoil the next one."""
+        size = os.fstat(self._file.fileno()).st_size
+        rest = memoryview(text)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError:
+            with contextlib.suppress(OSError):
+                self._file.truncate(size)
+            raise
 
     def close(self) -> None:
         """Let go of the file; harmless if it is not open."""
@@ -490,6 +502,8 @@ def _ends_with_newline(path: Path) -> bool:
 def _unwritable(path: Path, error: OSError) -> OutputError:
     return OutputError(
         f"the manifest {str(path)!r} cannot be used: {error.strerror}",
-        hint="the output folder must be writable",
+        hint="free some space and run again"
+        if error.errno in (errno.ENOSPC, errno.EDQUOT)
+        else "the output folder must be writable",
         path=str(path),
     )

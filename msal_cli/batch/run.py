@@ -309,14 +309,21 @@ class _Run:
             received.append(signum)
             engine.interrupt()
 
+        failure: OutputError | None = None
         with signals.noticed(on_signal), closing(engine.batches()) as batches:
             try:
                 for messages in batches:
-                    self._hear(messages)
-                    if self._is_given_up():
+                    try:
+                        self._hear(messages)
+                    except OutputError as error:
+                        # The workers write what they have begun, and that has to be told.
+                        failure = failure or error
+                    if failure is not None or self._is_given_up():
                         engine.stop()
             except Interrupt:
                 signals.raise_for(received[0])
+        if failure is not None:
+            raise failure
 
     def _hear(self, messages: list[Message]) -> None:
         from msal_cli.batch.messages import Advanced, Again, Began, Lost, Returned
@@ -350,16 +357,21 @@ class _Run:
     # What came of it
 
     def _finish(self, finished: list[tuple[int, MeshRecord]]) -> None:
-        """Note files in the manifests, then tell."""
+        """Note files in the manifests, then tell; what cannot be noted is told all the same."""
         records, tasks = dict(finished), self._plan.tasks
-        self._note(
-            (index, done(key, self._hash, records[index], tasks[index].input, tasks[index].output))
-            for index, key in self._keys(records)
-        )
-        for index, record in finished:
-            # What an earlier run has failed at is no reason to give up this one.
-            self._n_failed += record.status == "failed"
-            self._settle(index, record)
+        try:
+            self._note(
+                (
+                    index,
+                    done(key, self._hash, records[index], tasks[index].input, tasks[index].output),
+                )
+                for index, key in self._keys(records)
+            )
+        finally:
+            for index, record in finished:
+                # What an earlier run has failed at is no reason to give up this one.
+                self._n_failed += record.status == "failed"
+                self._settle(index, record)
 
     def _note(self, lines: Iterable[tuple[int, dict[str, Any]]]) -> None:
         by_home: dict[str, list[dict[str, Any]]] = {}
