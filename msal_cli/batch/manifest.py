@@ -257,7 +257,7 @@ class Manifest:
             if is_new:
                 _sync_folder(self._path.parent)
             if self._file.tell() and not _ends_with_newline(self._path):
-                self._write(b"\n")
+                self._add(b"\n")
         except OSError as error:
             raise _unwritable(self._path, error) from None
 
@@ -271,14 +271,14 @@ class Manifest:
         if not text:
             return
         try:
-            self._write(text)
+            self._add(text)
             os.fsync(self._file.fileno())
         except OSError as error:
             raise _unwritable(self._path, error) from None
         self._newest = at
         self._n_lines += text.count(b"\n")
 
-    def _write(self, text: bytes) -> None:
+    def _add(self, text: bytes) -> None:
         """Add all of ``text``, or nothing: half a line would spoil the next one."""
         size = os.fstat(self._file.fileno()).st_size
         rest = memoryview(text)
