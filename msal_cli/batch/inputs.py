@@ -24,6 +24,8 @@ from msal_cli.records import ObjectMark
 if TYPE_CHECKING:
     from msal_cli.batch.remote_inputs import Place
 
+_LINKS_NAMED = 3
+
 _log = logging.getLogger("msal.batch")
 
 
@@ -228,6 +230,7 @@ def _walked(
     real_root = _real(root)
     # Each folder waits with the answer to: was a link followed on the way to it?
     waiting: list[tuple[_Entry, bool]] = [(_Entry(str(root), "", "", True), False)]
+    outside: list[str] = []
     while waiting:
         entry, is_beyond_link = waiting.pop()
         if entry.relative:
@@ -245,15 +248,31 @@ def _walked(
                 below.append((_Entry(path, one.name, relative, False), is_beyond_link))
             elif kind != "special" and is_entered(relative):
                 is_link = kind == "linked folder"
+                if own_output is not None and _is_within_output(Path(path), own_output, real_root):
+                    continue
+                if is_link and not _real(Path(path)).is_relative_to(real_root):
+                    outside.append(path)
+                    continue
                 if is_link and (
                     is_beyond_link or not _leads_elsewhere_within(Path(path), real_root)
                 ):
                     continue
-                if own_output is not None and _is_within_output(Path(path), own_output, real_root):
-                    continue
                 below.append((_Entry(path, one.name, relative, True), is_beyond_link or is_link))
         below.sort(key=lambda pair: pair[0].name, reverse=True)
         waiting.extend(below)
+    _warn_outside(sorted(outside), root)
+
+
+def _warn_outside(links: Sequence[str], root: Path) -> None:
+    for link in links[:_LINKS_NAMED]:
+        _log.warning(
+            "the link %r leads out of the input folder %r and is skipped; "
+            "name the folder itself as an input to have it too",
+            link,
+            str(root),
+        )
+    if len(links) > _LINKS_NAMED:
+        _log.warning("%d more links lead out of it", len(links) - _LINKS_NAMED)
 
 
 def _is_passed_over(name: str, with_hidden: bool) -> bool:
