@@ -89,7 +89,8 @@ def denoise_file(
             run.know(input_object=task.input_mark)
             if limits.memory_bytes is not None or limits.max_faces is not None:
                 run.admit(forecast(task, settings))
-            data = files.read_input(task.input, settings.format)
+            size = task.input_mark.size if task.input_mark is not None else None
+            data = files.read_input(task.input, settings.format, size)
         denoised = run.denoise(data, task.output)
         with run.stage("write"):
             if task.in_place and task.backup:

@@ -32,10 +32,13 @@ LARGE_BYTES = 4 << 20
 """Bytes from which on the system may give large pages of memory."""
 
 
-def read_input(path: str | os.PathLike[str], format: str | None = None) -> Buffer:
+def read_input(
+    path: str | os.PathLike[str], format: str | None = None, size: int | None = None
+) -> Buffer:
     """The bytes of an input file, unless its size and beginning show that it is no mesh.
 
-    ``format`` is the format's name, over the suffix.
+    ``format`` is the format's name, over the suffix; ``size`` is that of an object behind a URL
+    as far as it is known.
 
     Raises
     ------
@@ -58,7 +61,7 @@ def read_input(path: str | os.PathLike[str], format: str | None = None) -> Buffe
     # A library would copy what is no ``bytes``.
     if is_large and (format or format_of_name(os.fspath(path))) in OWN_FORMATS:
         return read_in_large_pages(path)
-    return read_whole(path)
+    return read_whole(path, size)
 
 
 def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:

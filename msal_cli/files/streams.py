@@ -47,8 +47,9 @@ def too_large(size: int) -> TooLargeError:
     )
 
 
-def read_whole(path: str | os.PathLike[str]) -> bytes:
-    """The bytes of a regular file, or of an object behind a URL.
+def read_whole(path: str | os.PathLike[str], size: int | None = None) -> bytes:
+    """The bytes of a regular file, or of an object behind a URL, which has ``size`` as far as is
+    known.
 
     Raises
     ------
@@ -60,7 +61,7 @@ def read_whole(path: str | os.PathLike[str]) -> bytes:
     if isinstance(path, str) and is_url(path):
         from msal_cli.files import remote
 
-        return remote.read_whole(path)
+        return remote.read_whole(path, size)
     try:
         with open_regular(path, buffering=0) as file:
             return _read_to_end(file)
