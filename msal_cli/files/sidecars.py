@@ -15,13 +15,16 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from msal_cli.errors import OutputError
 from msal_cli.files.regular import open_regular
 from msal_cli.files.urls import is_url
-from msal_cli.files.writing import write_new
+from msal_cli.files.writing import make_folders, write_new
 
 LARGEST_MATERIAL = 16 << 20
 """Bytes of a material library that is searched for textures; real ones have a few thousand."""
 
 MOST_REFERENCES = 10_000
 """Files that one mesh may name."""
+
+MOST_BYTES = 4 << 30
+"""Bytes of all files together that are carried for one mesh; a sparse file may say any size."""
 
 _PIECE = 8 << 20
 _TEXTURE_KEYS = (b"bump", b"disp", b"decal", b"refl", b"norm")
@@ -67,6 +70,7 @@ def carried(
     target_folder = Path(output_path).parent
     notes: list[str] = []
     done: set[str] = set()
+    budget = _Budget(MOST_BYTES)
     waiting = list(references)
     while waiting:
         reference = waiting.pop(0)
@@ -76,7 +80,7 @@ def carried(
             notes.append(f"warning: only the first {MOST_REFERENCES} references are followed")
             break
         done.add(reference)
-        notes.append(_carried(reference, source_folder, target_folder))
+        notes.append(_carried(reference, source_folder, target_folder, budget))
         relative = _relative(reference, source_folder)
         if not reference.lower().endswith(".mtl") or relative is None:
             continue
@@ -120,7 +124,21 @@ def _relative(reference: str, folder: Path) -> Path | None:
     return literal
 
 
-def _carried(reference: str, source_folder: Path, target_folder: Path) -> str:
+class _Budget:
+    """Bytes that may still be carried."""
+
+    def __init__(self, left: int) -> None:
+        self._left = left
+
+    def take(self, size: int) -> bool:
+        """Take ``size`` bytes, if so many are left."""
+        if size > self._left:
+            return False
+        self._left -= size
+        return True
+
+
+def _carried(reference: str, source_folder: Path, target_folder: Path, budget: _Budget) -> str:
     """Carry one file; what was done, empty if nothing had to be."""
     relative = _relative(reference, source_folder)
     if relative is None:
@@ -137,6 +155,11 @@ def _carried(reference: str, source_folder: Path, target_folder: Path) -> str:
     try:
         if target.exists() and target.samefile(source):
             return ""
+        if not budget.take(source.stat().st_size):
+            return (
+                f"warning: {reference} is not copied: more than {MOST_BYTES:,} bytes belong to "
+                "one mesh"
+            )
         if target.exists() and _is_same(source, target):
             return f"{reference} is in place already"
     except OSError as failure:
@@ -172,7 +195,7 @@ def _is_within(path: Path, folder: Path) -> bool:
 def _copy(source: Path, target: Path) -> None:
     """Copy a file to a place that is free; whoever comes second finds it taken and compares."""
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+        make_folders(target.parent)
         if not write_new(target, _pieces(source), mode_like=source) and not _is_same(
             source, target
         ):
