@@ -142,6 +142,8 @@ class _Run:
         self._begun: list[Manifest] = []
         self._records: dict[int, MeshRecord] = {}
         self._n_failed = 0
+        # Why what was done cannot be noted.
+        self._failure: OutputError | None = None
         self._marks: dict[int, FileMark | None] = {}
 
     def rehearsed(self) -> list[MeshRecord]:
@@ -162,8 +164,10 @@ class _Run:
             todo = self._possible(todo, weights)
             if self._is_single() or self._plan.stays_here:
                 self._work_here(todo)
-            elif todo and not self._is_given_up():
+            elif todo and self._failure is None and not self._is_given_up():
                 self._work_elsewhere(todo, weights)
+            if self._failure is not None:
+                raise self._failure
         except BaseException:
             # Why it ended matters more than that it cannot be noted.
             with suppress(OutputError):
@@ -261,6 +265,8 @@ class _Run:
                     _log.exception("internal error at %r", task.input)
                     record = self._lost(index, "exception", f"{type(error).__name__}: {error}")
                 self._finish([(index, record)])
+                if self._failure is not None:
+                    return
 
     def _weighed(self, todo: list[int]) -> Weights:
         tasks = {index: self._plan.tasks[index] for index in todo}
@@ -309,21 +315,15 @@ class _Run:
             received.append(signum)
             engine.interrupt()
 
-        failure: OutputError | None = None
         with signals.noticed(on_signal), closing(engine.batches()) as batches:
             try:
                 for messages in batches:
-                    try:
-                        self._hear(messages)
-                    except OutputError as error:
-                        # The workers write what they have begun, and that has to be told.
-                        failure = failure or error
-                    if failure is not None or self._is_given_up():
+                    self._hear(messages)
+                    # What the workers have begun they finish, and that is told too.
+                    if self._failure is not None or self._is_given_up():
                         engine.stop()
             except Interrupt:
                 signals.raise_for(received[0])
-        if failure is not None:
-            raise failure
 
     def _hear(self, messages: list[Message]) -> None:
         from msal_cli.batch.messages import Advanced, Again, Began, Lost, Returned
@@ -367,11 +367,12 @@ class _Run:
                 )
                 for index, key in self._keys(records)
             )
-        finally:
-            for index, record in finished:
-                # What an earlier run has failed at is no reason to give up this one.
-                self._n_failed += record.status == "failed"
-                self._settle(index, record)
+        except OutputError as error:
+            self._failure = self._failure or error
+        for index, record in finished:
+            # What an earlier run has failed at is no reason to give up this one.
+            self._n_failed += record.status == "failed"
+            self._settle(index, record)
 
     def _note(self, lines: Iterable[tuple[int, dict[str, Any]]]) -> None:
         by_home: dict[str, list[dict[str, Any]]] = {}
