@@ -160,8 +160,10 @@ def encoded(
 
 def refuse_foreign(path: str) -> None:
     """Refuse to replace a file that is not one of fields; OutputError."""
+    from msal_cli.files.regular import open_regular
+
     try:
-        with open(path, "rb") as there:
+        with open_regular(path) as there:
             head = there.read(200)
     except FileNotFoundError:
         return

@@ -132,12 +132,13 @@ def _are_equal(vertices: Floats, others: Floats) -> bool:
 def make_folder_of(path: str) -> None:
     """Make the folder that a file is to be written to, if it is not there; stores have none."""
     from msal_cli.files import is_url
+    from msal_cli.files.writing import make_folders
 
     if is_url(path):
         return
     folder = os.path.dirname(path) or os.curdir
     try:
-        os.makedirs(folder, exist_ok=True)
+        make_folders(folder)
     except OSError as error:
         raise OutputError(
             f"the folder {folder!r} cannot be made: {error.strerror}",

@@ -92,7 +92,8 @@ def denoise_file(
             run.know(input_object=task.input_mark)
             if limits.memory_bytes is not None or limits.max_faces is not None:
                 run.admit(forecast(task, settings))
-            data = files.read_input(task.input, settings.format)
+            size = task.input_mark.size if task.input_mark is not None else None
+            data = files.read_input(task.input, settings.format, size)
         denoised = run.denoise(data, task.output)
         with run.stage("write"):
             if task.in_place and task.backup:
@@ -131,6 +132,32 @@ def denoise_bytes(
         return denoised, run.finished(None)
     except Exception as error:
         return None, run.failed(error)
+
+
+def denoise_copy(
+    task: Task,
+    settings: Settings,
+    on_progress: OnProgress | None = None,
+    limits: Limits = NO_LIMITS,
+) -> MeshRecord:
+    """Denoise a stream that was copied to a file, as ``denoise_bytes``, into another such file.
+
+    The record knows the mesh as ``task.relative`` and has no output; nothing is read or written
+    beside the two files.
+    """
+    run = _Run(task.relative, settings, on_progress, limits)
+    try:
+        from msal_cli import files
+
+        with run.stage("read"):
+            run.admit(forecast(task, settings))
+            data = files.read_input(task.input, settings.format)
+        denoised = run.denoise(data, None)
+        with run.stage("write"):
+            files.write_whole(task.output, [denoised])
+        return run.finished(None)
+    except Exception as error:
+        return run.failed(error)
 
 
 class _Run:

@@ -61,8 +61,16 @@ MAY_IMPORT = {
         "records",
         "errors",
     },
-    # Of files only what tells URLs from paths, and objects in stores.
-    "batch": {"pipeline", "memory", "records", "errors", "files.remote", "files.urls"},
+    # Of files only what tells URLs from paths, objects in stores, and files from pipes.
+    "batch": {
+        "pipeline",
+        "memory",
+        "records",
+        "errors",
+        "files.regular",
+        "files.remote",
+        "files.urls",
+    },
     "report": {"records", "errors"},
     "render": {"core", "colours", "errors"},
     # Of report only how names are shown.

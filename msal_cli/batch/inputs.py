@@ -24,6 +24,8 @@ from msal_cli.records import ObjectMark
 if TYPE_CHECKING:
     from msal_cli.batch.remote_inputs import Place
 
+_LINKS_NAMED = 3
+
 _log = logging.getLogger("msal.batch")
 
 
@@ -225,16 +227,22 @@ def _walked(
     with_hidden: bool = False,
 ) -> Iterator[_Entry]:
     """Files and folders below ``root``, by name; a folder comes before what it holds."""
-    real_root = _real(root)
-    # Each folder waits with the answer to: was a link followed on the way to it?
-    waiting: list[tuple[_Entry, bool]] = [(_Entry(str(root), "", "", True), False)]
+    real_root = str(_real(root))
+    # What lies in a searched folder that itself lies in the output was asked for by name.
+    passed_over = None if own_output is None else str(own_output)
+    if passed_over is not None and _holds(passed_over, real_root):
+        passed_over = None
+    # Each folder waits with its real path, which costs too much to ask for at every depth, and with
+    # the answer to: was a link followed on the way to it?
+    waiting: list[tuple[_Entry, str, bool]] = [(_Entry(str(root), "", "", True), real_root, False)]
+    outside: list[str] = []
     while waiting:
-        entry, is_beyond_link = waiting.pop()
+        entry, holder, is_beyond_link = waiting.pop()
         if entry.relative:
             yield entry
         if not entry.is_folder:
             continue
-        below: list[tuple[_Entry, bool]] = []
+        below: list[tuple[_Entry, str, bool]] = []
         for one in _listed(entry.path):
             if _is_passed_over(one.name, with_hidden):
                 continue
@@ -242,18 +250,35 @@ def _walked(
             relative = f"{entry.relative}/{one.name}" if entry.relative else one.name
             kind = _entry_kind(one)
             if kind == "file":
-                below.append((_Entry(path, one.name, relative, False), is_beyond_link))
+                below.append((_Entry(path, one.name, relative, False), "", is_beyond_link))
             elif kind != "special" and is_entered(relative):
                 is_link = kind == "linked folder"
-                if is_link and (
-                    is_beyond_link or not _leads_elsewhere_within(Path(path), real_root)
-                ):
+                real = str(_real(Path(path))) if is_link else os.path.join(holder, one.name)
+                if passed_over is not None and _holds(passed_over, real):
                     continue
-                if own_output is not None and _is_within_output(Path(path), own_output, real_root):
+                if is_link and not _holds(real_root, real):
+                    outside.append(path)
                     continue
-                below.append((_Entry(path, one.name, relative, True), is_beyond_link or is_link))
-        below.sort(key=lambda pair: pair[0].name, reverse=True)
+                # A link to a folder that holds it leads round.
+                if is_link and (is_beyond_link or _holds(real, holder)):
+                    continue
+                folder = _Entry(path, one.name, relative, True)
+                below.append((folder, real, is_beyond_link or is_link))
+        below.sort(key=lambda triple: triple[0].name, reverse=True)
         waiting.extend(below)
+    _warn_outside(sorted(outside), root)
+
+
+def _warn_outside(links: Sequence[str], root: Path) -> None:
+    for link in links[:_LINKS_NAMED]:
+        _log.warning(
+            "the link %r leads out of the input folder %r and is skipped; "
+            "name the folder itself as an input to have it too",
+            link,
+            str(root),
+        )
+    if len(links) > _LINKS_NAMED:
+        _log.warning("%d more links lead out of it", len(links) - _LINKS_NAMED)
 
 
 def _is_passed_over(name: str, with_hidden: bool) -> bool:
@@ -292,18 +317,9 @@ def _entry_kind(entry: os.DirEntry[str]) -> str:
     return "file" if stat.S_ISREG(mode) else "special"
 
 
-def _leads_elsewhere_within(link: Path, real_root: Path) -> bool:
-    target, holder = _real(link), _real(link.parent)
-    return (
-        target != real_root
-        and target.is_relative_to(real_root)
-        and not holder.is_relative_to(target)
-    )
-
-
-def _is_within_output(folder: Path, own_output: Path, real_root: Path) -> bool:
-    # A searched folder that itself lies in the output was asked for by name.
-    return not real_root.is_relative_to(own_output) and _real(folder).is_relative_to(own_output)
+def _holds(folder: str, path: str) -> bool:
+    """Whether a path is that of a folder, or lies below it; both are real paths."""
+    return path == folder or path.startswith(folder.rstrip(os.sep) + os.sep)
 
 
 def _real(path: Path) -> Path:

@@ -23,6 +23,7 @@ import os
 import platform
 import random
 import re
+import stat
 import sys
 import time
 from collections.abc import Iterator
@@ -227,7 +228,12 @@ def _looked_at(path: Path, *, is_removed: bool = False) -> _Holder | None:
 def _opened(path: Path, *, is_made: bool = True) -> int:
     flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | (os.O_CREAT if is_made else 0)
     try:
-        return os.open(path, flags, 0o644)
+        # To read who holds it would wait for a pipe.
+        handle = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o644)
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            os.close(handle)
+            raise OSError(errno.EINVAL, "it is not a regular file")
+        return handle
     except OSError as error:
         if isinstance(error, FileNotFoundError | NotADirectoryError) and not is_made:
             return -1

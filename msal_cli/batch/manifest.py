@@ -17,6 +17,7 @@ so that clocks of several machines need not agree.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import hashlib
 import json
@@ -35,6 +36,7 @@ from msal_cli.batch.shards import Shard
 from msal_cli.batch.temporaries import temporary_name
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import OutputError
+from msal_cli.files.regular import is_regular, open_regular
 from msal_cli.pipeline import Settings
 from msal_cli.records import MeshRecord, ObjectMark, as_data, from_data
 
@@ -58,6 +60,10 @@ _SPARE_LINES = 1000
 RUN_KINDS = ("run", "end")
 RUN_LINES_KEPT = 100
 """Lines about runs are kept for reports, but not without end."""
+
+LONGEST_LINE = 16 << 20
+"""Bytes that a line may have.  Lines of msal have some kilobytes; a longer one is damage, and a
+file with a hole would be one line as long as the hole."""
 
 _LARGEST_BLOCK = 1 << 20
 
@@ -136,7 +142,7 @@ class Place:
 
     def line(self) -> bytes:
         """The line as it is now; OSError if the file cannot be read."""
-        with self.path.open("rb", buffering=0) as file:
+        with open_regular(self.path, buffering=0) as file:
             file.seek(self.start)
             return file.read(self.length)
 
@@ -158,11 +164,11 @@ def file_sha256(path: str, is_stopped: Callable[[], bool] = lambda: False) -> st
     """SHA-256 of a file; an empty string if it cannot be read or ``is_stopped`` became true."""
     digest = hashlib.sha256()
     try:
-        with open(path, "rb", buffering=0) as file:
+        with open_regular(path, buffering=0) as file:
             # A block of full size for each of many small files would cost more than the hashing.
             block = bytearray(min(_LARGEST_BLOCK, os.fstat(file.fileno()).st_size + 1))
             view = memoryview(block)
-            while length := file.readinto(view):
+            while length := file.readinto(view):  # type: ignore[attr-defined]
                 if is_stopped():
                     return ""
                 digest.update(view[:length])
@@ -243,12 +249,15 @@ class Manifest:
                 # It would grow where nobody asked for anything to be written.
                 raise OSError(errno.ELOOP, "it is a link")
             is_new = not self._path.exists()
-            self._file = self._path.open("ab")
+            if not is_new and not is_regular(self._path):
+                # To open a pipe would wait for a reader.
+                raise OSError(errno.EINVAL, "it is not a regular file")
+            # With a buffer, what did not fit on a full disk would be tried again at the end.
+            self._file = self._path.open("ab", buffering=0)
             if is_new:
                 _sync_folder(self._path.parent)
             if self._file.tell() and not _ends_with_newline(self._path):
-                self._file.write(b"\n")
-                self._file.flush()
+                self._add(b"\n")
         except OSError as error:
             raise _unwritable(self._path, error) from None
 
@@ -262,13 +271,24 @@ class Manifest:
         if not text:
             return
         try:
-            self._file.write(text)
-            self._file.flush()
+            self._add(text)
             os.fsync(self._file.fileno())
         except OSError as error:
             raise _unwritable(self._path, error) from None
         self._newest = at
         self._n_lines += text.count(b"\n")
+
+    def _add(self, text: bytes) -> None:
+        """Add all of ``text``, or nothing: half a line would spoil the next one."""
+        size = os.fstat(self._file.fileno()).st_size
+        rest = memoryview(text)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError:
+            with contextlib.suppress(OSError):
+                self._file.truncate(size)
+            raise
 
     def close(self) -> None:
         """Let go of the file; harmless if it is not open."""
@@ -323,9 +343,11 @@ def lines_of(path: Path) -> Iterator[tuple[Place, bytes]]:
     Raises OutputError if it cannot be read; a file that is not there has no lines.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             start = 0
-            for line in file:
+            while line := file.readline(LONGEST_LINE + 1):
+                if len(line) > LONGEST_LINE:
+                    raise OSError(errno.EFBIG, f"a line has more than {LONGEST_LINE:,} bytes")
                 if plain := line.rstrip(b"\n"):
                     yield Place(path, start, len(plain)), plain
                 start += len(line)
@@ -472,7 +494,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _ends_with_newline(path: Path) -> bool:
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         file.seek(-1, os.SEEK_END)
         return file.read(1) == b"\n"
 
@@ -480,6 +502,8 @@ def _ends_with_newline(path: Path) -> bool:
 def _unwritable(path: Path, error: OSError) -> OutputError:
     return OutputError(
         f"the manifest {str(path)!r} cannot be used: {error.strerror}",
-        hint="the output folder must be writable",
+        hint="free some space and run again"
+        if error.errno in (errno.ENOSPC, errno.EDQUOT)
+        else "the output folder must be writable",
         path=str(path),
     )

@@ -184,8 +184,9 @@ def parts_of(folder: str) -> dict[str, bytes]:
     """
     for is_last in (False, False, True):
         try:
-            names = sorted(name for name in remote.listed(_url(folder)) if _is_part(name))
-            texts = remote.read_many([_url(folder, name) for name in names])
+            there = remote.listed(_url(folder))
+            names = sorted(filter(_is_part, there))
+            texts = remote.read_many({_url(folder, name): there[name] for name in names})
         except InputError as error:
             # Another run may just be merging what was listed.
             if is_last:

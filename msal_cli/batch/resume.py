@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 import threading
 from collections.abc import Generator, Mapping
 from dataclasses import replace
@@ -171,6 +172,9 @@ class _Judge:
         backup = backup_path(task)
         if not os.path.lexists(backup):
             return Standing(index)
+        if not stat.S_ISREG(os.lstat(backup).st_mode):
+            # What a link leads to would be put in the place of the input.
+            return Standing(index, objection=str(backup))
         mark = FileMark.of(str(backup))
         sizes_differ = mark is not None and mark.size != _size(task.input)
         if not sizes_differ and self._sha256(str(backup)) == self._sha256(task.input) != "":
@@ -228,7 +232,8 @@ def undone(task: Task, mark: FileMark | None) -> str:
         return ""
     if task.backup:
         backup = backup_path(task)
-        if os.path.isfile(backup) and file_sha256(str(backup)) not in ("", file_sha256(task.input)):
+        is_file = os.path.isfile(backup) and not os.path.islink(backup)
+        if is_file and file_sha256(str(backup)) not in ("", file_sha256(task.input)):
             restore(task)
         return ""
     if FileMark.of(task.input) == mark:

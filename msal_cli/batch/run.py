@@ -39,13 +39,14 @@ if TYPE_CHECKING:
     OnProgress = Callable[[str, int, int], None]
     Denoise = Callable[..., MeshRecord]
 
-_CODES = {
+LOSS_CODES = {
     "crash": "E_CRASH",
     "memory": "E_MEMORY",
     "timeout": "E_TIMEOUT",
     "exception": "E_INTERNAL",
     "changed": "E_CHANGED",
 }
+"""The code of a failure by the cause of a ``messages.Lost``."""
 
 _log = logging.getLogger("msal.batch")
 
@@ -102,7 +103,7 @@ def run(
         )
     if retries < 0:
         raise UsageError(f"the number of retries must be at least 0, not {retries}")
-    _check_limits(limits)
+    check_limits(limits)
     if limits != NO_LIMITS:
         denoise = functools.partial(denoise, limits=limits)
     with ExitStack() as stack:
@@ -141,6 +142,8 @@ class _Run:
         self._begun: list[Manifest] = []
         self._records: dict[int, MeshRecord] = {}
         self._n_failed = 0
+        # Why what was done cannot be noted.
+        self._failure: OutputError | None = None
         self._marks: dict[int, FileMark | None] = {}
 
     def rehearsed(self) -> list[MeshRecord]:
@@ -161,8 +164,10 @@ class _Run:
             todo = self._possible(todo, weights)
             if self._is_single() or self._plan.stays_here:
                 self._work_here(todo)
-            elif todo and not self._is_given_up():
+            elif todo and self._failure is None and not self._is_given_up():
                 self._work_elsewhere(todo, weights)
+            if self._failure is not None:
+                raise self._failure
         except BaseException:
             # Why it ended matters more than that it cannot be noted.
             with suppress(OutputError):
@@ -260,6 +265,8 @@ class _Run:
                     _log.exception("internal error at %r", task.input)
                     record = self._lost(index, "exception", f"{type(error).__name__}: {error}")
                 self._finish([(index, record)])
+                if self._failure is not None:
+                    return
 
     def _weighed(self, todo: list[int]) -> Weights:
         tasks = {index: self._plan.tasks[index] for index in todo}
@@ -312,7 +319,8 @@ class _Run:
             try:
                 for messages in batches:
                     self._hear(messages)
-                    if self._is_given_up():
+                    # What the workers have begun they finish, and that is told too.
+                    if self._failure is not None or self._is_given_up():
                         engine.stop()
             except Interrupt:
                 signals.raise_for(received[0])
@@ -349,12 +357,18 @@ class _Run:
     # What came of it
 
     def _finish(self, finished: list[tuple[int, MeshRecord]]) -> None:
-        """Note files in the manifests, then tell."""
+        """Note files in the manifests, then tell; what cannot be noted is told all the same."""
         records, tasks = dict(finished), self._plan.tasks
-        self._note(
-            (index, done(key, self._hash, records[index], tasks[index].input, tasks[index].output))
-            for index, key in self._keys(records)
-        )
+        try:
+            self._note(
+                (
+                    index,
+                    done(key, self._hash, records[index], tasks[index].input, tasks[index].output),
+                )
+                for index, key in self._keys(records)
+            )
+        except OutputError as error:
+            self._failure = self._failure or error
         for index, record in finished:
             # What an earlier run has failed at is no reason to give up this one.
             self._n_failed += record.status == "failed"
@@ -388,7 +402,7 @@ class _Run:
         )
 
     def _lost(self, index: int, cause: str, reason: str, hint: str = "") -> MeshRecord:
-        failure = Failure(_CODES[cause], reason, hint)
+        failure = Failure(LOSS_CODES[cause], reason, hint)
         return replace(self._planned(index), output=None, status="failed", error=failure)
 
     def _set_right(self, index: int) -> str:
@@ -415,7 +429,8 @@ def do_one(task: Task, common: tuple[Denoise, Settings], on_progress: OnProgress
     return record
 
 
-def _check_limits(limits: Limits) -> None:
+def check_limits(limits: Limits) -> None:
+    """Refuse limits within which no file can be denoised; UsageError."""
     if limits.timeout_s is not None and not limits.timeout_s > 0.0:
         raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
     if limits.max_faces is not None and limits.max_faces < 1:

@@ -109,6 +109,7 @@ class Crew:
         self._tells_first = tells_first
         self._schedule = Schedule(tasks) if schedule is None else schedule
         self._earlier: dict[int, str] = {}
+        self._warnings: set[tuple[str, str]] = set()
         self._workers: list[WorkerProcess] = []
         self._heard: Heard = queue.SimpleQueue()
         self._false_starts = 0
@@ -291,7 +292,11 @@ class Crew:
             return [Advanced(*rest)]
         elif kind == "log":
             name, level, text = rest
-            logging.getLogger(name).log(level, "%s", text)
+            is_repeated = level >= logging.WARNING and (name, text) in self._warnings
+            if level >= logging.WARNING:
+                self._warnings.add((name, text))
+            # What is wrong with the machine, every worker sees.
+            logging.getLogger(name).log(logging.DEBUG if is_repeated else level, "%s", text)
         elif kind == "returned":
             index, result, resident = rest
             self._finish(worker, resident)

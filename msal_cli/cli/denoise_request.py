@@ -76,8 +76,6 @@ def refuse_for_streams(request: Request, one: Pipe) -> None:
     given |= {
         word: value is not None
         for word, value in (
-            ("--timeout", request.timeout),
-            ("--memory-limit", request.memory_limit),
             ("--retries", request.retries),
             ("--max-failures", request.max_failures),
         )

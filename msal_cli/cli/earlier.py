@@ -67,8 +67,11 @@ def account(names: Sequence[str]) -> Account:
         elif path.is_file():
             history = _of_file(path)
         else:
+            is_there = path.exists()
             raise UsageError(
-                f"there is no file or folder {name!r}",
+                f"{name!r} is neither a regular file nor a folder"
+                if is_there
+                else f"there is no file or folder {name!r}",
                 hint="name an output folder, a manifest in it, or a report in .json or .jsonl",
                 path=name,
             )
@@ -137,11 +140,13 @@ def _is_ended(run: RunNote | None) -> bool:
 
 def _of_file(path: Path) -> History:
     from msal_cli.batch import history
+    from msal_cli.files import read_whole
     from msal_cli.report import reading
 
     name = str(path)
+    data = read_whole(name)
     try:
-        data, time_ns = path.read_bytes(), path.stat().st_mtime_ns
+        time_ns = path.stat().st_mtime_ns
     except OSError as error:
         raise InputError(
             f"the file cannot be read: {error.strerror}", path=name, code="E_READ"

@@ -70,7 +70,7 @@ def _paths(
 
 def _inspected(paths: tuple[str, ...], format: str | None) -> Iterator[InfoRecord]:
     from msal_cli import inspection
-    from msal_cli.cli.pipe import read_stream
+    from msal_cli.cli.standard_input import read_stream
 
     for path in paths:
         if path == STREAM:

@@ -139,6 +139,7 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
             if not arguments:
                 talk.say(context.get_help())
                 return exit_codes.USAGE
+            _check_environment()
             return int(group.invoke(context) or exit_codes.SUCCESS)
     except Exit as finish:
         return finish.exit_code
@@ -162,6 +163,14 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
         return exit_codes.FATAL
     except Exception as error:
         return _internal_error(error)
+
+
+def _check_environment() -> None:
+    """Refuse what no command could work with; UsageError."""
+    if "MSAL_URL_SECRETS" in os.environ:
+        from msal_cli.files import urls
+
+        urls.check_secrets()
 
 
 def _say_usage(error: click.UsageError) -> None:

@@ -156,7 +156,7 @@ def _run(request: Request) -> int:
 
 def _piped(request: Request, one: Any, noise: Noise, format: str | None) -> int:
     from msal_cli import corruption, files
-    from msal_cli.cli.pipe import read_stream
+    from msal_cli.cli.standard_input import read_stream
 
     if request.include or request.exclude:
         raise UsageError("--include and --exclude are for files, not for standard input or output")

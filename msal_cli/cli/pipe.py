@@ -8,14 +8,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from msal_cli.cli import talk
+from msal_cli.cli.standard_input import copy_stream, read_stream
 from msal_cli.dataclass import dataclass
-from msal_cli.errors import InputError, MsalError, OutputError, UsageError
+from msal_cli.errors import MsalError, OutputError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from msal_cli.files import Buffer
-    from msal_cli.pipeline import Limits, Settings
+    from msal_cli.pipeline import Limits, OnProgress, Settings
     from msal_cli.records import MeshRecord
 
 STREAM = "-"
@@ -48,7 +47,8 @@ def pipe(inputs: tuple[str, ...], output: str | None) -> Pipe | None:
 
     (source,) = inputs
     if source != STREAM and not is_url(source) and not os.path.isfile(source):
-        what = "a folder" if os.path.isdir(source) else "no file"
+        what = "no regular file" if os.path.exists(source) else "no file"
+        what = "a folder" if os.path.isdir(source) else what
         raise UsageError(
             f"-o - takes one file, and {source!r} is {what}", hint="name an output folder with -o"
         )
@@ -89,22 +89,25 @@ def target_format(one: Pipe, to: str | None) -> str | None:
 def denoised(
     one: Pipe,
     settings: Settings,
-    on_progress: Callable[[str, int, int], None],
+    on_progress: OnProgress,
     limits: Limits,
 ) -> MeshRecord:
     """Read, denoise, write, and tell; nothing is written unless all went well.
 
-    Of ``limits`` only that of faces counts.
+    With a limit of time or memory a supervised worker does it, which can be ended.
 
     Raises
     ------
+    UsageError
+        if no file can be denoised within ``limits``.
     BrokenPipeError
         if nobody reads standard output.
     """
     from msal_cli import __version__
-    from msal_cli.pipeline import denoise_bytes
     from msal_cli.records import Failure, MeshRecord, MethodUsed
 
+    is_limited = (limits.timeout_s, limits.memory_bytes) != (None, None)
+    make = _made_by_worker if is_limited else _made_here
     record = MeshRecord(
         input=one.source,
         status="failed",
@@ -112,36 +115,58 @@ def denoised(
         method=MethodUsed(settings.method, dict(settings.parameters)),
     )
     try:
-        output, record = denoise_bytes(
-            _read(one.source, settings.format), one.source, settings, on_progress, limits
-        )
+        output, record = make(one, settings, on_progress, limits)
         if output is None:
             return record
         if one.target == STREAM:
             talk.put_bytes(output)
             return replace(record, output=STREAM)
         return _written(output, record, one.target)
+    except UsageError:
+        raise
     except MsalError as error:
         failure = Failure(error.code, error.message, error.hint, error.where)
         return replace(record, status="failed", output=None, error=failure)
 
 
-def read_stream() -> bytes:
-    """All of standard input; InputError if it cannot be read."""
-    if sys.stdin is None:
-        raise InputError("standard input is closed", code="E_READ")
-    try:
-        return sys.stdin.buffer.read()
-    except OSError as error:
-        raise InputError(
-            f"standard input cannot be read: {error.strerror}", code="E_READ"
-        ) from None
-
-
-def _read(source: str, format: str | None) -> Buffer:
+def _made_here(
+    one: Pipe, settings: Settings, on_progress: OnProgress, limits: Limits
+) -> tuple[Buffer | None, MeshRecord]:
+    """The bytes of the output, None if it failed, and the record; made in this process."""
     from msal_cli import files
+    from msal_cli.pipeline import denoise_bytes
 
-    return read_stream() if source == STREAM else files.read_input(source, format)
+    name = one.source
+    data = read_stream() if name == STREAM else files.read_input(name, settings.format)
+    return denoise_bytes(data, name, settings, on_progress, limits)
+
+
+def _made_by_worker(
+    one: Pipe, settings: Settings, on_progress: OnProgress, limits: Limits
+) -> tuple[Buffer | None, MeshRecord]:
+    """As ``_made_here``, in a worker that is ended when it goes beyond its limits.
+
+    What comes through a stream is kept in a private folder until the end.
+    """
+    import tempfile
+
+    from msal_cli import files
+    from msal_cli.batch import signals, single
+    from msal_cli.pipeline import Task
+
+    single.check_limits(limits)
+    # The folder is to go, whatever ends this.
+    with (
+        signals.noticed(signals.raise_for),
+        tempfile.TemporaryDirectory(prefix="msal-") as folder,
+    ):
+        source, left_s = one.source, limits.timeout_s
+        if source == STREAM:
+            source = os.path.join(folder, "input")
+            left_s = copy_stream(source, limits.timeout_s, limits.memory_bytes)
+        task = Task(source, os.path.join(folder, "output"), relative=one.source)
+        record = single.denoised(task, settings, limits, left_s, on_progress)
+        return (None if record.error is not None else files.read_whole(task.output)), record
 
 
 def _written(output: Buffer, record: MeshRecord, target: str) -> MeshRecord:

@@ -5,7 +5,8 @@ It is written under another name and moved, and is checked by a hash before it i
 any number of processes may start at once on an empty cache, and a torn file is only made again.
 
 The cache lies beside this package where that can be written, else in the user's cache folder;
-``MSAL_CACHE_DIR`` in the environment names another place for it.
+``MSAL_CACHE_DIR`` in the environment names another place for it.  A folder that others may write
+is not used, see ``trusted``.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from msal_cli.core import elf_image
+from msal_cli.core import elf_image, trusted
 from msal_cli.dataclass import dataclass
 
 try:
@@ -171,8 +172,8 @@ def _lock_file(name: str) -> int | None:
         return None
     for folder in _folders():
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            return os.open(folder / name, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+            trusted.make_folder(folder)
+            return trusted.open_file(folder / name, os.O_RDWR | os.O_CREAT)
         except OSError:
             continue
     return None
@@ -197,6 +198,24 @@ def _file_name(name: str, said: str) -> str:
 
 
 def _folders() -> list[Path]:
+    """The places for the cache that can be trusted, the best first."""
+    refusals: list[str] = []
+    folders = trusted.only_trusted(_candidates(), refusals)
+    if not folders and refusals:
+        _warn(refusals[0])
+    return folders
+
+
+@functools.cache
+def _warn(refusal: str) -> None:
+    _log.warning(
+        "kernels are compiled in memory, in each process again: %s; make it writable for you alone "
+        "(chmod go-w), or name another folder with MSAL_CACHE_DIR",
+        refusal,
+    )
+
+
+def _candidates() -> list[Path]:
     chosen = os.environ.get("MSAL_CACHE_DIR")
     if chosen:
         return [Path(chosen)]
@@ -209,7 +228,8 @@ def _folders() -> list[Path]:
 
 def _read(path: Path) -> Code | None:
     try:
-        data = path.read_bytes()
+        with open(trusted.open_file(path, os.O_RDONLY), "rb") as file:
+            data = file.read()
     except OSError:
         return None
     start = len(_MAGIC) + hashlib.sha256().digest_size
@@ -221,11 +241,12 @@ def _read(path: Path) -> Code | None:
 
 
 def _write(folder: Path, name: str, data: bytes) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
+    trusted.make_folder(folder)
     # Containers that share a folder may share numbers of processes too.
     temporary = folder / f".{name}.{os.getpid()}-{os.urandom(4).hex()}.tmp"
     with WRITING:
         try:
+            os.close(trusted.open_file(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
             temporary.write_bytes(data)
             temporary.replace(folder / name)
         except OSError:

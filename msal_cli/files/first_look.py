@@ -9,13 +9,18 @@ from __future__ import annotations
 
 import errno
 import os
-import stat
-from pathlib import Path
 from typing import BinaryIO
 
 from msal_cli.errors import FormatError, TooLargeError, TruncatedError
 from msal_cli.files.base import Buffer
-from msal_cli.files.streams import GZIP_MAGIC, memory_bytes, read_in_large_pages, read_whole
+from msal_cli.files.regular import open_regular
+from msal_cli.files.streams import (
+    GZIP_MAGIC,
+    largest_bytes,
+    read_in_large_pages,
+    read_whole,
+    too_large,
+)
 
 LOOKED_AT = 1 << 16
 """Bytes of the beginning that are read; a file no larger is left to its codec."""
@@ -27,10 +32,13 @@ LARGE_BYTES = 4 << 20
 """Bytes from which on the system may give large pages of memory."""
 
 
-def read_input(path: str | os.PathLike[str], format: str | None = None) -> Buffer:
+def read_input(
+    path: str | os.PathLike[str], format: str | None = None, size: int | None = None
+) -> Buffer:
     """The bytes of an input file, unless its size and beginning show that it is no mesh.
 
-    ``format`` is the format's name, over the suffix.
+    ``format`` is the format's name, over the suffix; ``size`` is that of an object behind a URL
+    as far as it is known.
 
     Raises
     ------
@@ -43,30 +51,25 @@ def read_input(path: str | os.PathLike[str], format: str | None = None) -> Buffe
 
     is_large = False
     try:
-        with Path(path).open("rb") as file:
+        with open_regular(path) as file:
             status = os.fstat(file.fileno())
-            is_large = stat.S_ISREG(status.st_mode) and status.st_size >= LARGE_BYTES
-            if stat.S_ISREG(status.st_mode) and status.st_size > LOOKED_AT:
+            is_large = status.st_size >= LARGE_BYTES
+            if status.st_size > LOOKED_AT:
                 _look(file, status.st_size, os.fspath(path), format)
     except (OSError, ValueError):
         pass  # reading it all says why
     # A library would copy what is no ``bytes``.
     if is_large and (format or format_of_name(os.fspath(path))) in OWN_FORMATS:
         return read_in_large_pages(path)
-    return read_whole(path)
+    return read_whole(path, size)
 
 
 def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
     """Raise for a file of ``size`` bytes that cannot be what it says."""
     from msal_cli.files import content_format, format_of_name
 
-    largest = memory_bytes() // 2
-    if size > largest:
-        raise TooLargeError(
-            f"the file has {size:,} bytes, and a mesh of more than {largest:,} cannot be held in "
-            "the memory of this machine",
-            hint="cut the mesh into parts, or use a machine with more memory",
-        )
+    if size > largest_bytes():
+        raise too_large(size)
     head = file.read(LOOKED_AT)
     said = format.lower().removeprefix(".") if format else format_of_name(name)
     seen = content_format(head, said)

@@ -10,12 +10,12 @@ from __future__ import annotations
 import json
 import re
 import zlib
-from pathlib import Path
 
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import MsalError
 from msal_cli.files import content_format, format_of_name, ply_header
 from msal_cli.files.ply_header import Element, Header
+from msal_cli.files.regular import open_regular
 from msal_cli.files.streams import ALWAYS_EXPANDED, GZIP_MAGIC, LARGEST_RATIO
 from msal_cli.files.urls import is_url
 
@@ -106,7 +106,7 @@ def forecast(
 
             head, size = remote.beginning(path, LOOKED_AT)
         else:
-            with Path(path).open("rb") as file:
+            with open_regular(path) as file:
                 head = file.read(LOOKED_AT)
                 size = max(file.seek(0, 2), len(head))
     except (OSError, ValueError, MsalError):

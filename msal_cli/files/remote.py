@@ -13,13 +13,14 @@ import contextlib
 import inspect
 import os
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
 
 from msal_cli.errors import InputError, MsalError, OutputError, UsageError
 from msal_cli.files import urls
 from msal_cli.files.base import Buffer
+from msal_cli.files.streams import largest_bytes, too_large
 from msal_cli.files.urls import is_url
 
 __all__ = [
@@ -57,6 +58,9 @@ _OBJECT_STORES = (
 # a store that cannot be reached costs minutes a file.
 _TRIES_AROUND_BOTOCORE = 2
 
+_WEB = ("http", "https")
+
+_PIECE = 1 << 20
 _AT_THE_SAME_TIME = 16
 _MOST_IN_ONE_REMOVAL = 1000
 
@@ -82,14 +86,21 @@ def is_in_process(url: str) -> bool:
     return urls.split(url)[0] == "memory"
 
 
-def read_whole(url: str) -> bytes:
-    """The bytes of an object.
+def read_whole(url: str, size: int | None = None) -> bytes:
+    """The bytes of an object; ``size`` is what a listing has just said that it has of them.
 
-    Raises InputError (``E_READ``) if there is none, or the store does not give it; UsageError if
-    a package is missing.
+    Raises InputError (``E_READ``) if there is none, or the store does not give it; TooLargeError
+    if it has more than half of the machine's memory; UsageError if a package is missing.
     """
     try:
         system, path = _opened(url)
+        if urls.split(url)[0] in _WEB:
+            return _read_from_web(system, path)
+        if size is None or size < 0:
+            there = _mark(system, path)
+            size = there.size if there is not None else 0
+        if size > largest_bytes():
+            raise too_large(size)
         data: bytes = system.cat_file(path, **_in_one_request(system))
     except (MsalError, MemoryError):
         raise
@@ -101,6 +112,23 @@ def read_whole(url: str) -> bytes:
     return data
 
 
+def _read_from_web(system: Any, path: str) -> bytes:
+    """What a web server sends, in one request.
+
+    It is counted as it comes: a server may send another size than it says, without end, or
+    compressed so that a little becomes very much.
+    """
+    pieces, size = [], 0
+    # Without blocks it is one stream.
+    with system.open(path, "rb", block_size=0) as stream:
+        while piece := stream.read(_PIECE):
+            pieces.append(piece)
+            size += len(piece)
+            if size > largest_bytes():
+                raise too_large(size)
+    return b"".join(pieces)
+
+
 def beginning(url: str, length: int) -> tuple[bytes, int]:
     """At most ``length`` bytes of an object's beginning, and its size; two requests.
 
@@ -109,10 +137,18 @@ def beginning(url: str, length: int) -> tuple[bytes, int]:
     there = mark(url)
     if there is None:
         raise InputError("there is no such object", path=url, code="E_READ")
+    data: bytes
     try:
         system, path = _opened(url)
-        # A range of nothing is an error to some stores.
-        data: bytes = system.cat_file(path, start=0, end=length) if there.size else b""
+        if urls.split(url)[0] in _WEB:
+            # A server may send all of it, whatever range is asked for, and in small pieces.
+            data = b""
+            with system.open(path, "rb", block_size=0) as stream:
+                while len(data) < length and (piece := stream.read(length - len(data))):
+                    data += piece
+        else:
+            # A range of nothing is an error to some stores.
+            data = system.cat_file(path, start=0, end=length) if there.size else b""
     except (MsalError, MemoryError):
         raise
     except Exception as failure:
@@ -123,14 +159,21 @@ def beginning(url: str, length: int) -> tuple[bytes, int]:
     return data, max(there.size, len(data))
 
 
-def read_many(some: Sequence[str]) -> list[bytes]:
-    """The bytes of several objects, some at the same time; the errors of ``read_whole``."""
+def read_many(some: Mapping[str, Mark]) -> list[bytes]:
+    """The bytes of several objects, with the marks of a listing, some at the same time.
+
+    The errors are those of ``read_whole``; all together may have half of the machine's memory.
+    """
     if not some:
         return []
     from concurrent.futures import ThreadPoolExecutor
 
+    sizes = [one.size for one in some.values()]
+    together = sum(max(size, 0) for size in sizes)
+    if together > largest_bytes():
+        raise too_large(together)
     with ThreadPoolExecutor(min(_AT_THE_SAME_TIME, len(some))) as pool:
-        return list(pool.map(read_whole, some))
+        return list(pool.map(read_whole, some, sizes))
 
 
 def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> Mark:

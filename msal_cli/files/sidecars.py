@@ -13,14 +13,18 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from msal_cli.errors import OutputError
+from msal_cli.files.regular import open_regular
 from msal_cli.files.urls import is_url
-from msal_cli.files.writing import write_new
+from msal_cli.files.writing import make_folders, write_new
 
 LARGEST_MATERIAL = 16 << 20
 """Bytes of a material library that is searched for textures; real ones have a few thousand."""
 
 MOST_REFERENCES = 10_000
 """Files that one mesh may name."""
+
+MOST_BYTES = 4 << 30
+"""Bytes of all files together that are carried for one mesh; a sparse file may say any size."""
 
 _PIECE = 8 << 20
 _TEXTURE_KEYS = (b"bump", b"disp", b"decal", b"refl", b"norm")
@@ -42,8 +46,9 @@ def carried(
     Each is copied to the same place relative to the output as it has relative to the input, byte
     for byte; textures that a copied ``.mtl`` names come along.  A file that is there already with
     the same content is left alone.  An absolute reference needs nothing; one that leaves the
-    output folder, and one whose file is missing, is only told of.  To and from URLs nothing is
-    copied.
+    output folder, one whose file is missing or no regular file, and one that leads out of the
+    input's folder, as a link may, is only told of: a scan of somebody else's must not carry
+    files of this machine along.  To and from URLs nothing is copied.
 
     Parameters
     ----------
@@ -65,6 +70,7 @@ def carried(
     target_folder = Path(output_path).parent
     notes: list[str] = []
     done: set[str] = set()
+    budget = _Budget(MOST_BYTES)
     waiting = list(references)
     while waiting:
         reference = waiting.pop(0)
@@ -74,10 +80,13 @@ def carried(
             notes.append(f"warning: only the first {MOST_REFERENCES} references are followed")
             break
         done.add(reference)
-        notes.append(_carried(reference, source_folder, target_folder))
-        source = _relative(reference, source_folder)
-        if reference.lower().endswith(".mtl") and source is not None:
-            waiting.extend(_from(reference, name) for name in _textures(source_folder / source))
+        notes.append(_carried(reference, source_folder, target_folder, budget))
+        relative = _relative(reference, source_folder)
+        if not reference.lower().endswith(".mtl") or relative is None:
+            continue
+        library = source_folder / relative
+        if _is_within(library, source_folder):
+            waiting.extend(_from(reference, name) for name in _textures(library))
     return tuple(note for note in notes if note)
 
 
@@ -115,7 +124,21 @@ def _relative(reference: str, folder: Path) -> Path | None:
     return literal
 
 
-def _carried(reference: str, source_folder: Path, target_folder: Path) -> str:
+class _Budget:
+    """Bytes that may still be carried."""
+
+    def __init__(self, left: int) -> None:
+        self._left = left
+
+    def take(self, size: int) -> bool:
+        """Take ``size`` bytes, if so many are left."""
+        if size > self._left:
+            return False
+        self._left -= size
+        return True
+
+
+def _carried(reference: str, source_folder: Path, target_folder: Path, budget: _Budget) -> str:
     """Carry one file; what was done, empty if nothing had to be."""
     relative = _relative(reference, source_folder)
     if relative is None:
@@ -124,18 +147,27 @@ def _carried(reference: str, source_folder: Path, target_folder: Path) -> str:
         return "warning: a reference without a usable name is left alone"
     source, target = source_folder / relative, target_folder / relative
     if not _is_file(source):
+        if source.exists():
+            return f"warning: {reference} is not a regular file and is not copied"
         return f"warning: {reference} is missing beside the input"
     if not os.access(source, os.R_OK):
         return f"warning: {reference} may not be read"
     try:
         if target.exists() and target.samefile(source):
             return ""
+        if not budget.take(source.stat().st_size):
+            return (
+                f"warning: {reference} is not copied: more than {MOST_BYTES:,} bytes belong to "
+                "one mesh"
+            )
         if target.exists() and _is_same(source, target):
             return f"{reference} is in place already"
     except OSError as failure:
         return f"warning: {reference} cannot be compared: {failure.strerror}"
-    if not _is_within(target, target_folder):
+    if not _is_within(target.parent, target_folder):
         return f"warning: {reference} lies outside the output folder and is not found from there"
+    if not _is_within(source, source_folder):
+        return f"warning: {reference} leads out of the input's folder and is not copied"
     _copy(source, target)
     return f"copied {reference}"
 
@@ -151,10 +183,10 @@ def _is_same(source: Path, target: Path) -> bool:
     return target.is_file() and filecmp.cmp(source, target, shallow=False)
 
 
-def _is_within(target: Path, folder: Path) -> bool:
-    """Whether ``target`` lies in ``folder`` once ``..`` and links are followed."""
+def _is_within(path: Path, folder: Path) -> bool:
+    """Whether ``path`` lies in ``folder`` once ``..`` and links are followed."""
     try:
-        place = Path(os.path.realpath(target.parent))
+        place = Path(os.path.realpath(path))
         return place.is_relative_to(os.path.realpath(folder))
     except (OSError, ValueError):
         return False
@@ -163,7 +195,7 @@ def _is_within(target: Path, folder: Path) -> bool:
 def _copy(source: Path, target: Path) -> None:
     """Copy a file to a place that is free; whoever comes second finds it taken and compares."""
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+        make_folders(target.parent)
         if not write_new(target, _pieces(source), mode_like=source) and not _is_same(
             source, target
         ):
@@ -186,7 +218,7 @@ def _taken(source: Path, target: Path) -> OutputError:
 
 
 def _pieces(source: Path) -> Iterator[bytes]:
-    with source.open("rb") as stream:
+    with open_regular(source) as stream:
         while piece := stream.read(_PIECE):
             yield piece
 
@@ -194,7 +226,7 @@ def _pieces(source: Path) -> Iterator[bytes]:
 def _textures(library: Path) -> list[str]:
     """Files that a material library names, in order; none if it cannot be read."""
     try:
-        with library.open("rb") as stream:
+        with open_regular(library) as stream:
             text = stream.read(LARGEST_MATERIAL)
     except OSError:
         return []

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import zlib
-from pathlib import Path
+from typing import BinaryIO
 
 from msal_cli.errors import FormatError, InputError, TooLargeError, TruncatedError
 from msal_cli.files.base import Buffer
+from msal_cli.files.regular import NotRegularError, open_regular
 from msal_cli.files.urls import is_url
 
 GZIP_SUFFIX = ".gz"
@@ -32,28 +33,64 @@ def memory_bytes() -> int:
         return 1 << 62
 
 
-def read_whole(path: str | os.PathLike[str]) -> bytes:
-    """The bytes of a file, or of an object behind a URL.
+def largest_bytes() -> int:
+    """The most bytes that a file may have to be held in memory: half of the machine's."""
+    return memory_bytes() // 2
+
+
+def too_large(size: int) -> TooLargeError:
+    """The error for a file of ``size`` bytes that is beyond ``largest_bytes``."""
+    return TooLargeError(
+        f"the file has {size:,} bytes, and more than {largest_bytes():,} cannot be held in the "
+        "memory of this machine",
+        hint="cut the mesh into parts, or use a machine with more memory",
+    )
+
+
+def read_whole(path: str | os.PathLike[str], size: int | None = None) -> bytes:
+    """The bytes of a regular file, or of an object behind a URL, which has ``size`` as far as is
+    known.
 
     Raises
     ------
     InputError
-        with code ``E_READ`` if the system cannot read it.
+        with code ``E_READ`` if the system cannot read it, or it is a pipe, a socket or a device.
+    TooLargeError
+        if it has more than half of the machine's memory, or grows to that while it is read.
     """
     if isinstance(path, str) and is_url(path):
         from msal_cli.files import remote
 
-        return remote.read_whole(path)
+        return remote.read_whole(path, size)
     try:
-        return Path(path).read_bytes()
+        with open_regular(path, buffering=0) as file:
+            return _read_to_end(file)
     except (OSError, ValueError) as failure:
         reason = getattr(failure, "strerror", None) or str(failure)
         raise InputError(
             f"the file cannot be read: {reason}",
             path=os.fspath(path),
             code="E_READ",
-            hint="check that it exists and that you may read it",
+            hint="write what comes through it to a file first"
+            if isinstance(failure, NotRegularError)
+            else "check that it exists and that you may read it",
         ) from failure
+
+
+def _read_to_end(file: BinaryIO) -> bytes:
+    """All bytes of an open file, which may have more than its size says, but not without end."""
+    expected = os.fstat(file.fileno()).st_size
+    if expected > largest_bytes():
+        raise too_large(expected)
+    # One byte more than there should be, so that the next piece is the empty one at the end.
+    pieces, size, room = [], 0, expected + 1
+    while piece := file.read(room):
+        pieces.append(piece)
+        size += len(piece)
+        if size > largest_bytes():
+            raise too_large(size)
+        room = max(expected + 1 - size, _LARGEST_PIECE)
+    return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
 
 def read_in_large_pages(path: str | os.PathLike[str]) -> Buffer:
@@ -65,12 +102,12 @@ def read_in_large_pages(path: str | os.PathLike[str]) -> Buffer:
     import numpy as np
 
     try:
-        with Path(path).open("rb", buffering=0) as file:
+        with open_regular(path, buffering=0) as file:
             expected = os.fstat(file.fileno()).st_size
             room = np.empty(expected + 1, dtype=np.uint8).data
             size = 0
             while size <= expected:
-                got = file.readinto(room[size:])
+                got = file.readinto(room[size:])  # type: ignore[attr-defined]
                 if not got:
                     return room[:size].toreadonly()
                 size += got
@@ -117,7 +154,7 @@ def expanded(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer,
             where="byte 0",
             hint="rename the file, or compress it",
         )
-    largest = memory_bytes() // 2 if limit is None else limit
+    largest = largest_bytes() if limit is None else limit
     pieces: list[bytes] = []
     size = 0
     position = 0

@@ -90,6 +90,24 @@ def opened_as(url: str) -> str:
     return f"{protocol}://{place}{slash}{rest}" + ("" if query is None else f"?{query}")
 
 
+def check_secrets() -> None:
+    """Refuse secrets in the environment that are none; UsageError."""
+    text = os.environ.get(SECRETS)
+    if not text:
+        return
+    try:
+        kept = json.loads(text)
+    except (ValueError, RecursionError):
+        kept = None
+    is_map = isinstance(kept, dict) and all(isinstance(one, str) for one in kept.values())
+    if not is_map:
+        # What stands there is secret, so that it is not quoted.
+        raise UsageError(
+            f"{SECRETS} in the environment is not a JSON object of strings",
+            hint="msal sets it for its workers; unset it, and write passwords into the URLs",
+        )
+
+
 def _kept() -> dict[str, str]:
     text = os.environ.get(SECRETS)
     kept: dict[str, str] = json.loads(text) if text else {}

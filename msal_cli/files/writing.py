@@ -102,6 +102,22 @@ def write_new(
     return True
 
 
+def make_folders(folder: str | os.PathLike[str]) -> None:
+    """Make a folder and all above it that are missing, however deep; OSError if that fails.
+
+    ``os.makedirs`` calls itself for every folder above, and ends at a depth of a thousand.
+    """
+    path = Path(folder)
+    missing: list[Path] = []
+    while not path.is_dir():
+        missing.append(path)
+        if path == path.parent:
+            break
+        path = path.parent
+    for one in reversed(missing):
+        one.mkdir(exist_ok=True)
+
+
 def _not_written(path: str | os.PathLike[str], failure: OSError | ValueError) -> OutputError:
     reason = getattr(failure, "strerror", None) or str(failure)
     return OutputError(

@@ -147,6 +147,22 @@ class TestLinks:
         (tmp_path / "in/dots").symlink_to("../out")
         assert relatives(tmp_path / "in") == ["alias/a.ply", "real/a.ply"]
 
+    def test_a_link_that_leads_out_is_named(self, tmp_path, caplog):
+        made(tmp_path, "in/a.ply", "out/b.ply")
+        (tmp_path / "in/round").symlink_to(".")
+        (tmp_path / "in/again").symlink_to("round")
+        relatives(tmp_path / "in")
+        assert caplog.messages == []
+        for name in "vwxyz":
+            (tmp_path / "in" / name).symlink_to("../out")
+        assert relatives(tmp_path / "in") == ["a.ply"]
+        assert len(caplog.messages) == 4
+        assert f"{str(tmp_path / 'in/v')!r} leads out of the input folder" in caplog.messages[0]
+        assert caplog.messages[3] == "2 more links lead out of it"
+        caplog.clear()
+        found([str(tmp_path / "in")], exclude=["[v-z]"], is_mesh_name=is_mesh_name)
+        assert caplog.messages == []
+
     def test_loops_end(self, tmp_path):
         made(tmp_path, "in/a/b/x.ply")
         (tmp_path / "in/a/b/up").symlink_to("..")

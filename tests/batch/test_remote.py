@@ -265,7 +265,9 @@ def test_a_rerun_reads_no_object(scans, monkeypatch):
     denoised()
     reads = []
     real = remote.read_whole
-    monkeypatch.setattr(remote, "read_whole", lambda url: reads.append(url) or real(url))
+    monkeypatch.setattr(
+        remote, "read_whole", lambda url, *size: reads.append(url) or real(url, *size)
+    )
     assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date")
     assert all(FOLDER in url for url in reads)
 

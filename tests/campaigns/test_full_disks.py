@@ -5,6 +5,9 @@ python -m pytest tests/campaigns/test_full_disks.py -m slow -s
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 import os
 import subprocess
 
@@ -47,6 +50,34 @@ def test_a_limit_on_the_size_of_files_is_a_full_disk(tmp_path):
     assert sorted(contents(tmp_path / "out")) == ["big.ply", "small0.ply", "small1.ply"]
 
 
+def test_a_manifest_that_is_full_hides_nothing(tmp_path):
+    """What was written is counted, although it cannot be noted, and the report is written."""
+    scans = folder_of(tmp_path / "in", **{f"s{n:02}": closed_scan(n) for n in range(12)})
+    report = tmp_path / "r.csv"
+    words = command(scans, tmp_path / "out", "-j", "2", "--report", report)
+
+    def limit():
+        import resource
+
+        # Enough for an output and for the report; the manifest of all files is larger.
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
+
+    told_all = [one for one in words if one != "-q"]
+    made = subprocess.run(told_all, capture_output=True, preexec_fn=limit, check=False)
+    assert made.returncode == 1, made.stderr
+    assert b"manifest" in made.stderr and b"File too large" in made.stderr
+    there = sorted(contents(tmp_path / "out"))
+    assert 0 < len(there) < 12
+    assert f"12 files: {len(there)} written, {12 - len(there)} not done".encode() in made.stderr
+    rows = list(csv.DictReader(io.StringIO(report.read_text())))
+    told = {row["output"].rpartition("/")[2] for row in rows if row["status"] == "written"}
+    assert sorted(told) == there
+    # The manifest has no torn line, and the same command goes on.
+    assert (tmp_path / "out/.msal-manifest.jsonl").read_bytes().endswith(b"}\n")
+    assert ended(words)[0] == 0
+    assert len(contents(tmp_path / "out")) == 12
+
+
 @pytest.fixture
 def small_disk(tmp_path):
     """A function that makes a disk of so many kilobytes, or changes its size."""
@@ -70,8 +101,30 @@ def small_disk(tmp_path):
         subprocess.run(["umount", disk], check=True)
 
 
+by_root = pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may mount"
+)
+
+
+@by_root
+def test_the_report_on_another_disk_is_written(tmp_path, small_disk):
+    scans = folder_of(tmp_path / "in", **{f"s{n:02}": closed_scan(n) for n in range(8)})
+    disk, report = small_disk(64), tmp_path / "r.json"
+    made = subprocess.run(
+        command(scans, disk / "out", "-j", "2", "--report", report),
+        capture_output=True,
+        check=False,
+    )
+    assert made.returncode in (1, 3), made.stderr
+    records = json.loads(report.read_bytes())["records"]
+    assert len(records) == 8
+    told = [one["output"].rpartition("/")[2] for one in records if one["status"] == "written"]
+    assert sorted(told) == sorted(contents(disk / "out"))
+    assert {one["status"] for one in records} <= {"written", "failed", "planned"}
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may mount")
+@by_root
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_a_disk_of_every_size_up_to_enough(tmp_path, small_disk, jobs):
     scans = scans_in(tmp_path / "in", 12)

@@ -38,6 +38,14 @@ def test_no_secret_is_told(tmp_path, place, is_output):
     assert "Traceback" not in told.stderr
 
 
+@pytest.mark.parametrize("words", ["denoise a.ply -o b.ply", "info a.ply", "methods"])
+def test_broken_secrets_are_wrong_use(monkeypatch, words):
+    monkeypatch.setenv(urls.SECRETS, "{{{")
+    told = msal(*words.split())
+    assert told.exit_code == 2
+    assert urls.SECRETS in told.stderr and "{{{" not in told.stderr
+
+
 def test_file_urls_are_paths(tmp_path):
     (tmp_path / "a.ply").write_bytes(closed_scan())
     told = msal("denoise", f"file://{tmp_path}/a.ply", "-o", f"file://{tmp_path}/out/b.ply", "-q")

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import gzip
+import http.server
 import sys
+import threading
 
 import pytest
 
 from msal_cli import files
-from msal_cli.errors import InputError, OutputError, UsageError
-from msal_cli.files import remote, sidecars
+from msal_cli.errors import InputError, OutputError, TooLargeError, UsageError
+from msal_cli.files import remote, sidecars, streams
 from msal_cli.files.forecast import forecast
 from msal_cli.files.remote import Mark, listed, mark, read_many, read_whole, removed, write_whole
 
@@ -91,13 +95,12 @@ def test_names_are_taken_as_they_are(name):
 
 def test_many_are_read_and_removed():
     some = [f"memory://b/{n}" for n in range(40)]
-    for url in some:
-        write_whole(url, url.encode())
-    assert read_many(some) == [url.encode() for url in some]
+    marks = {url: write_whole(url, url.encode()) for url in some}
+    assert read_many(marks) == [url.encode() for url in some]
     removed([*some[1:], "memory://b/none"])
     removed([])
     assert list(listed("memory://b")) == ["0"]
-    assert read_many([]) == []
+    assert read_many({}) == []
 
 
 def test_a_beginning_is_told_with_the_size():
@@ -252,3 +255,96 @@ def test_sidecars_are_told_of_and_left_behind():
     assert note.startswith("warning: not copied")
     assert "a.mtl, b.png, c.png and 1 more" in note
     assert sidecars.carried((), "memory://b/a.obj", "out/a.obj") == ()
+
+
+class TestBounds:
+    """No object, whatever a store or a server says or sends, is read without end."""
+
+    @pytest.fixture(autouse=True)
+    def little_memory(self, monkeypatch):
+        monkeypatch.setattr(streams, "memory_bytes", lambda: 8 << 20)
+
+    @pytest.fixture
+    def server(self):
+        """A web server whose answer is ``server.answer(handler)``; counts the bytes sent."""
+
+        class Handler(http.server.BaseHTTPRequestHandler):
+            protocol_version = "HTTP/1.1"
+
+            def do_HEAD(self):
+                self.send_response(200)
+                self.send_header("Content-Length", "10")
+                self.end_headers()
+
+            def do_GET(self):
+                self.send_response(200)
+                self.close_connection = True
+                with contextlib.suppress(OSError):
+                    self.server.answer(self)
+
+            def log_message(self, *words):
+                pass
+
+        one = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        one.daemon_threads = True
+        one.url = f"http://127.0.0.1:{one.server_port}/a.ply"
+        threading.Thread(target=one.serve_forever, daemon=True).start()
+        yield one
+        one.shutdown()
+        one.server_close()
+
+    def test_a_large_object_is_not_asked_for(self, monkeypatch):
+        write_whole("memory://b/a.ply", bytes(5 << 20))
+        monkeypatch.setattr(remote, "_in_one_request", lambda system: pytest.fail("it is read"))
+        with pytest.raises(TooLargeError):
+            read_whole("memory://b/a.ply")
+        with pytest.raises(TooLargeError):
+            read_whole("memory://b/a.ply", 5 << 20)
+
+    def test_many_are_too_large_together(self):
+        marks = {f"memory://b/{n}": write_whole(f"memory://b/{n}", bytes(2 << 20)) for n in "abc"}
+        with pytest.raises(TooLargeError):
+            read_many(marks)
+
+    def test_a_server_that_never_ends(self, server):
+        pytest.importorskip("aiohttp")
+        sent = 0
+
+        def answer(handler):
+            nonlocal sent
+            handler.end_headers()
+            while True:
+                sent += handler.wfile.write(bytes(1 << 16))
+
+        server.answer = answer
+        with pytest.raises(TooLargeError):
+            read_whole(server.url)
+        assert sent < 64 << 20
+        assert remote.beginning(server.url, 100) == (bytes(100), 100)
+
+    def test_a_server_that_sends_a_bomb(self, server):
+        pytest.importorskip("aiohttp")
+        packed = gzip.compress(bytes(64 << 20))
+
+        def answer(handler):
+            handler.send_header("Content-Encoding", "gzip")
+            handler.send_header("Content-Length", str(len(packed)))
+            handler.end_headers()
+            handler.wfile.write(packed)
+
+        server.answer = answer
+        with pytest.raises(TooLargeError):
+            read_whole(server.url)
+
+    def test_a_server_that_sends_what_it_has(self, server):
+        pytest.importorskip("aiohttp")
+        data = bytes(range(256)) * 8192
+
+        def answer(handler):
+            handler.send_header("Content-Length", str(len(data)))
+            handler.end_headers()
+            handler.wfile.write(data)
+
+        server.answer = answer
+        assert read_whole(server.url) == data
+        assert files.read_input(server.url) == data

@@ -280,3 +280,17 @@ def test_the_real_textured_scan(real_data, tmp_path):
     assert (tmp_path / "out/TextureDouble_A.png").read_bytes() == (
         real_data / "textured/TextureDouble_A.png"
     ).read_bytes()
+
+
+def test_files_of_any_size_are_not_copied(scene, monkeypatch):
+    source, target = scene
+    with (source.parent / "tex/bump.png").open("wb") as file:
+        file.truncate(1 << 42)
+    notes = carried(["mesh.mtl"], source, target)
+    assert "warning: tex/bump.png is not copied: more than 4,294,967,296 bytes" in " ".join(notes)
+    assert not (target.parent / "tex/bump.png").exists()
+    assert (target.parent / "tex/back.png").exists()
+    monkeypatch.setattr(sidecars, "MOST_BYTES", 150)
+    (source.parent / "tex/bump.png").write_bytes(bytes(100))
+    notes = carried(["tex/bump.png", "tex/back.png"], source, target.parent / "more/mesh.obj")
+    assert notes[0] == "copied tex/bump.png" and "is not copied" in notes[1]

@@ -90,3 +90,18 @@ def test_nothing_secret_is_told(text):
 def test_a_known_secret_is_told_in_no_words():
     settled("sftp://joe:geheim@host/a.ply")
     assert redacted("login as joe with geheim failed") == "login as joe with *** failed"
+
+
+@pytest.mark.parametrize("text", ["{{{", "[]", '"a"', '{"a": 1}', "\udcff", "[" * 100_000])
+def test_secrets_that_are_none_are_refused(monkeypatch, text):
+    monkeypatch.setenv(SECRETS, text)
+    with pytest.raises(UsageError, match=f"{SECRETS} .* is not a JSON object") as caught:
+        urls.check_secrets()
+    assert caught.value.hint
+    assert text not in caught.value.message
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"s3://b": "x"}'])
+def test_secrets_of_msal_are_taken(monkeypatch, text):
+    monkeypatch.setenv(SECRETS, text)
+    urls.check_secrets()

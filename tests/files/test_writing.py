@@ -13,7 +13,7 @@ import pytest
 from msal_cli.batch import temporaries
 from msal_cli.errors import OutputError
 from msal_cli.files import writing
-from msal_cli.files.writing import write_new, write_whole
+from msal_cli.files.writing import make_folders, write_new, write_whole
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permission bits and links of POSIX")
 
@@ -289,3 +289,22 @@ def test_a_killed_writer_leaves_the_old_file_and_is_swept(tmp_path):
     assert len(names(tmp_path)) == 2
     assert temporaries.sweep([tmp_path]) == 1
     assert names(tmp_path) == ["a.ply"]
+
+
+def test_folders_of_any_depth_are_made(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    make_folders("a" + "/d" * 1500)
+    depth = 0
+    folder = "a"
+    while os.path.isdir(f"{folder}/d"):
+        folder += "/d"
+        depth += 1
+    assert depth == 1500
+    make_folders(folder)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match="file"):
+        make_folders(tmp_path / "file" / "below")
+    # What removes temporary folders goes no deeper than a thousand.
+    for _ in range(depth):
+        os.rmdir(folder)
+        folder = os.path.dirname(folder)
