@@ -53,8 +53,9 @@ _BEGINNINGS = (
     (rb"PK\x03\x04", "3mf"),
     (rb"# vtk DataFile", "vtk"),
     (rb"\s*\$MeshFormat", "msh"),
-    (rb"\s*(?:ST)?C?N?4?OFF\b", "off"),
+    (rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*[\r\n])*(?:ST)?C?N?4?n?OFF\b", "off"),
     (rb"\s*MeshVersionFormatted", "mesh"),
+    (rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile[^>]*[\"']PolyData[\"']", "vtp"),
     (rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile", "vtu"),
     (rb"(?is)(?:\xef\xbb\xbf)?\s*solid\b.*?\b(?:facet|endsolid)\b", "stl"),
 )
@@ -157,7 +158,7 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
         return glb.read(data, name)
     from msal_cli.files import other
 
-    return other.read(data, name, wanted)
+    return other.read(data, wanted)
 
 
 def _wanted(data: Buffer, name: str, format: str | None) -> str:

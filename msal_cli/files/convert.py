@@ -40,7 +40,6 @@ _ENCODINGS = {
     "msh": ("binary", "ascii"),
     "meshb": ("binary",),
     "med": ("binary",),
-    "xdmf": ("binary",),
     "3mf": ("binary",),
 }
 """Encodings of each format, the default one first; the others are text."""
@@ -321,10 +320,12 @@ def _as_stl(content: _Content, encoding: str, single: bool) -> Buffer:
 
 
 def _through_library(content: _Content, to: str, encoding: str, single: bool) -> Buffer:
-    from msal_cli.files import other
+    from msal_cli.files import dae, other
 
     points = _positions(content, single)
-    if to == "glb" or to in other.THROUGH_TRIMESH:
+    if to == "dae":
+        return dae.written(points, content.faces, single=single)
+    if to == "glb":
         return other.surface_written(points, content.faces, content.colours, to)
     return other.cells_written(
         points.astype(np.float32) if single else points, content.faces, to, encoding

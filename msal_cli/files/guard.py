@@ -10,6 +10,7 @@ import contextlib
 import ctypes
 import io
 import logging
+import re
 import threading
 import warnings
 from collections.abc import Callable, Iterator
@@ -34,6 +35,8 @@ SLOWEST_BYTES_PER_S = 500_000.0
 
 _PACKAGES = {"collada": "pycollada"}
 _MOST_NOTES = 5
+_TEMPORARY = re.compile(r"[^\s'\"]*\bmsal-[A-Za-z0-9_]{8}[/\\]")
+"""The folder that a library was given to write to; its name says nothing, and differs each time."""
 
 T = TypeVar("T")
 
@@ -107,6 +110,7 @@ def _refused(failure: BaseException, library: str, what: str, talk: str) -> Inpu
     said = " ".join(str(failure).split()) if isinstance(failure, Exception) else ""
     if not said or said.isdigit():
         said = " ".join(talk.split()) or type(failure).__name__
+    said = _TEMPORARY.sub("", said)
     if len(said) > 200:
         said = said[:197] + "..."
     # What was read and cannot be written is no fault of the file's.
