@@ -39,6 +39,7 @@ _ENCODINGS = {
     "vtu": ("binary", "ascii"),
     "msh": ("binary", "ascii"),
     "meshb": ("binary",),
+    "vtp": ("binary",),
     "med": ("binary",),
     "3mf": ("binary",),
 }
@@ -320,11 +321,15 @@ def _as_stl(content: _Content, encoding: str, single: bool) -> Buffer:
 
 
 def _through_library(content: _Content, to: str, encoding: str, single: bool) -> Buffer:
-    from msal_cli.files import dae, other
+    from msal_cli.files import dae, other, vtk_xml, xdmf
 
     points = _positions(content, single)
     if to == "dae":
         return dae.written(points, content.faces, single=single)
+    if to == "xdmf":
+        return xdmf.written(points, content.faces, single=single)
+    if to == "vtp":
+        return vtk_xml.written(points, content.faces, single=single)
     if to == "glb":
         return other.surface_written(points, content.faces, content.colours, to)
     return other.cells_written(

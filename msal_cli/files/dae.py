@@ -15,7 +15,12 @@ from numpy.typing import NDArray
 from msal_cli.errors import FormatError, UnsupportedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.dae_scene import frames_of
-from msal_cli.files.numbers_in_place import EXPORT_AGAIN, TextNumbers
+from msal_cli.files.numbers_in_place import (
+    EXPORT_AGAIN,
+    TextNumbers,
+    float_rows,
+    integer_rows,
+)
 from msal_cli.files.patched import Content, PatchedFile
 from msal_cli.files.words import Words, require_indices
 from msal_cli.files.xml_places import Element, parse_tree
@@ -220,7 +225,8 @@ class _Mesh:
             sizes = counts
         else:
             return _strips(counts, is_fan=surface.name == "trifans")
-        if (sizes < 0).any() or int(sizes.sum()) != n_rows:
+        is_wrong = (sizes < 0) | (sizes > n_rows)
+        if is_wrong.any() or int(sizes.sum()) != n_rows:
             raise FormatError(
                 "the polygons have not as many corners as they say",
                 where=f"byte {surface.start}",
@@ -282,18 +288,10 @@ stride="3"><param name="X" type="float"/><param name="Y" type="float"/>\
 
 def written(points: Floats, faces: Ints, *, single: bool) -> bytes:
     """A new file of points (n, 3) and triangles (m, 3)."""
-    from msal_cli.core import rows, text
-
-    ends = 3 * np.arange(1, len(points) + 1, dtype=np.int64)
-    digits, stops = text.printed_shortest(points.reshape(-1), single)
-    positions = rows.lines(digits, stops, ends, b"").tobytes()
-    ends = 3 * np.arange(1, len(faces) + 1, dtype=np.int64)
-    digits, stops = text.printed(faces.reshape(-1).astype(np.float64), 0)
-    corners = rows.lines(digits, stops, ends, b"").tobytes()
     return _TEMPLATE.format(
         n_numbers=points.size,
-        positions=positions.decode(),
+        positions=float_rows(points, single=single),
         n_vertices=len(points),
         n_faces=len(faces),
-        faces=corners.decode(),
+        faces=integer_rows(faces),
     ).encode()

@@ -45,6 +45,11 @@ class _OutOfTimeError(BaseException):
     """Raised within a library; not an Exception, so that its own handlers let it through."""
 
 
+def time_limit_s(size: int) -> float:
+    """Seconds that a file of ``size`` bytes may take."""
+    return LEAST_S + size / SLOWEST_BYTES_PER_S
+
+
 def guarded(call: Callable[[], T], library: str, what: str, size: int) -> tuple[T, tuple[str, ...]]:
     """The result of ``call()`` and what the library had to say, one line each.
 
@@ -66,7 +71,7 @@ def guarded(call: Callable[[], T], library: str, what: str, size: int) -> tuple[
     ResourceError
         with code ``E_TIMEOUT`` if it does not end.
     """
-    limit_s = LEAST_S + size / SLOWEST_BYTES_PER_S
+    limit_s = time_limit_s(size)
     talk = io.StringIO()
     try:
         with _silenced(talk):

@@ -144,6 +144,37 @@ class BinaryNumbers:
         return to_type(values, self.code, np.arange(len(values))).astype(np.float64), 0.0
 
 
+@dataclass(eq=False)
+class ColumnNumbers:
+    """Binary numbers stored column by column: ``count`` x, then as many y, then z, from ``at``."""
+
+    data: Bytes = field(repr=False)
+    at: int
+    count: int
+    code: str
+    starts: Offsets = field(init=False, repr=False)
+    stops: Offsets = field(init=False, repr=False)
+    values: Floats = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        size = np.dtype(self.code).itemsize
+        self.starts = self.at + size * np.arange(3 * self.count, dtype=np.int64)
+        self.stops = self.starts + size
+        stored = self.data[self.at : self.at + 3 * self.count * size].view(self.code)
+        self.values = np.ascontiguousarray(stored.reshape(3, -1).T.astype(np.float64))
+
+    def units(self, is_changed: Flags) -> Flags:
+        return is_changed.T.reshape(-1)
+
+    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Offsets]:
+        new = values.T.reshape(-1)[units].astype(self.code)
+        size = np.dtype(self.code).itemsize
+        return new.view(np.uint8), size * np.arange(1, len(new) + 1, dtype=np.int64)
+
+    def stored(self, values: Floats) -> tuple[Floats, float]:
+        return values, 0.0
+
+
 def to_type(values: Floats, code: str, rows: NDArray[np.int64]) -> NDArray[np.floating]:
     """Values (n, k) in a type of floating-point numbers; ``rows`` (n,) are their vertices.
 
@@ -223,3 +254,21 @@ def spliced(data: Bytes, edits: Sequence[tuple[Offsets, Offsets, Bytes, Offsets]
         inside = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         words = words[np.repeat(first, sizes) + inside]
     return text.spliced(data, starts[order], stops[order], words, np.cumsum(sizes)).data
+
+
+def float_rows(values: Floats, *, single: bool) -> str:
+    """Numbers (n, 3) as lines of the shortest text that is read back as the same numbers."""
+    from msal_cli.core import rows, text
+
+    digits, stops = text.printed_shortest(values.reshape(-1), single)
+    ends = values.shape[1] * np.arange(1, len(values) + 1, dtype=np.int64)
+    return rows.lines(digits, stops, ends, b"").tobytes().decode()
+
+
+def integer_rows(values: NDArray[np.int32]) -> str:
+    """Whole numbers (n, 3) as lines of text."""
+    from msal_cli.core import rows, text
+
+    digits, stops = text.printed(values.reshape(-1).astype(np.float64), 0)
+    ends = values.shape[1] * np.arange(1, len(values) + 1, dtype=np.int64)
+    return rows.lines(digits, stops, ends, b"").tobytes().decode()

@@ -48,7 +48,6 @@ _BY_MESHIO = {
     "avs": "avsucd",
     "vol": "netgen",
     "med": "med",
-    "xdmf": "xdmf",
 }
 """Suffixes and meshio's names for their formats; of VTK's versions the one that most can read."""
 
@@ -65,7 +64,7 @@ def writable() -> tuple[str, ...]:
     """Formats of which new files can be written, with the packages that are installed."""
     return tuple(
         name
-        for name in ("off", "dae", *_BY_MESHIO, "glb")
+        for name in ("off", "dae", "xdmf", "vtp", *_BY_MESHIO, "glb")
         if name not in _NEEDED or importlib.util.find_spec(_NEEDED[name])
     )
 
@@ -94,9 +93,6 @@ def cells_written(points: NDArray[Any], faces: Ints, format: str, encoding: str)
     options: dict[str, Any] = {}
     if format in ("vtk", "vtu", "msh"):
         options["binary"] = encoding != "ascii"
-    elif format == "xdmf":
-        # Its own way is a second file beside the first.
-        options["data_format"] = "XML"
 
     def write() -> bytes:
         import tempfile

@@ -192,8 +192,19 @@ class Stream:
             self._next_words(count)
         elif kind.lower() == "bit":
             self._next_bytes((count + 7) // 8)
+        elif kind.lower() in ("string", "utf8_string"):
+            self._skip_strings(count)
         else:
             self._next_bytes(count * np.dtype(self._code(kind)).itemsize)
+
+    def _skip_strings(self, count: int) -> None:
+        """Go behind strings; the first two bits of each tell how many bytes its length takes."""
+        for _ in range(count):
+            at = self._next_bytes(1)
+            width = (8, 4, 2, 1)[int(self._data[at]) >> 6]
+            self._next_bytes(width - 1)
+            length = int.from_bytes(self._data[at : at + width].tobytes(), "big")
+            self._next_bytes(length & ((1 << (8 * width - 2)) - 1))
 
     def _code(self, kind: str) -> str:
         code = _CODES.get(kind.lower())

@@ -7,7 +7,7 @@ bytes, not compressed or compressed with zlib or LZMA.  A new array is written a
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -207,7 +207,7 @@ def _offsets(data: Buffer, root: Element, coding: Coding) -> list[Dependent]:
     return found
 
 
-def _shifted(at: int, base: int):  # type: ignore[no-untyped-def]
+def _shifted(at: int, base: int) -> Callable[[bytes, Sequence[Floats], Shift], bytes]:
     def text(old: bytes, positions: Sequence[Floats], shift: Shift) -> bytes:
         change = shift(at) - shift(base)
         return str(at - base + change).encode() if change else old
@@ -240,3 +240,27 @@ def _ranges(data: Buffer, array: Element, which: int) -> list[Dependent]:
 def _lengths(points: Floats) -> Floats:
     lengths: Floats = np.sqrt((points * points).sum(axis=1))
     return lengths
+
+
+def written(points: Floats, faces: NDArray[np.int32], *, single: bool) -> bytes:
+    """A new VTP file of points (n, 3) and triangles (m, 3), its arrays raw behind the rest."""
+    arrays = (
+        points.astype("<f4" if single else "<f8"),
+        faces.astype("<i8"),
+        3 * np.arange(1, len(faces) + 1, dtype="<i8"),
+    )
+    blocks = [np.uint64(one.nbytes).tobytes() + one.tobytes() for one in arrays]
+    at = np.cumsum([0, *(len(one) for one in blocks)]).tolist()
+    real = "Float32" if single else "Float64"
+    head = (
+        '<?xml version="1.0"?>\n<VTKFile type="PolyData" version="1.0" '
+        'byte_order="LittleEndian" header_type="UInt64">\n<PolyData>'
+        f'<Piece NumberOfPoints="{len(points)}" NumberOfPolys="{len(faces)}">\n'
+        f'<Points><DataArray type="{real}" NumberOfComponents="3" format="appended" '
+        f'offset="{at[0]}"/></Points>\n'
+        f'<Polys><DataArray type="Int64" Name="connectivity" format="appended" '
+        f'offset="{at[1]}"/>\n<DataArray type="Int64" Name="offsets" format="appended" '
+        f'offset="{at[2]}"/></Polys>\n'
+        '</Piece></PolyData>\n<AppendedData encoding="raw">\n_'
+    )
+    return b"".join([head.encode(), *blocks, b"\n</AppendedData>\n</VTKFile>\n"])

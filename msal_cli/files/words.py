@@ -110,10 +110,10 @@ class Words:
         if not len(self):
             return np.zeros(0, dtype=bool)
         small = self.data[self.starts] | 32
-        flags: Flags = (small >= 97) & (small <= 122)
+        flags = np.asarray((small >= 97) & (small <= 122))
         for i in np.flatnonzero(flags & ((small == ord("n")) | (small == ord("i")))).tolist():
             flags[i] = self.word(i).lower() not in (b"nan", b"inf", b"infinity")
-        return flags  # type: ignore[no-any-return]
+        return flags
 
 
 _NONE = np.zeros(0, dtype=np.int64)
@@ -150,8 +150,7 @@ def _pieces(
 
 
 def _is_break(part: Bytes) -> Flags:
-    flags: Flags = (part == 10) | (part == 13)
-    return flags
+    return np.asarray((part == 10) | (part == 13))
 
 
 def _is_comment(part: Bytes, is_end: Flags, comment: bytes) -> Flags:
@@ -162,8 +161,8 @@ def _is_comment(part: Bytes, is_end: Flags, comment: bytes) -> Flags:
     place = np.arange(len(part))
     last_end = np.maximum.accumulate(np.where(is_end, place, -1))
     last_first = np.maximum.accumulate(np.where(is_first, place, -1))
-    flags: Flags = last_first > last_end
-    return flags
+    is_inside: Flags = last_first > last_end
+    return is_inside
 
 
 def require_indices(indices: Longs, count: int, what: str = "face") -> None:

@@ -11,12 +11,19 @@ from numpy.typing import NDArray
 
 from msal_cli.errors import FormatError, UnsupportedError
 from msal_cli.files.base import Buffer
-from msal_cli.files.numbers_in_place import EXPORT_AGAIN, TextNumbers
+from msal_cli.files.numbers_in_place import (
+    EXPORT_AGAIN,
+    TextNumbers,
+    float_rows,
+    integer_rows,
+)
 from msal_cli.files.patched import Content, PatchedFile
 from msal_cli.files.surface_cells import SurfaceCells
 from msal_cli.files.words import Words
 from msal_cli.files.xml_places import Element, parse_tree
 
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 
 _FLAT = {"triangle": 3, "quadrilateral": 4}
@@ -165,3 +172,26 @@ def _mixed(numbers: Longs, cells: SurfaceCells) -> tuple[Longs, Longs]:
         cells.count(name, 1)
         at += size
     return np.array(corners, dtype=np.int64), np.array(sizes, dtype=np.int64)
+
+
+_TEMPLATE = """<?xml version="1.0" encoding="utf-8"?>
+<Xdmf Version="3.0"><Domain><Grid Name="mesh" GridType="Uniform">
+<Topology TopologyType="Triangle" NumberOfElements="{n_faces}"><DataItem DataType="Int" \
+Dimensions="{n_faces} 3" Format="XML" Precision="4">
+{faces}</DataItem></Topology>
+<Geometry GeometryType="XYZ"><DataItem DataType="Float" Dimensions="{n_vertices} 3" Format="XML" \
+Precision="{precision}">
+{positions}</DataItem></Geometry>
+</Grid></Domain></Xdmf>
+"""
+
+
+def written(points: Floats, faces: Ints, *, single: bool) -> bytes:
+    """A new file of points (n, 3) and triangles (m, 3), its numbers inside."""
+    return _TEMPLATE.format(
+        n_faces=len(faces),
+        faces=integer_rows(faces),
+        n_vertices=len(points),
+        precision=4 if single else 8,
+        positions=float_rows(points, single=single),
+    ).encode()
