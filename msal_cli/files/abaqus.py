@@ -26,11 +26,9 @@ Longs = NDArray[np.int64]
 
 _KEYWORD = re.compile(rb"(?m)^[ \t]*\*[^\r\n]*")
 _SURFACE = re.compile(
-    r"(?:STRI|DS|SFM3D|M3D|R3D|F3D|AC3D|WARP3D|CPE|CPEG|CPS|SC?)(3|4|6|8|9|65)(?![0-9])[A-Z0-9]*$"
+    r"(?:STRI|DS|SFM3D|M3D|R3D|F3D|AC3D|WARP3D|CPEG|CPE|CPS|CAX|S)(3|4|6|8|9|65)(?![0-9])[A-Z0-9]*$"
 )
-_VOLUME = re.compile(r"(?:C3D|SC|CSS|AC3D|DC3D)(\d+)")
 _LINE = re.compile(r"(?:T2D|T3D|B2|B3|R2D|RB3D|SAX|PIPE)")
-_PLANE = ("CPE", "CPS", "CPEG", "WARP")
 
 
 def read(data: Buffer, format: str) -> PatchedFile:
@@ -123,7 +121,8 @@ def _parse(data: Buffer) -> Content:
 def _blocks(data: Buffer) -> Iterator[_Block]:
     """The keywords of a file, comments left out."""
     found = [one for one in _KEYWORD.finditer(data) if not one[0].lstrip().startswith(b"**")]
-    for one, after in zip(found, [*(one.start() for one in found[1:]), len(data)], strict=True):
+    ends = [*(one.start() for one in found[1:]), len(data)]
+    for one, after in zip(found, ends, strict=False):
         line, end = one[0], one.end()
         while line.rstrip().endswith(b","):
             # A keyword line goes on below if it ends with a comma.
@@ -172,7 +171,7 @@ def _nodes(words: Words) -> tuple[Longs, Longs]:
 def _read_elements(data: Buffer, block: _Block, cells: SurfaceCells) -> None:
     kind = block.options.get("TYPE", "")
     words = _words(data, block)
-    found = None if kind.startswith("SC") and kind[2:3].isdigit() else _SURFACE.match(kind)
+    found = _SURFACE.match(kind)
     if not found:
         name = "line" if _LINE.match(kind) else f"{kind or 'element'}"
         cells.count(name, len(words.first_of_lines()))

@@ -159,7 +159,7 @@ def _text_elements(words: Words, version: tuple[int, int], cells: SurfaceCells) 
         raise FormatError("an element is too short", where=words.where(at), hint=EXPORT_AGAIN)
     kinds, n_tags = words.integers(first + 1), words.integers(first + 2)
     starts = np.flatnonzero(np.diff(kinds, prepend=-1))
-    for start, stop in zip(starts, [*starts[1:], count], strict=True):
+    for start, stop in zip(starts, [*starts[1:], count], strict=False):
         kind = int(kinds[start])
         if kind not in (2, 3):
             _add_other(cells, kind, int(stop - start))
@@ -268,9 +268,9 @@ def _binary_nodes(source: _Binary, version: tuple[int, int]) -> tuple[Longs, Num
         dimension = int(head[1 if is_old else 0])
         extra = dimension if head[2] == 1 else 0
         count = int(source.integers(1, source.size_bytes)[0])
-        rows = np.arange(max(count, 0), dtype=np.int64)
         if not 0 <= extra <= 3 or not 0 <= count <= len(source.data):
             raise FormatError("a block of nodes is damaged", where=f"byte {source.at}")
+        rows = np.arange(count, dtype=np.int64)
         if is_old:
             at = source.skip((28 + 8 * extra) * count) + (28 + 8 * extra) * rows
             tags.append(_tags_at(source, at))

@@ -98,7 +98,7 @@ def _parse_text(data: Buffer) -> Content:
     positions = None
     dimension = 3
     has_normals = False
-    for keyword, stop in zip(keywords, [*keywords[1:], len(words)], strict=True):
+    for keyword, stop in zip(keywords, [*keywords[1:], len(words)], strict=False):
         name = words.word(keyword).decode("ascii", "replace").lower()
         if name == "end":
             break

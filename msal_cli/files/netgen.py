@@ -87,7 +87,7 @@ def _add_surface(words: Words, rows: Longs, lengths: Longs, cells: SurfaceCells)
     _require_length(words, rows, lengths, _CORNERS_BEHIND, "surface element")
     n_corners = words.integers(rows + 4)
     starts = np.flatnonzero(np.diff(n_corners, prepend=-1))
-    for start, stop in zip(starts, [*starts[1:], len(rows)], strict=True):
+    for start, stop in zip(starts, [*starts[1:], len(rows)], strict=False):
         size = int(n_corners[start])
         if size not in (3, 4):
             cells.refuse_curved(f"of {size} points", int(stop - start))

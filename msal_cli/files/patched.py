@@ -131,7 +131,8 @@ class PatchedFile:
         if not changes:
             return self._data
         edits = []
-        for numbers, values, units in changes:
+        for numbers, values, is_changed in changes:
+            units = numbers.units(is_changed)
             text, ends = numbers.texts(values, units)
             edits.append((numbers.starts[units], numbers.stops[units], text, ends))
         from msal_cli.core.text import as_bytes
@@ -184,13 +185,19 @@ class PatchedFile:
             raise InternalError(f"the {self.format} file that was made has other attributes")
         # Every unit that did not change must be there byte for byte, the others hold new numbers.
         before, after = [], []
-        for numbers, values, units in changes:
+        for numbers, values, is_changed in changes:
+            units = numbers.units(is_changed)
             which = next(i for i, one in enumerate(ours) if one is numbers)
             output_numbers = theirs[which]
             expected, slack = numbers.stored(values)
             if len(output_numbers.starts) != len(numbers.starts):
                 raise InternalError(f"the {self.format} file that was made has other numbers")
-            if not _are_close(output_numbers.values, expected, slack):
+            if not (
+                _are_close(output_numbers.values[is_changed], expected[is_changed], slack)
+                and np.array_equal(
+                    output_numbers.values[~is_changed], numbers.values[~is_changed], equal_nan=True
+                )
+            ):
                 raise InternalError(
                     f"a number of the {self.format} file that was made is not what it should be"
                 )
@@ -217,7 +224,7 @@ class PatchedFile:
             )
 
     def _changes(self, vertices: Floats) -> list[tuple[Numbers, Floats, Flags]]:
-        """The arrays that change, what they are to hold, and their units that change."""
+        """The arrays that change, what they are to hold, and which numbers of it are new."""
         if vertices.shape != self.vertices.shape:
             raise InternalError(
                 f"positions of shape {vertices.shape} for a file with {len(self.vertices)} vertices"
@@ -232,9 +239,9 @@ class PatchedFile:
             pairs += zip(content.normals, self._new_normals(vertices), strict=True)
         changes = []
         for numbers, values in pairs:
-            is_changed = values != numbers.values
+            is_changed = (values != numbers.values) & ~np.isnan(numbers.values)
             if is_changed.any():
-                changes.append((numbers, values, numbers.units(is_changed)))
+                changes.append((numbers, values, is_changed))
         return changes
 
     def _dependent_texts(self, vertices: Floats, shift: Shift) -> Iterator[tuple[Dependent, bytes]]:

@@ -125,7 +125,7 @@ def surface_of(types: Longs, offsets: Longs, corners: Longs, surface: Surface) -
         # Types in turns: the same polygons in their order, cell by cell only where they must be.
         _add_mixed(types, offsets, corners, surface)
         return
-    for start, stop in zip(starts, [*starts[1:], len(types)], strict=True):
+    for start, stop in zip(starts, [*starts[1:], len(types)], strict=False):
         own = offsets[start : stop + 1]
         kind = _NAMES.get(int(types[start]), f"cell of type {int(types[start])}")
         surface.add(kind, own - own[0], corners[own[0] : own[-1]])

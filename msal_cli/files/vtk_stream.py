@@ -42,7 +42,7 @@ _CODES = {
     "float": ">f4",
     "double": ">f8",
 }
-_LINE = re.compile(rb"\s*([^\r\n]*)(\r?\n|\Z)")
+_LINE = re.compile(rb"\s*([^\r\n]*)(?:\r\n|\n|\r|\Z)")
 _PARAGRAPH_END = re.compile(rb"\n[ \t]*\r?\n|\Z")
 
 

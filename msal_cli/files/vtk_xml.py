@@ -238,7 +238,8 @@ def _ranges(data: Buffer, array: Element, which: int) -> list[Dependent]:
 
 
 def _lengths(points: Floats) -> Floats:
-    lengths: Floats = np.sqrt((points * points).sum(axis=1))
+    with np.errstate(over="ignore"):
+        lengths: Floats = np.sqrt((points * points).sum(axis=1))
     return lengths
 
 

@@ -150,12 +150,13 @@ def _pieces(
 
 
 def _is_break(part: Bytes) -> Flags:
-    return np.asarray((part == 10) | (part == 13))
+    is_break: Flags = (part == 10) | (part == 13)
+    return is_break
 
 
 def _is_comment(part: Bytes, is_end: Flags, comment: bytes) -> Flags:
     """Which bytes stand between a comment's first letter and the end of its line."""
-    is_first = part == comment[0]
+    is_first: Flags = part == comment[0]
     if not is_first.any():
         return is_first
     place = np.arange(len(part))

@@ -1,4 +1,4 @@
-"""Formats that trimesh and meshio read and write for us."""
+"""Formats beside PLY, OBJ, STL and GLB, with meshio and trimesh as judges of our codecs."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_reading_replacing_and_reading_again(tmp_path, suffix, more):
     assert np.array_equal(file.faces, faces)
     assert file.n_polygons == len(faces)
     assert file.faces.dtype == np.int32
-    assert any("rewritten through meshio" in one for one in file.warnings)
+    assert file.warnings == ()
     assert file.replaced(file.vertices.copy()) is data
     file.check(data, file.vertices)
     moved = noisy(file.vertices, 1)
@@ -70,6 +70,11 @@ def test_reading_replacing_and_reading_again(tmp_path, suffix, more):
     again = open_mesh(output, f"a.{suffix}")
     assert np.allclose(again.vertices, moved, rtol=0, atol=1e-10)
     assert np.array_equal(again.faces, faces)
+    path = tmp_path / f"again.{suffix}"
+    path.write_bytes(output)
+    judged = meshio.read(path)
+    assert np.allclose(judged.points, moved, rtol=0, atol=1e-10)
+    assert np.array_equal(judged.cells[0].data, faces)
     # Encoding and version stay as they are, and so does the result from run to run.
     assert again.encoding == file.encoding
     assert output[:26] == data[:26]
@@ -126,16 +131,13 @@ def test_volume_cells_are_kept_and_told_of(tmp_path):
     assert np.array_equal(meshio.read(path).cells_dict["tetra"], tetra)
 
 
-def test_encoding_may_change_where_the_library_can(tmp_path):
+def test_encoding_and_precision_stay(tmp_path):
     file = open_mesh(written(tmp_path, "vtk", {"binary": True}), "a.vtk")
-    again = open_mesh(file.encoded(file.vertices, "ascii", "same"), "a.vtk")
-    assert again.encoding == "ascii"
-    assert np.array_equal(again.vertices, file.vertices)
-    with pytest.raises(UnsupportedError):
-        file.encoded(file.vertices, "same", "float32")
-    file = open_mesh(written(tmp_path, "inp", {}), "a.inp")
-    with pytest.raises(UnsupportedError):
-        file.encoded(file.vertices, "binary", "same")
+    moved = noisy(file.vertices)
+    assert file.encoded(moved, "binary", "float64") == file.replaced(moved)
+    for encoding, precision in (("ascii", "same"), ("same", "float32")):
+        with pytest.raises(UnsupportedError, match="--to ply|stays|cannot be changed"):
+            file.encoded(file.vertices, encoding, precision)
 
 
 def off(vertices, faces, head="OFF") -> bytes:
@@ -163,7 +165,7 @@ def test_off_with_colours_and_comments_in_any_letters():
     data = off(vertices, faces, "# caf\xe9\n\nCOFF # made by hand").decode().encode("latin-1")
     file = open_mesh(data, "a.off")
     assert np.array_equal(file.vertices, vertices)
-    assert any("colours and comments are not kept" in one for one in file.warnings)
+    assert file.replaced(noisy(vertices)).tobytes().startswith(data[: data.index(b"8 12 0")])
 
 
 def test_unreferenced_and_coincident_vertices_keep_their_places():
@@ -179,7 +181,7 @@ def test_check_notices_wrong_results():
     file = open_mesh(off(vertices, faces), "a.off")
     moved = noisy(vertices)
     with pytest.raises(InternalError):
-        file.check(file.data, moved)
+        file.check(GOOD, moved)
     with pytest.raises(InternalError):
         file.check(off(moved, faces[::-1]), moved)
     with pytest.raises(InternalError):
@@ -201,10 +203,10 @@ POINTS = "POINTS 3 double\n0 0 0 1 0 0 0 1 0\n"
 DAMAGED = {
     "empty.off": (b"", "E_TRUNCATED"),
     "empty.vtk": (b"", "E_TRUNCATED"),
-    "cut.off": (GOOD[:60], "E_FORMAT"),
-    "counts.off": (b"OFF\n999999999999 1 0\n0 0 0\n", "E_FORMAT"),
+    "cut.off": (GOOD[:60], "E_TRUNCATED"),
+    "counts.off": (b"OFF\n999999999999 1 0\n0 0 0\n", "E_TRUNCATED"),
     "words.off": (b"OFF\nthree one none\n", "E_FORMAT"),
-    "index.off": (GOOD.replace(b"3 0 2 3", b"3 0 2 88"), "E_FORMAT"),
+    "index.off": (GOOD.replace(b"3 0 2 3", b"3 0 2 88"), "E_INDEX"),
     "no_faces.off": (b"OFF\n1 0 0\n0 0 0\n", "E_NO_FACES"),
     "binary.off": (b"OFF BINARY\n" + bytes(60), "E_UNSUPPORTED"),
     "four.off": (b"4OFF\n1 0 0\n0 0 0 1\n", "E_UNSUPPORTED"),
@@ -219,7 +221,7 @@ DAMAGED = {
     "noise.avs": (bytes(range(256)), "E_FORMAT"),
     "noise.vol": (bytes(range(256)), "E_FORMAT"),
     "header.vtk": (b"# vtk DataFile Version 3.0\n", "E_FORMAT"),
-    "points.vtk": (vtk(POINTS), "E_FORMAT"),
+    "points.vtk": (vtk(POINTS), "E_NO_FACES"),
     "index.vtk": (vtk(POINTS + "CELLS 1 4\n3 0 1 7\nCELL_TYPES 1\n5\n"), "E_INDEX"),
     "negative.vtk": (vtk(POINTS + "CELLS 1 4\n3 0 1 -1\nCELL_TYPES 1\n5\n"), "E_INDEX"),
     "tetra.vtk": (
@@ -255,18 +257,11 @@ def test_damaged_files_and_their_errors(name, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize(("name", "package"), [("a.3mf", ""), ("a.dae", ""), ("a.med", "")])
-def test_formats_that_need_more_packages_say_which(name, package):
-    if name[2:] in other.writable():
-        pytest.skip("the package is installed")
-    with pytest.raises(MsalError) as caught:
-        open_mesh(b"PK\x03\x04" if name == "a.3mf" else b"<COLLADA/>", name)
-    assert caught.value.code in ("E_UNSUPPORTED", "E_FORMAT")
-
-
-def test_what_can_be_written_can_be_read():
-    assert set(other.writable()) <= {*other.readable(), "glb"}
-    assert {"off", "vtk", "vtu", "msh", "glb"} <= set(other.writable())
+def test_what_can_be_written_can_be_read_and_the_other_way_round(monkeypatch):
+    pytest.importorskip("h5py")
+    assert set(other.writable()) == {*other.readable(), "glb"}
+    monkeypatch.setattr(other.importlib.util, "find_spec", lambda name: None)
+    assert {*other.readable(), "glb"} - set(other.writable()) == {"med"}
 
 
 def mutants(data: bytes, count: int, seed: int):
@@ -306,4 +301,5 @@ def test_trimesh_reads_our_off():
     file = open_mesh(GOOD, "a.off")
     moved = noisy(VERTICES)
     mesh = trimesh.load_mesh(io.BytesIO(file.replaced(moved)), file_type="off", process=False)
-    assert np.allclose(mesh.vertices, moved, rtol=0, atol=1e-12)
+    assert np.allclose(mesh.vertices, moved, rtol=0, atol=1e-7)
+    assert np.array_equal(mesh.faces, FACES)
