@@ -85,6 +85,11 @@ def _parse(data: Buffer) -> Content:
 def _section(data: Buffer, name: str) -> Words:
     """The words between ``$name`` and ``$Endname``."""
     start = re.search(rb"(?m)^[ \t]*\$%s\s" % name.encode(), data)
+    if not start and name == "Nodes" and re.search(rb"(?m)^\$ParametricNodes\s", data):
+        raise UnsupportedError(
+            "nodes with parameters are not read in version 2",
+            hint="write version 4.1, or without Mesh.SaveParametric",
+        )
     if not start:
         raise FormatError(f"there is no ${name}", hint=EXPORT_AGAIN)
     end = re.compile(rb"\$End%s" % name.encode()).search(data, start.end() - 1)

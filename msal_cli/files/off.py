@@ -162,7 +162,7 @@ def _by_lines(words: Words, start: int, n_vertices: int, n_faces: int) -> _Parse
             "a face has fewer corners than it says", where=words.where(at), hint=EXPORT_AGAIN
         )
     corners = _corners(words, first, sizes, n_vertices)
-    extra = int(lengths[vertices].min(initial=3)) - 3 if n_vertices else 0
+    extra = int(lengths[vertices].min()) - 3 if n_vertices else 0
     has_face_colours = bool((lengths[faces] > sizes + 1).any())
     n_behind = len(lines) - n_vertices - n_faces
     return _Parsed(lines[vertices], corners, sizes, has_face_colours, extra, n_behind)

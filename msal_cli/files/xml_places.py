@@ -99,6 +99,10 @@ def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
             where=f"line {failure.lineno}",
             hint=_EXPORT,
         ) from None
+    except (LookupError, ValueError) as failure:
+        raise UnsupportedError(
+            f"the XML is written in another way than UTF-8: {failure}", hint="save it as UTF-8"
+        ) from None
     if builder.root is None:
         raise FormatError(f"there is no {what} in the file", hint=_EXPORT)
     return builder.root
