@@ -28,7 +28,7 @@ libraries and the compiled kernels (36 to 46 MB measured; kernels that are yet t
 on a new machine, take 150 MB more)."""
 
 _LIBRARY_BYTES = 75_000_000
-"""What trimesh and all that it imports take on top, for formats that only it reads."""
+"""What a library and all that it imports take on top, for formats that only it reads."""
 
 _ALWAYS_BELIEVED = 256 << 20
 """Bytes that the header of a compressed file may always claim."""
@@ -43,12 +43,23 @@ _PER_BYTE = {
     "stl": 1.6,
     "stl-ascii": 4.2,
     "glb": 4.0,
-    "vtk": 9.2,
-    "vtu": 18.0,
-    "msh": 13.0,
-    "mesh": 13.0,
+    "vtk": 12.0,
+    "vtk-ascii": 13.0,
+    "vtu": 16.0,
+    "vtp": 12.0,
+    "msh": 11.0,
+    "mesh": 10.0,
+    "meshb": 10.0,
+    "off": 15.0,
+    "inp": 9.0,
+    "avs": 11.0,
+    "vol": 11.0,
+    "dae": 11.0,
+    "xdmf": 11.0,
+    "med": 18.0,
     "": 32.0,
 }
+_PER_BYTE_ELSE = 9.2
 _PER_ELEMENT = {"glb": 75.0, "ply": 45.0, "stl": 45.0}
 _PER_ELEMENT_ELSE = 60.0
 
@@ -59,9 +70,10 @@ _BYTES_PER_FACE_ELSE = 24.0
 
 # Bytes per triangle that writing another format takes, what was written being read back.
 _CONVERTED = 450
-_CONVERTED_BY_A_LIBRARY = {"off": 950}
+_CONVERTED_AS = {"avs": 500, "inp": 500, "vol": 500}
 
 _GLB_CHUNK = 20
+_VTK_TEXT = re.compile(rb"[^\n]*\n[^\n]*\n\s*ASCII", re.IGNORECASE)
 _FACET = re.compile(rb"\bfacet\s+(?:normal|outer)\b", re.IGNORECASE)
 
 
@@ -140,6 +152,8 @@ def of_beginning(
             counts = _of_stl(head, size, is_packed=bool(packed))
         elif found == "glb":
             counts = _of_glb(head, size)
+        elif found == "vtk" and _VTK_TEXT.match(head):
+            counts = _Counts("vtk-ascii")
     except (MsalError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError):
         # The reader will refuse it, and say why.
         counts = _Counts(found)
@@ -150,7 +164,7 @@ def of_beginning(
     per_byte = _PER_BYTE.get(counts.kind, _PER_BYTE[""])
     per_face = method_bytes_per_face
     if to is not None:
-        per_face += _CONVERTED_BY_A_LIBRARY.get(to, _CONVERTED)
+        per_face += _CONVERTED_AS.get(to, _CONVERTED)
     needed = BASE_BYTES + per_byte * size + 2 * packed + per_face * triangles
     if counts.kind not in _PER_BYTE:
         needed += _LIBRARY_BYTES
@@ -159,7 +173,7 @@ def of_beginning(
         needed += _PER_ELEMENT.get(counts.kind, _PER_ELEMENT_ELSE) * elements
     elif counts.kind in _PER_ELEMENT or counts.kind in ("ply", "stl"):
         # Sizes alone tell of these formats what they tell of any.
-        needed += (_PER_BYTE["vtk"] - per_byte) * size
+        needed += (_PER_BYTE_ELSE - per_byte) * size
     return Forecast(found, counts.told_vertices, counts.faces, int(needed))
 
 
