@@ -169,3 +169,11 @@ def test_calls_that_end_about_the_limit_never_leak_the_exception(monkeypatch):
         for _ in range(50):
             sum(range(10))
     assert ended + late == 200
+
+
+def test_a_temporary_folder_is_not_named():
+    def fail():
+        raise OSError(28, "No space left on device", "/tmp/msal-a_1B2c3d/mesh.vtu")
+
+    with pytest.raises(UnsupportedError, match=r"No space left on device: 'mesh\.vtu'"):
+        guarded(fail, "lib", "write a VTU file", 0)
