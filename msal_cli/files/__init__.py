@@ -53,7 +53,7 @@ _BEGINNINGS = (
     (rb"PK\x03\x04", "3mf"),
     (rb"# vtk DataFile", "vtk"),
     (rb"\s*\$MeshFormat", "msh"),
-    (rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*[\r\n])*(?:ST)?C?N?4?n?OFF\b", "off"),
+    (rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+(?:ST)?C?N?4?n?OFF\b", "off"),
     (rb"\s*MeshVersionFormatted", "mesh"),
     (rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile[^>]*[\"']PolyData[\"']", "vtp"),
     (rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile", "vtu"),

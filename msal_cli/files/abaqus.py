@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.dataclass import dataclass
-from msal_cli.errors import FormatError, UnsupportedError
+from msal_cli.errors import FormatError, TooLargeError, UnsupportedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.numbers_in_place import EXPORT_AGAIN, TextNumbers, line_of
 from msal_cli.files.patched import Content, PatchedFile
@@ -24,6 +24,7 @@ from msal_cli.files.words import Words, indices_of
 
 Longs = NDArray[np.int64]
 
+_MOST_KEYWORDS = 1_000_000
 _KEYWORD = re.compile(rb"(?m)^[ \t]*\*[^\r\n]*")
 _SURFACE = re.compile(
     r"(?:STRI|DS|SFM3D|M3D|R3D|F3D|AC3D|WARP3D|CPEG|CPE|CPS|CAX|S)(3|4|6|8|9|65)(?![0-9])[A-Z0-9]*$"
@@ -120,9 +121,11 @@ def _parse(data: Buffer) -> Content:
 
 def _blocks(data: Buffer) -> Iterator[_Block]:
     """The keywords of a file, comments left out."""
-    found = [one for one in _KEYWORD.finditer(data) if not one[0].lstrip().startswith(b"**")]
-    ends = [*(one.start() for one in found[1:]), len(data)]
-    for one, after in zip(found, ends, strict=False):
+    for count, (one, after) in enumerate(_keyword_lines(data)):
+        if count >= _MOST_KEYWORDS:
+            raise TooLargeError(
+                f"the file has more than {_MOST_KEYWORDS:,} keywords", hint="convert it to PLY"
+            )
         line, end = one[0], one.end()
         while line.rstrip().endswith(b","):
             # A keyword line goes on below if it ends with a comma.
@@ -136,6 +139,19 @@ def _blocks(data: Buffer) -> Iterator[_Block]:
             key, _, value = word.partition("=")
             options["".join(key.split()).upper()] = value.strip().upper()
         yield _Block(" ".join(words[0].split()).upper(), options, one.start(), end, after)
+
+
+def _keyword_lines(data: Buffer) -> Iterator[tuple[re.Match[bytes], int]]:
+    """Lines that begin with one asterisk, and where the next of them begins."""
+    before = None
+    for one in _KEYWORD.finditer(data):
+        if one[0].lstrip().startswith(b"**"):
+            continue
+        if before:
+            yield before, one.start()
+        before = one
+    if before:
+        yield before, len(data)
 
 
 def _refuse_references(data: Buffer, block: _Block) -> None:

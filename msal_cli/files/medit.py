@@ -88,7 +88,7 @@ def _refuse_plane(dimension: int) -> None:
 
 def _parse_text(data: Buffer) -> Content:
     words = Words(data, comment=b"#")
-    keywords = np.flatnonzero(words.is_letter()).tolist()
+    keywords = words.keywords()
     first = words.word(keywords[0]).lower() if keywords and keywords[0] == 0 else b""
     if first != b"meshversionformatted":
         raise FormatError(

@@ -40,7 +40,7 @@ def read(data: Buffer, format: str) -> PatchedFile:
 
 def _parse(data: Buffer) -> Content:
     words = Words(data, comment=b"#")
-    keywords = np.flatnonzero(words.is_letter()).tolist()
+    keywords = words.keywords()
     if not keywords or words.word(keywords[0]) not in (b"mesh3d", b"dimension"):
         raise FormatError("the file does not begin with mesh3d", where="line 1", hint=EXPORT_AGAIN)
     lines = words.first_of_lines()

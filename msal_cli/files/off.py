@@ -27,7 +27,7 @@ from msal_cli.files.words import Words, require_indices
 Longs = NDArray[np.int64]
 
 _HEADER = re.compile(
-    rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*)*(ST)?(C)?(N)?(4?)(n?)OFF\b(?:[ \t]+(BINARY))?"
+    rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+(ST)?(C)?(N)?(4?)(n?)OFF\b(?:[ \t]+(BINARY))?"
 )
 _CONVERT = "convert it to PLY"
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.errors import ContentError, FormatError, TruncatedError
+from msal_cli.errors import ContentError, FormatError, TooLargeError, TruncatedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.numbers_in_place import EXPORT_AGAIN, line_of, parse_floats
 
@@ -16,6 +16,7 @@ Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Longs = NDArray[np.int64]
 
+_MOST_KEYWORDS = 1_000_000
 _BLOCK = 1 << 22
 """Bytes looked at in one step, so that the temporaries stay small."""
 
@@ -105,15 +106,23 @@ class Words:
         first[1:] = self.lines[1:] != self.lines[:-1]
         return np.flatnonzero(first)
 
-    def is_letter(self) -> Flags:
-        """Whether each word begins with a letter, ``nan`` and ``inf`` being numbers."""
+    def keywords(self) -> list[int]:
+        """The words that begin with a letter, ``nan`` and ``inf`` being numbers.
+
+        Raises TooLargeError for more than any mesh has.
+        """
         if not len(self):
-            return np.zeros(0, dtype=bool)
+            return []
         small = self.data[self.starts] | 32
-        flags = np.asarray((small >= 97) & (small <= 122))
+        flags: Flags = (small >= 97) & (small <= 122)
         for i in np.flatnonzero(flags & ((small == ord("n")) | (small == ord("i")))).tolist():
             flags[i] = self.word(i).lower() not in (b"nan", b"inf", b"infinity")
-        return flags
+        if np.count_nonzero(flags) > _MOST_KEYWORDS:
+            raise TooLargeError(
+                f"the file has more than {_MOST_KEYWORDS:,} words that are no numbers",
+                hint="check that it is what its name says",
+            )
+        return np.flatnonzero(flags).tolist()
 
 
 _NONE = np.zeros(0, dtype=np.int64)

@@ -96,3 +96,12 @@ def test_damage(old, new, code):
     with pytest.raises(MsalError) as caught:
         open_mesh(TEXT.replace(old, new).encode(), "a.inp")
     assert caught.value.code == code
+
+
+def test_words_without_end_are_refused(monkeypatch):
+    from msal_cli.files import abaqus
+
+    monkeypatch.setattr(abaqus, "_MOST_KEYWORDS", 100)
+    with pytest.raises(MsalError) as caught:
+        open_mesh(TEXT.encode() + b"*A\n" * 200, "a.inp")
+    assert caught.value.code == "E_TOO_LARGE"

@@ -146,3 +146,12 @@ def test_a_keyword_that_points_nowhere():
     data[12:16] = (1 << 30).to_bytes(4, "little")
     with pytest.raises(MsalError, match="next keyword"):
         open_mesh(bytes(data), "a.meshb")
+
+
+def test_words_without_end_are_refused(monkeypatch):
+    from msal_cli.files import words
+
+    monkeypatch.setattr(words, "_MOST_KEYWORDS", 100)
+    with pytest.raises(MsalError) as caught:
+        open_mesh(TEXT.replace("End", "a " * 200).encode(), "a.mesh")
+    assert caught.value.code == "E_TOO_LARGE"

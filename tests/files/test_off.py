@@ -174,3 +174,9 @@ def test_check_notices_a_changed_byte_anywhere():
             continue
         # Below the last decimal that counts, a digit may differ by one.
         assert np.abs(open_mesh(wrong, "a.off").vertices - moved).max() <= 1e-7
+
+
+@pytest.mark.parametrize("head", [b"#" * 5000 + b"\nX", b"# # " * 5000, b"#\n" * 50_000])
+def test_comments_take_no_time(head):
+    with pytest.raises(MsalError, match="does not begin with OFF"):
+        open_mesh(head, "a.off")
