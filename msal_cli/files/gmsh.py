@@ -48,12 +48,16 @@ def read(data: Buffer, format: str) -> PatchedFile:
 def _parse(data: Buffer) -> Content:
     header = _HEADER.search(data, 0, 4096)
     if not header:
+        if re.match(rb"\s*\$NOD\s", data):
+            raise _unknown_version("1")
         raise FormatError("there is no $MeshFormat", where="line 1", hint=EXPORT_AGAIN)
     version = int(header[1]), int((header[2] or b"0")[:1])
     if version[0] not in (2, 4) or version > (4, 1):
+        raise _unknown_version(f"{version[0]}.{version[1]}")
+    if version[0] == 2 and re.search(rb"(?m)^\$ParametricNodes\s", data):
         raise UnsupportedError(
-            f"version {version[0]}.{version[1]} of Gmsh's format is not read",
-            hint="write version 2.2, 4.0 or 4.1",
+            "nodes with parameters are not read in version 2",
+            hint="write version 4.1, or without Mesh.SaveParametric",
         )
     is_text = header[3] == b"0"
     cells = SurfaceCells()
@@ -79,17 +83,18 @@ def _parse(data: Buffer) -> Content:
     )
 
 
+def _unknown_version(version: str) -> UnsupportedError:
+    return UnsupportedError(
+        f"version {version} of Gmsh's format is not read", hint="write version 2.2, 4.0 or 4.1"
+    )
+
+
 # ascii
 
 
 def _section(data: Buffer, name: str) -> Words:
     """The words between ``$name`` and ``$Endname``."""
     start = re.search(rb"(?m)^[ \t]*\$%s\s" % name.encode(), data)
-    if not start and name == "Nodes" and re.search(rb"(?m)^\$ParametricNodes\s", data):
-        raise UnsupportedError(
-            "nodes with parameters are not read in version 2",
-            hint="write version 4.1, or without Mesh.SaveParametric",
-        )
     if not start:
         raise FormatError(f"there is no ${name}", hint=EXPORT_AGAIN)
     end = re.compile(rb"\$End%s" % name.encode()).search(data, start.end() - 1)

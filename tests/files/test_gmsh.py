@@ -132,6 +132,7 @@ def changed(text: str, old: str, new: str) -> bytes:
         (changed(TEXT_41, "0 1 0 0.7", "0 x 0 0.7"), "E_FORMAT"),
         (binary("4.1", "<")[:-30], "E_TRUNCATED"),
         (binary("4.1", "<").replace(b"\1\0\0\0\n$End", b"\2\0\0\0\n$End"), "E_FORMAT"),
+        (b"$NOD\n1\n1 0 0 0\n$ENDNOD\n", "E_UNSUPPORTED"),
         (b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n", "E_FORMAT"),
         (
             changed(TEXT_22, "$Nodes\n5", "$ParametricNodes\n5").replace(
