@@ -26,7 +26,7 @@ from msal_cli.files.numbers_in_place import (
     TextNumbers,
     to_type,
 )
-from msal_cli.files.streams import ALWAYS_EXPANDED, LARGEST_RATIO
+from msal_cli.files.streams import ALWAYS_EXPANDED, LARGEST_RATIO, memory_bytes
 from msal_cli.files.words import Words
 from msal_cli.files.xml_places import Element
 
@@ -51,6 +51,22 @@ class Coding:
     appended_at: int = -1
     appended_stop: int = -1
     is_raw: bool = False
+    expanded_bytes: int = 0
+
+    def expand(self, size: int, packed: int, at: int) -> None:
+        """Count an array of ``size`` bytes that is stored in ``packed``; TooLargeError beyond what
+        one array, or all arrays together, may expand to."""
+        self.expanded_bytes += size
+        of_all = max(ALWAYS_EXPANDED, LARGEST_RATIO * len(self.data))
+        if size > max(ALWAYS_EXPANDED, LARGEST_RATIO * packed) or self.expanded_bytes > min(
+            of_all, memory_bytes() // 2
+        ):
+            raise TooLargeError(
+                f"an array of {packed:,} bytes expands to {size:,}, and all to "
+                f"{self.expanded_bytes:,}",
+                where=f"byte {at}",
+                hint="write the file without compression if it is what it should be",
+            )
 
     def place(self, array: Element) -> tuple[int, int, bool]:
         """The first byte of an array, the last that it may have, and whether it is raw."""
@@ -167,6 +183,7 @@ def _decoded(array: Element, coding: Coding) -> tuple[Buffer, int, int]:
     counts = np.frombuffer(head, dtype=coding.header).tolist()
     if not coding.compressor:
         content = source.take(counts[0])
+        coding.expand(len(content), len(content), start)
         return content, source.first, source.end()
     n_blocks, block_bytes, last_bytes = counts
     if n_blocks * width > stop - start:
@@ -175,12 +192,7 @@ def _decoded(array: Element, coding: Coding) -> tuple[Buffer, int, int]:
     source.begin_data()
     packed = sum(sizes)
     total = (n_blocks - 1) * block_bytes + (last_bytes or block_bytes) if n_blocks else 0
-    if total > max(ALWAYS_EXPANDED, LARGEST_RATIO * packed):
-        raise TooLargeError(
-            f"an array of {packed:,} bytes expands to {total:,}",
-            where=f"byte {start}",
-            hint="write the file without compression if it is what it should be",
-        )
+    coding.expand(total, packed, start)
     content = b"".join(
         _expanded(
             source.take(size),

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from msal_cli.errors import MsalError
-from msal_cli.files import open_mesh
+from msal_cli.files import open_mesh, vtk_arrays
 from tests.files.patching import patched
 from tests.shapes import grid, noisy, torus
 
@@ -196,6 +196,18 @@ def test_a_file_that_expands_to_far_more_is_refused():
     data = data[:inside] + bomb + data[data.index(b"</DataArray>", inside) :]
     with pytest.raises(MsalError, match="expands to 33,554,432,000") as caught:
         open_mesh(data, "a.vtu")
+    assert caught.value.code == "E_TOO_LARGE"
+
+
+def test_many_pieces_that_share_one_array_are_refused(monkeypatch):
+    monkeypatch.setattr(vtk_arrays, "ALWAYS_EXPANDED", 1 << 20)
+    monkeypatch.setattr(vtk_arrays, "LARGEST_RATIO", 4)
+    writer = Writer("raw")
+    points = writer.array("Points", np.zeros((1 << 12, 3)))
+    piece = b'<Piece NumberOfPoints="4096"><Points>' + points + b"</Points></Piece>"
+    data = writer.whole("PolyData", piece * 100)
+    with pytest.raises(MsalError, match="and all to") as caught:
+        open_mesh(data, "a.vtp")
     assert caught.value.code == "E_TOO_LARGE"
 
 
