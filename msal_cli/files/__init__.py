@@ -38,7 +38,7 @@ __all__ = [
     "write_whole",
 ]
 
-OWN_FORMATS = ("ply", "obj", "stl", "glb")
+OWN_FORMATS = ("ply", "obj", "stl", "glb", "3mf")
 """Formats with a codec of our own, which keeps everything but positions and normals."""
 
 _LOOKED_AT = 1 << 16
@@ -155,6 +155,10 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
         from msal_cli.files import glb
 
         return glb.read(data, name)
+    if wanted == "3mf":
+        from msal_cli.files import threemf
+
+        return threemf.read(data, name)
     from msal_cli.files import other
 
     return other.read(data, name, wanted)

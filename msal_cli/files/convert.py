@@ -64,7 +64,7 @@ def writable() -> tuple[str, ...]:
     """Formats that can be written here."""
     from msal_cli.files import other
 
-    return ("ply", "obj", "stl", *other.writable())
+    return ("ply", "obj", "stl", "3mf", *other.writable())
 
 
 def converted(
@@ -115,6 +115,11 @@ def converted(
         return _as_off(content, single), tuple(losses)
     if to == "stl":
         return _as_stl(content, encoding, single), tuple(losses)
+    if to == "3mf":
+        from msal_cli.files import threemf_writer
+
+        points = _positions(content, single)
+        return threemf_writer.written(points, content.faces, single=single), tuple(losses)
     return _through_library(content, to, encoding, single), tuple(losses)
 
 

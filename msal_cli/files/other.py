@@ -44,9 +44,9 @@ THROUGH_MESHIO = {
 }
 """Suffixes and meshio's names for their formats."""
 
-THROUGH_TRIMESH = ("off", "3mf", "dae")
+THROUGH_TRIMESH = ("off", "dae")
 
-_NEEDED = {"med": ("h5py",), "xdmf": ("h5py",), "3mf": ("lxml", "networkx"), "dae": ("collada",)}
+_NEEDED = {"med": ("h5py",), "xdmf": ("h5py",), "dae": ("collada",)}
 
 _FLAT = {"triangle": 3, "quad": 4, "polygon": 0}
 """Surface cells and their corners; a polygon has any number."""
@@ -395,7 +395,7 @@ def _from_scene(data: Buffer, format: str) -> OtherFile:
         data,
         scene,
         format,
-        "binary" if format == "3mf" else "ascii",
+        "ascii",
         "text",
         vertices,
         faces.astype(np.int32),
@@ -440,7 +440,6 @@ def _is_skewed(matrix: Floats) -> bool:
 def _trimesh_losses(format: str) -> str:
     lost = {
         "off": "polygons are triangulated; colours and comments are not kept",
-        "3mf": "print settings, colours and thumbnails are not kept",
         "dae": "animations, cameras and extra data are not kept",
     }
     return f"{format}: rewritten through trimesh; {lost[format]}"
