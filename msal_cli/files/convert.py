@@ -35,6 +35,7 @@ _ENCODINGS = {
     "obj": ("ascii",),
     "off": ("ascii",),
     "glb": ("binary",),
+    "gltf": ("binary",),
     "vtk": ("binary", "ascii"),
     "vtu": ("binary", "ascii"),
     "msh": ("binary", "ascii"),
@@ -45,7 +46,7 @@ _ENCODINGS = {
 }
 """Encodings of each format, the default one first; the others are text."""
 
-_SINGLE = ("glb", "stl")
+_SINGLE = ("glb", "gltf", "stl")
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,7 @@ def writable() -> tuple[str, ...]:
     """Formats that can be written here."""
     from msal_cli.files import other
 
-    return ("ply", "obj", "stl", "3mf", *other.writable())
+    return ("ply", "obj", "stl", "gltf", "3mf", *other.writable())
 
 
 def converted(
@@ -146,7 +147,7 @@ def _rounding(mesh_file: MeshFile, vertices: Floats, single: bool) -> list[str]:
 
 def _content(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Content, list[str]]:
     """What goes across into format ``to``, and what does not."""
-    colours = vertex_colours(mesh_file) if to in ("ply", "obj", "glb") else None
+    colours = vertex_colours(mesh_file) if to in ("ply", "obj", "glb", "gltf") else None
     has_normals = any(_NORMAL_PROPERTIES.match(one) for one in mesh_file.properties)
     carries_normals = has_normals and to in ("ply", "obj")
     losses = [
@@ -329,6 +330,11 @@ def _through_library(content: _Content, to: str, encoding: str, single: bool) ->
     from msal_cli.files import other
 
     points = _positions(content, single)
+    if to == "gltf":
+        from msal_cli.files import gltf
+
+        glb = other.surface_written(points, content.faces, content.colours, "glb")
+        return gltf.of_glb(glb)
     if to == "glb" or to in other.THROUGH_TRIMESH:
         return other.surface_written(points, content.faces, content.colours, to)
     return other.cells_written(

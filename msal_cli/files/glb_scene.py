@@ -315,13 +315,17 @@ class Document:
 
     def bounded(self, output: Buffer, accessors: list[Accessor]) -> str:
         """The text with the bounds of these accessors to match their rows in ``output``."""
+        return edited(self.text, self.bound_edits(output, accessors))
+
+    def bound_edits(self, output: Buffer, accessors: list[Accessor]) -> list[Edit]:
+        """The edits of the text that make the bounds of these accessors match their rows."""
         spans = entry_spans(self.text, "accessors")
         edits: list[Edit] = []
         for accessor in accessors:
             for word, old in self.bounds(accessor.index).items():
                 new = accessor.bound(output, word)
                 edits += bound_edits(self.text, spans[accessor.index][word], old, new)
-        return edited(self.text, edits)
+        return edits
 
     def bounded_content(self, output: Buffer, accessors: list[Accessor]) -> dict[str, Any]:
         """What ``bounded`` should be read as."""
