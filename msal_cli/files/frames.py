@@ -21,8 +21,12 @@ def can_be_undone(frame: Floats) -> bool:
 
 
 def moved_by(frame: Floats, points: Floats) -> Floats:
-    """Points (n, 3) after a transform; bit for bit the same for the identity."""
+    """Points (n, 3) after a transform; bit for bit the same for the identity.
+
+    Those that are too large for it become infinite.
+    """
     if np.array_equal(frame, _IDENTITY):
         return points
-    result: Floats = points @ frame[:3, :3].T + frame[:3, 3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        result: Floats = points @ frame[:3, :3].T + frame[:3, 3]
     return result

@@ -35,6 +35,9 @@ _FINEST = 1e-7
 _MOST_DIGITS = 15
 """Digits in all that a new number has at the most: what float64 tells apart."""
 
+_BLOCK = 1 << 16
+"""Numbers of different decimals that are put in order at a time."""
+
 SHORTEST_DOUBLE, SHORTEST_SINGLE = 255, 254
 """In place of a number of decimals: the shortest text that is read back as the same number."""
 
@@ -177,7 +180,16 @@ class ThreeMfFile:
         stored = part.surface.vertices
         moved = (vertices[rows] != self.vertices[rows]).any(axis=1)
         back = np.linalg.inv(part.frame).astype(np.float64)
-        return np.where(moved[:, None], moved_by(back, vertices[rows]), stored)
+        own = np.where(moved[:, None], moved_by(back, vertices[rows]), stored)
+        finite = np.isfinite(own).all(axis=1)
+        if not finite.all():
+            raise ContentError(
+                "a new position is too large for the frame of its mesh",
+                code="E_RANGE",
+                where=f"vertex {rows.start + int(np.argmin(finite))}",
+                hint="scale the mesh down",
+            )
+        return own
 
     def _changes(self, vertices: Floats, precision: str) -> Iterator[tuple[str, _Change]]:
         """What is to be written, for each model part that changes."""
@@ -236,13 +248,13 @@ def _decimals(
         return np.zeros(0, dtype=np.uint8)
     buffer = texts.as_bytes(text)
     used = texts.decimals_used(buffer, surface.starts.reshape(-1), surface.stops.reshape(-1))
-    extent = float(np.linalg.norm(surface.vertices.max(axis=0) - surface.vertices.min(axis=0)))
-    step = extent * _FINEST
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    step = 2.0 * math.hypot(*(high * 0.5 - low * 0.5).tolist()) * _FINEST
     needed = math.ceil(-math.log10(step)) if 0.0 < step < math.inf else 0
     largest = float(np.abs(values).max())
     whole = math.ceil(math.log10(largest)) if largest > 1.0 else 0
     most = min(_MOST_DIGITS - whole, MOST_DECIMALS)
-    if needed > most:
+    if needed > most or most < 0:
         return np.full(len(values), SHORTEST_DOUBLE, dtype=np.uint8)
     least = min(max(usual_decimals(used), needed), most)
     own = texts.decimals_used(buffer, starts, stops)
@@ -274,19 +286,32 @@ def _patched(text: bytes, change: _Change) -> memoryview:
 
 def _printed(change: _Change) -> tuple[NDArray[np.uint8], Offsets]:
     """The texts of the new numbers, one behind the other, and where each ends."""
-    groups = np.flatnonzero(np.bincount(change.decimals, minlength=256))
-    if len(groups) == 1:
-        return _printed_alike(change.values, int(groups[0]))
-    lengths = np.zeros(len(change.values), dtype=np.int64)
-    pieces = []
-    for decimals in groups:
-        rows = np.flatnonzero(change.decimals == decimals)
-        text, stops = _printed_alike(change.values[rows], int(decimals))
+    if (change.decimals == change.decimals[0]).all():
+        return _printed_alike(change.values, int(change.decimals[0]))
+    pieces, ends, size = [], [], 0
+    for at in range(0, len(change.values), _BLOCK):
+        some = slice(at, at + _BLOCK)
+        text, stops = _printed_mixed(change.values[some], change.decimals[some])
+        pieces.append(text)
+        ends.append(stops + size)
+        size += len(text)
+    return np.concatenate(pieces), np.concatenate(ends)
+
+
+def _printed_mixed(
+    values: Floats, decimals: NDArray[np.uint8]
+) -> tuple[NDArray[np.uint8], Offsets]:
+    """The same for numbers with different decimals, of which there are not too many."""
+    lengths = np.zeros(len(values), dtype=np.int64)
+    groups = []
+    for one in np.unique(decimals):
+        rows = np.flatnonzero(decimals == one)
+        text, stops = _printed_alike(values[rows], int(one))
         lengths[rows] = np.diff(stops, prepend=0)
-        pieces.append((rows, text))
+        groups.append((rows, text))
     ends = np.cumsum(lengths)
     out = np.empty(int(ends[-1]), dtype=np.uint8)
-    for rows, text in pieces:
+    for rows, text in groups:
         own = lengths[rows]
         shift = ends[rows] - np.cumsum(own)
         out[np.arange(len(text)) + np.repeat(shift, own)] = text
@@ -337,8 +362,6 @@ def _check_text(model: Model, output: bytes, change: _Change) -> None:
         raise InternalError("the 3MF model that was made differs in more than positions")
     values, bad = texts.numbers_at(b, starts, stops)
     wanted = change.values
-    single = change.decimals == SHORTEST_SINGLE
-    wanted = np.where(single, wanted.astype(np.float32).astype(np.float64), wanted)
     slack = 0.5 * 10.0 ** -change.decimals.astype(np.float64) * (1.0 + 1e-9)
     if bad >= 0 or (np.abs(values - wanted) > slack + 4.5e-16 * np.abs(wanted)).any():
         raise InternalError("a position of a 3MF file was not written right")

@@ -419,13 +419,13 @@ def _plain_lists(text: bytes) -> Iterator[tuple[int, tuple[int, int]]]:
 def _quoted(region: NDArray[np.uint8], offset: int) -> tuple[Offsets, Offsets]:
     """What stands between the first three pairs of quotes of each element, (n, 3) starts and stops;
     ``offset`` is added to all."""
-    quotes = np.flatnonzero(region == _QUOTE) + offset
-    tags = np.flatnonzero(region == _LESS) + offset
+    quotes = np.flatnonzero(region == _QUOTE)
+    tags = np.flatnonzero(region == _LESS)
     if len(quotes) == 6 * len(tags):
         pairs = quotes.reshape(-1, 6)
     else:
         pairs = quotes[np.searchsorted(quotes, tags)[:, None] + np.arange(6)]
-    return np.ascontiguousarray(pairs[:, 0::2] + 1), np.ascontiguousarray(pairs[:, 1::2])
+    return pairs[:, 0::2] + (1 + offset), pairs[:, 1::2] + offset
 
 
 def _pairs(attributes: list[str]) -> dict[str, str]:

