@@ -46,6 +46,9 @@ __all__ = [
 OWN_FORMATS = ("ply", "obj", "stl", "glb", "gltf", "3mf")
 """Formats with a codec of our own, which keeps everything but positions and normals."""
 
+SCENES = {"glb", "gltf"}
+"""Containers of one format, which hold the same."""
+
 _LOOKED_AT = 1 << 16
 _NUMBER = rb"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _OBJ_VERTEX = rb"(?m)^[ \t]*v(?:[ \t]+" + _NUMBER + rb"){3}"

@@ -95,6 +95,15 @@ def converted(
     if to == mesh_file.format:
         encode = getattr(mesh_file, "encoded")  # noqa: B009 - not part of the protocol
         return encode(vertices, encoding, precision), ()
+    from msal_cli import files
+
+    if {to, mesh_file.format} == files.SCENES and encoding != "ascii" and precision != "float64":
+        from msal_cli.files.gltf_repack import repacked
+        from msal_cli.files.scene_file import SceneFile
+
+        scene = repacked(mesh_file, vertices, to) if isinstance(mesh_file, SceneFile) else None
+        if scene is not None:
+            return scene, ()
     if to not in writable():
         raise UnsupportedError(
             f"{to!r} cannot be written", hint=f"formats: {', '.join(writable())}"
@@ -331,10 +340,13 @@ def _through_library(content: _Content, to: str, encoding: str, single: bool) ->
 
     points = _positions(content, single)
     if to == "gltf":
-        from msal_cli.files import gltf
+        from msal_cli.files import glb
+        from msal_cli.files.gltf_repack import repacked
 
-        glb = other.surface_written(points, content.faces, content.colours, "glb")
-        return gltf.of_glb(glb)
+        made = glb.read(other.surface_written(points, content.faces, content.colours, "glb"), "")
+        scene = repacked(made, made.vertices, "gltf")
+        assert scene is not None
+        return scene
     if to == "glb" or to in other.THROUGH_TRIMESH:
         return other.surface_written(points, content.faces, content.colours, to)
     return other.cells_written(

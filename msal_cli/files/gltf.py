@@ -26,7 +26,7 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
-from msal_cli.files import glb_chunks, gltf_buffers
+from msal_cli.files import gltf_buffers
 from msal_cli.files.base import Buffer
 from msal_cli.files.companions import Companion
 from msal_cli.files.glb_scene import HINT, MOST_JSON, Document, as_dict, as_list, parsed_description
@@ -39,7 +39,6 @@ from msal_cli.files.urls import is_url
 Floats = NDArray[np.float64]
 
 _MOST_BUFFERS = 10_000
-_EMBEDDED = "data:application/octet-stream;base64,"
 _PACK = "write one file with --to glb"
 
 
@@ -341,12 +340,3 @@ def names_of_buffers(data: Buffer) -> set[str]:
     except MsalError:
         return set()
     return found
-
-
-def of_glb(data: Buffer) -> bytes:
-    """A GLB file of one buffer as a .gltf with that buffer inside its text."""
-    document = glb_chunks.parsed(data)
-    at, size = document.places[0]
-    uri = gltf_buffers.as_embedded(_EMBEDDED, memoryview(data)[at : at + size])
-    content = document.content | {"buffers": [{"byteLength": size, "uri": uri}]}
-    return json.dumps(content, separators=(",", ":")).encode()

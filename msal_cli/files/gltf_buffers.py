@@ -23,6 +23,9 @@ _BASE64 = ";base64,"
 _MOST_BEHIND = 256 << 20
 """Bytes behind the declared end of a buffer that are carried along whatever its size."""
 
+EMPTY_URI = "data:application/octet-stream;base64,"
+"""A ``data:`` reference of no bytes."""
+
 _PACK = "export it as .glb, which holds everything in one file"
 
 

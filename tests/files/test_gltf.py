@@ -233,6 +233,40 @@ def test_conversions(tmp_path):
     assert np.array_equal(again.faces, file.faces)
 
 
+def test_from_one_container_to_the_other(tmp_path):
+    source = in_folder(tmp_path / "in")
+    for name in ("a.glb", "b.gltf"):
+        record = denoised(source if name == "a.glb" else tmp_path / "a.glb", tmp_path / name)
+        assert record.error is None and not record.warnings, record
+        assert "textures/a b.png" in tree(tmp_path)
+        assert not (tmp_path / "a.bin").exists()
+    glb, text = opened(tmp_path / "a.glb"), opened(tmp_path / "b.gltf")
+    first = denoised(source, tmp_path / "out" / "x.gltf")
+    assert first.error is None
+    assert np.array_equal(opened(tmp_path / "out" / "x.gltf").vertices, glb.vertices)
+    for key in ("accessors", "meshes", "nodes", "images", "extras"):
+        assert key in text.document.content
+        assert (
+            glb.document.content[key] == json.loads((tmp_path / "out" / "x.gltf").read_text())[key]
+        )
+
+
+def test_several_buffers_become_one(tmp_path):
+    text, binary = scene_of("a.bin", "b.bin")
+    content = json.loads(text)
+    content["bufferViews"][2]["buffer"] = content["bufferViews"][3]["buffer"] = 1
+    content["buffers"][0]["byteLength"] -= 3
+    (tmp_path / "a.bin").write_bytes(binary)
+    (tmp_path / "b.bin").write_bytes(binary[::-1][::-1])
+    (tmp_path / "x.gltf").write_text(json.dumps(content))
+    source = opened(tmp_path / "x.gltf")
+    data, losses = convert.converted(source, source.vertices, "glb", "same", "same")
+    again = open_mesh(data, "x.glb")
+    assert losses == () and np.array_equal(again.vertices, source.vertices)
+    assert np.array_equal(again.faces, source.faces)
+    assert len(content_of(data)[0]["buffers"]) == 1
+
+
 def test_encodings(tmp_path):
     file = open_mesh(embedded(), "a.gltf")
     assert file.encoded(file.vertices, "binary", "float32") is file.data
