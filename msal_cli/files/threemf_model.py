@@ -8,6 +8,7 @@ would take most of the time: a pattern holds them to that form, and Expat sees t
 
 from __future__ import annotations
 
+import math
 import re
 from array import array
 from bisect import bisect_right
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.dataclass import dataclass
-from msal_cli.errors import ContentError, FormatError, UnsupportedError
+from msal_cli.errors import ContentError, FormatError, TooLargeError, UnsupportedError
 
 Floats = NDArray[np.float64]
 Offsets = NDArray[np.int64]
@@ -41,6 +42,10 @@ _STALE = {
 }
 """Extensions that describe the same surface a second time, so that it must not move alone."""
 
+_DEEPEST = 100
+MOST_USES = 100_000
+"""Components and items of a part; large assemblies have some thousands."""
+
 UNITS = ("micron", "millimeter", "centimeter", "inch", "foot", "meter")
 
 _DAMAGED = "the file is damaged; export it again"
@@ -59,6 +64,7 @@ _LIST = re.compile(rb"<(vertices|triangles)\s*>")
 _ATTRIBUTE = re.compile(rb"\s+([^\s=<>\"'/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 _TAG_NAME = re.compile(rb"<[^\s<>/]+")
 _DECIMAL = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
+_NO_NUMBER = re.compile(r"[-+]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 _QUOTE, _LESS = 34, 60
 _CORNERS = ("v1", "v2", "v3")
 
@@ -178,6 +184,7 @@ class _Reader:
         self._prefixes: dict[str, str] = {}
         self._path: list[str] = []
         self._object = -1
+        self._n_uses = 0
         self._vertices: tuple[Floats, Offsets, Offsets] | None = None
         self._faces: NDArray[np.int64] | None = None
         # What is gathered element by element, where the lists are not plain.
@@ -227,6 +234,12 @@ class _Reader:
         is_core = space in _CORES
         above = self._path[-1] if self._path else ""
         self._path.append(word if is_core else name)
+        if len(self._path) > _DEEPEST:
+            raise TooLargeError(
+                f"elements lie in one another more than {_DEEPEST} deep",
+                where=self._where(),
+                hint=_DAMAGED,
+            )
         if not above:
             if word != "model" or not is_core:
                 raise FormatError(
@@ -254,6 +267,13 @@ class _Reader:
             self._open_object(_pairs(attributes))
         elif word in ("component", "item"):
             use = self._use(_pairs(attributes))
+            self._n_uses += 1
+            if self._n_uses > MOST_USES:
+                raise TooLargeError(
+                    f"there are more than {MOST_USES:,} components and items",
+                    where=self._where(),
+                    hint="export the mesh alone",
+                )
             if word == "item":
                 self.model.items.append(use)
             else:
@@ -350,13 +370,14 @@ class _Reader:
         spans = self._spans(at)
         for word in "xyz":
             value = attributes.get(word, "").strip()
-            if re.fullmatch(r"[-+]?(?:nan|inf(?:inity)?)", value, re.IGNORECASE):
-                raise self._not_finite(len(self._values) // 3)
             if not _DECIMAL.fullmatch(value):
+                if _NO_NUMBER.fullmatch(value):
+                    raise self._not_finite(len(self._starts) // 3)
                 raise self._damaged(f"{word} of a vertex is {value[:40]!r}, not a number")
-            self._values.append(float(value))
-            if not abs(self._values[-1]) < float("inf"):
-                raise self._not_finite((len(self._values) - 1) // 3)
+            number = float(value)
+            if math.isinf(number):
+                raise self._not_finite(len(self._starts) // 3)
+            self._values.append(number)
             start, stop = spans[word]
             self._starts.append(start)
             self._stops.append(stop)

@@ -21,6 +21,9 @@ Floats = NDArray[np.float64]
 LARGEST_RATIO = 40
 """Expanded bytes of XML per byte of the archive; see docs/formats.md."""
 
+_MOST_RELATIONSHIPS = 1 << 20
+"""Bytes of the relationships of a package; real ones have some hundred."""
+
 _RELATIONSHIPS = "http://schemas.openxmlformats.org/package/2006/relationships"
 _MODEL_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 _KEYSTORE_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2019/04/keystore"
@@ -98,7 +101,8 @@ class Package:
 
     def _root_target(self) -> str:
         """The path of the root model, by the relationships of the package."""
-        content = self._content(self._member(_ROOT, "central directory"))
+        root = self._member(_ROOT, "central directory")
+        content = self.archive.content(root, _MOST_RELATIONSHIPS)
         parser = start_parser(content, _ROOT)
         targets: list[str] = []
 

@@ -111,6 +111,15 @@ DAMAGED = {
     ),
     "no triangles": (package(model(shape(1, mesh(VERTICES, [])))), "E_NO_FACES"),
     "no objects": (package(model("", "")), "E_NO_FACES"),
+    "very deep": (package(model("<a>" * 101 + shape(1, CUBE) + "</a>" * 101)), "E_TOO_LARGE"),
+    "very many items": (
+        package(model(shape(1, CUBE), '<item objectid="1"/>' * 100_001)),
+        "E_TOO_LARGE",
+    ),
+    "long relationships": (
+        package(model(shape(1, CUBE)), {"_rels/.rels": b"<!--" + b"0" * 2_000_000}),
+        "E_TOO_LARGE",
+    ),
     "a bomb": (package(model("<!--" + "0" * 40_000_000 + "-->" + shape(1, CUBE))), "E_TOO_LARGE"),
 }  # fmt: skip
 
