@@ -66,6 +66,7 @@ _TAG_NAME = re.compile(rb"<[^\s<>/]+")
 _DECIMAL = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _NO_NUMBER = re.compile(r"[-+]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 _QUOTE, _LESS = 34, 60
+_IDENTITY = np.eye(4)
 _CORNERS = ("v1", "v2", "v3")
 
 
@@ -404,11 +405,13 @@ class _Reader:
         return min(int(value[:25]), 1 << 53)
 
     def _use(self, attributes: dict[str, str]) -> Use:
-        words = attributes.get("transform", "1 0 0 0 1 0 0 0 1 0 0 0").split()
-        if len(words) != 12 or not all(map(_DECIMAL.fullmatch, words)):
-            raise self._damaged("a transform has not twelve numbers")
-        frame = np.eye(4)
-        frame[:3] = np.array([float(word) for word in words]).reshape(4, 3).T
+        frame = _IDENTITY
+        if "transform" in attributes:
+            words = attributes["transform"].split()
+            if len(words) != 12 or not all(map(_DECIMAL.fullmatch, words)):
+                raise self._damaged("a transform has not twelve numbers")
+            frame = np.eye(4)
+            frame[:3] = np.array([float(word) for word in words]).reshape(4, 3).T
         path = attributes.get(f"{_PRODUCTION} path", "")
         return Use(self._whole(attributes, "objectid"), path, frame, self._here())
 
