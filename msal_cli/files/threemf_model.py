@@ -12,7 +12,6 @@ import math
 import re
 from array import array
 from bisect import bisect_right
-from collections.abc import Iterator
 from dataclasses import field
 from xml.parsers import expat
 
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, FormatError, TooLargeError, UnsupportedError
+from msal_cli.files.threemf_lists import plain_lists, quoted
 
 Floats = NDArray[np.float64]
 Offsets = NDArray[np.int64]
@@ -49,23 +49,10 @@ MOST_USES = 100_000
 UNITS = ("micron", "millimeter", "centimeter", "inch", "foot", "meter")
 
 _DAMAGED = "the file is damaged; export it again"
-_NUMBER = rb'"([-+.0-9eE]++)"'
-_VERTICES = re.compile(
-    rb"(?:\s*+<vertex\s++x=" + _NUMBER + rb"\s++y=" + _NUMBER + rb"\s++z=" + _NUMBER
-    + rb"\s*+/>)*+\s*+(?=</vertices)"
-)  # fmt: skip
-_INDEX = rb'"[0-9]++"'
-_OTHERS = rb'(?:\s++(?!v[123]=)[\w:.-]++="[\x20\x21\x23-\x25\x27-\x3b\x3d-\x7e]*+")*+'
-_TRIANGLES = re.compile(
-    rb"(?:\s*+<triangle\s++v1=" + _INDEX + rb"\s++v2=" + _INDEX + rb"\s++v3=" + _INDEX + _OTHERS
-    + rb"\s*+/>)*+\s*+(?=</triangles)"
-)  # fmt: skip
-_LIST = re.compile(rb"<(vertices|triangles)\s*>")
 _ATTRIBUTE = re.compile(rb"\s+([^\s=<>\"'/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 _TAG_NAME = re.compile(rb"<[^\s<>/]+")
 _DECIMAL = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _NO_NUMBER = re.compile(r"[-+]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
-_QUOTE, _LESS = 34, 60
 _IDENTITY = np.eye(4)
 _CORNERS = ("v1", "v2", "v3")
 
@@ -181,7 +168,7 @@ class _Reader:
         self._fed: list[int] = []
         """Bytes that Expat had got when a list was left out, and all bytes left out until then."""
         self._left_out: list[int] = [0]
-        self._lists = dict(_plain_lists(text))
+        self._lists = dict(plain_lists(text))
         self._prefixes: dict[str, str] = {}
         self._path: list[str] = []
         self._object = -1
@@ -331,7 +318,7 @@ class _Reader:
             return
         begin, stop = self._lists[start]
         region = np.frombuffer(self._text, dtype=np.uint8)[begin:stop]
-        starts, stops = _quoted(region, begin)
+        starts, stops = quoted(region, begin)
         if word == "vertices":
             self._vertices = self._numbers(starts, stops), starts, stops
             finite = np.isfinite(self._vertices[0]).all(axis=1)
@@ -429,27 +416,6 @@ class _Reader:
                 hint=_DAMAGED,
             )
         self.model.surfaces[self._object] = Surface(vertices, starts, stops, self._faces)
-
-
-def _plain_lists(text: bytes) -> Iterator[tuple[int, tuple[int, int]]]:
-    """Lists of vertices and triangles in plain form: where the tag begins that opens each, where
-    the list begins, and where it ends."""
-    for tag in _LIST.finditer(text):
-        pattern = _VERTICES if tag[1] == b"vertices" else _TRIANGLES
-        if match := pattern.match(text, tag.end()):
-            yield tag.start(), match.span()
-
-
-def _quoted(region: NDArray[np.uint8], offset: int) -> tuple[Offsets, Offsets]:
-    """What stands between the first three pairs of quotes of each element, (n, 3) starts and stops;
-    ``offset`` is added to all."""
-    quotes = np.flatnonzero(region == _QUOTE)
-    tags = np.flatnonzero(region == _LESS)
-    if len(quotes) == 6 * len(tags):
-        pairs = quotes.reshape(-1, 6)
-    else:
-        pairs = quotes[np.searchsorted(quotes, tags)[:, None] + np.arange(6)]
-    return pairs[:, 0::2] + (1 + offset), pairs[:, 1::2] + offset
 
 
 def _pairs(attributes: list[str]) -> dict[str, str]:

@@ -209,6 +209,13 @@ class Archive:
             here += 4 + length
         return places
 
+    def _local_numbers(self, member: Member) -> tuple[int, int, int]:
+        """Checksum, packed size and size as the local header has them."""
+        at = member.header_at
+        places = self._local_places(at)
+        packed, size = (self._value(at + places[w][0], places[w][1]) for w in ("packed", "size"))
+        return self._value(at + 14, False), packed, size
+
     def content(self, member: Member, room: int) -> bytes:
         """The expanded content of a member, of at most ``room`` bytes.
 
@@ -230,6 +237,12 @@ class Archive:
                 f"{member.name} expands to {member.size:,} bytes, and there is room for {room:,}",
                 where=member.name,
                 hint="no mesh compresses so well; if you trust it, pack it without compression",
+            )
+        if not member.flags & _HAS_DESCRIPTOR and self._local_numbers(member) != _numbers(member):
+            raise FormatError(
+                f"{member.name} has other sizes in its local header",
+                where=f"byte {member.header_at}",
+                hint=_DAMAGED,
             )
         packed = self.data[member.data_at : member.data_at + member.packed_size]
         if member.method == _STORED:
@@ -291,13 +304,14 @@ class Archive:
         numbers = zlib.crc32(content), len(packed), len(content)
         head = bytearray(self.data[member.header_at : member.data_at])
         tail = bytearray(self.data[member.data_at + member.packed_size : member.stop])
-        if member.flags & _HAS_DESCRIPTOR:
-            _set_descriptor(tail, member, numbers)
-        else:
+        # With a descriptor the header need not have them, but some programs write them twice.
+        if self._local_numbers(member) == _numbers(member):
             struct.pack_into("<L", head, 14, numbers[0])
             places = self._local_places(member.header_at)
             _set(head, places["packed"], numbers[1])
             _set(head, places["size"], numbers[2])
+        if member.flags & _HAS_DESCRIPTOR:
+            _set_descriptor(tail, member, numbers)
         return [head, packed, tail], numbers
 
     def _set_entry(
@@ -324,6 +338,10 @@ class Archive:
         if self._end_64_at >= 0:
             struct.pack_into("<Q", rest, self._end_64_at - self._central_at + 48, new)
             struct.pack_into("<Q", rest, end_at - _LOCATOR_SIZE + 8, self._end_64_at + shift)
+
+
+def _numbers(member: Member) -> tuple[int, int, int]:
+    return member.crc, member.packed_size, member.size
 
 
 def _key(name: str) -> str:

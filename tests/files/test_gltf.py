@@ -19,6 +19,7 @@ from tests.files.plain_glb import content_of
 from tests.shapes import noisy
 from tests.test_pipeline import settings
 
+posix = pytest.mark.skipif(os.name != "posix", reason="links and pipes")
 PREFIX = "data:application/octet-stream;base64,"
 
 
@@ -189,6 +190,7 @@ def test_a_foreign_file_is_never_replaced(tmp_path):
     assert tree(tmp_path / "in") == before
 
 
+@posix
 def test_a_link_does_not_lead_the_output_away(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "away").mkdir()
@@ -326,6 +328,7 @@ def test_nothing_outside_the_folder_is_read(tmp_path, uri, monkeypatch):
         gltf.read(text.encode(), str(tmp_path / "in" / "a.gltf"))
 
 
+@posix
 def test_links_and_pipes_beside_a_scene(tmp_path):
     text, binary = scene_of("a.bin")
     (tmp_path / "in").mkdir()

@@ -96,6 +96,21 @@ def test_only_the_numbers_of_moved_vertices_change(method, streamed, tmp_path):
         assert done.returncode == 0, done.stdout
 
 
+def test_sizes_in_the_header_and_behind_the_data_both_change():
+    data = bytearray(simple(streamed=True))
+    info = zipfile.ZipFile(io.BytesIO(data)).getinfo(MODEL)
+    numbers = info.CRC, info.compress_size, info.file_size
+    struct.pack_into("<3L", data, info.header_offset + 14, *numbers)
+    file = threemf.read(bytes(data), "")
+    output = file.replaced(moved_corner(file))
+    now = zipfile.ZipFile(io.BytesIO(output)).getinfo(MODEL)
+    expected = now.CRC, now.compress_size, now.file_size
+    assert expected != numbers
+    assert struct.unpack_from("<3L", output, now.header_offset + 14) == expected
+    at = now.header_offset + 30 + len(MODEL) + now.compress_size
+    assert output[at : at + 16] == b"PK\x07\x08" + struct.pack("<3L", *expected)
+
+
 def test_members_with_wide_sizes_and_gaps_between_them():
     # As miniz and some others write them: ZIP64 fields although the sizes would fit without.
     content = model(shape(1, CUBE))

@@ -52,6 +52,14 @@ def named_twice() -> bytes:
     return file.getvalue()
 
 
+def with_local_size(data: bytes, size: int) -> bytes:
+    """An archive whose model has another size in its local header."""
+    out = bytearray(data)
+    info = zipfile.ZipFile(io.BytesIO(data)).getinfo(MODEL)
+    struct.pack_into("<L", out, info.header_offset + 22, size)
+    return bytes(out)
+
+
 WHOLE = simple()
 DOCTYPE = '<!DOCTYPE model [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">]><!-- kept'
 SECURE = "http://schemas.microsoft.com/3dmanufacturing/securecontent/2019/04"
@@ -65,6 +73,7 @@ DAMAGED = {
     "an encrypted model": (with_flag(WHOLE, MODEL, 1), "E_UNSUPPORTED"),
     "an unknown compression": (simple(method=zipfile.ZIP_BZIP2), "E_UNSUPPORTED"),
     "overlapping members": (overlapping(), "E_FORMAT"),
+    "a local header that says something else": (with_local_size(WHOLE, 77), "E_FORMAT"),
     "a name twice": (named_twice(), "E_FORMAT"),
     "no relationships": (package(model(shape(1, CUBE)), {"_rels/.rels": b"<a/>"}), "E_FORMAT"),
     "relationships are no XML": (package(model(""), {"_rels/.rels": b"<a"}), "E_FORMAT"),
