@@ -111,16 +111,18 @@ class SceneFile:
                 continue
             linear = frame[:3, :3]
             stored = part.normals.stored(self.document.data)
-            with np.errstate(invalid="ignore"):
-                old = stored.astype(np.float64) @ np.linalg.inv(linear)
             faces = part.faces.astype(np.int32)
-            normals, changed = regrouped_normals(
-                self.vertices[rows], vertices[rows], faces, faces, old
-            )
-            own = normals @ linear
-            length = np.sqrt((own * own).sum(axis=1, keepdims=True))
-            own = np.divide(own, length, out=np.zeros_like(own), where=length > 0.0)
-            yield part.normals, np.where(changed[:, None], own.astype(np.float32), stored)
+            # A stored normal may be anything.
+            with np.errstate(over="ignore", invalid="ignore"):
+                old = stored.astype(np.float64) @ np.linalg.inv(linear)
+                normals, changed = regrouped_normals(
+                    self.vertices[rows], vertices[rows], faces, faces, old
+                )
+                own = normals @ linear
+                length = np.sqrt((own * own).sum(axis=1, keepdims=True))
+                own = np.divide(own, length, out=np.zeros_like(own), where=length > 0.0)
+                new = own.astype(np.float32)
+            yield part.normals, np.where(changed[:, None], new, stored)
 
     def check_data(self, output: Buffer, shift: int, vertices: Floats) -> list[Accessor]:
         """Raise InternalError unless ``output``, whose rows lie ``shift`` bytes further on, is the

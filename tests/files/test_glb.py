@@ -295,6 +295,16 @@ def test_trimesh_reads_what_is_written():
     assert np.array_equal(part.faces, file.faces)
 
 
+def test_normals_that_are_no_numbers_do_no_harm():
+    scene = two_parts(rotation=[0.1, 0.7, 0.1, 0.7])
+    for mesh in scene.content["meshes"]:
+        normals = np.tile([np.nan, np.inf, 3e38], (48, 1))
+        mesh["primitives"][0]["attributes"]["NORMAL"] = scene.accessor(normals, "<f4", "VEC3")
+    file = glb.read(scene.data(), "")
+    vertices = noisy(file.vertices)
+    file.check(file.replaced(vertices), vertices)
+
+
 def test_encodings():
     file = glb.read(simple().data(), "")
     assert file.encoded(file.vertices, "binary", "float32") is file.data
