@@ -10,13 +10,13 @@ import base64
 import binascii
 import errno
 import os
-import stat
 from pathlib import Path, PureWindowsPath
 from urllib.parse import unquote
 
 from msal_cli.errors import FormatError, InputError, TooLargeError, TruncatedError, UnsupportedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.glb_scene import HINT, has_scheme
+from msal_cli.files.regular import NotRegularError, open_regular
 from msal_cli.files.urls import is_url
 
 _BASE64 = ";base64,"
@@ -106,15 +106,8 @@ def loaded(name: str, folder: Path, wanted: int, room: int, where: str) -> bytes
                 where=where,
                 hint="put the file itself beside the .gltf",
             )
-        # A pipe without a writer would be waited for for ever.
-        flags = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-        handle = os.open(path, os.O_RDONLY | flags)
-        with open(handle, "rb") as file:
-            status = os.fstat(handle)
-            if not stat.S_ISREG(status.st_mode):
-                raise UnsupportedError(
-                    f"the buffer {name!r} is not a regular file", where=where, hint=_PACK
-                )
+        with open_regular(path) as file:
+            status = os.fstat(file.fileno())
             if status.st_size > min(2 * wanted + _MOST_BEHIND, room):
                 raise TooLargeError(
                     f"the buffer {name!r} has {status.st_size:,} bytes, not {wanted:,}",
@@ -122,6 +115,10 @@ def loaded(name: str, folder: Path, wanted: int, room: int, where: str) -> bytes
                     hint="export the mesh again",
                 )
             content = file.read()
+    except NotRegularError:
+        raise UnsupportedError(
+            f"the buffer {name!r} is not a regular file", where=where, hint=_PACK
+        ) from None
     except (OSError, ValueError) as failure:
         is_missing = getattr(failure, "errno", None) in (errno.ENOENT, errno.ENOTDIR)
         reason = getattr(failure, "strerror", None) or str(failure)
