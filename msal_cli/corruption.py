@@ -14,6 +14,7 @@ from msal_cli.errors import InternalError, MsalError, OutputError, ResourceError
 
 if TYPE_CHECKING:
     from msal_cli.files.base import Buffer
+    from msal_cli.files.companions import Companion
 
 
 @dataclass(frozen=True)
@@ -28,13 +29,14 @@ class Noise:
 
 @dataclass(frozen=True)
 class Corrupted:
-    """What was done to a file: its vertices, how many moved, and the standard deviation of the
-    noise in file units."""
+    """What was done to a file: its vertices, how many moved, the standard deviation of the noise in
+    file units, and the files that belong beside the output."""
 
     vertices: int
     moved_vertices: int
     deviation: float
     warnings: tuple[str, ...]
+    companions: tuple[Companion, ...] = ()
 
 
 def corrupt_file(source: str, target: str, noise: Noise, format: str | None = None) -> Corrupted:
@@ -51,6 +53,10 @@ def corrupt_file(source: str, target: str, noise: Noise, format: str | None = No
         output, told = corrupted(files.read_input(source, format), source, target, noise, format)
         if not files.is_url(target):
             _make_folder_of(target)
+        if told.companions:
+            from msal_cli.files.companions import write_companions
+
+            write_companions(told.companions, target)
         files.write_whole(target, [output])
     except MsalError as error:
         error.path = error.path or source
@@ -90,19 +96,22 @@ def corrupted(
     original = mesh_file.vertices
     vertices = ready.scattered(positions, original)
     n_moved = int(np.count_nonzero((vertices != original).any(axis=1)))
+    compress = target.lower().endswith(".gz") if target != "-" else is_compressed
+    output: Buffer = data if not n_moved and compress == is_compressed else plain
+    if n_moved:
+        output = mesh_file.replaced(vertices)
+        mesh_file.check(output, vertices)
+    path = None if target == "-" else target
+    output, companions = files.with_companions(mesh_file, output, vertices, path)
     told = Corrupted(
         vertices=len(original),
         moved_vertices=n_moved,
         deviation=noise.level * ready.mesh.mean_edge_length,
         warnings=mesh_file.warnings,
+        companions=companions,
     )
-    compress = target.lower().endswith(".gz") if target != "-" else is_compressed
     if not n_moved and compress == is_compressed:
-        return data, told
-    output: Buffer = plain
-    if n_moved:
-        output = mesh_file.replaced(vertices)
-        mesh_file.check(output, vertices)
+        return output, told
     return files.compressed(output) if compress else output, told
 
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from msal_cli.files.base import Buffer, MeshFile
+    from msal_cli.files.companions import Companion
 
     Floats = NDArray[np.float64]
 
@@ -35,11 +36,13 @@ class Output:
     ----------
     data : its bytes; those of the input itself where nothing has changed.
     references : files that it names, as the input does; a conversion drops them.
+    companions : files that it names and that hold a part of it.
     losses : what its format cannot hold, and normals that cannot fit, as warnings.
     """
 
     data: Buffer
     references: tuple[str, ...] = ()
+    companions: tuple[Companion, ...] = ()
     losses: tuple[str, ...] = ()
 
 
@@ -72,7 +75,9 @@ def built(
             )
         _check_reopened(output, target, mesh_file, vertices)
         told = tuple(f"lost in {target}: {loss}" for loss in losses)
-        return Output(files.compressed(output) if compress else output, losses=told)
+        # A scene that only changes its container still names its images.
+        references = mesh_file.references if {target, mesh_file.format} == files.SCENES else ()
+        return Output(files.compressed(output) if compress else output, references, losses=told)
     if settings.encoding != "same" or settings.precision != "same":
         output = mesh_file.encoded(vertices, settings.encoding, settings.precision)
         _check_reopened(output, target, mesh_file, vertices)
@@ -80,11 +85,14 @@ def built(
         output = mesh_file.replaced(vertices)
         mesh_file.check(output, vertices)
     elif compress == source.is_compressed:
-        return Output(source.data, mesh_file.references)
+        output, companions = files.with_companions(mesh_file, source.data, vertices, path)
+        return Output(output, mesh_file.references, companions)
     else:
         output = files.expanded(source.data, source.name)[0]
     notes = files.normal_warnings(mesh_file, vertices)
-    return Output(files.compressed(output) if compress else output, mesh_file.references, notes)
+    output, companions = files.with_companions(mesh_file, output, vertices, path)
+    output = files.compressed(output) if compress else output
+    return Output(output, mesh_file.references, companions, notes)
 
 
 def _target(mesh_file: MeshFile, output_path: str | None, settings: Settings) -> str:

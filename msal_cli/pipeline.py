@@ -54,6 +54,7 @@ if TYPE_CHECKING:
 
     from msal_cli.constraints import Constraints
     from msal_cli.files.base import Buffer, MeshFile
+    from msal_cli.files.companions import Companion
     from msal_cli.files.forecast import Forecast
     from msal_cli.mesh import Mesh, Prepared
     from msal_cli.methods import Method
@@ -106,6 +107,10 @@ def denoise_file(
                 notes = tuple(sidecars.carried(run.references, task.input, task.output))
                 marked = (note for note in notes if note.startswith("warning: "))
                 run.warn(*(note.removeprefix("warning: ") for note in marked))
+            if run.companions:
+                from msal_cli.files.companions import write_companions
+
+                notes += write_companions(run.companions, task.output)
             mark = files.write_whole(
                 task.output, [denoised], mode_like=task.input if task.in_place else None
             )
@@ -170,6 +175,8 @@ class _Run:
         self._limits = limits
         # Files that the output names too; a conversion drops them.
         self.references: tuple[str, ...] = ()
+        # Files beside the output that hold a part of it.
+        self.companions: tuple[Companion, ...] = ()
         self._on_progress = on_progress or (lambda stage, done, total: None)
         self._started = self._counted = time.perf_counter()
         self._stage = "read"
@@ -282,6 +289,7 @@ class _Run:
             source = output.Source(data, name, is_compressed)
             built = output.built(mesh_file, vertices, settings, output_path, source)
             self.references = built.references
+            self.companions = built.companions
             self.warn(*built.losses)
             if self._field_values and output_path is not None:
                 from msal_cli import fields

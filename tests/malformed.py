@@ -12,11 +12,13 @@ from collections import Counter
 
 from tests.files import (
     test_glb,
+    test_gltf,
     test_obj_hostile,
     test_other,
     test_ply_hostile,
     test_stl_hostile,
     test_streams,
+    test_threemf_hostile,
 )
 
 TRIANGLE = "v {0} 0 0\nv 0 {0} 0\nv 0 0 {0}\nf 1 2 3\n"
@@ -50,6 +52,8 @@ def malformed() -> dict[str, tuple[bytes, str]]:
     found |= {f"{name}.obj": (row[0], row[2]) for name, row in test_obj_hostile.MALFORMED.items()}
     found |= {f"{name}.stl": row[:2] for name, row in test_stl_hostile.DAMAGED.items()}
     found |= {f"{name}.glb": row for name, row in test_glb.DAMAGED.items()}
+    found |= {f"{name}.gltf": row for name, row in test_gltf.DAMAGED.items()}
+    found |= {f"{name}.3mf": row for name, row in test_threemf_hostile.DAMAGED.items()}
     found |= {f"{name}.ply.gz": row for name, row in test_streams.DAMAGED.items()}
     return found | test_other.DAMAGED
 

@@ -11,6 +11,7 @@ from tests.test_pipeline import settings
 MALFORMED = malformed()
 
 OF_THE_INPUT = {
+    "E_READ",
     "E_FORMAT",
     "E_TRUNCATED",
     "E_NONFINITE",
@@ -20,8 +21,8 @@ OF_THE_INPUT = {
     "E_UNSUPPORTED",
     "E_TOO_LARGE",
 }
-"""Codes that the content of a file can end in.  E_READ is the system's, and E_CONTENT stands for
-arrays of a wrong shape, which no reader gives."""
+"""Codes that the content of a file can end in; E_READ where it names another that is not there.
+E_CONTENT stands for arrays of a wrong shape, which no reader gives."""
 
 
 @pytest.mark.parametrize("name", MALFORMED)
@@ -38,6 +39,6 @@ def test_the_record_has_the_code_and_the_reason(name):
 def test_there_are_enough_of_every_format_and_code():
     found = counts()
     assert sum(codes.total() for codes in found.values()) >= 300
-    for format in ("ply", "obj", "stl", "glb", "gz"):
+    for format in ("ply", "obj", "stl", "glb", "gltf", "3mf", "gz"):
         assert found[format].total() >= 15
     assert set().union(*found.values()) == OF_THE_INPUT

@@ -16,7 +16,7 @@ from msal_cli.batch.temporaries import temporary_name
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import OutputError
 from msal_cli.files.urls import is_url
-from msal_cli.pipeline import Task
+from msal_cli.pipeline import Task, suffix
 from msal_cli.records import Failure, MeshRecord, MethodUsed, ObjectMark
 
 # What a file brings on itself comes again with the same file, settings and version.  All other
@@ -146,6 +146,8 @@ class _Judge:
         return replace(record, input=task.input, output=None, remembered=True)
 
     def _is_same_input(self, task: Task, entry: Entry) -> bool:
+        if suffix(task.input) == ".gltf":
+            return False  # its mesh may be in another file, of which the manifest knows nothing
         if is_url(task.input):
             return _is_same_object(task.input_mark, entry.input_object)
         return self._is_same(task.input, entry.input_mark, entry.input_sha256)

@@ -182,7 +182,7 @@ _FILES = (
     click.option(
         "--to",
         metavar="FORMAT",
-        help="Write another format (ply, obj, stl, off, glb, ...); what it cannot carry is a "
+        help="Write another format (ply, obj, stl, glb, 3mf, ...); what it cannot carry is a "
         "warning.  [default: that of the input, or of OUT's suffix]",
     ),
     click.option(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from msal_cli.files.first_look import read_input
 from msal_cli.files.streams import compressed, expanded, is_gzip_name, read_whole
 from msal_cli.files.urls import is_url
 from msal_cli.files.writing import write_whole
+
+if TYPE_CHECKING:
+    from msal_cli.files.companions import Companion
 
 __all__ = [
     "Buffer",
@@ -34,12 +38,16 @@ __all__ = [
     "readable_suffixes",
     "sha256_meanwhile",
     "vertex_property",
+    "with_companions",
     "writable_formats",
     "write_whole",
 ]
 
-OWN_FORMATS = ("ply", "obj", "stl", "glb")
+OWN_FORMATS = ("ply", "obj", "stl", "glb", "gltf", "3mf")
 """Formats with a codec of our own, which keeps everything but positions and normals."""
+
+SCENES = {"glb", "gltf"}
+"""Containers of one format, which hold the same."""
 
 _LOOKED_AT = 1 << 16
 _NUMBER = rb"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
@@ -51,6 +59,11 @@ _BEGINNINGS = (
     (rb"ply[ \t]*[\r\n]", "ply"),
     (rb"glTF", "glb"),
     (rb"PK\x03\x04", "3mf"),
+    (
+        rb'(?:\xef\xbb\xbf)?\s*\{\s*"(?:asset|accessors|animations|buffers|bufferViews|cameras|'
+        rb'extensions|extensionsUsed|images|materials|meshes|nodes|samplers|scenes?|skins|textures)"',
+        "gltf",
+    ),
     (rb"# vtk DataFile", "vtk"),
     (rb"\s*\$MeshFormat", "msh"),
     (rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+(?:ST)?C?N?4?n?OFF\b", "off"),
@@ -156,6 +169,14 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
         from msal_cli.files import glb
 
         return glb.read(data, name)
+    if wanted == "gltf":
+        from msal_cli.files import gltf
+
+        return gltf.read(data, name)
+    if wanted == "3mf":
+        from msal_cli.files import threemf
+
+        return threemf.read(data, name)
     from msal_cli.files import other
 
     return other.read(data, wanted)
@@ -222,6 +243,19 @@ def normal_warnings(mesh_file: MeshFile, vertices: NDArray[np.float64]) -> tuple
     from msal_cli.files import obj
 
     return mesh_file.normal_warnings(vertices) if isinstance(mesh_file, obj.ObjFile) else ()
+
+
+def with_companions(
+    mesh_file: MeshFile, output: Buffer, vertices: NDArray[np.float64], path: str | None
+) -> tuple[Buffer, tuple[Companion, ...]]:
+    """``output``, which ``mesh_file`` made of ``vertices`` (n, 3), as it is to be at ``path``, and
+    the files that it needs in its folder; see ``gltf.GltfFile.beside``."""
+    if mesh_file.format != "gltf":
+        return output, ()
+    from msal_cli.files import gltf
+
+    assert isinstance(mesh_file, gltf.GltfFile)
+    return mesh_file.beside(output, vertices, path)
 
 
 def vertex_property(mesh_file: MeshFile, name: str) -> NDArray[np.float64]:

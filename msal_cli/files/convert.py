@@ -35,6 +35,7 @@ _ENCODINGS = {
     "obj": ("ascii",),
     "off": ("ascii",),
     "glb": ("binary",),
+    "gltf": ("binary",),
     "vtk": ("binary", "ascii"),
     "vtu": ("binary", "ascii"),
     "msh": ("binary", "ascii"),
@@ -45,7 +46,7 @@ _ENCODINGS = {
 }
 """Encodings of each format, the default one first; the others are text."""
 
-_SINGLE = ("glb", "stl")
+_SINGLE = ("glb", "gltf", "stl")
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,7 @@ def writable() -> tuple[str, ...]:
     """Formats that can be written here."""
     from msal_cli.files import other
 
-    return ("ply", "obj", "stl", *other.writable())
+    return ("ply", "obj", "stl", "gltf", "3mf", *other.writable())
 
 
 def converted(
@@ -94,6 +95,15 @@ def converted(
     if to == mesh_file.format:
         encode = getattr(mesh_file, "encoded")  # noqa: B009 - not part of the protocol
         return encode(vertices, encoding, precision), ()
+    from msal_cli import files
+
+    if {to, mesh_file.format} == files.SCENES and encoding != "ascii" and precision != "float64":
+        from msal_cli.files.gltf_repack import repacked
+        from msal_cli.files.scene_file import SceneFile
+
+        scene = repacked(mesh_file, vertices, to) if isinstance(mesh_file, SceneFile) else None
+        if scene is not None:
+            return scene, ()
     if to not in writable():
         raise UnsupportedError(
             f"{to!r} cannot be written", hint=f"formats: {', '.join(writable())}"
@@ -115,6 +125,11 @@ def converted(
         return _as_off(content, single), tuple(losses)
     if to == "stl":
         return _as_stl(content, encoding, single), tuple(losses)
+    if to == "3mf":
+        from msal_cli.files import threemf_writer
+
+        points = _positions(content, single)
+        return threemf_writer.written(points, content.faces, single=single), tuple(losses)
     return _through_library(content, to, encoding, single), tuple(losses)
 
 
@@ -141,7 +156,7 @@ def _rounding(mesh_file: MeshFile, vertices: Floats, single: bool) -> list[str]:
 
 def _content(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Content, list[str]]:
     """What goes across into format ``to``, and what does not."""
-    colours = vertex_colours(mesh_file) if to in ("ply", "obj", "glb") else None
+    colours = vertex_colours(mesh_file) if to in ("ply", "obj", "glb", "gltf") else None
     has_normals = any(_NORMAL_PROPERTIES.match(one) for one in mesh_file.properties)
     carries_normals = has_normals and to in ("ply", "obj")
     losses = [
@@ -330,6 +345,14 @@ def _through_library(content: _Content, to: str, encoding: str, single: bool) ->
         return xdmf.written(points, content.faces, single=single)
     if to == "vtp":
         return vtk_xml.written(points, content.faces, single=single)
+    if to == "gltf":
+        from msal_cli.files import glb
+        from msal_cli.files.gltf_repack import repacked
+
+        made = glb.read(other.surface_written(points, content.faces, content.colours, "glb"), "")
+        scene = repacked(made, made.vertices, "gltf")
+        assert scene is not None
+        return scene
     if to == "glb":
         return other.surface_written(points, content.faces, content.colours, to)
     return other.cells_written(

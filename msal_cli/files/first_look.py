@@ -94,10 +94,10 @@ def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
         if not is_text:
             _refuse_behind(size, stl.wanted_bytes(head, size))
     elif wanted == "glb":
-        from msal_cli.files import glb_scene
+        from msal_cli.files import glb_chunks
 
         is_text = False
-        _refuse_behind(size, glb_scene.wanted_bytes(memoryview(head), size))
+        _refuse_behind(size, glb_chunks.wanted_bytes(memoryview(head), size))
     elif wanted == "obj":
         from msal_cli.files import obj_content
 

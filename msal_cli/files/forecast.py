@@ -10,6 +10,8 @@ from __future__ import annotations
 import json
 import re
 import zlib
+from pathlib import Path
+from typing import Any
 
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import MsalError
@@ -57,6 +59,8 @@ _PER_BYTE = {
     "dae": 11.0,
     "xdmf": 11.0,
     "med": 18.0,
+    "gltf": 19.0,
+    "3mf": 52.0,
     "": 32.0,
 }
 _PER_BYTE_ELSE = 9.2
@@ -65,7 +69,8 @@ _PER_ELEMENT_ELSE = 60.0
 
 # Where the counts are not told: a triangle for so many bytes, for what a method adds.  Fewer bytes
 # than files have, that is, more triangles.
-_BYTES_PER_FACE = {"obj": 30.0, "vtk": 24.0, "vtu": 12.0, "glb": 16.0, "stl-ascii": 200.0}
+_BYTES_PER_FACE = {"obj": 30.0, "vtk": 24.0, "vtu": 12.0, "glb": 16.0, "gltf": 20.0, "3mf": 8.0}
+_BYTES_PER_FACE["stl-ascii"] = 200.0
 _BYTES_PER_FACE_ELSE = 24.0
 
 # Bytes per triangle that writing another format takes, what was written being read back.
@@ -124,7 +129,13 @@ def forecast(
     except (OSError, ValueError, MsalError):
         return Forecast()
     return of_beginning(
-        head, size, path, format=format, to=to, method_bytes_per_face=method_bytes_per_face
+        head,
+        size,
+        path,
+        format=format,
+        to=to,
+        method_bytes_per_face=method_bytes_per_face,
+        beside=_beside(head, path) if len(head) == size else 0,
     )
 
 
@@ -136,8 +147,12 @@ def of_beginning(
     format: str | None = None,
     to: str | None = None,
     method_bytes_per_face: int = 0,
+    beside: int = 0,
 ) -> Forecast:
-    """What a file of ``size`` bytes that begins with ``head`` will ask for; see ``forecast``."""
+    """What a file of ``size`` bytes that begins with ``head`` will ask for; see ``forecast``.
+
+    ``beside`` are the bytes of files that hold a part of it.
+    """
     packed = 0
     if head[:2] == GZIP_MAGIC:
         packed = size
@@ -154,10 +169,12 @@ def of_beginning(
             counts = _of_glb(head, size)
         elif found == "vtk" and _VTK_TEXT.match(head):
             counts = _Counts("vtk-ascii")
+        elif found == "gltf" and beside:
+            counts = _of_description(json.loads(head), size + beside)
     except (MsalError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError):
         # The reader will refuse it, and say why.
         counts = _Counts(found)
-    size = max(size, counts.size)
+    size = max(size + beside, counts.size)
     triangles = counts.triangles
     if triangles is None:
         triangles = int(size / _BYTES_PER_FACE.get(counts.kind, _BYTES_PER_FACE_ELSE))
@@ -188,6 +205,18 @@ class _Counts:
     told_vertices: int | None = None
     faces: int | None = None
     size: int = 0
+
+
+def _beside(head: bytes, path: str) -> int:
+    """Bytes of the files that the .gltf at ``path`` names as its buffers."""
+    if format_of_name(path) != "gltf" or is_url(path):
+        return 0
+    from msal_cli.files.gltf import names_of_buffers
+
+    try:
+        return sum((Path(path).parent / name).stat().st_size for name in names_of_buffers(head))
+    except (OSError, ValueError):
+        return 0  # the reader says why
 
 
 def _expanded(head: bytes, size: int) -> tuple[bytes, int]:
@@ -280,7 +309,11 @@ def _of_glb(head: bytes, size: int) -> _Counts:
     length = int.from_bytes(head[12:16], "little")
     if head[:4] != b"glTF" or _GLB_CHUNK + length > len(head):
         return _Counts("glb")
-    document = json.loads(head[_GLB_CHUNK : _GLB_CHUNK + length])
+    return _of_description(json.loads(head[_GLB_CHUNK : _GLB_CHUNK + length]), size)
+
+
+def _of_description(document: dict[str, Any], size: int) -> _Counts:
+    """The counts of a glTF scene whose description and buffers have ``size`` bytes."""
     accessors = document["accessors"]
     positions: set[int] = set()
     triangles = 0

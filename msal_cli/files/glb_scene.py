@@ -1,4 +1,4 @@
-"""The description inside a GLB file: where its surfaces lie, and in which frames.
+"""The description of a glTF scene: where its surfaces lie.
 
 The JSON comes from strangers, so that every number taken from it is checked for its type and range
 before it is used.
@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import struct
+import re
+from dataclasses import field
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,31 +20,27 @@ from msal_cli.dataclass import dataclass
 from msal_cli.errors import (
     ContentError,
     FormatError,
+    MsalError,
     TooLargeError,
     TruncatedError,
     UnsupportedError,
 )
 from msal_cli.files.base import Buffer
+from msal_cli.files.gltf_text import Edit, bound_edits, edited, entry_spans, kept_bound
 
 Floats = NDArray[np.float64]
 
-_JSON, _BINARY = 0x4E4F534A, 0x004E4942
 _FLOAT32 = 5126
 _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_DEEPEST = 200
-_STEEPEST = 1e6
 MOST_JSON = 64 << 20
 """Longest description that is read; those of very large scenes have a few megabytes, and in memory
 it may take thirty times its size."""
 
-_LARGEST = 1e30
-"""Larger entries of a frame could take float32 positions beyond what can be computed with."""
-
 _ALWAYS_READ = 1 << 16
 """Corners that are read however often the same ones are named; see ``_require_room``."""
 
-_HINT = "the file is damaged; export it again"
+HINT = "the file is damaged; export it again"
 _PLAIN = "export it without compression, or convert it to PLY"
 
 
@@ -99,27 +97,43 @@ class Accessor:
 @dataclass(frozen=True, eq=False)
 class Part:
     """Surfaces over one list of positions: triangles (m, 3) int64 into it, its mesh's number, and
-    its normals, one to a position, if it has any that can be recomputed."""
+    its normals, one to a position, if it has any that can be recomputed.
+
+    ``source`` is the accessor and the mode that the triangles come from.
+    """
 
     positions: Accessor
     faces: NDArray[np.int64]
     mesh: int
     normals: Accessor | None
+    source: tuple[object, object] = (None, None)
 
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A GLB file taken apart: the description, its bytes, and where the chunk behind it begins.
+    """A description, and the bytes that it speaks of.
 
-    ``binary_at`` is the first byte behind the JSON chunk; ``data_at`` and ``data_size`` are the
-    content of the binary chunk.
+    Attributes
+    ----------
+    content, text : the description, and how it is written.
+    binary_at : the first byte of ``data`` behind the description, 0 where it is a file of its own.
+    places : where the content of each buffer lies in ``data``, first byte and size; those buffers
+        that cannot be had are left out.
+    data : the bytes of the file, or of the buffers.
+    failures : why buffers cannot be had.
     """
 
     content: dict[str, Any]
+    text: str
     binary_at: int
-    data_at: int
-    data_size: int
+    places: dict[int, tuple[int, int]]
     data: Buffer
+    failures: dict[int, MsalError] = field(default_factory=dict)
+
+    @property
+    def data_size(self) -> int:
+        """Bytes in all buffers."""
+        return sum(size for _, size in self.places.values())
 
     def entry(self, kind: str, index: object) -> dict[str, Any]:
         """The entry ``index`` of the list ``kind``; FormatError if there is none."""
@@ -131,7 +145,7 @@ class Document:
             or not 0 <= index < len(entries)
             or not isinstance(entries[index], dict)
         ):
-            raise FormatError(f"there is no entry {index!r} in {kind}", where=kind, hint=_HINT)
+            raise FormatError(f"there is no entry {index!r} in {kind}", where=kind, hint=HINT)
         # Not a copy: a large entry may be named very often.
         found: dict[str, Any] = entries[index]
         return found
@@ -147,14 +161,17 @@ class Document:
         if "sparse" in accessor:
             raise UnsupportedError("sparse accessors are not read", where=where, hint=_PLAIN)
         view = self.entry("bufferViews", accessor.get("bufferView"))
-        if "EXT_meshopt_compression" in _dict(view.get("extensions")):
+        if "EXT_meshopt_compression" in as_dict(view.get("extensions")):
             raise UnsupportedError("compressed data are not read", where=where, hint=_PLAIN)
-        buffer = self.entry("buffers", view.get("buffer"))
-        if view.get("buffer") != 0 or "uri" in buffer:
+        number = view.get("buffer")
+        self.entry("buffers", number)
+        if number in self.failures:
+            raise self.failures[number]
+        if number not in self.places:
             raise UnsupportedError(
                 "positions in another file are not read",
                 where=where,
-                hint="pack everything into the .glb file",
+                hint="pack everything into the .glb file, or export it as .gltf",
             )
         count = _whole(accessor, "count", where)
         stride = _whole(view, "byteStride", where, 0) or width
@@ -162,13 +179,14 @@ class Document:
         offset = _whole(view, "byteOffset", where, 0)
         length = _whole(view, "byteLength", where)
         needed = within + stride * (count - 1) + width if count else within
-        if stride < width or needed > length or offset + length > self.data_size:
+        begin, size = self.places[number]
+        if stride < width or needed > length or offset + length > size:
             raise TruncatedError(
                 f"{count} rows of {width} bytes do not fit where they are said to lie",
                 where=where,
-                hint=_HINT,
+                hint=HINT,
             )
-        return self.data_at + offset + within, stride, count
+        return begin + offset + within, stride, count
 
     def _triples(self, index: object, where: str) -> Accessor | None:
         """An accessor of three float32; None if it is of another type."""
@@ -190,7 +208,7 @@ class Document:
         component = self.entry("accessors", index).get("componentType")
         code = _INDEX_TYPES.get(component) if isinstance(component, int) else None
         if code is None:
-            raise FormatError("the indices have no integer type", where=where, hint=_HINT)
+            raise FormatError("the indices have no integer type", where=where, hint=HINT)
         width = np.dtype(code).itemsize
         at, stride, length = self._region(index, width, where)
         _require_room(length, room, where)
@@ -200,7 +218,7 @@ class Document:
                 f"a face names vertex {int(found.max())} of {count}",
                 code="E_INDEX",
                 where=where,
-                hint=_HINT,
+                hint=HINT,
             )
         return found
 
@@ -209,11 +227,11 @@ class Document:
         found: dict[int, list[Part]] = {}
         told: dict[str, None] = {}
         room = max(self.data_size, _ALWAYS_READ)
-        for number in range(len(_list(self.content.get("meshes")))):
+        for number in range(len(as_list(self.content.get("meshes")))):
             primitives = self.entry("meshes", number).get("primitives")
-            for k, primitive in enumerate(_list(primitives)):
+            for k, primitive in enumerate(as_list(primitives)):
                 where = f"mesh {number}, primitive {k}"
-                room -= self._add(found, told, number, _dict(primitive), where, room)
+                room -= self._add(found, told, number, as_dict(primitive), where, room)
         parts = _apart([_joined(pieces, told) for pieces in found.values()], self.data_size, told)
         if not sum(len(part.faces) for part in parts):
             raise ContentError(
@@ -233,10 +251,10 @@ class Document:
         room: int,
     ) -> int:
         """Note a primitive; the number of its corners, of which there may be ``room``."""
-        if "KHR_draco_mesh_compression" in _dict(primitive.get("extensions")):
+        if "KHR_draco_mesh_compression" in as_dict(primitive.get("extensions")):
             raise UnsupportedError("Draco compression is not read", where=where, hint=_PLAIN)
         mode = primitive.get("mode", _TRIANGLES)
-        attributes = _dict(primitive.get("attributes"))
+        attributes = as_dict(primitive.get("attributes"))
         if mode not in (_TRIANGLES, _STRIP, _FAN):
             told["points and lines are kept as they are"] = None
             return 0
@@ -258,7 +276,8 @@ class Document:
             told["tangents are kept as they are"] = None
         if primitive.get("targets"):
             told["the displacements of morph targets are kept as they are"] = None
-        part = Part(positions, _triangles(corners, mode), mesh, normals)
+        source = primitive.get("indices"), mode
+        part = Part(positions, _triangles(corners, mode), mesh, normals, source)
         found.setdefault(positions.index, []).append(part)
         return len(corners)
 
@@ -269,27 +288,58 @@ class Document:
             words.append(f"{len(parts)} parts")
         names: dict[str, None] = {}
         for mesh in self.content["meshes"]:
-            for primitive in _list(mesh.get("primitives")):
-                names.update(dict.fromkeys(_dict(_dict(primitive).get("attributes"))))
+            for primitive in as_list(mesh.get("primitives")):
+                names.update(dict.fromkeys(as_dict(as_dict(primitive).get("attributes"))))
         words += [f"vertex.{name}" for name in names if name != "POSITION"]
+        if self._has_instances():
+            words.append("instances")
         for kind in ("materials", "textures", "images", "animations", "skins", "cameras"):
             if self.content.get(kind):
                 words.append(kind)
         return tuple(words)
 
-    def with_bounds(self, output: bytearray, accessors: list[Accessor]) -> bytes:
-        """``output``, which has new positions, with the bounds of these accessors to match."""
-        content = json.loads(json.dumps(self.content))
+    def _has_instances(self) -> bool:
+        """Whether a mesh is shown by more than one node."""
+        shown = [as_dict(node).get("mesh") for node in as_list(self.content.get("nodes"))]
+        meshes = [number for number in shown if isinstance(number, int)]
+        return len(set(meshes)) < len(meshes)
+
+    def references(self) -> tuple[str, ...]:
+        """Images in files of their own."""
+        found: dict[str, None] = {}
+        for image in as_list(self.content.get("images")):
+            uri = as_dict(image).get("uri")
+            if isinstance(uri, str) and uri and not has_scheme(uri):
+                found[unquote(uri)] = None
+        return tuple(found)
+
+    def bounded(self, output: Buffer, accessors: list[Accessor]) -> str:
+        """The text with the bounds of these accessors to match their rows in ``output``."""
+        return edited(self.text, self.bound_edits(output, accessors))
+
+    def bound_edits(self, output: Buffer, accessors: list[Accessor]) -> list[Edit]:
+        """The edits of the text that make the bounds of these accessors match their rows."""
+        spans = entry_spans(self.text, "accessors")
+        edits: list[Edit] = []
         for accessor in accessors:
-            for word in self.bounds(accessor.index):
-                content["accessors"][accessor.index][word] = accessor.bound(output, word)
-        if content == self.content:
-            return bytes(output)
-        text = _as_json(content)
-        text += b" " * (-len(text) % 4)
-        rest = memoryview(output)[self.binary_at :]
-        head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
-        return b"".join([head, struct.pack("<II", len(text), _JSON), text, rest])
+            for word, old in self.bounds(accessor.index).items():
+                new = accessor.bound(output, word)
+                edits += bound_edits(self.text, spans[accessor.index][word], old, new)
+        return edits
+
+    def bounded_content(self, output: Buffer, accessors: list[Accessor]) -> dict[str, Any]:
+        """What ``bounded`` should be read as."""
+        content: dict[str, Any] = json.loads(json.dumps(self.content))
+        for accessor in accessors:
+            for word, old in self.bounds(accessor.index).items():
+                new = accessor.bound(output, word)
+                content["accessors"][accessor.index][word] = kept_bound(old, new)
+        return content
+
+
+def has_scheme(uri: str) -> bool:
+    """Whether a reference is more than a path: ``data:``, ``https:`` ..."""
+    return re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", uri) is not None
 
 
 def _require_room(count: int, room: int, where: str) -> None:
@@ -307,14 +357,16 @@ def _require_room(count: int, room: int, where: str) -> None:
 
 
 def _joined(pieces: list[Part], told: dict[str, None]) -> Part:
-    """Primitives over the same positions as one part."""
+    """Primitives over the same positions as one part, the same triangles once: a mesh that stands
+    twice in a file, with other materials perhaps, is one surface."""
     if len(pieces) == 1:
         return pieces[0]
     normals = pieces[0].normals
     if any(one.normals != normals for one in pieces):
         told["normals of parts that share positions are kept as they are"] = None
         normals = None
-    faces = np.concatenate([one.faces for one in pieces])
+    distinct = {one.source: one.faces for one in pieces}
+    faces = np.concatenate(list(distinct.values()))
     return Part(pieces[0].positions, faces, pieces[-1].mesh, normals)
 
 
@@ -340,26 +392,37 @@ def _apart(parts: list[Part], data_size: int, told: dict[str, None]) -> list[Par
     return parts
 
 
-def _as_json(content: dict[str, Any]) -> bytes:
-    """The description as UTF-8; half a surrogate pair, which has none, stays an escape."""
+def parsed_description(data: bytes, where: str) -> tuple[str, dict[str, Any]]:
+    """The text of a description, and what it says.
+
+    Raises
+    ------
+    FormatError
+    """
     try:
-        return json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
-    except UnicodeEncodeError:
-        return json.dumps(content, separators=(",", ":")).encode()
+        text = data.decode()
+        content = json.loads(text.removeprefix("\ufeff"))
+        json.dumps(content)  # what is nested too deeply to be written is refused at once
+    except (ValueError, RecursionError) as failure:
+        said = str(failure)[:200]
+        raise FormatError(f"the description is not JSON: {said}", where=where, hint=HINT) from None
+    if not isinstance(content, dict):
+        raise FormatError("the description is not a JSON object", where=where, hint=HINT)
+    return text, content
 
 
-def _dict(value: object) -> dict[str, Any]:
+def as_dict(value: object) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _list(value: object) -> list[Any]:
+def as_list(value: object) -> list[Any]:
     return value if isinstance(value, list) else []
 
 
 def _whole(entry: dict[str, Any], key: str, where: str, default: int | None = None) -> int:
     value = entry.get(key, default)
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**40:
-        raise FormatError(f"{key} is {value!r}, not a count", where=where, hint=_HINT)
+        raise FormatError(f"{key} is {value!r}, not a count", where=where, hint=HINT)
     return value
 
 
@@ -375,139 +438,3 @@ def _triangles(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
     faces = np.stack([corners[:-2], one, two], axis=1)
     faces[1::2] = faces[1::2, [1, 0, 2]]
     return faces
-
-
-def parsed(data: Buffer) -> Document:
-    """Take a GLB file apart.
-
-    Raises
-    ------
-    FormatError, TruncatedError, TooLargeError, UnsupportedError
-    """
-    view = memoryview(data).cast("B")
-    length = wanted_bytes(view, len(view))
-    (size,) = struct.unpack_from("<I", view, 12)
-    try:
-        content = json.loads(bytes(view[20 : 20 + size]).decode("utf-8-sig"))
-        json.dumps(content)  # what is nested too deeply to be written is refused at once
-    except (ValueError, RecursionError) as failure:
-        raise FormatError(
-            f"the description is not JSON: {failure}", where="JSON chunk", hint=_HINT
-        ) from None
-    if not isinstance(content, dict):
-        raise FormatError("the description is not a JSON object", where="JSON chunk", hint=_HINT)
-    data_at, data_size = _binary_chunk(view, 20 + size, length)
-    return Document(content, 20 + size, data_at, data_size, data)
-
-
-def wanted_bytes(head: memoryview, total: int) -> int:
-    """The bytes that a file of ``total`` bytes that begins with ``head`` should have.
-
-    Raises
-    ------
-    FormatError, TruncatedError, TooLargeError, UnsupportedError
-    """
-    if total < 20:
-        raise TruncatedError(f"the file has only {total} bytes", hint=_HINT)
-    magic, version, length, size, kind = struct.unpack_from("<4sIIII", head)
-    if magic != b"glTF" or (version == 2 and kind != _JSON):
-        raise FormatError("the file does not begin as a GLB file does", where="byte 0", hint=_HINT)
-    if version != 2:
-        raise UnsupportedError(
-            f"glTF version {version} is not read", hint="convert it to version 2"
-        )
-    if length > total or 20 + size > length:
-        raise TruncatedError(
-            f"the file should have {max(length, 20 + size)} bytes but has {total}",
-            where=f"byte {total}",
-            hint="the file was cut short; copy or export it again",
-        )
-    if size > MOST_JSON:
-        raise TooLargeError(
-            f"the description has {size:,} bytes, more than the {MOST_JSON:,} that are read",
-            where="JSON chunk",
-            hint="it holds more than a mesh; export the mesh alone",
-        )
-    return int(length)
-
-
-def _binary_chunk(view: memoryview, at: int, end: int) -> tuple[int, int]:
-    """Where the content of the binary chunk lies, and its size; nothing if there is none."""
-    if at + 8 > end:
-        return at, 0
-    size, kind = struct.unpack_from("<II", view, at)
-    if kind != _BINARY:
-        return at, 0
-    if at + 8 + size > end:
-        raise TruncatedError(
-            f"the binary chunk should have {size} bytes but has {end - at - 8}",
-            where=f"byte {end}",
-            hint="the file was cut short; copy or export it again",
-        )
-    return at + 8, size
-
-
-def placed(document: Document, parts: list[Part]) -> list[Floats]:
-    """The frame (4, 4) of each part in the scene, by the first node that shows its mesh.
-
-    Identities if there is one part, or if a frame cannot be undone or understood: then all parts
-    stay in their own.
-    """
-    own = [np.eye(4) for _ in parts]
-    if len(parts) == 1:
-        return own
-    count = len(_list(document.content.get("nodes")))
-    above: dict[int, int] = {}
-    shows: dict[int, int] = {}
-    try:
-        for number in range(count):
-            node = document.entry("nodes", number)
-            for child in node.get("children", []):
-                above.setdefault(int(child), number)
-            if isinstance(node.get("mesh"), int):
-                shows.setdefault(node["mesh"], number)
-        with np.errstate(all="ignore"):
-            known: dict[int, Floats] = {}
-            frames = [_frame(document, above, known, shows.get(part.mesh)) for part in parts]
-            if not all(_can_be_undone(frame) for frame in frames):
-                return own
-    except (TypeError, ValueError, OverflowError, FormatError, np.linalg.LinAlgError):
-        return own
-    return frames
-
-
-def _can_be_undone(frame: Floats) -> bool:
-    """Whether positions can be taken through a frame and back without harm."""
-    largest = np.abs(frame).max()
-    return bool(largest < _LARGEST and np.linalg.cond(frame[:3, :3]) < _STEEPEST)
-
-
-def _frame(
-    document: Document, above: dict[int, int], known: dict[int, Floats], node: int | None
-) -> Floats:
-    """The product of a node's transform and those above it; ``known`` remembers them."""
-    path: list[int] = []
-    while node is not None and node not in known and len(path) < _DEEPEST:
-        path.append(node)
-        node = above.get(node)
-    frame = np.eye(4) if node is None else known.get(node, np.eye(4))
-    for node in reversed(path):
-        frame = frame @ _transform(document.entry("nodes", node))
-        known[node] = frame
-    return frame
-
-
-def _transform(node: dict[str, Any]) -> Floats:
-    """A node's own transform (4, 4): a matrix by columns, or translation, rotation and scale."""
-    if "matrix" in node:
-        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
-    frame = np.eye(4)
-    x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), dtype=np.float64)
-    frame[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    frame[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), dtype=np.float64)
-    frame[:3, 3] = node.get("translation", (0, 0, 0))
-    return frame

@@ -608,3 +608,20 @@ class TestInterrupts:
                     assert data == whole[name]
             assert "failed" not in statuses(ran(folders))
             assert tree(folders / "out") == whole
+
+
+def test_a_scene_whose_mesh_is_in_another_file_is_never_current(folders):
+    # The manifest has the hash of the .gltf alone, which stays when its buffer changes.
+    for name in ("a.gltf", "b.ply"):
+        (folders / "in" / name).write_text("mesh 1")
+
+    def is_scene_or_mesh(name):
+        return name.endswith((".ply", ".gltf"))
+
+    def again():
+        some = found([str(folders / "in")], is_mesh_name=is_scene_or_mesh)
+        plan = built(some, str(folders / "out"), is_mesh_name=is_scene_or_mesh)
+        return statuses(ran(folders, plan=plan))
+
+    assert again() == ["written", "written"]
+    assert again() == ["written", "up-to-date"]

@@ -13,6 +13,7 @@ from msal_cli import files, methods, pipeline
 from msal_cli.files import forecast
 from msal_cli.files.forecast import BASE_BYTES, LOOKED_AT, of_beginning
 from msal_cli.pipeline import Settings, Task
+from tests.files import test_gltf
 from tests.shapes import noisy, torus
 
 
@@ -55,6 +56,17 @@ def test_headers_tell_the_counts(to, encoding, vertices):
     one = told(converted(to, encoding), f"a.{to}")
     assert (one.format, one.vertices, one.faces) == (to, vertices, 576)
     assert BASE_BYTES < one.memory_bytes < BASE_BYTES + 10**6
+
+
+def test_the_buffers_of_a_gltf_count(tmp_path):
+    path = test_gltf.in_folder(tmp_path)
+    one = forecast.forecast(str(path))
+    assert (one.format, one.vertices, one.faces) == ("gltf", 96, 192)
+    with (tmp_path / "scan.bin").open("ab") as file:
+        file.truncate(100_000_000)
+    assert forecast.forecast(str(path)).memory_bytes > one.memory_bytes + 100_000_000
+    (tmp_path / "scan.bin").unlink()
+    assert forecast.forecast(str(path)).memory_bytes < one.memory_bytes
 
 
 @pytest.mark.parametrize(("to", "encoding"), [("obj", "same"), ("off", "same"), ("stl", "ascii")])

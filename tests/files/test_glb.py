@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import io
+import json
 import random
 import struct
 import tracemalloc
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from msal_cli.errors import InternalError, MsalError, UnsupportedError
-from msal_cli.files import glb, glb_scene, open_mesh
+from msal_cli.files import glb, open_mesh, scene_frames
 from tests.files.plain_glb import Scene, content_of
 from tests.shapes import cube, grid, noisy, torus
 
@@ -192,8 +193,8 @@ def test_the_frame_of_a_node_is_found_once(monkeypatch):
         at = scene.positions(corners[k])
         scene.mesh({"attributes": {"POSITION": at}}, translation=[1, 0, 0], **below)
     calls = []
-    transform = glb_scene._transform
-    monkeypatch.setattr(glb_scene, "_transform", lambda node: calls.append(1) or transform(node))
+    transform = scene_frames._transform
+    monkeypatch.setattr(scene_frames, "_transform", lambda node: calls.append(1) or transform(node))
     file = glb.read(scene.data(), "")
     assert len(calls) == count
     shift = np.array([1, 0, 0]) * np.arange(1, count + 1)[:, None, None]
@@ -239,6 +240,39 @@ def test_primitives_that_share_positions_are_one_part():
     assert np.array_equal(file.faces, faces)
 
 
+def test_a_mesh_in_two_places_counts_once():
+    scene = simple()
+    (primitive,) = scene.content["meshes"][0]["primitives"]
+    scene.content["nodes"].append({"mesh": 0, "translation": [5, 0, 0]})
+    # As some exporters do it: another mesh of the same lists, with another material.
+    scene.mesh({**primitive, "material": 1}, translation=[9, 0, 0])
+    file = glb.read(scene.data(), "")
+    assert (len(file.vertices), len(file.faces), file.n_polygons) == (8, 12, 12)
+    assert "instances" in file.properties
+    vertices = noisy(file.vertices)
+    file.check(file.replaced(vertices), vertices)
+    assert "instances" not in glb.read(simple().data(), "").properties
+
+
+def test_the_text_of_the_description_is_kept_but_for_bounds():
+    scene = simple()
+    data = scene.data()
+    (size,) = struct.unpack_from("<I", data, 12)
+    text = json.dumps(scene.content, indent=3).replace('"keep"', '"keep" : NaN, "k\\u00e9"')
+    text = text.replace("1.0", "1.000e0").encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + data[20 + size :]
+    data = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    file = glb.read(data, "")
+    vertices = file.vertices.copy()
+    vertices[7] = [3.0, 1.0, 0.5]
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    (size,) = struct.unpack_from("<I", output, 12)
+    # Of three numbers that are 1 the first one changed, and the others keep their form.
+    assert output[20 : 20 + size].rstrip() == text.rstrip().replace(b"1.000e0", b"3.0", 1)
+
+
 def test_textures_animations_and_extras_survive():
     scene = simple()
     scene.content["images"] = [{"uri": "data:image/png;base64,AAAA"}]
@@ -259,6 +293,16 @@ def test_trimesh_reads_what_is_written():
     (part,) = scene.geometry.values()
     assert np.allclose(part.vertices, vertices, atol=1e-7)
     assert np.array_equal(part.faces, file.faces)
+
+
+def test_normals_that_are_no_numbers_do_no_harm():
+    scene = two_parts(rotation=[0.1, 0.7, 0.1, 0.7])
+    for mesh in scene.content["meshes"]:
+        normals = np.tile([np.nan, np.inf, 3e38], (48, 1))
+        mesh["primitives"][0]["attributes"]["NORMAL"] = scene.accessor(normals, "<f4", "VEC3")
+    file = glb.read(scene.data(), "")
+    vertices = noisy(file.vertices)
+    file.check(file.replaced(vertices), vertices)
 
 
 def test_encodings():

@@ -12,9 +12,11 @@ within gzip, around which all lengths and checksums are right.
 
 from __future__ import annotations
 
+import base64
 import copy
 import functools
 import gzip
+import io
 import json
 import random
 import re
@@ -22,6 +24,8 @@ import struct
 import sys
 import time
 import warnings
+import zipfile
+import zlib
 from collections import Counter
 from typing import Any
 
@@ -40,6 +44,9 @@ WORDS = {
     b" tristrips vertex_indices vertex_index property element comment end_header ascii"
     b" binary_little_endian binary_big_endian 1.0".split(),
     "obj": b"v vn vt f fo l p o g usemtl mtllib s # \\ // / 1/1 1//1 -1 \\\n".split(b" "),
+    "3mf": b"model object mesh vertices vertex triangles triangle components component build item"
+    b' x= y= z= v1= v2= v3= id= objectid= transform= unit= p:path= xmlns= " < > /> </ <!-- --> &lt;'
+    b" UTF-8 UTF-16 inch Type Target Relationship http://schemas.microsoft.com".split(),
     "stl": b"solid facet normal outer loop vertex endloop endfacet endsolid".split(),
 }
 BYTES = [
@@ -68,7 +75,14 @@ VALUES: list[Any] = [
 @functools.cache
 def seeds(format: str) -> tuple[bytes, ...]:
     """Small good files that between them use every path of a reader."""
-    from tests.files import test_glb, test_obj_hostile, test_ply_hostile, test_stl_hostile
+    from tests.files import (
+        test_glb,
+        test_gltf,
+        test_obj_hostile,
+        test_ply_hostile,
+        test_stl_hostile,
+        test_threemf,
+    )
 
     if format == "ply":
         return tuple(test_ply_hostile.seeds())
@@ -84,6 +98,14 @@ def seeds(format: str) -> tuple[bytes, ...]:
             test_glb.two_parts(translation=[1, 2, 3]),
         )
         return tuple(scene.data() for scene in scenes)
+    if format == "gltf":
+        return tuple(test_gltf.as_text(data) for data in seeds("glb"))
+    if format == "3mf":
+        return (
+            test_threemf.simple(),
+            test_threemf.simple(streamed=True),
+            test_threemf.parts_of_equal_numbers(),
+        )
     return tuple(one for inner in ("ply", "obj", "stl", "glb") for one in seeds(inner)[:3])
 
 
@@ -102,6 +124,10 @@ def mutant(format: str, number: int) -> bytes:
 def _changed(format: str, data: bytes, dice: random.Random) -> bytes:
     if format == "glb":
         return _changed_scene(data, dice)
+    if format == "gltf":
+        return _changed_description(data, dice)
+    if format == "3mf":
+        return _changed_package(data, dice)
     if format == "stl" and not data.startswith(b"solid") and dice.random() < 0.5:
         return _changed_facets(data, dice)
     if format in WORDS and dice.random() < 0.6:
@@ -221,6 +247,56 @@ def _changed_scene(data: bytes, dice: random.Random) -> bytes:
     text = json.dumps(content, ensure_ascii=dice.random() < 0.9).encode("utf-8", "surrogatepass")
     chunks = struct.pack("<I4s", len(text), b"JSON") + text + rest
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def _changed_description(data: bytes, dice: random.Random) -> bytes:
+    """A .gltf file with a change of its bytes, of its buffer, or of one entry."""
+    try:
+        content = json.loads(data)
+        uri = content["buffers"][0]["uri"]
+        binary = base64.b64decode(uri.partition(",")[2])
+    except (ValueError, LookupError, TypeError, AttributeError):
+        return _bytes("gltf", data, dice)
+    if dice.random() < 0.2:
+        return _bytes("gltf", data, dice)
+    if dice.random() < 0.3:
+        binary = _bytes("glb", binary, dice)
+        content["buffers"][0]["uri"] = gltf_prefix(uri) + base64.b64encode(binary).decode()
+    else:
+        _change_entry(content, dice)
+    text = json.dumps(content, indent=dice.choice((None, 1)), ensure_ascii=dice.random() < 0.9)
+    return text.encode("utf-8", "surrogatepass")
+
+
+def gltf_prefix(uri: str) -> str:
+    """The part of a ``data:`` reference before its data."""
+    return uri[: uri.find(",") + 1]
+
+
+def _changed_package(data: bytes, dice: random.Random) -> bytes:
+    """A 3MF file with a change of its bytes, or of one member, around which all is right."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = {name: archive.read(name) for name in archive.namelist()}
+    except (zipfile.BadZipFile, ValueError, OSError, RuntimeError, NotImplementedError, zlib.error):
+        return _bytes("3mf", data, dice)
+    if dice.random() < 0.25 or not members:
+        return _bytes("3mf", data, dice)
+    models = [name for name in members if name.endswith((".model", ".rels"))] or list(members)
+    name = dice.choice(models)
+    change = dice.choice((_number, _number, _word_anywhere, _word_anywhere, _lines, _bytes))
+    members[name] = change("3mf", members[name], dice)
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", dice.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as new:
+        for one, content in members.items():
+            new.writestr(zipfile.ZipInfo(one, (1980, 1, 1, 0, 0, 0)), content)
+    return file.getvalue()
+
+
+def _word_anywhere(format: str, data: bytes, dice: random.Random) -> bytes:
+    """A word replaced by another, whatever stands around it."""
+    known = b"|".join(re.escape(word) for word in WORDS[format])
+    return _replaced_one(known, data, WORDS[format], dice)
 
 
 def _change_entry(content: Any, dice: random.Random) -> None:

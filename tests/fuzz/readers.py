@@ -63,6 +63,11 @@ WORDS = {
     " indices mode count byteOffset byteLength byteStride componentType 5126 5125 5123 5121 VEC3"
     " SCALAR nodes children matrix translation rotation scale mesh targets min max 1e400 NaN",
 }
+WORDS["gltf"] = WORDS["glb"] + " buffers uri byteLength asset version data:;base64,"
+WORDS["3mf"] = (
+    "PK model object mesh vertices vertex triangles triangle components component build item x= y="
+    " z= v1= v2= v3= id= objectid= transform= unit= p:path= xmlns= UTF-8 Type Target Relationship"
+)
 WORDS["gz"] = " ".join(WORDS.values())
 """What the formats are made of; libFuzzer puts these words in."""
 
@@ -84,9 +89,11 @@ def main(arguments: list[str]) -> None:
     # What numba compiles must not be instrumented: it does not know the calls that are put in.
     with atheris.instrument_imports(include=seen):
         import msal_cli.files.glb
+        import msal_cli.files.gltf
         import msal_cli.files.obj
         import msal_cli.files.ply
         import msal_cli.files.stl
+        import msal_cli.files.threemf
 
         if is_interpreted:
             import msal_cli.core.obj_patch

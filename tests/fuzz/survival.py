@@ -14,7 +14,7 @@ from msal_cli.mesh import prepared
 
 Floats = NDArray[np.float64]
 
-FORMATS = ("ply", "obj", "stl", "glb", "gz")
+FORMATS = ("ply", "obj", "stl", "glb", "gltf", "3mf", "gz")
 """The formats with a codec of our own, and gzip around any of them."""
 
 _PREPARED_UP_TO = 2_000

@@ -1,0 +1,32 @@
+"""Frames in which the parts of a scene stand: matrices (4, 4) that take columns."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_STEEPEST = 1e6
+_LARGEST = 1e30
+"""Larger entries of a frame could take float32 positions beyond what can be computed with."""
+
+_IDENTITY = np.eye(4)
+
+
+def can_be_undone(frame: Floats) -> bool:
+    """Whether positions can be taken through a frame and back without harm."""
+    largest = np.abs(frame).max()
+    return bool(largest < _LARGEST and np.linalg.cond(frame[:3, :3]) < _STEEPEST)
+
+
+def moved_by(frame: Floats, points: Floats) -> Floats:
+    """Points (n, 3) after a transform; bit for bit the same for the identity.
+
+    Those that are too large for it become infinite.
+    """
+    if np.array_equal(frame, _IDENTITY):
+        return points
+    with np.errstate(over="ignore", invalid="ignore"):
+        result: Floats = points @ frame[:3, :3].T + frame[:3, 3]
+    return result
