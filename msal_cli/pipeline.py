@@ -43,6 +43,7 @@ from msal_cli.tasks import is_mesh_name as is_mesh_name
 from msal_cli.tasks import least_memory_bytes as least_memory_bytes
 from msal_cli.tasks import method_bytes_per_face as method_bytes_per_face
 from msal_cli.tasks import output_name as output_name
+from msal_cli.tasks import refuse_unknown_format as refuse_unknown_format
 from msal_cli.tasks import suffix as suffix
 from msal_cli.tasks import writable_formats as writable_formats
 

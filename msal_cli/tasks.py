@@ -8,6 +8,7 @@ from dataclasses import field
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.dataclass import dataclass
+from msal_cli.files.urls import is_url, split
 from msal_cli.records import ObjectMark
 
 if TYPE_CHECKING:
@@ -122,6 +123,29 @@ def suffix(name: str) -> str:
     """The last suffix in lower case with its dot, a final ``.gz`` aside; empty if none."""
     base = os.path.basename(name).lower()
     return os.path.splitext(base.removesuffix(".gz"))[1]
+
+
+def refuse_unknown_format(output: str) -> None:
+    """Refuse a file to write whose suffix is that of no format; UsageError lists those that are.
+
+    A name without a suffix is that of a folder, or of a device such as ``/dev/null``.
+    """
+    from msal_cli.errors import UsageError
+
+    if is_url(output):
+        # A bucket may have a dot in its name.
+        output_path = split(output)[1]
+        name = output_path.rpartition("/")[2] if "/" in output_path else ""
+    else:
+        name = os.path.basename(output)
+    ending = suffix(name) or os.path.splitext(name)[1]
+    if len(ending) < 2 or is_mesh_name(name):
+        return
+    raise UsageError(
+        f"the output {output!r}: {ending!r} is the suffix of no mesh format; "
+        f"those that can be written are {', '.join(writable_formats())}",
+        hint=f"give the file one of these suffixes, or write {output + '/'!r} for a folder",
+    )
 
 
 def forecast(task: Task, settings: Settings) -> Forecast:
