@@ -8,6 +8,7 @@ from typing import Literal
 from msal_cli.dataclass import dataclass
 from msal_cli.records import (
     ChoiceMade,
+    Failure,
     GateResult,
     MeshRecord,
     NoiseEstimate,
@@ -359,9 +360,7 @@ def _references(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
                 f"{word} against the reference: median {middle:.3g}, most {worst:.3g} {unit}"
             )
     texts = [
-        f"  {file_name(one.path)}: {reason(one.error.where, one.error.message, one.error.code)}"
-        for one in known
-        if one.error is not None
+        f"  {_reference_failure(one.path, one.error)}" for one in known if one.error is not None
     ]
     if texts:
         yield Line(f"no comparison with the reference: {len(texts):,}", "bad")
@@ -369,6 +368,13 @@ def _references(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
     yield from (Line(text, "bad") for text in kept)
     if len(texts) > len(kept):
         yield Line(f"  ... and {len(texts) - len(kept):,} more (-v or --report)", "bad")
+
+
+def _reference_failure(path: str, failure: Failure) -> str:
+    """Why there is no comparison with the reference ``path``, which the place may name already."""
+    why = reason(failure.where, failure.message, failure.code)
+    is_named = failure.where == path or failure.where.startswith(f"{path}: ")
+    return why if is_named else f"{file_name(path)}: {why}"
 
 
 def broken_gates(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:

@@ -178,6 +178,23 @@ def test_a_reader_that_goes_away_is_no_noise(tmp_path):
         assert b"rror" not in made.stderr
 
 
+@POSIX
+def test_what_is_to_be_written_is_written_although_nobody_reads_the_words(tmp_path):
+    scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
+    assert msal("denoise", scan, "-o", tmp_path / "out/", "-q").exit_code == 0
+    one_cell = ["--size", "48", "--rows", "iterations=1,2", "--columns", "K=0.5"]
+    for name, arguments in (
+        ("g.png", ["sweep", scan, "-o", "g.png", *one_cell]),
+        ("h.ply", ["compare", scan, scan, "--heatmap", "h.ply"]),
+        ("r.csv", ["report", "out", "-o", "r.csv", "--json"]),
+    ):
+        read, write = os.pipe()
+        os.close(read)
+        made = process(*arguments, capture_output=False, stdout=write, cwd=tmp_path)
+        os.close(write)
+        assert (made.returncode, (tmp_path / name).exists()) == (141, True), arguments
+
+
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
 @pytest.mark.parametrize("command", ["denoise", "info", "methods", "--help"])
 def test_an_output_that_cannot_be_written_is_fatal(tmp_path, command):
