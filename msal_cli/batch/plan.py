@@ -17,10 +17,9 @@ from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 from msal_cli.files import urls
 from msal_cli.files.urls import is_url
-from msal_cli.pipeline import Task
+from msal_cli.pipeline import Task, refuse_unknown_format
 from msal_cli.pipeline import is_mesh_name as known_suffix
 from msal_cli.pipeline import output_name as with_suffix_of
-from msal_cli.pipeline import refuse_unknown_format
 from msal_cli.records import ObjectMark
 
 DEFAULT_BACKUP = ".orig"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 _PATH = click.Path(readable=False, allow_dash=False)
 
+_NO_PARTNER = "E_NO_PARTNER"
+
 
 @dataclass(frozen=True)
 class Request:
@@ -34,6 +36,7 @@ class Request:
     fail_on: tuple[str, ...]
     baseline: str | None
     tolerance: float | None
+    ignore_missing: bool
     as_json: bool
     verbose: int
 
@@ -93,6 +96,12 @@ Exit status: see msal --help.""",
     "[default: 1%]",
 )
 @click.option(
+    "--ignore-missing",
+    is_flag=True,
+    help="Of folders: leave out files that only one of them has, and figures of the baseline whose "
+    "files are not there.",
+)
+@click.option(
     "--json",
     "as_json",
     is_flag=True,
@@ -109,6 +118,9 @@ def command(**options: Any) -> int:
     displacement, the angles between face normals (mean: the MSAE of the literature), the vertex
     error in % of the mean edge length of A, the change of volume and area, flipped faces, and the
     Hausdorff distance. Where the faces are not the same, the surfaces are compared.
+
+    Of folders the exit status is 3 if a pair cannot be compared, else 4 if a gate is broken or the
+    baseline not met, else 3 if a file has no partner; 1 if no pair at all can be compared.
     """
     from msal_cli.cli import logs
     from msal_cli.files import urls
@@ -131,6 +143,8 @@ def _compared(request: Request) -> int:
     )
     are_folders = [any(one.root for one in side) for side in (before, after)]
     if are_folders == [False, False]:
+        if request.ignore_missing:
+            raise UsageError("--ignore-missing is for folders", hint="leave it out for two files")
         if request.heatmap is not None:
             _refuse_target(request, request.heatmap)
         return _told_of_two(request, format, measure)
@@ -141,8 +155,35 @@ def _compared(request: Request) -> int:
         )
     if request.heatmap is not None:
         raise UsageError("--heatmap is for two files", hint="compare them one by one")
+    if request.ignore_missing:
+        before, after = _with_partners(request, before, after)
     pairs = dict(_pairs(request, before, after, format))
     return _told_of_many(request, pairs, measure)
+
+
+def _with_partners(
+    request: Request, before: tuple[Found, ...], after: tuple[Found, ...]
+) -> tuple[tuple[Found, ...], tuple[Found, ...]]:
+    """The files of both folders that have a partner; the number of the others is reported.
+
+    Raises
+    ------
+    NothingMatched
+        if there is none.
+    """
+    from msal_cli.batch.inputs import NothingMatched
+
+    shared = {one.relative for one in before} & {one.relative for one in after}
+    if not shared:
+        raise NothingMatched(
+            f"no file of {request.before!r} has the relative path of one of {request.after!r}"
+        )
+    for folder, side in ((request.before, before), (request.after, after)):
+        if n_left := sum(one.relative not in shared for one in side):
+            files = "file has" if n_left == 1 else "files have"
+            talk.say(f"{n_left:,} {files} no partner, only in {folder}: left out")
+    kept = [tuple(one for one in side if one.relative in shared) for side in (before, after)]
+    return kept[0], kept[1]
 
 
 def _pairs(
@@ -173,7 +214,7 @@ def _lonely(one: Found, before: str, after: str, folder: str) -> ComparisonRecor
     from msal_cli import __version__
     from msal_cli.records import ComparisonRecord, Failure
 
-    failure = Failure("E_NO_PARTNER", f"there is no {one.relative!r} in {folder!r}")
+    failure = Failure(_NO_PARTNER, f"there is no {one.relative!r} in {folder!r}")
     return ComparisonRecord(before, after, version=__version__, error=failure)
 
 
@@ -246,9 +287,9 @@ def _told_of_many(request: Request, pairs: Mapping[str, ComparisonRecord], measu
     names = list(pairs)
     records = measure.of_many(list(pairs.values()), names)
     # Who leaves out files by a pattern does not miss them.
-    is_all = not request.include and not request.exclude
-    vanished = measure.vanished(names) if is_all else []
-    n_failed = sum(record.error is not None for record in records)
+    is_all = not request.include and not request.exclude and not request.ignore_missing
+    there = [name for name, one in pairs.items() if not _is_lonely(one)]
+    vanished = measure.vanished(there) if is_all else []
     if request.as_json:
         data = {
             "schema": ComparisonRecord.schema,
@@ -264,8 +305,21 @@ def _told_of_many(request: Request, pairs: Mapping[str, ComparisonRecord], measu
     talk.say_lines(comparison_text.broken_gates(records))
     for name in vanished:
         talk.say(f"{file_name(name)}: in the baseline, and not here", "bad")
-    is_broken = is_any_broken(records) or bool(vanished)
-    return exit_codes.of_files(len(records), n_failed, is_gate_failed=is_broken)
+    return _status(records, is_gate_failed=is_any_broken(records) or bool(vanished))
+
+
+def _status(records: Sequence[ComparisonRecord], *, is_gate_failed: bool) -> int:
+    """The exit status for folders: a pair that cannot be compared weighs more than a broken gate,
+    and that more than a file without a partner."""
+    n_failed = sum(record.error is not None for record in records)
+    n_lonely = sum(map(_is_lonely, records))
+    if is_gate_failed and n_failed == n_lonely < len(records):
+        return exit_codes.GATE_FAILED
+    return exit_codes.of_files(len(records), n_failed)
+
+
+def _is_lonely(record: ComparisonRecord) -> bool:
+    return record.error is not None and record.error.code == _NO_PARTNER
 
 
 def _say_failure(record: ComparisonRecord, error: Failure) -> None:
