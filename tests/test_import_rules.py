@@ -19,6 +19,7 @@ EVERYWHERE = {"dataclass"}
 MAY_IMPORT = {
     "errors": set(),
     "dataclass": set(),
+    "extras": set(),
     "colours": set(),
     "core": {"errors"},
     "mesh": {"core", "errors"},
@@ -26,7 +27,7 @@ MAY_IMPORT = {
     "metrics": {"mesh", "core", "errors"},
     "noise": {"mesh", "core", "errors"},
     "noise_estimate": {"mesh", "core", "errors"},
-    "files": {"mesh", "core", "errors"},
+    "files": {"extras", "mesh", "core", "errors"},
     "records": {"errors"},
     "constraints": {"core", "files", "mesh", "errors"},
     "corruption": {"files", "mesh", "noise", "errors"},
@@ -41,7 +42,7 @@ MAY_IMPORT = {
     "left_alone": {"constraints", "noise_estimate", "mesh", "tasks"},
     "changes": {"comparison", "inspection", "metrics", "noise_estimate", "mesh", "records"},
     "output": {"files", "tasks", "errors"},
-    "tasks": {"files", "methods", "records", "selection"},
+    "tasks": {"files", "methods", "records", "selection", "errors"},
     "pipeline": {
         "automatic",
         "changes",
@@ -59,7 +60,15 @@ MAY_IMPORT = {
         "errors",
     },
     # Of files only what tells URLs from paths, and objects in stores.
-    "batch": {"pipeline", "memory", "records", "errors", "files.remote", "files.urls"},
+    "batch": {
+        "extras",
+        "pipeline",
+        "memory",
+        "records",
+        "errors",
+        "files.remote",
+        "files.urls",
+    },
     "report": {"records", "errors"},
     "render": {"core", "colours", "errors"},
     # Of report only how names are shown.
