@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msal_cli.cli import exit_codes, talk
-from msal_cli.cli.file_options import file_options
+from msal_cli.cli.file_options import UNIT, file_options
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 
@@ -34,6 +34,7 @@ class Request:
     exclude: tuple[str, ...]
     format: str | None
     fail_on: tuple[str, ...]
+    unit: str | None
     baseline: str | None
     tolerance: float | None
     ignore_missing: bool
@@ -81,6 +82,7 @@ Exit status: see msal --help.""",
     help="Exit with 4 if this is so for any pair, such as 'mean_angular_error_deg > 6' or "
     "'hausdorff > 0.5e' (mean edge lengths of A). Repeatable.",
 )
+@UNIT
 @click.option(
     "--baseline",
     metavar="REPORT.json",
@@ -136,7 +138,7 @@ def _compared(request: Request) -> int:
     from msal_cli.cli import words
     from msal_cli.cli.measure import measure_of
 
-    measure = measure_of(request.fail_on, request.baseline, request.tolerance)
+    measure = measure_of(request.fail_on, request.baseline, request.tolerance, request.unit)
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
     before, after = (
         found((one,), request.include, request.exclude) for one in (request.before, request.after)

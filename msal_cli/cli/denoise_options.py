@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from msal_cli.cli import auto_options, words
+from msal_cli.cli.file_options import UNIT
 from msal_cli.dataclass import dataclass
 
 DEFAULT_BACKUP = ".orig"
@@ -38,6 +39,7 @@ class Request:
     lock: tuple[str, ...]
     weights: str | None
     min_noise: str | None
+    unit: str | None
     include: tuple[str, ...]
     exclude: tuple[str, ...]
     in_place: bool
@@ -152,6 +154,7 @@ _MOVES = (
         help="Leave meshes as they are whose estimated noise is less: 0.03e is mean edge lengths, "
         "0.01 file units; auto where there is none to speak of.  [default: none]",
     ),
+    UNIT,
 )
 
 # Which files, and what the outputs are.

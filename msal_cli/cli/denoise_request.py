@@ -104,7 +104,7 @@ def gates_of(request: Request) -> tuple[Gate, ...]:
     from msal_cli import gates
     from msal_cli.records import MeshRecord
 
-    found = gates.parsed(request.fail_on, MeshRecord)
+    found = gates.parsed(request.fail_on, MeshRecord, request.unit)
     if request.reference is None:
         gates.refuse_without_reference(found, "give --reference TRUTH")
     return found
@@ -210,7 +210,9 @@ def _moves_of(request: Request) -> tuple[str | None, tuple[str, ...]]:
         return None, ()
     from msal_cli import constraints
 
-    max_move = None if request.max_move is None else str(constraints.length(request.max_move))
+    max_move = None
+    if request.max_move is not None:
+        max_move = str(constraints.length(request.max_move, unit=request.unit))
     return max_move, tuple(
         str(constraints.lock(one) or constraints.BOUNDARY) for one in request.lock
     )
@@ -225,7 +227,7 @@ def _min_noise_of(request: Request) -> str | None:
         return least
     from msal_cli import constraints
 
-    return str(constraints.length(least, "--min-noise"))
+    return str(constraints.length(least, "--min-noise", request.unit))
 
 
 def _fields_of(request: Request) -> tuple[str, ...]:

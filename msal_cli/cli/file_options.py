@@ -7,6 +7,15 @@ from typing import Any
 
 import click
 
+from msal_cli.units import METRES
+
+UNIT = click.option(
+    "--unit",
+    type=click.Choice(tuple(METRES)),
+    metavar="UNIT",
+    help="What the numbers in the files are: mm, m, in, ... Then lengths may have a unit (0.01mm).",
+)
+
 _INCLUDE = click.option(
     "--include", metavar="PATTERN", multiple=True, help="Take only files that match. Repeatable."
 )
