@@ -35,6 +35,7 @@ from msal_cli.tasks import AUTO as AUTO
 from msal_cli.tasks import FORECAST as FORECAST
 from msal_cli.tasks import NEGLIGIBLE as NEGLIGIBLE
 from msal_cli.tasks import NO_LIMITS as NO_LIMITS
+from msal_cli.tasks import SELF_INTERSECTIONS as SELF_INTERSECTIONS
 from msal_cli.tasks import Limits as Limits
 from msal_cli.tasks import Settings as Settings
 from msal_cli.tasks import Task as Task
@@ -315,6 +316,8 @@ class _Run:
             measured = changes.measured(ready, moved, self._noise)
             self.know(**measured.fields)
             self._warn_with_codes(measured.warnings)
+            if SELF_INTERSECTIONS in settings.checks:
+                self.know(self_intersections=changes.self_intersections(ready, moved))
             ready.mesh.forget_normals()
             vertices = ready.scattered(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))

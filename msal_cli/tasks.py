@@ -20,6 +20,9 @@ AUTO = "auto"
 NEGLIGIBLE = "auto"
 """In place of a least noise: as the estimate judges it."""
 
+SELF_INTERSECTIONS = "self-intersections"
+"""What a check is called that counts pairs of faces which intersect each other."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -37,6 +40,7 @@ class Settings:
     format : the input's format where its name does not tell.
     max_move, lock, weights : what keeps vertices near their place; see ``constraints``.
     fields : what is written beside the output, see ``fields``.
+    checks : what is counted beside what always is: ``SELF_INTERSECTIONS``.
     min_noise : below which noise a mesh stays as it is: a length as of ``constraints``, or
         ``NEGLIGIBLE`` for "no noise to speak of".
     """
@@ -53,6 +57,7 @@ class Settings:
     weights: str | None = None
     fields: tuple[str, ...] = ()
     min_noise: str | None = None
+    checks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,8 @@ class Limits:
 NO_LIMITS = Limits()
 
 _FIELDS_BYTES_PER_FACE = 64
+# A tree of boxes with nine directions, filled up to a power of two; measured: 1,060.
+_INTERSECTIONS_BYTES_PER_FACE = 1100
 
 FORECAST = "forecast"
 """The ``where`` of an ``E_MEMORY`` that was foreseen: trying again would not help."""
@@ -175,6 +182,8 @@ def method_bytes_per_face(settings: Settings) -> int:
     from msal_cli import methods
 
     extra = _FIELDS_BYTES_PER_FACE if settings.fields else 0
+    if SELF_INTERSECTIONS in settings.checks:
+        extra += _INTERSECTIONS_BYTES_PER_FACE
     if settings.method == AUTO:
         from msal_cli import selection
 

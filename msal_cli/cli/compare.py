@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from msal_cli.cli import exit_codes, talk
-from msal_cli.cli.file_options import UNIT, file_options
+from msal_cli.cli.file_options import CHECK, UNIT, file_options
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 
@@ -35,6 +35,7 @@ class Request:
     format: str | None
     fail_on: tuple[str, ...]
     unit: str | None
+    checks: tuple[str, ...]
     baseline: str | None
     tolerance: float | None
     ignore_missing: bool
@@ -83,6 +84,7 @@ Exit status: see msal --help.""",
     "'hausdorff > 0.5e' (mean edge lengths of A). Repeatable.",
 )
 @UNIT
+@CHECK
 @click.option(
     "--baseline",
     metavar="REPORT.json",
@@ -133,7 +135,9 @@ def command(**options: Any) -> int:
 
 
 def _compared(request: Request) -> int:
-    from msal_cli import files
+    from functools import partial
+
+    from msal_cli import comparison, files
     from msal_cli.batch.inputs import found
     from msal_cli.cli import words
     from msal_cli.cli.measure import measure_of
@@ -143,13 +147,15 @@ def _compared(request: Request) -> int:
     before, after = (
         found((one,), request.include, request.exclude) for one in (request.before, request.after)
     )
+    is_checked = bool(request.checks) or measure.names_field("self_intersections")
+    compare = partial(comparison.compare_files, format=format, with_intersections=is_checked)
     are_folders = [any(one.root for one in side) for side in (before, after)]
     if are_folders == [False, False]:
         if request.ignore_missing:
             raise UsageError("--ignore-missing is for folders", hint="leave it out for two files")
         if request.heatmap is not None:
             _refuse_target(request, request.heatmap)
-        return _told_of_two(request, format, measure)
+        return _told_of_two(request, compare, measure)
     if not all(are_folders):
         raise UsageError(
             "one of A and B is a file and the other a folder",
@@ -159,7 +165,7 @@ def _compared(request: Request) -> int:
         raise UsageError("--heatmap is for two files", hint="compare them one by one")
     if request.ignore_missing:
         before, after = _with_partners(request, before, after)
-    pairs = dict(_pairs(request, before, after, format))
+    pairs = dict(_pairs(request, before, after, compare))
     return _told_of_many(request, pairs, measure)
 
 
@@ -189,11 +195,12 @@ def _with_partners(
 
 
 def _pairs(
-    request: Request, before: tuple[Found, ...], after: tuple[Found, ...], format: str | None
+    request: Request,
+    before: tuple[Found, ...],
+    after: tuple[Found, ...],
+    compare: Callable[[str, str], ComparisonRecord],
 ) -> Iterator[tuple[str, ComparisonRecord]]:
     """Every relative path that one of the folders has and its record, those of A first."""
-    from msal_cli import comparison
-
     partners = {one.relative: one.path for one in after}
     for one in before:
         other = partners.pop(one.relative, None)
@@ -201,7 +208,7 @@ def _pairs(
             lonely = _lonely(one, one.path, _place(request.after, one), request.after)
             yield one.relative, lonely
         else:
-            yield one.relative, comparison.compare_files(one.path, other, format)
+            yield one.relative, compare(one.path, other)
     for one in after:
         if one.relative in partners:
             lonely = _lonely(one, _place(request.before, one), one.path, request.before)
@@ -220,18 +227,19 @@ def _lonely(one: Found, before: str, after: str, folder: str) -> ComparisonRecor
     return ComparisonRecord(before, after, version=__version__, error=failure)
 
 
-def _told_of_two(request: Request, format: str | None, measure: Measure) -> int:
-    from msal_cli import comparison
+def _told_of_two(
+    request: Request, compare: Callable[[str, str], ComparisonRecord], measure: Measure
+) -> int:
     from msal_cli.errors import MsalError
     from msal_cli.gates import is_any_broken
     from msal_cli.report import as_json, comparison_text, document
 
-    record = measure.of_two(comparison.compare_files(request.before, request.after, format))
+    record = measure.of_two(compare(request.before, request.after))
     failure: MsalError | None = None
     if request.heatmap is not None and record.error is None:
         # What was measured is told, whatever becomes of the picture.
         try:
-            _write_heatmap(request, request.heatmap, format)
+            _write_heatmap(request, request.heatmap)
         except MsalError as error:
             failure = error
     if request.as_json:
@@ -267,11 +275,13 @@ def _refuse_target(request: Request, target: str) -> None:
             raise UsageError(f"the heat map would replace {name!r}", hint="give it another name")
 
 
-def _write_heatmap(request: Request, target: str, format: str | None) -> None:
+def _write_heatmap(request: Request, target: str) -> None:
     from msal_cli import comparison, files
     from msal_cli.batch import signals
+    from msal_cli.cli import words
     from msal_cli.report.as_text import file_name
 
+    format = words.settled_format(request.format, files.readable_suffixes, "--format")
     before = comparison.opened(request.before, format)
     made = comparison.heatmap(before, comparison.opened(request.after, format), request.before)
     with signals.noticed(signals.raise_for):

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from msal_cli.cli import auto_options, words
-from msal_cli.cli.file_options import UNIT
+from msal_cli.cli.file_options import CHECK, UNIT
 from msal_cli.dataclass import dataclass
 
 DEFAULT_BACKUP = ".orig"
@@ -65,6 +65,7 @@ class Request:
     retry_failed: bool
     shard: str | None
     fields: tuple[str, ...]
+    checks: tuple[str, ...]
     reference: str | None
     fail_on: tuple[str, ...]
     reports: tuple[str, ...]
@@ -301,6 +302,7 @@ _REPORTS = (
         help="Write lambda, sigma, noise, displacement or curvature of every vertex to a PLY "
         "beside each output (scan.fields.ply): properties, and the first one as colours too.",
     ),
+    CHECK,
     click.option(
         "--reference",
         metavar="TRUTH",

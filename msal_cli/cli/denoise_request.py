@@ -163,6 +163,7 @@ def settings_of(request: Request) -> Settings:
         weights=request.weights,
         fields=_fields_of(request),
         min_noise=_min_noise_of(request),
+        checks=_checks_of(request),
     )
 
 
@@ -228,6 +229,15 @@ def _min_noise_of(request: Request) -> str | None:
     from msal_cli import constraints
 
     return str(constraints.length(least, "--min-noise", request.unit))
+
+
+def _checks_of(request: Request) -> tuple[str, ...]:
+    """What is counted for the options, or because a gate names it."""
+    from msal_cli import gates, pipeline
+
+    is_asked = pipeline.SELF_INTERSECTIONS in request.checks
+    is_asked = is_asked or gates.names_field(gates_of(request), "self_intersections")
+    return (pipeline.SELF_INTERSECTIONS,) if is_asked else ()
 
 
 def _fields_of(request: Request) -> tuple[str, ...]:

@@ -23,6 +23,12 @@ class Measure:
     earlier: Mapping[str, Any] | None
     tolerance: float
 
+    def names_field(self, field: str) -> bool:
+        """Whether a gate depends on a field of the record."""
+        from msal_cli import gates
+
+        return gates.names_field(self.gates, field)
+
     def of_two(self, record: ComparisonRecord) -> ComparisonRecord:
         """The record of two files with what became of the gates."""
         from msal_cli import baseline

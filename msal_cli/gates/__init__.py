@@ -90,6 +90,12 @@ def refuse_without_reference(gates: Sequence[Gate], remedy: str) -> None:
                 )
 
 
+def names_field(gates: Sequence[Gate], field: str) -> bool:
+    """Whether any gate depends on a field of the record, or on one within it."""
+    paths = {path for gate in gates for one in gate.quantities.values() for path in one.fields}
+    return any(path == field or path.startswith(f"{field}.") for path in paths)
+
+
 def judged(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]:
     """What each gate says of one record.
 

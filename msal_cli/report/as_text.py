@@ -14,6 +14,7 @@ from msal_cli.records import (
     NoiseEstimate,
     Reference,
     RunnerUp,
+    SelfIntersections,
 )
 from msal_cli.report.document import Run, Totals, totals
 from msal_cli.report.names import columns, padded, shortened, shown
@@ -99,6 +100,9 @@ def _of_one(run: Run, record: MeshRecord) -> Iterator[Line]:
         yield Line(f"{name} -> {_output_name(record)}{ending}", "good")
     for word, text in _facts(record):
         yield Line(f"  {word:<13} {text}")
+    if record.self_intersections is not None:
+        text = self_intersections_text(record.self_intersections)
+        yield Line(f"  {'intersecting':<13} {text}")
     if record.reference is not None:
         yield from _reference(record.reference)
     for gate in record.gates:
@@ -129,6 +133,12 @@ def reference_text(one: Reference) -> str:
     if one.hausdorff_edges is not None:
         parts.append(f"Hausdorff {one.hausdorff_edges:.3g} mean edge lengths")
     return ", ".join(parts) or "nothing can be told"
+
+
+def self_intersections_text(one: SelfIntersections) -> str:
+    """``164 -> 145 pairs of faces, 101 of them new``."""
+    new = "" if one.created is None else f", {one.created:,} of them new"
+    return f"{one.before:,} -> {one.after:,} pairs of faces{new}"
 
 
 def _output_name(record: MeshRecord) -> str:
