@@ -125,7 +125,7 @@ def test_an_internal_error_is_one_line(monkeypatch, tmp_path):
 
 
 def test_memory_that_ran_out_is_said(monkeypatch, tmp_path):
-    def ran_out(*given):
+    def ran_out(*given, **named):
         raise MemoryError
 
     monkeypatch.setattr("msal_cli.inspection.inspect_file", ran_out)
