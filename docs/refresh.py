@@ -2,8 +2,9 @@
 
     python docs/refresh.py
 
-Every block that follows ``<!-- output: msal ... -->`` is replaced by what that command prints, and
-the pages of ``methods/`` are made anew.  A test fails where this was forgotten.
+Every block that follows ``<!-- output: msal ... -->`` is replaced by what that command prints, all
+commands that install msal take it from ``SOURCE``, and the pages of ``methods/`` are made anew.  A
+test fails where this was forgotten.
 """
 
 from __future__ import annotations
@@ -19,6 +20,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import make_method_pages
 
 ROOT = Path(__file__).resolve().parents[1]
+SOURCE = " @ https://git.example.com/msal-cli/archive/main.tar.gz"
+"""Where pip takes msal from, after its name: an archive of the repository, at a place that stands
+for the real one.  Empty once msal is on the package index."""
+
+INSTALL = re.compile(r"pip install '?msal-cli(\[\w+\])?(?: @ [^\s']+)?'?(?![\w-])")
 SHOWN = re.compile(r"^<!-- output: msal (.+?) -->\n```\w*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -30,10 +36,22 @@ def printed(words: str) -> str:
 
 
 def refreshed(text: str) -> str:
-    """A page with every shown output replaced by the real one."""
+    """A page with every shown output, and every place to install from, replaced by the real one."""
     return SHOWN.sub(
-        lambda block: f"<!-- output: msal {block[1]} -->\n```\n{printed(block[1])}```", text
+        lambda block: f"<!-- output: msal {block[1]} -->\n```\n{printed(block[1])}```",
+        with_source(text),
     )
+
+
+def with_source(text: str) -> str:
+    """A page whose commands install msal from ``SOURCE``."""
+    return INSTALL.sub(lambda command: install_command(command[1] or ""), text)
+
+
+def install_command(extra: str = "") -> str:
+    """The command that installs msal with an extra, such as ``[cloud]``."""
+    words = f"msal-cli{extra}{SOURCE}"
+    return f"pip install {words}" if words == "msal-cli" else f"pip install '{words}'"
 
 
 def main() -> None:

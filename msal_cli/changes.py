@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.dataclass import dataclass
-from msal_cli.records import NormalChange
+from msal_cli.records import NormalChange, SelfIntersections
 
 if TYPE_CHECKING:
     import numpy as np
@@ -95,3 +95,12 @@ def measured(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> Measur
         "area": area_changed(surface.area_before, surface.area_after),
     }
     return Measured(fields, tuple(warnings), harm)
+
+
+def self_intersections(ready: Prepared, moved: Floats) -> SelfIntersections:
+    """How many pairs of faces intersect, and how many of them since the mesh's positions became
+    ``moved`` (n, 3)."""
+    from msal_cli.metrics.self_intersections import self_intersection_change
+
+    change = self_intersection_change(ready.mesh, ready.mesh.moved(moved))
+    return SelfIntersections(change.before, change.after, change.created)

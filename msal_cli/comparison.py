@@ -18,6 +18,7 @@ from msal_cli.records import (
     Displacement,
     Failure,
     Reference,
+    SelfIntersections,
     SurfaceDistance,
     Volume,
 )
@@ -79,11 +80,20 @@ def surface_of(mesh_file: MeshFile) -> Surface:
     return Surface(mesh_file.vertices, mesh_file.faces, mesh_file.merged_vertices)
 
 
-def compare_files(before: str, after: str, format: str | None = None) -> ComparisonRecord:
-    """A file against the reference ``before``; what cannot be read gives a record with an error."""
+def compare_files(
+    before: str, after: str, format: str | None = None, *, with_intersections: bool = False
+) -> ComparisonRecord:
+    """A file against the reference ``before``; what cannot be read gives a record with an error.
+
+    ``with_intersections`` counts the faces of each that intersect each other.
+    """
     try:
         return compared(
-            surface_of(opened(before, format)), surface_of(opened(after, format)), before, after
+            surface_of(opened(before, format)),
+            surface_of(opened(after, format)),
+            before,
+            after,
+            with_intersections=with_intersections,
         )
     except Exception as error:
         return failed(before, after, error)
@@ -129,11 +139,13 @@ def compared(
     after_name: str,
     *,
     to_surface: bool = True,
+    with_intersections: bool = False,
 ) -> ComparisonRecord:
     """What became of ``before``, the reference.
 
     With ``to_surface`` the distances from surface to surface and the Hausdorff distance are
-    measured too, as far as the library for them is installed.
+    measured too, as far as the library for them is installed; ``with_intersections`` counts the
+    faces of each that intersect each other.
 
     Raises
     ------
@@ -173,6 +185,8 @@ def compared(
     else:
         moved = second.mesh.moved(second.mesh.vertices + (second.origin - first.origin))
         record = _by_surface(record, first, second)
+    if with_intersections:
+        record = replace(record, self_intersections=_self_intersections(reference, moved, is_same))
     return _with_distances(record, reference, moved) if to_surface else record
 
 
@@ -301,6 +315,18 @@ def _with_orientation(
             record = _warned(record, f"{word}: {one.words}")
     return replace(
         record, inside_out_before=before.is_inside_out, inside_out_after=after.is_inside_out
+    )
+
+
+def _self_intersections(before: Mesh, after: Mesh, is_same: bool) -> SelfIntersections:
+    """The counts of two meshes; what was created is known where their faces are the same."""
+    from msal_cli.metrics import self_intersections as metrics
+
+    if is_same:
+        change = metrics.self_intersection_change(before, after)
+        return SelfIntersections(change.before, change.after, change.created)
+    return SelfIntersections(
+        metrics.count_self_intersections(before), metrics.count_self_intersections(after), None
     )
 
 

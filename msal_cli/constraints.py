@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, UsageError
+from msal_cli.units import NAMES, in_file_units
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
 BOUNDARY = "boundary"
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_LENGTH = re.compile(rf"(?a)\s*({_NUMBER})\s*(e?)\s*")
+_UNITS = "|".join(sorted(NAMES, key=len, reverse=True))
+_LENGTH = re.compile(rf"(?a)\s*({_NUMBER})\s*(e|{_UNITS})?\s*")
 _LOCK = re.compile(rf"(?a)\s*([^\s<>=!]+)\s*(<=|>=|==|!=|<|>)\s*({_NUMBER})\s*")
 _COMPARED: dict[str, Callable[[Any, Any], Any]] = {
     "<": operator.lt,
@@ -87,16 +89,23 @@ class Lock:
         return result
 
 
-def length(text: str, option: str = "--max-move") -> Length:
-    """``0.3e`` or ``0.05``; UsageError, which names the option, for anything else."""
+def length(text: str, option: str = "--max-move", unit: str | None = None) -> Length:
+    """``0.3e``, ``0.05``, or ``0.01mm`` where the files' ``unit`` is known; UsageError, which names
+    the option, for anything else."""
     match = _LENGTH.fullmatch(text)
     value = float(match[1]) if match else 0.0
+    if match is not None and 0.0 < value < math.inf and match[2] not in (None, "e"):
+        try:
+            value = in_file_units(match[1], match[2], unit)
+        except UsageError as error:
+            raise UsageError(f"{option} {error.message}", hint=error.hint) from None
     if match is None or not 0.0 < value < math.inf:
         raise UsageError(
             f"{option} {text}: this is no length above 0",
-            hint="write 0.3e for mean edge lengths, or 0.05 for file units",
+            hint="write 0.3e for mean edge lengths, or 0.05 for file units; with --unit mm, if "
+            "that is the unit of the files, also 0.01mm or 0.002in",
         )
-    return Length(value, bool(match[2]))
+    return Length(value, match[2] == "e")
 
 
 def lock(text: str) -> Lock | None:

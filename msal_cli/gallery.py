@@ -40,6 +40,8 @@ _SIZE = 240, 180
 _POSTER = 480, 320
 _SHADES = 24
 _STANDARD_RANGE = 0.5
+# Below this, in mean edge lengths, nothing moved but the last digits.
+_ROUNDING_EDGES = 1e-9
 
 
 @dataclass(frozen=True)
@@ -211,7 +213,7 @@ def _reach(records: Sequence[MeshRecord]) -> float:
         if record.displacement is not None
         and record.status in _DONE
         and math.isfinite(record.displacement.p95_edges)
-        and record.displacement.p95_edges > 0.0
+        and record.displacement.p95_edges > _ROUNDING_EDGES
     ]
     if not sizes:
         return _STANDARD_RANGE

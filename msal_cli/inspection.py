@@ -19,20 +19,29 @@ if TYPE_CHECKING:
 log = logging.getLogger("msal")
 
 
-def inspect_file(path: str, format: str | None = None) -> InfoRecord:
-    """What is in a file; a file that cannot be read gives a record with an error."""
+def inspect_file(
+    path: str, format: str | None = None, *, with_intersections: bool = False
+) -> InfoRecord:
+    """What is in a file; a file that cannot be read gives a record with an error.
+
+    ``with_intersections`` counts the faces that intersect each other, which takes longer than all
+    the rest.
+    """
     from msal_cli import files
 
     try:
-        return inspect_bytes(files.read_input(path, format), path, format)
+        data = files.read_input(path, format)
+        return inspect_bytes(data, path, format, with_intersections=with_intersections)
     except MsalError as error:
         return _inspection_failure(path, error)
 
 
-def inspect_bytes(data: Buffer, name: str, format: str | None = None) -> InfoRecord:
+def inspect_bytes(
+    data: Buffer, name: str, format: str | None = None, *, with_intersections: bool = False
+) -> InfoRecord:
     """What is in the bytes of a file; see ``inspect_file``."""
     try:
-        return _inspected(data, name, format)
+        return _inspected(data, name, format, with_intersections)
     except MsalError as error:
         return _inspection_failure(name, error)
     except MemoryError:
@@ -46,7 +55,7 @@ def _inspection_failure(name: str, error: MsalError) -> InfoRecord:
     return InfoRecord(input=name, error=Failure(error.code, error.message, error.hint, error.where))
 
 
-def _inspected(data: Buffer, name: str, format: str | None) -> InfoRecord:
+def _inspected(data: Buffer, name: str, format: str | None, with_intersections: bool) -> InfoRecord:
     from msal_cli import files
     from msal_cli.mesh import prepared
     from msal_cli.metrics.enclosure import enclosure_of
@@ -63,6 +72,11 @@ def _inspected(data: Buffer, name: str, format: str | None) -> InfoRecord:
     area, volume = area_and_volume(ready.mesh)
     enclosed = enclosure_of(ready.mesh, defects, area, volume)
     low, high = mesh_file.vertices.min(axis=0), mesh_file.vertices.max(axis=0)
+    n_intersections = None
+    if with_intersections:
+        from msal_cli.metrics.self_intersections import count_self_intersections
+
+        n_intersections = count_self_intersections(ready.mesh)
     winding = "consistent"
     if defects.unorientable_parts:
         winding = "not orientable"
@@ -100,6 +114,7 @@ def _inspected(data: Buffer, name: str, format: str | None) -> InfoRecord:
         volume_valid=not defects.volume_objection,
         volume_reason=defects.volume_objection,
         mean_edge_length=ready.mesh.mean_edge_length,
+        self_intersections=n_intersections,
         noise_estimate=noise_estimate(ready.mesh),
         properties=mesh_file.properties,
         references=mesh_file.references,

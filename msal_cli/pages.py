@@ -43,7 +43,7 @@ def page_of(scene: Scene, view: View, command: str) -> bytes:
         scene.after,
         scene.deviation,
         numbers=figures_of(scene),
-        notes=[*_warnings(scene), f"Made by: {command}"],
+        notes=[*_state(scene), *_warnings(scene), f"Made by: {command}"],
         picture=render.png_bytes(pictures.drawn(scene, still), 256),
         description=_description(titles, scene),
         deviation_name=pictures.deviation_name(scene),
@@ -53,6 +53,11 @@ def page_of(scene: Scene, view: View, command: str) -> bytes:
         is_flat=view.shading == "flat",
         theme="dark" if view.style == "dark" else "",
     )
+
+
+def _state(scene: Scene) -> list[str]:
+    is_still = scene.after is not None and not pictures.has_moved(scene)
+    return [pictures.NOTHING_MOVED] if is_still else []
 
 
 def figures_of(scene: Scene) -> list[tuple[str, Rows]]:

@@ -26,7 +26,12 @@ if TYPE_CHECKING:
 SIGNED = "Displacement along the normal"
 DISTANCE = "Distance to the surface before"
 
+NOTHING_MOVED = "Nothing moved"
+
 _FLATTEST, _TALLEST = 0.6, 1.4
+
+# Of the largest coordinate: what a position is off after a few operations on it.
+_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,11 +162,11 @@ def drawn(scene: Scene, view: View) -> Image:
         return render.labelled_panels(panels, style=style)
     edge = scene.before.mean_edge_length
     beyond = float((abs(scene.deviation) > scale.high).mean())
+    ends = f"Its ends: 99th percentile, rounded up ({100.0 * beyond:.2g} % lie beyond)"
+    if not has_moved(scene):
+        ends = f"{NOTHING_MOVED}: its ends are the mean edge length"
     legend = scale.legend(
-        (
-            "Above the scale: file units; below: mean edge lengths (e)",
-            f"Its ends: 99th percentile, rounded up ({100.0 * beyond:.2g} % lie beyond)",
-        ),
+        ("Above the scale: file units; below: mean edge lengths (e)", ends),
         edge,
     )
     picture = image(scene.after, scale.painted(scene.deviation))
@@ -171,12 +176,33 @@ def drawn(scene: Scene, view: View) -> Image:
 
 
 def scale_of_scene(scene: Scene) -> Scale | None:
-    """What the colours of a deviation stand for; None where there is none."""
+    """What the colours of a deviation stand for; None where there is none.
+
+    Of a mesh that did not move the scale goes to one mean edge length: all is in the middle of it.
+    """
     from msal_cli.render.deviation import scale_of
 
     if scene.deviation is None:
         return None
-    return scale_of(scene.deviation, is_signed=scene.is_signed)
+    return scale_of(
+        scene.deviation,
+        is_signed=scene.is_signed,
+        rounding=_rounding(scene),
+        if_none=scene.before.mean_edge_length,
+    )
+
+
+def has_moved(scene: Scene) -> bool:
+    """Whether any vertex deviates by more than rounding, along the normals or across them."""
+    record = scene.record
+    sizes = [] if scene.deviation is None else [float(abs(scene.deviation).max(initial=0.0))]
+    if record is not None and record.displacement is not None:
+        sizes.append(record.displacement.max)
+    return not sizes or max(sizes) > _rounding(scene)
+
+
+def _rounding(scene: Scene) -> float:
+    return _ROUNDING * float(abs(scene.before.vertices).max())
 
 
 def deviation_name(scene: Scene) -> str:
@@ -249,6 +275,8 @@ def _changes(record: ComparisonRecord) -> list[str]:
 
 def _moved(scene: Scene, edge: float) -> str:
     record = scene.record
+    if not has_moved(scene):
+        return NOTHING_MOVED
     if record is not None and record.displacement is not None:
         moved = record.displacement
         return f"Moved by {moved.mean_edges:.3g} e (mean), {moved.max_edges:.3g} e (max)"

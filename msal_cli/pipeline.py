@@ -37,6 +37,7 @@ from msal_cli.tasks import CHOOSING as CHOOSING
 from msal_cli.tasks import FORECAST as FORECAST
 from msal_cli.tasks import NEGLIGIBLE as NEGLIGIBLE
 from msal_cli.tasks import NO_LIMITS as NO_LIMITS
+from msal_cli.tasks import SELF_INTERSECTIONS as SELF_INTERSECTIONS
 from msal_cli.tasks import Limits as Limits
 from msal_cli.tasks import Settings as Settings
 from msal_cli.tasks import Task as Task
@@ -45,6 +46,7 @@ from msal_cli.tasks import is_mesh_name as is_mesh_name
 from msal_cli.tasks import least_memory_bytes as least_memory_bytes
 from msal_cli.tasks import method_bytes_per_face as method_bytes_per_face
 from msal_cli.tasks import output_name as output_name
+from msal_cli.tasks import refuse_unknown_format as refuse_unknown_format
 from msal_cli.tasks import suffix as suffix
 from msal_cli.tasks import writable_formats as writable_formats
 
@@ -361,6 +363,8 @@ class _Run:
                 self._field_values = fields.computed(
                     settings.fields, ready, moved, fidelity, parameters
                 )
+            if SELF_INTERSECTIONS in settings.checks:
+                self.know(self_intersections=changes.self_intersections(ready, moved))
             ready.mesh.forget_normals()
             vertices = ready.scattered(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))

@@ -198,6 +198,16 @@ class SurfaceDistance:
     max_edges: float
 
 
+@dataclass(frozen=True, slots=True)
+class SelfIntersections:
+    """Pairs of faces that intersect each other before and after, and how many of those after did
+    not before; that is None where the faces are not the same."""
+
+    before: int
+    after: int
+    created: int | None
+
+
 @dataclass(frozen=True)
 class ComparisonRecord:
     """A mesh ``after`` against a mesh ``before``, which is the reference: its mean edge length is
@@ -236,6 +246,7 @@ class ComparisonRecord:
     distance_to_before: SurfaceDistance | None = None
     distance_to_after: SurfaceDistance | None = None
     seam_gap: float | None = None
+    self_intersections: SelfIntersections | None = None
     warnings: tuple[str, ...] = ()
     gates: tuple[GateResult, ...] = ()
     error: Failure | None = None
@@ -316,6 +327,7 @@ class MeshRecord:
     flipped_faces: int | None = None
     clamped_vertices: int | None = None
     locked_vertices: int | None = None
+    self_intersections: SelfIntersections | None = None
     noise_estimate: NoiseEstimate | None = None
     left_alone: str | None = None
     method: MethodUsed | None = None
@@ -370,6 +382,7 @@ class InfoRecord:
     volume_valid: bool | None = None
     volume_reason: str = ""
     mean_edge_length: float | None = None
+    self_intersections: int | None = None
     noise_estimate: NoiseEstimate | None = None
     properties: tuple[str, ...] = ()
     references: tuple[str, ...] = ()

@@ -8,6 +8,7 @@ from dataclasses import field
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.dataclass import dataclass
+from msal_cli.files.urls import is_url, split
 from msal_cli.records import ObjectMark
 
 if TYPE_CHECKING:
@@ -26,6 +27,9 @@ CHOOSING = (ADAPTIVE, AUTO)
 NEGLIGIBLE = "auto"
 """In place of a least noise: as the estimate judges it."""
 
+SELF_INTERSECTIONS = "self-intersections"
+"""What a check is called that counts pairs of faces which intersect each other."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -43,6 +47,7 @@ class Settings:
     format : the input's format where its name does not tell.
     max_move, lock, weights : what keeps vertices near their place; see ``constraints``.
     fields : what is written beside the output, see ``fields``.
+    checks : what is counted beside what always is: ``SELF_INTERSECTIONS``.
     min_noise : below which noise a mesh stays as it is: a length as of ``constraints``, or
         ``NEGLIGIBLE`` for "no noise to speak of".
     """
@@ -59,6 +64,7 @@ class Settings:
     weights: str | None = None
     fields: tuple[str, ...] = ()
     min_noise: str | None = None
+    checks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -80,6 +86,8 @@ class Limits:
 NO_LIMITS = Limits()
 
 _FIELDS_BYTES_PER_FACE = 64
+# A tree of boxes with nine directions, filled up to a power of two; measured: 1,060.
+_INTERSECTIONS_BYTES_PER_FACE = 1100
 
 FORECAST = "forecast"
 """The ``where`` of an ``E_MEMORY`` that was foreseen: trying again would not help."""
@@ -131,6 +139,29 @@ def suffix(name: str) -> str:
     return os.path.splitext(base.removesuffix(".gz"))[1]
 
 
+def refuse_unknown_format(output: str) -> None:
+    """Refuse a file to write whose suffix is that of no format; UsageError lists those that are.
+
+    A name without a suffix is that of a folder, or of a device such as ``/dev/null``.
+    """
+    from msal_cli.errors import UsageError
+
+    if is_url(output):
+        # A bucket may have a dot in its name.
+        output_path = split(output)[1]
+        name = output_path.rpartition("/")[2] if "/" in output_path else ""
+    else:
+        name = os.path.basename(output)
+    ending = suffix(name) or os.path.splitext(name)[1]
+    if len(ending) < 2 or is_mesh_name(name):
+        return
+    raise UsageError(
+        f"the output {output!r}: {ending!r} is the suffix of no mesh format; "
+        f"those that can be written are {', '.join(writable_formats())}",
+        hint=f"give the file one of these suffixes, or write {output + '/'!r} for a folder",
+    )
+
+
 def forecast(task: Task, settings: Settings) -> Forecast:
     """What a file will ask for, from its size and its first bytes; it never raises for a file."""
     from msal_cli.files import forecast
@@ -159,6 +190,8 @@ def method_bytes_per_face(settings: Settings) -> int:
     from msal_cli import methods
 
     extra = _FIELDS_BYTES_PER_FACE if settings.fields else 0
+    if SELF_INTERSECTIONS in settings.checks:
+        extra += _INTERSECTIONS_BYTES_PER_FACE
     if settings.method == AUTO:
         from msal_cli import selection
 

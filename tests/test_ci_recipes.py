@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 import pytest
 
 from tests.cli.scans import closed_scan, open_scan
+from tests.refreshing import refresh
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/ci.md").read_text("utf-8")
@@ -70,7 +71,7 @@ def test_every_recipe_is_run_here():
 def test_github(project):
     job = parsed("github")["jobs"]["denoise"]
     steps = {step.get("name"): step for step in job["steps"]}
-    assert steps["Install"]["run"] == "pip install msal-cli"
+    assert steps["Install"]["run"] == refresh.install_command()
     summary = project / "summary"
     variables = {"GITHUB_STEP_SUMMARY": str(summary), "GITHUB_ACTIONS": "true"}
     run = steps["Denoise and judge"]["run"]
@@ -92,7 +93,7 @@ def test_github(project):
 
 def test_gitlab(project):
     job = parsed("gitlab")["denoise"]
-    assert job["before_script"] == ["pip install msal-cli"]
+    assert job["before_script"] == [refresh.install_command()]
     run = "\n".join(job["script"])
     done = ran(project, run)
     assert done.returncode == 0, done.stderr

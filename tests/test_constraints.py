@@ -70,11 +70,43 @@ def test_lengths(text, value, in_edges):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "0", "-1", "0e", "nan", "inf", "1e999", "3mm", "0.3 e e", "%"]
+    ("text", "unit", "value"),
+    [
+        ("0.01mm", "mm", 0.01),
+        ("0.01mm", "m", 0.01e-3),
+        ("50 um", "mm", 0.05),
+        ("50µm", "mm", 0.05),
+        ("1in", "mm", 25.4),
+        ("2mil", "mm", 0.0508),
+        ("1ft", "in", 12.0),
+        ("1yd", "ft", 3.0),
+        ("1m", "ft", 3.2808398950131235),
+        ("1e-3km", "cm", 100.0),
+        ("3nm", "um", 0.003),
+    ],
+)
+def test_lengths_with_a_unit(text, unit, value):
+    found = constraints.length(text, unit=unit)
+    assert (found.value, found.in_edges) == (value, False)
+
+
+def test_a_unit_means_nothing_where_that_of_the_file_is_not_known():
+    with pytest.raises(UsageError, match=r"--max-move 0\.01mm: mesh files have no unit") as caught:
+        constraints.length("0.01mm")
+    assert "--unit mm" in caught.value.hint
+    # Edges and file units need none.
+    assert constraints.length("0.3e", unit="m").in_edges
+    assert constraints.length("0.05", unit="m").value == 0.05
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "0", "-1", "0e", "nan", "inf", "1e999", "3mmm", "0.3 e e", "%", "0mm", "-1mm"]
+    + ["1e-999999999mm", "1e-323nm", "1e308km"],
 )
 def test_what_is_no_length_is_refused(text):
-    with pytest.raises(UsageError, match="no length"):
-        constraints.length(text)
+    with pytest.raises(UsageError, match=r"no length|too large"):
+        constraints.length(text, unit="m")
 
 
 @pytest.mark.parametrize(

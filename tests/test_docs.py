@@ -20,6 +20,7 @@ from msal_cli import records
 from msal_cli.cli import exit_codes
 from msal_cli.cli.main import program
 from msal_cli.report.document import Run, Totals
+from tests.refreshing import refresh
 
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
@@ -176,6 +177,27 @@ def test_shown_output_is_real(page: Path, words: str, shown: str) -> None:
     )
     assert ran.returncode == 0, ran.stderr.decode()
     assert ran.stdout.decode().replace("\r\n", "\n") == shown, "run python docs/refresh.py"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_msal_is_installed_from_where_it_is(page: Path) -> None:
+    text = page.read_text("utf-8")
+    assert refresh.with_source(text) == text, "run python docs/refresh.py"
+    # Nor from an index under another name, by another installer, or without quotes.
+    asked = re.findall(r"(?:pip|uv|pipx|conda) install ([^\n`&]*)", text)
+    taken = [words for words in asked if "msal" in words and not words.startswith("./")]
+    assert all(refresh.SOURCE in words for words in taken), taken
+
+
+@pytest.mark.parametrize(
+    ("words", "extra"),
+    [("pip install msal-cli", ""), ("pip install 'msal-cli[cloud]'", "[cloud]")]
+    + [("pip install 'msal-cli[dask] @ https://other.example/x.tar.gz'", "[dask]")],
+)
+def test_the_source_is_put_into_commands(words: str, extra: str) -> None:
+    made = refresh.with_source(f"a `{words}`, b\n{words}   # c\n")
+    whole = f"pip install 'msal-cli{extra}{refresh.SOURCE}'"
+    assert made == f"a `{whole}`, b\n{whole}   # c\n"
 
 
 def test_outputs_are_shown() -> None:

@@ -115,7 +115,7 @@ def test_the_scale_is_round_and_that_of_middling_files():
 
     assert reach(0.09, 0.1, 50.0) == 0.2
     assert reach(0.11) == 0.5
-    assert reach(float("nan"), 0.0) == 0.5
+    assert reach(float("nan"), 0.0, 1e-17) == 0.5
     assert reach(3.0) == 10.0
 
 

@@ -7,7 +7,7 @@ from msal_cli import pictures
 from msal_cli.comparison import Surface
 from msal_cli.errors import ContentError
 from msal_cli.metrics import surface_distance
-from tests.shapes import ball, cube
+from tests.shapes import ball, cube, grid
 
 NAMES = ("before.ply", "after.ply")
 
@@ -29,6 +29,39 @@ def test_outwards_is_away_from_the_solid_where_the_surface_is_inside_out():
     scene = pictures.scene_of(Surface(vertices, turned), Surface(1.1 * vertices, turned), NAMES)
     assert scene.deviation == pytest.approx(np.full(len(vertices), 0.1), abs=2e-3)
     assert scene.record.volume_change_percent > 0.0
+
+
+@pytest.mark.parametrize("by", [0.0, 1e-17, -3e-15])
+def test_a_mesh_that_did_not_move_has_the_scale_of_its_edges(by):
+    vertices, faces = ball()
+    small = 0.01 * vertices
+    scene = pictures.scene_of(
+        Surface(small, faces), Surface(small + 0.01 * by * vertices, faces), NAMES
+    )
+    scale = pictures.scale_of_scene(scene)
+    assert scale.high == -scale.low == pytest.approx(scene.before.mean_edge_length, rel=0.1)
+    # Middle grey, and not the colours of noise in the last digit.
+    assert np.ptp(scale.painted(scene.deviation).astype(int)) <= 3
+    assert not pictures.has_moved(scene)
+
+
+def test_a_mesh_that_moved_a_little_has_the_scale_of_its_way():
+    vertices, faces = ball()
+    scene = pictures.scene_of(
+        Surface(vertices, faces), Surface((1.0 + 1e-9) * vertices, faces), NAMES
+    )
+    assert pictures.has_moved(scene)
+    assert pictures.scale_of_scene(scene).high == pytest.approx(1e-9, rel=0.1)
+
+
+def test_a_mesh_that_slid_within_its_surface_has_moved():
+    vertices, faces = grid()
+    flat = vertices * (1.0, 1.0, 0.0)
+    scene = pictures.scene_of(Surface(flat, faces), Surface(flat + (0.1, 0.0, 0.0), faces), NAMES)
+    assert pictures.has_moved(scene)
+    assert pictures.scale_of_scene(scene).high == pytest.approx(
+        scene.before.mean_edge_length, rel=0.1
+    )
 
 
 def test_split_vertices_are_drawn_as_one():

@@ -27,6 +27,7 @@ from msal_cli.batch.dask_worker import (
     objection_to_version,
 )
 from msal_cli.errors import ResourceError, UsageError
+from msal_cli.extras import install_hint
 
 LOCAL = "local"
 
@@ -311,7 +312,7 @@ class Cluster:
 
 def not_installed() -> UsageError:
     """The error for a Python without Dask distributed."""
-    return UsageError("Dask is not installed", hint="pip install 'msal-cli[dask]'")
+    return UsageError("Dask is not installed", hint=install_hint("dask"))
 
 
 def no_workers(scheduler: str, waited_s: float) -> ResourceError:

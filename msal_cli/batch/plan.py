@@ -17,7 +17,7 @@ from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 from msal_cli.files import urls
 from msal_cli.files.urls import is_url
-from msal_cli.pipeline import Task
+from msal_cli.pipeline import Task, refuse_unknown_format
 from msal_cli.pipeline import is_mesh_name as known_suffix
 from msal_cli.pipeline import output_name as with_suffix_of
 from msal_cli.records import ObjectMark
@@ -96,7 +96,8 @@ def built(
 
     A single file that was named itself goes to ``output`` as a file if that is a file, or is
     nothing yet and has a mesh suffix.  Otherwise ``output`` is a folder and each input goes to its
-    relative path below it, with the suffix of ``to`` where given.
+    relative path below it, with the suffix of ``to`` where given.  A new folder that is called like
+    a file is refused, unless a slash at the end of ``output`` says that it is one.
 
     With ``in_place`` every input is its own output (a link's target, where it is a link), and
     ``backup`` is the suffix of the copy that keeps the original; None keeps none.
@@ -106,7 +107,8 @@ def built(
 
     Raises
     ------
-    UsageError : two inputs have one output; an output is an input, a folder, lies outside the
+    UsageError : ``output`` is called like a file of no known format, or like one file for several
+        inputs; two inputs have one output; an output is an input, a folder, lies outside the
         output folder or would replace a file that is not ours; options contradict each other.
     """
     output = None if output is None else urls.settled(output)
@@ -115,10 +117,13 @@ def built(
     elif output is None:
         raise UsageError("there is no output", hint="name one with -o, or give --in-place")
     elif _is_file_output(found, output, is_mesh_name):
+        if not is_mesh_name(output):
+            refuse_unknown_format(output)
         _refuse_contradiction(output, to, is_mesh_name, output_name)
         task = Task(found[0].path, output, found[0].relative, input_mark=found[0].mark)
         plan = Plan((task,), (None,), fresh)
     else:
+        _refuse_file_names(found, output, is_mesh_name)
         tasks = tuple(_mirrored(one, output, to, output_name) for one in found)
         plan = Plan(tasks, (output,) * len(tasks), fresh)
     plan = replace(_without_repeats(plan), retry_failed=retry_failed)
@@ -199,6 +204,22 @@ def _is_file_output(
     if os.path.isdir(path):
         return False
     return os.path.lexists(path) or is_mesh_name(path.name)
+
+
+def _refuse_file_names(
+    found: Sequence[Found], output: str, is_mesh_name: Callable[[str], bool]
+) -> None:
+    """Refuse a folder that is to be made and is called like a file."""
+    if output.endswith(("/", os.sep)) or (not is_url(output) and os.path.isdir(output)):
+        return
+    if len(found) == 1 and not found[0].root:
+        refuse_unknown_format(output)
+    elif is_mesh_name(output):
+        raise UsageError(
+            f"the output {output!r} is called like one mesh file, and a folder or several files "
+            "are the input",
+            hint=f"write {output + '/'!r} if that is to be a folder, or name one input file",
+        )
 
 
 def _refuse_contradiction(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from msal_cli.cli import exit_codes, talk
-from msal_cli.cli.file_options import file_options
+from msal_cli.cli.file_options import CHECK, UNIT, file_options
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from msal_cli.records import ComparisonRecord, Failure
 
 _PATH = click.Path(readable=False, allow_dash=False)
+
+_NO_PARTNER = "E_NO_PARTNER"
 
 
 @dataclass(frozen=True)
@@ -32,8 +34,11 @@ class Request:
     exclude: tuple[str, ...]
     format: str | None
     fail_on: tuple[str, ...]
+    unit: str | None
+    checks: tuple[str, ...]
     baseline: str | None
     tolerance: float | None
+    ignore_missing: bool
     as_json: bool
     verbose: int
 
@@ -78,6 +83,8 @@ Exit status: see msal --help.""",
     help="Exit with 4 if this is so for any pair, such as 'mean_angular_error_deg > 6' or "
     "'hausdorff > 0.5e' (mean edge lengths of A). Repeatable.",
 )
+@UNIT
+@CHECK
 @click.option(
     "--baseline",
     metavar="REPORT.json",
@@ -91,6 +98,12 @@ Exit status: see msal --help.""",
     callback=_tolerance,
     help="With --baseline: by how much of what it was a figure may be worse, such as 2%.  "
     "[default: 1%]",
+)
+@click.option(
+    "--ignore-missing",
+    is_flag=True,
+    help="Of folders: leave out files that only one of them has, and figures of the baseline whose "
+    "files are not there.",
 )
 @click.option(
     "--json",
@@ -109,6 +122,9 @@ def command(**options: Any) -> int:
     displacement, the angles between face normals (mean: the MSAE of the literature), the vertex
     error in % of the mean edge length of A, the change of volume and area, flipped faces, and the
     Hausdorff distance. Where the faces are not the same, the surfaces are compared.
+
+    Of folders the exit status is 3 if a pair cannot be compared, else 4 if a gate is broken or the
+    baseline not met, else 3 if a file has no partner; 1 if no pair at all can be compared.
     """
     from msal_cli.cli import logs
     from msal_cli.files import urls
@@ -119,21 +135,27 @@ def command(**options: Any) -> int:
 
 
 def _compared(request: Request) -> int:
-    from msal_cli import files
+    from functools import partial
+
+    from msal_cli import comparison, files
     from msal_cli.batch.inputs import found
     from msal_cli.cli import words
     from msal_cli.cli.measure import measure_of
 
-    measure = measure_of(request.fail_on, request.baseline, request.tolerance)
+    measure = measure_of(request.fail_on, request.baseline, request.tolerance, request.unit)
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
     before, after = (
         found((one,), request.include, request.exclude) for one in (request.before, request.after)
     )
+    is_checked = bool(request.checks) or measure.names_field("self_intersections")
+    compare = partial(comparison.compare_files, format=format, with_intersections=is_checked)
     are_folders = [any(one.root for one in side) for side in (before, after)]
     if are_folders == [False, False]:
+        if request.ignore_missing:
+            raise UsageError("--ignore-missing is for folders", hint="leave it out for two files")
         if request.heatmap is not None:
             _refuse_target(request, request.heatmap)
-        return _told_of_two(request, format, measure)
+        return _told_of_two(request, compare, measure)
     if not all(are_folders):
         raise UsageError(
             "one of A and B is a file and the other a folder",
@@ -141,16 +163,44 @@ def _compared(request: Request) -> int:
         )
     if request.heatmap is not None:
         raise UsageError("--heatmap is for two files", hint="compare them one by one")
-    pairs = dict(_pairs(request, before, after, format))
+    if request.ignore_missing:
+        before, after = _with_partners(request, before, after)
+    pairs = dict(_pairs(request, before, after, compare))
     return _told_of_many(request, pairs, measure)
 
 
+def _with_partners(
+    request: Request, before: tuple[Found, ...], after: tuple[Found, ...]
+) -> tuple[tuple[Found, ...], tuple[Found, ...]]:
+    """The files of both folders that have a partner; the number of the others is reported.
+
+    Raises
+    ------
+    NothingMatched
+        if there is none.
+    """
+    from msal_cli.batch.inputs import NothingMatched
+
+    shared = {one.relative for one in before} & {one.relative for one in after}
+    if not shared:
+        raise NothingMatched(
+            f"no file of {request.before!r} has the relative path of one of {request.after!r}"
+        )
+    for folder, side in ((request.before, before), (request.after, after)):
+        if n_left := sum(one.relative not in shared for one in side):
+            files = "file has" if n_left == 1 else "files have"
+            talk.say(f"{n_left:,} {files} no partner, only in {folder}: left out")
+    kept = [tuple(one for one in side if one.relative in shared) for side in (before, after)]
+    return kept[0], kept[1]
+
+
 def _pairs(
-    request: Request, before: tuple[Found, ...], after: tuple[Found, ...], format: str | None
+    request: Request,
+    before: tuple[Found, ...],
+    after: tuple[Found, ...],
+    compare: Callable[[str, str], ComparisonRecord],
 ) -> Iterator[tuple[str, ComparisonRecord]]:
     """Every relative path that one of the folders has and its record, those of A first."""
-    from msal_cli import comparison
-
     partners = {one.relative: one.path for one in after}
     for one in before:
         other = partners.pop(one.relative, None)
@@ -158,7 +208,7 @@ def _pairs(
             lonely = _lonely(one, one.path, _place(request.after, one), request.after)
             yield one.relative, lonely
         else:
-            yield one.relative, comparison.compare_files(one.path, other, format)
+            yield one.relative, compare(one.path, other)
     for one in after:
         if one.relative in partners:
             lonely = _lonely(one, _place(request.before, one), one.path, request.before)
@@ -173,22 +223,23 @@ def _lonely(one: Found, before: str, after: str, folder: str) -> ComparisonRecor
     from msal_cli import __version__
     from msal_cli.records import ComparisonRecord, Failure
 
-    failure = Failure("E_NO_PARTNER", f"there is no {one.relative!r} in {folder!r}")
+    failure = Failure(_NO_PARTNER, f"there is no {one.relative!r} in {folder!r}")
     return ComparisonRecord(before, after, version=__version__, error=failure)
 
 
-def _told_of_two(request: Request, format: str | None, measure: Measure) -> int:
-    from msal_cli import comparison
+def _told_of_two(
+    request: Request, compare: Callable[[str, str], ComparisonRecord], measure: Measure
+) -> int:
     from msal_cli.errors import MsalError
     from msal_cli.gates import is_any_broken
     from msal_cli.report import as_json, comparison_text, document
 
-    record = measure.of_two(comparison.compare_files(request.before, request.after, format))
+    record = measure.of_two(compare(request.before, request.after))
     failure: MsalError | None = None
     if request.heatmap is not None and record.error is None:
         # What was measured is told, whatever becomes of the picture.
         try:
-            _write_heatmap(request, request.heatmap, format)
+            _write_heatmap(request, request.heatmap)
         except MsalError as error:
             failure = error
     if request.as_json:
@@ -224,11 +275,13 @@ def _refuse_target(request: Request, target: str) -> None:
             raise UsageError(f"the heat map would replace {name!r}", hint="give it another name")
 
 
-def _write_heatmap(request: Request, target: str, format: str | None) -> None:
+def _write_heatmap(request: Request, target: str) -> None:
     from msal_cli import comparison, files
     from msal_cli.batch import signals
+    from msal_cli.cli import words
     from msal_cli.report.as_text import file_name
 
+    format = words.settled_format(request.format, files.readable_suffixes, "--format")
     before = comparison.opened(request.before, format)
     made = comparison.heatmap(before, comparison.opened(request.after, format), request.before)
     with signals.noticed(signals.raise_for):
@@ -246,9 +299,9 @@ def _told_of_many(request: Request, pairs: Mapping[str, ComparisonRecord], measu
     names = list(pairs)
     records = measure.of_many(list(pairs.values()), names)
     # Who leaves out files by a pattern does not miss them.
-    is_all = not request.include and not request.exclude
-    vanished = measure.vanished(names) if is_all else []
-    n_failed = sum(record.error is not None for record in records)
+    is_all = not request.include and not request.exclude and not request.ignore_missing
+    there = [name for name, one in pairs.items() if not _is_lonely(one)]
+    vanished = measure.vanished(there) if is_all else []
     if request.as_json:
         data = {
             "schema": ComparisonRecord.schema,
@@ -264,8 +317,21 @@ def _told_of_many(request: Request, pairs: Mapping[str, ComparisonRecord], measu
     talk.say_lines(comparison_text.broken_gates(records))
     for name in vanished:
         talk.say(f"{file_name(name)}: in the baseline, and not here", "bad")
-    is_broken = is_any_broken(records) or bool(vanished)
-    return exit_codes.of_files(len(records), n_failed, is_gate_failed=is_broken)
+    return _status(records, is_gate_failed=is_any_broken(records) or bool(vanished))
+
+
+def _status(records: Sequence[ComparisonRecord], *, is_gate_failed: bool) -> int:
+    """The exit status for folders: a pair that cannot be compared weighs more than a broken gate,
+    and that more than a file without a partner."""
+    n_failed = sum(record.error is not None for record in records)
+    n_lonely = sum(map(_is_lonely, records))
+    if is_gate_failed and n_failed == n_lonely < len(records):
+        return exit_codes.GATE_FAILED
+    return exit_codes.of_files(len(records), n_failed)
+
+
+def _is_lonely(record: ComparisonRecord) -> bool:
+    return record.error is not None and record.error.code == _NO_PARTNER
 
 
 def _say_failure(record: ComparisonRecord, error: Failure) -> None:

@@ -271,7 +271,8 @@ class _Session:
 def _log_record(record: MeshRecord) -> None:
     """One line of the log per file; a failure is told elsewhere too, so it is no warning here."""
     if record.error is not None:
-        why = f"{record.error.code}: {record.error.where}: {record.error.message}"
+        place = f"{record.error.where}: " if record.error.where else ""
+        why = f"{record.error.code}: {place}{record.error.message}"
         _log.info("%s: failed: %s", record.input, why)
         return
     seconds = record.seconds.total if record.seconds is not None else 0.0

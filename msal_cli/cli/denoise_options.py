@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from msal_cli.cli import auto_options, words
+from msal_cli.cli.file_options import CHECK, UNIT
 from msal_cli.dataclass import dataclass
 
 DEFAULT_BACKUP = ".orig"
@@ -38,6 +39,7 @@ class Request:
     lock: tuple[str, ...]
     weights: str | None
     min_noise: str | None
+    unit: str | None
     include: tuple[str, ...]
     exclude: tuple[str, ...]
     in_place: bool
@@ -63,6 +65,7 @@ class Request:
     retry_failed: bool
     shard: str | None
     fields: tuple[str, ...]
+    checks: tuple[str, ...]
     reference: str | None
     fail_on: tuple[str, ...]
     reports: tuple[str, ...]
@@ -154,6 +157,7 @@ _MOVES = (
         help="Leave meshes as they are whose estimated noise is less: 0.03e is mean edge lengths, "
         "0.01 file units; auto where there is none to speak of.  [default: none]",
     ),
+    UNIT,
 )
 
 # Which files, and what the outputs are.
@@ -300,6 +304,7 @@ _REPORTS = (
         help="Write lambda, sigma, noise, displacement or curvature of every vertex to a PLY "
         "beside each output (scan.fields.ply): properties, and the first one as colours too.",
     ),
+    CHECK,
     click.option(
         "--reference",
         metavar="TRUTH",

@@ -102,7 +102,7 @@ def gates_of(request: Request) -> tuple[Gate, ...]:
     from msal_cli import gates
     from msal_cli.records import MeshRecord
 
-    found = gates.parsed(request.fail_on, MeshRecord)
+    found = gates.parsed(request.fail_on, MeshRecord, request.unit)
     if request.reference is None:
         gates.refuse_without_reference(found, "give --reference TRUTH")
     return found
@@ -161,6 +161,7 @@ def settings_of(request: Request) -> Settings:
         weights=request.weights,
         fields=_fields_of(request),
         min_noise=_min_noise_of(request),
+        checks=_checks_of(request),
     )
 
 
@@ -210,7 +211,9 @@ def _moves_of(request: Request) -> tuple[str | None, tuple[str, ...]]:
         return None, ()
     from msal_cli import constraints
 
-    max_move = None if request.max_move is None else str(constraints.length(request.max_move))
+    max_move = None
+    if request.max_move is not None:
+        max_move = str(constraints.length(request.max_move, unit=request.unit))
     return max_move, tuple(
         str(constraints.lock(one) or constraints.BOUNDARY) for one in request.lock
     )
@@ -225,7 +228,16 @@ def _min_noise_of(request: Request) -> str | None:
         return least
     from msal_cli import constraints
 
-    return str(constraints.length(least, "--min-noise"))
+    return str(constraints.length(least, "--min-noise", request.unit))
+
+
+def _checks_of(request: Request) -> tuple[str, ...]:
+    """What is counted for the options, or because a gate names it."""
+    from msal_cli import gates, pipeline
+
+    is_asked = pipeline.SELF_INTERSECTIONS in request.checks
+    is_asked = is_asked or gates.names_field(gates_of(request), "self_intersections")
+    return (pipeline.SELF_INTERSECTIONS,) if is_asked else ()
 
 
 def _fields_of(request: Request) -> tuple[str, ...]:

@@ -11,7 +11,7 @@
 | 141 | whoever read standard output went away, as `| head` does; said without a word |
 
 2 and 5 come before any work.  After it, of several that apply, a signal wins over 1, then 3, then
-4, then 0.
+4, then 0; of folders that are compared, a file without a partner (3) does not hide 4.
 """
 
 from __future__ import annotations

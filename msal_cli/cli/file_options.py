@@ -7,6 +7,26 @@ from typing import Any
 
 import click
 
+from msal_cli.units import METRES
+
+UNIT = click.option(
+    "--unit",
+    type=click.Choice(tuple(METRES)),
+    metavar="UNIT",
+    help="What the numbers in the files are: mm, m, in, ... Then lengths may have a unit (0.01mm).",
+)
+
+SELF_INTERSECTIONS = "self-intersections"
+"""That of ``tasks``, whose module takes long to import; a test holds them together."""
+
+CHECK = click.option(
+    "--check",
+    "checks",
+    type=click.Choice((SELF_INTERSECTIONS,)),
+    multiple=True,
+    help="Count the faces that intersect each other, too: a second for 100,000 faces.",
+)
+
 _INCLUDE = click.option(
     "--include", metavar="PATTERN", multiple=True, help="Take only files that match. Repeatable."
 )

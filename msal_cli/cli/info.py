@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from msal_cli.cli import exit_codes, talk
-from msal_cli.cli.file_options import file_options
+from msal_cli.cli.file_options import CHECK, file_options
 from msal_cli.cli.pipe import STREAM
 from msal_cli.errors import UsageError
 
@@ -23,6 +23,7 @@ _PATH = click.Path(readable=False, allow_dash=True)
 )
 @click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=_PATH)
 @file_options("The inputs' format, where neither their name nor their content tells.")
+@CHECK
 @click.option(
     "--json",
     "as_json",
@@ -37,6 +38,7 @@ def command(
     include: tuple[str, ...],
     exclude: tuple[str, ...],
     format: str | None,
+    checks: tuple[str, ...],
     as_json: bool,
     verbose: int,
 ) -> int:
@@ -52,7 +54,7 @@ def command(
     inputs = tuple(map(urls.settled, inputs))
     with logs.configured(verbose, None):
         known = words.settled_format(format, files.readable_suffixes, "--format")
-        records = _inspected(_paths(inputs, include, exclude), known)
+        records = _inspected(_paths(inputs, include, exclude), known, bool(checks))
         return _print_json(records) if as_json else _print_text(records)
 
 
@@ -68,15 +70,21 @@ def _paths(
     return inputs
 
 
-def _inspected(paths: tuple[str, ...], format: str | None) -> Iterator[InfoRecord]:
+def _inspected(
+    paths: tuple[str, ...], format: str | None, with_intersections: bool
+) -> Iterator[InfoRecord]:
+    from functools import partial
+
     from msal_cli import inspection
     from msal_cli.cli.standard_input import read_stream
 
+    of_bytes = partial(inspection.inspect_bytes, with_intersections=with_intersections)
+    of_file = partial(inspection.inspect_file, with_intersections=with_intersections)
     for path in paths:
         if path == STREAM:
-            yield inspection.inspect_bytes(read_stream(), path, format)
+            yield of_bytes(read_stream(), path, format)
         else:
-            yield inspection.inspect_file(path, format)
+            yield of_file(path, format)
 
 
 def _print_text(records: Iterator[InfoRecord]) -> int:

@@ -23,6 +23,12 @@ class Measure:
     earlier: Mapping[str, Any] | None
     tolerance: float
 
+    def names_field(self, field: str) -> bool:
+        """Whether a gate depends on a field of the record."""
+        from msal_cli import gates
+
+        return gates.names_field(self.gates, field)
+
     def of_two(self, record: ComparisonRecord) -> ComparisonRecord:
         """The record of two files with what became of the gates."""
         from msal_cli import baseline
@@ -73,9 +79,14 @@ class Measure:
 
 
 def measure_of(
-    expressions: Sequence[str], baseline: str | None, tolerance: float | None
+    expressions: Sequence[str],
+    baseline: str | None,
+    tolerance: float | None,
+    file_unit: str | None = None,
 ) -> Measure:
     """What records are to be held against: gates, and the report at the path ``baseline``.
+
+    ``file_unit`` is the unit of the files' lengths, where it is known.
 
     Raises
     ------
@@ -89,7 +100,7 @@ def measure_of(
     from msal_cli.records import ComparisonRecord
     from msal_cli.report import comparison_reading
 
-    gates = parsed(expressions, ComparisonRecord)
+    gates = parsed(expressions, ComparisonRecord, file_unit)
     if baseline is None:
         if tolerance is not None:
             raise UsageError("--tolerance needs --baseline", hint="name an earlier report")

@@ -34,7 +34,8 @@ def pipe(inputs: tuple[str, ...], output: str | None) -> Pipe | None:
     Raises
     ------
     UsageError
-        if a stream is to be shared by several files, or would fill a terminal with a mesh.
+        if a stream is to be shared by several files, or would fill a terminal with a mesh; if the
+        output is called like a file of no known format.
     """
     if STREAM not in inputs and output != STREAM:
         return None
@@ -62,6 +63,10 @@ def pipe(inputs: tuple[str, ...], output: str | None) -> Pipe | None:
             f"the output {output!r} is a folder, and standard input has no name to put there",
             hint="name a file with -o",
         )
+    if output is not None and output != STREAM:
+        from msal_cli.pipeline import refuse_unknown_format
+
+        refuse_unknown_format(output)
     return Pipe(source, output or STREAM)
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msal_cli.cli import exit_codes, talk
+from msal_cli.cli.file_options import UNIT
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 
@@ -23,6 +24,7 @@ class Request:
     runs: tuple[str, ...]
     outputs: tuple[str, ...]
     fail_on: tuple[str, ...]
+    unit: str | None
     as_json: bool
     check: bool
     quiet: bool
@@ -49,6 +51,7 @@ class Request:
     multiple=True,
     help="As in msal denoise: exit with 4 if this is so for any file; implies --check. Repeatable.",
 )
+@UNIT
 @click.option("--json", "as_json", is_flag=True, help="Print the JSON report to standard output.")
 @click.option(
     "--check",
@@ -83,7 +86,7 @@ def _reported(request: Request) -> int:
 
     # What says nothing is cheaper to refuse before a large folder is read.
     reports.check(request.outputs, ())
-    gates = parsed(request.fail_on, MeshRecord)
+    gates = parsed(request.fail_on, MeshRecord, request.unit)
     told = earlier.account(request.runs)
     done = [record for record in told.records if record.error is None and record.output]
     if done and all(record.reference is None for record in done):

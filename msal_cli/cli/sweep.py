@@ -141,19 +141,21 @@ def _swept(request: Request) -> int:
     view = view_of(request)
     on = parameter_grid.subject(surface, request.source, truth, request.reference or "", view)
     done = []
-    for cell, mesh in parameter_grid.cells(on, wanted):
-        done.append((cell, parameter_grid.drawn(on, mesh, view)))
-        if not request.as_json and not request.quiet:
-            talk.put(_told(cell))
-            talk.flush()
-    picture = parameter_grid.sheet(on, wanted, done, view)
-    files.write_whole(request.output, render.png_bytes(picture))
-    if request.as_json:
-        _print_json(request, wanted, [cell for cell, _ in done])
-    if not request.quiet:
-        from msal_cli.report.names import shown
+    # The picture is what was asked for, whoever reads the numbers.
+    with talk.work_goes_on():
+        for cell, mesh in parameter_grid.cells(on, wanted):
+            done.append((cell, parameter_grid.drawn(on, mesh, view)))
+            if not request.as_json and not request.quiet:
+                talk.put(_told(cell))
+                talk.flush()
+        picture = parameter_grid.sheet(on, wanted, done, view)
+        files.write_whole(request.output, render.png_bytes(picture))
+        if request.as_json:
+            _print_json(request, wanted, [cell for cell, _ in done])
+        if not request.quiet:
+            from msal_cli.report.names import shown
 
-        talk.say(f"wrote {shown(request.output)}", "good")
+            talk.say(f"wrote {shown(request.output)}", "good")
     return exit_codes.SUCCESS
 
 

@@ -125,12 +125,36 @@ def flush() -> None:
 
 
 @contextmanager
+def work_goes_on() -> Iterator[None]:
+    """A block that is done to its end, although nobody may read standard output any more.
+
+    Raises
+    ------
+    BrokenPipeError
+        at the end of the block, if the reader has gone away within it.
+    """
+    _lost.append(None)
+    try:
+        yield
+    finally:
+        lost = _lost.pop()
+    if lost is not None:
+        raise lost
+
+
+# For each block of ``work_goes_on``, the innermost last, the loss of the reader.
+_lost: list[BrokenPipeError | None] = []
+
+
+@contextmanager
 def _told_apart() -> Iterator[None]:
     """A reader that has gone away is no error to talk about; whatever else goes wrong is."""
     try:
         yield
-    except BrokenPipeError:
-        raise
+    except BrokenPipeError as error:
+        if not _lost:
+            raise
+        _lost[-1] = error
     except OSError as error:
         raise OutputError(f"standard output cannot be written: {error.strerror}") from None
 

@@ -18,6 +18,7 @@ from datetime import datetime
 from typing import Any, NamedTuple
 
 from msal_cli.errors import InputError, MsalError, OutputError, UsageError
+from msal_cli.extras import install_hint
 from msal_cli.files import urls
 from msal_cli.files.base import Buffer
 from msal_cli.files.streams import largest_bytes, too_large
@@ -36,7 +37,7 @@ __all__ = [
     "write_whole",
 ]
 
-INSTALL = "pip install 'msal-cli[cloud]'"
+_EXTRA = "cloud"
 
 # Stores whose put is whole or nothing; of all others that is not known.
 _OBJECT_STORES = (
@@ -344,13 +345,14 @@ def _kind(protocol: str) -> Any:
         from fsspec.registry import known_implementations
     except ImportError:
         raise UsageError(
-            f"{protocol}:// needs the package fsspec, which is not installed", hint=INSTALL
+            f"{protocol}:// needs the package fsspec, which is not installed",
+            hint=install_hint(_EXTRA),
         ) from None
     try:
         return fsspec.get_filesystem_class(protocol)
     except ImportError as failure:
         advice = known_implementations.get(protocol, {}).get("err") or _one_line(failure)
-        hint = INSTALL if protocol in ("s3", "s3a", "gs", "gcs") else ""
+        hint = install_hint(_EXTRA) if protocol in ("s3", "s3a", "gs", "gcs") else ""
         raise UsageError(f"{protocol}:// cannot be used: {advice}", hint=hint) from None
     except ValueError:
         raise UsageError(

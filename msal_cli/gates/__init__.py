@@ -39,8 +39,12 @@ class Gate:
     tested: frozenset[str]
 
 
-def parsed(expressions: Sequence[str], kind: Hashable) -> tuple[Gate, ...]:
+def parsed(
+    expressions: Sequence[str], kind: Hashable, file_unit: str | None = None
+) -> tuple[Gate, ...]:
     """The gates of several expressions over records of one kind.
+
+    ``file_unit`` is the unit of the files' lengths, such as ``mm``, where it is known.
 
     Raises
     ------
@@ -56,7 +60,7 @@ def parsed(expressions: Sequence[str], kind: Hashable) -> tuple[Gate, ...]:
     gates = []
     for text in expressions:
         parts = tree(text)
-        found = meaning(text, parts, known)
+        found = meaning(text, parts, known, file_unit)
         named = {name: known[name] for name in names_in(parts)}
         gates.append(Gate(text, found, named, frozenset(names_tested(parts))))
     return tuple(gates)
@@ -84,6 +88,12 @@ def refuse_without_reference(gates: Sequence[Gate], remedy: str) -> None:
                     "there is none",
                     hint=remedy + instead,
                 )
+
+
+def names_field(gates: Sequence[Gate], field: str) -> bool:
+    """Whether any gate depends on a field of the record, or on one within it."""
+    paths = {path for gate in gates for one in gate.quantities.values() for path in one.fields}
+    return any(path == field or path.startswith(f"{field}.") for path in paths)
 
 
 def judged(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]:

@@ -7,7 +7,7 @@ compared sum [ ("<" | "<=" | ">" | ">=" | "==" | "!=") sum ]
 sum      product { ("+" | "-") product }
 product  signed { ("*" | "/") signed }
 signed   { "+" | "-" } atom
-atom     number [ "%" | "e" ] | name | function "(" or { "," or } ")" | "(" or ")"
+atom     number [ "%" | "e" | unit of length ] | name | function "(" or { "," or } ")" | "(" or ")"
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
+from msal_cli.units import NAMES
 
 LONGEST = 300
 """Characters of an expression; a tree is at most half as high."""
@@ -27,9 +28,10 @@ _WORDS = ("and", "or", "not")
 _COMPARISONS = ("<=", ">=", "==", "!=", "<", ">")
 _HINT = "write what breaks the gate, such as 'abs(volume_change) > 1%'; see docs/gates.md"
 
+_LENGTH_UNITS = "|".join(sorted(NAMES, key=len, reverse=True))
 # An e that no digits follow is the unit of mean edge lengths, else an exponent.
 _TOKEN = re.compile(
-    r"(?a)\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?P<unit>%|e\b)?"
+    rf"(?a)\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?P<unit>%|(?:e|{_LENGTH_UNITS})\b)?"
     r"|(?P<name>[A-Za-z_][\w.]*)|(?P<sign><=|>=|==|!=|[<>()+\-*/,]))"
 )
 
@@ -44,7 +46,7 @@ class Tree:
     at : its column, from 1.
     parts : what the operator or function applies to.
     text : of a name or a number.
-    unit : of a number: ``%``, ``e`` or none.
+    unit : of a number: ``%``, ``e``, a unit of length or none.
     """
 
     sign: str

@@ -28,6 +28,7 @@ from msal_cli.gates.names import (
     Quantity,
     Unit,
 )
+from msal_cli.units import in_file_units
 
 Value = float | bool | None
 Known = Mapping[str, Quantity]
@@ -93,15 +94,17 @@ class Meaning:
     value: Callable[[Values], Value]
 
 
-def meaning(text: str, part: Tree, known: Known) -> Meaning:
+def meaning(text: str, part: Tree, known: Known, file_unit: str | None = None) -> Meaning:
     """What an expression means; it is true or false, or None where it cannot be decided.
+
+    ``file_unit`` is the unit of the files' lengths, such as ``mm``, where it is known.
 
     Raises
     ------
     UsageError
-        for names that are not known, and for units that do not go together.
+        for names that are not known, and for units that do not go together, or cannot be converted.
     """
-    found = _Check(text, known).of(part)
+    found = _Check(text, known, file_unit).of(part)
     if found.unit != TRUTH:
         why = "it is a number, and a gate is broken or not"
         raise refused(text, part.at, why, "compare it, as in 'max_displacement > 0.5e'")
@@ -109,9 +112,10 @@ def meaning(text: str, part: Tree, known: Known) -> Meaning:
 
 
 class _Check:
-    def __init__(self, text: str, known: Known) -> None:
+    def __init__(self, text: str, known: Known, file_unit: str | None) -> None:
         self._text = text
         self._known = known
+        self._file_unit = file_unit
 
     def of(self, part: Tree) -> Meaning:
         """The meaning of a part, by its operator."""
@@ -120,6 +124,8 @@ class _Check:
             number = float(part.text)
             if not math.isfinite(number):
                 raise refused(self._text, part.at, "the number is too large")
+            if part.unit not in _LITERALS:
+                return self._length(part)
             return Meaning(_LITERALS[part.unit], lambda values: number)
         if sign in ("name", "known"):
             return self._name(part) if sign == "name" else self._is_known(part)
@@ -140,6 +146,13 @@ class _Check:
         if name not in self._known:
             raise self._unknown(part)
         return Meaning(self._known[name].unit, lambda values: values.number(name))
+
+    def _length(self, part: Tree) -> Meaning:
+        try:
+            length = in_file_units(part.text, part.unit, self._file_unit)
+        except UsageError as error:
+            raise refused(self._text, part.at, error.message, error.hint) from None
+        return Meaning(LENGTH, lambda values: length)
 
     def _unknown(self, part: Tree) -> UsageError:
         close = difflib.get_close_matches(part.text, self._known, n=2, cutoff=0.6)

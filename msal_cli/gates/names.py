@@ -53,6 +53,7 @@ SHORT_NAMES: dict[str, tuple[tuple[str, ...], Unit | None]] = {
     "max_angular_error_deg": (("reference.max_angular_error_deg",), None),
     "vertex_error_percent": (("reference.vertex_error_percent",), None),
     "hausdorff": (("reference.hausdorff",), None),
+    "self_intersections": (("self_intersections.created",), None),
     "noise": (("noise_estimate.file_units",), None),
     "risk": (("choice.risk_edges",), None),
     "seconds": (("seconds.total",), None),
@@ -97,6 +98,8 @@ class Quantity:
             return f"{self.name} is not known: nothing was measured against a reference"
         if self.needs_reference and reference is not None and reference.error is not None:
             return f"{self.name} is not known: {reference.error.message}"
+        if any(one.startswith("self_intersections.") for one in self.fields):
+            return f"{self.name} is not known: count them with --check self-intersections"
         return f"{self.name} is not known for this file"
 
 

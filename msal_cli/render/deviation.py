@@ -47,13 +47,20 @@ class Scale:
         return Legend(lines, colours.table(self.map_name), tuple(ticks))
 
 
-def scale_of(values: Floats, *, is_signed: bool) -> Scale:
+def scale_of(
+    values: Floats, *, is_signed: bool, rounding: float = 0.0, if_none: float = 1.0
+) -> Scale:
     """The scale for ``values`` (n,) in file units: up to the 99th percentile of their sizes,
-    rounded up to two digits."""
+    rounded up to two digits.
+
+    Where no size is above ``rounding`` it goes to ``if_none``.
+    """
     sizes = np.abs(values[np.isfinite(values)])
-    if not len(sizes):
-        return Scale(-1.0 if is_signed else 0.0, 1.0, is_signed)
-    end = float(np.quantile(sizes, SHARE_WITHIN)) or float(sizes.max()) or 1.0
+    largest = float(sizes.max(initial=0.0))
+    end = if_none
+    if largest > rounding:
+        common = float(np.quantile(sizes, SHARE_WITHIN))
+        end = common if common > rounding else largest
     end = _rounded_up(end)
     return Scale(-end if is_signed else 0.0, end, is_signed)
 

@@ -8,11 +8,13 @@ from typing import Literal
 from msal_cli.dataclass import dataclass
 from msal_cli.records import (
     ChoiceMade,
+    Failure,
     GateResult,
     MeshRecord,
     NoiseEstimate,
     Reference,
     RunnerUp,
+    SelfIntersections,
 )
 from msal_cli.report.document import Run, Totals, totals
 from msal_cli.report.names import columns, padded, shortened, shown
@@ -98,6 +100,9 @@ def _of_one(run: Run, record: MeshRecord) -> Iterator[Line]:
         yield Line(f"{name} -> {_output_name(record)}{ending}", "good")
     for word, text in _facts(record):
         yield Line(f"  {word:<13} {text}")
+    if record.self_intersections is not None:
+        text = self_intersections_text(record.self_intersections)
+        yield Line(f"  {'intersecting':<13} {text}")
     if record.reference is not None:
         yield from _reference(record.reference)
     for gate in record.gates:
@@ -128,6 +133,12 @@ def reference_text(one: Reference) -> str:
     if one.hausdorff_edges is not None:
         parts.append(f"Hausdorff {one.hausdorff_edges:.3g} mean edge lengths")
     return ", ".join(parts) or "nothing can be told"
+
+
+def self_intersections_text(one: SelfIntersections) -> str:
+    """``164 -> 145 pairs of faces, 101 of them new``."""
+    new = "" if one.created is None else f", {one.created:,} of them new"
+    return f"{one.before:,} -> {one.after:,} pairs of faces{new}"
 
 
 def _output_name(record: MeshRecord) -> str:
@@ -359,9 +370,7 @@ def _references(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
                 f"{word} against the reference: median {middle:.3g}, most {worst:.3g} {unit}"
             )
     texts = [
-        f"  {file_name(one.path)}: {reason(one.error.where, one.error.message, one.error.code)}"
-        for one in known
-        if one.error is not None
+        f"  {_reference_failure(one.path, one.error)}" for one in known if one.error is not None
     ]
     if texts:
         yield Line(f"no comparison with the reference: {len(texts):,}", "bad")
@@ -369,6 +378,13 @@ def _references(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
     yield from (Line(text, "bad") for text in kept)
     if len(texts) > len(kept):
         yield Line(f"  ... and {len(texts) - len(kept):,} more (-v or --report)", "bad")
+
+
+def _reference_failure(path: str, failure: Failure) -> str:
+    """Why there is no comparison with the reference ``path``, which the place may name already."""
+    why = reason(failure.where, failure.message, failure.code)
+    is_named = failure.where == path or failure.where.startswith(f"{path}: ")
+    return why if is_named else f"{file_name(path)}: {why}"
 
 
 def broken_gates(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:

@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from msal_cli.records import ComparisonRecord, Displacement, SurfaceDistance
-from msal_cli.report.as_text import Line, file_name, gate_text, reason, vertices_text
+from msal_cli.report.as_text import (
+    Line,
+    file_name,
+    gate_text,
+    reason,
+    self_intersections_text,
+    vertices_text,
+)
 from msal_cli.report.names import padded, shortened, shown
 
 _COLUMNS = ("angle", "vertex error", "max move", "volume", "area", "flipped", "Hausdorff")
@@ -104,6 +111,8 @@ def _facts(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
     yield "area", _percent(record.area_change_percent)
     if record.flipped_faces is not None:
         yield "flipped faces", f"{record.flipped_faces:,}"
+    if record.self_intersections is not None:
+        yield "intersecting", self_intersections_text(record.self_intersections)
 
 
 def _lengths(one: Displacement | SurfaceDistance) -> str:

@@ -43,6 +43,8 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
             word,
             _count(count) + (" vertices" if word in ("unreferenced", "welded") else " faces"),
         )
+    if record.self_intersections is not None:
+        yield "intersecting", f"{record.self_intersections:,} pairs of faces"
     if record.bounds is not None:
         low, high = record.bounds
         sides = (b - a for a, b in zip(low, high, strict=True))

@@ -13,6 +13,7 @@ from msal_cli.report.as_text import (
     noise_texts,
     reason,
     runner_up_text,
+    self_intersections_text,
 )
 from msal_cli.report.names import shown
 from msal_cli.report.worst import broken_gates, gate_words
@@ -129,6 +130,8 @@ def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
         yield "Noise", "; ".join(noise_texts(record.noise_estimate))
     if record.volume is not None and not record.volume.valid:
         yield "Volume", f"no figure: {record.volume.reason}"
+    if record.self_intersections is not None:
+        yield "Intersecting", self_intersections_text(record.self_intersections)
     if record.reference is not None:
         failure = record.reference.error
         yield "Reference", record.reference.path

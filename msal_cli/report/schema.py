@@ -99,6 +99,9 @@ DESCRIPTIONS: dict[str, str] = {
     "MeshRecord.locked_vertices": (
         "vertices that --lock pinned; null without that option; vertices at one place are one"
     ),
+    "MeshRecord.self_intersections": (
+        "pairs of faces that intersect each other; null without --check or a gate that names them"
+    ),
     "MeshRecord.noise_estimate": "noise of the input, estimated",
     "MeshRecord.left_alone": "why --min-noise left the mesh as it is; null if it did not",
     "MeshRecord.method": "method and parameters, given or chosen",
@@ -145,6 +148,11 @@ DESCRIPTIONS: dict[str, str] = {
     "Displacement.p95_edges": "distance that 95 % stay below, mean edge lengths",
     "Displacement.max_edges": "largest distance, mean edge lengths",
     "Displacement.moved_vertices": "vertices that moved at all",
+    "SelfIntersections.before": "pairs of faces that intersect before",
+    "SelfIntersections.after": "pairs of faces that intersect after",
+    "SelfIntersections.created": (
+        "pairs that intersect after and did not before; null where the faces are not the same"
+    ),
     "NormalChange.mean_deg": "mean angle, degrees",
     "NormalChange.max_deg": "largest angle, degrees",
     "NoiseEstimate.mean_edges": "standard deviation along the normals, mean edge lengths",
@@ -257,6 +265,9 @@ DESCRIPTIONS: dict[str, str] = {
     "ComparisonRecord.seam_gap": (
         "largest distance after between vertices that are at one place before"
     ),
+    "ComparisonRecord.self_intersections": (
+        "pairs of faces that intersect each other; null without --check or a gate that names them"
+    ),
     "ComparisonRecord.warnings": "what a user should know although the files were compared",
     "ComparisonRecord.error": "why the files were not compared; null if they were",
     "FieldsFile.path": "where it is",
@@ -312,6 +323,9 @@ DESCRIPTIONS: dict[str, str] = {
     "InfoRecord.volume_valid": "whether the volume means anything",
     "InfoRecord.volume_reason": "why it does not; empty if it does",
     "InfoRecord.mean_edge_length": "mean length of the edges, file units",
+    "InfoRecord.self_intersections": (
+        "pairs of faces that intersect each other; null without --check"
+    ),
     "InfoRecord.noise_estimate": "noise, estimated",
     "InfoRecord.properties": "what else the file holds, which denoising carries along",
     "InfoRecord.references": "other files that this one names",

@@ -13,6 +13,7 @@ from msal_cli.batch.inputs import Found, found
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import built
 from msal_cli.errors import UsageError
+from msal_cli.pipeline import refuse_unknown_format
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
 
@@ -104,9 +105,47 @@ def test_one_file_goes_to_a_file_or_into_a_folder(tmp_path, output, existing, ex
     assert (plan.homes[0] is None) == (not expected.endswith("/a.ply"))
 
 
-def test_a_folder_with_one_file_makes_a_folder(tmp_path):
+@pytest.mark.parametrize("names", [("in/a.ply",), ("in/a.ply", "in/b.ply")])
+def test_a_folder_into_what_is_called_like_a_file(tmp_path, refuses, names):
+    made(tmp_path, *names)
+    hint = refuses(["called like one mesh file"], [tmp_path / "in"], tmp_path / "out.ply").hint
+    assert f"{tmp_path}/out.ply/" in hint
+    expected = [name.replace("in/", "out.ply/") for name in names]
+    assert outputs(tmp_path, [tmp_path / "in"], f"{tmp_path}/out.ply/") == expected
+    # What is a folder already need not be called one.
+    made(tmp_path, "out.ply/x")
+    assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "out.ply") == expected
+
+
+def test_two_files_into_what_is_called_like_a_file(tmp_path, refuses):
+    made(tmp_path, "a.ply", "b.ply")
+    refuses(["called like one mesh file"], [tmp_path / "a.ply", tmp_path / "b.ply"], "two.ply")
+
+
+@pytest.mark.parametrize("output", ["y.stp", "y.gz", "y.stp.gz"])
+def test_an_unknown_suffix_of_a_single_output_is_refused(tmp_path, refuses, output):
     made(tmp_path, "in/a.ply")
-    assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "out.ply") == ["out.ply/a.ply"]
+    error = refuses(["no mesh format", "ply, obj, stl"], [tmp_path / "in/a.ply"], output)
+    assert f"{output}/" in error.hint
+    # Also over a file that is there; a folder may be called so.
+    made(tmp_path, output)
+    refuses(["no mesh format"], [tmp_path / "in/a.ply"], tmp_path / output)
+    folder = f"{tmp_path}/new-{output}/"
+    assert outputs(tmp_path, [tmp_path / "in/a.ply"], folder) == [f"new-{output}/a.ply"]
+    made(tmp_path, "b.stp/x")
+    assert outputs(tmp_path, [tmp_path / "in/a.ply"], tmp_path / "b.stp") == ["b.stp/a.ply"]
+
+
+def test_a_folder_of_several_may_have_a_dot(tmp_path):
+    made(tmp_path, "in/a.ply")
+    assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "out.v2") == ["out.v2/a.ply"]
+
+
+def test_a_bucket_may_have_a_dot():
+    for place in ("s3://my.bucket", "s3://my.bucket/", "s3://my.bucket/out", "/dev/null"):
+        refuse_unknown_format(place)
+    with pytest.raises(UsageError):
+        refuse_unknown_format("s3://bucket/out.stp")
 
 
 def test_the_word_to_must_not_contradict_the_output(tmp_path, refuses):

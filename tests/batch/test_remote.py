@@ -22,7 +22,7 @@ from msal_cli.pipeline import Settings, denoise_bytes
 from msal_cli.records import MeshRecord, ObjectMark
 from tests.batch.test_whole import obj
 
-pytest.importorskip("fsspec", reason="needs the extra: pip install 'msal-cli[cloud]'")
+pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
 
 NAMES = ("a/0.obj", "a/b/1.obj", "2.obj")
 

@@ -20,7 +20,7 @@ from msal_cli.pipeline import Settings, denoise_bytes
 from tests.batch.test_whole import obj
 from tests.cli.scans import MSAL, msal
 
-WHY = "needs the extra: pip install 'msal-cli[test]'"
+WHY = "needs the extra: pip install '.[test]'"
 s3fs = pytest.importorskip("s3fs", reason=WHY)
 pytest.importorskip("moto.server", reason=WHY)
 

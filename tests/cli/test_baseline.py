@@ -103,3 +103,54 @@ def test_wrong_use(files):
     given = ("compare", files / "truth.ply", files / "good.ply")
     assert msal(*given, "--tolerance", "2%").exit_code == 2
     assert msal(*given, "--baseline", files / "none.json").exit_code in (1, 2)
+
+
+@pytest.fixture
+def moved(tmp_path):
+    """Two folders of three files, what was known of them, and a fourth file without a partner."""
+    truth = folder_of(tmp_path / "truth", a=scan(0.0), b=scan(0.0), c=scan(0.0))
+    new = folder_of(tmp_path / "new", a=scan(0.05), b=scan(0.05), c=scan(0.05))
+    known = baseline_of(tmp_path, truth, new)
+    folder_of(truth, d=scan(0.0))
+    return truth, new, known
+
+
+def test_a_missing_partner_does_not_hide_a_broken_baseline(moved):
+    truth, new, known = moved
+    given = ("compare", truth, new, "--baseline", known)
+    assert msal(*given).exit_code == 3
+    folder_of(new, b=scan(0.06))
+    made = msal(*given)
+    assert made.exit_code == 4
+    assert "there is no 'd.ply'" in made.stdout
+    # What cannot be read weighs more.
+    folder_of(new, a=b"ply")
+    assert msal(*given).exit_code == 3
+
+
+def test_a_partner_that_the_baseline_knew_and_is_gone_breaks_it(moved):
+    truth, new, known = moved
+    (new / "c.ply").unlink()
+    made = msal("compare", truth, new, "--baseline", known)
+    assert made.exit_code == 4
+    assert "c.ply: in the baseline, and not here" in made.stderr
+
+
+def test_missing_partners_are_ignored_on_demand(moved):
+    truth, new, known = moved
+    (new / "c.ply").unlink()
+    given = ("compare", truth, new, "--ignore-missing")
+    made = msal(*given, "--baseline", known)
+    assert (made.exit_code, made.stderr) == (
+        0,
+        f"2 files have no partner, only in {truth}: left out\n",
+    )
+    assert "2 compared;" in made.stdout
+    assert len(json.loads(msal(*given, "--json").stdout)["records"]) == 2
+    folder_of(new, b=scan(0.06))
+    assert msal(*given, "--baseline", known).exit_code == 4
+    for name in ("a", "b"):
+        (new / f"{name}.ply").unlink()
+    folder_of(new, z=scan(0.0))
+    assert msal(*given).exit_code == 5
+    assert msal("compare", truth / "a.ply", new / "z.ply", "--ignore-missing").exit_code == 2

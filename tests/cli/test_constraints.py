@@ -83,3 +83,27 @@ def test_a_property_that_is_not_there_fails_that_file(tmp_path):
     assert "(E_PROPERTY)" in made.stderr
     assert "they have: x, y, z" in made.stderr
     assert not (tmp_path / "out" / "a.ply").exists()
+
+
+def test_lengths_have_units_where_that_of_the_files_is_said(scan, tmp_path):
+    given = ("denoise", scan, "-q", "--force", "-o")
+    plain, metres, micro = (tmp_path / f"{name}.ply" for name in ("plain", "metres", "micro"))
+    assert msal(*given, plain, "--max-move", "0.002").exit_code == 0
+    assert msal(*given, metres, "--unit", "m", "--max-move", "2mm").exit_code == 0
+    assert msal(*given, micro, "--unit", "mm", "--max-move", "2um").exit_code == 0
+    assert plain.read_bytes() == metres.read_bytes() == micro.read_bytes()
+    gate = ("--fail-on", "max_displacement > 1mm")
+    assert msal(*given, plain, "--unit", "m", *gate).exit_code == 4
+    assert msal(*given, plain, "--unit", "um", *gate).exit_code == 0
+    for more in (gate, ("--max-move", "2mm"), ("--min-noise", "2mm")):
+        made = msal(*given, tmp_path / "none.ply", *more)
+        assert (made.exit_code, "mesh files have no unit" in made.stderr) == (2, True)
+    assert not (tmp_path / "none.ply").exists()
+
+
+def test_compare_and_report_take_units_too(scan, tmp_path):
+    assert msal("denoise", scan, "-q", "-o", tmp_path / "out/").exit_code == 0
+    for words in (("compare", scan, tmp_path / "out" / scan.name), ("report", tmp_path / "out")):
+        gate = ("--fail-on", "displacement.max > 1mm")
+        assert [msal(*words, *gate, "--unit", unit).exit_code for unit in ("m", "um")] == [4, 0]
+        assert msal(*words, *gate).exit_code == 2

@@ -528,3 +528,12 @@ def test_what_is_not_asked_for_is_not_imported(scan, tmp_path):
     words += ["--method", "msal"]
     made = subprocess.run(words, capture_output=True, text=True, check=True)
     assert made.stdout.strip() == "[] False"
+
+
+def test_the_log_of_a_failure_has_no_gap_where_there_is_no_place(tmp_path):
+    folder_of(tmp_path, empty=b"")
+    made = msal("denoise", tmp_path / "empty.ply", "-o", tmp_path / "out.ply", "-v")
+    assert "empty.ply: failed: E_TRUNCATED: the file is empty" in made.stderr
+    bad = folder_of(tmp_path, bad=BAD_SCAN) / "bad.ply"
+    made = msal("denoise", bad, "-o", tmp_path / "out.ply", "-v")
+    assert "failed: E_INDEX: face 0, line 299: " in made.stderr

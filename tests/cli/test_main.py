@@ -112,7 +112,7 @@ def test_the_help_of_denoise_tells_the_real_defaults():
 
 
 def test_an_internal_error_is_one_line(monkeypatch, tmp_path):
-    monkeypatch.setattr("msal_cli.inspection.inspect_file", lambda *given: 1 / 0)
+    monkeypatch.setattr("msal_cli.inspection.inspect_file", lambda *given, **named: 1 / 0)
     folder_of(tmp_path, a=closed_scan())
     made = msal("info", tmp_path)
     assert made.exit_code == 1
@@ -125,7 +125,7 @@ def test_an_internal_error_is_one_line(monkeypatch, tmp_path):
 
 
 def test_memory_that_ran_out_is_said(monkeypatch, tmp_path):
-    def ran_out(*given):
+    def ran_out(*given, **named):
         raise MemoryError
 
     monkeypatch.setattr("msal_cli.inspection.inspect_file", ran_out)
@@ -176,6 +176,23 @@ def test_a_reader_that_goes_away_is_no_noise(tmp_path):
         os.close(write)
         assert made.returncode == 141
         assert b"rror" not in made.stderr
+
+
+@POSIX
+def test_what_is_to_be_written_is_written_although_nobody_reads_the_words(tmp_path):
+    scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
+    assert msal("denoise", scan, "-o", tmp_path / "out/", "-q").exit_code == 0
+    one_cell = ["--size", "48", "--rows", "iterations=1,2", "--columns", "K=0.5"]
+    for name, arguments in (
+        ("g.png", ["sweep", scan, "-o", "g.png", *one_cell]),
+        ("h.ply", ["compare", scan, scan, "--heatmap", "h.ply"]),
+        ("r.csv", ["report", "out", "-o", "r.csv", "--json"]),
+    ):
+        read, write = os.pipe()
+        os.close(read)
+        made = process(*arguments, capture_output=False, stdout=write, cwd=tmp_path)
+        os.close(write)
+        assert (made.returncode, (tmp_path / name).exists()) == (141, True), arguments
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")

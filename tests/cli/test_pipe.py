@@ -168,3 +168,12 @@ def test_real_pipes(tmp_path, denoised):
         ["sh", "-c", f"{words} | head -c 3"], input=SCAN, capture_output=True, check=False
     )
     assert (head.stdout, head.stderr) == (b"ply", b"")
+
+
+def test_a_file_of_no_known_format_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for command in ("denoise", "noise"):
+        done = msal_on(closed_scan(), command, "-", "-o", "y.stp")
+        assert done.exit_code == 2
+        assert "no mesh format" in done.stderr and "ply, obj, stl" in done.stderr
+    assert list(tmp_path.iterdir()) == []

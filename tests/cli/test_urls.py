@@ -7,7 +7,7 @@ import pytest
 from msal_cli.files import urls
 from tests.cli.scans import closed_scan, msal, msal_on
 
-pytest.importorskip("fsspec", reason="needs the extra: pip install 'msal-cli[cloud]'")
+pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
 
 
 @pytest.fixture(autouse=True)

@@ -16,7 +16,7 @@ from msal_cli.files import remote, sidecars, streams
 from msal_cli.files.forecast import forecast
 from msal_cli.files.remote import Mark, listed, mark, read_many, read_whole, removed, write_whole
 
-pytest.importorskip("fsspec", reason="needs the extra: pip install 'msal-cli[cloud]'")
+pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
 
 
 @pytest.fixture(autouse=True)
@@ -206,6 +206,8 @@ def test_without_the_package_the_error_says_what_to_install(monkeypatch):
         with pytest.raises(UsageError) as caught:
             call("s3://b/a.ply")
         assert "msal-cli[cloud]" in caught.value.hint
+        # That would look for msal itself on an index.
+        assert "pip install 'msal-cli" not in caught.value.hint
 
 
 def test_without_the_package_of_a_protocol_the_error_says_which(monkeypatch):
@@ -219,7 +221,7 @@ def test_without_the_package_of_a_protocol_the_error_says_which(monkeypatch):
 
 
 def test_a_version_in_a_name_is_refused_and_not_cut_off():
-    pytest.importorskip("s3fs", reason="needs the extra: pip install 'msal-cli[cloud]'")
+    pytest.importorskip("s3fs", reason="needs the extra: pip install '.[cloud]'")
     for call in (read_whole, lambda url: write_whole(url, b"")):
         with pytest.raises((InputError, OutputError), match="versionId"):
             call("s3://b/a?versionId=1.ply")

@@ -31,6 +31,39 @@ def result(text, record=CLOSED):
 
 
 @pytest.mark.parametrize(
+    ("text", "unit", "is_broken"),
+    [
+        ("max_displacement > 39cm", "m", True),
+        ("max_displacement > 41cm", "m", False),
+        ("max_displacement > 0.39mm", "mm", True),
+        ("max_displacement < 0.41mm + 0.1um", "mm", True),
+        ("max_displacement > 0.01in", "mm", True),
+        ("max_displacement > 0.017in", "mm", False),
+        ("max_displacement / 1mm > 399", "m", True),
+        ("area.after > 2200mm * 2200mm", "m", True),
+        ("max_displacement > 1e-999999999km", "m", True),
+    ],
+)
+def test_lengths_with_a_unit(text, unit, is_broken):
+    (found,) = judged(parsed([text], MeshRecord, unit), CLOSED)
+    assert found.broken == is_broken
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "said"),
+    [
+        ("max_displacement > 0.1mm", None, "column 20: 0.1mm: mesh files have no unit"),
+        ("max_displacement > 1e308km", "mm", "too large"),
+        ("flipped_faces > 1mm", "mm", "do not go together"),
+        ("seconds > 5min", "mm", "out of place"),
+    ],
+)
+def test_lengths_that_mean_nothing(text, unit, said):
+    with pytest.raises(UsageError, match=said):
+        parsed([text], MeshRecord, unit)
+
+
+@pytest.mark.parametrize(
     ("text", "is_broken"),
     [
         ("abs(volume_change) > 1%", False),
