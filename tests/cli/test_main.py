@@ -284,16 +284,18 @@ def test_a_stream_that_is_interrupted(tmp_path, signum, status):
 
 @POSIX
 def test_an_info_that_is_terminated(tmp_path):
-    fifo = tmp_path / "log"
-    os.mkfifo(fifo)
+    begun = tmp_path / "begun"
     code = (
-        "import sys; from msal_cli import inspection; from msal_cli.cli.main import program\n"
-        f"def wait(*given): open({str(fifo)!r}, 'w').close(); import time; time.sleep(60)\n"
+        "import sys, time; from msal_cli import inspection; from msal_cli.cli.main import program\n"
+        "def wait(*given, **named):\n"
+        f"    open({str(begun)!r}, 'w').close()\n"
+        "    time.sleep(60)\n"
         "inspection.inspect_file = wait; program.main(['info', sys.argv[1]])"
     )
     scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
     running = subprocess.Popen([sys.executable, "-c", code, scan], stderr=subprocess.PIPE)
-    fifo.read_bytes()  # returns when the command is in the middle of its work
+    while not begun.exists() and running.poll() is None:
+        time.sleep(0.02)
     running.terminate()
     assert (running.communicate()[1], running.returncode) == (b"msal: interrupted\n", 143)
 
