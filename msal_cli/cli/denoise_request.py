@@ -233,10 +233,13 @@ def _min_noise_of(request: Request) -> str | None:
 
 def _checks_of(request: Request) -> tuple[str, ...]:
     """What is counted for the options, or because a gate names it."""
-    from msal_cli import gates, pipeline
+    from msal_cli import pipeline
 
     is_asked = pipeline.SELF_INTERSECTIONS in request.checks
-    is_asked = is_asked or gates.names_field(gates_of(request), "self_intersections")
+    if request.fail_on and not is_asked:
+        from msal_cli import gates
+
+        is_asked = gates.names_field(gates_of(request), "self_intersections")
     return (pipeline.SELF_INTERSECTIONS,) if is_asked else ()
 
 

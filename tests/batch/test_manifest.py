@@ -284,6 +284,7 @@ class TestSettingsHash:
             {"weights": "confidence"},
             {"fields": ("lambda",)},
             {"min_noise": "auto"},
+            {"checks": ("self-intersections",)},
         ]
         hashes = [settings_hash(dataclasses.replace(SETTINGS, **change)) for change in changes]
         changed = {key for change in changes for key in change}

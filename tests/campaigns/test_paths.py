@@ -72,7 +72,7 @@ def outside(tmp_path):
 
 def statuses(*arguments):
     """Run msal; its exit status and the status of each input's record by the input's name."""
-    made = msal("denoise", *arguments, "-j", "1", "--json")
+    made = msal("denoise", *arguments, "--method", "msal", "-j", "1", "--json")
     assert "Traceback" not in made.stderr and "nternal" not in made.stderr, made.stderr
     assert "\x1b" not in made.stderr + made.stdout
     records = json.loads(made.stdout)["records"] if made.stdout else []

@@ -86,7 +86,7 @@ def test_a_property_that_is_not_there_fails_that_file(tmp_path):
 
 
 def test_lengths_have_units_where_that_of_the_files_is_said(scan, tmp_path):
-    given = ("denoise", scan, "-q", "--force", "-o")
+    given = ("denoise", scan, "-q", "--method", "msal", "--force", "-o")
     plain, metres, micro = (tmp_path / f"{name}.ply" for name in ("plain", "metres", "micro"))
     assert msal(*given, plain, "--max-move", "0.002").exit_code == 0
     assert msal(*given, metres, "--unit", "m", "--max-move", "2mm").exit_code == 0
@@ -102,7 +102,7 @@ def test_lengths_have_units_where_that_of_the_files_is_said(scan, tmp_path):
 
 
 def test_compare_and_report_take_units_too(scan, tmp_path):
-    assert msal("denoise", scan, "-q", "-o", tmp_path / "out/").exit_code == 0
+    assert msal("denoise", scan, "-q", "-n", "4", "-o", tmp_path / "out/").exit_code == 0
     for words in (("compare", scan, tmp_path / "out" / scan.name), ("report", tmp_path / "out")):
         gate = ("--fail-on", "displacement.max > 1mm")
         assert [msal(*words, *gate, "--unit", unit).exit_code for unit in ("m", "um")] == [4, 0]
