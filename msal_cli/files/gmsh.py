@@ -78,7 +78,10 @@ def _parse(data: Buffer) -> Content:
         tags, positions = _binary_nodes(source, version)
         source.go_behind(b"$Elements")
         _binary_elements(source, version, cells)
-    names = [one.decode() for one in re.findall(rb"(?m)^\$((?:Element)?(?:Node)?Data)\b", data)]
+    names = [
+        one.decode()
+        for one in re.findall(rb"(?m)^\$((?:Element)?(?:Node)?Data|PhysicalNames)\b", data)
+    ]
     return Content(
         "ascii" if is_text else "binary",
         "text" if is_text else "float64",

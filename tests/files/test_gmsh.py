@@ -68,7 +68,7 @@ def test_text_files_keep_all_but_positions(version):
         kept = slice(3, None) if version == "4.1" else slice(0, 1)
         assert before[k].split()[kept] == after[k].split()[kept]
     if version != "4.0":
-        assert file.properties == ("NodeData",)
+        assert file.properties == ("PhysicalNames", "NodeData")
         assert output.endswith(NODE_DATA.encode())
 
 
