@@ -105,6 +105,7 @@ def found(
     output = None if output is None else settled(output)
     own_output = _real(Path(output)) if output is not None and not is_url(output) else None
     everything: dict[tuple[str, str], Found] = {}
+    empty: list[str] = []
     for text, kind in zip(inputs, kinds, strict=True):
         if text in places:
             from msal_cli.batch import remote_inputs
@@ -126,7 +127,7 @@ def found(
             and not excluded.matches(one.relative)
         ]
         if not kept:
-            _log.warning("no mesh file is selected by the input %r", text)
+            empty.append(text)
         for one in kept:
             everything.setdefault((one.path, one.relative), one)
     if not everything:
@@ -134,6 +135,8 @@ def found(
             f"no mesh file is selected by {', '.join(repr(text) for text in inputs)}",
             hint="look at the suffixes, and at --include and --exclude",
         )
+    for text in empty:
+        _log.warning("no mesh file is selected by the input %r", text)
     return tuple(everything.values())
 
 

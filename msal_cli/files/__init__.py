@@ -55,6 +55,12 @@ _OBJ_VERTEX = rb"(?m)^[ \t]*v(?:[ \t]+" + _NUMBER + rb"){3}"
 _OBJ_LINE = (
     rb"(?:\#.*|v|vt|vn|vp|f|l|p|o|g|s|mg|usemtl|mtllib|usemap|maplib|vertexcolor)?(?:[ \t].*)?"
 )
+_XML = (
+    rb"(?s)(?:\xef\xbb\xbf)?\s*+(?:<\?xml[^>]*+>\s*+)?"
+    rb"(?:(?:<!--(?:(?!-->).)*+-->|<![A-Z][^>]*+>)\s*+)*+"
+)
+"""What may come before the root element: a declaration, comments and a document type."""
+
 _BEGINNINGS = (
     (rb"ply[ \t]*[\r\n]", "ply"),
     (rb"glTF", "glb"),
@@ -70,6 +76,8 @@ _BEGINNINGS = (
     (rb"\s*MeshVersionFormatted", "mesh"),
     (rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile[^>]*[\"']PolyData[\"']", "vtp"),
     (rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile", "vtu"),
+    (_XML + rb"<COLLADA\b", "dae"),
+    (_XML + rb"<Xdmf\b", "xdmf"),
     (rb"(?is)(?:\xef\xbb\xbf)?\s*solid\b.*?\b(?:facet|endsolid)\b", "stl"),
 )
 

@@ -12,9 +12,10 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.errors import FormatError, UnsupportedError
+from msal_cli.errors import FormatError, MsalError, UnsupportedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.dae_scene import frames_of
+from msal_cli.files.frames import PLACEMENT, is_placed
 from msal_cli.files.numbers_in_place import (
     EXPORT_AGAIN,
     TextNumbers,
@@ -72,8 +73,11 @@ def _parse(data: Buffer) -> Content:
         for part, first in zip(parts, first_normals, strict=False)
     ]
     words = dict.fromkeys(word for part in parts for word in part.properties)
+    names = [name for name, _ in meshes]
     if len(parts) > 1:
         words = {f"{len(parts)} parts": None, **words}
+    elif _is_placed(data, root, names[0]):
+        words[PLACEMENT] = None
     return Content(
         "ascii",
         "text",
@@ -82,11 +86,21 @@ def _parse(data: Buffer) -> Content:
         np.concatenate([part.sizes for part in parts]),
         tuple(normals),
         np.concatenate(entries) if normals else None,
-        frames=tuple(frames_of(data, root, [name for name, _ in meshes])) if len(parts) > 1 else (),
+        frames=tuple(frames_of(data, root, names)) if len(parts) > 1 else (),
         properties=tuple(words),
         warnings=tuple(dict.fromkeys(one for part in parts for one in part.warnings)),
         references=_images(data, root),
     )
+
+
+def _is_placed(data: Buffer, root: Element, name: str) -> bool:
+    """Whether the scene turns, scales or shifts a mesh; not if its transform cannot be read, which
+    a mesh in its own frame does not need."""
+    try:
+        with np.errstate(all="ignore"):
+            return is_placed(frames_of(data, root, [name])[0])
+    except (MsalError, np.linalg.LinAlgError):
+        return False
 
 
 def _empty(root: Element) -> Content:

@@ -13,6 +13,10 @@ _LARGEST = 1e30
 
 _IDENTITY = np.eye(4)
 
+PLACEMENT = "placement in the scene"
+"""Among the properties of a scene whose only mesh is denoised in its own frame, while the scene
+turns, scales or shifts it."""
+
 
 def can_be_undone(frame: Floats) -> bool:
     """Whether positions can be taken through a frame and back without harm."""
@@ -20,12 +24,17 @@ def can_be_undone(frame: Floats) -> bool:
     return bool(largest < _LARGEST and np.linalg.cond(frame[:3, :3]) < _STEEPEST)
 
 
+def is_placed(frame: Floats) -> bool:
+    """Whether a frame puts a mesh elsewhere than where its own numbers put it."""
+    return not np.array_equal(frame, _IDENTITY)
+
+
 def moved_by(frame: Floats, points: Floats) -> Floats:
     """Points (n, 3) after a transform; bit for bit the same for the identity.
 
     Those that are too large for it become infinite.
     """
-    if np.array_equal(frame, _IDENTITY):
+    if not is_placed(frame):
         return points
     with np.errstate(over="ignore", invalid="ignore"):
         result: Floats = points @ frame[:3, :3].T + frame[:3, 3]

@@ -27,6 +27,9 @@ _SIZES = {1: 2, 2: 3, 3: 4, 4: 4, 5: 8, 6: 6, 7: 5, 8: 3, 9: 6, 10: 9, 11: 10, 1
 _SIZES |= {14: 14, 15: 1, 16: 8, 17: 20, 18: 15, 19: 13, 20: 9, 21: 10, 22: 12, 23: 15, 24: 15}
 _SIZES |= {25: 21, 26: 4, 27: 5, 28: 6, 29: 20, 30: 35, 31: 56, 92: 64, 93: 125}
 _NAMES = {1: "line", 4: "tetra", 5: "hexahedron", 6: "wedge", 7: "pyramid", 15: "vertex"}
+_FLUENT = re.compile(rb"\s*\((?:0|1|2|10|12|13|39|45)\s")
+"""The first section of a mesh of ANSYS Fluent: the number of its kind in parentheses."""
+
 _CURVED = (9, 10, 16, 20, 21, 22, 23, 24, 25)
 
 
@@ -50,6 +53,11 @@ def _parse(data: Buffer) -> Content:
     if not header:
         if re.match(rb"\s*\$NOD\s", data):
             raise _unknown_version("1")
+        if _FLUENT.match(data):
+            raise UnsupportedError(
+                "this is a mesh of ANSYS Fluent, which has the suffix .msh too, and is not read",
+                hint="export the surface as STL, PLY or OBJ",
+            )
         raise FormatError("there is no $MeshFormat", where="line 1", hint=EXPORT_AGAIN)
     version = int(header[1]), int((header[2] or b"0")[:1])
     if version[0] not in (2, 4) or version > (4, 1):
@@ -70,7 +78,10 @@ def _parse(data: Buffer) -> Content:
         tags, positions = _binary_nodes(source, version)
         source.go_behind(b"$Elements")
         _binary_elements(source, version, cells)
-    names = [one.decode() for one in re.findall(rb"(?m)^\$((?:Element)?(?:Node)?Data)\b", data)]
+    names = [
+        one.decode()
+        for one in re.findall(rb"(?m)^\$((?:Element)?(?:Node)?Data|PhysicalNames)\b", data)
+    ]
     return Content(
         "ascii" if is_text else "binary",
         "text" if is_text else "float64",

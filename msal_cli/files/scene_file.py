@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import InternalError, UnsupportedError
 from msal_cli.files.base import Buffer
-from msal_cli.files.frames import moved_by
+from msal_cli.files.frames import PLACEMENT, moved_by
 from msal_cli.files.glb_scene import Accessor, Document, Part
+from msal_cli.files.scene_frames import is_sole_part_placed
 from msal_cli.files.stl import as_float32
 
 Floats = NDArray[np.float64]
@@ -58,7 +59,8 @@ class SceneFile:
             [part.faces + first.start for part, first in zip(self.parts, self._rows(), strict=True)]
         ).astype(np.int32)
         self.n_polygons = len(self.faces)
-        self.properties = self.document.properties(self.parts)
+        own = (PLACEMENT,) if is_sole_part_placed(self.document, self.parts) else ()
+        self.properties = self.document.properties(self.parts) + own
         self.references = self.document.references()
 
     def _rows(self) -> Iterator[slice]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.errors import FormatError
-from msal_cli.files.frames import can_be_undone
+from msal_cli.files.frames import can_be_undone, is_placed
 from msal_cli.files.glb_scene import Document, Part, as_list
 
 Floats = NDArray[np.float64]
@@ -25,6 +25,21 @@ def placed(document: Document, parts: list[Part]) -> list[Floats]:
     own = [np.eye(4) for _ in parts]
     if len(parts) == 1:
         return own
+    frames = _frames(document, parts)
+    try:
+        with np.errstate(all="ignore"):
+            return frames if all(map(can_be_undone, frames)) else own
+    except np.linalg.LinAlgError:
+        return own
+
+
+def is_sole_part_placed(document: Document, parts: list[Part]) -> bool:
+    """Whether there is one part only, and a node turns, scales or shifts it."""
+    return len(parts) == 1 and is_placed(_frames(document, parts)[0])
+
+
+def _frames(document: Document, parts: list[Part]) -> list[Floats]:
+    """The frame of each part, whatever it does; identities if one is not understood."""
     count = len(as_list(document.content.get("nodes")))
     above: dict[int, int] = {}
     shows: dict[int, int] = {}
@@ -37,12 +52,9 @@ def placed(document: Document, parts: list[Part]) -> list[Floats]:
                 shows.setdefault(node["mesh"], number)
         with np.errstate(all="ignore"):
             known: dict[int, Floats] = {}
-            frames = [_frame(document, above, known, shows.get(part.mesh)) for part in parts]
-            if not all(can_be_undone(frame) for frame in frames):
-                return own
-    except (TypeError, ValueError, OverflowError, FormatError, np.linalg.LinAlgError):
-        return own
-    return frames
+            return [_frame(document, above, known, shows.get(part.mesh)) for part in parts]
+    except (TypeError, ValueError, OverflowError, FormatError):
+        return [np.eye(4) for _ in parts]
 
 
 def _frame(

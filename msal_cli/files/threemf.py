@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
 from msal_cli.files.base import Buffer
-from msal_cli.files.frames import moved_by
+from msal_cli.files.frames import PLACEMENT, moved_by
 from msal_cli.files.threemf_model import Model, Surface, parsed
 from msal_cli.files.threemf_package import Package, Part
 from msal_cli.files.zip_archive import Archive
@@ -116,6 +116,8 @@ class ThreeMfFile:
             words.append(f"unit {unit}")
         if package.has_instances:
             words.append("instances")
+        if package.is_sole_part_placed:
+            words.append(PLACEMENT)
         kept = (word for model in package.models.values() for word in model.words)
         return tuple(dict.fromkeys([*words, *kept]))
 

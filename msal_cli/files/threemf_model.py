@@ -42,6 +42,9 @@ _STALE = {
 }
 """Extensions that describe the same surface a second time, so that it must not move alone."""
 
+_PAINT = "triangle attributes"
+"""Attributes of triangles beside their corners: colours, materials, what a slicer has painted."""
+
 _DEEPEST = 100
 MOST_USES = 100_000
 """Components and items of a part; large assemblies have some thousands."""
@@ -325,6 +328,8 @@ class _Reader:
             if not finite.all():
                 raise self._not_finite(int(np.argmin(finite)))
         else:
+            if np.count_nonzero(region == ord('"')) > 2 * starts.size:
+                self.model.words[_PAINT] = None
             # As float64, so that no index wraps round, however many digits it has.
             corners = self._numbers(starts, stops)
             self._faces = np.minimum(corners, 2.0**53).astype(np.int64)
@@ -384,6 +389,8 @@ class _Reader:
 
     def _add_triangle(self, attributes: dict[str, str]) -> None:
         self._corners.extend(self._whole(attributes, word) for word in _CORNERS)
+        if len(attributes) > len(_CORNERS):
+            self.model.words[_PAINT] = None
 
     def _whole(self, attributes: dict[str, str], word: str) -> int:
         value = attributes.get(word, "").strip()

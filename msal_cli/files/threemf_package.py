@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, FormatError, UnsupportedError
 from msal_cli.files.base import Buffer
-from msal_cli.files.frames import can_be_undone, moved_by
+from msal_cli.files.frames import can_be_undone, is_placed, moved_by
 from msal_cli.files.streams import ALWAYS_EXPANDED, memory_bytes
 from msal_cli.files.threemf_model import Model, Surface, Use, parsed, place_of, start_parser
 from msal_cli.files.zip_archive import Archive, Member
@@ -55,6 +55,7 @@ class Package:
     parts : all meshes with triangles, those of the root first.
     is_signed : whether a digital signature holds its bytes.
     has_instances : whether an object is put to several places.
+    is_sole_part_placed : whether there is one mesh only, and the build turns, scales or shifts it.
 
     Raises
     ------
@@ -82,6 +83,7 @@ class Package:
                 code="E_NO_FACES",
                 hint="msal denoises surfaces; this file has none",
             )
+        self.is_sole_part_placed = len(self.parts) == 1 and is_placed(self.parts[0].frame)
         if len(self.parts) == 1 or not all(map(_is_usable, self.parts)):
             own = np.eye(4)
             self.parts = [Part(o.member, o.object_id, o.surface, own) for o in self.parts]

@@ -100,6 +100,18 @@ def test_nothing_matched_is_a_signal_of_its_own(tmp_path):
         relatives(tmp_path / "a.txt", include=["*.ply"])
 
 
+def test_an_input_without_files_is_a_warning_only_beside_others(tmp_path, caplog):
+    made(tmp_path, "full/a.ply", "empty/b.txt")
+    relatives(tmp_path / "full", tmp_path / "empty")
+    assert [one.getMessage() for one in caplog.records] == [
+        f"no mesh file is selected by the input {str(tmp_path / 'empty')!r}"
+    ]
+    caplog.clear()
+    with pytest.raises(NothingMatched):
+        relatives(tmp_path / "empty")
+    assert not caplog.records
+
+
 def test_include_and_exclude_look_at_path_and_name(tmp_path):
     made(tmp_path, "a.ply", "left/b.ply", "left/old/c.ply", "right/d.obj")
     assert relatives(tmp_path, include=["left/**"]) == ["left/b.ply", "left/old/c.ply"]

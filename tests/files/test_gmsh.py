@@ -68,7 +68,7 @@ def test_text_files_keep_all_but_positions(version):
         kept = slice(3, None) if version == "4.1" else slice(0, 1)
         assert before[k].split()[kept] == after[k].split()[kept]
     if version != "4.0":
-        assert file.properties == ("NodeData",)
+        assert file.properties == ("PhysicalNames", "NodeData")
         assert output.endswith(NODE_DATA.encode())
 
 
@@ -134,6 +134,8 @@ def changed(text: str, old: str, new: str) -> bytes:
         (binary("4.1", "<").replace(b"\1\0\0\0\n$End", b"\2\0\0\0\n$End"), "E_FORMAT"),
         (b"$NOD\n1\n1 0 0 0\n$ENDNOD\n", "E_UNSUPPORTED"),
         (b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n", "E_FORMAT"),
+        (b'(1 "meshio 5.3.5")\n(2 3)\n(10 (0 1 a 0))\n', "E_UNSUPPORTED"),
+        (b'(0 "GAMBIT to Fluent File")\n', "E_UNSUPPORTED"),
         (
             changed(TEXT_22, "$Nodes\n5", "$ParametricNodes\n5").replace(
                 b"$EndNodes", b"$EndParametricNodes"

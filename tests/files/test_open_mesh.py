@@ -119,6 +119,21 @@ def test_obj_by_its_lines(data):
     assert content_format(data) == "obj"
 
 
+@pytest.mark.parametrize(("root", "name"), [(b"<COLLADA xmlns='x'>", "dae"), (b"<Xdmf>", "xdmf")])
+@pytest.mark.parametrize(
+    "before",
+    [
+        b"",
+        b'<?xml version="1.0" encoding="UTF-8" standalone="no" ?>\r\n',
+        b"\xef\xbb\xbf<?xml version='1.0'?>\n<!-- <VTKFile> -->\n<!---->\n",
+        b"<?xml version='1.0'?><!DOCTYPE Xdmf SYSTEM 'Xdmf.dtd' []>\n",
+    ],
+)
+def test_xml_by_its_root(before, root, name):
+    assert content_format(before + root) == name
+    assert content_format(before + b"<html>" + root) == ""
+
+
 @pytest.mark.parametrize("data", [b"value 1 2 3\n", b"v 1 2\n", b"v 0 0 0\nhello\n", b"f 1 2 3\n"])
 def test_text_that_is_no_obj(data):
     assert content_format(data) == ""

@@ -207,6 +207,20 @@ def test_parts_of_equal_numbers_stay_apart():
         assert np.allclose(part.vertices, expected[len(part.vertices)].surface.vertices)
 
 
+@pytest.mark.parametrize("head", ["<triangles>", "<triangles><!-- not plain -->"])
+@pytest.mark.parametrize(
+    ("more", "is_lost"), [("", False), (' slic3rpe:mmu_segmentation="4"', True), (' pid="1"', True)]
+)
+def test_what_is_painted_on_triangles_is_named(head, more, is_lost):
+    painted = CUBE.replace("<triangles>", head).replace("/></triangles>", f"{more}/></triangles>")
+    assert (painted != CUBE) is bool(more or "not plain" in head)
+    attributes = ' xmlns:slic3rpe="http://schemas.slic3r.org/3mf/2017/06"'
+    file = threemf.read(package(model(shape(1, painted), attributes=attributes)), "")
+    assert np.array_equal(file.faces, FACES)
+    _, losses = convert.converted(file, file.vertices, "ply", "same", "same")
+    assert ("triangle attributes" in losses) is is_lost
+
+
 def test_a_mesh_in_several_places_is_one_mesh():
     build = '<item objectid="1"/><item objectid="2"/>'
     twice = (
