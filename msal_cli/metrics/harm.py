@@ -4,8 +4,8 @@ Two rules.  The volume of a closed surface changed by more than half.  Or more f
 by more than a right angle) than 2 % of all, and three for every two faces that were folded before:
 strong noise across the normals folds faces over, and unfolding them flips them.  On six models with
 Gaussian noise of 0.1 to 0.6 edges in each coordinate the true surface flips 0 to 30 % of the faces,
-at most 1.2 for each folded one; along the normals it flips 1.7 % at most.  CAD meshes have no folds,
-and where a filter collapses them half of the faces flip.
+at most 1.2 for each folded one; along the normals it flips 1.7 % at most.  CAD meshes have no
+folds, and where a filter collapses them half of the faces flip.
 """
 
 from __future__ import annotations
