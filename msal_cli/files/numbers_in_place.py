@@ -224,10 +224,17 @@ def _fortran_floats(data: Bytes, starts: Offsets, stops: Offsets) -> Floats:
 
 def _no_number(data: Bytes, at: int, word: bytes) -> FormatError:
     shown = word[:40].decode("ascii", "backslashreplace")
-    return FormatError(f"{shown!r} is not a number", where=line_of(data, at), hint=EXPORT_AGAIN)
+    return FormatError(
+        f"{shown!r} is not a number", where=line_of(data, at), hint=number_hint(word)
+    )
 
 
 EXPORT_AGAIN = "the file is damaged; export it again"
+
+
+def number_hint(word: bytes, otherwise: str = EXPORT_AGAIN) -> str:
+    """What to do about a word that is no number: it may have the comma of another language."""
+    return "numbers need a decimal point, not a comma" if b"," in word else otherwise
 
 
 def line_of(data: Buffer | Bytes, at: int) -> str:

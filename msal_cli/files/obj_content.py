@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError, TruncatedError
 from msal_cli.files.base import Buffer
+from msal_cli.files.numbers_in_place import number_hint
 
 Bytes = NDArray[np.uint8]
 Offsets = NDArray[np.int64]
@@ -401,7 +402,7 @@ class _Reading:
             return FormatError(
                 message,
                 where=f"{place}, {what} {number}",
-                hint="correct the line, or export the file again",
+                hint=number_hint(word, "correct the line, or export the file again"),
             )
         face = int(state[scan.FACES]) + int(state[scan.SHORT]) + 1
         message = (

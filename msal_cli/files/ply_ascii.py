@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, TruncatedError
 from msal_cli.files import ply_plain
+from msal_cli.files.numbers_in_place import number_hint
 from msal_cli.files.ply_header import Element, Header
 from msal_cli.files.ply_plain import Numbers
 
@@ -78,10 +79,11 @@ class Lines:
 
     def not_a_number(self, start: int, wanted: str) -> FormatError:
         """The error that the token at byte ``start`` is not what was ``wanted``."""
-        token = self.data[start : start + 40].tobytes().split(maxsplit=1)[0].decode("latin-1")
+        token = self.data[start : start + 40].tobytes().split(maxsplit=1)[0]
         return FormatError(
-            f"{token!r} in element '{self.element.name}' is not {wanted}",
+            f"{token.decode('latin-1')!r} in element '{self.element.name}' is not {wanted}",
             where=f"line {line_at(self.data, start, self.header.newline)}",
+            hint=number_hint(token),
         )
 
     def numbers(self, names: Sequence[str]) -> Floats:

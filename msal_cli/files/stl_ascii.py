@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, InputError, InternalError, TooLargeError, TruncatedError
 from msal_cli.files.base import Buffer
+from msal_cli.files.numbers_in_place import number_hint
 from msal_cli.files.stl_facets import check_countable, check_not_empty, not_finite
 
 Floats = NDArray[np.float64]
@@ -198,9 +199,7 @@ def _error(buf: NDArray[np.uint8], status: int, at: int, word: int, facet: int) 
         return FormatError(
             f"{text!r} is not a number",
             where=where,
-            hint="numbers need a decimal point, not a comma"
-            if b"," in token
-            else "the file is damaged; export it again",
+            hint=number_hint(token),
         )
     if status == stl_scan.TOO_LONG:
         return TooLargeError("a single facet takes more than 2 GiB of text", where=where)

@@ -234,7 +234,7 @@ class Archive:
             )
         if member.size > room:
             raise TooLargeError(
-                f"{member.name} expands to {member.size:,} bytes, and there is room for {room:,}",
+                f"it expands to {member.size:,} bytes, and there is room for {room:,}",
                 where=member.name,
                 hint="no mesh compresses so well; if you trust it, pack it without compression",
             )
@@ -255,7 +255,7 @@ class Archive:
             )
         if len(content) != member.size or zlib.crc32(content) != member.crc:
             raise FormatError(
-                f"{member.name} has another size or checksum than it should",
+                "it has another size or checksum than it should",
                 where=member.name,
                 hint=_DAMAGED,
             )
