@@ -17,7 +17,7 @@ from pathlib import Path
 from msal_cli import __version__
 
 # What takes part in the work of the command itself.
-_PACKAGES = ("numpy", "numba")
+_PACKAGES = ("numpy",)
 
 
 def processor() -> str:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from msal_cli.dataclass import dataclass
 from msal_cli.records import ChoiceMade, MethodUsed, RunnerUp
 from msal_cli.selection import NONE, Wishes, chosen
-from msal_cli.selection import announce as announce
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh

@@ -262,10 +262,6 @@ class _Run:
 
         settings = self.settings
         name = self._record.input
-        if settings.method == AUTO:
-            from msal_cli import automatic
-
-            automatic.announce()
         with self.stage("read"):
             files.give_back_large_arrays()
             digest = files.sha256_meanwhile(data)

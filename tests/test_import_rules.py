@@ -14,7 +14,7 @@ import msal_cli
 PACKAGE = Path(msal_cli.__file__).parent
 
 # What every layer may import.
-EVERYWHERE = {"dataclass"}
+EVERYWHERE = {"dataclass", "cores", "control_groups"}
 
 MAY_IMPORT = {
     "errors": set(),
@@ -22,6 +22,8 @@ MAY_IMPORT = {
     "extras": set(),
     "units": {"errors"},
     "colours": set(),
+    "cores": set(),
+    "control_groups": set(),
     "core": {"errors"},
     "mesh": {"core", "errors"},
     "methods": {"mesh", "noise_estimate", "core", "errors"},
@@ -126,8 +128,9 @@ MAY_IMPORT = {
 }
 
 ONLY_IN = {
-    "llvmlite": {"core"},
-    "numba": {"core"},
+    "kernel_build": {"core.library"},
+    "llvmlite": set(),
+    "numba": set(),
     "trimesh": {"files"},
     "meshio": {"files"},
     "click": {"cli"},

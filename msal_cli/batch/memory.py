@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
-from msal_cli.batch import control_groups
+from msal_cli import control_groups
 
 _PROC = Path("/proc")
 

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
 from msal_cli.batch import homes, signals, temporaries
-from msal_cli.batch.cores import usable_cores
 from msal_cli.batch.events import Finished, Progress, Started
 from msal_cli.batch.history import RunNote
 from msal_cli.batch.manifest import FileMark, Manifest, done, intent, settings_hash
 from msal_cli.batch.plan import Plan
 from msal_cli.batch.resume import restore, standings, undone
 from msal_cli.batch.weights import Weights, weighed
+from msal_cli.cores import usable_cores
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.pipeline import (
     FORECAST,

@@ -10,7 +10,7 @@ def described() -> dict[str, str]:
     """System, cores and versions by name; nothing that tells who the user or the host is."""
     from importlib import metadata
 
-    from msal_cli.batch import cores
+    from msal_cli import cores
 
     told = {
         "system": f"{platform.system()} {platform.release()}".strip(),
@@ -18,7 +18,7 @@ def described() -> dict[str, str]:
         "cores": f"{cores.usable_cores()} of {os.cpu_count() or 1}",
         "python": platform.python_version(),
     }
-    for name in ("numpy", "numba", "llvmlite", "trimesh", "meshio"):
+    for name in ("numpy", "trimesh", "meshio"):
         try:
             told[name] = metadata.version(name)
         except metadata.PackageNotFoundError:

@@ -7,18 +7,13 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+from msal_cli.cores import usable_cores
+
 SMALLEST_RANGE = 32_768
 """Items per thread below which starting a thread costs more than it saves."""
 
 MARKING_THREADS = 4
 """Threads for kernels of which each marks all items: of more the marks would take much memory."""
-
-
-def usable_cores() -> int:
-    """Cores that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return max(1, len(os.sched_getaffinity(0)))
-    return max(1, os.cpu_count() or 1)
 
 
 def threads() -> int:

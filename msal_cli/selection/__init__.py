@@ -100,17 +100,6 @@ class Choice:
     among: str = ALL
 
 
-def announce() -> None:
-    """Say early in a run that there will be something to choose.
-
-    On a machine whose cache lacks them, the kernels that it takes are then compiled on other cores
-    while the file is read.
-    """
-    from msal_cli.core.compiled import AUTO, expect
-
-    expect(AUTO)
-
-
 def chosen(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
     """The method and the parameters for ``mesh``.
 

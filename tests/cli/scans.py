@@ -63,7 +63,7 @@ def msal_on(data, *arguments):
 def process(*arguments, **options):
     """Run the real command to its end."""
     options = {"capture_output": True, "timeout": 120} | options
-    environment = {**os.environ, "NUMBA_NUM_THREADS": "1", **options.pop("env", {})}
+    environment = {**os.environ, **options.pop("env", {})}
     # Unbuffered, errors of standard output would come earlier than users meet them.
     environment.pop("PYTHONUNBUFFERED", None)
     words = [one if isinstance(one, bytes) else str(one) for one in (*MSAL, *arguments)]

@@ -1,263 +1,160 @@
-"""Kernels give what the plain functions give, and are compiled again only when they must be."""
+"""Kernels come from the library; what it does not have is an error, or compiled in a checkout."""
 
 from __future__ import annotations
 
-import errno
-import os
+import logging
 import subprocess
 import sys
 import threading
-import types
 
 import numpy as np
 import pytest
 
-from msal_cli.core import compiled as module
-from msal_cli.core import machine_code
-from msal_cli.core.compiled import Kernel, compiled, kind
+import kernel_build
+from msal_cli.core import library, medians
+from msal_cli.core.compiled import Kernel, arg_type
+from msal_cli.errors import InternalError
 
-FACTOR = 3.0
-TABLE = np.array([2, 5], dtype=np.int64)
-
-
-@compiled
-def scaled(values, result):
-    for i in range(len(values)):
-        result[i] = FACTOR * values[i]
-
-
-@compiled
-def scaled_sum(values, scratch):
-    scaled(values, scratch)
-    total = 0.0
-    for i in range(len(scratch)):
-        total += scratch[i]
-    return total
-
-
-@compiled
-def described(values, number, is_odd):
-    return len(values), number * 0.5, is_odd or TABLE[1] == number, values.shape[1]
-
-
-@compiled
-def column_sum(values):
-    total = 0
-    for i in range(values.shape[0]):
-        total += values[i]
-    return total
-
-
-@compiled
-def ratio(left, right):
-    return left / right
-
-
-@compiled
-def room(size):
-    return len(np.empty(size))
+LINE = "medians._counted(u8[::1], i8[::1])"
 
 
 @pytest.fixture
-def cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("MSAL_CACHE_DIR", str(tmp_path))
-    return tmp_path
+def kernel():
+    """A kernel as a new process sees it."""
+    return Kernel(medians._counted.function)
 
 
 @pytest.fixture
-def counted(monkeypatch):
-    made = []
-    real = Kernel._compiled
-    monkeypatch.setattr(
-        Kernel, "_compiled", lambda self, kinds: made.append(self.__name__) or real(self, kinds)
-    )
-    return made
+def entries(monkeypatch):
+    """The table, to be changed."""
+    entries = dict(library._entries())
+    monkeypatch.setattr(library, "_entries", lambda: entries)
+    return entries
 
 
-def again(kernel):
-    """The same kernel as a new process sees it."""
-    return Kernel(kernel.function)
+@pytest.fixture
+def is_wheel(monkeypatch):
+    monkeypatch.setattr(library, "_checkout", lambda: None)
 
 
-def test_arrays_are_written_and_numbers_come_back(cache):
-    values, result = np.arange(5.0), np.empty(5)
-    assert again(scaled)(values, result) is None
-    assert np.array_equal(result, 3.0 * values)
-    assert again(scaled_sum)(values, result) == 30.0
-    answer = again(described)(np.zeros((4, 2)), 5, False)
-    assert answer == (4, 2.5, True, 2)
-    assert [type(one) for one in answer] == [int, float, bool, int]
+def count(kernel, dtype=np.uint64):
+    counts = np.zeros(1 << 16, dtype=np.int64)
+    kernel(np.zeros(3, dtype=dtype), counts)
+    return counts.sum()
 
 
-@pytest.mark.parametrize("step", [1, 2, -1])
-@pytest.mark.parametrize("dtype", [np.int8, np.uint16, np.int32, np.int64])
-def test_types_and_strides_count(cache, dtype, step):
-    values = np.arange(10, dtype=dtype)[::step]
-    assert again(column_sum)(values) == values.sum()
-    values.flags.writeable = False
-    assert again(column_sum)(values) == values.sum()
+def test_the_library_is_up_to_date(caplog):
+    # If not: python -m kernel_build
+    for line in kernel_build.signatures.listed():
+        made_of = library._entries()[line].source_hash
+        assert kernel_build.source_hash(kernel_build.signatures.kernel_of(line)) == made_of, line
 
 
-def test_numbers_of_numpy_are_numbers(cache):
-    kernel = again(described)
-    for number in (np.int64(5), np.int32(5), 5):
-        assert kernel(np.zeros((1, 1)), number, np.bool_(False)) == (1, 2.5, True, 1)
-    assert kernel(np.zeros((1, 1)), np.float64(4.0), True)[1] == 2.0
-
-
-def test_other_arguments_are_refused():
-    with pytest.raises(TypeError, match="not list"):
-        scaled([1.0], np.empty(1))
-    assert kind(np.float64(1.0)) == kind(1.0) == "float64"
-    assert kind(True) == "bool" and kind(1) == "int64"
-
-
-def test_what_is_kept_is_not_compiled_again(cache, counted):
-    values, result = np.arange(3.0), np.empty(3)
-    again(scaled)(values, result)
-    again(scaled)(values, result)
-    assert counted == ["scaled"] and len(list(cache.glob("*.msal-kernel"))) == 1
-    again(scaled)(values.astype(np.float32), result)
-    assert counted == ["scaled"] * 2
-
-
-def test_a_changed_constant_callee_or_body_is_compiled_again(cache, counted):
-    def with_globals(kernel, **values):
-        known = {**kernel.function.__globals__, **values}
-        function = types.FunctionType(kernel.function.__code__, known, kernel.function.__name__)
-        function.__module__ = kernel.function.__module__
-        return Kernel(function)
-
-    values, result = np.arange(3.0), np.empty(3)
-    assert again(scaled_sum)(values, result) == 9.0
-    assert with_globals(scaled_sum, scaled=with_globals(scaled, FACTOR=5.0))(values, result) == 15.0
-    assert with_globals(scaled_sum)(values, result) == 9.0
-    assert counted == ["scaled_sum"] * 2
-    assert with_globals(described, TABLE=np.array([2, 7]))(np.zeros((1, 1)), 5, False)[2] is False
-
-
-@pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "other"])
-def test_a_damaged_file_is_made_again(cache, counted, damage):
-    values, result = np.arange(3.0), np.empty(3)
-    again(scaled)(values, result)
-    (file,) = cache.glob("*.msal-kernel")
-    data = bytearray(file.read_bytes())
-    if damage == "flipped":
-        data[-100] ^= 1
-    file.write_bytes({"cut": data[:200], "flipped": data, "empty": b"", "other": b"x" * 99}[damage])
-    again(scaled)(values, result)
-    assert counted == ["scaled"] * 2
-    again(scaled)(values, result)
-    assert counted == ["scaled"] * 2
-
-
-def test_a_place_that_cannot_be_written_costs_only_time(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("MSAL_CACHE_DIR", str(tmp_path / "file"))
-    result = np.empty(2)
-    again(scaled)(np.ones(2), result)
-    assert (result == 3.0).all()
-
-
-def test_the_users_folder_serves_where_the_package_cannot_be_written(tmp_path, monkeypatch):
-    monkeypatch.delenv("MSAL_CACHE_DIR", raising=False)
-    monkeypatch.setenv("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME", str(tmp_path))
-    (tmp_path / "blocked").write_text("")
-    monkeypatch.setattr(machine_code, "__file__", str(tmp_path / "blocked" / "machine_code.py"))
-    again(scaled)(np.ones(2), np.empty(2))
-    assert len(list((tmp_path / "msal").glob("*.msal-kernel"))) == 1
-
-
-def test_who_waits_for_another_process_does_not_wait_for_ever(cache, counted, monkeypatch):
-    pytest.importorskip("fcntl")
-    monkeypatch.setattr(machine_code, "_LONGEST_WAIT_S", 0.05)
+def test_a_kernel_of_the_library_needs_no_numba(kernel, caplog):
     program = (
-        "import fcntl, sys\n"
-        "handle = open(sys.argv[1], 'w')\n"
-        "fcntl.lockf(handle, fcntl.LOCK_EX)\n"
-        "print('locked', flush=True)\n"
-        "sys.stdin.read()\n"
+        "import sys; import numpy as np; from msal_cli.core import medians\n"
+        "counts = np.zeros(1 << 16, dtype=np.int64)\n"
+        "medians._counted(np.zeros(3, dtype=np.uint64), counts)\n"
+        "print(counts.sum(), 'numba' in sys.modules)\n"
     )
-    command = [sys.executable, "-c", program, str(cache / ".msal-kernel-locks")]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
-        assert other.stdout.readline() == b"locked\n"
-        result = np.empty(2)
-        again(scaled)(np.ones(2), result)
-        other.stdin.close()
-    assert (result == 3.0).all() and counted == ["scaled"]
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert ran.stdout == "3 False\n" and not ran.stderr
 
 
-@pytest.mark.parametrize("failure", [errno.ENOSPC, errno.EDQUOT, errno.EROFS])
-def test_a_full_disk_costs_only_time(cache, monkeypatch, failure):
-    def refused(path, data):
-        path.touch()
-        raise OSError(failure, os.strerror(failure))
-
-    monkeypatch.setattr(machine_code.Path, "write_bytes", refused)
-    result = np.empty(2)
-    again(scaled)(np.ones(2), result)
-    assert (result == 3.0).all()
-    assert [one.name for one in cache.iterdir()] == [".msal-kernel-locks"]
+def test_other_types_are_an_error_with_their_names(kernel):
+    message = r"has no medians._counted\(f4\[::1\], i8\[::1\]\)$"
+    with pytest.raises(InternalError, match=message) as error:
+        count(kernel, np.float32)
+    assert error.value.code == "E_INTERNAL"
+    assert "signatures.txt" in error.value.hint
 
 
-def test_a_failure_in_a_kernel_is_an_exception(cache):
-    with pytest.raises(RuntimeError, match="failed"):
-        again(room)(-1)
-    assert again(room)(7) == 7
+def test_other_types_are_an_error_in_a_wheel_too(kernel, is_wheel):
+    with pytest.raises(InternalError, match=r"has no medians._counted\(f4"):
+        count(kernel, np.float32)
 
 
-def test_division_is_that_of_numpy(cache):
-    assert again(ratio)(7.0, 2.0) == 3.5
-    assert again(ratio)(1.0, 0.0) == np.inf
+def test_an_edited_kernel_is_compiled_by_numba_with_a_notice(kernel, entries, caplog):
+    entries[LINE] = entries[LINE]._replace(source_hash="0123")
+    with caplog.at_level(logging.WARNING):
+        assert count(kernel) == 3
+    assert "outdated, compiling medians._counted: python -m kernel_build" in caplog.text
+    caplog.clear()
+    assert count(kernel) == 3 and not caplog.text
 
 
-def test_without_the_way_into_numba_it_still_works(cache, monkeypatch):
-    def gone(*arguments):
-        raise AttributeError("changed inside")
-
-    monkeypatch.setattr(Kernel, "_compiled", gone)
-    result = np.empty(2)
-    again(scaled)(np.ones(2), result)
-    assert (result == 3.0).all() and not list(cache.glob("*.msal-kernel"))
+def test_a_new_line_of_the_list_is_compiled_by_numba_with_a_notice(kernel, entries, caplog):
+    del entries[LINE]
+    with caplog.at_level(logging.WARNING):
+        assert count(kernel) == 3
+    assert "outdated" in caplog.text
 
 
-def test_it_can_be_interpreted(monkeypatch):
-    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
-    kernel = again(scaled)
-    result = np.empty(2)
-    kernel(np.ones(2), result)
-    assert (result == 3.0).all()
-    assert kernel._native[kind(np.ones(2)), kind(result)] is scaled.function
+def test_without_numba_an_outdated_library_is_an_error(kernel, entries, monkeypatch):
+    entries[LINE] = entries[LINE]._replace(source_hash="0123")
+    monkeypatch.setitem(sys.modules, "numba", None)
+    with pytest.raises(InternalError, match="as its source is now") as error:
+        count(kernel)
+    assert "python -m kernel_build" in error.value.hint
 
 
-def test_threads_that_start_together_compile_once(cache, counted):
-    kernel = again(scaled)
-    results = [np.empty(4) for _ in range(8)]
-    threads = [threading.Thread(target=kernel, args=(np.ones(4), one)) for one in results]
+def test_a_wheel_does_not_look_at_sources(kernel, entries, is_wheel, caplog):
+    entries[LINE] = entries[LINE]._replace(source_hash="")
+    assert count(kernel) == 3 and not caplog.text
+
+
+@pytest.mark.parametrize("name", ["TABLE", "LIBRARY"])
+def test_a_library_that_is_not_there_is_an_error(kernel, is_wheel, monkeypatch, tmp_path, name):
+    monkeypatch.setattr(library, name, tmp_path / "none")
+    for function in (library._entries, library._library):
+        monkeypatch.setattr(library, function.__name__, function.__wrapped__)
+    with pytest.raises(InternalError, match="the library of compiled kernels") as error:
+        count(kernel)
+    assert "install msal again" in error.value.hint
+
+
+def test_arguments_that_are_no_numbers_are_refused(kernel):
+    with pytest.raises(TypeError, match="not list"):
+        kernel([1.0], np.empty(1))
+
+
+def test_types_of_arguments():
+    assert arg_type(np.float64(1.0)) == arg_type(1.0) == "f8"
+    assert arg_type(True) == arg_type(np.bool_(True)) == "b1"
+    assert arg_type(1) == arg_type(np.int64(1)) == "i8"
+    assert arg_type(1 << 63) == "u8" and arg_type(np.float32(1)) == "f4"
+
+
+@pytest.mark.parametrize(
+    "array, text",
+    [
+        (np.zeros((2, 3)), "f8[:, ::1]"),
+        (np.zeros((2, 3), order="F"), "f8[::1, :]"),
+        (np.zeros((2, 3))[:, ::2], "f8[:, :]"),
+        (np.zeros(3, dtype=np.bool_), "b1[::1]"),
+        (np.zeros(6, dtype=np.int32)[::2], "i4[:]"),
+        (np.zeros(3, dtype=">u2"), "swapped u2[::1]" if sys.byteorder == "little" else "u2[::1]"),
+        (np.zeros(9, dtype=np.uint8)[1:9].view(np.float32), "unaligned f4[::1]"),
+    ],
+)
+def test_types_of_arrays(array, text):
+    assert library.signature("a.b", (arg_type(array), "i8")) == f"a.b({text}, i8)"
+
+
+def test_it_can_be_interpreted(kernel, monkeypatch):
+    monkeypatch.setenv("MSAL_INTERPRET_KERNELS", "1")
+    assert kernel._load((arg_type(np.ones(1, dtype=np.uint64)),) * 2) is kernel.function
+
+
+def test_threads_that_start_together_load_once(kernel, monkeypatch):
+    loaded = []
+    real = library.load
+    monkeypatch.setattr(library, "load", lambda *given: loaded.append(given) or real(*given))
+    counts = [np.zeros(1 << 16, dtype=np.int64) for _ in range(8)]
+    bits = np.zeros(3, dtype=np.uint64)
+    threads = [threading.Thread(target=kernel, args=(bits, one)) for one in counts]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert counted == ["scaled"] and all((one == 3.0).all() for one in results)
-
-
-def test_processes_that_start_together_share_the_cache_and_then_need_no_numba(cache):
-    program = (
-        "import numpy as np, sys\n"
-        "from msal_cli.core.geometry import ring_means\n"
-        "ring = np.array([1, 0], dtype=np.int32)\n"
-        "means = ring_means(np.array([1.0, 2.0]), np.array([0, 1, 2], dtype=np.int32), ring)\n"
-        "print(means.tolist(), 'numba' in sys.modules)\n"
-    )
-    processes = [
-        subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
-        for _ in range(3)
-    ]
-    said = [process.communicate()[0] for process in processes]
-    assert all(one.startswith("[2.0, 1.0]") for one in said)
-    # Only one of them has compiled.
-    assert [one.endswith("True\n") for one in said].count(True) == 1
-    warm = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert warm.stdout == "[2.0, 1.0] False\n"
-    assert not [one for one in cache.iterdir() if one.name.endswith(".tmp")]
-    assert module.compiled is compiled
+    assert len(loaded) == 1 and [one.sum() for one in counts] == [3] * 8

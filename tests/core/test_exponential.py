@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.core.compiled import compiled
 from msal_cli.core.exponential import (
     SMALLEST_ARGUMENT,
     SMALLEST_POWER,
@@ -53,16 +52,8 @@ def test_only_the_first_count_is_touched():
     assert values[3:].tolist() == [-1.0, -1.0]
 
 
-@compiled
-def raised(values):
-    for at in range(len(values)):
-        values[at] = power_of_two(values[at])
-
-
 def powers(exponents):
-    values = np.array(exponents, dtype=np.float64)
-    raised(values)
-    return values
+    return np.array([power_of_two(float(one)) for one in exponents])
 
 
 def test_whole_powers_of_two_are_exact():
@@ -72,7 +63,7 @@ def test_whole_powers_of_two_are_exact():
 
 @pytest.mark.parametrize("low", [-1e-8, -0.5, -1.0, -30.0, SMALLEST_POWER])
 def test_powers_of_two_are_within_two_ulp(low):
-    exponents = np.random.default_rng(0).uniform(low, 0.0, 100_000)
+    exponents = np.random.default_rng(0).uniform(low, 0.0, 10_000)
     exact = np.exp2(exponents)
     assert (np.abs(powers(exponents) - exact) <= 2 * np.spacing(exact)).all()
 

@@ -82,7 +82,7 @@ def main(arguments: list[str]) -> None:
     modes = [option for option in options if option in ("--interpreted", "--shipped")]
     is_interpreted, is_shipped = "--interpreted" in modes, "--shipped" in modes
     if is_interpreted:
-        os.environ["NUMBA_DISABLE_JIT"] = "1"
+        os.environ["MSAL_INTERPRET_KERNELS"] = "1"
     elif not is_shipped:
         _call_by_numba()
     seen = ["msal_cli.files"] + [f"msal_cli.core.{name}" for name in _SCANNERS * is_interpreted]
@@ -145,6 +145,7 @@ def _call_by_numba() -> None:
     import hashlib
     from pathlib import Path
 
+    from kernel_build.numba_kernels import to_dispatcher
     from msal_cli.core import compiled
 
     sources = sorted(Path(compiled.__file__).parent.glob("*.py"))
@@ -154,7 +155,7 @@ def _call_by_numba() -> None:
     class Called(compiled.Kernel):
         @functools.cached_property
         def by_numba(self) -> Any:
-            return self._for_numba(cache=True)
+            return to_dispatcher(self, cache=True)
 
         def __call__(self, *arguments: Any) -> Any:
             return self.by_numba(*arguments)

@@ -58,7 +58,7 @@ def test_no_kernel_leaves_its_arrays(format):
     )
     done = subprocess.run(
         [sys.executable, "-c", code, format],
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        env={**os.environ, "MSAL_INTERPRET_KERNELS": "1"},
         cwd=Path(__file__).parents[2],
         capture_output=True,
         text=True,

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from msal_cli.batch import cores
+from msal_cli import cores
 
 
 def made(tmp_path, membership, **files):

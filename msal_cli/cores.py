@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from pathlib import Path
 
-from msal_cli.batch import control_groups
+from msal_cli import control_groups
 
 
 def usable_cores() -> int:
@@ -19,10 +20,12 @@ def usable_cores() -> int:
     return max(1, cores if quota is None else min(cores, -(-quota // 1000)))
 
 
+# Every large kernel asks for it, and a quota is not changed while a process runs.
+@functools.cache
 def _quota(groups: Path, membership: Path) -> int | None:
     """The tightest quota of this process's control groups in thousandths of a core, if any."""
-    told = (_quota_of(folder) for folder in control_groups.folders("cpu", groups, membership))
-    return min((one for one in told if one is not None), default=None)
+    quotas = (_quota_of(folder) for folder in control_groups.folders("cpu", groups, membership))
+    return min((one for one in quotas if one is not None), default=None)
 
 
 def _quota_of(folder: Path) -> int | None:

@@ -1,0 +1,74 @@
+"""The shared library: objects and ``runtime.c`` put together by a C compiler."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from kernel_build.targets import Target
+
+RUNTIME = Path(__file__).with_name("runtime.c")
+
+ZIG = (sys.executable, "-m", "ziglang", "cc")
+
+
+def system_compiler() -> tuple[str, ...]:
+    """The C compiler of ``CC`` or of the system; empty where there is none."""
+    wanted = os.environ.get("CC", "").split()
+    if wanted:
+        return tuple(wanted)
+    found = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    return (found,) if found else ()
+
+
+def link(objects: Sequence[Path], target: Target, compiler: Sequence[str], library: Path) -> None:
+    """Write the library, unless it is there and was made of the same.
+
+    Raises
+    ------
+    SystemExit
+        with the compiler's words where it fails.
+    """
+    command = _command(target, compiler)
+    note = library.with_name(f"{library.name}.inputs")
+    inputs = _digest(command, objects)
+    if library.exists() and note.exists() and note.read_text() == inputs:
+        return
+    library.parent.mkdir(parents=True, exist_ok=True)
+    listing = library.with_name(f"{library.name}.objects")
+    # Quoted, and with slashes: a backslash would escape.
+    listing.write_text("\n".join(f'"{one.as_posix()}"' for one in objects), encoding="utf-8")
+    made = library.with_name(f"{library.name}.tmp{target.suffix}")
+    words = [*command, "-o", str(made), str(RUNTIME), f"@{listing}", "-lm"]
+    ran = subprocess.run(words, capture_output=True, text=True)
+    if ran.returncode:
+        raise SystemExit(f"{' '.join(words)}\n{ran.stdout}{ran.stderr}")
+    # Windows makes an import library beside it.
+    for extra in library.parent.glob(f"{library.name}.tmp.*"):
+        if extra != made:
+            extra.unlink()
+    made.replace(library)
+    note.write_text(inputs)
+
+
+def _command(target: Target, compiler: Sequence[str]) -> list[str]:
+    words = [*compiler, "-O2", "-shared", "-s", "-fvisibility=hidden"]
+    words += [f"-DHAS{suffix.upper()}" for suffix in target.processors if suffix]
+    if "ziglang" in compiler:
+        words += ["-target", target.zig]
+    if target.suffix == ".so":
+        # No symbol is left for the loader to look for but those of libc and libm.
+        words += ["-fPIC", "-Wl,-z,defs", "-Wl,-z,noexecstack", "-Wl,--build-id=none"]
+    elif target.suffix == ".dll":
+        words += ["-Wl,--no-insert-timestamp"]
+    return words
+
+
+def _digest(command: Sequence[str], objects: Sequence[Path]) -> str:
+    parts = repr(([*command], [one.name for one in objects], RUNTIME.read_bytes()))
+    return hashlib.sha256(parts.encode()).hexdigest()

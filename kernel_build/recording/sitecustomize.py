@@ -1,0 +1,34 @@
+"""Python runs this at its start where ``kernel_build.record`` has put its folder on the path.
+
+The signatures of all kernels that are used go to the file MSAL_RECORDED_SIGNATURES; those that the
+library does not have are compiled by numba.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+from kernel_build import compile_now
+from msal_cli.core import library
+from msal_cli.core.compiled import Kernel
+from msal_cli.errors import InternalError
+
+_load = library.load
+
+
+def _load_and_record(kernel: Kernel, arg_types: tuple[library.ArgType, ...]) -> Callable[..., Any]:
+    if not kernel.function.__module__.startswith("msal_cli.core."):
+        return _load(kernel, arg_types)
+    line = library.signature(kernel.name, arg_types)
+    # One short write in append mode: lines of many processes do not mix.
+    with open(os.environ["MSAL_RECORDED_SIGNATURES"], "ab", buffering=0) as file:
+        file.write(f"{line}\n".encode())
+    try:
+        return _load(kernel, arg_types)
+    except InternalError:
+        return compile_now(kernel)
+
+
+library.load = _load_and_record  # type: ignore[assignment]

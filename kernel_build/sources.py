@@ -1,0 +1,146 @@
+"""What a kernel's source tells: a hash of all that its code depends on, and what it writes to."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import inspect
+import textwrap
+import types
+from typing import Any
+
+import numpy as np
+
+from msal_cli.core.compiled import Kernel
+
+_WRITING_METHODS = {"fill", "sort", "partition"}
+
+
+@functools.cache
+def source_hash(kernel: Kernel) -> str:
+    """A hash of the byte code and constants of a kernel and of all kernels that it calls."""
+    parts = []
+    waiting, seen = [kernel], {id(kernel)}
+    while waiting:
+        one = waiting.pop()
+        code, known = one.function.__code__, one.function.__globals__
+        # Names of attributes are among these too; to hash too much does no harm.
+        values = {name: known[name] for name in _names(code) if name in known}
+        parts.append((_plain_code(code), [(name, _plain(one)) for name, one in values.items()]))
+        for value in values.values():
+            if isinstance(value, Kernel) and id(value) not in seen:
+                seen.add(id(value))
+                waiting.append(value)
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+
+
+def _names(code: types.CodeType) -> list[str]:
+    """The names of globals, and of attributes, in the order in which the code has them."""
+    names = list(code.co_names)
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            names += _names(constant)
+    return names
+
+
+def _plain_code(code: types.CodeType) -> tuple[Any, ...]:
+    constants = [
+        _plain_code(one) if isinstance(one, types.CodeType) else _plain(one)
+        for one in code.co_consts
+    ]
+    return code.co_code, constants, code.co_names, code.co_varnames, code.co_flags
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
+    if value is None or isinstance(value, bool | int | float | str | bytes | tuple | np.generic):
+        # The type counts too: 1, 1.0 and True are compiled differently.
+        return type(value).__name__, repr(value)
+    return getattr(value, "__name__", type(value).__name__)
+
+
+@functools.cache
+def written_arguments(kernel: Kernel) -> frozenset[int]:
+    """The positions of the array arguments that a kernel, or a kernel that it calls, writes to.
+
+    All others are compiled as read-only, so that an array may be either; numba refuses to write
+    to them, should this ever miss one.
+    """
+    tree = ast.parse(textwrap.dedent(inspect.getsource(kernel.function))).body[0]
+    assert isinstance(tree, ast.FunctionDef)
+    names = [one.arg for one in tree.args.args]
+    walk = _Writes(names, kernel.function.__globals__)
+    # A second name may be used above the line that makes it, in a loop.
+    while True:
+        before = (set(walk.written), {name: set(roots) for name, roots in walk.roots.items()})
+        walk.visit(tree)
+        if before == (walk.written, walk.roots):
+            return frozenset(names.index(name) for name in walk.written)
+
+
+class _Writes(ast.NodeVisitor):
+    """Which arguments are written to, also by other names and through views.
+
+    Attributes
+    ----------
+    roots : for each name the arguments whose memory it may be.
+    written : arguments that are written to.
+    """
+
+    def __init__(self, arguments: list[str], known: dict[str, Any]) -> None:
+        self.known = known
+        self.roots = {name: {name} for name in arguments}
+        self.written: set[str] = set()
+
+    def visit_Assign(self, node: ast.Assign) -> None:
+        for target in node.targets:
+            self._assign(target, node.value)
+        self.generic_visit(node)
+
+    def visit_AugAssign(self, node: ast.AugAssign) -> None:
+        if isinstance(node.target, ast.Subscript):
+            self.written |= self._roots_of(node.target)
+        self.generic_visit(node)
+
+    def visit_For(self, node: ast.For) -> None:
+        self._assign(node.target, node.iter)
+        self.generic_visit(node)
+
+    def visit_Call(self, node: ast.Call) -> None:
+        if isinstance(node.func, ast.Name):
+            callee = self.known.get(node.func.id)
+            if isinstance(callee, Kernel):
+                for at in written_arguments(callee):
+                    self.written |= self._roots_of(node.args[at])
+        elif isinstance(node.func, ast.Attribute) and node.func.attr in _WRITING_METHODS:
+            self.written |= self._roots_of(node.func.value)
+        self.generic_visit(node)
+
+    def _assign(self, target: ast.expr, value: ast.expr) -> None:
+        if isinstance(target, ast.Subscript):
+            self.written |= self._roots_of(target)
+        elif isinstance(target, ast.Name):
+            self.roots.setdefault(target.id, set()).update(self._roots_of(value))
+        elif isinstance(target, ast.Tuple):
+            values = [value] * len(target.elts)
+            if isinstance(value, ast.Tuple) and len(value.elts) == len(target.elts):
+                values = value.elts
+            for one, its_value in zip(target.elts, values, strict=True):
+                self._assign(one, its_value)
+
+    def _roots_of(self, node: ast.expr) -> set[str]:
+        if isinstance(node, ast.Name):
+            return self.roots.get(node.id, set())
+        if isinstance(node, ast.Attribute | ast.Subscript | ast.Starred):
+            return self._roots_of(node.value)
+        if isinstance(node, ast.Call):
+            # A method such as view gives the same memory; so may a function of numpy's.
+            parts = [node.func, *node.args] if isinstance(node.func, ast.Attribute) else []
+            return set().union(*map(self._roots_of, parts))
+        if isinstance(node, ast.IfExp):
+            return self._roots_of(node.body) | self._roots_of(node.orelse)
+        if isinstance(node, ast.Tuple | ast.List):
+            return set().union(*map(self._roots_of, node.elts))
+        return set()

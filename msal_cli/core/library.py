@@ -1,0 +1,253 @@
+"""The shared library of compiled kernels, and the table of what is in it.
+
+``kernel_build`` makes both.  The table has a line for each combination of argument types::
+
+    geometry._sums(i8, f8[:, ::1], f8[::1])    geometry__sums_1f0c    f8    2    9c56...
+
+It gives, separated by tabs, the signature (numpy's codes of types; ``f8[:, ::1]`` is an array in
+C order, ``[::1, :]`` in Fortran order), the symbol, the types of the results, the positions of the
+arguments that the kernel writes to, and a hash of its source.  Only in a checkout is there a hash:
+kernels that were edited since are compiled by numba meanwhile.
+
+On x86-64 the library has code for two levels of processor; ``MSAL_CPU=v2`` chooses the lower.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import logging
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple, Protocol
+
+from msal_cli.errors import InternalError
+
+ArgType = str | tuple[str, int, str, bool]
+"""The type of an argument, see ``compiled.arg_type``."""
+
+SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+LIBRARY = Path(__file__).with_name(f"_kernels{SUFFIX}")
+TABLE = Path(__file__).with_name("_kernels.txt")
+
+_REBUILD = "python -m kernel_build"
+_NATIVE_ORDER = ("|", "<" if sys.byteorder == "little" else ">")
+_C_TYPES: dict[str, Any] = {
+    "b1": ctypes.c_uint8,
+    "i1": ctypes.c_int8,
+    "i2": ctypes.c_int16,
+    "i4": ctypes.c_int32,
+    "i8": ctypes.c_int64,
+    "u1": ctypes.c_uint8,
+    "u2": ctypes.c_uint16,
+    "u4": ctypes.c_uint32,
+    "u8": ctypes.c_uint64,
+    "f4": ctypes.c_float,
+    "f8": ctypes.c_double,
+}
+
+_log = logging.getLogger("msal.core")
+
+
+class Compiled(Protocol):
+    """What this module needs to know of a kernel."""
+
+    @property
+    def name(self) -> str: ...
+
+
+class Entry(NamedTuple):
+    """What the table says of a kernel for one combination of argument types."""
+
+    symbol: str
+    results: str
+    written: frozenset[int]
+    source_hash: str
+
+
+def load(kernel: Compiled, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]:
+    """The machine code of a kernel for these argument types, as a function.
+
+    Raises
+    ------
+    InternalError
+        where the library does not have it.
+    """
+    text = signature(kernel.name, arg_types)
+    entry = _entries().get(text)
+    if entry is None or entry.source_hash:
+        build = _checkout()
+        if build is not None and (entry is None or build.source_hash(kernel) != entry.source_hash):
+            if not build.is_listed(text):
+                raise _not_listed(text)
+            _log.warning("the kernel library is outdated, compiling %s: %s", kernel.name, _REBUILD)
+            compiled: Callable[..., Any] = build.compile_now(kernel)
+            return compiled
+    if entry is None:
+        raise _not_listed(text) if TABLE.exists() else _missing("is not installed")
+    return bind(_library(), entry, arg_types)
+
+
+def signature(name: str, arg_types: tuple[ArgType, ...]) -> str:
+    """A kernel with its argument types in words, as in the table."""
+    return f"{name}({', '.join([_type_text(one) for one in arg_types])})"
+
+
+def _type_text(one: ArgType) -> str:
+    if isinstance(one, str):
+        return one
+    code, ndim, layout, is_aligned = one
+    steps = [":"] * ndim
+    if ndim and layout != "A":
+        steps[-1 if layout == "C" else 0] = "::1"
+    order = "" if code[0] in _NATIVE_ORDER else "swapped "
+    return f"{'' if is_aligned else 'unaligned '}{order}{code[1:]}[{', '.join(steps)}]"
+
+
+def read_table(text: str) -> dict[str, Entry]:
+    """The entries of a table by their signatures."""
+    entries = {}
+    for line in text.splitlines():
+        key, symbol, results, written, source_hash = line.split("\t")
+        positions = frozenset([int(one) for one in written.split()])
+        entries[key] = Entry(symbol, results, positions, source_hash)
+    return entries
+
+
+@functools.cache
+def _entries() -> dict[str, Entry]:
+    try:
+        return read_table(TABLE.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+
+
+@functools.cache
+def _library() -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(str(LIBRARY))
+    except OSError as error:
+        raise _missing(f"cannot be loaded: {error}") from None
+
+
+def level_suffix(library: ctypes.CDLL) -> str:
+    """The end of the symbols that are for this processor.
+
+    Raises
+    ------
+    InternalError
+        where ``MSAL_CPU`` names a level that the library or the processor does not have.
+    """
+    level: int = library.msal_cpu_level()
+    wanted = os.environ.get("MSAL_CPU", "")
+    if not level:
+        return ""
+    if wanted and wanted not in {f"v{number}" for number in range(2, level + 1)}:
+        raise InternalError(
+            f"MSAL_CPU is {wanted}, but this processor has v2 to v{level}",
+            hint="unset MSAL_CPU",
+        )
+    suffix = f"_{wanted or f'v{level}'}"
+    if not hasattr(library, f"msal_has{suffix}"):
+        raise InternalError(
+            f"the kernel library has no code for x86-64{suffix.replace('_', '-')}",
+            hint=f"build all levels of processor: {_REBUILD} --all-levels",
+        )
+    return suffix
+
+
+def _checkout() -> ModuleType | None:
+    """What builds the library, in a checkout; None where msal is installed from a wheel."""
+    try:
+        import kernel_build
+    except ImportError:
+        return None
+    # Another project may have a package of that name.
+    is_ours = Path(kernel_build.__file__ or "").parent.parent == LIBRARY.parents[2]
+    return kernel_build if is_ours else None
+
+
+def _not_listed(text: str) -> InternalError:
+    return InternalError(
+        f"the kernel library has no {text}",
+        hint="please report this line; developers: add the signature to "
+        f"kernel_build/signatures.txt and run {_REBUILD}",
+    )
+
+
+def _missing(what: str) -> InternalError:
+    return InternalError(
+        f"the library of compiled kernels {what}",
+        hint=f"install msal again for this system; in a checkout: {_REBUILD}",
+    )
+
+
+# Calls
+
+
+def bind(library: ctypes.CDLL, entry: Entry, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]:
+    """A function that runs a kernel of ``library`` with arguments of these types.
+
+    It raises ValueError where the kernel would write to a read-only array, and RuntimeError where
+    the kernel raises an exception.
+    """
+    function = _prototype(arg_types)((entry.symbol + level_suffix(library), library))
+    result_types = entry.results.strip("()").replace(",", " ").split()
+    result_struct = _structure(tuple(result_types))
+    fields = [f"r{at}" for at in range(len(result_types))]
+    is_tuple = entry.results.startswith("(")
+    are_arrays = [not isinstance(one, str) for one in arg_types]
+    written = [at for at in sorted(entry.written) if are_arrays[at]]
+
+    def call(*arguments: Any) -> Any:
+        for at in written:
+            if not arguments[at].flags.writeable:
+                raise ValueError(f"argument {at} of the kernel {entry.symbol} is read-only")
+        failure = ctypes.c_void_p()
+        result = result_struct()
+        passed: list[Any] = [ctypes.addressof(result), ctypes.addressof(failure)]
+        for argument, is_array in zip(arguments, are_arrays, strict=True):
+            if is_array:
+                passed += (None, None, argument.size, argument.itemsize, argument.ctypes.data)
+                passed += argument.shape
+                passed += argument.strides
+            else:
+                # A number of numpy's is none of ctypes'.
+                passed.append(argument.item() if hasattr(argument, "item") else argument)
+        if function(*passed):
+            raise RuntimeError(f"the kernel {entry.symbol} failed")
+        if not fields:
+            return None
+        values = [getattr(result, field) for field in fields]
+        return tuple(values) if is_tuple else values[0]
+
+    return call
+
+
+def _prototype(arg_types: tuple[ArgType, ...]) -> Any:
+    """How numba's functions are called: where the result goes, where a failure goes, arguments.
+
+    An array becomes its owner and parent (unused here), size, item size, address, shape, strides.
+    """
+    size = ctypes.c_ssize_t
+    slots: list[Any] = [ctypes.c_void_p, ctypes.c_void_p]
+    for one in arg_types:
+        if isinstance(one, str):
+            slots.append(_C_TYPES[one])
+        else:
+            slots += [ctypes.c_void_p, ctypes.c_void_p, size, size, ctypes.c_void_p]
+            slots += [size] * (2 * one[1])
+    return ctypes.CFUNCTYPE(ctypes.c_int32, *slots)
+
+
+@functools.cache
+def _structure(names: tuple[str, ...]) -> Any:
+    fields = [
+        (f"r{at}", ctypes.c_bool if name == "b1" else _C_TYPES[name])
+        for at, name in enumerate(names)
+    ]
+    # Code without a result still clears the place where it would be.
+    return type("Result", (ctypes.Structure,), {"_fields_": fields or [("none", ctypes.c_void_p)]})

@@ -1,0 +1,120 @@
+"""Kernels in a shared library give what the plain functions give."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from kernel_build import linking
+from msal_cli.core import library
+from msal_cli.core.compiled import arg_type
+from msal_cli.errors import InternalError
+from tests.kernel_build import some_kernels as some
+
+
+def test_arrays_are_written_and_numbers_come_back(call):
+    values, result = np.arange(5.0), np.empty(5)
+    assert call(some.scaled, values, result) is None
+    assert np.array_equal(result, 3.0 * values)
+    assert call(some.scaled_sum, values, result) == 30.0
+    answer = call(some.described, np.zeros((4, 2)), 5, False)
+    assert answer == (4, 2.5, True, 2)
+    assert [type(one) for one in answer] == [int, float, bool, int]
+
+
+@pytest.mark.parametrize("step", [1, 2, -1])
+@pytest.mark.parametrize("dtype", [np.int8, np.uint16, np.int64])
+def test_types_and_strides_count(call, dtype, step):
+    values = np.arange(10, dtype=dtype)[::step]
+    assert call(some.column_sum, values) == values.sum()
+    # The kernel does not write to it: no other code is needed.
+    values.flags.writeable = False
+    assert call(some.column_sum, values) == values.sum()
+
+
+def test_a_read_only_array_is_not_written(call):
+    result = np.zeros(3)
+    result.flags.writeable = False
+    with pytest.raises(ValueError, match="argument 1 .* is read-only"):
+        call(some.scaled, np.ones(3), result)
+    assert not result.any()
+
+
+def test_numbers_of_numpy_are_numbers(call):
+    rows = np.zeros((1, 1))
+    for number in (np.int64(5), 5):
+        assert call(some.described, rows, number, np.bool_(False)) == (1, 2.5, True, 1)
+    assert call(some.described, rows, np.float64(4.0), True)[1] == 2.0
+
+
+def test_a_failure_in_a_kernel_is_an_exception(call):
+    with pytest.raises(RuntimeError, match="failed"):
+        call(some.room, -1)
+    assert call(some.room, 7) == 7
+
+
+def test_memory_that_a_kernel_cannot_have_is_an_exception(call):
+    with pytest.raises(RuntimeError, match="failed"):
+        call(some.room, 1 << 58)
+
+
+def test_division_is_that_of_numpy(call):
+    assert call(some.ratio, 7.0, 2.0) == 3.5
+    assert call(some.ratio, 1.0, 0.0) == np.inf
+
+
+def test_functions_of_the_library(call):
+    expected = some.functions.function(1.5, 2.5)
+    assert call(some.functions, 1.5, 2.5) == pytest.approx(expected, rel=1e-15)
+
+
+def test_zig_links_what_the_systems_compiler_links(build):
+    pytest.importorskip("ziglang")
+    loaded, entries = build(linking.ZIG)
+    arg_types = (arg_type(np.ones(1)),) * 2
+    entry = entries[library.signature(some.scaled_sum.name, arg_types)]
+    kernel = library.bind(loaded, entry, arg_types)
+    assert kernel(np.arange(3.0), np.empty(3)) == 9.0
+
+
+@pytest.mark.parametrize("level", ["", "v2"])
+def test_a_level_of_the_processor_can_be_chosen(build, monkeypatch, level):
+    monkeypatch.setenv("MSAL_CPU", level)
+    loaded, _ = build(linking.system_compiler() or linking.ZIG)
+    if not loaded.msal_cpu_level():
+        pytest.skip("this kind of processor has one level")
+    assert library.level_suffix(loaded) == f"_{level or 'v%d' % loaded.msal_cpu_level()}"
+
+
+def test_a_level_that_is_not_there_is_an_error(build, monkeypatch):
+    monkeypatch.setenv("MSAL_CPU", "v9")
+    loaded, _ = build(linking.system_compiler() or linking.ZIG)
+    if not loaded.msal_cpu_level():
+        pytest.skip("this kind of processor has one level")
+    with pytest.raises(InternalError, match="MSAL_CPU is v9"):
+        library.level_suffix(loaded)
+
+
+_OBJECT = """
+import hashlib, sys
+from kernel_build import objects
+from kernel_build.signatures import kernel_of
+objects._prepare_worker()
+for line in sys.argv[2:]:
+    ir, entry, _ = objects.lower(kernel_of(line), line)
+    made = objects.to_object(ir, entry, "kernel", "x86_64-unknown-linux-gnu", "x86-64-v3")
+    print(line, hashlib.sha256(made).hexdigest())
+"""
+
+
+def test_objects_do_not_depend_on_what_was_compiled_before():
+    lines = ["medians._counted(u8[::1], i8[::1])", "text.parse_integer(u1[::1], i8, i8)"]
+    sums = []
+    for order in (lines, lines[::-1]):
+        program = [sys.executable, "-c", _OBJECT, "", *order]
+        ran = subprocess.run(program, capture_output=True, text=True, check=True)
+        sums.append(sorted(ran.stdout.splitlines()))
+    assert sums[0] == sums[1] and len(sums[0]) == 2

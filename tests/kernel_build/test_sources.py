@@ -1,0 +1,98 @@
+"""What is read from the source of a kernel: its hash, and the arguments that it writes to."""
+
+from __future__ import annotations
+
+import types
+
+import numpy as np
+import pytest
+
+from kernel_build.signatures import arg_types_of, kernel_of, listed
+from kernel_build.sources import source_hash, written_arguments
+from msal_cli.core.compiled import Kernel, compiled
+from tests.kernel_build import some_kernels as some
+
+
+def with_globals(kernel, **values):
+    known = {**kernel.function.__globals__, **values}
+    function = types.FunctionType(kernel.function.__code__, known, kernel.function.__name__)
+    function.__module__ = kernel.function.__module__
+    return Kernel(function)
+
+
+def test_the_hash_is_of_the_body_constants_and_callees():
+    same = source_hash(with_globals(some.scaled_sum))
+    assert same == source_hash(some.scaled_sum)
+    other_callee = with_globals(some.scaled, FACTOR=5.0)
+    hashes = {
+        same,
+        source_hash(some.scaled),
+        source_hash(other_callee),
+        source_hash(with_globals(some.scaled_sum, scaled=other_callee)),
+        source_hash(with_globals(some.scaled, FACTOR=3)),
+        source_hash(some.described),
+        source_hash(with_globals(some.described, TABLE=np.array([2, 7]))),
+    }
+    assert len(hashes) == 7
+
+
+@compiled
+def by_views(values, words, rows, unused):
+    bits = values.view(np.int64)
+    row = rows[1]
+    first, second = unused, words
+    for at in range(2):
+        bits[at] += 1
+        row[at] = second[at]
+    return first[0]
+
+
+@compiled
+def by_chance(left, right, is_left):
+    target = left if is_left else right
+    target[0] = 1.0
+
+
+scaled_sum = some.scaled_sum
+
+
+@compiled
+def through_callee(scratch, values):
+    return scaled_sum(values, scratch[1:])
+
+
+@compiled
+def in_a_loop(rows, order, result):
+    for row in rows:
+        row[0] = 0.0
+    order[::2].sort()
+    result[0], result[1] = order[0], order[1]
+
+
+@pytest.mark.parametrize(
+    "kernel, expected",
+    [
+        (some.scaled, {1}),
+        (some.scaled_sum, {1}),
+        (some.described, set()),
+        (by_views, {0, 2}),
+        (by_chance, {0, 1}),
+        (through_callee, {0}),
+        (in_a_loop, {0, 1, 2}),
+    ],
+)
+def test_written_arguments(kernel, expected):
+    assert written_arguments(kernel) == expected
+
+
+def test_a_line_of_the_list():
+    line = "text._copied(u1[::1], f4[:, :, ::1], unaligned f4[:, :], i8)"
+    assert arg_types_of(line) == ["u1[::1]", "f4[:, :, ::1]", "unaligned f4[:, :]", "i8"]
+    assert arg_types_of("text._copied()") == []
+
+
+def test_every_line_names_a_kernel_and_its_arguments():
+    for line in listed():
+        code = kernel_of(line).function.__code__
+        assert len(arg_types_of(line)) == code.co_argcount, line
+    assert list(listed()) == sorted(set(listed()))
