@@ -52,8 +52,6 @@ def numba_type(text: str, *, is_written: bool) -> Any:
     from numba.np.numpy_support import from_dtype
 
     code, _, steps = text.partition("[")
-    is_unaligned = code.startswith("unaligned ")
-    code = code.removeprefix("unaligned ")
     scalar = numba_types.boolean if code == "b1" else from_dtype(_dtype(code))
     if not steps:
         return scalar
@@ -62,7 +60,8 @@ def numba_type(text: str, *, is_written: bool) -> Any:
     if "::1" in dimensions:
         layout = "C" if dimensions[-1] == "::1" else "F"
     array: Any = numba_types.Array
-    return array(scalar, len(dimensions), layout, readonly=not is_written, aligned=not is_unaligned)
+    # Not aligned: the same instructions serve arrays of both kinds at the same speed.
+    return array(scalar, len(dimensions), layout, readonly=not is_written, aligned=False)
 
 
 def _dtype(code: str) -> Any:

@@ -64,8 +64,8 @@ def compiled(function: Callable[..., Any]) -> Kernel:
 def arg_type(argument: Any) -> library.ArgType:
     """What decides the machine code for an argument.
 
-    Of a number the name of its type; of an array its type, dimensions, layout (C, F or any), and
-    whether it is aligned.
+    Of a number the code of its type; of an array that of its items, dimensions and layout (C, F or
+    any).  Whether it is writeable or aligned makes no difference.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def arg_type(argument: Any) -> library.ArgType:
     if isinstance(argument, np.ndarray):
         flags = argument.flags
         layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
-        return argument.dtype.str, argument.ndim, layout, flags.aligned
+        return argument.dtype.str, argument.ndim, layout
     if isinstance(argument, bool | np.bool_):
         return "b1"
     if isinstance(argument, np.generic):

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple, Protocol
 
 from msal_cli.errors import InternalError
 
-ArgType = str | tuple[str, int, str, bool]
+ArgType = str | tuple[str, int, str]
 """The type of an argument, see ``compiled.arg_type``."""
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
@@ -99,12 +99,12 @@ def signature(name: str, arg_types: tuple[ArgType, ...]) -> str:
 def _type_text(one: ArgType) -> str:
     if isinstance(one, str):
         return one
-    code, ndim, layout, is_aligned = one
+    code, ndim, layout = one
     steps = [":"] * ndim
     if ndim and layout != "A":
         steps[-1 if layout == "C" else 0] = "::1"
     order = "" if code[0] in _NATIVE_ORDER else "swapped "
-    return f"{'' if is_aligned else 'unaligned '}{order}{code[1:]}[{', '.join(steps)}]"
+    return f"{order}{code[1:]}[{', '.join(steps)}]"
 
 
 def read_table(text: str) -> dict[str, Entry]:

@@ -35,10 +35,17 @@ def test_types_and_strides_count(call, dtype, step):
     assert call(some.column_sum, values) == values.sum()
 
 
+def test_arrays_need_not_be_aligned(call):
+    values = np.zeros(1 + 8 * 33, dtype=np.uint8)[1:].view(np.float64)
+    values[:], result = np.arange(33.0), np.empty(33)
+    assert not values.flags.aligned
+    assert call(some.scaled_sum, values, result) == 3.0 * values.sum()
+
+
 def test_a_read_only_array_is_not_written(call):
     result = np.zeros(3)
     result.flags.writeable = False
-    with pytest.raises(ValueError, match="argument 1 .* is read-only"):
+    with pytest.raises(ValueError, match=r"argument 1 .* is read-only"):
         call(some.scaled, np.ones(3), result)
     assert not result.any()
 
@@ -86,7 +93,7 @@ def test_a_level_of_the_processor_can_be_chosen(build, monkeypatch, level):
     loaded, _ = build(linking.system_compiler() or linking.ZIG)
     if not loaded.msal_cpu_level():
         pytest.skip("this kind of processor has one level")
-    assert library.level_suffix(loaded) == f"_{level or 'v%d' % loaded.msal_cpu_level()}"
+    assert library.level_suffix(loaded) == "_" + (level or f"v{loaded.msal_cpu_level()}")
 
 
 def test_a_level_that_is_not_there_is_an_error(build, monkeypatch):

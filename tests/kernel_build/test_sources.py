@@ -86,8 +86,8 @@ def test_written_arguments(kernel, expected):
 
 
 def test_a_line_of_the_list():
-    line = "text._copied(u1[::1], f4[:, :, ::1], unaligned f4[:, :], i8)"
-    assert arg_types_of(line) == ["u1[::1]", "f4[:, :, ::1]", "unaligned f4[:, :]", "i8"]
+    line = "text._copied(u1[::1], f4[:, :, ::1], f4[:, :], i8)"
+    assert arg_types_of(line) == ["u1[::1]", "f4[:, :, ::1]", "f4[:, :]", "i8"]
     assert arg_types_of("text._copied()") == []
 
 
