@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from kernel_build.hashing import source_hash
 from kernel_build.signatures import listed
-from kernel_build.sources import source_hash
 from msal_cli.core.compiled import Kernel
 
 __all__ = ["compile_now", "is_listed", "source_hash"]

@@ -10,16 +10,18 @@ import gc
 import hashlib
 import os
 import re
+import zlib
 from concurrent.futures import ProcessPoolExecutor
 from importlib import metadata
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from kernel_build.hashing import source_hash
 from kernel_build.numba_kernels import numba_type, result_types, to_dispatcher
 from kernel_build.signatures import arg_types_of, kernel_of
-from kernel_build.sources import source_hash, written_arguments
 from kernel_build.targets import Target
+from kernel_build.written import written_arguments
 from msal_cli.core.compiled import Kernel
 from msal_cli.cores import usable_cores
 
@@ -62,7 +64,7 @@ class _Plan(NamedTuple):
     signature: str
     symbol: str
     key: str
-    suffixes: tuple[str, ...]
+    objects: tuple[Path, ...]
     weight: int
     source_hash: str
     written: str
@@ -72,35 +74,38 @@ class _Plan(NamedTuple):
         return self.signature.partition("(")[0]
 
     @property
+    def lowered(self) -> Path:
+        """LLVM's assembly, compressed, below lines with the entry and the types of the results."""
+        return CACHE / f"{self.key}.ll.z"
+
+    @property
     def results(self) -> Path:
-        """A file that holds the types of the results; it is written last."""
+        """The types of the results."""
         return CACHE / f"{self.key}.txt"
 
-    def file(self, suffix: str) -> Path:
-        return CACHE / f"{self.key}{suffix}.o"
-
     def is_done(self) -> bool:
-        return self.results.exists() and all(self.file(one).exists() for one in self.suffixes)
+        return self.results.exists() and all(one.exists() for one in self.objects)
 
     def read(self) -> Built:
         results = self.results.read_text()
         row = "\t".join((self.signature, self.symbol, results, self.written, self.source_hash))
-        return Built(row, tuple(self.file(one) for one in self.suffixes))
+        return Built(row, self.objects)
 
 
 def _plan(signature: str, target: Target) -> _Plan:
     kernel = kernel_of(signature)
     name = kernel.name.replace(".", "_")
-    written = written_arguments(kernel)
-    parts = (signature, source_hash(kernel), sorted(written), _tools(), target)
+    written = sorted(written_arguments(kernel))
+    parts = (signature, source_hash(kernel), written, _tools())
+    key = f"{name}-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}"
     return _Plan(
         signature,
         f"{name}_{hashlib.sha256(signature.encode()).hexdigest()[:8]}",
-        f"{name}-{hashlib.sha256(repr(parts).encode()).hexdigest()[:16]}",
-        tuple(target.processors),
+        key,
+        tuple(CACHE / f"{key}-{target.triple}-{cpu}.o" for cpu in target.processors.values()),
         len(kernel.function.__code__.co_code),
         source_hash(kernel),
-        " ".join(map(str, sorted(written))),
+        " ".join(map(str, written)),
     )
 
 
@@ -122,11 +127,15 @@ def _prepare_worker() -> None:
 
 def _build_group(plans: list[_Plan], target: Target) -> None:
     for plan in plans:
-        kernel = kernel_of(plan.signature)
-        ir, entry, results = lower(kernel, plan.signature)
-        for suffix, processor in target.processors.items():
-            made = to_object(ir, entry, plan.symbol + suffix, target.triple, processor)
-            _write(plan.file(suffix), made)
+        if plan.lowered.exists():
+            text = zlib.decompress(plan.lowered.read_bytes()).decode()
+        else:
+            ir, entry, results = lower(kernel_of(plan.signature), plan.signature)
+            text = "\n".join((entry, results, ir))
+            _write(plan.lowered, zlib.compress(text.encode(), 1))
+        entry, results, ir = text.split("\n", 2)
+        for (suffix, cpu), path in zip(target.processors.items(), plan.objects, strict=True):
+            _write(path, to_object(ir, entry, plan.symbol + suffix, target.triple, cpu))
         _write(plan.results, results.encode())
 
 
@@ -146,7 +155,7 @@ def lower(kernel: Kernel, signature: str) -> tuple[str, str, str]:
     dispatcher = to_dispatcher(kernel, no_cpython_wrapper=True, no_cfunc_wrapper=True)
     dispatcher.compile(arguments)
     overload = dispatcher.overloads[arguments]
-    entry = overload.fndesc.llvm_func_name
+    entry: str = overload.fndesc.llvm_func_name
     return dispatcher.inspect_llvm(arguments), entry, result_types(overload.signature.return_type)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from kernel_build import linking, objects
-from kernel_build.sources import written_arguments
 from kernel_build.targets import TARGETS, native_target
+from kernel_build.written import written_arguments
 from msal_cli.core import library
 from msal_cli.core.compiled import arg_type
 from tests.kernel_build import some_kernels as some

@@ -1,64 +1,16 @@
-"""What a kernel's source tells: a hash of all that its code depends on, and what it writes to."""
+"""Which array arguments a kernel writes to, read from its source."""
 
 from __future__ import annotations
 
 import ast
 import functools
-import hashlib
 import inspect
 import textwrap
-import types
 from typing import Any
-
-import numpy as np
 
 from msal_cli.core.compiled import Kernel
 
 _WRITING_METHODS = {"fill", "sort", "partition"}
-
-
-@functools.cache
-def source_hash(kernel: Kernel) -> str:
-    """A hash of the byte code and constants of a kernel and of all kernels that it calls."""
-    parts = []
-    waiting, seen = [kernel], {id(kernel)}
-    while waiting:
-        one = waiting.pop()
-        code, known = one.function.__code__, one.function.__globals__
-        # Names of attributes are among these too; to hash too much does no harm.
-        values = {name: known[name] for name in _names(code) if name in known}
-        parts.append((_plain_code(code), [(name, _plain(one)) for name, one in values.items()]))
-        for value in values.values():
-            if isinstance(value, Kernel) and id(value) not in seen:
-                seen.add(id(value))
-                waiting.append(value)
-    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
-
-
-def _names(code: types.CodeType) -> list[str]:
-    """The names of globals, and of attributes, in the order in which the code has them."""
-    names = list(code.co_names)
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            names += _names(constant)
-    return names
-
-
-def _plain_code(code: types.CodeType) -> tuple[Any, ...]:
-    constants = [
-        _plain_code(one) if isinstance(one, types.CodeType) else _plain(one)
-        for one in code.co_consts
-    ]
-    return code.co_code, constants, code.co_names, code.co_varnames, code.co_flags
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
-    if value is None or isinstance(value, bool | int | float | str | bytes | tuple | np.generic):
-        # The type counts too: 1, 1.0 and True are compiled differently.
-        return type(value).__name__, repr(value)
-    return getattr(value, "__name__", type(value).__name__)
 
 
 @functools.cache
