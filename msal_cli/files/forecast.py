@@ -26,8 +26,7 @@ LOOKED_AT = 1 << 16
 
 BASE_BYTES = 50_000_000
 """Resident memory of a worker that has denoised a mesh of next to nothing: the interpreter, the
-libraries and the compiled kernels (36 to 46 MB measured; kernels that are yet to be compiled, once
-on a new machine, take 150 MB more)."""
+libraries and the compiled kernels (36 to 46 MB measured)."""
 
 _LIBRARY_BYTES = 75_000_000
 """What a library and all that it imports take on top, for formats that only it reads."""
