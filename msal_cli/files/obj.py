@@ -229,8 +229,7 @@ class ObjFile:
         if not math.isfinite(float(vertices.max()) + float(vertices.min())):
             bad = int(np.argmin(np.isfinite(vertices).all(axis=1)))
             raise InternalError("a new position is not finite", where=f"vertex {bad + 1}")
-        # A read-only array would have every kernel compiled once more.
-        return np.require(vertices, np.float64, ("C", "W"))
+        return np.ascontiguousarray(vertices, np.float64)
 
     def _statements(self, vertices: Floats) -> list[plain_text.Statements] | None:
         """What changes, where all numbers are plain: the positions, and perhaps the normals."""

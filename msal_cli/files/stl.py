@@ -183,7 +183,7 @@ class StlFile:
         return self._facets_of(self.data)
 
     def _facets_of(self, data: Buffer) -> NDArray[np.void]:
-        # One kind of array, whatever the buffer, so that kernels are compiled once.
+        # One kind of array, whatever the buffer.
         fixed = memoryview(data).toreadonly()
         return np.frombuffer(fixed, dtype=FACET, count=self.n_polygons, offset=_FIRST_FACET)
 
