@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import os
 import shutil
 import subprocess
@@ -36,6 +37,8 @@ def link(objects: Sequence[Path], target: Target, compiler: Sequence[str], libra
     """
     command = _command(target, compiler)
     note = library.with_name(f"{library.name}.inputs")
+    if compiler == ZIG and importlib.util.find_spec("ziglang") is None:
+        raise SystemExit("there is no C compiler: install one, or pip install ziglang")
     inputs = _digest(command, objects)
     if library.exists() and note.exists() and note.read_text() == inputs:
         return
@@ -64,8 +67,6 @@ def _command(target: Target, compiler: Sequence[str]) -> list[str]:
     if target.suffix == ".so":
         # No symbol is left for the loader to look for but those of libc and libm.
         words += ["-fPIC", "-Wl,-z,defs", "-Wl,-z,noexecstack", "-Wl,--build-id=none"]
-    elif target.suffix == ".dll":
-        words += ["-Wl,--no-insert-timestamp"]
     return words
 
 

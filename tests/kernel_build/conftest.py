@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -34,7 +36,20 @@ CALLS = [
 
 
 @pytest.fixture(scope="session")
-def build(tmp_path_factory):
+def compiler_process():
+    """A process that compiles as those of a build do."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, context, objects._prepare_worker) as pool:
+        yield pool
+
+
+def lower_small(name, line):
+    """A small kernel for the argument types of a line."""
+    return objects.lower(getattr(some, name), line)
+
+
+@pytest.fixture(scope="session")
+def build(tmp_path_factory, compiler_process):
     """A function that builds a library of all small kernels with a compiler."""
     target = TARGETS[native_target()]
     folder = tmp_path_factory.mktemp("kernels")
@@ -42,7 +57,8 @@ def build(tmp_path_factory):
     for kernel, *arguments in CALLS:
         line = library.signature(kernel.name, tuple(map(arg_type, arguments)))
         symbol = f"kernel{len(entries)}"
-        ir, entry, results = objects.lower(kernel, line)
+        lowered = compiler_process.submit(lower_small, kernel.__name__, line)
+        ir, entry, results = lowered.result()
         entries[line] = library.Entry(symbol, results, written_arguments(kernel), "")
         for suffix, processor in target.processors.items():
             files.append(folder / f"{symbol}{suffix}.o")
