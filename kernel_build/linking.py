@@ -47,7 +47,9 @@ def link(objects: Sequence[Path], target: Target, compiler: Sequence[str], libra
     # Quoted, and with slashes: a backslash would escape.
     listing.write_text("\n".join(f'"{one.as_posix()}"' for one in objects), encoding="utf-8")
     made = library.with_name(f"{library.name}.tmp{target.suffix}")
-    words = [*command, "-o", str(made), str(RUNTIME), f"@{listing}", "-lm"]
+    words = [*command, "-o", str(made), str(RUNTIME), "-lm"]
+    if objects:
+        words.insert(-1, f"@{listing}")
     ran = subprocess.run(words, capture_output=True, text=True)
     if ran.returncode:
         raise SystemExit(f"{' '.join(words)}\n{ran.stdout}{ran.stderr}")

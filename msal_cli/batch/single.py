@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from msal_cli import __version__
-from msal_cli.batch.cores import usable_cores
+from msal_cli.cores import usable_cores
 from msal_cli.batch.engine import Work, crew_for
 from msal_cli.batch.messages import Advanced, Lost, Returned
 from msal_cli.batch.run import LOSS_CODES, check_limits, do_one
