@@ -46,17 +46,15 @@ def link(objects: Sequence[Path], target: Target, compiler: Sequence[str], libra
     listing = library.with_name(f"{library.name}.objects")
     # Quoted, and with slashes: a backslash would escape.
     listing.write_text("\n".join(f'"{one.as_posix()}"' for one in objects), encoding="utf-8")
-    made = library.with_name(f"{library.name}.tmp{target.suffix}")
+    # In a folder of its own: a library of Windows has its name inside, and files beside it.
+    made = library.parent / "linked" / library.name
+    made.parent.mkdir(exist_ok=True)
     words = [*command, "-o", str(made), str(RUNTIME), "-lm"]
     if objects:
         words.insert(-1, f"@{listing}")
     ran = subprocess.run(words, capture_output=True, text=True)
     if ran.returncode:
         raise SystemExit(f"{' '.join(words)}\n{ran.stdout}{ran.stderr}")
-    # Windows makes an import library beside it.
-    for extra in library.parent.glob(f"{library.name}.tmp.*"):
-        if extra != made:
-            extra.unlink()
     made.replace(library)
     note.write_text(inputs)
 

@@ -30,8 +30,12 @@ def write(signatures: Iterable[str]) -> None:
 def kernel_of(signature: str) -> Kernel:
     """The kernel that a line names."""
     module, _, function = signature.partition("(")[0].partition(".")
-    kernel = getattr(importlib.import_module(f"msal_cli.core.{module}"), function)
-    assert isinstance(kernel, Kernel)
+    try:
+        kernel = getattr(importlib.import_module(f"msal_cli.core.{module}"), function)
+    except (ImportError, AttributeError):
+        kernel = None
+    if not isinstance(kernel, Kernel):
+        raise SystemExit(f"{LIST.name} has {signature}, but there is no such kernel: take it out")
     return kernel
 
 

@@ -11,10 +11,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from msal_cli import __version__
-from msal_cli.cores import usable_cores
 from msal_cli.batch.engine import Work, crew_for
 from msal_cli.batch.messages import Advanced, Lost, Returned
 from msal_cli.batch.run import LOSS_CODES, check_limits, do_one
+from msal_cli.cores import usable_cores
 from msal_cli.errors import ResourceError
 from msal_cli.pipeline import Limits, Settings, Task, denoise_copy
 from msal_cli.records import Failure, MeshRecord, MethodUsed
