@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import gc
 import hashlib
+import inspect
 import os
 import re
 import zlib
@@ -18,8 +19,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kernel_build.hashing import source_hash
+from kernel_build import numba_kernels
 from kernel_build.numba_kernels import numba_type, result_types, to_dispatcher
-from kernel_build.signatures import arg_types_of, kernel_of
+from kernel_build.signatures import LIST, arg_types_of, kernel_of
 from kernel_build.targets import Target
 from kernel_build.written import written_arguments
 from msal_cli.core.compiled import Kernel
@@ -112,10 +114,9 @@ def _plan(signature: str, target: Target) -> _Plan:
 @functools.cache
 def _tools() -> str:
     """What objects depend on beside the kernels."""
-    ours = [Path(__file__).with_name(f"{name}.py") for name in ("objects", "numba_kernels")]
-    sources = b"".join(one.read_bytes() for one in ours)
+    sources = [inspect.getsource(one) for one in (lower, to_object, numba_kernels)]
     versions = [metadata.version(name) for name in ("numba", "llvmlite")]
-    return hashlib.sha256(sources + repr(versions).encode()).hexdigest()
+    return hashlib.sha256(repr((sources, versions, _ENVIRONMENT)).encode()).hexdigest()
 
 
 def _prepare_worker() -> None:
@@ -130,7 +131,10 @@ def _build_group(plans: list[_Plan], target: Target) -> None:
         if plan.lowered.exists():
             text = zlib.decompress(plan.lowered.read_bytes()).decode()
         else:
-            ir, entry, results = lower(kernel_of(plan.signature), plan.signature)
+            try:
+                ir, entry, results = lower(kernel_of(plan.signature), plan.signature)
+            except Exception as error:
+                raise RuntimeError(f"{plan.signature} of {LIST.name}: {error}") from error
             text = "\n".join((entry, results, ir))
             _write(plan.lowered, zlib.compress(text.encode(), 1))
         entry, results, ir = text.split("\n", 2)
