@@ -18,8 +18,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from kernel_build.hashing import source_hash
 from kernel_build import numba_kernels
+from kernel_build.hashing import source_hash
 from kernel_build.numba_kernels import numba_type, result_types, to_dispatcher
 from kernel_build.signatures import LIST, arg_types_of, kernel_of
 from kernel_build.targets import Target
