@@ -158,3 +158,25 @@ def test_threads_that_start_together_load_once(kernel, monkeypatch):
     for thread in threads:
         thread.join()
     assert len(loaded) == 1 and [one.sum() for one in counts] == [3] * 8
+
+
+_REFUSE_CODE_IN_DATA = """
+import ctypes, sys
+PR_SET_MDWE, REFUSE_EXEC_GAIN = 65, 1
+if ctypes.CDLL(None, use_errno=True).prctl(PR_SET_MDWE, REFUSE_EXEC_GAIN, 0, 0, 0):
+    sys.exit(77)
+import numpy as np
+from msal_cli.core import medians
+counts = np.zeros(1 << 16, dtype=np.int64)
+medians._counted(np.zeros(3, dtype=np.uint64), counts)
+print(counts.sum())
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="a feature of Linux")
+def test_kernels_run_where_memory_that_was_written_is_never_executed():
+    command = [sys.executable, "-c", _REFUSE_CODE_IN_DATA]
+    ran = subprocess.run(command, capture_output=True, text=True)
+    if ran.returncode == 77:
+        pytest.skip("Linux before 6.3 has no PR_SET_MDWE")
+    assert ran.stdout == "3\n", ran.stderr
