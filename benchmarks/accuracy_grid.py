@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 from msal_cli import methods
-from msal_cli.dataclass import dataclass
 
 OWN_METHODS = ("wiener", "blend")
 

@@ -10,13 +10,13 @@ import json
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from benchmarks.accuracy_grid import Setting
 from benchmarks.ground_truth import Case
 from msal_cli import methods
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.metrics.comparison import moved_statistics, vertex_error_percent
 from msal_cli.metrics.surface import normal_statistics

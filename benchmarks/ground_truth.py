@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,6 @@ from numpy.typing import NDArray
 
 from benchmarks import machined_shapes
 from msal_cli import files
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh, prepared
 from msal_cli.noise import noisy
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.dataclass import dataclass
 from msal_cli.records import ChoiceMade, MethodUsed, RunnerUp
 from msal_cli.selection import NONE, Wishes, chosen
 

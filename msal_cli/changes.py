@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.dataclass import dataclass
 from msal_cli.records import NormalChange, SelfIntersections
 
 if TYPE_CHECKING:

@@ -6,11 +6,10 @@ Like ``pipeline`` it never raises for a file's fault: that becomes a record with
 from __future__ import annotations
 
 import logging
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import InternalError, MsalError, ResourceError
 from msal_cli.records import (
     Area,

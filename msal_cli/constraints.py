@@ -10,9 +10,9 @@ import math
 import operator
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.units import NAMES, in_file_units
 

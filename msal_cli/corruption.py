@@ -7,9 +7,9 @@ denoising; it is checked before it is written, and appears whole or not at all.
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import InternalError, MsalError, OutputError, ResourceError, UnsupportedError
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.records import FieldsFile
 

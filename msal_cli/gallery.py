@@ -12,9 +12,9 @@ import logging
 import os
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from msal_cli.dataclass import dataclass
 from msal_cli.records import MeshRecord
 from msal_cli.report.illustrations import Gallery, Pictures, Scale
 from msal_cli.report.worst import worst_first

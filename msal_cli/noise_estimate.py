@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-
-from msal_cli.dataclass import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import InternalError, LossError, MsalError, OutputError
 from msal_cli.tasks import Settings, Task, is_mesh_name, suffix
 

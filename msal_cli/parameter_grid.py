@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, UsageError
 
 if TYPE_CHECKING:

@@ -14,10 +14,8 @@ import sys
 import types
 import typing
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any, Literal
-
-from msal_cli.dataclass import dataclass
 
 SCHEMA = "msal.report/1"
 

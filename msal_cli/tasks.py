@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.dataclass import dataclass
 from msal_cli.files.urls import is_url, split
 from msal_cli.records import ObjectMark
 

@@ -14,11 +14,10 @@ import msal_cli
 PACKAGE = Path(msal_cli.__file__).parent
 
 # What every layer may import.
-EVERYWHERE = {"dataclass", "cores", "control_groups"}
+EVERYWHERE = {"cores", "control_groups"}
 
 MAY_IMPORT = {
     "errors": set(),
-    "dataclass": set(),
     "extras": set(),
     "units": {"errors"},
     "colours": set(),
@@ -180,14 +179,6 @@ def test_imports_keep_to_the_table(path):
         if parts[0] in ONLY_IN:
             module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
             assert {layer, module} & ONLY_IN[parts[0]], f"{module} imports {name}"
-
-
-def test_classes_are_made_without_compiling():
-    for path in modules():
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and node.module == "dataclasses":
-                names = {alias.name for alias in node.names}
-                assert "dataclass" not in names or layer_of(path) == "dataclass", path
 
 
 def test_methods_do_not_import_one_another():

@@ -19,7 +19,7 @@ import threading
 import time
 from collections.abc import Generator
 from concurrent.futures import CancelledError
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,6 @@ from msal_cli.batch.dask_worker import Answer, Order
 from msal_cli.batch.engine import Work
 from msal_cli.batch.messages import Again, Began, Lost, Message, Returned
 from msal_cli.batch.workers import Interrupt
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import MsalError, ResourceError, UsageError
 from msal_cli.files.urls import is_url
 from msal_cli.records import MeshRecord

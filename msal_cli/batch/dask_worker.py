@@ -16,6 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,6 @@ from msal_cli.batch import homes, temporaries
 from msal_cli.batch.messages import Advanced, Lost, Message, Returned
 from msal_cli.batch.schedule import Schedule
 from msal_cli.batch.workers import Crew, Interrupt
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import ResourceError
 from msal_cli.pipeline import Limits
 

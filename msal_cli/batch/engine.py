@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
-from msal_cli.dataclass import dataclass
 from msal_cli.pipeline import NO_LIMITS, Limits
 
 if TYPE_CHECKING:

@@ -6,9 +6,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
-
-from msal_cli.dataclass import dataclass
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,7 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 from msal_cli import __version__
 from msal_cli.batch.manifest import FORMAT, NAME, Entry, entry_of, lines_of, paths_in
 from msal_cli.batch.shards import Shard
-from msal_cli.dataclass import dataclass
 from msal_cli.files.urls import is_url
 from msal_cli.records import MeshRecord
 

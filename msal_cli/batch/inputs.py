@@ -11,12 +11,12 @@ import logging
 import os
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msal_cli.batch.patterns import Patterns, has_magic
 from msal_cli.batch.temporaries import is_own
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import MsalError, UsageError
 from msal_cli.files.urls import is_url, name, settled
 from msal_cli.records import ObjectMark

@@ -27,12 +27,12 @@ import stat
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
 from msal_cli.batch.processes import is_alive
 from msal_cli.batch.shards import Shard
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import OutputError, UsageError
 
 NAME = ".msal-lock"

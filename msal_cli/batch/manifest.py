@@ -27,14 +27,13 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from msal_cli import __version__
 from msal_cli.batch.shards import Shard
 from msal_cli.batch.temporaries import temporary_name
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import OutputError
 from msal_cli.files.regular import is_regular, open_regular
 from msal_cli.pipeline import Settings

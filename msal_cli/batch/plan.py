@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from msal_cli.batch.homes import manifest_of, objects_at
@@ -13,7 +13,6 @@ from msal_cli.batch.inputs import Found
 from msal_cli.batch.manifest import names_in
 from msal_cli.batch.shards import Shard
 from msal_cli.batch.temporaries import is_own
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 from msal_cli.files import urls
 from msal_cli.files.urls import is_url

@@ -7,11 +7,11 @@ object, so that nothing has to be asked again to tell what is up to date.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import TypeVar
 
 from msal_cli.batch.patterns import Patterns, has_magic
 from msal_cli.batch.temporaries import is_own
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import InputError, UsageError
 from msal_cli.files import remote, urls
 from msal_cli.records import ObjectMark

@@ -7,13 +7,12 @@ import os
 import stat
 import threading
 from collections.abc import Generator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from msal_cli.batch.manifest import Entry, FileMark, Manifest, file_sha256
 from msal_cli.batch.plan import Plan
 from msal_cli.batch.temporaries import temporary_name
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import OutputError
 from msal_cli.files.urls import is_url
 from msal_cli.pipeline import Task, suffix

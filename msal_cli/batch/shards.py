@@ -9,10 +9,9 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:

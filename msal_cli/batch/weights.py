@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from msal_cli.batch.memory import available_bytes
-from msal_cli.dataclass import dataclass
 from msal_cli.memory import megabytes
 from msal_cli.pipeline import (
     FORECAST,

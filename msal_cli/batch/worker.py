@@ -19,10 +19,10 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from msal_cli.batch.processes import memory_bytes
-from msal_cli.dataclass import dataclass
 
 _LENGTH = struct.Struct("<Q")
 

@@ -12,11 +12,10 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 from msal_cli.batch.worker import Assignment, read_message, write_message
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import ResourceError
 
 # Without -P the first entry of the search path would be the current folder, which is full of

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from msal_cli.cli import exit_codes, talk
 from msal_cli.cli.file_options import CHECK, UNIT, file_options
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import click
 
 from msal_cli.cli import auto_options, words
 from msal_cli.cli.file_options import CHECK, UNIT
-from msal_cli.dataclass import dataclass
 
 DEFAULT_BACKUP = ".orig"
 """What --in-place adds to the name of an original."""

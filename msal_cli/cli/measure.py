@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:

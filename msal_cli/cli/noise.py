@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -10,7 +11,6 @@ import click
 from msal_cli.cli import exit_codes, talk, words
 from msal_cli.cli.file_options import file_options
 from msal_cli.cli.pipe import STREAM
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import MsalError, UsageError
 
 if TYPE_CHECKING:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from msal_cli.cli import talk
 from msal_cli.cli.standard_input import copy_stream, read_stream
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import MsalError, OutputError, UsageError
 
 if TYPE_CHECKING:

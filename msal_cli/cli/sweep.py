@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -10,7 +11,6 @@ import click
 from msal_cli.cli import exit_codes, talk, words
 from msal_cli.cli.pipe import STREAM
 from msal_cli.cli.view import view_of, view_options
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from msal_cli.cli import exit_codes, talk
 from msal_cli.cli.pipe import STREAM
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:

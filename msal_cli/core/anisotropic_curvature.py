@@ -8,6 +8,7 @@ is the gradient of the surface's area.  Symbols as in Hildebrandt and Polthier 2
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,6 @@ from msal_cli.core.medians import median
 from msal_cli.core.operators import Step
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.robust_laplacian import PER_MEDIAN
-from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

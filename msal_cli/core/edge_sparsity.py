@@ -9,13 +9,14 @@ quantities that are linear in the positions once their coefficients are fixed:
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
 from msal_cli.core.conjugate_gradient import RowMatrix
 from msal_cli.core.parallel import over_ranges
-from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -11,6 +11,8 @@ edge.  The second factor is near one where one edge has all the bend: a patch ac
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,7 +23,6 @@ from msal_cli.core.found_rows import found_rows
 from msal_cli.core.geometry import VANISHED, usable_areas
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.ring_blocks import ONE, THREE, TWO, most_neighbours
-from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

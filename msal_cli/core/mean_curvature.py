@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,6 @@ from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.cotangent import cotangent_weights, mixed_areas, ring_areas
 from msal_cli.core.operators import Step
 from msal_cli.core.parallel import over_ranges
-from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -10,6 +10,8 @@ solve ((1 - lambda) M^T M + lambda I) n' = lambda n.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +19,6 @@ from msal_cli.core.bilateral_normals import distance_exponents
 from msal_cli.core.compiled import compiled
 from msal_cli.core.exponential import LOG2_E, power_of_two
 from msal_cli.core.parallel import over_ranges
-from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

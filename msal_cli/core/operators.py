@@ -7,6 +7,7 @@ normal line, so that it cannot drift tangentially.  Others return vectors.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -28,7 +29,6 @@ from msal_cli.core.ring_blocks import (
     most_neighbours,
     settle,
 )
-from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +14,6 @@ from msal_cli.core.geometry import face_normals_and_areas
 from msal_cli.core.operators import SMALLEST_SIGMA, Step
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.reach import faces_around, room
-from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

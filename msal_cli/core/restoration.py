@@ -11,13 +11,13 @@ The powers of the lost shape are those of a first guess, which is made in the sa
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
 from msal_cli.core.parallel import over_ranges
-from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
-
-from msal_cli.dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ Every sweep computes all of its terms from the positions that the sweep before l
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,6 @@ from msal_cli.core.medians import quantile_above_zero
 from msal_cli.core.operators import Operator, RingOperator
 from msal_cli.core.parallel import over_ranges
 from msal_cli.core.schedules import Pace, Schedule
-from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 

@@ -6,13 +6,14 @@ edges.  A vertex with an empty row does not move.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
 from msal_cli.core.operators import Step
 from msal_cli.core.parallel import over_ranges
-from msal_cli.dataclass import dataclass
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, TooLargeError, UnsupportedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.numbers_in_place import EXPORT_AGAIN, TextNumbers, line_of

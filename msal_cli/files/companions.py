@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import MsalError, OutputError
 from msal_cli.files.base import Buffer
 from msal_cli.files.streams import expanded, read_whole

@@ -7,12 +7,12 @@ file has is named as lost.
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import UnsupportedError
 from msal_cli.files.base import Buffer, MeshFile
 from msal_cli.files.colours import vertex_colours

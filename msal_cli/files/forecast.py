@@ -10,10 +10,10 @@ from __future__ import annotations
 import json
 import re
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import MsalError
 from msal_cli.files import content_format, format_of_name, ply_header
 from msal_cli.files.ply_header import Element, Header

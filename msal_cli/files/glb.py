@@ -5,10 +5,11 @@ All else is kept.  Of the JSON only the bounds change that the format demands of
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import InternalError, MsalError
 from msal_cli.files.base import Buffer
 from msal_cli.files.glb_chunks import parsed, with_text

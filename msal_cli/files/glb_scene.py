@@ -9,14 +9,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import (
     ContentError,
     FormatError,

@@ -7,11 +7,11 @@ and of elements, periodic links and every other section are kept without being l
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.numbers_in_place import EXPORT_AGAIN, BinaryNumbers, Numbers, TextNumbers

@@ -13,11 +13,11 @@ of ``OFF`` or below, with or without the number of edges.  Where readers differ:
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, FormatError, InputError, UnsupportedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.numbers_in_place import EXPORT_AGAIN, TextNumbers

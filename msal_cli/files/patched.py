@@ -7,12 +7,12 @@ is the same for each of them and stands here.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.numbers_in_place import EXPORT_AGAIN, Numbers, spliced

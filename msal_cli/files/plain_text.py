@@ -7,11 +7,10 @@ PLY have slower ways, which take more memory.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from msal_cli.dataclass import dataclass
 
 Bytes = NDArray[np.uint8]
 Offsets = NDArray[np.int64]

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.files.ply_ascii import Bytes, Flags, Floats, Lines, Longs
 from msal_cli.files.ply_header import Element, Header, Property, retyped

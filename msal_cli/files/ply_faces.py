@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, FormatError, TooLargeError
 from msal_cli.files.ply_ascii import Flags, Floats, Longs
 from msal_cli.files.ply_header import Element

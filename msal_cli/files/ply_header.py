@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, TooLargeError, TruncatedError, UnsupportedError
 
 MOST_BYTES = 65_536

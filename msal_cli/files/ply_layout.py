@@ -9,12 +9,11 @@ that its counts promise is known to be there.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, TruncatedError
 from msal_cli.files.ply_ascii import (
     CUT_HINT,

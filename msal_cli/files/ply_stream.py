@@ -9,12 +9,12 @@ several lines.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.files.ply_ascii import Bytes, Lines, Longs, Tokens, can_hold, kept_names
 from msal_cli.files.ply_header import Element, Header
 

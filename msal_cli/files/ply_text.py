@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from msal_cli.dataclass import dataclass
 from msal_cli.files.plain_text import usual_decimals
 from msal_cli.files.ply_ascii import Bytes, Flags, Floats, Lines, Longs
 

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import InternalError, UnsupportedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.frames import PLACEMENT, moved_by

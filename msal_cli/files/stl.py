@@ -7,12 +7,11 @@ corners as little-endian float32, and one 16-bit word that some programs use for
 from __future__ import annotations
 
 import re
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import (
     ContentError,
     FormatError,

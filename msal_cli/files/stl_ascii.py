@@ -5,12 +5,11 @@ Keywords may be in any case and apart by any white space; a solid's name is the 
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, InputError, InternalError, TooLargeError, TruncatedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.numbers_in_place import number_hint

@@ -11,12 +11,11 @@ import io
 import math
 import zipfile
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.frames import PLACEMENT, moved_by

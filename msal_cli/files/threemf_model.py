@@ -12,13 +12,12 @@ import math
 import re
 from array import array
 from bisect import bisect_right
-from dataclasses import field
+from dataclasses import dataclass, field
 from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, FormatError, TooLargeError, UnsupportedError
 from msal_cli.files.threemf_lists import plain_lists, quoted
 

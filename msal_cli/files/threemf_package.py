@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import ContentError, FormatError, UnsupportedError
 from msal_cli.files.base import Buffer
 from msal_cli.files.frames import can_be_undone, is_placed, moved_by

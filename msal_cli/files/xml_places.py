@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import dataclass, field
 from xml.parsers import expat
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, TooLargeError, UnsupportedError
 from msal_cli.files.base import Buffer
 

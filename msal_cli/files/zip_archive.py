@@ -13,8 +13,8 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import FormatError, TooLargeError, TruncatedError, UnsupportedError
 from msal_cli.files.base import Buffer
 

@@ -8,9 +8,9 @@ parsed by a grammar of our own (``grammar``), its names and units are those of a
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from msal_cli.dataclass import dataclass
 from msal_cli.records import GateResult
 
 if TYPE_CHECKING:

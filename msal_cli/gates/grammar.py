@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 from msal_cli.units import NAMES
 

@@ -10,9 +10,9 @@ import difflib
 import math
 import operator
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 from msal_cli.gates.grammar import Tree, refused
 from msal_cli.gates.names import (

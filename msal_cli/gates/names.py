@@ -7,9 +7,8 @@ import functools
 import types
 import typing
 from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, Literal
-
-from msal_cli.dataclass import dataclass
 
 Kind = Literal["truth", "constant", "number", "quotient", "percent", "relative", "edges", "length"]
 

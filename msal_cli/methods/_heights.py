@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.core.operators import Operator
 from msal_cli.core.robust_laplacian import DEVIATIONS, WEIGHTS, RobustLaplacian
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import NormalParameters, anisotropic_laplacian, free_vertices

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 from msal_cli.core.operators import AnisotropicLaplacian, Operator
 from msal_cli.core.schedules import Constant, Multiscale, Plain, Schedule, Wiener
 from msal_cli.core.sweeps import Swept, swept
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 

@@ -44,8 +44,9 @@ Heeger, Robust anisotropic diffusion, IEEE Transactions on Image Processing 7 (1
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.core.robust_laplacian import SCALINGS
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._heights import HeightParameters, height_operator

@@ -39,9 +39,10 @@ surface meshes with intrinsic texture, Inverse Problems 24 (2008), section 2.3.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.core.bilateral import BallBilateral, RingBilateral
 from msal_cli.core.operators import Operator
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter

@@ -32,8 +32,9 @@ Transactions on Graphics 22 (SIGGRAPH 2003), 943-949.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.core.projections import ProjectionAverage
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run

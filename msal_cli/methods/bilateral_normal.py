@@ -42,6 +42,8 @@ P. L. Rosin, R. R. Martin and F. C. Langbein, the same journal 13 (2007), 925-93
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,7 +52,6 @@ from msal_cli.core.conjugate_gradient import conjugate_gradients
 from msal_cli.core.face_rings import face_centroids, face_rings, mean_centroid_distance
 from msal_cli.core.geometry import VANISHED, face_normals_and_areas
 from msal_cli.core.normal_system import normal_system
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._normal_filters import NormalFilterParameters, Passes, run

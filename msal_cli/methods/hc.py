@@ -24,9 +24,9 @@ Computer Graphics Forum 18 (1999), 131-138.
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 from msal_cli.core.pushed_back import pushed_back
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of

@@ -45,6 +45,7 @@ SIAM Journal on Scientific Computing 31 (2008), 74-93.
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +57,6 @@ from msal_cli.core.schedules import Multiscale, Plain
 from msal_cli.core.sweeps import swept
 from msal_cli.core.tangent_planes import normal_spread, towards_planes
 from msal_cli.core.umbrellas import Umbrella
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import NormalParameters, anisotropic_laplacian, free_vertices

@@ -40,12 +40,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from msal_cli.core.cotangent import cotangent_weights
 from msal_cli.core.mean_curvature import AREAS, ImplicitMeanCurvature, MeanCurvature
 from msal_cli.core.operators import Operator
 from msal_cli.core.rescaled import with_volume_of
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run

@@ -47,6 +47,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +58,6 @@ from msal_cli.core.face_rings import face_centroids, mean_centroid_distance
 from msal_cli.core.geometry import face_normals_and_areas
 from msal_cli.core.static_dynamic import minimising_normals, pair_weights
 from msal_cli.core.vertex_update import updated_vertices
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sliding import settled, sliding_parameter

@@ -26,11 +26,11 @@ Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 from msal_cli.core.schedules import Alternating
 from msal_cli.core.sweeps import swept
 from msal_cli.core.umbrellas import Umbrella
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter

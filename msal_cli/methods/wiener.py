@@ -42,6 +42,7 @@ J. Zhang, S. Bouaziz and L. Liu, Guided mesh normal filtering, Computer Graphics
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +54,6 @@ from msal_cli.core.restoration import restoration
 from msal_cli.core.schedules import Plain
 from msal_cli.core.sweeps import swept
 from msal_cli.core.vertex_update import updated_vertices
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import (

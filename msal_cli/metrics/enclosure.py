@@ -7,12 +7,11 @@ but for cavities: a part within another one keeps its winding relative to that o
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Defects, Mesh, Prepared
 from msal_cli.metrics.surface import SurfaceChange
 from msal_cli.metrics.volume import area_and_volume, is_negative

@@ -10,9 +10,10 @@ folds, and where a filter collapses them half of the faces flip.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.metrics.surface import SurfaceChange
 from msal_cli.metrics.volume import relative_volume_change

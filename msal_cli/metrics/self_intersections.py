@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.intersections import intersecting_pairs
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 LongInts = NDArray[np.int64]

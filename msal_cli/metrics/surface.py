@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Mesh
 
 

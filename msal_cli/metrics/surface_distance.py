@@ -8,10 +8,11 @@ too long by at most some 1e-6 of the larger mesh's extent.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.errors import UnsupportedError
 from msal_cli.mesh import Mesh
 

@@ -7,10 +7,11 @@ noisy mesh would flatter it.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Floats, Ints
 
 Indices = NDArray[np.int64]

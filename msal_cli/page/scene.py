@@ -14,12 +14,12 @@ import base64
 import json
 import struct
 import zlib
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli import colours
-from msal_cli.dataclass import dataclass
 from msal_cli.mesh import Floats, Ints, Mesh
 from msal_cli.page.decimation import coarsened
 

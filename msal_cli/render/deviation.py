@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli import colours
-from msal_cli.dataclass import dataclass
 from msal_cli.render.panels import Legend
 
 Floats = NDArray[np.float64]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.dataclass import dataclass
 from msal_cli.render.camera import Camera
 from msal_cli.render.raster import rasterised
 

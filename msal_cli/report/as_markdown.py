@@ -12,8 +12,8 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
-from msal_cli.dataclass import dataclass
 from msal_cli.records import MeshRecord
 from msal_cli.report.as_text import chosen_text, percent_text, rate_text, seconds_text
 from msal_cli.report.document import Run, Totals, plain, totals

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
-from msal_cli.dataclass import dataclass
 from msal_cli.records import (
     ChoiceMade,
     Failure,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from msal_cli.dataclass import dataclass
 from msal_cli.records import SCHEMA, MeshRecord, as_data
 from msal_cli.report.names import portable
 

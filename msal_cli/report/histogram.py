@@ -5,8 +5,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Callable, Sequence
-
-from msal_cli.dataclass import dataclass
+from dataclasses import dataclass
 
 MOST_BINS, LEAST_BINS = 24, 8
 """Bars between the ends of the axis: more for more files."""

@@ -8,9 +8,8 @@ the same file comes out the same everywhere.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
-
-from msal_cli.dataclass import dataclass
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,9 +7,8 @@ or as a member of a blend; settings that are never missed were left out.
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from typing import Any
-
-from msal_cli.dataclass import dataclass
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli import methods
-from msal_cli.dataclass import dataclass
 from msal_cli.methods.blend import written
 from msal_cli.selection import NONE
 from msal_cli.selection.candidates import Candidate

@@ -21,12 +21,11 @@ length, which the angles between face normals follow.  Vertices that are not jud
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-
-from msal_cli.dataclass import dataclass
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
