@@ -78,12 +78,12 @@ class _Plan(NamedTuple):
     @property
     def lowered(self) -> Path:
         """LLVM's assembly, compressed, below lines with the entry and the types of the results."""
-        return CACHE / f"{self.key}.ll.z"
+        return self.objects[0].with_name(f"{self.key}.ll.z")
 
     @property
     def results(self) -> Path:
         """The types of the results."""
-        return CACHE / f"{self.key}.txt"
+        return self.objects[0].with_name(f"{self.key}.txt")
 
     def is_done(self) -> bool:
         return self.results.exists() and all(one.exists() for one in self.objects)

@@ -10,7 +10,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from kernel_build import binaries, build, linking, release
+from kernel_build import binaries, build, linking, objects, release
 from kernel_build.targets import TARGETS, native_target
 from msal_cli.core import library
 from tests.kernel_build.programs import build_program, native_output
@@ -70,7 +70,7 @@ def test_the_wheel_of_every_system(name, tmp_path):
 def test_two_builds_are_identical(tmp_path, monkeypatch):
     name, products = native_target(), []
     for at in ("first", "second"):
-        for module in (build, build.objects):
+        for module in (build, objects):
             monkeypatch.setattr(module, "CACHE", tmp_path / at)
         products.append(build.build(name))
     first, second = products
