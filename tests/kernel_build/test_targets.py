@@ -134,7 +134,7 @@ def test_faults_of_a_library(name, data, expected):
     assert binaries.faults(data, name) == expected
 
 
-def test_a_compiler_that_fails_is_told_in_its_words(tmp_path):
+def test_the_words_of_a_compiler_that_fails_are_shown(tmp_path):
     target = TARGETS[native_target()]
     with pytest.raises(SystemExit, match="no-such"):
         linking.link([tmp_path / "no-such.o"], target, linking.system_compiler(), tmp_path / "l.so")
