@@ -7,6 +7,7 @@ import os
 import pytest
 
 from msal_cli import cores
+from msal_cli.core import parallel
 
 
 def made(tmp_path, membership, **files):
@@ -57,3 +58,11 @@ def test_the_smaller_of_affinity_and_quota_counts(monkeypatch):
     for quota, expected in ((None, 8), (1500, 2), (300, 1), (64_000, 8), (3000, 3)):
         monkeypatch.setattr(cores, "_quota", lambda groups, membership, quota=quota: quota)
         assert cores.usable_cores() == expected
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="needs affinity")
+def test_one_file_has_as_many_threads_as_the_container_has_cores(monkeypatch):
+    monkeypatch.delenv("MSAL_THREADS", raising=False)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(8)))
+    monkeypatch.setattr(cores, "_quota", lambda groups, membership: 1500)
+    assert parallel.threads() == 2
