@@ -1,6 +1,6 @@
 """Lengths with a unit, such as ``0.01mm``, in the unit of a file.
 
-Most mesh files are numbers without a unit, so that somebody has to say which theirs is.
+Most mesh files are numbers without a unit, so the user has to say which it is.
 """
 
 from __future__ import annotations

@@ -319,7 +319,7 @@ class _Run:
             try:
                 for messages in batches:
                     self._hear(messages)
-                    # What the workers have begun they finish, and that is told too.
+                    # What the workers have begun they finish, and that is reported, too.
                     if self._failure is not None or self._is_given_up():
                         engine.stop()
             except Interrupt:
@@ -357,7 +357,7 @@ class _Run:
     # What came of it
 
     def _finish(self, finished: list[tuple[int, MeshRecord]]) -> None:
-        """Note files in the manifests, then tell; what cannot be noted is told all the same."""
+        """Note files in the manifests, then report, also what could not be noted."""
         records, tasks = dict(finished), self._plan.tasks
         try:
             self._note(

@@ -141,7 +141,7 @@ def _swept(request: Request) -> int:
     view = view_of(request)
     on = parameter_grid.subject(surface, request.source, truth, request.reference or "", view)
     done = []
-    # The picture is what was asked for, whoever reads the numbers.
+    # The picture is what was asked for, even if nothing reads the numbers.
     with talk.work_goes_on():
         for cell, mesh in parameter_grid.cells(on, wanted):
             done.append((cell, parameter_grid.drawn(on, mesh, view)))

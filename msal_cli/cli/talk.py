@@ -126,7 +126,7 @@ def flush() -> None:
 
 @contextmanager
 def work_goes_on() -> Iterator[None]:
-    """A block that is done to its end, although nobody may read standard output any more.
+    """A block that is done to its end, although nothing may read standard output any more.
 
     Raises
     ------

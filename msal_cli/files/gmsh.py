@@ -230,7 +230,7 @@ class _Binary:
     def __post_init__(self) -> None:
         one = bytes(memoryview(self.data)[self.at : self.at + 4])
         if one not in (b"\1\0\0\0", b"\0\0\0\1"):
-            raise FormatError("the byte order is not told", where=f"byte {self.at}")
+            raise FormatError("the byte order is not given", where=f"byte {self.at}")
         if self.size_bytes not in (4, 8):
             raise FormatError(f"numbers of {self.size_bytes} bytes", where="line 2")
         self.order = "<" if one[0] else ">"

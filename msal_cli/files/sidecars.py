@@ -47,7 +47,7 @@ def carried(
     for byte; textures that a copied ``.mtl`` names come along.  A file that is there already with
     the same content is left alone.  An absolute reference needs nothing; one that leaves the
     output folder, one whose file is missing or no regular file, and one that leads out of the
-    input's folder, as a link may, is only told of: a scan of somebody else's must not carry
+    input's folder, as a link may, is only reported: a scan of another person must not carry
     files of this machine along.  To and from URLs nothing is copied.
 
     Parameters

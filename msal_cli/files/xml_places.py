@@ -147,7 +147,7 @@ class _Builder:
 
     def end(self, name: str) -> None:
         one = self._open.pop()
-        # Of ``<a/>`` the end is told where the tag begins.
+        # Of ``<a/>`` the end is reported where the tag begins.
         one.stop = max(one.inside, self.parser.CurrentByteIndex)
         if bytes(memoryview(self._data)[one.inside - 2 : one.inside]) == b"/>":
             one.stop = one.inside

@@ -59,9 +59,26 @@ MOST_NOISE_MULTISCALE = 0.15
 passes of Taubin's filter have the smaller angles on most models of benchmarks/ground_truth.py."""
 
 
-def most_noise_of(schedule: str) -> float:
-    """The strongest noise, mean edge lengths, that a schedule is made for."""
-    return MOST_NOISE_MULTISCALE if schedule in ("multiscale", "robust") else math.inf
+class OfSchedule:
+    """What the parameter ``schedule`` of a method implies for its memory and for warnings."""
+
+    schedule: str
+
+    @property
+    def bytes_per_face(self) -> int:
+        """See ``Method.bytes_per_face``."""
+        return WIENER_BYTES_PER_FACE if self.schedule == "wiener" else 0
+
+    @property
+    def most_noise_edges(self) -> float:
+        """See ``Method.most_noise_edges``."""
+        is_multiscale = self.schedule in ("multiscale", "robust")
+        return MOST_NOISE_MULTISCALE if is_multiscale else math.inf
+
+    @property
+    def uses_largest_sigma(self) -> bool:
+        """See ``Method.uses_largest_sigma``."""
+        return self.schedule == "multiscale"
 
 
 def quantile_parameter() -> Any:
@@ -101,7 +118,7 @@ def caution_parameter(default: float = 1.0, of: str = "wiener schedule: ") -> An
 
 
 @dataclass(frozen=True)
-class ScheduledParameters(NormalParameters):
+class ScheduledParameters(OfSchedule, NormalParameters):
     """Parameters of a method whose operator can run under any schedule of equation (2)."""
 
     time_step: float = parameter(
@@ -145,21 +162,6 @@ class ScheduledParameters(NormalParameters):
     def has_data_term(self) -> bool:
         """Whether vertices are pulled back to where they were scanned."""
         return self.schedule != "plain"
-
-    @property
-    def bytes_per_face(self) -> int:
-        """See ``Method.bytes_per_face``."""
-        return WIENER_BYTES_PER_FACE if self.schedule == "wiener" else 0
-
-    @property
-    def most_noise_edges(self) -> float:
-        """See ``Method.most_noise_edges``."""
-        return most_noise_of(self.schedule)
-
-    @property
-    def uses_largest_sigma(self) -> bool:
-        """See ``Method.uses_largest_sigma``."""
-        return self.schedule == "multiscale"
 
     def chosen_schedule(self) -> Schedule:
         """The schedule that these parameters describe."""

@@ -48,9 +48,8 @@ from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._heights import HeightParameters, height_operator
 from msal_cli.methods._sweeps import (
-    WIENER_BYTES_PER_FACE,
+    OfSchedule,
     caution_parameter,
-    most_noise_of,
     noise_parameter,
     quantile_parameter,
     run,
@@ -58,7 +57,7 @@ from msal_cli.methods._sweeps import (
 
 
 @dataclass(frozen=True)
-class Parameters(HeightParameters):
+class Parameters(OfSchedule, HeightParameters):
     """Parameters of the multiscale anisotropic Laplacian."""
 
     K: float = parameter(
@@ -85,21 +84,6 @@ class Parameters(HeightParameters):
     def has_data_term(self) -> bool:
         """Every schedule has one."""
         return True
-
-    @property
-    def bytes_per_face(self) -> int:
-        """See ``Method.bytes_per_face``."""
-        return WIENER_BYTES_PER_FACE if self.schedule == "wiener" else 0
-
-    @property
-    def most_noise_edges(self) -> float:
-        """See ``Method.most_noise_edges``."""
-        return most_noise_of(self.schedule)
-
-    @property
-    def uses_largest_sigma(self) -> bool:
-        """See ``Method.uses_largest_sigma``."""
-        return self.schedule == "multiscale"
 
     def chosen_schedule(self) -> Schedule:
         """The schedule that these parameters describe."""

@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 MOST_PARTS = 1000
-"""Parts beyond which only the sum of all is looked at: each is held against each other."""
+"""Parts beyond which only the sum of all is looked at: each is compared with each other."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,7 +75,7 @@ def _chosen(mesh: Mesh, on_step: OnStep) -> Choice:
     if noise.is_negligible and noise.high < SURE:
         return _none(noise, f"noise {noise.mean_edges:.2g} e; clean")
     if noise.is_negligible:
-        what = f"noise not told from texture, at most {noise.high:.2g} e"
+        what = f"noise not separable from texture, at most {noise.high:.2g} e"
         return _choice(noise, what, noise.high, _wiener(noise.high))
     return _by_risk(mesh, noise, on_step)
 

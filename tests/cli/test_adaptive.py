@@ -1,4 +1,4 @@
-"""The plain command: parameters chosen for each mesh, told like those of --auto."""
+"""The plain command: parameters chosen for each mesh, reported like those of --auto."""
 
 from __future__ import annotations
 

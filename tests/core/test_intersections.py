@@ -1,4 +1,4 @@
-"""Faces that intersect each other, held against fractions, and by hand."""
+"""Faces that intersect each other, compared with exact fractions, and by hand."""
 
 import numpy as np
 import pytest

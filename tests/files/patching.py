@@ -1,4 +1,4 @@
-"""What every codec that patches promises, held against a file: for the tests of such codecs."""
+"""What every codec that patches promises, checked on a file: for the tests of such codecs."""
 
 from __future__ import annotations
 
