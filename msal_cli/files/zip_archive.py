@@ -32,6 +32,9 @@ _LEVEL = 5
 _IS_ENCRYPTED, _HAS_DESCRIPTOR, _IS_UTF8 = 1, 8, 1 << 11
 _STORED, _DEFLATED = 0, 8
 
+_NEWEST_VERSION = 63
+"""Of the zip format, in tenths, that other readers know, too."""
+
 _DAMAGED = "the archive is damaged; copy or export it again"
 _REPACK = "pack it again as a plain zip archive"
 
@@ -132,6 +135,12 @@ class Archive:
                 word: self._value(at + place, wide)
                 for word, (place, wide) in self._central_places(at).items()
             }
+            if entry[2] & 0xFF > _NEWEST_VERSION:
+                raise UnsupportedError(
+                    f"{name} needs version {(entry[2] & 0xFF) / 10:.1f} of the zip format",
+                    where=f"byte {at}",
+                    hint=_REPACK,
+                )
             if disk not in (0, 0xFFFF):
                 raise UnsupportedError("the archive is split into several files", hint=_REPACK)
             header_at = values["offset"]

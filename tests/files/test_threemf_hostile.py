@@ -60,6 +60,13 @@ def with_local_size(data: bytes, size: int) -> bytes:
     return bytes(out)
 
 
+def with_version(version: int) -> bytes:
+    """An archive whose last member needs another version of the zip format, in tenths."""
+    data = bytearray(simple())
+    data[data.rfind(b"PK\x01\x02") + 6] = version
+    return bytes(data)
+
+
 WHOLE = simple()
 DOCTYPE = '<!DOCTYPE model [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">]><!-- kept'
 SECURE = "http://schemas.microsoft.com/3dmanufacturing/securecontent/2019/04"
@@ -72,6 +79,7 @@ DAMAGED = {
     "several disks": (WHOLE[:-22] + WHOLE[-22:-18] + b"\1" + WHOLE[-17:], "E_UNSUPPORTED"),
     "an encrypted model": (with_flag(WHOLE, MODEL, 1), "E_UNSUPPORTED"),
     "an unknown compression": (simple(method=zipfile.ZIP_BZIP2), "E_UNSUPPORTED"),
+    "a newer zip format": (with_version(255), "E_UNSUPPORTED"),
     "overlapping members": (overlapping(), "E_FORMAT"),
     "a local header that says something else": (with_local_size(WHOLE, 77), "E_FORMAT"),
     "a name twice": (named_twice(), "E_FORMAT"),
