@@ -460,7 +460,7 @@ def test_replacing_is_exact_to_the_last_decimal(data: bytes, seed: int) -> None:
 
 
 @given(files(), st.binary(max_size=3), st.integers(0, 10**9), st.booleans())
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_both_walks_read_the_same(data: bytes, noise: bytes, place: int, is_usual: bool) -> None:
     if is_usual:
         data = re.sub(rb"\\[\r\n]+|\x0c", b" ", data).replace(b"f -", b"f ")

@@ -84,7 +84,7 @@ def test_a_flat_sheet_stays_flat(method):
 def test_threads_do_not_change_a_bit(method, monkeypatch):
     # Small ranges let a small mesh be shared between threads.
     monkeypatch.setattr(parallel, "SMALLEST_RANGE", 100)
-    mesh = scan(around=40, across=30)
+    mesh = scan(around=28, across=18)
     results = []
     for count in ("1", "2", "3"):
         monkeypatch.setenv("MSAL_THREADS", count)
