@@ -50,20 +50,20 @@ def corrupt_file(source: str, target: str, noise: Noise, format: str | None = No
     from msal_cli import files
 
     try:
-        output, told = corrupted(files.read_input(source, format), source, target, noise, format)
+        output, result = corrupted(files.read_input(source, format), source, target, noise, format)
         if not files.is_url(target):
             _make_folder_of(target)
-        if told.companions:
+        if result.companions:
             from msal_cli.files.companions import write_companions
 
-            write_companions(told.companions, target)
+            write_companions(result.companions, target)
         files.write_whole(target, [output])
     except MsalError as error:
         error.path = error.path or source
         raise
     except MemoryError:
         raise ResourceError("not enough memory", code="E_MEMORY", path=source) from None
-    return told
+    return result
 
 
 def corrupted(
@@ -103,7 +103,7 @@ def corrupted(
         mesh_file.check(output, vertices)
     path = None if target == "-" else target
     output, companions = files.with_companions(mesh_file, output, vertices, path)
-    told = Corrupted(
+    result = Corrupted(
         vertices=len(original),
         moved_vertices=n_moved,
         deviation=noise.level * ready.mesh.mean_edge_length,
@@ -111,8 +111,8 @@ def corrupted(
         companions=companions,
     )
     if not n_moved and compress == is_compressed:
-        return output, told
-    return files.compressed(output) if compress else output, told
+        return output, result
+    return files.compressed(output) if compress else output, result
 
 
 def _make_folder_of(path: str) -> None:

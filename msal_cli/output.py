@@ -74,10 +74,10 @@ def built(
                 hint="leave --strict away, or keep the format",
             )
         _check_reopened(output, target, mesh_file, vertices)
-        told = tuple(f"lost in {target}: {loss}" for loss in losses)
+        lost = tuple(f"lost in {target}: {loss}" for loss in losses)
         # A scene that only changes its container still names its images.
         references = mesh_file.references if {target, mesh_file.format} == files.SCENES else ()
-        return Output(files.compressed(output) if compress else output, references, losses=told)
+        return Output(files.compressed(output) if compress else output, references, losses=lost)
     if settings.encoding != "same" or settings.precision != "same":
         output = mesh_file.encoded(vertices, settings.encoding, settings.precision)
         _check_reopened(output, target, mesh_file, vertices)

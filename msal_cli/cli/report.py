@@ -87,38 +87,38 @@ def _reported(request: Request) -> int:
     # What says nothing is cheaper to refuse before a large folder is read.
     reports.check(request.outputs, ())
     gates = parsed(request.fail_on, MeshRecord, request.unit)
-    told = earlier.account(request.runs)
-    done = [record for record in told.records if record.error is None and record.output]
+    account = earlier.account(request.runs)
+    done = [record for record in account.records if record.error is None and record.output]
     if done and all(record.reference is None for record in done):
         refuse_without_reference(gates, "name a JSON report of msal denoise --reference")
-    told = replace(told, records=tuple(with_gates(gates, told.records)))
-    meshes = [path for one in told.records for path in (one.input, one.output) if path is not None]
-    reports.check(request.outputs, [*told.paths, *meshes])
+    account = replace(account, records=tuple(with_gates(gates, account.records)))
+    meshes = [path for one in account.records for path in (one.input, one.output) if path]
+    reports.check(request.outputs, [*account.paths, *meshes])
     if not request.quiet:
         lines = as_text.summary(
-            told.run, told.records, width=talk.width(), verbose=request.verbose > 0
+            account.run, account.records, width=talk.width(), verbose=request.verbose > 0
         )
         talk.say_lines(lines)
     elif request.fail_on:
-        talk.say_lines(as_text.broken_gates(told.records, verbose=False))
-    for remark in told.remarks:
+        talk.say_lines(as_text.broken_gates(account.records, verbose=False))
+    for remark in account.remarks:
         talk.say(remark, "bad")
     if request.check or gates:
-        github.annotate(told.records)
+        github.annotate(account.records)
     try:
-        reports.write(request.outputs, told.run, told.records, is_quiet=request.quiet)
+        reports.write(request.outputs, account.run, account.records, is_quiet=request.quiet)
     finally:
         if request.as_json:
-            talk.put_bytes(as_json.encoded(told.run, told.records))
-    return _status(told) if request.check or gates else exit_codes.SUCCESS
+            talk.put_bytes(as_json.encoded(account.run, account.records))
+    return _status(account) if request.check or gates else exit_codes.SUCCESS
 
 
-def _status(told: Account) -> int:
+def _status(account: Account) -> int:
     """The status of a run that left this behind; what is not finished counts as failed."""
     from msal_cli.gates import is_any_broken
 
-    n_lost = sum(record.status in ("failed", "planned") for record in told.records)
+    n_lost = sum(record.status in ("failed", "planned") for record in account.records)
     status = exit_codes.of_files(
-        len(told.records), n_lost, is_gate_failed=is_any_broken(told.records)
+        len(account.records), n_lost, is_gate_failed=is_any_broken(account.records)
     )
-    return status if told.is_whole else exit_codes.worst(status, exit_codes.SOME_FAILED)
+    return status if account.is_whole else exit_codes.worst(status, exit_codes.SOME_FAILED)

@@ -224,26 +224,26 @@ class Document:
     def parts(self) -> tuple[list[Part], tuple[str, ...]]:
         """All surfaces, those over one list of positions together; and what to tell of them."""
         found: dict[int, list[Part]] = {}
-        told: dict[str, None] = {}
+        notes: dict[str, None] = {}
         room = max(self.data_size, _ALWAYS_READ)
         for number in range(len(as_list(self.content.get("meshes")))):
             primitives = self.entry("meshes", number).get("primitives")
             for k, primitive in enumerate(as_list(primitives)):
                 where = f"mesh {number}, primitive {k}"
-                room -= self._add(found, told, number, as_dict(primitive), where, room)
-        parts = _apart([_joined(pieces, told) for pieces in found.values()], self.data_size, told)
+                room -= self._add(found, notes, number, as_dict(primitive), where, room)
+        parts = _apart([_joined(pieces, notes) for pieces in found.values()], self.data_size, notes)
         if not sum(len(part.faces) for part in parts):
             raise ContentError(
                 "the file has no triangles",
                 code="E_NO_FACES",
                 hint="msal denoises surfaces; this file has none",
             )
-        return parts, tuple(told)
+        return parts, tuple(notes)
 
     def _add(
         self,
         found: dict[int, list[Part]],
-        told: dict[str, None],
+        notes: dict[str, None],
         mesh: int,
         primitive: dict[str, Any],
         where: str,
@@ -255,7 +255,7 @@ class Document:
         mode = primitive.get("mode", _TRIANGLES)
         attributes = as_dict(primitive.get("attributes"))
         if mode not in (_TRIANGLES, _STRIP, _FAN):
-            told["points and lines are kept as they are"] = None
+            notes["points and lines are kept as they are"] = None
             return 0
         if "POSITION" not in attributes:
             return 0
@@ -270,11 +270,11 @@ class Document:
             normals = self._triples(attributes["NORMAL"], where)
             if normals is None or normals.count != positions.count:
                 normals = None
-                told["normals that are not float32 are kept as they are"] = None
+                notes["normals that are not float32 are kept as they are"] = None
         if "TANGENT" in attributes:
-            told["tangents are kept as they are"] = None
+            notes["tangents are kept as they are"] = None
         if primitive.get("targets"):
-            told["the displacements of morph targets are kept as they are"] = None
+            notes["the displacements of morph targets are kept as they are"] = None
         source = primitive.get("indices"), mode
         part = Part(positions, _triangles(corners, mode), mesh, normals, source)
         found.setdefault(positions.index, []).append(part)
@@ -355,26 +355,26 @@ def _require_room(count: int, room: int, where: str) -> None:
         )
 
 
-def _joined(pieces: list[Part], told: dict[str, None]) -> Part:
+def _joined(pieces: list[Part], notes: dict[str, None]) -> Part:
     """Primitives over the same positions as one part, the same triangles once: a mesh that stands
     twice in a file, with other materials perhaps, is one surface."""
     if len(pieces) == 1:
         return pieces[0]
     normals = pieces[0].normals
     if any(one.normals != normals for one in pieces):
-        told["normals of parts that share positions are kept as they are"] = None
+        notes["normals of parts that share positions are kept as they are"] = None
         normals = None
     distinct = {one.source: one.faces for one in pieces}
     faces = np.concatenate(list(distinct.values()))
     return Part(pieces[0].positions, faces, pieces[-1].mesh, normals)
 
 
-def _apart(parts: list[Part], data_size: int, told: dict[str, None]) -> list[Part]:
+def _apart(parts: list[Part], data_size: int, notes: dict[str, None]) -> list[Part]:
     """The parts, without normals that two of them share; UnsupportedError if rows overlap."""
     used: set[int] = set()
     for k, part in enumerate(parts):
         if part.normals is not None and part.normals.index in used:
-            told["normals that several parts share are kept as they are"] = None
+            notes["normals that several parts share are kept as they are"] = None
             parts[k] = dataclasses.replace(part, normals=None)
         elif part.normals is not None:
             used.add(part.normals.index)

@@ -70,8 +70,8 @@ def test_a_manifest_that_is_full_hides_nothing(tmp_path):
     assert 0 < len(there) < 12
     assert f"12 files: {len(there)} written, {12 - len(there)} not done".encode() in made.stderr
     rows = list(csv.DictReader(io.StringIO(report.read_text())))
-    told = {row["output"].rpartition("/")[2] for row in rows if row["status"] == "written"}
-    assert sorted(told) == there
+    reported = {row["output"].rpartition("/")[2] for row in rows if row["status"] == "written"}
+    assert sorted(reported) == there
     # The manifest has no torn line, and the same command goes on.
     assert (tmp_path / "out/.msal-manifest.jsonl").read_bytes().endswith(b"}\n")
     assert ended(words)[0] == 0
@@ -118,8 +118,8 @@ def test_the_report_on_another_disk_is_written(tmp_path, small_disk):
     assert made.returncode in (1, 3), made.stderr
     records = json.loads(report.read_bytes())["records"]
     assert len(records) == 8
-    told = [one["output"].rpartition("/")[2] for one in records if one["status"] == "written"]
-    assert sorted(told) == sorted(contents(disk / "out"))
+    reported = [one["output"].rpartition("/")[2] for one in records if one["status"] == "written"]
+    assert sorted(reported) == sorted(contents(disk / "out"))
     assert {one["status"] for one in records} <= {"written", "failed", "planned"}
 
 

@@ -33,14 +33,14 @@ def records(made):
 
 def test_they_are_counted_on_demand(scans, tmp_path):
     given = ("denoise", scans, "-o", tmp_path / "out", "--json", "--method", "al", "-n", "1")
-    told = records(msal(*given))
-    assert told["pushed.ply"]["self_intersections"] is None
-    told = records(msal(*given, *CHECK))
-    assert told["clean.ply"]["self_intersections"] == {"before": 0, "after": 0, "created": 0}
-    counts = told["pushed.ply"]["self_intersections"]
+    counted = records(msal(*given))
+    assert counted["pushed.ply"]["self_intersections"] is None
+    counted = records(msal(*given, *CHECK))
+    assert counted["clean.ply"]["self_intersections"] == {"before": 0, "after": 0, "created": 0}
+    counts = counted["pushed.ply"]["self_intersections"]
     assert counts["before"] > 0 and counts["created"] <= counts["after"]
     # It was made again to be counted, and is current now.
-    assert {one["status"] for one in told.values()} == {"written"}
+    assert {one["status"] for one in counted.values()} == {"written"}
     assert {one["status"] for one in records(msal(*given, *CHECK)).values()} == {"up-to-date"}
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import signal
 
 import pytest
 
 from tests.cli.scans import closed_scan, folder_of, msal
+from tests.time_limit import time_limit
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and links of POSIX")
 
@@ -17,15 +17,8 @@ OBJ = b"mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 
 @pytest.fixture(autouse=True)
 def promptly():
     """A test that waits for another process fails."""
-
-    def fail(signum, frame):
-        raise AssertionError("it waits")
-
-    before = signal.signal(signal.SIGALRM, fail)
-    signal.setitimer(signal.ITIMER_REAL, 60.0)
-    yield
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
-    signal.signal(signal.SIGALRM, before)
+    with time_limit(60.0):
+        yield
 
 
 @pytest.fixture

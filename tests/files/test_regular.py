@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
 
 import pytest
@@ -11,6 +10,7 @@ import pytest
 from msal_cli.errors import InputError, TooLargeError
 from msal_cli.files import first_look, forecast, streams
 from msal_cli.files.regular import NotRegularError, is_regular, open_regular
+from tests.time_limit import time_limit
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes, sockets and links of POSIX")
 
@@ -18,15 +18,8 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes, sockets and l
 @pytest.fixture(autouse=True)
 def promptly():
     """A test that waits fails: nothing here has a reason to take seconds."""
-
-    def fail(signum, frame):
-        raise AssertionError("it waits")
-
-    before = signal.signal(signal.SIGALRM, fail)
-    signal.setitimer(signal.ITIMER_REAL, 10.0)
-    yield
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
-    signal.signal(signal.SIGALRM, before)
+    with time_limit(10.0):
+        yield
 
 
 @pytest.fixture(params=["pipe", "socket", "device", "link to a pipe", "link to a device"])
