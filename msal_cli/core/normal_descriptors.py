@@ -21,11 +21,11 @@ from msal_cli.core.compiled import compiled
 from msal_cli.core.local_frames import find_axes, turn_axes
 from msal_cli.core.near_blocks import (
     ENTRY,
+    FIVE,
+    FOUR,
     JUMP,
     LANES,
     NARROW_WEIGHT,
-    RECORD,
-    SIX,
     NX,
     NY,
     NZ,
@@ -45,6 +45,8 @@ from msal_cli.core.near_blocks import (
     R14,
     R15,
     R16,
+    RECORD,
+    SIX,
     WIDE_WEIGHT,
     X,
     Y,
@@ -267,16 +269,18 @@ GUIDE = 13
 GUIDED = 14
 REFINED = 16
 TWICE = 18
+WIDER = 20
 """The places of: the face's own normal; narrow ranges 0.35, 0.7, 1.1 from 1 on and all; wide ranges
 0.2, 0.4, 0.7 and 1.2 from 5 on, and all; planes (wide, wide of range 0.7, narrow) from 10 on; the
 guide; the normals filtered twice by it; by the third wide range; the second of these once more,
 and the wide mean."""
 
-NUMBERS = 19
+NUMBERS = 27
 """Numbers of a face: the shares of the weight within each range, narrow and wide (7); the roots of
 the second and third eigenvalue; the deviations from the wide and the narrow plane, the height
 above the first, the distance from its middle; faces near; scatter of the normals, its least and
-mean among those near; the own unit, and the own area, each over itself plus the mean."""
+mean among those near; the own unit, and the own area, each over itself plus the mean; the four
+ripples, their means among those near."""
 
 PATCHES = np.uint64(16)
 """Faces near that may lend their mean as a guide."""
@@ -370,35 +374,51 @@ def _write_numbers(lane, sums, values, spread, scatter, numbers, to):  # type: i
 
 
 @compiled
-def pick_guides(start, stop, records, near_start, near, width, table, numbers):  # type: ignore[no-untyped-def]
+def pick_guides(start, stop, records, near_start, near, ripples, width, table, numbers):  # type: ignore[no-untyped-def]
     """Fill the guide of each face and the numbers that it takes from those near.
 
     The guide is the narrow mean of the face with the least scatter among the first ``PATCHES``
-    near: beside an edge one whose patch lies on one side of it.
+    near: beside an edge one whose patch lies on one side of it.  ``ripples`` has five numbers of
+    each face; the first is its scatter.
     """
     width = THREE * np.uint64(width)
-    per_face, scatter = np.uint64(NUMBERS), np.uint64(14)
+    per_face = np.uint64(NUMBERS)
     for f in range(np.uint64(start), np.uint64(stop)):
-        best, least = f, numbers[per_face * f + scatter]
-        total, area = least, records[RECORD * f + SIX]
+        own = FIVE * f
+        best, least = f, ripples[own]
+        total, first, second = least, ripples[own + ONE], ripples[own + TWO]
+        third, sideways = ripples[own + THREE], ripples[own + FOUR]
+        area = records[RECORD * f + SIX]
         row, end = near_start[f], near_start[f + ONE]
         for entry in range(row, end):
             j = np.uint64(near[entry])
-            value = numbers[per_face * j + scatter]
+            at = FIVE * j
+            value = ripples[at]
             total += value
+            first += ripples[at + ONE]
+            second += ripples[at + TWO]
+            third += ripples[at + THREE]
+            sideways += ripples[at + FOUR]
             area += records[RECORD * j + SIX]
             if entry - row < PATCHES and value < least:
                 best, least = j, value
-        count = end - row + ONE
         for axis in range(THREE):
             value = table[width * best + THREE * np.uint64(NARROW_MEAN) + axis]
             table[width * f + THREE * np.uint64(GUIDE) + axis] = value
-        numbers[per_face * f + np.uint64(15)] = least
-        numbers[per_face * f + np.uint64(16)] = total / np.float32(count)
-        own = records[RECORD * f + SIX]
-        mean = area / np.float64(count)
-        both = own + mean
-        numbers[per_face * f + np.uint64(18)] = np.float32(own / both if both > 0.0 else 0.5)
+        per_count = _1 / np.float32(end - row + ONE)
+        to = per_face * f
+        numbers[to + np.uint64(15)] = least
+        numbers[to + np.uint64(16)] = total * per_count
+        mean = area / np.float64(end - row + ONE)
+        both = records[RECORD * f + SIX] + mean
+        share = records[RECORD * f + SIX] / both if both > 0.0 else 0.5
+        numbers[to + np.uint64(18)] = np.float32(share)
+        for k in range(FOUR):
+            numbers[to + np.uint64(19) + k] = ripples[own + ONE + k]
+        numbers[to + np.uint64(23)] = first * per_count
+        numbers[to + np.uint64(24)] = second * per_count
+        numbers[to + np.uint64(25)] = third * per_count
+        numbers[to + np.uint64(26)] = sideways * per_count
 
 
 @compiled
