@@ -296,14 +296,13 @@ def _run(request: Request) -> int:
 
 
 def _piped(request: Request, one: Any, to: str | None, format: str | None) -> int:
-    from msal_cli import files
     from msal_cli.cli.standard_input import read_stream
     from msal_cli.scanning import output_format
 
     if request.include or request.exclude:
         raise UsageError("--include and --exclude are for files, not for standard input or output")
-    if request.truth == STREAM:
-        raise UsageError("--truth cannot go to standard output", hint="name a file")
+    if request.truth in (STREAM, one.source, one.target):
+        raise UsageError("--truth needs a file of its own", hint="give it another name")
     settings = _build_settings(request, [_is_volume(request, one.source)])
     data = read_stream() if one.source == STREAM else _read(request, one.source, format)
     wanted = output_format(one.target, to)
@@ -311,9 +310,9 @@ def _piped(request: Request, one: Any, to: str | None, format: str | None) -> in
     if one.target == STREAM:
         talk.put_bytes(made.output)
     else:
-        files.write_whole(one.target, [made.output])
+        _write(one.target, made.output)
     if made.truth is not None:
-        files.write_whole(str(request.truth), [made.truth])
+        _write(str(request.truth), made.truth)
     _tell(request, one.target, made)
     return exit_codes.SUCCESS
 
@@ -328,7 +327,6 @@ def _scan_file(
     format: str | None,
 ) -> Scanned:
     """Read one file, scan it and write what comes of it, or raise what names the file."""
-    from msal_cli import files
     from msal_cli.output import make_folder_of
     from msal_cli.scanning import output_format
 
@@ -339,13 +337,20 @@ def _scan_file(
         for path, content in ((target, made.output), (truth, made.truth)):
             if path is not None and content is not None:
                 make_folder_of(path)
-                files.write_whole(path, [content])
+                _write(path, content)
     except MsalError as error:
         error.path = error.path or source
         raise
     except MemoryError:
         raise ResourceError("not enough memory", code="E_MEMORY", path=source) from None
     return made
+
+
+def _write(path: str, content: Any) -> None:
+    from msal_cli import files
+
+    is_compressed = path.lower().endswith(".gz")
+    files.write_whole(path, [files.compressed(content) if is_compressed else content])
 
 
 def _read(request: Request, source: str, format: str | None) -> Any:
