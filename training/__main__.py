@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -79,13 +80,13 @@ def main(words: list[str] | None = None) -> int:
     return 0
 
 
-def report_errors(meshes: list[NoisyMesh], network: Network, report: object) -> None:
+def report_errors(meshes: list[NoisyMesh], network: Network, report: Callable[[str], None]) -> None:
     """Take the stage on all meshes and say how far the normals are off."""
     errors = []
     for one in meshes:
         one.advance(network)
-        cosine = np.einsum("ij,ij->i", one.earlier, one.truth)
-        errors.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
+        assert one.earlier is not None
+        errors.append(np.degrees(one.mean_angle(one.earlier)))
     report(f"  mean error {np.mean(errors):.2f} degrees")
 
 
