@@ -20,6 +20,8 @@ from training.scans import draw_scan
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Ints = NDArray[np.int32]
+Shape = tuple[str, Floats, Ints]
+"""A clean mesh: its name, vertices (n, 3) and faces (m, 3)."""
 
 SCAN_SHARE = 0.2
 """Meshes out of simulated scanners; the others have noise added."""
@@ -90,7 +92,7 @@ def choose_patch(vertices: Floats, faces: Ints, generator: Generator) -> Ints:
 
 
 def draw_meshes(
-    shapes: Iterable[tuple[str, Floats, Ints]], copies: int, generator: Generator
+    shapes: Iterable[Shape], copies: int, generator: Generator
 ) -> list[NoisyMesh]:
     """``copies`` noisy meshes of every shape, each of another part and with other noise."""
     made = []
