@@ -25,10 +25,11 @@ class Parameters:
 
     iterations: int = parameter(
         3,
-        "stages of the cascade, each with its own network; 0 returns the mesh as it is",
+        "stages, each with its own network; beyond the third the last one again; 0 returns the "
+        "mesh as it is",
         symbol="n",
         low=0,
-        high=3,
+        high=100,
         more="smoother flat and round parts, sharper edges",
     )
     vertex_iterations: int = parameter(
@@ -56,7 +57,9 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
     cascade = Cascade(mesh, parameters.boundary)
     normals = None
     ready = time.perf_counter()
-    for done, network in enumerate(load_networks()[:stages], start=1):
+    networks = load_networks()
+    for done in range(1, stages + 1):
+        network = networks[min(done, len(networks)) - 1]
         normals = cascade.describe(positions, normals).predict(network)
         passes = STAGE_PASSES if done < stages else parameters.vertex_iterations
         positions = cascade.fit(positions, normals, passes)
