@@ -36,9 +36,6 @@ bound is less by ``STEP`` for each factor of e, up to ``MOST_STEPS``."""
 MOST_PASSES = 12
 """Spikes hide one another: each pass takes the ones furthest out among their neighbours."""
 
-REACH = 2
-"""Edges from a vertex that moves up to which scores change."""
-
 RETURNS = 2
 """Passes that bring back all outliers at once, each among the places of the others."""
 
@@ -108,6 +105,8 @@ class _Search:
         mesh = self.mesh
         n_used = max(int(np.count_nonzero(mesh.links.has_ring)), 1)
         self._score(np.ones(len(self.flags), dtype=np.bool_))
+        if not (self.scores > BOUND).any():
+            return Outliers(self.flags, mesh.vertices, False, 0.0)
         certain = False
         bound = BOUND
         for _ in range(MOST_PASSES):
@@ -122,8 +121,6 @@ class _Search:
             before, bound = bound, BOUND - _more_likely(share)
             if not len(found) and bound == before:
                 break
-        if not self.flags.any():
-            return Outliers(self.flags, mesh.vertices, False, 0.0)
         for _ in range(RETURNS):
             self._bring_back(np.flatnonzero(self.flags))
         self._let_go(bound)
@@ -171,9 +168,7 @@ class _Search:
     def _move(self, which: Places, targets: Floats) -> None:
         self.positions = self.positions.copy()
         self.positions[which] = targets
-        marks = np.zeros(len(self.flags), dtype=np.bool_)
-        marks[which] = True
-        self._score(outliers.widen(marks, self.mesh.links, REACH))
+        self._score(outliers.mark_two_rings(which, self.mesh.links))
 
 
 def _more_likely(share: float) -> float:

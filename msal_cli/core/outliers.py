@@ -106,15 +106,19 @@ def _agreements(start, stop, x, faces, face_start, incident, chosen, agreements)
 
 
 @compiled
-def _circle(i, faces, face_start, incident, after, before, following, outer):  # type: ignore[no-untyped-def]
-    """The faces around vertex i: in each the vertices that follow it and go before it, the place of
-    the next face, and the face across the edge opposite i, or -1.  Whether they close."""
-    n = face_start[i + 1] - face_start[i]
-    for k in range(n):
+def _around(i, faces, face_start, incident, after, before):  # type: ignore[no-untyped-def]
+    """The vertices that follow vertex i in its faces, and those that go before it."""
+    for k in range(face_start[i + 1] - face_start[i]):
         f = incident[face_start[i] + k]
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         after[k] = b if a == i else (c if b == i else a)
         before[k] = c if a == i else (a if b == i else b)
+
+
+@compiled
+def _circle(i, n, faces, face_start, incident, after, before, following, outer):  # type: ignore[no-untyped-def]
+    """For each of the n faces around vertex i the place of the next one, and the face across the
+    edge opposite i, or -1.  Whether they close."""
     for k in range(n):
         following[k] = -1
         for other in range(n):
@@ -257,11 +261,7 @@ def _judged(  # type: ignore[no-untyped-def]
         n = face_start[i + 1] - face_start[i]
         if n < 3 or n > MOST_FACES:
             continue
-        if not _circle(i, faces, face_start, incident, after, before, following, outer):
-            continue
-        count = _patch(i, 2, ring_start, ring, found)
-        if count <= FEWEST_VERTICES:
-            continue
+        _around(i, faces, face_start, incident, after, before)
         # The local edge, and the middle of the neighbours; those that stick out count little.
         size = cx = cy = cz = total = 0.0
         for k in range(n):
@@ -281,6 +281,11 @@ def _judged(  # type: ignore[no-untyped-def]
         px, py, pz = places[at, 0], places[at, 1], places[at, 2]
         dx, dy, dz = (px - cx) * scale, (py - cy) * scale, (pz - cz) * scale
         if dx * dx + dy * dy + dz * dz < NEAR * NEAR and not is_known:
+            continue
+        if not _circle(i, n, faces, face_start, incident, after, before, following, outer):
+            continue
+        count = _patch(i, 2, ring_start, ring, found)
+        if count <= FEWEST_VERTICES:
             continue
         # The direction of the neighbours' other faces.
         nx = ny = nz = 0.0
@@ -349,23 +354,27 @@ def _judged(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _picked(start, stop, scores, bound, ring_start, ring, picked):  # type: ignore[no-untyped-def]
-    for i in range(start, stop):
-        is_most = scores[i] > bound
-        for at in range(ring_start[i], ring_start[i + 1]):
-            k = ring[at]
+def _picked(start, stop, chosen, scores, ring_start, ring, picked):  # type: ignore[no-untyped-def]
+    for at in range(start, stop):
+        i = chosen[at]
+        is_most = True
+        for place in range(ring_start[i], ring_start[i + 1]):
+            k = ring[place]
             if scores[k] > scores[i] or (scores[k] == scores[i] and k < i):
                 is_most = False
-        picked[i] = is_most
+        picked[at] = is_most
 
 
 @compiled
-def _widened(start, stop, marks, ring_start, ring, result):  # type: ignore[no-untyped-def]
-    for i in range(start, stop):
-        is_near = marks[i]
-        for at in range(ring_start[i], ring_start[i + 1]):
-            is_near |= marks[ring[at]]
-        result[i] = is_near
+def _marked_around(chosen, ring_start, ring, marks):  # type: ignore[no-untyped-def]
+    for at in range(len(chosen)):
+        i = chosen[at]
+        marks[i] = True
+        for near in range(ring_start[i], ring_start[i + 1]):
+            j = ring[near]
+            marks[j] = True
+            for far in range(ring_start[j], ring_start[j + 1]):
+                marks[ring[far]] = True
 
 
 def measure_agreement(
@@ -421,16 +430,14 @@ def judge(
 
 def pick(scores: Floats, bound: float, links: Connectivity) -> Places:
     """The vertices whose score (n,) is above ``bound`` and above those of all their neighbours."""
-    picked = np.empty(len(scores), dtype=np.bool_)
-    rows = (links.ring_start, links.ring)
-    over_ranges(_picked, len(scores), scores, bound, *rows, picked)
-    return np.flatnonzero(picked)
+    chosen = np.flatnonzero(scores > bound)
+    picked = np.empty(len(chosen), dtype=np.bool_)
+    over_ranges(_picked, len(chosen), chosen, scores, links.ring_start, links.ring, picked)
+    return chosen[picked]
 
 
-def widen(marks: Flags, links: Connectivity, rings: int) -> Flags:
-    """The marks (n,), and those of vertices at most ``rings`` edges away from a marked one."""
-    for _ in range(rings):
-        result = np.empty_like(marks)
-        over_ranges(_widened, len(marks), marks, links.ring_start, links.ring, result)
-        marks = result
+def mark_two_rings(chosen: Places, links: Connectivity) -> Flags:
+    """The vertices ``chosen`` (c,) and those at most two edges away from one, (n,)."""
+    marks = np.zeros(len(links.has_ring), dtype=np.bool_)
+    _marked_around(chosen, links.ring_start, links.ring, marks)
     return marks
