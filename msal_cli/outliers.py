@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core import outliers
+from msal_cli.core.geometry import distances
+from msal_cli.core.medians import median
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
@@ -48,6 +50,10 @@ FEWEST = 0.001
 CERTAIN = 2.4
 """Score from which a single one is."""
 
+APART = 6.0
+"""Ways of the outliers, in the median, over the noise of all others, from which that is so: those
+of impulsive noise on many vertices are its tail, and a filter that knows of them does better."""
+
 
 @dataclass(frozen=True, eq=False)
 class Outliers:
@@ -58,7 +64,7 @@ class Outliers:
     flags : (n,) which vertices they are.
     vertices : (n, 3) positions with them brought back, all others as they were.
     are_clear : whether they are to be brought back without being asked for: there are many, or some
-        are certain.
+        are certain, and they are no tail of the noise.
     share : of the vertices, 0 to 1, that seemed to be outliers; beyond ``MOST`` none is flagged.
     """
 
@@ -66,6 +72,11 @@ class Outliers:
     vertices: Floats
     are_clear: bool
     share: float
+
+    @property
+    def are_too_many(self) -> bool:
+        """Whether so many seemed to be outliers that none is flagged."""
+        return self.share > MOST
 
     @property
     def count(self) -> int:
@@ -112,10 +123,10 @@ class _Search:
         for _ in range(MOST_PASSES):
             found = outliers.pick(self.scores, bound, mesh.links)
             if len(found):
-                certain |= bool((self.scores[found] > CERTAIN).any())
+                certain = certain or bool((self.scores[found] > CERTAIN).any())
                 self.flags[found] = True
                 self._bring_back(found)
-            share = np.count_nonzero(self.flags) / n_used
+            share = int(np.count_nonzero(self.flags)) / n_used
             if share > MOST:
                 return Outliers(np.zeros_like(self.flags), mesh.vertices, False, share)
             before, bound = bound, BOUND - _more_likely(share)
@@ -124,15 +135,22 @@ class _Search:
         for _ in range(RETURNS):
             self._bring_back(np.flatnonzero(self.flags))
         self._let_go(bound)
-        share = np.count_nonzero(self.flags) / n_used
-        return Outliers(self.flags, self.positions, certain or share >= FEWEST, share)
+        share = int(np.count_nonzero(self.flags)) / n_used
+        are_clear = (certain or share >= FEWEST) and self._are_apart()
+        return Outliers(self.flags, self.positions, are_clear, share)
+
+    def _are_apart(self) -> bool:
+        """Whether the outliers are much further out than the noise of all others goes."""
+        from msal_cli.noise_estimate import estimated
+
+        ways = distances(self.mesh.vertices, self.positions)[self.flags]
+        noise = estimated(self.mesh.moved(self.positions)).rms_edges
+        return len(ways) > 0 and median(ways) >= APART * noise * self.mesh.mean_edge_length
 
     def _score(self, changed: Flags) -> None:
         """Set the scores of vertices whose surroundings have changed."""
         mesh = self.mesh
-        outliers.measure_agreement(
-            self.positions, mesh.faces, mesh.links, changed, self.agreements
-        )
+        outliers.measure_agreement(self.positions, mesh.faces, mesh.links, changed, self.agreements)
         self.scores[changed] = outliers.NOT_JUDGED
         chosen = np.flatnonzero(changed & self.may_move & ~self.flags & (self.agreements < ROUGH))
         self.scores[chosen], _ = self._judge(chosen, is_known=False)
