@@ -28,12 +28,12 @@ ROUGH = 0.85
 """Agreement of a vertex's face normals below which it is looked at: spikes and folds have less, and
 so has strong noise; flat and smooth places have more."""
 
-BOUND = 1.15
+BOUND = 1.3
 """Score from which a vertex is an outlier where few others are."""
 
-USUAL, STEP, MOST_STEPS = 0.004, 0.17, 0.6
+USUAL, STEP, MOST_STEPS = 0.0005, 0.17, 0.8
 """Where more than the ``USUAL`` share of vertices are outliers, a vertex is one more likely: the
-bound is less by ``STEP`` for each factor of e, up to ``MOST_STEPS``."""
+bound is less by ``STEP`` for each factor of e, up to ``MOST_STEPS``.  Not where they may be noise."""
 
 MOST_PASSES = 12
 """Spikes hide one another: each pass takes the ones furthest out among their neighbours."""
@@ -118,25 +118,27 @@ class _Search:
         self._score(np.ones(len(self.flags), dtype=np.bool_))
         if not (self.scores > BOUND).any():
             return Outliers(self.flags, mesh.vertices, False, 0.0)
-        certain = False
+        are_certain = are_apart = False
         bound = BOUND
+        self.positions = mesh.vertices.copy()
         for _ in range(MOST_PASSES):
             found = outliers.pick(self.scores, bound, mesh.links)
             if len(found):
-                certain = certain or bool((self.scores[found] > CERTAIN).any())
+                are_certain = are_certain or bool((self.scores[found] > CERTAIN).any())
                 self.flags[found] = True
                 self._bring_back(found)
             share = int(np.count_nonzero(self.flags)) / n_used
             if share > MOST:
                 return Outliers(np.zeros_like(self.flags), mesh.vertices, False, share)
-            before, bound = bound, BOUND - _more_likely(share)
+            are_apart = are_apart or (share > USUAL and self._are_apart())
+            before, bound = bound, BOUND - (_more_likely(share) if are_apart else 0.0)
             if not len(found) and bound == before:
                 break
         for _ in range(RETURNS):
             self._bring_back(np.flatnonzero(self.flags))
         self._let_go(bound)
         share = int(np.count_nonzero(self.flags)) / n_used
-        are_clear = (certain or share >= FEWEST) and self._are_apart()
+        are_clear = (are_certain or share >= FEWEST) and self._are_apart()
         return Outliers(self.flags, self.positions, are_clear, share)
 
     def _are_apart(self) -> bool:
@@ -184,7 +186,6 @@ class _Search:
             self._move(wrong, self.mesh.vertices[wrong])
 
     def _move(self, which: Places, targets: Floats) -> None:
-        self.positions = self.positions.copy()
         self.positions[which] = targets
         self._score(outliers.mark_two_rings(which, self.mesh.links))
 

@@ -60,7 +60,7 @@ LEAST_WAY = 0.75
 NEAR = 0.5
 """Local edges from the middle of its neighbours up to which it is none, and no fit is made."""
 
-LEAST_EDGES = 0.5
+LEAST_EDGES = 0.65
 """The same in mean edges of the mesh: folds of tiny faces are none."""
 
 LEAST_GAIN = 0.05
