@@ -372,6 +372,9 @@ class _Run:
 
         choice = self._record.choice
         assert choice is not None
+        if self._record.despiked:
+            # It was estimated without the outliers.
+            self._noise = None
         self.know(
             method=MethodUsed(NO_METHOD, {}),
             despiked=None if self._record.despiked is None else 0,
