@@ -1,10 +1,10 @@
-"""How many planted outliers are found, what is taken for one wrongly, and what that does to results.
+"""How many planted outliers are found, what is taken for one wrongly, and what comes of it.
 
     MSAL_DATA=FOLDER python -m benchmarks.outliers [--auto] [SHAPE ...]
 
 Outliers are moved by 1 to 3 mean edge lengths in random directions, all other vertices by Gaussian
-noise along their normals.  The second table has the errors of the plain command, with --auto those of
---auto too, without and with outliers brought back.  docs/noise.md holds the tables.
+noise along their normals.  The second table has the errors of the plain command, with --auto those
+of --auto too, without and with outliers brought back.  docs/noise.md holds the tables.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from msal_cli.core.medians import median
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
+    from msal_cli.noise_estimate import NoiseLevel
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -33,7 +34,7 @@ BOUND = 1.3
 
 USUAL, STEP, MOST_STEPS = 0.0005, 0.17, 0.8
 """Where more than the ``USUAL`` share of vertices are outliers, a vertex is one more likely: the
-bound is less by ``STEP`` for each factor of e, up to ``MOST_STEPS``.  Not where they may be noise."""
+bound is less by ``STEP`` for each factor of e, up to ``MOST_STEPS``, unless they may be noise."""
 
 MOST_PASSES = 12
 """Spikes hide one another: each pass takes the ones furthest out among their neighbours."""
@@ -130,7 +131,8 @@ class _Search:
             share = int(np.count_nonzero(self.flags)) / n_used
             if share > MOST:
                 return Outliers(np.zeros_like(self.flags), mesh.vertices, False, share)
-            are_apart = are_apart or (share > USUAL and self._are_apart())
+            # What is not found yet is among the spikes, so they do not count here.
+            are_apart = are_apart or (share > USUAL and self._are_beyond(self._noise().mean_edges))
             before, bound = bound, BOUND - (_more_likely(share) if are_apart else 0.0)
             if not len(found) and bound == before:
                 break
@@ -138,16 +140,19 @@ class _Search:
             self._bring_back(np.flatnonzero(self.flags))
         self._let_go(bound)
         share = int(np.count_nonzero(self.flags)) / n_used
-        are_clear = (are_certain or share >= FEWEST) and self._are_apart()
+        are_clear = (are_certain or share >= FEWEST) and self._are_beyond(self._noise().rms_edges)
         return Outliers(self.flags, self.positions, are_clear, share)
 
-    def _are_apart(self) -> bool:
-        """Whether the outliers are much further out than the noise of all others goes."""
+    def _noise(self) -> NoiseLevel:
+        """The noise of all others."""
         from msal_cli.noise_estimate import estimated
 
+        return estimated(self.mesh.moved(self.positions))
+
+    def _are_beyond(self, noise_edges: float) -> bool:
+        """Whether the outliers went much further than noise of so many mean edge lengths does."""
         ways = distances(self.mesh.vertices, self.positions)[self.flags]
-        noise = estimated(self.mesh.moved(self.positions)).rms_edges
-        return len(ways) > 0 and median(ways) >= APART * noise * self.mesh.mean_edge_length
+        return len(ways) > 0 and median(ways) >= APART * noise_edges * self.mesh.mean_edge_length
 
     def _score(self, changed: Flags) -> None:
         """Set the scores of vertices whose surroundings have changed."""
