@@ -45,10 +45,10 @@ RETURNS = 2
 MOST = 0.12
 """Share of the vertices beyond which they are noise rather than outliers."""
 
-FEWEST = 0.001
+FEWEST = 0.002
 """Share of the vertices from which outliers are brought back without being asked for."""
 
-CERTAIN = 2.4
+CERTAIN = 3.0
 """Score from which a single one is."""
 
 APART = 6.0
