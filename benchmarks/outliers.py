@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 
 from benchmarks import ground_truth, machine
 from msal_cli import automatic
+from msal_cli.core.geometry import distances
 from msal_cli.mesh import Mesh
 from msal_cli.metrics.comparison import moved_statistics, surface_distances, vertex_error_percent
 from msal_cli.metrics.surface import surface_change
+from msal_cli.noise import AddedNoise, add_noise
 from msal_cli.outliers import find_outliers
 from msal_cli.selection import Wishes
 
@@ -37,18 +39,10 @@ Flags = NDArray[np.bool_]
 
 def planted(true: Mesh, level: float, share: float) -> tuple[Mesh, Flags]:
     """The shape with noise and outliers, and which vertices (n,) the outliers are."""
-    draw = np.random.Generator(np.random.PCG64(SEED))
-    edge, n = true.mean_edge_length, len(true.vertices)
-    heights = level * edge * draw.standard_normal(n)
-    vertices = true.vertices + heights[:, None] * true.vertex_normals()
-    used = np.flatnonzero(true.links.has_ring)
-    moved = draw.permutation(used)[: round(share * len(used))]
-    ways = draw.standard_normal((len(moved), 3))
-    ways *= (edge * draw.uniform(1.0, 3.0, len(moved)) / np.linalg.norm(ways, axis=1))[:, None]
-    vertices[moved] = true.vertices[moved] + ways
-    flags = np.zeros(n, dtype=np.bool_)
-    flags[moved] = True
-    return true.moved(vertices), flags
+    kind = AddedNoise("outliers", level=level, seed=SEED, fraction=share)
+    vertices = add_noise(true, kind)
+    far = distances(true.vertices, vertices) > 0.99 * true.mean_edge_length
+    return true.moved(vertices), far & true.links.has_ring
 
 
 def detection(shapes: Mapping[str, Mesh]) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks import ground_truth, machined_shapes
 from msal_cli.mesh import prepared
-from msal_cli.noise import noisy
+from msal_cli.noise import AddedNoise, add_noise, noisy
 from msal_cli.outliers import MOST, find_outliers
 from tests.shapes import ball, cube, grid, torus
 
@@ -55,18 +55,10 @@ def cone(height, rings=12, around=24):
 
 def with_outliers(mesh, level, share, seed=1):
     """The mesh with noise, and a share of its vertices 1 to 3 edges off in random directions."""
-    draw = np.random.default_rng(seed)
-    edge, n = mesh.mean_edge_length, len(mesh.vertices)
-    vertices = mesh.vertices + (level * edge * draw.standard_normal(n))[:, None] * (
-        mesh.vertex_normals()
-    )
-    moved = draw.permutation(n)[: round(share * n)]
-    ways = draw.standard_normal((len(moved), 3))
-    ways *= (draw.uniform(1.0, 3.0, len(moved)) * edge / np.linalg.norm(ways, axis=1))[:, None]
-    vertices[moved] = mesh.vertices[moved] + ways
-    flags = np.zeros(n, dtype=bool)
-    flags[moved] = True
-    return mesh.moved(vertices), flags
+    kind = AddedNoise("outliers", level=level, seed=seed, fraction=share)
+    vertices = add_noise(mesh, kind)
+    ways = np.linalg.norm(vertices - mesh.vertices, axis=1)
+    return mesh.moved(vertices), ways > 0.99 * mesh.mean_edge_length
 
 
 CLEAN = {

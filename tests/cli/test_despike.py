@@ -7,9 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from msal_cli import files
+from msal_cli import files, methods, selection
 from msal_cli.mesh import prepared
 from msal_cli.noise import noisy
+from msal_cli.noise_estimate import estimated
+from msal_cli.selection import adaptive
 from tests.cli.scans import folder_of, msal, ply_text
 from tests.shapes import torus
 
@@ -106,6 +108,20 @@ def test_quiet_meshes_are_left_alone_only_without_spikes(scans, tmp_path):
     assert (record["status"], record["despiked"]) == ("unchanged", None)
     record, _ = run(scans / "quiet.ply", "-o", tmp_path / "p.ply", "--min-noise", "auto")
     assert (record["status"], record["despiked"]) == ("written", 20)
+
+
+def test_a_choice_that_damages_leaves_the_outliers_too(scans, tmp_path, monkeypatch):
+    def collapsing(mesh, *given, **named):
+        values = methods.find("umbrella").settled({"iterations": 1000})
+        return selection.Choice("umbrella", values, "collapse", None, estimated(mesh))
+
+    monkeypatch.setattr(adaptive, "chosen", collapsing)
+    record, _ = run(scans / "quiet.ply", "-o", tmp_path / "o.ply")
+    assert (record["status"], record["despiked"]) == ("unchanged", 0)
+    assert (tmp_path / "o.ply").read_bytes() == (scans / "quiet.ply").read_bytes()
+    assert "--despike" not in record["choice"]["repeat"]
+    # The noise is that of the mesh as it stays.
+    assert record["noise_estimate"]["rms_edges"] > 0.1
 
 
 def test_gates_know_the_number(scans, tmp_path):
