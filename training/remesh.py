@@ -160,13 +160,18 @@ class Remesher:
     def _choose_apart(self, ends: Ints, i: Ints, j: Ints) -> Bools:
         """Which pairs of vertices can be merged at once: none has a neighbour of another."""
         priority = self._generator.permutation(len(i)).astype(np.float64)
-        near = np.full(len(self.vertices), np.inf)
-        np.minimum.at(near, i, priority)
-        np.minimum.at(near, j, priority)
-        wide = near.copy()
-        np.minimum.at(wide, ends[:, 0], near[ends[:, 1]])
-        np.minimum.at(wide, ends[:, 1], near[ends[:, 0]])
-        return (priority == wide[i]) & (priority == wide[j])
+        chosen = np.zeros(len(i), dtype=bool)
+        for _ in range(4):
+            near = np.full(len(self.vertices), np.inf)
+            np.minimum.at(near, i, priority)
+            np.minimum.at(near, j, priority)
+            wide = near.copy()
+            np.minimum.at(wide, ends[:, 0], near[ends[:, 1]])
+            np.minimum.at(wide, ends[:, 1], near[ends[:, 0]])
+            chosen |= (priority == wide[i]) & (priority == wide[j]) & (priority < np.inf)
+            # What is chosen comes first from now on, and keeps others away.
+            priority[chosen] = -1.0 - np.arange(chosen.sum())
+        return chosen
 
     def _collapse(self, edges: Edges, i: Ints, j: Ints, size: Floats) -> int:
         """Merge vertices j into i but where a face would turn over or an edge become long."""
@@ -187,8 +192,8 @@ class Remesher:
         before = to_unit(face_crosses(self.vertices, self.faces[some]))
         after = face_crosses(self.vertices, renamed[some])
         turned = np.einsum("ij,ij->i", before, to_unit(after)) < 0.7
-        poor = _shape_quality(self.vertices, renamed[some]) < np.minimum(
-            0.1, 0.5 * _shape_quality(self.vertices, self.faces[some])
+        poor = shape_quality(self.vertices, renamed[some]) < np.minimum(
+            0.1, 0.5 * shape_quality(self.vertices, self.faces[some])
         )
         bad = self.faces[some[turned | poor]]
         refused[bad[onto[bad] != bad]] = True
@@ -200,16 +205,20 @@ class Remesher:
         self.fixed = self.fixed[old]
         return int((~refused[j]).sum())
 
-    def flip_edges(self, rounds: int = 6) -> None:
-        """Flip edges within patches until the opposite angles add up to no more than 180 degrees."""
+    def flip_edges(self, rounds: int = 6, below: float = 1.1) -> None:
+        """Flip edges within patches until the opposite angles add up to no more than 180 degrees.
+
+        Only edges of faces whose shape quality is lower than ``below``: 0.1 flips slivers alone.
+        """
         for _ in range(rounds):
-            if self._flip_round() == 0:
+            if self._flip_round(below) == 0:
                 return
 
-    def _flip_round(self) -> int:
+    def _flip_round(self, below: float) -> int:
         edges = self.edges()
         is_curve, _ = self._curve_edges(edges)
-        inner = np.flatnonzero(~is_curve)
+        poor = shape_quality(self.vertices, self.faces) < below
+        inner = np.flatnonzero(~is_curve & poor[edges.faces].any(axis=1))
         a, b = edges.ends[inner].T
         c, d = edges.opposite[inner].T
         v = self.vertices
@@ -258,6 +267,12 @@ class Remesher:
         shift[inner] -= along[inner]
         self.shift(shift)
 
+    def remove_slivers(self, share: float) -> None:
+        """Collapse edges below ``share`` of the target, and flip those of nearly flat faces."""
+        for _ in range(4):
+            self.collapse_short(share, 12)
+            self.flip_edges(4, 0.25)
+
     def shift(self, offsets: Floats) -> None:
         """Move vertices by (n, 3) and back onto the surface, but where faces would turn over."""
         placed = self.project(self.vertices + np.where(self.fixed[:, None], 0.0, offsets))
@@ -302,7 +317,7 @@ def remesh(
     # Long and narrow faces first become fewer: split, they would be very many.
     for _ in range(3):
         state.flip_edges(12)
-        state.collapse_short()
+        state.collapse_short(rounds=16)
     for _ in range(iterations):
         state.split_long()
         state.collapse_short()
@@ -351,7 +366,7 @@ def _have_three(faces: Ints) -> Bools:
     return (a != b) & (b != c) & (c != a)
 
 
-def _shape_quality(vertices: Floats, faces: Ints) -> Floats:
+def shape_quality(vertices: Floats, faces: Ints) -> Floats:
     """(m,) from 0 for a flat face to 1 for an equilateral one."""
     corner = vertices[faces]
     squared = ((corner - corner[:, [1, 2, 0]]) ** 2).sum(axis=(1, 2))

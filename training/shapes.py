@@ -191,7 +191,7 @@ def _triangulate(recipe: Recipe, count: int, g: np.random.Generator) -> Labelled
             edge = triangulations.ideal_edge(start, count)
             sizing = triangulations.constant_sizing(edge)
             state = Remesher(start, surface, sizing, int(g.integers(2**31)))
-            state.collapse_short(0.25)
+            state.remove_slivers(0.3)
             return state.mesh()
     if recipe.triangulation == "range_grid":
         return make_range_grid(start, surface, count, g)

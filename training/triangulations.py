@@ -75,7 +75,7 @@ def make_subdivided(mesh: LabelledMesh, surface: Surface, count: int, g: Generat
         state.collapse_short(share)
         state.flip_edges(1)
     state.split_long()
-    state.collapse_short(0.35)
+    state.remove_slivers(0.3)
     state.vertices = state.project(state.vertices)
     return state.mesh()
 
@@ -88,8 +88,9 @@ def make_jagged(mesh: LabelledMesh, surface: Surface, count: int, g: Generator) 
     for axis in range(3):
         coarse = _cut_at_planes(coarse, turned[axis], length, float(g.uniform(0.2, 0.8)))
     state = Remesher(coarse, surface, constant_sizing(length), int(g.integers(2**31)))
+    state.remove_slivers(0.4)
     state.vertices = state.project(state.vertices)
-    state.collapse_short(0.3)
+    state.remove_slivers(0.4)
     return state.mesh()
 
 
