@@ -100,7 +100,9 @@ def mean_edge_length(vertices: Floats, faces: Ints) -> float:
 
 def drop_unused(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, Ints]:
     """Vertices that faces have, the faces renumbered, and the kept vertices' old numbers."""
-    kept = np.unique(faces)
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces] = True
+    kept = np.flatnonzero(used)
     number = np.full(len(vertices), -1, dtype=np.int64)
     number[kept] = np.arange(len(kept))
     return vertices[kept], number[faces], kept

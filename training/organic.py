@@ -9,6 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.ndimage import map_coordinates
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
 from training.connectivity import Floats, Ints, drop_unused
@@ -16,6 +20,9 @@ from training.surface import LabelledMesh
 
 Generator = np.random.Generator
 Field = Callable[[Floats], Floats]
+
+COARSE_CELLS = 32
+"""Cells along each side of the grid that tells where the surface is."""
 
 
 class FieldSurface:
@@ -29,12 +36,13 @@ class FieldSurface:
         """Points (n, 3) on the zero level; none moves by more than ``reach``."""
         del labels
         result = points.copy()
-        for _ in range(5):
+        for _ in range(2):
             gradient = field_gradient(self._field, result, 1e-4 * self._reach)
             squared = np.maximum(np.einsum("ij,ij->i", gradient, gradient), 1e-12)
-            step = -(self._field(result) / squared)[:, None] * gradient
-            length = np.linalg.norm(step, axis=1, keepdims=True)
-            result += step * np.minimum(1.0, self._reach / np.maximum(length, 1e-300))
+            for _ in range(2):
+                step = -(self._field(result) / squared)[:, None] * gradient
+                length = np.linalg.norm(step, axis=1, keepdims=True)
+                result += step * np.minimum(1.0, self._reach / np.maximum(length, 1e-300))
         return result
 
     def project_to_curves(self, points: Floats, pairs: Ints) -> Floats:
@@ -43,21 +51,18 @@ class FieldSurface:
 
 
 def field_gradient(field: Field, points: Floats, step: float) -> Floats:
-    """Gradients (n, 3) by central differences."""
-    columns = []
-    for axis in range(3):
-        shift = np.zeros(3)
-        shift[axis] = step
-        columns.append((field(points + shift) - field(points - shift)) / (2.0 * step))
-    return np.stack(columns, axis=1)
+    """Gradients (n, 3) by differences to the corners of a tetrahedron."""
+    total = np.zeros_like(points)
+    for corner in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
+        direction = np.array(corner, dtype=np.float64)
+        total += field(points + step * direction)[:, None] * direction
+    return total / (4.0 * step)
 
 
 def polygonise(field: Field, half_size: float, cells: int) -> LabelledMesh:
     """The largest piece of a field's zero level by marching cubes, projected onto it."""
-    axis = np.linspace(-half_size, half_size, cells + 1)
-    step = float(axis[1] - axis[0])
-    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    values = field(grid).reshape((cells + 1,) * 3)
+    step = 2.0 * half_size / cells
+    values = _sample_field(field, half_size, cells)
     # A value of zero at a grid point would make faces without area.
     values[np.abs(values) < 1e-9] = 1e-9
     points, faces, _, _ = marching_cubes(values.astype(np.float64), 0.0, spacing=(step,) * 3)
@@ -71,10 +76,26 @@ def polygonise(field: Field, half_size: float, cells: int) -> LabelledMesh:
     return LabelledMesh(vertices, faces, labels)
 
 
-def _keep_largest(faces: Ints, count: int) -> Ints:
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+def _sample_field(field: Field, half_size: float, cells: int) -> Floats:
+    """Values on a grid; far from the zero level they are interpolated in a coarse one."""
+    coarse = _grid_points(half_size, COARSE_CELLS)
+    rough = field(coarse).reshape((COARSE_CELLS + 1,) * 3)
+    if cells <= COARSE_CELLS:
+        return field(_grid_points(half_size, cells)).reshape((cells + 1,) * 3)
+    place = np.arange(cells + 1) * (COARSE_CELLS / cells)
+    places = np.stack(np.meshgrid(place, place, place, indexing="ij"))
+    values: Floats = map_coordinates(rough, places, order=1, mode="nearest").reshape(-1)
+    near = np.abs(values) < 3.0 * 2.0 * half_size / COARSE_CELLS
+    values[near] = field(_grid_points(half_size, cells)[near])
+    return values.reshape((cells + 1,) * 3)
 
+
+def _grid_points(half_size: float, cells: int) -> Floats:
+    axis = np.linspace(-half_size, half_size, cells + 1)
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _keep_largest(faces: Ints, count: int) -> Ints:
     rows = np.concatenate([faces[:, 0], faces[:, 1]])
     columns = np.concatenate([faces[:, 1], faces[:, 2]])
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
@@ -148,20 +169,21 @@ def make_bumpy_ball(g: Generator) -> Field:
 def make_knot(g: Generator) -> Field:
     """A tube along a closed curve on a torus, of a width that varies."""
     p, q = (2, 3) if g.integers(2) else (3, 2)
-    t = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+    t = np.linspace(0.0, 2.0 * np.pi, 600, endpoint=False)
     ring = 0.65 + 0.28 * np.cos(q * t)
     curve = np.stack([ring * np.cos(p * t), ring * np.sin(p * t), 0.35 * np.sin(q * t)], axis=1)
-    width = 0.15 + 0.02 * np.sin(5 * t + g.uniform(0, 6))
-    from scipy.spatial import cKDTree
+    return _tube_field(curve, 0.15 + 0.02 * np.sin(5 * t + g.uniform(0, 6)))
 
+
+def _tube_field(curve: Floats, radii: Floats) -> Field:
+    """A tube of radii (k,) along a curve (k, 3), without facets."""
     tree = cKDTree(curve)
 
     def field(points: Floats) -> Floats:
-        # A soft minimum over the nearest samples, so that the tube has no facets.
         gap, near = tree.query(points, k=6)
         weight = np.exp(-((gap - gap[:, :1]) / 0.02))
         weight /= weight.sum(axis=1, keepdims=True)
-        return ((gap - width[near]) * weight).sum(axis=1)
+        return ((gap - radii[near]) * weight).sum(axis=1)
 
     return field
 
@@ -268,19 +290,9 @@ def make_gyroid(g: Generator) -> Field:
 
 def make_shell(g: Generator) -> Field:
     """A snail's shell: a tube that grows along a spiral, with a crease between the turns."""
-    turns = g.uniform(2.2, 2.8)
-    t = np.linspace(0.0, 1.0, 140)
+    t = np.linspace(0.0, 1.0, 800)
     scale = np.exp(2.2 * (t - 1.0))
-    turn = 2.0 * np.pi * turns * t
+    turn = 2.0 * np.pi * g.uniform(2.2, 2.8) * t
     ring, rise = 0.6 * scale, 1.0 - 1.7 * scale
     centres = np.stack([ring * np.cos(turn), ring * np.sin(turn), 0.3 + rise * 0.6], axis=1)
-    radii = 0.36 * scale
-
-    def field(points: Floats) -> Floats:
-        total = np.full(len(points), np.inf)
-        for k in range(len(t) - 1):
-            limb = capsule_distance(points, centres[k], centres[k + 1], radii[k], radii[k + 1])
-            total = np.minimum(total, limb)
-        return total
-
-    return field
+    return _tube_field(centres, 0.36 * scale)

@@ -29,6 +29,9 @@ from training.surface import LabelledMesh, Surface, face_labels
 LONG, SHORT = 4.0 / 3.0, 4.0 / 5.0
 """Shares of the target beyond which edges are split and collapsed."""
 
+FEW = 0.004
+"""Share of the vertices: rounds that change no more are the last ones."""
+
 TINY = 0.1
 """Share of the target below which even corners are merged: boolean operations leave such edges."""
 
@@ -130,7 +133,7 @@ class Remesher:
     def collapse_short(self, share: float = SHORT, rounds: int = 8) -> None:
         """Collapse edges below ``share`` of the target where shape and topology allow it."""
         for _ in range(rounds):
-            if self._collapse_round(share) == 0:
+            if self._collapse_round(share) <= FEW * len(self.vertices):
                 return
 
     def _collapse_round(self, share: float) -> int:
@@ -211,7 +214,7 @@ class Remesher:
         Only edges of faces whose shape quality is lower than ``below``: 0.1 flips slivers alone.
         """
         for _ in range(rounds):
-            if self._flip_round(below) == 0:
+            if self._flip_round(below) <= FEW * len(self.vertices):
                 return
 
     def _flip_round(self, below: float) -> int:
@@ -269,7 +272,7 @@ class Remesher:
 
     def remove_slivers(self, share: float) -> None:
         """Collapse edges below ``share`` of the target, and flip those of nearly flat faces."""
-        for _ in range(4):
+        for _ in range(5):
             self.collapse_short(share, 12)
             self.flip_edges(4, 0.25)
 
@@ -310,7 +313,7 @@ class Remesher:
 
 
 def remesh(
-    mesh: LabelledMesh, surface: Surface, sizing: Sizing, seed: int, iterations: int = 6
+    mesh: LabelledMesh, surface: Surface, sizing: Sizing, seed: int, iterations: int = 5
 ) -> LabelledMesh:
     """The mesh with edges of about the target lengths that ``sizing`` gives."""
     state = Remesher(mesh, surface, sizing, seed)

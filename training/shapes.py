@@ -23,6 +23,9 @@ from training.range_grid import make_range_grid
 from training.remesh import Remesher
 from training.surface import LabelledMesh, PolyhedralSurface, Surface
 
+COARSE = 32
+"""Cells of the grid that tells how fine a field must be sampled."""
+
 HALF_SIZE = 1.6
 """Half of the cube in which fields are polygonised."""
 
@@ -77,7 +80,7 @@ RECIPES = (
     Recipe("random_csg", "jagged"),
     Recipe("torus", "decimated", "orange_peel", 8.0, 0.5),
     Recipe("stepped_shaft", "isotropic", border="cut"),
-    Recipe("rod_lattice", "scattered"),
+    Recipe("egg_crate", "scattered"),
     Recipe("random_csg", "range_grid"),
     # The first twelve are the quick set.
     Recipe("drilled_plate", "subdivided"),
@@ -108,6 +111,7 @@ RECIPES = (
     Recipe("rounded_block", "adaptive", "letters", 16.0, 1.2),
     Recipe("egg_crate"),
     Recipe("rod_lattice"),
+    Recipe("rod_lattice", "scattered"),
     Recipe("impeller"),
     Recipe("impeller", "adaptive"),
     Recipe("pulley", "scattered"),
@@ -166,7 +170,7 @@ def build_shapes(
 
 def build_shape(recipe: Recipe, g: np.random.Generator, fineness: float = 1.0) -> LabelledMesh:
     """The mesh of a recipe, of 4,000 to 15,000 vertices times ``fineness``, mean edge 1."""
-    count = int(fineness * np.exp(g.uniform(np.log(5500), np.log(12000))))
+    count = int(fineness * np.exp(g.uniform(np.log(4200), np.log(10500))))
     mesh = scale_to_unit_edges(_triangulate(recipe, count, g))
     if recipe.relief:
         maker = getattr(relief, f"make_{recipe.relief}")
@@ -183,10 +187,10 @@ def _triangulate(recipe: Recipe, count: int, g: np.random.Generator) -> Labelled
         surface = PolyhedralSurface(start)
     else:
         field = getattr(organic, f"make_{recipe.source}")(g)
-        coarse = polygonise(field, HALF_SIZE, 36)
+        coarse = polygonise(field, HALF_SIZE, COARSE)
         share = count / len(coarse.vertices)
-        surface = FieldSurface(field, 0.5 * HALF_SIZE / 36)
-        start = polygonise(field, HALF_SIZE, int(36 * np.sqrt(1.1 * share)))
+        surface = FieldSurface(field, 0.5 * HALF_SIZE / COARSE)
+        start = polygonise(field, HALF_SIZE, int(COARSE * np.sqrt(1.1 * share)))
         if recipe.triangulation == "marching_cubes":
             edge = triangulations.ideal_edge(start, count)
             sizing = triangulations.constant_sizing(edge)

@@ -224,13 +224,13 @@ def make_egg_crate(g: Generator) -> Manifold:
 
 def make_rod_lattice(g: Generator) -> Manifold:
     """Thin round rods that cross, with balls where they do."""
-    part, radius = Manifold(), g.uniform(0.09, 0.13)
+    part, radius = Manifold(), g.uniform(0.14, 0.18)
     for a in (-0.6, 0.6):
         for b in (-0.6, 0.6):
             rod = _rod(radius, 1.8).translate((a, b, 0))
             part += rod + rod.rotate((90, 0, 0)) + rod.rotate((0, 90, 0))
     for corner in _signs():
-        part += _ball(1.9 * radius).translate(tuple(0.6 * corner))
+        part += _ball(1.7 * radius).translate(tuple(0.6 * corner))
     return part
 
 

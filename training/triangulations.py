@@ -149,11 +149,13 @@ def make_adaptive(mesh: LabelledMesh, surface: Surface, count: int, g: Generator
     pairs = face_labels(edges.faces, mesh.labels)
     ends = mesh.vertices[edges.ends[pairs[:, 0] != pairs[:, 1]]]
     length = 0.75 * ideal_edge(mesh, count)
-    share = np.linspace(0.0, 1.0, 17)[:, None, None]
-    tree = cKDTree((ends[:, 0] + share * (ends[:, 1] - ends[:, 0])).reshape(-1, 3))
+    long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > length
+    share = np.linspace(0.0, 1.0, 65)[:, None, None]
+    inner = ends[long, 0] + share * (ends[long, 1] - ends[long, 0])
+    tree = cKDTree(np.concatenate([ends[:, 0], inner.reshape(-1, 3)]))
 
     def sizing(points: Floats) -> Floats:
-        gap, _ = tree.query(points)
+        gap, _ = tree.query(points, distance_upper_bound=9.0 * length)
         return length * np.clip(0.8 + 0.25 * gap / length, 0.8, 3.0)
 
     return remesh(mesh, surface, sizing, int(g.integers(2**31)))
