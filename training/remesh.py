@@ -130,10 +130,13 @@ class Remesher:
             labels += [self.labels[some]] * len(parts)
         self.faces, self.labels = np.concatenate(faces), np.concatenate(labels)
 
-    def collapse_short(self, share: float = SHORT, rounds: int = 8) -> None:
-        """Collapse edges below ``share`` of the target where shape and topology allow it."""
+    def collapse_short(self, share: float = SHORT, rounds: int = 8, few: float = FEW) -> None:
+        """Collapse edges below ``share`` of the target where shape and topology allow it.
+
+        A round that collapses no more than ``few`` times the number of vertices is the last.
+        """
         for _ in range(rounds):
-            if self._collapse_round(share) <= FEW * len(self.vertices):
+            if self._collapse_round(share) <= few * len(self.vertices):
                 return
 
     def _collapse_round(self, share: float) -> int:
@@ -144,12 +147,15 @@ class Remesher:
         size = self._sizing(self.vertices)
         target = 0.5 * (size[edges.ends[:, 0]] + size[edges.ends[:, 1]])
         rank = np.where(self.fixed, 2, np.where(valence > 0, 1, 0))
+        # A vertex with three neighbours can go wherever it is: what stays is the face around it.
+        count = np.bincount(edges.ends.reshape(-1), minlength=len(self.vertices))
+        rank[(rank == 0) & (count == 3)] = -1
         kept, gone = edges.ends[:, 0].copy(), edges.ends[:, 1].copy()
         swap = (rank[gone] > rank[kept]) | ((rank[gone] == rank[kept]) & (gone < kept))
         kept[swap], gone[swap] = gone[swap], kept[swap]
         tiny = length < TINY * target
-        allowed = (rank[gone] == 0) | (is_curve & ((rank[gone] == 1) | tiny))
-        allowed &= length < share * target
+        allowed = (rank[gone] <= 0) | (is_curve & ((rank[gone] == 1) | tiny))
+        allowed &= (length < share * target) | (rank[gone] < 0)
         candidate = np.flatnonzero(allowed)
         if len(candidate) == 0:
             return 0
@@ -250,8 +256,11 @@ class Remesher:
             self.faces[beside[chosen, side]] = new[side][chosen]
         return len(chosen)
 
-    def relax(self, step: float = 0.8) -> None:
-        """Move vertices to the mean of their neighbours, along the surface or their curve."""
+    def relax(self, step: float = 0.8, below: float = 1.1) -> None:
+        """Move vertices to the mean of their neighbours, along the surface or their curve.
+
+        Only vertices of faces whose shape quality is lower than ``below``.
+        """
         edges = self.edges()
         is_curve, _ = self._curve_edges(edges)
         valence = self._curve_valence(edges, is_curve)
@@ -268,13 +277,19 @@ class Remesher:
         inner = ~on_curve
         along = np.einsum("ij,ij->i", shift, normals)[:, None] * normals
         shift[inner] -= along[inner]
+        chosen = np.zeros(len(shift), dtype=bool)
+        chosen[self.faces[shape_quality(self.vertices, self.faces) < below]] = True
+        shift[~chosen] = 0.0
         self.shift(shift)
 
     def remove_slivers(self, share: float) -> None:
-        """Collapse edges below ``share`` of the target, and flip those of nearly flat faces."""
+        """Collapse edges below ``share`` of the target, and improve nearly flat faces."""
         for _ in range(5):
-            self.collapse_short(share, 12)
+            self.collapse_short(share, 12, 0.0)
             self.flip_edges(4, 0.25)
+            if shape_quality(self.vertices, self.faces).min() > 0.1:
+                return
+            self.relax(0.8, 0.15)
 
     def shift(self, offsets: Floats) -> None:
         """Move vertices by (n, 3) and back onto the surface, but where faces would turn over."""
@@ -327,6 +342,7 @@ def remesh(
         state.flip_edges()
         state.relax()
     state.flip_edges()
+    state.remove_slivers(0.25)
     return state.mesh()
 
 

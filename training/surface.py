@@ -82,9 +82,14 @@ class PolyhedralSurface:
         return result
 
     def project_to_curves(self, points: Floats, pairs: Ints) -> Floats:
-        """Points (n, 3) on the curves between the two patches of each, (n, 2)."""
+        """Points (n, 3) on the curves between the two patches of each, (n, 2).
+
+        Where two patches have no curve, because a narrow one between them is lost, points stay.
+        """
         result = points.copy()
         for low, high in np.unique(pairs, axis=0):
+            if (low, high) not in self._curves:
+                continue
             chosen = (pairs[:, 0] == low) & (pairs[:, 1] == high)
             result[chosen] = _nearest_on_segments(points[chosen], *self._curves[low, high])
         return result

@@ -64,6 +64,7 @@ def make_scattered(mesh: LabelledMesh, surface: Surface, count: int, g: Generato
     for _ in range(3):
         state.shift(g.normal(size=state.vertices.shape) * 0.2 * length)
         state.flip_edges()
+    state.remove_slivers(0.2)
     return state.mesh()
 
 
