@@ -200,9 +200,7 @@ def make_rounded_block(g: Generator) -> Manifold:
     size = g.uniform(0.6, 1.0, 3)
     corners = [_ball(radius).translate(tuple(size * s)) for s in _signs()]
     block = Manifold.batch_hull(corners)
-    pocket = Manifold.batch_hull(
-        [_box(0.9, 0.7, 0.01).translate((0, 0, 0.5)), _box(0.5, 0.3, 0.01)]
-    )
+    pocket = CrossSection.square((0.5, 0.3), True).extrude(0.6, scale_top=(2.0, 2.6))
     top = float(size[2]) + radius
     return block - pocket.translate((0, 0, top - 0.5)) - _rod(0.3, 4.0).rotate((90, 0, 0)).translate(
         (float(size[0]) + radius, 0, 0.1)
@@ -236,7 +234,10 @@ def make_rod_lattice(g: Generator) -> Manifold:
 
 def make_impeller(g: Generator) -> Manifold:
     """A hub and a disc with twisted blades."""
-    blade = _section([(0.2, -0.05), (1.25, -0.04), (1.25, 0.04), (0.2, 0.05)])
+    # Points along the blade keep the twisted facets nearly flat.
+    x = np.linspace(0.2, 1.25, 33)
+    lower = np.stack([x, np.full(33, -0.045)], axis=1)
+    blade = _section(np.concatenate([lower, lower[::-1] * [1.0, -1.0]]))
     twisted = blade.extrude(0.8, 24, g.uniform(25, 45))
     count = int(g.integers(5, 8))
     blades = Manifold()

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from training.connectivity import Floats, Ints, build_edges, face_crosses, to_unit
+from training.connectivity import Floats, Ints, build_edges, edge_lengths, face_crosses, to_unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +55,14 @@ def label_patches(
     joined = cosine > np.cos(np.radians(crease_deg))
     if groups is not None:
         joined &= groups[inner[:, 0]] == groups[inner[:, 1]]
+    # A face without area has no normal: it goes with the one beside its longest edge.
+    areas = np.linalg.norm(face_crosses(vertices, faces), axis=1)
+    lengths = edge_lengths(vertices, edges.ends[~edges.is_boundary])
+    longest = np.zeros(len(faces))
+    np.maximum.at(longest, inner.reshape(-1), np.repeat(lengths, 2))
+    narrow = areas < 1e-6 * longest**2
+    joined &= ~narrow[inner].any(axis=1)
+    joined |= (narrow[inner] & (longest[inner] == lengths[:, None])).any(axis=1)
     return _components(inner[joined], len(faces))
 
 
