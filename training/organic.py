@@ -6,14 +6,15 @@ gradient, so that vertices of marching cubes lie on the true surface.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from skimage.measure import marching_cubes
+from skimage import measure
 
 from training.connectivity import Floats, Ints, drop_unused
 from training.surface import LabelledMesh
@@ -65,7 +66,9 @@ def polygonise(field: Field, half_size: float, cells: int) -> LabelledMesh:
     values = _sample_field(field, half_size, cells)
     # A value of zero at a grid point would make faces without area.
     values[np.abs(values) < 1e-9] = 1e-9
-    points, faces, _, _ = marching_cubes(values.astype(np.float64), 0.0, spacing=(step,) * 3)
+    # Any hides that it has no types.
+    marching_cubes: Any = measure.marching_cubes
+    points, faces, _, _ = marching_cubes(values, 0.0, spacing=(step,) * 3)
     vertices = points.astype(np.float64) - half_size
     faces = _keep_largest(faces.astype(np.int64), len(vertices))
     if _signed_volume(vertices, faces) < 0.0:
@@ -208,6 +211,7 @@ def make_torus(g: Generator) -> Field:
 def make_figure(g: Generator) -> Field:
     """A body with head, limbs and fingers, joined smoothly, and creases where the limbs begin."""
     crease = float(g.choice([0.02, 0.08, 0.2]))
+    limbs: list[tuple[Sequence[float], Sequence[float], float, float]]
     limbs = [((0, 0, -0.25), (0, 0, 0.3), 0.33, 0.28), ((0, 0, 0.3), (0, 0.05, 0.7), 0.16, 0.24)]
     for side in (-1.0, 1.0):
         knee = (side * g.uniform(0.2, 0.4), g.uniform(-0.3, 0.2), -0.65)
@@ -254,6 +258,7 @@ def make_branches(g: Generator) -> Field:
 
 def make_head(g: Generator) -> Field:
     """A head: brows, nose, eyes, lips and ears of balls, some joined with a narrow blend."""
+    parts: list[tuple[Sequence[float], float, float]]
     parts = [((0, 0, 0.1), 0.62, 0.2), ((0, 0.18, -0.28), 0.42, 0.2), ((0, 0.62, -0.02), 0.11, 0.1)]
     parts += [((0, 0.58, 0.1), 0.07, 0.12), ((0, 0.55, -0.33), 0.1, 0.04)]
     for side in (-1.0, 1.0):

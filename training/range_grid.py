@@ -6,7 +6,15 @@ import fcpw
 import numpy as np
 from scipy.spatial import cKDTree
 
-from training.connectivity import Floats, Ints, build_edges, drop_unused, face_crosses, to_unit
+from training.connectivity import (
+    Bools,
+    Floats,
+    Ints,
+    build_edges,
+    drop_unused,
+    face_crosses,
+    to_unit,
+)
 from training.surface import LabelledMesh, Surface, face_labels
 from training.triangulations import ideal_edge
 
@@ -76,8 +84,8 @@ class _RayScene:
 
 
 def _snap_to_curves(
-    mesh: LabelledMesh, scene: _RayScene, axes: Floats, step: float, points: Floats, seen: Floats
-) -> Floats:
+    mesh: LabelledMesh, scene: _RayScene, axes: Floats, step: float, points: Floats, seen: Bools
+) -> Bools:
     """Move points (n, 3) next to a visible sharp edge onto it; which were moved (n,)."""
     moved = np.zeros(len(points), dtype=bool)
     edges = build_edges(mesh.faces, len(mesh.vertices))
@@ -112,7 +120,7 @@ def _snap_to_curves(
     return moved
 
 
-def _triangulate(points: Floats, seen: Floats, snapped: Floats, step: float) -> Ints:
+def _triangulate(points: Floats, seen: Bools, snapped: Bools, step: float) -> Ints:
     """Faces between neighbours of the grid, seen from above; long and flat ones are left out."""
     number = np.arange(len(points)).reshape(seen.shape)
     a, b = number[:-1, :-1].reshape(-1), number[1:, :-1].reshape(-1)

@@ -7,6 +7,7 @@ Heights are about 1 from the deepest to the highest; ``apply_relief`` scales the
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -128,8 +129,8 @@ def _stroke_distance(points: Floats, letter: str) -> Floats:
     """Distances (n,) of points (n, 2) to a letter's lines, in its grid's unit."""
     best = np.full(len(points), np.inf)
     for line in letter.split(" / "):
-        corners = np.array([[float(x), float(y)] for x, y in line.split()])
-        for start, end in zip(corners[:-1], corners[1:], strict=True):
+        corners = np.array([[float(place[0]), float(place[1])] for place in line.split()])
+        for start, end in pairwise(corners):
             along = end - start
             share = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
             gap = np.linalg.norm(points - start - share[:, None] * along, axis=1)

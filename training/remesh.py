@@ -233,7 +233,8 @@ class Remesher:
         v = self.vertices
         excess = _angle(v, a, c, b) + _angle(v, a, d, b) - np.pi
         worth = excess > 1e-6
-        inner, a, b, c, d, excess = (x[worth] for x in (inner, a, b, c, d, excess))
+        inner, excess = inner[worth], excess[worth]
+        a, b, c, d = (x[worth] for x in (a, b, c, d))
         old = [np.stack(x, axis=1) for x in ((a, b, c), (b, a, d))]
         new = [np.stack(x, axis=1) for x in ((a, d, c), (d, b, c))]
         mean = to_unit(face_crosses(v, old[0]) + face_crosses(v, old[1]))
@@ -249,7 +250,9 @@ class Remesher:
         # Equal excess in one face, and equal new edges of two pairs: the first one only.
         _keep_first(sound, beside.reshape(-1), len(self.faces))
         chosen = np.flatnonzero(sound)
-        _, first = np.unique(np.sort(np.stack([c, d], 1)[chosen], axis=1), axis=0, return_index=True)
+        _, first = np.unique(
+            np.sort(np.stack([c, d], 1)[chosen], axis=1), axis=0, return_index=True
+        )
         chosen = chosen[first]
         self.faces = self.faces.copy()
         for side in range(2):

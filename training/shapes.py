@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training import organic, relief, solids, triangulations
-from training.connectivity import Floats, build_edges, drop_unused, mean_edge_length
+from training.connectivity import Floats, mean_edge_length
 from training.openings import cut_open
 from training.organic import FieldSurface, polygonise
 from training.range_grid import make_range_grid
@@ -156,9 +156,7 @@ RECIPES = (
 QUICK = 12
 
 
-def build_shapes(
-    seed: int, quick: bool = False
-) -> Iterator[tuple[str, Floats, NDArray[np.int32]]]:
+def build_shapes(seed: int, quick: bool = False) -> Iterator[tuple[str, Floats, NDArray[np.int32]]]:
     """Clean meshes: name, vertices (n, 3) with edges of mean length 1, faces (m, 3).
 
     The same seed gives the same meshes.  ``quick`` gives the first twelve, a quarter as fine.

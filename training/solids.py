@@ -189,8 +189,11 @@ def make_hex_bolt(g: Generator) -> Manifold:
     head = _section(_polar(np.ones(6), angle)).extrude(0.65)
     head ^= _rod(1.25, 1.3, 0.6).translate((0, 0, 0.45))
     shank = _rod(0.5, g.uniform(1.2, 1.8))
-    return head + _rod(0.75, 0.12) + shank.translate((0, 0, -0.6)) - _rod(0.3, 1.0, 0.36).translate(
-        (0, 0, 0.6)
+    return (
+        head
+        + _rod(0.75, 0.12)
+        + shank.translate((0, 0, -0.6))
+        - _rod(0.3, 1.0, 0.36).translate((0, 0, 0.6))
     )
 
 
@@ -201,10 +204,9 @@ def make_rounded_block(g: Generator) -> Manifold:
     corners = [_ball(radius).translate(tuple(size * s)) for s in _signs()]
     block = Manifold.batch_hull(corners)
     pocket = CrossSection.square((0.5, 0.3), True).extrude(0.6, scale_top=(2.0, 2.6))
-    top = float(size[2]) + radius
-    return block - pocket.translate((0, 0, top - 0.5)) - _rod(0.3, 4.0).rotate((90, 0, 0)).translate(
-        (float(size[0]) + radius, 0, 0.1)
-    )
+    block -= pocket.translate((0, 0, float(size[2]) + radius - 0.5))
+    notch = _rod(0.3, 4.0).rotate((90, 0, 0))
+    return block - notch.translate((float(size[0]) + radius, 0, 0.1))
 
 
 def _signs() -> Floats:

@@ -35,9 +35,7 @@ def constant_sizing(length: float) -> Sizing:
     return lambda points: np.full(len(points), length)
 
 
-def make_isotropic(
-    mesh: LabelledMesh, surface: Surface, count: int, g: Generator
-) -> LabelledMesh:
+def make_isotropic(mesh: LabelledMesh, surface: Surface, count: int, g: Generator) -> LabelledMesh:
     """Even triangles, nearly equilateral."""
     # Remeshing ends with edges of about 0.95 of the target.
     length = 1.03 * ideal_edge(mesh, count)
@@ -95,9 +93,7 @@ def make_jagged(mesh: LabelledMesh, surface: Surface, count: int, g: Generator) 
     return state.mesh()
 
 
-def _cut_at_planes(
-    mesh: LabelledMesh, normal: Floats, step: float, offset: float
-) -> LabelledMesh:
+def _cut_at_planes(mesh: LabelledMesh, normal: Floats, step: float, offset: float) -> LabelledMesh:
     """Faces cut where they cross planes ``step`` apart; each cut adds vertices at the crossings."""
     state = Remesher(mesh, NoSurface(), constant_sizing(step), 0)
     for _ in range(60):

@@ -66,10 +66,7 @@ def test_same_seed_gives_same_shape_and_another_seed_another(quick_shapes):
 
 def test_recipes_differ_and_cover_all_sources_and_reliefs():
     makers = {
-        name[5:]
-        for module in (solids, organic)
-        for name in dir(module)
-        if name.startswith("make_")
+        name[5:] for module in (solids, organic) for name in dir(module) if name.startswith("make_")
     }
     assert {recipe.source for recipe in RECIPES} == makers
     reliefs = {name[5:] for name in dir(relief) if name.startswith("make_")}
