@@ -22,17 +22,18 @@ def cut_open(mesh: LabelledMesh, g: Generator) -> LabelledMesh:
     level = np.quantile(height, g.uniform(0.25, 0.5))
     kept = (height > level)[mesh.faces].all(axis=1)
     faces, labels = mesh.faces[kept], mesh.labels[kept]
-    largest = largest_piece(faces, len(mesh.vertices))
+    largest = large_pieces(faces, len(mesh.vertices), len(faces))
     vertices, faces, _ = drop_unused(mesh.vertices, faces[largest])
     return LabelledMesh(vertices, faces, labels[largest])
 
 
-def largest_piece(faces: Ints, n_vertices: int) -> Ints:
-    """The faces of the largest part that is joined by edges, by number."""
+def large_pieces(faces: Ints, n_vertices: int, least: int) -> Ints:
+    """The faces, by number, of parts joined by edges of ``least`` faces, and of the largest one."""
     edges = build_edges(faces, n_vertices)
     pairs = edges.faces[~edges.is_boundary]
     graph = coo_array(
         (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(faces), len(faces))
     )
     piece = connected_components(graph, directed=False)[1]
-    return np.flatnonzero(piece == np.bincount(piece).argmax())
+    size = np.bincount(piece)
+    return np.flatnonzero(size[piece] >= min(least, size.max()))

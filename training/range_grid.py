@@ -15,6 +15,7 @@ from training.connectivity import (
     face_crosses,
     to_unit,
 )
+from training.openings import large_pieces
 from training.surface import LabelledMesh, Surface, face_labels
 from training.triangulations import ideal_edge
 
@@ -29,9 +30,7 @@ def make_range_grid(mesh: LabelledMesh, surface: Surface, count: int, g: Generat
 
     Faces longer than some steps in depth are left out, as the jumps of a range image are.
     """
-    axes = np.linalg.qr(g.normal(size=(3, 3)))[0]
-    if np.linalg.det(axes) < 0.0:
-        axes[0] = -axes[0]
+    axes = _choose_view(mesh, g)
     # About a third of the surface is seen, and seen obliquely.
     step = 0.55 * ideal_edge(mesh, count)
     scene = _RayScene(mesh)
@@ -47,8 +46,25 @@ def make_range_grid(mesh: LabelledMesh, surface: Surface, count: int, g: Generat
     points[seen] = surface.project(points[seen], mesh.labels[face[seen]])
     snapped = _snap_to_curves(mesh, scene, axes, step, points, seen)
     faces = _triangulate(points, seen.reshape(shape), snapped, step)
+    faces = faces[large_pieces(faces, len(points), 100)]
     vertices, faces, _ = drop_unused(points, faces)
     return LabelledMesh(vertices, faces, np.zeros(len(faces), dtype=np.int64))
+
+
+def _choose_view(mesh: LabelledMesh, g: Generator) -> Floats:
+    """A frame (3, 3) whose last axis points to the scanner: of some, that which sees most."""
+    crosses = face_crosses(mesh.vertices, mesh.faces)
+    areas = np.linalg.norm(crosses, axis=1)
+    best, chosen = -1.0, np.eye(3)
+    for _ in range(6):
+        axes = np.linalg.qr(g.normal(size=(3, 3)))[0]
+        if np.linalg.det(axes) < 0.0:
+            axes[0] = -axes[0]
+        # Faces seen obliquely count for less: the square of the cosine times the area.
+        seen = float((np.maximum(crosses @ axes[2], 0.0) ** 2 / np.maximum(areas, 1e-300)).sum())
+        if seen > best:
+            best, chosen = seen, axes
+    return chosen
 
 
 class _RayScene:

@@ -96,6 +96,21 @@ class Remesher:
         changed = (lowest != highest).any(axis=1)
         return self.fixed | corner | ((valence == 2) & (sharp | changed))
 
+    def _mean_normals(self, edges: Edges) -> Floats:
+        """Normals (m, 3) of faces together with those around them in the same patch.
+
+        A face that has turned over has a normal far from that.
+        """
+        is_curve, _ = self._curve_edges(edges)
+        first, second = edges.faces[~is_curve].T
+        normals = face_crosses(self.vertices, self.faces)
+        for _ in range(3):
+            total = normals.copy()
+            np.add.at(total, first, normals[second])
+            np.add.at(total, second, normals[first])
+            normals = total
+        return to_unit(normals)
+
     def split_long(self, passes: int = 12) -> None:
         """Split edges that are too long in the middle, each of their faces into two to four."""
         for _ in range(passes):
@@ -198,9 +213,8 @@ class Remesher:
         touched = (renamed != self.faces).any(axis=1)
         whole = _have_three(renamed)
         some = np.flatnonzero(touched & whole)
-        before = to_unit(face_crosses(self.vertices, self.faces[some]))
-        after = face_crosses(self.vertices, renamed[some])
-        turned = np.einsum("ij,ij->i", before, to_unit(after)) < 0.7
+        around = self._mean_normals(edges)[some]
+        turned = _is_turned(self.vertices, self.faces[some], renamed[some], around, 0.7)
         poor = shape_quality(self.vertices, renamed[some]) < np.minimum(
             0.1, 0.5 * shape_quality(self.vertices, self.faces[some])
         )
@@ -214,16 +228,25 @@ class Remesher:
         self.fixed = self.fixed[old]
         return int((~refused[j]).sum())
 
-    def flip_edges(self, rounds: int = 6, below: float = 1.1) -> None:
+    def flip_edges(self, rounds: int = 6, below: float = 1.1, least: float = 0.9) -> None:
         """Flip edges within patches until the opposite angles add up to no more than 180 degrees.
 
         Only edges of faces whose shape quality is lower than ``below``: 0.1 flips slivers alone.
+        ``least`` is the cosine between new faces and those around that is allowed.
         """
         for _ in range(rounds):
-            if self._flip_round(below) <= FEW * len(self.vertices):
+            if self._flip_round(below, least) <= FEW * len(self.vertices):
                 return
 
-    def _flip_round(self, below: float) -> int:
+    def flip_flat_edges(self) -> None:
+        """Flip edges between faces of one plane alone.
+
+        The fans that boolean operations leave in flat patches would become very many when split.
+        In a curved patch of long faces, other flips would cut across the curve.
+        """
+        self.flip_edges(30, 1.1, 1.0 - 1e-9)
+
+    def _flip_round(self, below: float, least: float) -> int:
         edges = self.edges()
         is_curve, _ = self._curve_edges(edges)
         poor = shape_quality(self.vertices, self.faces) < below
@@ -237,10 +260,14 @@ class Remesher:
         a, b, c, d = (x[worth] for x in (a, b, c, d))
         old = [np.stack(x, axis=1) for x in ((a, b, c), (b, a, d))]
         new = [np.stack(x, axis=1) for x in ((a, d, c), (d, b, c))]
-        mean = to_unit(face_crosses(v, old[0]) + face_crosses(v, old[1]))
         sound = ~_have_edges(edges.ends, np.stack([c, d], axis=1), len(v))
-        for one in new:
-            sound &= np.einsum("ij,ij->i", to_unit(face_crosses(v, one)), mean) > 0.9
+        around = self._mean_normals(edges)
+        around = to_unit(around[edges.faces[inner, 0]] + around[edges.faces[inner, 1]])
+        if least > 0.99:
+            pair = to_unit(face_crosses(v, old[0])), to_unit(face_crosses(v, old[1]))
+            sound &= np.einsum("ij,ij->i", *pair) > least
+        for one, other in zip(old, new, strict=True):
+            sound &= ~_is_turned(v, one, other, around, least)
         priority = np.where(sound, -excess, np.inf)
         beside = edges.faces[inner]
         best = np.full(len(self.faces), np.inf)
@@ -297,10 +324,11 @@ class Remesher:
     def shift(self, offsets: Floats) -> None:
         """Move vertices by (n, 3) and back onto the surface, but where faces would turn over."""
         placed = self.project(self.vertices + np.where(self.fixed[:, None], 0.0, offsets))
-        before = to_unit(face_crosses(self.vertices, self.faces))
+        around = self._mean_normals(self.edges())
+        before = np.einsum("ij,ij->i", to_unit(face_crosses(self.vertices, self.faces)), around)
         for _ in range(6):
-            after = to_unit(face_crosses(placed, self.faces))
-            turned = np.einsum("ij,ij->i", before, after) < 0.5
+            after = np.einsum("ij,ij->i", to_unit(face_crosses(placed, self.faces)), around)
+            turned = (after < 0.5) & (after <= before)
             if not turned.any():
                 break
             back = np.unique(self.faces[turned])
@@ -335,10 +363,7 @@ def remesh(
 ) -> LabelledMesh:
     """The mesh with edges of about the target lengths that ``sizing`` gives."""
     state = Remesher(mesh, surface, sizing, seed)
-    # Long and narrow faces first become fewer: split, they would be very many.
-    for _ in range(3):
-        state.flip_edges(12)
-        state.collapse_short(rounds=16)
+    state.flip_flat_edges()
     for _ in range(iterations):
         state.split_long()
         state.collapse_short()
@@ -380,6 +405,13 @@ def _count_common(ends: Ints, i: Ints, j: Ints, n: int) -> Ints:
     adjacent = coo_array((ones, (rows, columns)), shape=(n, n)).tocsr()
     common: Ints = adjacent[i].multiply(adjacent[j]).sum(axis=1)
     return np.asarray(common).reshape(-1)
+
+
+def _is_turned(vertices: Floats, old: Ints, new: Ints, around: Floats, least: float) -> Bools:
+    """(k,) whether new faces lie worse than the old ones to the normals around, and badly."""
+    before = np.einsum("ij,ij->i", to_unit(face_crosses(vertices, old)), around)
+    after = np.einsum("ij,ij->i", to_unit(face_crosses(vertices, new)), around)
+    return (after < least) & (after <= before)
 
 
 def _have_three(faces: Ints) -> Bools:

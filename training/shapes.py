@@ -75,7 +75,7 @@ RECIPES = (
     Recipe("cut_sphere", "adaptive"),
     Recipe("metaballs", "marching_cubes"),
     Recipe("head", "isotropic", "hair", 6.0, 0.7),
-    Recipe("bracket", "isotropic", "letters", 12.0, 0.9),
+    Recipe("bracket", "isotropic", "letters", 18.0, 0.9),
     Recipe("bumpy_ball", "range_grid"),
     Recipe("random_csg", "jagged"),
     Recipe("torus", "decimated", "orange_peel", 8.0, 0.5),
@@ -106,9 +106,9 @@ RECIPES = (
     Recipe("heat_sink"),
     Recipe("heat_sink", "scattered"),
     Recipe("hex_bolt", "graded"),
-    Recipe("hex_bolt", "jagged", "letters", 10.0, 0.7),
+    Recipe("hex_bolt", "isotropic", "letters", 16.0, 0.8),
     Recipe("rounded_block"),
-    Recipe("rounded_block", "adaptive", "letters", 16.0, 1.2),
+    Recipe("rounded_block", "isotropic", "letters", 20.0, 1.2),
     Recipe("egg_crate"),
     Recipe("rod_lattice"),
     Recipe("rod_lattice", "scattered"),
@@ -151,7 +151,7 @@ RECIPES = (
     Recipe("bumpy_ball", "isotropic", "letters", 20.0, 1.4),
     Recipe("metaballs", "isotropic", "hair", 3.0, 0.35),
     Recipe("head", "isotropic", "orange_peel", 30.0, 2.0, "cut"),
-    Recipe("torus", "isotropic", "letters", 9.0, 0.6, "cut"),
+    Recipe("torus", "isotropic", "letters", 15.0, 0.6, "cut"),
 )
 QUICK = 12
 

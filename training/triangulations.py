@@ -70,9 +70,7 @@ def make_subdivided(mesh: LabelledMesh, surface: Surface, count: int, g: Generat
     """Edges of a modeller's triangles halved until they are short: narrow triangles stay narrow."""
     length = 1.1 * ideal_edge(mesh, count)
     state = Remesher(mesh, surface, constant_sizing(length), int(g.integers(2**31)))
-    for share in (0.3, 0.4, 0.5):
-        state.collapse_short(share)
-        state.flip_edges(1)
+    state.flip_flat_edges()
     state.split_long()
     state.remove_slivers(0.3)
     state.vertices = state.project(state.vertices)
@@ -83,7 +81,7 @@ def make_jagged(mesh: LabelledMesh, surface: Surface, count: int, g: Generator) 
     """The surface cut at the planes of a grid, as marching cubes leave it, but for slivers."""
     length = 1.25 * ideal_edge(mesh, count)
     turned = np.linalg.qr(g.normal(size=(3, 3)))[0]
-    coarse = remesh(mesh, surface, constant_sizing(3.0 * length), int(g.integers(2**31)), 4)
+    coarse = remesh(mesh, surface, constant_sizing(1.8 * length), int(g.integers(2**31)), 4)
     for axis in range(3):
         coarse = _cut_at_planes(coarse, turned[axis], length, float(g.uniform(0.2, 0.8)))
     state = Remesher(coarse, surface, constant_sizing(length), int(g.integers(2**31)))
