@@ -33,7 +33,7 @@ to the number of faces: 1 s per 100,000 faces on one core, or so.
 The weights are two files of the package: ``weights/learned.json``, which has the sizes of the
 layers and the SHA-256 of the other, and ``weights/learned.f32``, little-endian 32-bit numbers: for
 each layer of each stage the biases, then the matrix row by row.  ``python -m training`` in a
-checkout makes them; ``--clean`` adds meshes of your own.
+checkout makes them, with clean meshes of your own too (docs/training.md).
 
 Source: P.-S. Wang, Y. Liu and X. Tong, Mesh denoising via cascaded normal regression, ACM
 Transactions on Graphics 35 (6), 2016, 232; combinations whose weights are predicted after S. Bako
