@@ -15,7 +15,10 @@ stages looks at every face and the faces near it, and makes
 
 A network of two hidden layers gives every vector a coefficient.  The combination, normalised, is
 the new normal, so that where all vectors are one, nothing changes.  The vertices are then fitted to
-the new normals as in ``guided_normal``, and the next stage looks at the outcome.
+the new normals as in ``guided_normal``, and the next stage looks at the outcome.  At the end the
+scanned vertices are fitted to the normals of the last stage.  Vertices with a face that is still
+turned from its normal by more than 20 degrees, thin or folded by noise within the surface, are
+evened out along the surface and fitted again.
 
 The vectors are seen along axes of their own, those of the tensor of the normals near: turning,
 moving or scaling a mesh changes nothing.  Lengths are local: mean distances of centroids, as edges.
@@ -73,8 +76,8 @@ class Parameters:
         more="smoother flat and round parts, sharper edges",
     )
     vertex_iterations: int = parameter(
-        20,
-        "passes that fit the vertices to the normals after the last stage",
+        40,
+        "passes that fit the scanned vertices to the normals of the last stage",
         low=0,
         high=1000,
         more="faces closer to their normals, vertices farther from the scan",
@@ -105,10 +108,14 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
     for done in range(1, stages + 1):
         network = networks[min(done, len(networks)) - 1]
         normals = cascade.describe(positions, normals).predict(network)
-        passes = STAGE_PASSES if done < stages else parameters.vertex_iterations
-        positions = cascade.fit(positions, normals, passes)
+        if done < stages:
+            positions = cascade.fit(positions, normals, STAGE_PASSES)
+        else:
+            positions = cascade.fit(mesh.vertices, normals, parameters.vertex_iterations)
         if on_sweep is not None:
             on_sweep(done, stages)
+    assert normals is not None
     positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
+    positions = cascade.untangle(positions, normals)
     finished = time.perf_counter()
     return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})
