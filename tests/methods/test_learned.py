@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 
@@ -12,8 +13,10 @@ from msal_cli.errors import InternalError
 from msal_cli.mesh import prepared
 from msal_cli.methods import find
 from msal_cli.methods._cascade import WEIGHTS, load_networks, read_networks, write_networks
+from msal_cli.methods.learned import resolve_noise
 from msal_cli.metrics.surface import normal_statistics
 from msal_cli.noise import AddedNoise, add_noise
+from msal_cli.noise_estimate import estimated
 from tests.shapes import ball, grid, torus
 
 
@@ -114,13 +117,30 @@ def test_what_is_clean_hardly_moves(shape):
 
 
 def test_the_noise_that_is_given_decides_what_is_texture():
-    flat = prepared(*grid(50, 50)).mesh
-    rough = add_noise(flat, AddedNoise("gaussian-normal", 0.15))
+    vertices, faces = grid(50, 50)
+    waves = np.sin(2.0 * np.pi * vertices[:, :2] / 6.0).prod(axis=1)
+    textured = prepared(vertices + 0.35 * waves[:, None] * [0.0, 0.0, 1.0], faces).mesh
     away = {
-        noise: np.linalg.norm(run(flat.moved(rough), noise=noise) - rough, axis=1).mean()
-        for noise in (0.02, 0.15)
+        noise: np.linalg.norm(run(textured, noise=noise) - textured.vertices, axis=1).mean()
+        for noise in (0.005, 0.3)
     }
-    assert away[0.02] < 0.6 * away[0.15]
+    assert away[0.005] < 0.03
+    assert away[0.3] > 3.0 * away[0.005]
+
+
+def test_the_noise_is_estimated_but_on_staircases(monkeypatch):
+    true = smooth()
+    noisy = true.moved(add_noise(true, AddedNoise("gaussian-normal", 0.2)))
+    level = estimated(noisy)
+    assert resolve_noise(noisy, 0.0) == level.mean_edges
+    assert resolve_noise(noisy, 0.07) == 0.07
+    stairs = dataclasses.replace(level.character, kind="staircase")
+    monkeypatch.setattr(
+        "msal_cli.noise_estimate.estimated",
+        lambda mesh: dataclasses.replace(level, character=stairs),
+    )
+    assert resolve_noise(noisy, 0.0) is None
+    assert np.isfinite(run(noisy)).all()
 
 
 def test_held_and_boundary_vertices_stay():
