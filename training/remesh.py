@@ -29,7 +29,7 @@ from training.surface import LabelledMesh, Surface, face_labels
 LONG, SHORT = 4.0 / 3.0, 4.0 / 5.0
 """Shares of the target beyond which edges are split and collapsed."""
 
-FEW = 0.004
+FEW = 0.008
 """Share of the vertices: rounds that change no more are the last ones."""
 
 TINY = 0.1
@@ -145,16 +145,19 @@ class Remesher:
             labels += [self.labels[some]] * len(parts)
         self.faces, self.labels = np.concatenate(faces), np.concatenate(labels)
 
-    def collapse_short(self, share: float = SHORT, rounds: int = 8, few: float = FEW) -> None:
+    def collapse_short(
+        self, share: float = SHORT, rounds: int = 8, few: float = FEW, least: float = 0.7
+    ) -> None:
         """Collapse edges below ``share`` of the target where shape and topology allow it.
 
-        A round that collapses no more than ``few`` times the number of vertices is the last.
+        A round that collapses no more than ``few`` times the number of vertices is the last;
+        ``least`` is the cosine between new faces and those around that is allowed.
         """
         for _ in range(rounds):
-            if self._collapse_round(share) <= few * len(self.vertices):
+            if self._collapse_round(share, least) <= few * len(self.vertices):
                 return
 
-    def _collapse_round(self, share: float) -> int:
+    def _collapse_round(self, share: float, least: float) -> int:
         edges = self.edges()
         is_curve, _ = self._curve_edges(edges)
         valence = self._curve_valence(edges, is_curve)
@@ -179,7 +182,7 @@ class Remesher:
         sound = link == np.where(edges.is_boundary[candidate], 1, 2)
         i, j = i[sound], j[sound]
         chosen = self._choose_apart(edges.ends, i, j)
-        return self._collapse(edges, i[chosen], j[chosen], size)
+        return self._collapse(edges, i[chosen], j[chosen], size, least)
 
     def _choose_apart(self, ends: Ints, i: Ints, j: Ints) -> Bools:
         """Which pairs of vertices can be merged at once: none has a neighbour of another."""
@@ -197,7 +200,7 @@ class Remesher:
             priority[chosen] = -1.0 - np.arange(chosen.sum())
         return chosen
 
-    def _collapse(self, edges: Edges, i: Ints, j: Ints, size: Floats) -> int:
+    def _collapse(self, edges: Edges, i: Ints, j: Ints, size: Floats, least: float) -> int:
         """Merge vertices j into i but where a face would turn over or an edge become long."""
         onto = np.arange(len(self.vertices))
         onto[j] = i
@@ -214,7 +217,7 @@ class Remesher:
         whole = _have_three(renamed)
         some = np.flatnonzero(touched & whole)
         around = self._mean_normals(edges)[some]
-        turned = _is_turned(self.vertices, self.faces[some], renamed[some], around, 0.7)
+        turned = _is_turned(self.vertices, self.faces[some], renamed[some], around, least)
         poor = shape_quality(self.vertices, renamed[some]) < np.minimum(
             0.1, 0.5 * shape_quality(self.vertices, self.faces[some])
         )
@@ -238,13 +241,15 @@ class Remesher:
             if self._flip_round(below, least) <= FEW * len(self.vertices):
                 return
 
-    def flip_flat_edges(self) -> None:
-        """Flip edges between faces of one plane alone.
+    def merge_facets(self) -> None:
+        """Make the long and narrow faces that boolean operations leave fewer.
 
-        The fans that boolean operations leave in flat patches would become very many when split.
-        In a curved patch of long faces, other flips would cut across the curve.
+        Split as they are, they would become very many.  Edges flip within planes only: in a curved
+        patch of long faces, others would come to cut across the curve.
         """
-        self.flip_edges(30, 1.1, 1.0 - 1e-9)
+        for _ in range(3):
+            self.flip_edges(30, 1.1, 1.0 - 1e-9)
+            self.collapse_short(SHORT, 16, FEW, 0.985)
 
     def _flip_round(self, below: float, least: float) -> int:
         edges = self.edges()
@@ -359,11 +364,11 @@ class Remesher:
 
 
 def remesh(
-    mesh: LabelledMesh, surface: Surface, sizing: Sizing, seed: int, iterations: int = 5
+    mesh: LabelledMesh, surface: Surface, sizing: Sizing, seed: int, iterations: int = 4
 ) -> LabelledMesh:
     """The mesh with edges of about the target lengths that ``sizing`` gives."""
     state = Remesher(mesh, surface, sizing, seed)
-    state.flip_flat_edges()
+    state.merge_facets()
     for _ in range(iterations):
         state.split_long()
         state.collapse_short()
