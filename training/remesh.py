@@ -369,9 +369,13 @@ def remesh(
     """The mesh with edges of about the target lengths that ``sizing`` gives."""
     state = Remesher(mesh, surface, sizing, seed)
     state.merge_facets()
-    for _ in range(iterations):
+    for k in range(iterations):
         state.split_long()
         state.collapse_short()
+        if k == 0:
+            # Narrow faces leave many more than are wanted, and flips make more of them collapse.
+            state.flip_edges(2)
+            state.collapse_short()
         state.flip_edges()
         state.relax()
     state.flip_edges()
