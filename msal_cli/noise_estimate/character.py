@@ -89,6 +89,10 @@ PURE = 0.3
 """Least ratio of the variances of a tenth and of half of the places in a region that is in one part
 of the mesh only."""
 
+SHARES = (0.1, 0.3, 0.4, 0.5)
+"""Shares of the places of a region: for the least and the middle for ``PURE``, and between them
+for its level and for its share in the level of all."""
+
 MOST_REGIONS, FEWEST_IN_REGION = 20, 20
 """Regions of the survey, and the places that each has."""
 
@@ -369,18 +373,20 @@ def _find_regional(survey: Survey) -> _Regional | None:
         return None
     count = min(MOST_REGIONS, int(has.sum()) // FEWEST_IN_REGION)
     middles, labels = split_regions(survey.positions, VERTICES_PER_REGION * count)
-    variances, freedoms = survey.variances[:, fit], survey.freedoms[:, fit]
+    # Nearly all places have as many degrees of freedom.
+    freedoms = np.full(1, float(np.median(survey.freedoms[has, fit])))
+    factors = [float(chi_square_quantile(freedoms, share)[0]) for share in SHARES[1:3]]
+    scaled = survey.variances[:, fit]
     lows = np.full(len(middles), np.nan)
     means = np.full(len(middles), np.nan)
     pure = np.zeros(len(middles), dtype=bool)
     for region in range(len(middles)):
         among = has & (labels == region)
         if among.sum() >= FEWEST_IN_REGION // 2:
-            values = variances[among]
-            few, half = np.quantile(values, [0.1, 0.5])
+            values = np.sort(scaled[among])
+            few, low, some, half = values[(np.array(SHARES) * (len(values) - 1)).astype(int)]
             pure[region] = few > PURE * half
-            lows[region] = np.quantile(values / chi_square_quantile(freedoms[among], 0.3), 0.3)
-            means[region] = np.quantile(values / chi_square_quantile(freedoms[among], 0.4), 0.4)
+            lows[region], means[region] = low / factors[0], some / factors[1]
     known = np.isfinite(lows)
     if known.sum() < 2:
         return None
