@@ -91,19 +91,27 @@ class AxisEvidence:
     @property
     def is_sure(self) -> bool:
         """Whether the noise is along the axis."""
-        slides = self.slide > CLEAR_SLIDE * self.level and self.contrast > CLEAR_CONTRAST
         return (
-            self.misfit < (WORST_IF_CLEAR if slides else WORST_MISFIT)
-            and self.without - self.misfit > LEAST_GAIN
+            self.misfit < (WORST_IF_CLEAR if self.is_clear else WORST_MISFIT)
+            and self.gain > LEAST_GAIN
             and self.slide > LEAST_SLIDE * self.level
             and self.contrast > LEAST_CONTRAST
         )
 
     @property
+    def is_clear(self) -> bool:
+        """Whether vertices slide along the axis as much as noise along it makes them."""
+        return self.slide > CLEAR_SLIDE * self.level and self.contrast > CLEAR_CONTRAST
+
+    @property
+    def gain(self) -> float:
+        """How much better the axis explains the variances than the normals do."""
+        return self.without - self.misfit
+
+    @property
     def confidence(self) -> float:
         """How sure that is, from 0.5 to 0.99."""
-        gain = self.without - self.misfit
-        return min(0.5 + gain, 0.99)
+        return min(0.5 + self.gain, 0.99)
 
 
 @dataclass(frozen=True, eq=False)

@@ -95,17 +95,6 @@ def find_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> Steps | Non
     return None
 
 
-def ring_offsets(mesh: Mesh, vertices: NDArray[np.int64]) -> Floats:
-    """From the middles of the one-rings of vertices (c,) to these, (c, 3), file units."""
-    starts, ring = mesh.links.ring_start, mesh.links.ring
-    return np.array(
-        [
-            mesh.vertices[vertex] - mesh.vertices[ring[starts[vertex] : starts[vertex + 1]]].mean(0)
-            for vertex in vertices
-        ]
-    ).reshape(-1, 3)
-
-
 def _is_along(groups: Groups, axis: Floats) -> bool:
     """Whether what fits leave over is better explained along an axis than along the normals."""
     return groups.misfit(axis) < groups.misfit(None) - LEAST_GAIN

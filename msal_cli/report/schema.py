@@ -192,7 +192,7 @@ DESCRIPTIONS: dict[str, str] = {
     "NoiseEstimate.direction": "normals, isotropic or axis",
     "NoiseEstimate.axis": "unit vector of the axis, up to its sign; null for none",
     "NoiseEstimate.step_edges": (
-        "step of the depths or height of the terraces, mean edge lengths; 0 for none"
+        "step of the depths or height of the terraces, 0 for none, mean edge lengths"
     ),
     "NoiseEstimate.outliers": "share of the vertices that lie far off, 0 to 1",
     "NoiseEstimate.confidence": "how sure the kind is, 0 to 1; below 0.5 a guess",
