@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 FEWEST_OUTLIERS = 0.004
 """Share of the vertices from which they are outliers."""
 
-OUTLYING, TIMES_MOST, MOST = 0.9, 4.0, 0.8
+OUTLYING, TIMES_MOST, MOST = 0.9, 3.5, 0.7
 """How far an outlier is off the middle of its ring at least: in mean edge lengths, and compared
 with what this share of the vertices does not exceed."""
 

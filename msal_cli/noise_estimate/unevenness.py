@@ -37,7 +37,7 @@ SHARP, SHARP_PLANE, WORST_FIT = 0.72, 0.3, 0.12
 """What ``find_colour`` finds in the noisy regions, each in its own measure: sharpness of wider fits
 and of those over one ring, and misfit."""
 
-LEAST_PURE, MOST_RINGS = 0.1, 2
+LEAST_PURE, MOST_RINGS = 0.06, 2
 """Share of the places in loud regions, and most rings, with which noise that differs by region is
 told from texture."""
 
