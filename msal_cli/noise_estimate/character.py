@@ -44,8 +44,12 @@ SHARED_MARGIN = 0.02
 LEAST_STEP_LEVEL = 0.02
 """Mean edge lengths from which steps are."""
 
-WORST_FIT = 0.12
+WORST_FIT = 0.1
 """Mean error of logarithms up to which a number of rings explains the levels by scale."""
+
+LEAST_ONE_RING = 0.13
+"""Mean edge lengths from which noise that is shared over one ring is told from white noise on a
+scan's texture."""
 
 SHEET, MOST_FACING = 0.3, 0.97
 """Length of the mean normal, and share of the normals within a right angle of it, of a sheet."""
@@ -62,8 +66,9 @@ SURE_MARGIN = 0.06
 SHARP_WHITE = 0.72
 """Ratio of standard deviations at the flattest twentieth and fifth that white noise shows."""
 
-SHARED_ERROR, ALONG_ERROR, STEP_ERROR = 0.25, 0.15, 0.2
-"""What the interval allows for, of noise that is shared, along an axis, in steps."""
+SHARED_ERROR, ALONG_ERROR, STEP_ERROR, TERRACE_ERROR = 0.25, 0.15, 0.2, 0.5
+"""What the interval allows for, of noise that is shared, along an axis, in steps, and of
+terraces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +138,12 @@ def _decide(
     if white.level.is_negligible:
         return _plain(white, "none", 0.9, "nothing that noise would leave to fits over one ring")
     if colour.sharpness[1] < SHARP_WHITE or white.level.low == 0.0:
-        return _plain(white, "unknown", 0.3, UNLIKE)
+        noise = _plain(white, "unknown", 0.3, UNLIKE)
+        most = max(noise.high, colour.level) if colour.is_floor else noise.high
+        return dataclasses.replace(noise, high=most)
+    if colour.is_floor and _is_doubtful(white, colour):
+        noise = _plain(white, "white", 0.4, "on texture, or shared over one ring")
+        return dataclasses.replace(noise, high=max(noise.high, colour.level))
     confidence = min(0.6 + colour.margin / SURE_MARGIN, 0.98) if colour.rings == 0 else 0.5
     if is_isotropic(survey, white.level.mean_edges):
         return _plain(
@@ -160,7 +170,7 @@ def _explain_by_axis(
 def _is_shared(white: WhiteEstimate, survey: Survey, colour: Colour) -> bool:
     """Whether neighbours share noise, and it is no texture."""
     is_shared = colour.rings > 0 and colour.is_floor and colour.misfit < WORST_FIT
-    if not is_shared or colour.level < LEAST_SHARED:
+    if not is_shared or colour.level < LEAST_SHARED or _is_doubtful(white, colour):
         return False
     if colour.rings > 1 or white.level.low > 0.0 or white.level.is_negligible:
         return True
@@ -168,6 +178,11 @@ def _is_shared(white: WhiteEstimate, survey: Survey, colour: Colour) -> bool:
     # comes from a scanner, and of texture fits over one ring leave more.
     is_missed = white.level.mean_edges < LEAST_TEXTURE * float(colour.by_scale[TWO])
     return is_missed or _is_sheet(survey)
+
+
+def _is_doubtful(white: WhiteEstimate, colour: Colour) -> bool:
+    """Whether white noise on a texture would leave the same."""
+    return colour.rings == 1 and white.level.low > 0.0 and colour.level < LEAST_ONE_RING
 
 
 def _is_sheet(survey: Survey) -> bool:
@@ -287,7 +302,8 @@ def _stepped(white: WhiteEstimate, steps: Steps, axis: AxisEvidence | None) -> N
             0.95,
             "neighbours differ by multiples of one step along the axis",
         )
-    return _with(white, level, (1.0 - STEP_ERROR) * level, (1.0 + STEP_ERROR) * level, character)
+    error = TERRACE_ERROR if steps.axis is None else STEP_ERROR
+    return _with(white, level, (1.0 - error) * level, (1.0 + error) * level, character)
 
 
 def _spiked(white: WhiteEstimate, spikes: Spikes) -> NoiseLevel:

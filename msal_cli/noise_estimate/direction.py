@@ -57,6 +57,10 @@ that an axis shows at least."""
 CLEAR_SLIDE, CLEAR_CONTRAST, WORST_IF_CLEAR = 0.7, 2.5, 0.75
 """The same where it leaves no doubt, and the misfit that is allowed then."""
 
+PLAIN_GAIN, WORST_IF_PLAIN, SHARED_SLIDE = 0.5, 1.2, 0.35
+"""Gain that texture and noise by region do not bring, and the misfit and the least movement then.
+"""
+
 STEEP = 0.3
 """Sine of the angle between normal and axis from which movement along it can be seen."""
 
@@ -91,17 +95,18 @@ class AxisEvidence:
     @property
     def is_sure(self) -> bool:
         """Whether the noise is along the axis."""
-        return (
-            self.misfit < (WORST_IF_CLEAR if self.is_clear else WORST_MISFIT)
-            and self.gain > LEAST_GAIN
-            and self.slide > LEAST_SLIDE * self.level
-            and self.contrast > LEAST_CONTRAST
-        )
+        worst = WORST_MISFIT
+        if self.is_clear:
+            worst = WORST_IF_PLAIN if self.gain > PLAIN_GAIN else WORST_IF_CLEAR
+        slides = self.slide > LEAST_SLIDE * self.level and self.contrast > LEAST_CONTRAST
+        return self.misfit < worst and self.gain > LEAST_GAIN and (slides or self.is_clear)
 
     @property
     def is_clear(self) -> bool:
         """Whether vertices slide along the axis as much as noise along it makes them."""
-        return self.slide > CLEAR_SLIDE * self.level and self.contrast > CLEAR_CONTRAST
+        # Those that share noise slide less.
+        least = SHARED_SLIDE if self.gain > PLAIN_GAIN else CLEAR_SLIDE
+        return self.slide > least * self.level and self.contrast > CLEAR_CONTRAST
 
     @property
     def gain(self) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from msal_cli.noise_estimate.colour import Colour, find_colour
 from msal_cli.noise_estimate.quantiles import chi_square_quantile
 from msal_cli.noise_estimate.regions import split_regions
-from msal_cli.noise_estimate.survey import TWO, Survey
+from msal_cli.noise_estimate.survey import ONE, TWO, Survey
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -33,9 +33,10 @@ LOUD = 0.16
 UNEVEN, LEAST_LOUD = 2.5, 0.05
 """Ratio of the most to the least noisy region, and mean edge lengths that the former has."""
 
-SHARP, SHARP_PLANE, WORST_FIT = 0.72, 0.3, 0.12
+SHARP, SHARP_PLANE, LEAST_PLANE, WORST_FIT = 0.72, 0.3, 0.75, 0.12
 """What ``find_colour`` finds in the noisy regions, each in its own measure: sharpness of wider fits
-and of those over one ring, and misfit."""
+and of those over one ring, what the latter leave over in comparison to fits over two, and
+misfit."""
 
 LEAST_PURE, MOST_RINGS = 0.06, 2
 """Share of the places in loud regions, and most rings, with which noise that differs by region is
@@ -140,6 +141,7 @@ def _is_noise(colour: Colour) -> bool:
     return (
         bool((colour.sharpness[1:4] > SHARP).all())
         and colour.sharpness[0] > SHARP_PLANE
+        and colour.by_scale[ONE] > LEAST_PLANE * colour.by_scale[TWO]
         and colour.rings <= MOST_RINGS
         and colour.misfit < WORST_FIT
     )
