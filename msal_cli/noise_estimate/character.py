@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.noise_estimate.colour import Colour, find_colour
-from msal_cli.noise_estimate.direction import AxisEvidence, find_axis, group_places, is_isotropic
+from msal_cli.noise_estimate.direction import (
+    CLEAR_CONTRAST,
+    AxisEvidence,
+    find_axis,
+    group_places,
+    is_isotropic,
+)
 from msal_cli.noise_estimate.level import NoiseCharacter, NoiseLevel, to_clean_edges
 from msal_cli.noise_estimate.spikes import Spikes, find_spikes
 from msal_cli.noise_estimate.steps import Steps, find_steps
@@ -38,8 +44,12 @@ LEAST_COSINE = 0.1
 CLEAR_GAIN = 0.3
 """By how much an axis explains what is left over better, where what it leaves is not alike."""
 
-SHARED_MARGIN = 0.02
-"""By how much no sharing has to be worse for noise along an axis."""
+SHARED_MARGIN, FURTHER_MARGIN = 0.02, 0.003
+"""By how much other numbers of rings have to be worse for noise along an axis that is shared over
+one, and over more."""
+
+MORE_THAN_STEP = 1.5
+"""Level along the axis, in levels of the steps, from which there is more noise than the steps'."""
 
 LEAST_STEP_LEVEL = 0.02
 """Mean edge lengths from which steps are."""
@@ -163,7 +173,7 @@ def _explain_by_axis(
     colour = find_colour(survey, np.where(cosines > LEAST_COSINE, cosines, 0.0))
     is_alike = colour is not None and colour.is_alike
     # Rounded depths differ from place to place, and grazing noise grows; both slide.
-    is_clear = axis.is_clear and axis.gain > CLEAR_GAIN
+    is_clear = axis.is_clear and axis.gain > CLEAR_GAIN and axis.contrast > CLEAR_CONTRAST
     return (axis, colour) if is_alike or is_clear else (None, None)
 
 
@@ -265,9 +275,9 @@ def _along(white: WhiteEstimate, axis: AxisEvidence, colour: Colour | None) -> N
         colour is not None
         and colour.rings > 0
         and colour.is_floor
-        and (colour.rings > 1 or colour.margin > SHARED_MARGIN)
+        and colour.margin > (SHARED_MARGIN if colour.rings == 1 else FURTHER_MARGIN)
     )
-    level = colour.level if is_shared and colour is not None else axis.level
+    level = colour.level if is_shared and colour is not None else axis.best_level
     rings = colour.rings if is_shared and colour is not None else 0
     character = NoiseCharacter(
         "view",
@@ -291,7 +301,8 @@ def _stepped(white: WhiteEstimate, steps: Steps, axis: AxisEvidence | None) -> N
         )
     else:
         if axis is not None and abs(float(axis.axis @ steps.axis)) > 0.9:
-            level = max(level, axis.level)
+            # Rounded depths differ less, and slide more, than Gaussian noise.
+            level = max(level, axis.best_level if axis.best_level > MORE_THAN_STEP * level else 0.0)
         character = NoiseCharacter(
             "quantised",
             0,

@@ -57,9 +57,15 @@ that an axis shows at least."""
 CLEAR_SLIDE, CLEAR_CONTRAST, WORST_IF_CLEAR = 0.7, 2.5, 0.75
 """The same where it leaves no doubt, and the misfit that is allowed then."""
 
-PLAIN_GAIN, WORST_IF_PLAIN, SHARED_SLIDE = 0.5, 1.2, 0.35
+PLAIN_GAIN, WORST_IF_PLAIN, SHARED_SLIDE, PLAIN_CONTRAST = 0.5, 1.2, 0.35, 1.35
 """Gain that texture and noise by region do not bring, and the misfit and the least movement then.
 """
+
+MOST_EXCESS = 1.4
+"""Movement along the axis over the level that noise explains where the contrast is low."""
+
+LEAST_OF_SLIDE = 0.85
+"""Share of that movement that the level has at least, where it is clear."""
 
 STEEP = 0.3
 """Sine of the angle between normal and axis from which movement along it can be seen."""
@@ -106,7 +112,23 @@ class AxisEvidence:
         """Whether vertices slide along the axis as much as noise along it makes them."""
         # Those that share noise slide less.
         least = SHARED_SLIDE if self.gain > PLAIN_GAIN else CLEAR_SLIDE
-        return self.slide > least * self.level and self.contrast > CLEAR_CONTRAST
+        if self.excess < least * self.level:
+            return False
+        is_plain = self.gain > PLAIN_GAIN and self.excess < MOST_EXCESS * self.level
+        return self.contrast > (PLAIN_CONTRAST if is_plain else CLEAR_CONTRAST)
+
+    @property
+    def excess(self) -> float:
+        """Standard deviation along the axis by how much more vertices slide along it."""
+        return self.slide * math.sqrt(max(1.0 - 1.0 / max(self.contrast, 1.0) ** 2, 0.0))
+
+    @property
+    def best_level(self) -> float:
+        """Standard deviation along the axis, if the noise is white: by what fits leave over, within
+        what the vertices slide, which shape does not add to."""
+        if not self.is_clear:
+            return self.level
+        return min(max(self.level, LEAST_OF_SLIDE * self.excess), self.excess)
 
     @property
     def gain(self) -> float:
