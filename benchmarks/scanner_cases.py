@@ -1,7 +1,7 @@
-"""Scans of known truth: every kind of noise that scanners make, on models that nothing is tuned to.
+"""Scans of known truth: all kinds of noise that scanners make, on models that nothing is tuned to.
 
-Noise is that of ``msal noise``, scans are those of ``msal scan``; each case has a seed and a view of
-its own, from its name, so that every run has the same.
+Noise is that of ``msal noise``, scans are those of ``msal scan``; each case has a seed and a view
+of its own, from its name, so that every run has the same.
 """
 
 from __future__ import annotations

@@ -191,7 +191,7 @@ class Outcomes:
         )
         for key, number in numbers.items():
             for label, vertices in positions[number].items():
-                result = pairs[key].noisy.moved(vertices)
+                result = pairs[key].noisy.moved(np.ascontiguousarray(vertices))
                 self._rows[key][label] = Outcome(measure_errors(pairs[key], result))
 
     def _write(self) -> None:

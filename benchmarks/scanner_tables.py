@@ -44,9 +44,7 @@ def errors_of(rows: Rows, name: str) -> Floats:
     for row in rows.values():
         one = row.get(name)
         found.append(
-            (np.nan, np.nan)
-            if one is None
-            else (one.errors.angle_deg, one.errors.distance_percent)
+            (np.nan, np.nan) if one is None else (one.errors.angle_deg, one.errors.distance_percent)
         )
     return np.array(found).reshape(-1, 2)
 
@@ -95,9 +93,7 @@ def overview(kinds: Mapping[str, Rows], names: Sequence[str]) -> list[str]:
         if kind == CLEAN:
             continue
         best = best_setting(rows)
-        cells = [
-            cell(errors_of(rows, name).mean(axis=0)) for name in (NOISY, *names, TAUBIN.label)
-        ]
+        cells = [cell(errors_of(rows, name).mean(axis=0)) for name in (NOISY, *names, TAUBIN.label)]
         cells.append("" if best is None else f"{cell(best.errors)} ({best.label})")
         cells.append(cell(_least(rows)))
         cells.append(misses(errors_of(rows, JUDGED).mean(axis=0), best))
@@ -113,7 +109,10 @@ def _least(rows: Rows) -> Floats:
 def totals(kinds: Mapping[str, Rows]) -> list[str]:
     """In how many kinds, and in how many cases, ``--auto`` is at least as good as others."""
     filtered = {kind: rows for kind, rows in kinds.items() if kind != CLEAN}
-    words = [misses(errors_of(rows, JUDGED).mean(axis=0), best_setting(rows)) for rows in filtered.values()]
+    words = [
+        misses(errors_of(rows, JUDGED).mean(axis=0), best_setting(rows))
+        for rows in filtered.values()
+    ]
     known = [word for word in words if word]
     angles, gains = [], []
     for rows in filtered.values():

@@ -3,9 +3,9 @@
     MSAL_DATA=FOLDER python -m benchmarks.scanners --cache FILE.json --peers-python PYTHON [--quick]
 
 Prints the section "Noise as scanners make it" of docs/accuracy.md: mean angle between face normals
-in degrees / mean distance of the vertices to the true surface in % of the mean edge length, over the
-models of ``benchmarks.scanner_cases``.  PYTHON has PyMeshLab, MeshLib and VTK, which nothing here
-imports; without it, and for what is not in the cache, the tables go without them.
+in degrees / mean distance of the vertices to the true surface in % of the mean edge length, over
+the models of ``benchmarks.scanner_cases``.  PYTHON has PyMeshLab, MeshLib and VTK; nothing here
+imports them, and without it only what the cache has of them is in the tables.
 
 An interrupted run goes on from its cache; ``--again`` repeats what this package does, all or those
 that are named, and nothing else.
