@@ -203,7 +203,7 @@ class Outcomes:
                 "outcomes": {
                     name: {
                         "errors": list(asdict(one.errors).values()),
-                        "cpu_seconds": round(one.cpu_seconds, 3),
+                        "cpu_seconds": one.cpu_seconds,
                         "reason": one.reason,
                     }
                     for name, one in row.items()
@@ -220,7 +220,7 @@ def run_command(pair: Pair, name: str) -> Outcome:
     """What the whole command, from the bytes of a file to those of another, makes of a scan."""
     started = time.process_time()
     vertices, reason = denoise(pair.noisy, name)
-    seconds = time.process_time() - started
+    seconds = round(time.process_time() - started, 3)
     return Outcome(measure_errors(pair, pair.noisy.moved(vertices)), seconds, reason)
 
 
