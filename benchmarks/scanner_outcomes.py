@@ -137,6 +137,10 @@ class Outcomes:
             for name in names:
                 self._rows.get(key, {}).pop(name, None)
 
+    def known(self, cases: Sequence[Case]) -> dict[str, Row]:
+        """The rows of the cases by model, as far as they are in the cache."""
+        return {one.model: self._rows[one.key] for one in cases if one.key in self._rows}
+
     def run(
         self, cases: Sequence[Case], names: Sequence[str], settings: Sequence[PeerSetting]
     ) -> dict[str, Row]:
@@ -157,7 +161,7 @@ class Outcomes:
         self._run_peers(pairs, others)
         if open_cases:
             self._write()
-        return {one.model: self._rows.get(one.key, {}) for one in cases}
+        return self.known(cases)
 
     def _run_ours(self, key: str, pair: Pair, names: Sequence[str]) -> None:
         row = self._rows[key]
