@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import ground_truth
+from benchmarks.true_surface import TrueSurface
 from msal_cli import files
 from msal_cli.mesh import Mesh, prepared
 from msal_cli.noise import AddedNoise, add_noise
@@ -32,6 +33,11 @@ class Pair:
 
     noisy: Mesh
     true: Mesh
+
+    @functools.cached_property
+    def true_surface(self) -> TrueSurface:
+        """The true surface with its normals."""
+        return TrueSurface(self.true)
 
     @property
     def has_same_faces(self) -> bool:
@@ -77,6 +83,9 @@ MODELS = ("fandisk", "bunny", "coin", "bracket", "rock")
 QUICK_MODELS = ("fandisk", "bunny")
 
 RANGE_SCANS = ("bun000", "bun045")
+
+REAL = ("laser range scan", "Kinect")
+"""Kinds of real scans, of which the folder MSAL_DATA has some."""
 
 
 def _seed(kind: str, model: str) -> int:
@@ -136,11 +145,11 @@ def _real() -> Iterator[Case]:
     for name in RANGE_SCANS:
         path = folder / "real" / "bunny_range" / f"{name}.ply"
         if path.exists() and bunny.exists():
-            yield Case("laser range scan", name, functools.partial(_opened_pair, path, bunny))
+            yield Case(REAL[0], name, functools.partial(_opened_pair, path, bunny))
     cone = folder / "real" / "kinect_cone"
     if cone.is_dir():
         make = functools.partial(_opened_pair, cone / "Noisy.obj", cone / "Original.obj")
-        yield Case("Kinect", "cone", make)
+        yield Case(REAL[1], "cone", make)
 
 
 def cases(

@@ -34,6 +34,7 @@ Image = NDArray[np.uint8]
 DOCS = Path(__file__).resolve().parent
 IMAGES = DOCS / "images" / "scanners"
 SIZE = (250, 250)
+COMMAND = "auto"
 LARGEST_PICTURE = 150_000  # bytes
 
 
@@ -51,7 +52,7 @@ def draw(example: Example) -> Shown:
     """The noisy mesh, what ``--auto`` makes of it, and the truth, side by side."""
     true = true_mesh(example.model)
     pair = Pair(example.make(true), true)
-    vertices, reason = scanner_outcomes.denoise(pair.noisy, "auto")
+    vertices, reason = scanner_outcomes.denoise(pair.noisy, COMMAND)
     result = pair.noisy.moved(vertices)
     turn = make_pictures.VIEWS[example.model]
     axes = turned(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *turn)
