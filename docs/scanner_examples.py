@@ -66,7 +66,7 @@ EXAMPLES = (
         "neighbours share their error: bumps as wide as several edges",
         "looks at the noise scale by scale, and filters with a reach of several rings",
         ("shared over 1 ring 0.2", "shared over 2 rings 0.2", "shared over 3 rings 0.2"),
-        "bear",
+        "vase",
         _added(AddedNoise("correlated", 0.2, seed=2, rings=2)),
     ),
     Example(
