@@ -14,7 +14,7 @@ from benchmarks.scanner_settings import PEER_SETTINGS
 from benchmarks.true_surface import TrueSurface, corner_normals
 from msal_cli.core.geometry import face_normals
 from msal_cli.mesh import Mesh, prepared
-from msal_cli.metrics.surface_distance import nearest_on_surface
+from msal_cli.metrics.surface_distance import distances_to_surface, nearest_on_surface
 from tests.shapes import ball, cube, torus
 
 pytest.importorskip("fcpw")
@@ -42,6 +42,23 @@ def test_every_kind_changes_its_model_and_repeats(one_model):
         assert np.array_equal(pair.noisy.vertices, again.noisy.vertices), kind
         has_moved = not np.array_equal(pair.noisy.vertices, pair.true.vertices)
         assert has_moved == (kind != scanner_cases.CLEAN), kind
+
+
+def test_every_simulated_scanner_sees_its_model(one_model, monkeypatch):
+    pytest.importorskip("skimage")
+    monkeypatch.setattr(scanner_cases, "SCANNED", ("torus",))
+    for kind, given in scanner_cases.SIMULATED.items():
+        monkeypatch.setitem(scanner_cases.SIMULATED, kind, {**given, "cells": 24})
+    found = scanner_cases.cases(kinds=list(scanner_cases.SIMULATED))
+    assert list(found) == list(scanner_cases.SIMULATED)
+    for kind, (case,) in found.items():
+        pair, again = case.make(), case.make()
+        assert np.array_equal(pair.noisy.vertices, again.noisy.vertices), kind
+        assert not pair.has_same_faces
+        # A scan lies within two cells of the truth.
+        cell = np.ptp(pair.true.vertices, axis=0).max() / 24
+        far = distances_to_surface(pair.noisy.vertices, pair.true)
+        assert 0.0 < far.mean() < 2.0 * cell, kind
 
 
 def test_kinds_and_models_are_picked_by_words(one_model):
