@@ -44,7 +44,7 @@ def test_every_example_has_its_row_and_picture() -> None:
 def test_examples_name_kinds_of_the_benchmark() -> None:
     from scanner_examples import EXAMPLES
 
-    known = {*scanner_cases.ADDED, *scanner_cases.REAL}
+    known = {*scanner_cases.ADDED, *scanner_cases.SIMULATED, *scanner_cases.REAL}
     assert {kind for one in EXAMPLES for kind in one.kinds} <= known
 
 
