@@ -83,11 +83,11 @@ SIMULATED: dict[str, dict[str, Any]] = {
     "slices 3 apart": {"scanner": "slices", "cells": 64, "slices": 3},
     "CT, white": {"scanner": "ct", "cells": 64, "level": 0.1},
     "CT, correlated": {"scanner": "ct", "cells": 64, "level": 0.15, "correlation": 1.5},
-    "depth camera, in steps": {"scanner": "depth", "cells": 144, "level": 0.3, "step": 0.3},
+    "depth camera, in steps": {"scanner": "depth", "cells": 144, "level": 0.6, "step": 0.6},
     "depth camera, grazing": {
         "scanner": "depth",
         "cells": 144,
-        "level": 0.8,
+        "level": 2.0,
         "step": 0.0,
         "smoothing": 1.5,
     },

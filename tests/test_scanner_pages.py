@@ -62,3 +62,11 @@ def test_a_picture_shows_three_panels(monkeypatch: pytest.MonkeyPatch) -> None:
     contrast = [np.abs(np.diff(one, axis=1)).mean() for one in (noisy, result, truth)]
     assert contrast[0] > 1.1 * contrast[1] > contrast[2]
     assert shown.after_deg < 0.6 * shown.before_deg and shown.reason
+
+
+def test_the_page_of_accuracy_has_every_kind() -> None:
+    page = (DOCS / "accuracy.md").read_text("utf-8")
+    place = re.search(r"<!-- made: scanners -->\n(.*?)<!-- end -->", page, re.DOTALL)
+    assert place is not None
+    kinds = re.findall(r"^\| ([^|]+) \(\d+\) \|", place[1], re.MULTILINE)
+    assert kinds == [*scanner_cases.ADDED, *scanner_cases.SIMULATED, *scanner_cases.REAL]
