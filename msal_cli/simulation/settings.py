@@ -28,9 +28,9 @@ OPTIONS = {
 DEFAULTS: dict[str, dict[str, float]] = {
     "ct": {"level": 0.1, "correlation": 0.0, "smoothing": 0.5},
     "slices": {"slices": 3},
-    "depth": {"level": 0.3, "correlation": 0.0, "smoothing": 1.0, "step": 0.3},
+    "depth": {"level": 1.0, "correlation": 0.0, "smoothing": 1.0, "step": 0.3},
     "fusion": {
-        "level": 0.5,
+        "level": 1.0,
         "correlation": 0.0,
         "smoothing": 1.0,
         "step": 0.3,
