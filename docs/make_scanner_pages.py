@@ -33,7 +33,7 @@ Image = NDArray[np.uint8]
 
 DOCS = Path(__file__).resolve().parent
 IMAGES = DOCS / "images" / "scanners"
-SIZE = (250, 250)
+SIZE = (200, 200)
 COMMAND = "auto"
 LARGEST_PICTURE = 150_000  # bytes
 
