@@ -325,6 +325,7 @@ class MeshRecord:
     flipped_faces: int | None = None
     clamped_vertices: int | None = None
     locked_vertices: int | None = None
+    despiked: int | None = None
     self_intersections: SelfIntersections | None = None
     noise_estimate: NoiseEstimate | None = None
     left_alone: str | None = None

@@ -18,9 +18,11 @@ from training.connectivity import (
     Floats,
     Ints,
     build_edges,
+    corner_angles,
     drop_unused,
     edge_lengths,
     face_crosses,
+    shape_quality,
     to_unit,
     vertex_normals,
 )
@@ -259,7 +261,7 @@ class Remesher:
         a, b = edges.ends[inner].T
         c, d = edges.opposite[inner].T
         v = self.vertices
-        excess = _angle(v, a, c, b) + _angle(v, a, d, b) - np.pi
+        excess = corner_angles(v, a, c, b) + corner_angles(v, a, d, b) - np.pi
         worth = excess > 1e-6
         inner, excess = inner[worth], excess[worth]
         a, b, c, d = (x[worth] for x in (a, b, c, d))
@@ -369,9 +371,13 @@ def remesh(
     """The mesh with edges of about the target lengths that ``sizing`` gives."""
     state = Remesher(mesh, surface, sizing, seed)
     state.merge_facets()
-    for _ in range(iterations):
+    for k in range(iterations):
         state.split_long()
         state.collapse_short()
+        if k == 0:
+            # Narrow faces leave many more than are wanted, and flips make more of them collapse.
+            state.flip_edges(2)
+            state.collapse_short()
         state.flip_edges()
         state.relax()
     state.flip_edges()
@@ -423,21 +429,6 @@ def _have_three(faces: Ints) -> Bools:
     """(m,) whether faces have three different vertices."""
     a, b, c = faces.T
     return (a != b) & (b != c) & (c != a)
-
-
-def shape_quality(vertices: Floats, faces: Ints) -> Floats:
-    """(m,) from 0 for a flat face to 1 for an equilateral one."""
-    corner = vertices[faces]
-    squared = ((corner - corner[:, [1, 2, 0]]) ** 2).sum(axis=(1, 2))
-    area = np.linalg.norm(face_crosses(vertices, faces), axis=1)
-    return 2.0 * np.sqrt(3.0) * area / np.maximum(squared, 1e-300)
-
-
-def _angle(vertices: Floats, left: Ints, tip: Ints, right: Ints) -> Floats:
-    """Angles (k,) at ``tip``, radians."""
-    u, v = vertices[left] - vertices[tip], vertices[right] - vertices[tip]
-    sine = np.linalg.norm(np.cross(u, v), axis=1)
-    return np.arctan2(sine, np.einsum("ij,ij->i", u, v))
 
 
 def _have_edges(ends: Ints, wanted: Ints, n: int) -> Bools:

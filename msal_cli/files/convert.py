@@ -142,9 +142,10 @@ def encode_mesh(vertices: Floats, faces: Ints, to: str) -> Buffer:
     from msal_cli.files import ply
 
     extent = float(np.ptp(vertices, axis=0).max())
-    step = float(np.spacing(np.float32(np.abs(vertices).max())))
+    largest = float(np.abs(vertices).max())
+    single = largest < 3e38 and float(np.spacing(np.float32(largest))) <= 1e-6 * extent
     content = _Content(vertices, faces, None, None, None)
-    data = _as_ply(content, "binary", single=step <= 1e-6 * extent)
+    data = _as_ply(content, "binary", single)
     if to == "ply":
         return data
     mesh_file = ply.read(data, "")
@@ -152,6 +153,11 @@ def encode_mesh(vertices: Floats, faces: Ints, to: str) -> Buffer:
 
 
 def _is_single(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> bool:
+    if to == "med":
+        # Its positions are double by definition.
+        if precision == "float32":
+            raise UnsupportedError("med has no float32", hint="write VTU with --to vtu")
+        return False
     only_single = to in _SINGLE and encoding == "binary"
     if precision == "float64" and only_single:
         raise UnsupportedError(f"{encoding} {to} has no float64", hint="write PLY with --to ply")

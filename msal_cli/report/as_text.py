@@ -157,6 +157,8 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str]]:
         yield "defects", defects
     if record.noise_estimate is not None:
         yield "noise", "; ".join(noise_texts(record.noise_estimate))
+    if record.despiked:
+        yield "despiked", despiked_text(record.despiked)
     if record.choice is not None:
         yield "chosen", shown(record.choice.reason)
     if record.left_alone and record.status != "unchanged":
@@ -213,6 +215,11 @@ def noise_texts(noise: NoiseEstimate) -> list[str]:
             f"{rms:.3g} mean edge lengths"
         )
     return texts
+
+
+def despiked_text(despiked: int) -> str:
+    """``12 outlier vertices brought back``."""
+    return _counted(despiked, "outlier vertex", "outlier vertices") + " brought back"
 
 
 def by_hand(choice: ChoiceMade) -> str:

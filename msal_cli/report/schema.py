@@ -99,10 +99,14 @@ DESCRIPTIONS: dict[str, str] = {
     "MeshRecord.locked_vertices": (
         "vertices that --lock pinned; null without that option; vertices at one place are one"
     ),
+    "MeshRecord.despiked": (
+        "outlier vertices that were brought back to the surface before the method ran; null where "
+        "they were not looked for"
+    ),
     "MeshRecord.self_intersections": (
         "pairs of faces that intersect each other; null without --check or a gate that names them"
     ),
-    "MeshRecord.noise_estimate": "noise of the input, estimated",
+    "MeshRecord.noise_estimate": "noise of the input, estimated; without the outliers brought back",
     "MeshRecord.left_alone": "why --min-noise left the mesh as it is; null if it did not",
     "MeshRecord.method": "method and parameters, given or chosen",
     "MeshRecord.choice": "why that method was chosen; null where it was given",
