@@ -206,7 +206,10 @@ def noise_texts(noise: NoiseEstimate) -> list[str]:
     if noise.negligible:
         return [f"{level}: none to speak of"]
     texts = [level]
-    if noise.uneven and noise.lowest_edges is not None and noise.highest_edges is not None:
+    if noise.words and noise.confidence is not None:
+        texts.append(f"{noise.words} ({100.0 * noise.confidence:.0f} % sure: {noise.basis})")
+    is_uneven = noise.uneven and noise.kind != "uneven"
+    if is_uneven and noise.lowest_edges is not None and noise.highest_edges is not None:
         texts.append(f"uneven: {noise.lowest_edges:.2g} to {noise.highest_edges:.2g} by region")
     stand_out, rms = noise.tail, noise.rms_edges
     if stand_out is not None and rms is not None and stand_out >= IMPULSIVE_TAIL:
