@@ -52,6 +52,18 @@ def distances_to_surface(points: Floats, surface: Mesh) -> Floats:
     UnsupportedError
         with code ``E_NO_LIBRARY`` where FCPW is not installed.
     """
+    return nearest_on_surface(points, surface)[1]
+
+
+def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
+    """The triangle of ``surface`` nearest to each of the points (n, 3), and its distance in file
+    units, both (n,).
+
+    Raises
+    ------
+    UnsupportedError
+        with code ``E_NO_LIBRARY`` where FCPW is not installed.
+    """
     require_library()
     import fcpw
 
@@ -59,19 +71,20 @@ def distances_to_surface(points: Floats, surface: Mesh) -> Floats:
     # In single precision, coordinates of 1e25 would overflow when squared, and 1e-25 vanish.
     scale = max(float(np.abs(points).max(initial=0.0)), float(np.abs(vertices).max()))
     scene = build_scene(surface, scale)
+    triangles = np.empty(len(points), dtype=np.int32)
     distances = np.empty(len(points))
     for start in range(0, len(points), AT_ONCE):
         some = points[start : start + AT_ONCE]
+        end = start + len(some)
         found = fcpw.interaction_3D_list()
         reach = np.full(len(some), np.inf, dtype=np.float32)
         scene.find_closest_points(single(some, scale), reach, found)
-        nearest = np.fromiter((one.primitive_index for one in found), np.intp, len(some))
-        distances[start : start + len(some)] = distances_to_triangles(
-            some, vertices[faces[nearest]]
-        )
+        nearest = np.fromiter((one.primitive_index for one in found), np.int32, len(some))
+        triangles[start:end] = nearest
+        distances[start:end] = distances_to_triangles(some, vertices[faces[nearest]])
     # What lies on the surface is off by the last digits of its coordinates.
     distances[distances < ROUNDING * scale] = 0.0
-    return distances
+    return triangles, distances
 
 
 def require_library() -> None:
