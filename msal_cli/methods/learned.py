@@ -31,7 +31,7 @@ where the texture is as fine as the mesh, and a greater one smooths more.
 
 Faces without area take on the mean normal of those around.  Boundary vertices move with the faces
 that they have, unless ``boundary=fixed``.  A vertex without faces stays.  The cost is proportional
-to the number of faces: 1 s per 100,000 faces on one core, or so.
+to the number of faces, 10 to 15 s per million on one core.
 
 The weights are two files of the package: ``weights/learned.json``, which has the sizes of the
 layers and the SHA-256 of the other, and ``weights/learned.f32``, little-endian 32-bit numbers: for
