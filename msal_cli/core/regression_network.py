@@ -13,8 +13,13 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.near_blocks import LANES, R1, R2, R3, R4, R5, R6, R7
 from msal_cli.core.ring_blocks import ONE, THREE, TWO, ZERO
+
+LANES = np.uint64(64)
+"""Faces that are worked on at a time: with fewer the loops are too short."""
+
+R1, R2, R3, R4, R5, R6, R7 = (np.uint64(64 * rows) for rows in range(1, 8))
+"""What so many rows of lanes take."""
 
 STEP = np.uint64(8)
 """Inputs that are added at a time; layers have a multiple of it, filled up with zeros."""
