@@ -39,7 +39,7 @@ _RATIO = np.float32((WIDE / NARROW) ** 2)
 
 
 @compiled
-def near_block(first, last, records, per_reach, near_start, near, block, own):  # type: ignore[no-untyped-def]
+def lay_neighbours(first, last, records, per_reach, near_start, near, block, own):  # type: ignore[no-untyped-def]
     """Lay the neighbours of the faces ``first`` to ``last`` side by side; return how many rows.
 
     ``records`` flat, ``per_reach`` (m,) one over WIDE local units.  The first row is the faces
@@ -117,8 +117,8 @@ def weigh_block(rows, block, own):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def weights_block(first, last, records, per_reach, near_start, near, block):  # type: ignore[no-untyped-def]
-    """Lay only the wide weights side by side, as ``near_block`` and ``weigh_block`` make them."""
+def lay_weights(first, last, records, per_reach, near_start, near, block):  # type: ignore[no-untyped-def]
+    """Lay only the wide weights side by side, those of ``weigh_block``."""
     rows = ONE
     for lane in range(LANES):
         f = first + lane if first + lane < last else last - ONE

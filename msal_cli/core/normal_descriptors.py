@@ -51,9 +51,9 @@ from msal_cli.core.near_blocks import (
     RECORD,
     SIX,
     WIDE_WEIGHT,
-    near_block,
+    lay_neighbours,
+    lay_weights,
     weigh_block,
-    weights_block,
 )
 from msal_cli.core.ring_blocks import ONE, THREE, TWO, ZERO
 
@@ -102,7 +102,7 @@ def describe(start, stop, records, per_reach, near_start, near, width, table, nu
     """Fill the first vectors (all up to the guide) and the first 15 numbers of each face.
 
     ``table`` has ``width`` vectors of each face, ``numbers`` NUMBERS, ``axes`` three vectors; all
-    are flat and in single precision, as are ``records`` (double) otherwise; see ``near_block``.
+    are flat and in single precision, as are ``records`` (double) otherwise; see ``lay_neighbours``.
     """
     widest = ONE
     for f in range(np.uint64(start), np.uint64(stop)):
@@ -120,7 +120,7 @@ def describe(start, stop, records, per_reach, near_start, near, width, table, nu
     narrow, wide, tensor = ZERO, R16, R16 + R16
     planes = tensor + R9
     for first in range(np.uint64(start), last, LANES):
-        rows = near_block(first, last, records, per_reach, near_start, near, block, own)
+        rows = lay_neighbours(first, last, records, per_reach, near_start, near, block, own)
         weigh_block(rows, block, own)
         add_ranges(rows, NARROW_WEIGHT, _NARROW_1, _NARROW_2, _NARROW_3, _0, block, sums, narrow)
         add_ranges(rows, WIDE_WEIGHT, _WIDE_1, _WIDE_2, _WIDE_3, _WIDE_4, block, sums, wide)
@@ -250,7 +250,7 @@ def filter_jointly(  # type: ignore[no-untyped-def]
     width, n_read = THREE * np.uint64(width), THREE * np.uint64(n_read)
     last = np.uint64(stop)
     for first in range(np.uint64(start), last, LANES):
-        rows = weights_block(first, last, records, per_reach, near_start, near, block)
+        rows = lay_weights(first, last, records, per_reach, near_start, near, block)
         for task in range(len(tasks)):
             guide, normal, to = (
                 THREE * np.uint64(tasks[task, 0]),

@@ -63,7 +63,7 @@ _FOUR = np.uint64(4)
 
 
 @compiled
-def _mean_distances(start, stop, c, ring_start, ring, distances):  # type: ignore[no-untyped-def]
+def _measure_distances(start, stop, c, ring_start, ring, distances):  # type: ignore[no-untyped-def]
     """Mean distances of the centroids c, flat, to those of the row of each face; zero for none."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own = THREE * f
@@ -78,7 +78,7 @@ def _mean_distances(start, stop, c, ring_start, ring, distances):  # type: ignor
 
 
 @compiled
-def _local_units(start, stop, distances, ring_start, ring, units):  # type: ignore[no-untyped-def]
+def _average_units(start, stop, distances, ring_start, ring, units):  # type: ignore[no-untyped-def]
     """The mean of a face's distance and those of its row, times root 3."""
     for f in range(np.uint64(start), np.uint64(stop)):
         total = distances[f]
@@ -89,7 +89,7 @@ def _local_units(start, stop, distances, ring_start, ring, units):  # type: igno
 
 
 @compiled
-def _records(start, stop, c, normals, areas, per_unit, per_area, records):  # type: ignore[no-untyped-def]
+def _fill_records(start, stop, c, normals, areas, per_unit, per_area, records):  # type: ignore[no-untyped-def]
     """Centroid, normal and area of each face in one row; lengths in the unit, areas in the mean."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own, to = THREE * f, RECORD * f
@@ -128,7 +128,7 @@ def _fill_missing(start, stop, ring_start, ring, normals, records):  # type: ign
 
 
 @compiled
-def _corner_means(start, stop, faces, heights, units, scatter, ripples):  # type: ignore[no-untyped-def]
+def _gather_ripples(start, stop, faces, heights, units, scatter, ripples):  # type: ignore[no-untyped-def]
     """Five numbers of each face: its scatter, and means of its corners' ``heights`` (n, 4) in its
     unit."""
     for f in range(np.uint64(start), np.uint64(stop)):
@@ -190,8 +190,8 @@ def _find_units(centroids: Floats, ring_start: Ints, ring: Ints) -> Floats:
     m = len(centroids)
     distances, units = np.empty(m), np.empty(m)
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
-    over_ranges(_mean_distances, m, centroids.reshape(-1), *rows, distances)
-    over_ranges(_local_units, m, distances, *rows, units)
+    over_ranges(_measure_distances, m, centroids.reshape(-1), *rows, distances)
+    over_ranges(_average_units, m, distances, *rows, units)
     return units
 
 
@@ -343,7 +343,7 @@ class NormalDescriber:
         numbers[:, 17] = units / (units + unit)
         scatter = np.ascontiguousarray(numbers[:, 14])
         flat = ripples.reshape(-1)
-        over_ranges(_corner_means, m, self._corners, heights.reshape(-1), units, scatter, flat)
+        over_ranges(_gather_ripples, m, self._corners, heights.reshape(-1), units, scatter, flat)
         over_ranges(pick_guides, m, self._records, *near, flat, *to)
         self._filter_jointly(of, table, earlier)
         values = _find_globals(table, numbers, ripples, self.noise)
@@ -356,7 +356,9 @@ class NormalDescriber:
         per_unit = 1.0 / (float(units.mean()) or 1.0)
         per_area = 1.0 / (float(areas.mean()) or 1.0)
         flat = normals.reshape(-1), areas
-        over_ranges(_records, m, centroids.reshape(-1), *flat, per_unit, per_area, self._records)
+        over_ranges(
+            _fill_records, m, centroids.reshape(-1), *flat, per_unit, per_area, self._records
+        )
         if not normals.any(axis=1).all():
             rows = around.ring_start.view(np.uint32), around.ring.view(np.uint32)
             over_ranges(_fill_missing, m, *rows, flat[0], self._records)

@@ -37,7 +37,7 @@ STRAINED, FULLY_STRAINED = 0.93969262078590838, 0.64278760968653933
 
 
 @compiled
-def _strains(start, stop, normals, wanted, strains):  # type: ignore[no-untyped-def]
+def _measure_strains(start, stop, normals, wanted, strains):  # type: ignore[no-untyped-def]
     """How strained each face is, 0 to 1; 0 where either normal is missing.  All arrays flat."""
     for f in range(np.uint64(start), np.uint64(stop)):
         at = THREE * f
@@ -99,7 +99,7 @@ def _even_out(  # type: ignore[no-untyped-def]
         moved[own + TWO] = pz
 
 
-def untangled(
+def untangle(
     vertices: Floats, wanted: Floats, faces: Ints, links: Connectivity, free: Flags
 ) -> Floats:
     """Positions (n, 3) whose faces are less strained; the same where none is.
@@ -118,7 +118,7 @@ def untangled(
     strains, chosen = np.empty(m), np.empty(n, dtype=np.bool_)
     flat = wanted.reshape(-1)
     for _ in range(ROUNDS):
-        over_ranges(_strains, m, face_normals(vertices, faces).reshape(-1), flat, strains)
+        over_ranges(_measure_strains, m, face_normals(vertices, faces).reshape(-1), flat, strains)
         if not strains.any():
             break
         moved = np.empty_like(vertices)

@@ -7,16 +7,14 @@ import pytest
 
 from msal_cli.core import parallel
 from msal_cli.core.geometry import face_normals
-from msal_cli.core.untangling import untangled
+from msal_cli.core.untangling import untangle
 from msal_cli.mesh import prepared
 from tests.shapes import grid, noisy, torus
 
 
 def run(mesh, positions, wanted, free=None):
     everywhere = np.ones(len(positions), dtype=bool)
-    return untangled(
-        positions, wanted, mesh.faces, mesh.links, everywhere if free is None else free
-    )
+    return untangle(positions, wanted, mesh.faces, mesh.links, everywhere if free is None else free)
 
 
 def angles_deg(mesh, positions, wanted):
