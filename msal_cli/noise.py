@@ -105,9 +105,9 @@ class AddedNoise:
         _require(0.0 <= self.fraction <= 1.0, "fraction", self.fraction, "a number from 0 to 1")
         _require(
             self.rings is None or 0 <= self.rings <= MOST_RINGS,
-            "number of rings",
+            "number of rings (--rings)",
             self.rings,
-            f"from 0 to {MOST_RINGS}",
+            f"a number from 0 to {MOST_RINGS}",
         )
         length = math.hypot(*self.direction)
         _require(0.0 < length < math.inf, "direction", self.direction, "a vector with a length")
@@ -121,7 +121,7 @@ class AddedNoise:
         used = OPTIONS[self.kind]
         words = []
         if "fraction" in used:
-            words.append(f"at {self.fraction:g} of the vertices")
+            words.append(f"at {100.0 * self.fraction:g} % of the vertices")
         if "direction" in used:
             words.append("along ({:g}, {:g}, {:g})".format(*self.direction))
         if "step" in used:
@@ -143,7 +143,7 @@ class AddedNoise:
 
 def _require(is_met: bool, name: str, value: object, expected: str) -> None:
     if not is_met:
-        raise UsageError(f"the noise's {name} is {value!r}, not {expected}")
+        raise UsageError(f"the noise's {name} is {value!r}, and must be {expected}")
 
 
 def add_noise(mesh: Mesh, noise: AddedNoise, weights: Floats | None = None) -> Floats:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.errors import ContentError
 from msal_cli.mesh import Mesh
 from msal_cli.simulation.depth_camera import Camera, DepthImage, place_camera, take_image
 from msal_cli.simulation.frames import build_frame, turn, turn_back
@@ -53,6 +54,12 @@ def scan_fusion(mesh: Mesh, settings: ScannerSettings, voxel: float) -> tuple[Fl
         offset = settings.value("misalignment") * voxel * draw.standard_normal(3)
         fuse_image(sums, weights, grid, frame, camera, image, offset)
     known = weights > 0.0
+    if not (known & (sums <= 0.0)).any():
+        raise ContentError(
+            "the cameras see no surface",
+            code="E_NO_FACES",
+            hint="choose a finer --resolution, or more --views",
+        )
     # Greater is inside; what is not known does not matter.
     distances = np.where(known, -sums / np.where(known, weights, 1.0), -1.0).astype(np.float32)
     points, faces = extract_surface(distances, 0.0, grid.spacing, known)

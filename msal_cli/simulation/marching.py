@@ -56,7 +56,7 @@ def extract_surface(
     no_surface = ContentError(
         f"the volume has no surface at the value {level:g}",
         code="E_NO_FACES",
-        hint="choose another value, or a finer resolution",
+        hint="choose another value",
     )
     if min(volume.shape) < 2 or not float(volume.min()) < level < float(volume.max()):
         raise no_surface

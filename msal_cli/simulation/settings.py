@@ -89,16 +89,16 @@ class ScannerSettings:
             raise UsageError(
                 f"there is no scanner {self.scanner!r}", hint=f"known are: {', '.join(SCANNERS)}"
             )
-        _require("seed", self.seed, 0, 2**63)
-        _require("number of cells", self.cells, 4, 4096)
-        _require("cell", self.cell_edges, 1e-3, 1e3)
-        _require("level", self.level, 0, 10)
-        _require("correlation", self.correlation, 0, 50)
-        _require("smoothing", self.smoothing, 0, 50)
-        _require("step", self.step, 0, 100)
-        _require("number of voxels between slices", self.slices, 1, 1000)
-        _require("number of views", self.views, 1, 1000)
-        _require("misalignment", self.misalignment, 0, 100)
+        _require("seed", "seed", self.seed, 0, 2**63)
+        _require("number of cells", "resolution", self.cells, 4, 4096)
+        _require("cell in mean edge lengths", "resolution", self.cell_edges, 1e-3, 1e3)
+        _require("level", "level", self.level, 0, 10)
+        _require("correlation", "correlation", self.correlation, 0, 50)
+        _require("smoothing", "smoothing", self.smoothing, 0, 50)
+        _require("step", "step", self.step, 0, 100)
+        _require("number of voxels between slices", "slices", self.slices, 1, 1000)
+        _require("number of views", "views", self.views, 1, 1000)
+        _require("misalignment", "misalignment", self.misalignment, 0, 100)
         if not 0.0 < math.hypot(*self.direction) < math.inf:
             raise UsageError(f"the scanner's direction is {self.direction}, which has no length")
 
@@ -108,6 +108,9 @@ class ScannerSettings:
         return given if given is not None else DEFAULTS[self.scanner][name]
 
 
-def _require(name: str, value: float | None, least: float, most: float) -> None:
+def _require(name: str, option: str, value: float | None, least: float, most: float) -> None:
     if value is not None and not least <= value <= most:
-        raise UsageError(f"the scanner's {name} is {value!r}, not from {least:g} to {most:g}")
+        raise UsageError(
+            f"the scanner's {name} is {value:g}, and must be from {least:g} to {most:g}",
+            hint=f"give another --{option}",
+        )

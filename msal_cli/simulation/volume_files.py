@@ -28,7 +28,13 @@ TYPES = {
 }
 """Types of the numbers of a raw file, little endian."""
 
-_MAGIC = b"\x93NUMPY"
+MAGIC = b"\x93NUMPY"
+"""First bytes of a .npy file."""
+
+LEAST_SPACING, MOST_SPACING = 1e-30, 1e30
+"""Of a voxel's edges, file units: so that areas of triangles are numbers above 0."""
+
+_TRUNCATED_HINT = "copy or export it again"
 
 
 @dataclass(frozen=True)
@@ -50,8 +56,13 @@ class VolumeSettings:
     number_type: str = "uint8"
 
     def __post_init__(self) -> None:
-        if not all(1e-30 < one < 1e30 for one in self.spacing):
-            raise UsageError(f"the spacing {self.spacing} is not three lengths above 0")
+        if not all(LEAST_SPACING <= one <= MOST_SPACING for one in self.spacing):
+            words = ",".join(f"{one:g}" for one in self.spacing)
+            raise UsageError(
+                f"the spacing is {words}; each of its lengths must be from {LEAST_SPACING:g} to "
+                f"{MOST_SPACING:g}",
+                hint="choose another unit of length",
+            )
         if self.counts is not None and not all(one > 0 for one in self.counts):
             raise UsageError(f"the counts {self.counts} are not three numbers above 0")
         if self.number_type not in TYPES:
@@ -74,6 +85,13 @@ def mesh_volume(data: bytes | memoryview, settings: VolumeSettings) -> tuple[Flo
         for a file that does not hold the volume that it, or the settings, say.
     """
     volume = read_raw(data, settings) if settings.counts is not None else read_npy(data)
+    if min(volume.shape) < 2:
+        counts = " x ".join(map(str, volume.shape[::-1]))
+        raise ContentError(
+            f"the volume has {counts} voxels, and a surface needs two and more along each axis",
+            code="E_NO_FACES",
+            hint="stack slices along the first axis",
+        )
     with np.errstate(over="ignore"):
         values = volume.transpose(2, 1, 0).astype(np.float32)
     if not np.isfinite(values).all():
@@ -82,9 +100,23 @@ def mesh_volume(data: bytes | memoryview, settings: VolumeSettings) -> tuple[Flo
             code="E_NONFINITE",
             hint="replace them by the value of the air",
         )
+    least, greatest = float(values.min()), float(values.max())
     iso = settings.iso
     if iso is None:
-        iso = (float(values.min()) + float(values.max())) / 2.0
+        iso = (least + greatest) / 2.0
+    if least == greatest:
+        raise ContentError(
+            f"every voxel has the value {least:g}: there is no surface",
+            code="E_NO_FACES",
+            hint="check the file, and the number type of a raw one (--type)",
+        )
+    if not least < iso < greatest:
+        raise ContentError(
+            f"there is no surface at the value {iso:g}: the voxels have values from {least:g} to "
+            f"{greatest:g}",
+            code="E_NO_FACES",
+            hint="choose a value between these with --iso",
+        )
     vertices, faces = extract_surface(values, iso, np.asarray(settings.spacing))
     return vertices, faces, iso
 
@@ -103,15 +135,19 @@ def read_raw(data: bytes | memoryview, settings: VolumeSettings) -> NDArray[np.g
             f"has {len(data):,}"
         )
         error = TruncatedError if len(data) < wanted else FormatError
-        raise error(message, hint="check --dims and --type; a header must be cut off first")
+        hint = "check --dims and --type; a header must be cut off first"
+        if bytes(data[: len(MAGIC)]) == MAGIC:
+            hint = "this is a .npy file, which says its size itself: leave out --dims and --type"
+        raise error(message, hint=hint)
     return np.frombuffer(data, dtype).reshape(shape)
 
 
 def read_npy(data: bytes | memoryview) -> NDArray[np.generic]:
     """The array (nz, ny, nx) of a .npy file; its counts are checked before anything is read."""
-    if bytes(data[:6]) != _MAGIC:
+    if bytes(data[: len(MAGIC)]) != MAGIC:
         raise FormatError(
-            "this is no .npy file", hint="name the counts of a raw one with --dims X,Y,Z"
+            "the file does not begin as a .npy file does",
+            hint="for a raw volume, give its size with --dims X,Y,Z and its numbers with --type",
         )
     # A header has ten thousand bytes at most.
     stream = io.BytesIO(bytes(data[: 1 << 16]))
@@ -125,11 +161,23 @@ def read_npy(data: bytes | memoryview) -> NDArray[np.generic]:
         shape, is_fortran, dtype = read(stream)
     except (ValueError, SyntaxError, TypeError, KeyError, RecursionError) as error:
         words = str(error).split("\n")[0]
-        raise FormatError(f"the header of the .npy file cannot be read: {words}") from None
-    if len(shape) != 3 or dtype.kind not in "biuf" or dtype.itemsize > 8:
+        if words.startswith("EOF"):
+            raise TruncatedError(
+                "the file ends within the header of the array", hint=_TRUNCATED_HINT
+            ) from None
+        raise FormatError(
+            f"the header of the .npy file cannot be read: {words}",
+            hint="save the array again, with numpy.save",
+        ) from None
+    if len(shape) != 3:
         raise ContentError(
-            f"the array has shape {shape} and type {dtype}, and is no volume of real numbers",
+            f"the array has {len(shape)} axes (shape {shape}), and a volume has three",
             hint="save an array with the axes z, y and x",
+        )
+    if dtype.kind not in "biuf" or dtype.itemsize > 8:
+        raise ContentError(
+            f"the numbers of the array are of type {dtype}, which a volume cannot have",
+            hint="save whole or real numbers of at most 64 bits, such as uint16 or float32",
         )
     if min(shape) < 0:
         raise FormatError(f"the array has shape {shape}")
@@ -138,7 +186,9 @@ def read_npy(data: bytes | memoryview) -> NDArray[np.generic]:
     start = stream.tell()
     if len(data) - start < count * dtype.itemsize:
         raise TruncatedError(
-            f"the array has {count * dtype.itemsize:,} bytes, and the file {len(data) - start:,}"
+            f"the array has {count * dtype.itemsize:,} bytes, and the file has "
+            f"{len(data) - start:,} of them",
+            hint=_TRUNCATED_HINT,
         )
     values = np.frombuffer(data, dtype, count, start)
     return values.reshape(shape, order="F" if is_fortran else "C")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.geometry import area_and_volume
-from msal_cli.errors import TooLargeError
+from msal_cli.errors import ContentError, TooLargeError
 from msal_cli.mesh import Mesh
 from msal_cli.simulation.frames import build_frame, cell_length, turn, turn_back
 from msal_cli.simulation.marching import extract_surface, require_libraries
@@ -39,6 +39,12 @@ def scan_volume(mesh: Mesh, settings: ScannerSettings) -> tuple[Floats, Ints, fl
         volume = _grey_values(vertices, faces, grid, settings, draw)
     else:
         volume = fill_centres(vertices, faces, grid).astype(np.float32)
+    if not float(volume.max()) > 0.5:
+        raise ContentError(
+            f"the mesh fills no voxel at this resolution (cells of {edge:.4g})",
+            code="E_NO_FACES",
+            hint="choose a finer --resolution; a sheet without an inside needs --scanner depth",
+        )
     points, triangles = extract_surface(volume, 0.5, grid.spacing)
     return turn_back(points + grid.origin, frame), triangles, edge, n_holes
 

@@ -120,7 +120,7 @@ def test_an_open_mesh_is_closed_with_a_warning(tmp_path):
     ("words", "named"),
     [
         (["--scanner", "laser"], "laser"),
-        (["--resolution", "2"], "number of cells"),
+        (["--resolution", "2"], "give another --resolution"),
         (["--resolution", "1.5"], "0.8e"),
         (["--resolution", "nane"], "0.8e"),
         (["--scanner", "ct", "--level", "-1"], "level"),
@@ -156,6 +156,21 @@ def test_files_that_are_no_volume(tmp_path):
     (tmp_path / "v.npy").write_bytes(b"solid\n")
     made = msal("scan", tmp_path / "v.npy", "-o", tmp_path / "a.ply")
     assert (made.exit_code, "E_FORMAT" in made.stderr, "v.npy" in made.stderr) == (1, True, True)
+
+
+@pytest.mark.parametrize(
+    ("scanner", "named"), [("ct", "fills no voxel"), ("fusion", "the cameras see no surface")]
+)
+def test_a_mesh_that_a_scanner_does_not_see(tmp_path, scanner, named):
+    """A sheet has no inside, and a needle is in no camera's way."""
+    sheet = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    needle = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
+    source = folder_of(tmp_path, a=ply_text(needle if scanner == "fusion" else sheet, [[0, 1, 2]]))
+    words = ["-o", tmp_path / "scan.ply", "--scanner", scanner, *CELLS]
+    made = msal("scan", source / "a.ply", *words)
+    assert (made.exit_code, (tmp_path / "scan.ply").exists()) == (1, False)
+    assert named in made.stderr
+    assert "finer --resolution" in made.stderr
 
 
 def test_inputs_and_the_truth_are_not_overwritten(part):

@@ -88,23 +88,25 @@ def test_counts_are_checked_before_anything_is_read():
 
 
 @pytest.mark.parametrize(
-    "array",
+    ("array", "named"),
     [
-        np.zeros((4, 4)),
-        np.zeros((2, 2, 2, 2)),
-        np.zeros((4, 4, 4), dtype=complex),
-        np.array([[["a"]]]),
-        np.zeros((3, 3, 3), dtype=[("a", "f4")]),
+        (np.zeros((4, 4)), "2 axes"),
+        (np.zeros((2, 2, 2, 2)), "4 axes"),
+        (np.zeros((4, 4, 4), dtype=complex), "type complex128"),
+        (np.array([[["a"]]]), "type <U1"),
+        (np.zeros((3, 3, 3), dtype=[("a", "f4")]), "of type"),
+        (np.zeros((0, 5, 6)), "6 x 5 x 0 voxels"),
+        (np.eye(4)[None], "4 x 4 x 1 voxels"),
     ],
 )
-def test_arrays_that_are_no_volume_of_numbers(array):
-    with pytest.raises(ContentError, match="no volume"):
+def test_arrays_that_are_no_volume_of_numbers(array, named):
+    with pytest.raises(ContentError, match=named):
         mesh_volume(npy(array), VolumeSettings())
 
 
 def test_objects_are_not_unpickled():
     data = npy(np.array([[[{}]]], dtype=object), allow_pickle=True)
-    with pytest.raises(ContentError, match="no volume"):
+    with pytest.raises(ContentError, match="type object"):
         mesh_volume(data, VolumeSettings())
 
 
@@ -120,8 +122,26 @@ def test_values_that_are_not_finite():
 
 def test_a_value_that_no_voxel_reaches():
     for iso in (-1.0, 200.0, 1e9):
-        with pytest.raises(ContentError, match="no surface"):
+        with pytest.raises(ContentError, match=r"no surface at .*values from 0 to 200"):
             mesh_volume(npy(box_volume()), VolumeSettings(iso=iso))
+    with pytest.raises(ContentError, match="every voxel has the value 7"):
+        mesh_volume(npy(np.full((3, 3, 3), 7)), VolumeSettings())
+
+
+def test_the_counts_of_a_npy_file_are_its_own():
+    with pytest.raises(FormatError) as caught:
+        mesh_volume(npy(box_volume()), VolumeSettings(counts=(9, 7, 6)))
+    assert "leave out --dims" in caught.value.hint
+
+
+def test_a_header_that_is_cut_off_is_truncated_and_not_of_another_format():
+    with pytest.raises(TruncatedError, match="within the header"):
+        read_npy(npy(box_volume())[:60])
+
+
+def test_a_spacing_beyond_the_limits_is_named_with_them():
+    with pytest.raises(UsageError, match=r"1e\+200,1,1; .* from 1e-30 to 1e\+30"):
+        VolumeSettings(spacing=(1e200, 1.0, 1.0))
 
 
 def test_raw_files_of_another_size():

@@ -183,7 +183,7 @@ def test_a_volume_that_is_too_large_is_refused_before_it_is_made():
 
 
 def test_a_sheet_has_nothing_inside():
-    with pytest.raises(ContentError, match="no surface"):
+    with pytest.raises(ContentError, match="fills no voxel"):
         scan("voxels", mesh=prepared(*grid()).mesh)
 
 
