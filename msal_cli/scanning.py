@@ -41,6 +41,13 @@ def is_volume_name(name: str) -> bool:
     return name.lower().endswith(VOLUME_SUFFIXES)
 
 
+def is_volume_content(data: Buffer) -> bool:
+    """Whether bytes begin as those of a volume that says its own size."""
+    from msal_cli.simulation.volume_files import MAGIC
+
+    return bytes(memoryview(data)[: len(MAGIC)]) == MAGIC
+
+
 def output_format(target: str, to: str | None) -> str:
     """The format of the output, PLY for a stream; UsageError for one that cannot be written."""
     from msal_cli import files
@@ -60,10 +67,11 @@ def scan_mesh(
     settings: ScannerSettings,
     to: str,
     *,
-    with_truth: bool = False,
+    truth_to: str | None = None,
     format: str | None = None,
 ) -> Scanned:
-    """What a simulated scanner makes of the mesh file ``name``, as a file of the format ``to``."""
+    """What a simulated scanner makes of the mesh file ``name``, as a file of the format ``to``; and
+    its true places as one of the format ``truth_to``, if that is given."""
     from msal_cli import files
     from msal_cli.mesh import prepared
     from msal_cli.simulation import find_truth, simulate_scan
@@ -76,16 +84,20 @@ def scan_mesh(
     scan = simulate_scan(ready.mesh, settings)
     warnings = mesh_file.warnings
     if n := scan.closed_holes:
-        warnings += (f"the mesh is open: {n} hole{'s' * (n > 1)} closed to tell its inside",)
+        warnings += (f"the mesh is open: {n} hole{'s' * (n > 1)} closed, since a volume needs an inside",)
+    output, losses = _encode(scan.vertices + ready.origin, scan.faces, to)
+    truth = None
+    if truth_to is not None:
+        places = find_truth(ready.mesh, scan) + ready.origin
+        truth, truth_losses = _encode(places, scan.faces, truth_to)
+        losses += tuple(one for one in truth_losses if one not in losses)
     return Scanned(
-        output=_encode(scan.vertices + ready.origin, scan.faces, to),
-        truth=_encode(find_truth(ready.mesh, scan) + ready.origin, scan.faces, to)
-        if with_truth
-        else None,
+        output=output,
+        truth=truth,
         n_vertices=len(scan.vertices),
         n_faces=len(scan.faces),
         description=f"{settings.scanner}, cells of {scan.cell:.4g}, seed {settings.seed}",
-        warnings=warnings,
+        warnings=warnings + losses,
     )
 
 
@@ -94,16 +106,19 @@ def scan_volume_file(data: Buffer, settings: VolumeSettings, to: str) -> Scanned
     from msal_cli.simulation.volume_files import mesh_volume
 
     vertices, faces, iso = mesh_volume(memoryview(data), settings)
+    output, losses = _encode(vertices, faces, to)
     return Scanned(
-        output=_encode(vertices, faces, to),
+        output=output,
         truth=None,
         n_vertices=len(vertices),
         n_faces=len(faces),
         description=f"the surface at the value {iso:g}",
+        warnings=losses,
     )
 
 
-def _encode(vertices: Floats, faces: Ints, to: str) -> Buffer:
+def _encode(vertices: Floats, faces: Ints, to: str) -> tuple[Buffer, tuple[str, ...]]:
+    """A new file, and what its format cannot hold, as warnings."""
     import numpy as np
 
     from msal_cli import files
@@ -114,4 +129,6 @@ def _encode(vertices: Floats, faces: Ints, to: str) -> Buffer:
     reopened = files.open_mesh(output, f"scan.{to}")
     if len(reopened.faces) != len(faces):
         raise InternalError(f"the new {to} file has {len(reopened.faces)} faces of {len(faces)}")
-    return output
+    if reopened.precision != "float32":
+        return output, ()
+    return output, tuple(f"lost in {to}: {loss}" for loss in files.digits_lost(vertices))

@@ -22,6 +22,7 @@ from msal_cli.pipeline import output_name as with_suffix_of
 from msal_cli.records import ObjectMark
 
 DEFAULT_BACKUP = ".orig"
+_OTHER_OUTPUT = "choose another output; only msal denoise --in-place replaces inputs"
 
 
 @dataclass(frozen=True)
@@ -381,7 +382,7 @@ def _refuse_inputs_as_outputs(plan: Plan) -> None:
             what = f"the output of {task.input!r} would overwrite the input {victim!r}"
         if output != Path(victim):
             what += f" (as {task.output!r})"
-        raise UsageError(what, hint="choose another output, or give --in-place", path=task.input)
+        raise UsageError(what, hint=_OTHER_OUTPUT, path=task.input)
 
 
 def _refuse_folders_as_outputs(plan: Plan) -> None:
@@ -437,7 +438,7 @@ def _refuse_foreign_files(plan: Plan, output: str) -> None:
     if foreign:
         raise UsageError(
             f"{_listed(task.output for task in foreign)} in the output folder "
-            "would be overwritten, and no run of msal put it there",
+            "would be overwritten, and no run of msal denoise put it there",
             hint="choose another output folder, or give --force to overwrite",
             path=foreign[0].input,
         )

@@ -234,7 +234,9 @@ def _build_noise(request: Request) -> AddedNoise:
 
 def _piped(request: Request, one: Any, noise: AddedNoise, format: str | None) -> int:
     from msal_cli import corruption, files
+    from msal_cli.batch import signals
     from msal_cli.cli.standard_input import read_stream
+    from msal_cli.output import make_folder_of
 
     if request.include or request.exclude:
         raise UsageError("--include and --exclude are for files, not for standard input or output")
@@ -243,7 +245,9 @@ def _piped(request: Request, one: Any, noise: AddedNoise, format: str | None) ->
     if one.target == STREAM:
         talk.put_bytes(output)
     else:
-        files.write_whole(one.target, [output])
+        make_folder_of(one.target)
+        with signals.noticed(signals.raise_for):
+            files.write_whole(one.target, [output])
     _tell(request, one.target, noise, told)
     return exit_codes.SUCCESS
 
@@ -262,4 +266,4 @@ def _tell(request: Request, name: str, noise: AddedNoise, told: Corrupted) -> No
         f"{told.moved_vertices:,} of {told.vertices:,} vertices moved, seed {request.seed}"
     )
     for warning in told.warnings:
-        talk.say(f"warning: {shown(warning)}")
+        talk.say(f"warning: {file_name(name)}: {shown(warning)}")

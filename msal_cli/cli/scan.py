@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import math
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import exit_codes, talk, words
+from msal_cli.cli import exit_codes, scan_values, talk, words
 from msal_cli.cli.file_options import file_options
 from msal_cli.cli.pipe import STREAM
-from msal_cli.errors import MsalError, ResourceError, UsageError
+from msal_cli.errors import MsalError, ResourceError, UnsupportedError, UsageError
 
 if TYPE_CHECKING:
+    from msal_cli.cli.pipe import Pipe
+    from msal_cli.files import Buffer
     from msal_cli.scanning import Scanned
     from msal_cli.simulation import ScannerSettings
     from msal_cli.simulation.volume_files import VolumeSettings
@@ -60,66 +62,6 @@ class Request:
     verbose: int
 
 
-def _number(context: click.Context, parameter: click.Parameter, value: str | None) -> float | None:
-    if value is None:
-        return None
-    try:
-        number = float(value)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise click.BadParameter(f"{value!r} is not a number")
-    return number
-
-
-def _resolution(
-    context: click.Context, parameter: click.Parameter, value: str | None
-) -> tuple[int | None, float | None] | None:
-    """``96`` cells along the longest side, or cells of ``0.8e``, mean edge lengths."""
-    if value is None:
-        return None
-    if value.isascii() and value.isdigit() and len(value) < 6:
-        return int(value), None
-    try:
-        edges = float(value.removesuffix("e")) if value.endswith("e") else math.nan
-    except ValueError:
-        edges = math.nan
-    if not math.isfinite(edges):
-        raise click.BadParameter(
-            f"{value!r} is neither a number of cells such as 96 nor a cell such as 0.8e"
-        )
-    return None, edges
-
-
-def _lengths(
-    context: click.Context, parameter: click.Parameter, value: str | None
-) -> tuple[float, ...] | None:
-    """Three numbers above 0 between commas."""
-    if value is None:
-        return None
-    try:
-        numbers = tuple(float(word) for word in value.split(","))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != 3 or not all(0.0 < one < math.inf for one in numbers):
-        raise click.BadParameter(f"{value!r} is not three numbers above 0 such as 1,1,3")
-    return numbers
-
-
-def _counts(
-    context: click.Context, parameter: click.Parameter, value: str | None
-) -> tuple[int, ...] | None:
-    """Three whole numbers above 0 between commas."""
-    if value is None:
-        return None
-    texts = value.split(",")
-    if len(texts) != 3 or not all(
-        one.isascii() and one.isdigit() and int(one[:9]) > 0 and len(one) < 10 for one in texts
-    ):
-        raise click.BadParameter(f"{value!r} is not three whole numbers such as 512,512,100")
-    return tuple(map(int, texts))
-
-
 @click.command(
     "scan",
     short_help="Scan meshes by simulation, or mesh a volume.",
@@ -158,7 +100,7 @@ Exit status: see msal --help.""",
 @click.option(
     "--resolution",
     metavar="N",
-    callback=_resolution,
+    callback=scan_values.parse_resolution,
     help="Voxels or pixels along the longest side (96), or their edge in mean edge lengths (0.8e). "
     " [default: 96]",
 )
@@ -178,26 +120,26 @@ Exit status: see msal --help.""",
 @click.option(
     "--level",
     metavar="NUMBER",
-    callback=_number,
+    callback=scan_values.parse_number,
     help="Noise: of ct in the volume, as a share of the contrast; of cameras in pixels, before "
     "their smoothing.  [default: ct 0.1; cameras 1]",
 )
 @click.option(
     "--correlation",
     metavar="NUMBER",
-    callback=_number,
+    callback=scan_values.parse_number,
     help="Noise shared over so many cells, at the same level.  [default: 0, white]",
 )
 @click.option(
     "--smoothing",
     metavar="NUMBER",
-    callback=_number,
+    callback=scan_values.parse_number,
     help="What the scanner averages itself, in cells.  [default: ct 0.5; cameras 1]",
 )
 @click.option(
     "--step",
     metavar="NUMBER",
-    callback=_number,
+    callback=scan_values.parse_number,
     help="Step of a camera's depths in pixels, 0 for none.  [default: 0.3]",
 )
 @click.option(
@@ -215,22 +157,27 @@ Exit status: see msal --help.""",
 @click.option(
     "--misalignment",
     metavar="NUMBER",
-    callback=_number,
+    callback=scan_values.parse_number,
     help="How far off a camera of fusion is, in pixels.  [default: 0.1]",
 )
 @click.option(
     "--iso",
     metavar="NUMBER",
-    callback=_number,
+    callback=scan_values.parse_number,
     help="Of a volume: value at the surface, greater is inside.  [default: half-way]",
 )
 @click.option(
     "--spacing",
     metavar="X,Y,Z",
-    callback=_lengths,
+    callback=scan_values.parse_lengths,
     help="Of a volume: size of a voxel.  [default: 1,1,1]",
 )
-@click.option("--dims", metavar="X,Y,Z", callback=_counts, help="Of a raw volume: how many voxels.")
+@click.option(
+    "--dims",
+    metavar="X,Y,Z",
+    callback=scan_values.parse_counts,
+    help="Of a raw volume: how many voxels.",
+)
 @click.option(
     "--type",
     type=click.Choice(_TYPES),
@@ -245,9 +192,10 @@ Exit status: see msal --help.""",
 def command(**options: Any) -> int:
     """Make meshes as scanners make them, with their noise and a known truth.
 
-    INPUT is a clean mesh, a folder or a pattern of them, or - for standard input; or a volume: a
-    .npy array with the axes z, y, x, or raw numbers with --dims. Needs scikit-image
-    (msal-cli[simulation]) for everything but depth.
+    INPUT is a clean mesh, a folder or a pattern of them, or - for standard input. It may also be
+    a volume: a .npy array with the axes z, y, x, or raw numbers with --dims. A folder is searched
+    for meshes only; several volumes are named, or given as a pattern such as 'volumes/*.npy'.
+    All scanners but depth, and volumes, need scikit-image (msal-cli[simulation]).
     """
     from msal_cli.cli import logs
     from msal_cli.files import urls
@@ -269,14 +217,15 @@ def _run(request: Request) -> int:
         return _piped(request, one, to, format)
     if request.output is None:
         raise UsageError("there is no output", hint="name a file or a folder with -o")
+    _refuse_stream_as_truth(request)
     found = inputs.found(request.inputs, request.include, request.exclude, output=request.output)
     tasks = plan.built(found, request.output, to=to, force=request.force).tasks
     truths: tuple[str | None, ...] = (None,) * len(tasks)
     if request.truth is not None:
         truth_plan = plan.built(found, request.truth, to=to, force=request.force)
         truths = tuple(task.output for task in truth_plan.tasks)
-        outputs = {task.output for task in tasks}
-        if outputs & set(truths):
+        outputs = {_place(task.output) for task in tasks}
+        if not outputs.isdisjoint(_place(task.output) for task in truth_plan.tasks):
             raise UsageError(
                 "--truth and -o name the same file", hint="give the truth another name or folder"
             )
@@ -295,24 +244,56 @@ def _run(request: Request) -> int:
     return exit_codes.of_files(len(tasks), n_failed)
 
 
-def _piped(request: Request, one: Any, to: str | None, format: str | None) -> int:
+def _refuse_stream_as_truth(request: Request) -> None:
+    if request.truth == STREAM:
+        raise UsageError(
+            "--truth needs a file or a folder, and - is standard output",
+            hint="name a file, such as --truth truth.ply",
+        )
+
+
+def _place(path: str) -> str:
+    """One name for all names of a file."""
+    from msal_cli.files import is_url
+
+    return path if is_url(path) else os.path.realpath(path)
+
+
+def _piped(request: Request, one: Pipe, to: str | None, format: str | None) -> int:
+    from msal_cli import files
+    from msal_cli.batch import signals
+    from msal_cli.cli import pipe
     from msal_cli.cli.standard_input import read_stream
-    from msal_cli.scanning import output_format
+    from msal_cli.scanning import is_volume_content, output_format
 
     if request.include or request.exclude:
         raise UsageError("--include and --exclude are for files, not for standard input or output")
-    if request.truth in (STREAM, one.source, one.target):
-        raise UsageError("--truth needs a file of its own", hint="give it another name")
-    settings = _build_settings(request, [_is_volume(request, one.source)])
-    data = read_stream() if one.source == STREAM else _read(request, one.source, format)
-    wanted = output_format(one.target, to)
-    made = _scan(request, data, one.source, wanted, settings, format)
-    if one.target == STREAM:
-        talk.put_bytes(made.output)
+    _refuse_stream_as_truth(request)
+    wanted = output_format(one.target, pipe.target_format(one, to))
+    truth_format = None
+    if request.truth is not None:
+        if _place(request.truth) in (_place(one.source), _place(one.target)):
+            raise UsageError(
+                "--truth needs a file of its own, neither the input nor the output",
+                hint="give it another name",
+            )
+        truth = pipe.Pipe(one.source, request.truth)
+        truth_format = output_format(request.truth, pipe.target_format(truth, to))
+    is_volume = _is_volume(request, one.source)
+    if one.source == STREAM:
+        data = read_stream()
+        is_volume = is_volume or is_volume_content(data)
     else:
-        _write(one.target, made.output)
-    if made.truth is not None:
-        _write(str(request.truth), made.truth)
+        data = files.read_whole(one.source) if is_volume else files.read_input(one.source, format)
+    settings = _build_settings(request, [is_volume])
+    made = _scan(data, one.source, settings, wanted, truth_format, format, is_volume=is_volume)
+    with signals.noticed(signals.raise_for):
+        if made.truth is not None:
+            _write(str(request.truth), made.truth)
+        if one.target == STREAM:
+            talk.put_bytes(made.output)
+        else:
+            _write(one.target, made.output)
     _tell(request, one.target, made)
     return exit_codes.SUCCESS
 
@@ -327,16 +308,18 @@ def _scan_file(
     format: str | None,
 ) -> Scanned:
     """Read one file, scan it and write what comes of it, or raise what names the file."""
-    from msal_cli.output import make_folder_of
+    from msal_cli import files
     from msal_cli.scanning import output_format
 
+    is_volume = _is_volume(request, source)
     try:
         wanted = output_format(target, to)
-        data = _read(request, source, format)
-        made = _scan(request, data, source, wanted, settings, format)
+        truth_format = None if truth is None else output_format(truth, to)
+        # What shows that a file is no mesh says nothing of a volume.
+        data = files.read_whole(source) if is_volume else files.read_input(source, format)
+        made = _scan(data, source, settings, wanted, truth_format, format, is_volume=is_volume)
         for path, content in ((target, made.output), (truth, made.truth)):
             if path is not None and content is not None:
-                make_folder_of(path)
                 _write(path, content)
     except MsalError as error:
         error.path = error.path or source
@@ -346,36 +329,40 @@ def _scan_file(
     return made
 
 
-def _write(path: str, content: Any) -> None:
+def _write(path: str, content: Buffer) -> None:
     from msal_cli import files
+    from msal_cli.output import make_folder_of
 
+    make_folder_of(path)
     is_compressed = path.lower().endswith(".gz")
     files.write_whole(path, [files.compressed(content) if is_compressed else content])
 
 
-def _read(request: Request, source: str, format: str | None) -> Any:
-    from msal_cli import files
-
-    # What shows that a file is no mesh says nothing of a volume.
-    is_volume = _is_volume(request, source)
-    return files.read_whole(source) if is_volume else files.read_input(source, format)
-
-
 def _scan(
-    request: Request,
-    data: Any,
+    data: Buffer,
     source: str,
-    to: str,
     settings: tuple[ScannerSettings, VolumeSettings],
+    to: str,
+    truth_to: str | None,
     format: str | None,
+    *,
+    is_volume: bool,
 ) -> Scanned:
+    from msal_cli.files import format_of_name
     from msal_cli.scanning import scan_mesh, scan_volume_file
 
     scanner, volume = settings
-    if _is_volume(request, source):
+    if is_volume:
         return scan_volume_file(data, volume, to)
-    with_truth = request.truth is not None
-    return scan_mesh(data, source, scanner, to, with_truth=with_truth, format=format)
+    try:
+        return scan_mesh(data, source, scanner, to, truth_to=truth_to, format=format)
+    except UnsupportedError as error:
+        if error.code == "E_UNSUPPORTED" and format is None and not format_of_name(source):
+            error.hint = (
+                "a volume is a .npy file, or a raw one with --dims X,Y,Z; for a mesh, "
+                "give its format with --format"
+            )
+        raise
 
 
 def _is_volume(request: Request, source: str) -> bool:
@@ -437,4 +424,4 @@ def _tell(request: Request, name: str, made: Scanned) -> None:
         f"{made.n_faces:,} faces"
     )
     for warning in made.warnings:
-        talk.say(f"warning: {shown(warning)}")
+        talk.say(f"warning: {file_name(name)}: {shown(warning)}")

@@ -27,6 +27,7 @@ __all__ = [
     "content_format",
     "converted",
     "corner_count",
+    "digits_lost",
     "encode_mesh",
     "expanded",
     "format_of_name",
@@ -249,6 +250,13 @@ def encode_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int32], to: str
     from msal_cli.files import convert
 
     return convert.encode_mesh(vertices, faces, to)
+
+
+def digits_lost(vertices: NDArray[np.float64]) -> tuple[str, ...]:
+    """What single precision would take from new positions (n, 3), in words; empty if nothing."""
+    from msal_cli.files import convert
+
+    return convert.digits_lost(vertices)
 
 
 def normal_warnings(mesh_file: MeshFile, vertices: NDArray[np.float64]) -> tuple[str, ...]:

@@ -141,15 +141,24 @@ def encode_mesh(vertices: Floats, faces: Ints, to: str) -> Buffer:
     """
     from msal_cli.files import ply
 
-    extent = float(np.ptp(vertices, axis=0).max())
-    largest = float(np.abs(vertices).max())
-    single = largest < 3e38 and float(np.spacing(np.float32(largest))) <= 1e-6 * extent
+    single = not digits_lost(vertices)
     content = _Content(vertices, faces, None, None, None)
     data = _as_ply(content, "binary", single)
     if to == "ply":
         return data
     mesh_file = ply.read(data, "")
     return converted(mesh_file, mesh_file.vertices, to, "same", "same")[0]
+
+
+def digits_lost(vertices: Floats) -> tuple[str, ...]:
+    """What float32 would take from new positions (n, 3): nothing, or their digits, where it rounds
+    them by more than a millionth of the mesh's extent."""
+    extent = float(np.ptp(vertices, axis=0).max())
+    largest = float(np.abs(vertices).max())
+    step = float(np.spacing(np.float32(min(largest, 3e38))))
+    if largest < 3e38 and step <= 1e-6 * extent:
+        return ()
+    return (f"digits (float32 rounds positions to {step:.1g} units)",)
 
 
 def _is_single(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> bool:

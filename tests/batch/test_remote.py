@@ -139,7 +139,7 @@ def test_an_input_is_never_replaced(scans):
 
 def test_objects_of_others_are_not_replaced_without_force(scans):
     write_whole("memory://out/2.obj", b"precious")
-    with pytest.raises(UsageError, match="no run of msal put it there"):
+    with pytest.raises(UsageError, match="no run of msal denoise put it there"):
         denoised()
     assert read_whole("memory://out/2.obj") == b"precious"
     assert set(states(denoised(force=True)).values()) == {"written"}

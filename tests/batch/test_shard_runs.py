@@ -159,7 +159,7 @@ class TestShards:
         fill(folders, 4)
         (folders / "out").mkdir()
         (folders / "out/02.ply").write_text("precious")
-        with pytest.raises(UsageError, match="no run of msal put it there"):
+        with pytest.raises(UsageError, match="no run of msal denoise put it there"):
             plan_of(folders)
 
 

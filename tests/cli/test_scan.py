@@ -70,6 +70,41 @@ def test_a_folder_becomes_a_mirrored_tree_and_so_does_the_truth(tmp_path):
     assert msal("scan", folder, *words, "--force").exit_code == 3
 
 
+@pytest.mark.parametrize("source", ["part.ply", "-"])
+def test_the_truth_has_the_format_of_its_own_name(part, source):
+    target, truth = part.with_name("scan.obj"), part.with_name("new folder") / "truth.stl"
+    source = part if source != "-" else source
+    words = ["-o", target, "--truth", truth, *CELLS]
+    assert msal_on(part.read_bytes(), "scan", source, *words).exit_code == 0
+    assert opened(target).format == "obj"
+    assert opened(truth).format == "stl"
+    wrong = msal_on(part.read_bytes(), "scan", "-", "-o", target, "--truth", "truth.foo", *CELLS)
+    assert (wrong.exit_code, "truth.foo" in wrong.stderr) == (2, True)
+    both = msal_on(part.read_bytes(), "scan", "-", "-o", target, "--to", "stl", *CELLS)
+    assert (both.exit_code, "say two formats" in both.stderr) == (2, True)
+
+
+def test_digits_that_the_format_loses_are_a_warning(tmp_path):
+    """Survey coordinates in STL: half a metre is the least step there."""
+    vertices, faces = ball(24, 12)
+    source = folder_of(tmp_path, far=ply_text(vertices, faces)) / "far.ply"
+    text = source.read_text().replace("property float", "property double").splitlines()
+    start = text.index("end_header") + 1
+    for at in range(start, start + len(vertices)):
+        x, y, z = map(float, text[at].split())
+        text[at] = f"{x + 4650000} {y} {z}"
+    source.write_text("\n".join(text) + "\n")
+    for suffix, is_lost in (("stl", True), ("ply", False), ("obj", False)):
+        made = msal("scan", source, "-o", tmp_path / f"scan.{suffix}", *CELLS)
+        assert (made.exit_code, "rounds positions to 0.5" in made.stderr) == (0, is_lost)
+
+
+def test_what_is_no_mesh_and_may_be_a_volume(tmp_path):
+    (tmp_path / "v.npz").write_bytes(b"PK\x03\x04 and so on")
+    made = msal("scan", tmp_path / "v.npz", "-o", tmp_path / "a.ply")
+    assert (made.exit_code, "a volume is a .npy file" in made.stderr) == (1, True)
+
+
 def test_streams(part):
     target = part.with_name("scan.ply")
     msal("scan", part, "-o", target, *CELLS)
@@ -101,6 +136,8 @@ def test_a_volume_becomes_a_mesh(tmp_path):
     words = ["--iso", "300", "--spacing", "0.5,0.5,1.5"]
     made = msal("scan", tmp_path / "v.npy", "-o", tmp_path / "a.ply", *words)
     assert (made.exit_code, "the surface at the value 300" in made.stderr) == (0, True)
+    streamed = msal_on((tmp_path / "v.npy").read_bytes(), "scan", "-", *words)
+    assert streamed.stdout_bytes == (tmp_path / "a.ply").read_bytes()
     words += ["--dims", "7,6,5", "--type", "int16"]
     assert msal("scan", tmp_path / "v.raw", "-o", tmp_path / "b.ply", *words).exit_code == 0
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
@@ -113,7 +150,7 @@ def test_an_open_mesh_is_closed_with_a_warning(tmp_path):
     lid = vertices[faces].mean(axis=1)[:, 2] > 0.8
     source = folder_of(tmp_path, open=ply_text(vertices, faces[~lid])) / "open.ply"
     made = msal("scan", source, "-o", tmp_path / "scan.ply", *CELLS)
-    assert (made.exit_code, "1 hole closed" in made.stderr) == (0, True)
+    assert (made.exit_code, "scan.ply: the mesh is open: 1 hole" in made.stderr) == (0, True)
 
 
 @pytest.mark.parametrize(
@@ -179,6 +216,12 @@ def test_inputs_and_the_truth_are_not_overwritten(part):
     assert msal("scan", part, "-o", part).exit_code == 2
     assert msal("scan", part, "-o", target, "--truth", part).exit_code == 2
     assert msal("scan", part, "-o", target, "--truth", target).exit_code == 2
-    assert msal("scan", part, "-o", "-", "--truth", "-").exit_code == 2
+    beside = target.parent / "." / ".." / target.parent.name / target.name
+    assert msal("scan", part, "-o", target, "--truth", beside).exit_code == 2
+    made = msal_on(before, "scan", "-", "-o", target, "--truth", beside, *CELLS)
+    assert (made.exit_code, "a file of its own" in made.stderr) == (2, True)
+    for output in ("-", target):
+        made = msal("scan", part, "-o", output, "--truth", "-")
+        assert (made.exit_code, "is standard output" in made.stderr) == (2, True)
     assert msal("scan", part).exit_code == 2
     assert (part.read_bytes(), target.exists()) == (before, False)
