@@ -99,8 +99,7 @@ def corrupted(
     compress = target.lower().endswith(".gz") if target != "-" else is_compressed
     output: Buffer = data if not n_moved and compress == is_compressed else plain
     if n_moved:
-        output = mesh_file.replaced(vertices)
-        mesh_file.check(output, vertices)
+        output = _replace_positions(mesh_file, vertices)
     path = None if target == "-" else target
     output, companions = files.with_companions(mesh_file, output, vertices, path)
     result = Corrupted(
@@ -113,6 +112,17 @@ def corrupted(
     if not n_moved and compress == is_compressed:
         return output, result
     return files.compressed(output) if compress else output, result
+
+
+def _replace_positions(mesh_file: MeshFile, vertices: NDArray[np.float64]) -> Buffer:
+    try:
+        output = mesh_file.replaced(vertices)
+    except MsalError as error:
+        if error.code == "E_RANGE":
+            error.hint = "choose a lower --level: this file's numbers are near their limit"
+        raise
+    mesh_file.check(output, vertices)
+    return output
 
 
 def read_weights(mesh_file: MeshFile, ready: Prepared, name: str) -> NDArray[np.float64]:

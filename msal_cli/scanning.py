@@ -84,7 +84,9 @@ def scan_mesh(
     scan = simulate_scan(ready.mesh, settings)
     warnings = mesh_file.warnings
     if n := scan.closed_holes:
-        warnings += (f"the mesh is open: {n} hole{'s' * (n > 1)} closed, since a volume needs an inside",)
+        warnings += (
+            f"the mesh is open: {n} hole{'s' * (n > 1)} closed, since a volume needs an inside",
+        )
     output, losses = _encode(scan.vertices + ready.origin, scan.faces, to)
     truth = None
     if truth_to is not None:

@@ -19,7 +19,7 @@ _PATH = click.Path(readable=False, allow_dash=True)
 
 
 @click.command(
-    "info", short_help="Tell what is in mesh files.", epilog="Exit status: see msal --help."
+    "info", short_help="Report what is in mesh files.", epilog="Exit status: see msal --help."
 )
 @click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=_PATH)
 @file_options("The inputs' format, where neither their name nor their content tells.")
@@ -42,7 +42,8 @@ def command(
     as_json: bool,
     verbose: int,
 ) -> int:
-    """Tell what is in mesh files: format, counts, defects, size, volume, what is carried along.
+    """Report what is in mesh files: format, counts, defects, size, volume, noise, and what is
+    carried along.
 
     INPUT is a file, a folder (with all its subfolders), a pattern, a URL of one of these, or - for
     standard input. Lengths are in file units. Nothing is written.

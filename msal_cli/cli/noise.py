@@ -107,9 +107,10 @@ Exit status: see msal --help.""",
     show_default=True,
     help="gaussian-normal: along the vertex normals; gaussian: in each coordinate; mixed: along "
     "the normals and as much across them; impulsive: at a fraction of the vertices; correlated: "
-    "shared by neighbours; view: along one direction; quantised: along it, depths in steps; "
-    "grazing: along it, more at grazing angles; half: on one half; ramp: growing; property: times "
-    "a vertex property; outliers: a fraction of the vertices far off.",
+    "shared by neighbours; view: along --direction; quantised: along --direction, with depths in "
+    "steps; grazing: along --direction, stronger at grazing angles; half: on one half of the mesh; "
+    "ramp: growing from one end of the mesh to the other; property: in proportion to a vertex "
+    "property; outliers: a fraction of the vertices far off the surface.",
 )
 @click.option(
     "--level",
@@ -144,8 +145,8 @@ Exit status: see msal --help.""",
     "--direction",
     metavar="X,Y,Z",
     callback=words.direction,
-    help="Direction of view; of half and ramp, where there is more noise. Or x, -y, z, ... "
-    " [default: z]",
+    help="Direction of the view; for half and ramp, where there is more noise. Three numbers, or "
+    "an axis such as -y.  [default: z]",
 )
 @click.option(
     "--step",
@@ -157,12 +158,13 @@ Exit status: see msal --help.""",
     "--border",
     metavar="NUMBER",
     callback=_share(0.0, 1.0, ""),
-    help="Width of the border of half, as a share of the mesh's extent.  [default: 0, sharp]",
+    help="With --kind half: width over which the noise begins, as a share of the mesh's extent. "
+    " [default: 0, sharp]",
 )
 @click.option(
     "--property",
     metavar="NAME",
-    help="Vertex property (of PLY) that property noise is multiplied with.",
+    help="With --kind property: vertex property of a PLY file that multiplies the noise.",
 )
 @file_options("The inputs' format, where neither their name nor their content tells.")
 @click.option("--force", is_flag=True, help="Replace files in the output folder.")

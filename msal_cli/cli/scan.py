@@ -86,7 +86,8 @@ Exit status: see msal --help.""",
     "--truth",
     metavar="OUT2",
     type=_PATH,
-    help="Write the scan with its vertices in their true places, too: a file, or a folder.",
+    help="Write the scan a second time, with its vertices in their true places: to a file, "
+    "or a folder.",
 )
 @click.option(
     "--to", metavar="FORMAT", help="Format of the output.  [default: by OUT's suffix, or as INPUT]"
@@ -108,33 +109,34 @@ Exit status: see msal --help.""",
     "--direction",
     metavar="X,Y,Z",
     callback=words.direction,
-    help="From the object to the camera; across the slices; third axis of the grid. Or x, -y, z, "
-    "...  [default: z]",
+    help="Direction from the object to the camera, across the slices, or of the third axis of the "
+    "grid. Three numbers, or an axis such as -y.  [default: z]",
 )
 @click.option(
     "--seed",
     metavar="N",
     callback=words.count_from(0),
-    help="Of the noise, and of where the grid lies.  [default: 0]",
+    help="The same number gives the same noise and the same place of the grid.  [default: 0]",
 )
 @click.option(
     "--level",
     metavar="NUMBER",
     callback=scan_values.parse_number,
-    help="Noise: of ct in the volume, as a share of the contrast; of cameras in pixels, before "
-    "their smoothing.  [default: ct 0.1; cameras 1]",
+    help="Standard deviation of the noise: of ct, a share of the contrast between object and air; "
+    "of cameras, pixels of depth before their smoothing.  [default: ct 0.1; cameras 1]",
 )
 @click.option(
     "--correlation",
     metavar="NUMBER",
     callback=scan_values.parse_number,
-    help="Noise shared over so many cells, at the same level.  [default: 0, white]",
+    help="Over how many cells neighbours share noise; the level stays.  [default: 0, white]",
 )
 @click.option(
     "--smoothing",
     metavar="NUMBER",
     callback=scan_values.parse_number,
-    help="What the scanner averages itself, in cells.  [default: ct 0.5; cameras 1]",
+    help="Over how many cells the scanner itself averages: more removes noise, and detail. "
+    " [default: ct 0.5; cameras 1]",
 )
 @click.option(
     "--step",
@@ -158,30 +160,32 @@ Exit status: see msal --help.""",
     "--misalignment",
     metavar="NUMBER",
     callback=scan_values.parse_number,
-    help="How far off a camera of fusion is, in pixels.  [default: 0.1]",
+    help="Standard deviation of the positions of fusion's cameras from the true ones, in pixels. "
+    " [default: 0.1]",
 )
 @click.option(
     "--iso",
     metavar="NUMBER",
     callback=scan_values.parse_number,
-    help="Of a volume: value at the surface, greater is inside.  [default: half-way]",
+    help="For a volume: value at the surface; greater values are inside.  [default: half-way "
+    "between the least and the greatest]",
 )
 @click.option(
     "--spacing",
     metavar="X,Y,Z",
     callback=scan_values.parse_lengths,
-    help="Of a volume: size of a voxel.  [default: 1,1,1]",
+    help="For a volume: size of a voxel along each axis.  [default: 1,1,1]",
 )
 @click.option(
     "--dims",
     metavar="X,Y,Z",
     callback=scan_values.parse_counts,
-    help="Of a raw volume: how many voxels.",
+    help="For a raw volume: number of voxels along each axis.",
 )
 @click.option(
     "--type",
     type=click.Choice(_TYPES),
-    help="Of a raw volume: its numbers, little endian.  [default: uint8]",
+    help="For a raw volume: type of its numbers, little-endian.  [default: uint8]",
 )
 @file_options("The meshes' format, where neither their name nor their content tells.")
 @click.option("--force", is_flag=True, help="Replace files in the output folder.")
@@ -190,7 +194,7 @@ Exit status: see msal --help.""",
     "-v", "--verbose", count=True, help="Tell more of what goes on; -vv tells everything."
 )
 def command(**options: Any) -> int:
-    """Make meshes as scanners make them, with their noise and a known truth.
+    """Simulate a scanner: make the mesh that it would make of a clean one, with a known truth.
 
     INPUT is a clean mesh, a folder or a pattern of them, or - for standard input. It may also be
     a volume: a .npy array with the axes z, y, x, or raw numbers with --dims. A folder is searched

@@ -67,7 +67,9 @@ def count_from(least: int) -> Callable[[click.Context, click.Parameter, str | No
     def count(context: click.Context, parameter: click.Parameter, value: str | None) -> int | None:
         if value is None:
             return None
-        is_number = value.isascii() and value.isdigit() and len(value) <= _MOST_DIGITS
+        is_number = value.isascii() and value.isdigit()
+        if is_number and len(value) > _MOST_DIGITS:
+            raise click.BadParameter(f"{value!r} has more than {_MOST_DIGITS} digits")
         if not is_number or int(value) < least:
             raise click.BadParameter(f"{value!r} is not a whole number from {least} up")
         return int(value)
@@ -133,9 +135,13 @@ def direction(
         x, y, z = (float(word) for word in value.split(","))
     except ValueError:
         x = y = z = math.nan
-    if not 1e-100 < math.hypot(x, y, z) < 1e100:
+    if math.isnan(x + y + z):
         raise click.BadParameter(
             f"{value!r} is neither an axis such as z or -z nor three numbers such as 0,-1,0.5"
+        )
+    if not 1e-100 < math.hypot(x, y, z) < 1e100:
+        raise click.BadParameter(
+            f"{value!r} has no length between 1e-100 and 1e100, so it is no direction"
         )
     return x, y, z
 

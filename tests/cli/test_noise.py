@@ -207,6 +207,24 @@ def test_noise_by_a_property_leaves_alone_what_has_none(scan):
     assert "amount" in wrong.stderr
 
 
+def test_noise_beyond_the_numbers_of_the_file_asks_for_a_lower_level(tmp_path):
+    text = ply_text(*torus()).decode().splitlines()
+    start = text.index("end_header") + 1
+    for at in range(start, start + 288):
+        text[at] = " ".join(str(1e38 * float(word)) for word in text[at].split())
+    (tmp_path / "far.ply").write_text("\n".join(text) + "\n")
+    made = msal("noise", tmp_path / "far.ply", "-o", tmp_path / "out.ply", "--level", "20")
+    assert (made.exit_code, (tmp_path / "out.ply").exists()) == (1, False)
+    assert "choose a lower --level" in made.stderr
+    assert "--precision" not in made.stderr
+
+
+def test_a_stream_may_make_the_folder_of_its_output(scan):
+    target = scan.parent / "new folder" / "out.ply"
+    assert msal_on(scan.read_bytes(), "noise", "-", "-o", target).exit_code == 0
+    assert len(files_vertices(target)) == 288
+
+
 def test_noise_by_a_property_needs_a_format_that_has_them(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     words = ["--kind", "property", "--property", "quality"]

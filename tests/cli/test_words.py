@@ -76,11 +76,38 @@ def test_no_size(text):
         words.size(None, None, text)
 
 
-@pytest.mark.parametrize("text", ["", "-1", "1.0", "x", "9" * 16, "²"])
+@pytest.mark.parametrize("text", ["", "-1", "1.0", "x", "²"])
 def test_no_count(text):
     with pytest.raises(click.BadParameter, match="is not a whole number from 1 up"):
         words.count_from(1)(None, None, text)
     assert words.count_from(0)(None, None, "0") == 0
+
+
+def test_a_count_of_too_many_digits_is_named_as_one():
+    with pytest.raises(click.BadParameter, match="has more than 15 digits"):
+        words.count_from(1)(None, None, "9" * 16)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("w", "neither an axis"),
+        ("1,2", "neither an axis"),
+        ("nan,0,1", "neither an axis"),
+        ("0,0,0", "no length"),
+        ("inf,0,0", "no length"),
+        ("1e200,0,0", "no length"),
+    ],
+)
+def test_no_direction(text, named):
+    with pytest.raises(click.BadParameter, match=named):
+        words.direction(None, None, text)
+
+
+def test_an_axis_may_have_a_sign():
+    assert words.direction(None, None, "-Y") == (0.0, -1.0, 0.0)
+    assert words.direction(None, None, "+x") == (1.0, 0.0, 0.0)
+    assert words.direction(None, None, "0,-1,0.5") == (0.0, -1.0, 0.5)
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "two", "1.5"])
