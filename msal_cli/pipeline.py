@@ -14,13 +14,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__, advice, changes, memory, output
-from msal_cli.errors import (
-    InternalError,
-    MsalError,
-    ResourceError,
-    TooLargeError,
-)
-from msal_cli.memory import megabytes
+from msal_cli.errors import InternalError, MsalError, ResourceError
+from msal_cli.preparation import looks_at_mesh, prepare, reject_choice
 from msal_cli.records import (
     Failure,
     FieldsFile,
@@ -46,6 +41,7 @@ from msal_cli.tasks import is_mesh_name as is_mesh_name
 from msal_cli.tasks import least_memory_bytes as least_memory_bytes
 from msal_cli.tasks import method_bytes_per_face as method_bytes_per_face
 from msal_cli.tasks import output_name as output_name
+from msal_cli.tasks import refuse_faces, refuse_oversized
 from msal_cli.tasks import refuse_unknown_format as refuse_unknown_format
 from msal_cli.tasks import suffix as suffix
 from msal_cli.tasks import writable_formats as writable_formats
@@ -57,16 +53,12 @@ if TYPE_CHECKING:
     from msal_cli.constraints import Constraints
     from msal_cli.files.base import Buffer, MeshFile
     from msal_cli.files.companions import Companion
-    from msal_cli.files.forecast import Forecast
     from msal_cli.mesh import Mesh, Prepared
     from msal_cli.methods import Method
-    from msal_cli.metrics.harm import Harm
     from msal_cli.noise_estimate import NoiseLevel
+    from msal_cli.preparation import Preparation
 
     Floats = NDArray[np.float64]
-
-NO_METHOD = "none"
-"""The method of a record whose mesh stays as it is."""
 
 OnProgress = Callable[[str, int, int], None]
 """Called as ``on_progress(stage, done, total)``; the stages are those of ``records.Seconds``."""
@@ -94,7 +86,7 @@ def denoise_file(
             # The mark is older than the bytes: an object that changes in between is done again.
             run.know(input_object=task.input_mark)
             if limits.memory_bytes is not None or limits.max_faces is not None:
-                run.admit(forecast(task, settings))
+                refuse_oversized(forecast(task, settings), limits)
             size = task.input_mark.size if task.input_mark is not None else None
             data = files.read_input(task.input, settings.format, size)
         denoised = run.denoise(data, task.output)
@@ -157,7 +149,7 @@ def denoise_copy(
         from msal_cli import files
 
         with run.stage("read"):
-            run.admit(forecast(task, settings))
+            refuse_oversized(forecast(task, settings), limits)
             data = files.read_input(task.input, settings.format)
         denoised = run.denoise(data, None)
         with run.stage("write"):
@@ -235,27 +227,6 @@ class _Run:
         codes = tuple(code for code, _ in warnings)
         self.know(warning_codes=self._record.warning_codes + codes)
 
-    def admit(self, told: Forecast) -> None:
-        """Refuse a file that is foreseen to go beyond the limits."""
-        self._check_faces(told.faces)
-        limit = self._limits.memory_bytes
-        if limit is not None and told.memory_bytes is not None and told.memory_bytes > limit:
-            raise ResourceError(
-                f"denoising this file takes up to {megabytes(told.memory_bytes)}, "
-                f"and the limit is {megabytes(limit)}",
-                code="E_MEMORY",
-                where=FORECAST,
-                hint="raise --memory-limit if the machine has more, or cut the mesh into parts",
-            )
-
-    def _check_faces(self, n_faces: int | None) -> None:
-        most = self._limits.max_faces
-        if most is not None and n_faces is not None and n_faces > most:
-            raise TooLargeError(
-                f"the file has {n_faces:,} faces, and --max-faces allows {most:,}",
-                hint="raise --max-faces, or leave it out",
-            )
-
     def denoise(self, data: Buffer, output_path: str | None) -> Buffer:
         """The bytes of the output file for the bytes of the input file."""
         from msal_cli import files
@@ -281,7 +252,7 @@ class _Run:
                 triangles=len(mesh_file.faces),
             )
             self.warn(*mesh_file.warnings)
-            self._check_faces(mesh_file.n_polygons)
+            refuse_faces(mesh_file.n_polygons, self._limits)
         vertices = self._denoised(mesh_file)
         with self.stage("write"):
             source = output.Source(data, name, is_compressed)
@@ -316,7 +287,9 @@ class _Run:
             constraints = self._constraints(ready, mesh_file)
             mesh_file.forget_vertices()
         given = ready.mesh if constraints is None else constraints.mesh
-        mesh, method, parameters = self._prepare(given)
+        preparation = self._prepare(given)
+        mesh, method = preparation.mesh, preparation.method
+        parameters = preparation.parameters
         fidelity = None
         with self.stage("sweeps"):
             moved = mesh.vertices
@@ -346,7 +319,11 @@ class _Run:
         with self.stage("measure"):
             measured = changes.measured(ready, moved, self._noise)
             if measured.harm is not None and self._record.choice is not None:
-                self._reject_choice(measured.harm)
+                if self._record.despiked:
+                    # It was estimated without the outliers.
+                    self._noise = None
+                choice, despiked = self._record.choice, self._record.despiked
+                self.know(**reject_choice(choice, despiked, measured.harm))
                 moved, method, fidelity = given.vertices, None, None
                 measured = changes.measured(ready, moved, self._noise)
             self.know(**measured.fields)
@@ -366,95 +343,25 @@ class _Run:
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
 
-    def _reject_choice(self, harm: Harm) -> None:
-        """Record that the mesh stays as it is, since what was chosen would damage it."""
-        from msal_cli import automatic
-
-        choice = self._record.choice
-        assert choice is not None
-        if self._record.despiked:
-            # It was estimated without the outliers.
-            self._noise = None
-        self.know(
-            method=MethodUsed(NO_METHOD, {}),
-            despiked=None if self._record.despiked is None else 0,
-            choice=replace(
-                choice,
-                reason=f"{choice.reason}; rejected, for {harm.reason}; left as it is",
-                risk_edges=None,
-                repeat=automatic.options_of(None, {}),
-            ),
-        )
-
     def _advise(self, method: Method, parameters: dict[str, Any], is_ruled: bool) -> None:
         """Warn where a method that was asked for by name harms the mesh."""
         noise, moved = self._record.noise_estimate, self._record.displacement
         if noise is not None and moved is not None:
             self.warn(*advice.build_advice(method, parameters, noise, moved, is_ruled))
 
-    def _prepare(self, given: Mesh) -> tuple[Mesh, Method | None, dict[str, Any]]:
-        """The mesh without outliers, and what is to be run on it, with its parameters; None where
-        the mesh stays as it is."""
+    def _prepare(self, given: Mesh) -> Preparation:
+        """What is to be run on a mesh; the record and the noise are those of it."""
         settings = self.settings
-        if settings.min_noise is not None:
-            with self.stage("choose"):
-                from msal_cli.left_alone import too_little
-                from msal_cli.noise_estimate import estimated
-
-                self._noise = estimated(given)
-                why = too_little(self._noise, given, settings.min_noise)
-            if why:
-                self.know(left_alone=why, method=MethodUsed(NO_METHOD, {}))
-                return given, None, {}
-        mesh = self._repair_outliers(given) if settings.looks_for_outliers else given
-        return mesh, *self._method(mesh)
-
-    def _repair_outliers(self, given: Mesh) -> Mesh:
-        """The mesh with its outlier vertices brought back, where they are clear or this was asked
-        for; the noise of the record is then that without them."""
-        from msal_cli import outliers
-
+        if not looks_at_mesh(settings):
+            return prepare(given, settings)
         with self.stage("choose"):
-            found = outliers.find_outliers(given)
-            is_asked = bool(self.settings.despike)
-            if is_asked and found.are_too_many:
-                self.warn(
-                    f"{100.0 * found.share:.0f} % of the vertices stand out, too many to be "
-                    "outliers: none was brought back"
-                )
-            repairs = found.count > 0 and (is_asked or found.are_clear)
-            self.know(despiked=found.count if repairs else 0)
-            if not repairs:
-                return given
-            mesh = given.moved(found.vertices)
-            if self.settings.method not in CHOOSING:
-                from msal_cli.noise_estimate import estimated
-
-                self._noise = estimated(mesh)
-            return mesh
-
-    def _method(self, mesh: Mesh) -> tuple[Method | None, dict[str, Any]]:
-        """What is to be run, with its parameters; None where the mesh stays as it is."""
-        settings = self.settings
-        if settings.method not in CHOOSING:
-            from msal_cli import methods
-
-            return methods.find(settings.method), settings.parameters
-        with self.stage("choose"):
-            from msal_cli import automatic
-
-            found = automatic.settled(
-                mesh,
-                settings.parameters if settings.method == AUTO else None,
-                lambda done, total: self._on_progress("choose", done, total),
+            found = prepare(
+                given, settings, lambda done, total: self._on_progress("choose", done, total)
             )
-            made = found.made
-            if self._record.despiked:
-                made = automatic.with_despiking(made)
-            self.know(method=found.used, choice=made)
-            self.warn(*found.warnings)
-            self._noise = found.noise
-        return found.method, found.used.parameters
+        self.know(**found.known)
+        self.warn(*found.warnings)
+        self._noise = found.noise
+        return found
 
     def _constraints(self, ready: Prepared, mesh_file: MeshFile) -> Constraints | None:
         """What keeps vertices of this file near their place; None if nothing was asked for."""

@@ -171,6 +171,35 @@ def refuse_unknown_format(output: str) -> None:
     )
 
 
+def refuse_oversized(told: Forecast, limits: Limits) -> None:
+    """Refuse a file that is foreseen to go beyond the limits: ResourceError or TooLargeError."""
+    from msal_cli.errors import ResourceError
+    from msal_cli.memory import megabytes
+
+    refuse_faces(told.faces, limits)
+    limit = limits.memory_bytes
+    if limit is not None and told.memory_bytes is not None and told.memory_bytes > limit:
+        raise ResourceError(
+            f"denoising this file takes up to {megabytes(told.memory_bytes)}, "
+            f"and the limit is {megabytes(limit)}",
+            code="E_MEMORY",
+            where=FORECAST,
+            hint="raise --memory-limit if the machine has more, or cut the mesh into parts",
+        )
+
+
+def refuse_faces(n_faces: int | None, limits: Limits) -> None:
+    """Refuse more faces than the limits allow; TooLargeError."""
+    from msal_cli.errors import TooLargeError
+
+    most = limits.max_faces
+    if most is not None and n_faces is not None and n_faces > most:
+        raise TooLargeError(
+            f"the file has {n_faces:,} faces, and --max-faces allows {most:,}",
+            hint="raise --max-faces, or leave it out",
+        )
+
+
 def forecast(task: Task, settings: Settings) -> Forecast:
     """What a file will ask for, from its size and its first bytes; it never raises for a file."""
     from msal_cli.files import forecast
