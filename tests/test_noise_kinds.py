@@ -15,6 +15,7 @@ from msal_cli.noise_estimate.level import DIRECTIONS
 from msal_cli.noise_estimate.level import KINDS as CHARACTERS
 from msal_cli.simulation import ScannerSettings, simulate_scan
 from tests.shapes import ball, cube, grid, torus
+from tests.test_outliers import box
 
 SLANTED = (1.0, 2.0, -3.0)
 
@@ -134,6 +135,13 @@ def test_terraces_of_voxels(smooth, scanner):
     height = scan.cell * (3 if scanner == "slices" else 1)
     assert noise.character.step * mesh.mean_edge_length == pytest.approx(height, rel=1e-6)
     assert not noise.is_negligible
+
+
+@pytest.mark.parametrize("sizes", [(8, 8, 8), (20, 20, 20), (60, 6, 6), (40, 40, 2)])
+def test_a_block_that_is_meshed_on_a_grid_is_clean(sizes):
+    """Its coordinates are in steps, and fits over its edges leave much: all of them are convex."""
+    noise = estimated(prepared(*box(*sizes)).mesh)
+    assert (told(noise)[0], noise.is_negligible) == ("none", True)
 
 
 def graph(x, y, z):
