@@ -13,9 +13,9 @@ to the length of the waves that are kept, and may ring a little; vertices slide 
 so that triangles even out.
 
 Pass band and iterations mean what they mean in the filter of the same name of VTK, and the result
-agrees with its default window within a thousandth of the moves.  At open edges a vertex is averaged along
-the rim only (``boundary=curve``).  A vertex without neighbours stays.  An iteration costs one pass
-over the edges.
+agrees with its default window within a thousandth of the moves.  At open edges a vertex is averaged
+along the rim only (``boundary=curve``).  A vertex without neighbours stays.  An iteration costs one
+pass over the edges.
 
 Source: G. Taubin, T. Zhang and G. Golub, Optimal surface smoothing as filter design, European
 Conference on Computer Vision 1996, 283-292; the window is A. Nuttall, Some windows with very good
