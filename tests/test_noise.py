@@ -7,26 +7,45 @@ import pytest
 
 from msal_cli.errors import UsageError
 from msal_cli.mesh import prepared
-from msal_cli.noise import KINDS, noisy
+from msal_cli.noise import KINDS, AddedNoise, add_noise, noisy
 from tests.shapes import grid, torus
 
-KINDS_MOVED = {"gaussian-normal": 1.0, "gaussian": 1.0, "mixed": 1.0, "impulsive": 0.1}
+FIRST_KINDS = ("gaussian-normal", "gaussian", "mixed", "impulsive")
+KINDS_MOVED = {"impulsive": 0.1, "half": 0.5}
+
+
+def added(mesh, kind, level=0.2, seed=7, **settings):
+    weights = np.ones(len(mesh.vertices)) if kind == "property" else None
+    return add_noise(mesh, AddedNoise(kind, level, seed, **settings), weights)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_noise_is_the_same_for_the_same_seed_only(kind):
     mesh = prepared(*torus()).mesh
-    first = noisy(mesh, kind, 0.2, 7)
-    assert np.array_equal(first, noisy(mesh, kind, 0.2, 7))
-    assert not np.array_equal(first, noisy(mesh, kind, 0.2, 8))
-    assert np.array_equal(noisy(mesh, kind, 0.0, 7), mesh.vertices)
+    first = added(mesh, kind)
+    assert np.array_equal(first, added(mesh, kind))
+    assert not np.array_equal(first, added(mesh, kind, seed=8))
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_how_many_vertices_move(kind):
+@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"quantised", "outliers"}))
+def test_a_level_of_nothing_moves_nothing(kind):
     mesh = prepared(*torus()).mesh
-    moved = (noisy(mesh, kind, 0.2, 7) != mesh.vertices).any(axis=1)
-    assert moved.sum() == round(KINDS_MOVED[kind] * len(moved))
+    assert np.array_equal(added(mesh, kind, 0.0), mesh.vertices)
+
+
+@pytest.mark.parametrize("kind", FIRST_KINDS)
+def test_the_short_form_adds_the_same(kind):
+    mesh = prepared(*torus()).mesh
+    short = noisy(mesh, kind, 0.2, 7, 0.3)
+    assert np.array_equal(short, added(mesh, kind, fraction=0.3))
+
+
+@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"quantised", "ramp"}))
+def test_how_many_vertices_move(kind):
+    mesh = prepared(*torus(40, 21)).mesh
+    direction = (1.0, 0.1, 0.3)
+    moved = (added(mesh, kind, direction=direction) != mesh.vertices).any(axis=1)
+    assert moved.mean() == pytest.approx(KINDS_MOVED.get(kind, 1.0), abs=0.001)
 
 
 @pytest.mark.parametrize(
