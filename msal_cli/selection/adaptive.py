@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from msal_cli import methods
 from msal_cli.noise_estimate import SURE, NoiseLevel, estimated
+from msal_cli.noise_model import NoiseModel
 from msal_cli.selection import FAMILY, NONE, Choice
 from msal_cli.selection.candidates import Candidate
 from msal_cli.selection.patches import representative
@@ -94,7 +95,8 @@ def _by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep) -> Choice:
     first = part.mesh.moved(part.mesh.vertices + moves)
     # What the usual one does to the part itself is known.
     runs = [lambda mesh: moves if mesh is part.mesh else usual(mesh), *others]
-    judge = Stein(part, level * mesh.mean_edge_length, first.vertex_normals("uniform"), PROBES)
+    model = NoiseModel(level * mesh.mean_edge_length)
+    judge = Stein(part, model, first.vertex_normals("uniform"), PROBES)
     total = len(runs) * (1 + PROBES) + 1
     done = 0
 

@@ -8,15 +8,18 @@ error over the vertices is a quadratic in w,
 for noisy positions y = t + noise.  M can be seen; the truth t, and so b and c, cannot.  Two ways to
 know them, which err differently:
 
-``Stein`` takes the mesh as it is.  With Gaussian noise of standard deviation s along the normals
-n, the mean of <d_k, noise> is s^2 times the divergence of d_k along them (Stein's lemma), and that
-is measured with probes u of +1 and -1: (u n) . (d_k(y + e u n) - d_k(y)) / e.
+``Stein`` takes the mesh as it is.  With Gaussian noise of covariance C the mean of <d_k, noise> is
+the trace of C times the derivative of d_k (Stein's lemma), and that is measured with probes u that
+are drawn from the same covariance: u . (d_k(y + e u) - d_k(y)) / e.  So any colour, direction and
+level by region will do.
 
 ``rehearsed`` takes a mesh whose truth is known: a first result stands for the truth, noise of the
 same kind is put on it, and every filter is run on that.
 
 Both are taken for the positions, and for the slopes, the differences along edges over their
-length, which the angles between face normals follow.  Vertices that are not judged do not count.
+length, which the angles between face normals follow.  Where noise is in all directions the whole
+difference counts, not only its part across the surface: it also tells how jagged triangles are.
+Vertices that are not judged do not count.
 """
 
 from __future__ import annotations
@@ -27,10 +30,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.noise_model import ISOTROPIC
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from msal_cli.mesh import Mesh
+    from msal_cli.noise_model import NoiseModel
     from msal_cli.selection.patches import Part
 
     Run = Callable[[Mesh], "Floats"]
@@ -110,7 +116,8 @@ class Risk:
 
 @dataclass(frozen=True, eq=False)
 class _Slopes:
-    """Differences of heights along the judged edges of a mesh, over the edges' lengths."""
+    """Differences of moves along the judged edges of a mesh, over the edges' lengths: of heights
+    along ``directions`` (e, 3), or whole where these are numbers (e, 1)."""
 
     first: NDArray[np.int32]
     second: NDArray[np.int32]
@@ -118,11 +125,15 @@ class _Slopes:
 
     def __call__(self, moves: Floats) -> Floats:
         difference = moves[self.first] - moves[self.second]
+        if self.directions.shape[1] == 1:
+            return np.asarray(difference * self.directions).reshape(-1)
         slopes: Floats = np.einsum("ij,ij->i", difference, self.directions)
         return slopes
 
 
-def _slopes(mesh: Mesh, normals: Floats, judged: NDArray[np.bool_]) -> _Slopes:
+def _slopes(
+    mesh: Mesh, normals: Floats, judged: NDArray[np.bool_], is_isotropic: bool = False
+) -> _Slopes:
     """Lengths are those along the surface: across it edges are as long as the noise makes them,
     which would tie the slope to the very noise that is to be judged."""
     links = mesh.links
@@ -137,8 +148,8 @@ def _slopes(mesh: Mesh, normals: Floats, judged: NDArray[np.bool_]) -> _Slopes:
     edges -= np.einsum("ij,ij->i", edges, across)[:, None] * across
     lengths = np.sqrt(np.einsum("ij,ij->i", edges, edges))
     floor = SHORTEST_EDGE * float(lengths.mean()) if len(lengths) else 1.0
-    across /= np.maximum(lengths, max(floor, np.finfo(float).tiny))[:, None]
-    return _Slopes(first, second, across)
+    lengths = np.maximum(lengths, max(floor, np.finfo(float).tiny))[:, None]
+    return _Slopes(first, second, 1.0 / lengths if is_isotropic else across / lengths)
 
 
 def _gram(rows: Floats) -> Floats:
@@ -158,26 +169,24 @@ def _gram(rows: Floats) -> Floats:
 class Stein:
     """The risk by Stein's lemma, for filters that are added one after the other.
 
-    ``noise`` is its standard deviation, file units, and ``normals`` (m, 3) are the directions that
-    it is along: those of a smoothed mesh, since strong noise turns its own by 30 degrees, and the
-    gain of a filter would seem a tenth too large.  More ``probes`` scatter less.
+    ``normals`` (m, 3) are the directions that ``noise`` is along, if it is along normals: those of
+    a smoothed mesh, since strong noise turns its own by 30 degrees, and the gain of a filter would
+    seem a tenth too large.  More ``probes`` scatter less.
     """
 
-    def __init__(self, part: Part, noise: float, normals: Floats, probes: int = PROBES) -> None:
+    def __init__(
+        self, part: Part, noise: NoiseModel, normals: Floats, probes: int = PROBES
+    ) -> None:
         mesh = part.mesh
         self._part, self._noise = part, _at_least(noise, mesh)
-        self._normals = normals
-        self._slopes = _slopes(mesh, self._normals, part.judged)
-        self._count = max(int(part.judged.sum()), 1)
-        self._step = PROBE_STEP * self._noise
+        self._slopes = _slopes(mesh, normals, part.judged, noise.direction == ISOTROPIC)
         self._pushes, self._tilts, self._probes = [], [], []
         for probe in range(probes):
-            draw = np.random.Generator(np.random.PCG64(probe + 1))
-            signs = np.where(draw.random(len(self._normals)) < 0.5, -1.0, 1.0)
-            push = signs[:, None] * self._normals
+            generator = np.random.Generator(np.random.PCG64(probe + 1))
+            push = self._noise.probe(mesh, normals, generator)
             self._pushes.append(np.where(part.judged[:, None], push, 0.0))
             self._tilts.append(self._slopes(push))
-            self._probes.append(mesh.moved(mesh.vertices + self._step * push))
+            self._probes.append(mesh.moved(mesh.vertices + PROBE_STEP * push))
         self._moves: list[Floats] = []
         self._places: list[float] = []
         self._turns: list[float] = []
@@ -188,9 +197,9 @@ class Stein:
         on_run()
         place = turn = 0.0
         for push, tilt, probe in zip(self._pushes, self._tilts, self._probes, strict=True):
-            change = (run(probe) - moves) / self._step
-            place += float(np.einsum("ij,ij->", push, change)) / len(self._probes)
-            turn += float(np.einsum("i,i->", tilt, self._slopes(change))) / len(self._probes)
+            change = (run(probe) - moves) / PROBE_STEP
+            place += float(np.einsum("ij,ij->", push, change))
+            turn += float(np.einsum("i,i->", tilt, self._slopes(change)))
             on_run()
         self._moves.append(moves)
         self._places.append(place)
@@ -203,19 +212,18 @@ class Stein:
 
     def risk(self) -> Risk:
         """The risk of blends of all that were added."""
-        variance = self._noise * self._noise
-        seen = np.where(self._part.judged[None, :, None], self.moves, 0.0)
+        judged, count = self._part.judged, len(self._probes)
+        seen = np.where(judged[None, :, None], self.moves, 0.0)
         tilted = np.stack([self._slopes(move) for move in self._moves])
-        unit = sum(float(np.einsum("i,i->", tilt, tilt)) for tilt in self._tilts)
-        unit /= len(self._tilts)
+        # The probes' own squares: of coloured ones they scatter as the products do.
+        pushed = max(sum(_square(push) for push in self._pushes), np.finfo(float).tiny)
         # Without a judged edge there are no slopes to tell of.
-        unit = max(unit, np.finfo(float).tiny)
+        turned = max(sum(_square(tilt) for tilt in self._tilts), np.finfo(float).tiny)
+        total = max(int(judged.sum()), 1) * self._noise.variance(judged)
         return Risk(
-            Quadratic(
-                _gram(seen) / (self._count * variance), -np.array(self._places) / self._count
-            ),
-            Quadratic(_gram(tilted) / (unit * variance), -np.array(self._turns) / unit),
-            _drift(self._part.mesh, seen, self._noise),
+            Quadratic(_gram(seen) / total, -np.array(self._places) / pushed),
+            Quadratic(_gram(tilted) * (count / turned), -np.array(self._turns) / turned),
+            _drift(self._part.mesh, seen, self._noise.level),
         )
 
 
@@ -223,30 +231,29 @@ def rehearsed(
     part: Part,
     pilot: Floats,
     runs: Sequence[Run],
-    noise: float,
+    noise: NoiseModel,
     is_impulsive: bool,
     on_run: Callable[[], object],
 ) -> Risk:
-    """The risk on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with noise of
-    standard deviation ``noise``, file units.
+    """The risk on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with ``noise``.
 
-    The noise is Gaussian along the pilot's normals, or, if it is ``is_impulsive``, what the pilot
-    took from the part, dealt out anew over the vertices and scaled to ``noise``.
+    If it is ``is_impulsive``, its heights are what the pilot took from the part, dealt out anew
+    over the vertices and scaled to the level.
     """
     noise = _at_least(noise, part.mesh)
     truth = part.mesh.moved(pilot)
     normals = truth.vertex_normals("uniform")
-    draw = np.random.Generator(np.random.PCG64(PROBES + 1))
-    heights = draw.standard_normal(len(pilot))
-    if is_impulsive:
-        taken = np.einsum("ij,ij->i", part.mesh.vertices - pilot, normals)
-        taken -= np.median(taken)
-        spread = float(taken[part.judged].std()) if part.judged.any() else 0.0
-        if spread > 0.0:
-            heights = draw.permutation(taken) / spread
-    noisy = truth.moved(pilot + (noise * heights)[:, None] * normals)
+    generator = np.random.Generator(np.random.PCG64(PROBES + 1))
+    taken = np.einsum("ij,ij->i", part.mesh.vertices - pilot, normals)
+    taken -= np.median(taken)
+    spread = float(taken[part.judged].std()) if part.judged.any() else 0.0
+    if is_impulsive and spread > 0.0:
+        moved = noise.displaced(truth, normals, lambda: generator.permutation(taken) / spread)
+    else:
+        moved = noise.draw(truth, normals, generator)
+    noisy = truth.moved(pilot + moved)
     judged = part.judged
-    slopes = _slopes(noisy, normals, judged)
+    slopes = _slopes(noisy, normals, judged, noise.direction == ISOTROPIC)
     back = pilot - noisy.vertices
     moves = np.empty((len(runs), *pilot.shape))
     for k, run in enumerate(runs):
@@ -256,8 +263,14 @@ def rehearsed(
     return Risk(
         _known(seen, np.where(judged[:, None], back, 0.0)),
         _known(np.stack([slopes(move) for move in moves]), slopes(back)),
-        _drift(noisy, seen, noise),
+        _drift(noisy, seen, noise.level),
     )
+
+
+def _square(values: Floats) -> float:
+    """The sum of squares, in one fixed order."""
+    flat = values.reshape(-1)
+    return float(np.einsum("i,i->", flat, flat))
 
 
 def _known(rows: Floats, wanted: Floats) -> Quadratic:
@@ -268,8 +281,8 @@ def _known(rows: Floats, wanted: Floats) -> Quadratic:
     return Quadratic(_gram(flat) / scale, np.einsum("ij,j->i", flat, aim) / scale)
 
 
-def _at_least(noise: float, mesh: Mesh) -> float:
-    return max(noise, LEAST_NOISE * mesh.mean_edge_length)
+def _at_least(noise: NoiseModel, mesh: Mesh) -> NoiseModel:
+    return noise.at_level(max(noise.level, LEAST_NOISE * mesh.mean_edge_length))
 
 
 def _drift(mesh: Mesh, seen: Floats, noise: float) -> Floats:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from msal_cli import methods
 from msal_cli.mesh import Mesh
 from msal_cli.noise_estimate import NoiseLevel, estimated
+from msal_cli.noise_model import NoiseModel
 from msal_cli.selection import NONE, Choice, Wishes
 from msal_cli.selection.candidates import CANDIDATES, ROBUST, SMOOTHER, Candidate
 from msal_cli.selection.patches import Part, representative
@@ -200,7 +201,7 @@ class _Search:
     def _rehearsed(self, part: Part, first: Floats, members: Sequence[Candidate]) -> Risk:
         """The risk of members on ``first`` (m, 3) with the mesh's noise put on it."""
         runs = [self._run(member, part.mesh) for member in members]
-        return rehearsed(part, first, runs, self.level, self.is_impulsive, self._step)
+        return rehearsed(part, first, runs, NoiseModel(self.level), self.is_impulsive, self._step)
 
     def _is_usable(self, candidate: Candidate) -> bool:
         """Whether one may be chosen: its run over the mesh fits, and trust has an effect."""
@@ -236,7 +237,8 @@ class _Search:
     ) -> tuple[Risk, Floats]:
         """Stein's risk of candidates, and what they move the part by (k, m, 3), with the noise
         along the normals that the part has at ``first`` (m, 3)."""
-        judge = Stein(part, self.level, part.mesh.moved(first).vertex_normals("uniform"))
+        normals = part.mesh.moved(first).vertex_normals("uniform")
+        judge = Stein(part, NoiseModel(self.level), normals)
         for candidate in candidates:
             judge.add(self._run(candidate, part.mesh), self._step)
         return judge.risk(), judge.moves
