@@ -51,6 +51,18 @@ def distances_to_surface(points: Floats, surface: Mesh) -> Floats:
     UnsupportedError
         with code ``E_NO_LIBRARY`` where FCPW is not installed.
     """
+    return nearest_on_surface(points, surface)[1]
+
+
+def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
+    """The triangle of ``surface`` nearest to each of the points (n, 3), and its distance in file
+    units, both (n,).
+
+    Raises
+    ------
+    UnsupportedError
+        with code ``E_NO_LIBRARY`` where FCPW is not installed.
+    """
     try:
         import fcpw
     except ImportError:
@@ -68,19 +80,20 @@ def distances_to_surface(points: Floats, surface: Mesh) -> Floats:
     scene.set_object_vertices(_single(vertices, scale), 0)
     scene.set_object_triangles(np.asfortranarray(faces), 0)
     scene.build(fcpw.aggregate_type.bvh_surface_area, True)
+    triangles = np.empty(len(points), dtype=np.int32)
     distances = np.empty(len(points))
     for start in range(0, len(points), AT_ONCE):
         some = points[start : start + AT_ONCE]
+        end = start + len(some)
         found = fcpw.interaction_3D_list()
         reach = np.full(len(some), np.inf, dtype=np.float32)
         scene.find_closest_points(_single(some, scale), reach, found)
-        nearest = np.fromiter((one.primitive_index for one in found), np.intp, len(some))
-        distances[start : start + len(some)] = distances_to_triangles(
-            some, vertices[faces[nearest]]
-        )
+        nearest = np.fromiter((one.primitive_index for one in found), np.int32, len(some))
+        triangles[start:end] = nearest
+        distances[start:end] = distances_to_triangles(some, vertices[faces[nearest]])
     # What lies on the surface is off by the last digits of its coordinates.
     distances[distances < ROUNDING * scale] = 0.0
-    return distances
+    return triangles, distances
 
 
 def _single(positions: Floats, scale: float) -> NDArray[np.float32]:

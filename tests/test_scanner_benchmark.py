@@ -1,0 +1,162 @@
+"""The benchmark of scanner noise: its cases, its measures, its cache and its tables."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from benchmarks import scanner_cases, scanner_outcomes, scanner_settings, scanner_tables, scanners
+from benchmarks.scanner_cases import Case, Pair
+from benchmarks.scanner_outcomes import NOISY, Errors, Outcome
+from benchmarks.scanner_settings import PEER_SETTINGS
+from msal_cli.mesh import Mesh, prepared
+from tests.shapes import ball, torus
+
+pytest.importorskip("fcpw")
+
+
+def small_torus() -> Mesh:
+    return prepared(*torus(32, 16)).mesh
+
+
+@pytest.fixture
+def one_model(monkeypatch):
+    """A torus in place of all models, and no data."""
+    monkeypatch.setattr(scanner_cases, "sources", lambda: {"torus": small_torus})
+    monkeypatch.setattr(scanner_cases.ground_truth, "data_folder", lambda: None)
+
+
+def outcome(angle: float, distance: float, vertex: float | None = None) -> Outcome:
+    return Outcome(Errors(angle, distance, vertex), 0.5, "why")
+
+
+def test_every_kind_changes_its_model_and_repeats(one_model):
+    for kind, cases in scanner_cases.cases().items():
+        (case,) = cases
+        pair, again = case.make(), case.make()
+        assert np.array_equal(pair.noisy.vertices, again.noisy.vertices), kind
+        has_moved = not np.array_equal(pair.noisy.vertices, pair.true.vertices)
+        assert has_moved == (kind != scanner_cases.CLEAN), kind
+
+
+def test_kinds_and_models_are_picked_by_words(one_model):
+    assert list(scanner_cases.cases(kinds=["shared", "half"])) == [
+        "shared over 1 ring 0.2",
+        "shared over 2 rings 0.2",
+        "shared over 3 rings 0.2",
+        "half 0.25",
+    ]
+    assert scanner_cases.cases(models=["bunny"]) == {}
+
+
+def test_errors_of_a_known_result():
+    # A ball that shrinks by a tenth keeps its normals, and its vertices move inwards by a tenth.
+    true = prepared(*ball(24, 12)).mesh
+    small = true.moved(0.9 * true.vertices)
+    same = scanner_outcomes.measure_errors(Pair(small, true), small)
+    assert same.angle_deg == pytest.approx(0.0, abs=1e-5)
+    assert same.vertex_percent == pytest.approx(10.0 / true.mean_edge_length, rel=1e-6)
+    assert same.distance_percent == pytest.approx(same.vertex_percent, rel=0.02)
+    # Other faces: a finer ball is nearer than the facets of the coarse one are wide.
+    finer = prepared(*ball(96, 48)).mesh
+    other = scanner_outcomes.measure_errors(Pair(small, finer), small)
+    assert other.vertex_percent is None
+    assert 0.0 < other.angle_deg < 10.0
+    expected = 10.0 / small.mean_edge_length
+    assert other.distance_percent == pytest.approx(expected, rel=0.05)
+
+
+def test_angles_to_a_surface_are_those_between_planes():
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    flat = prepared(corners, faces).mesh
+    tilt = np.radians(20.0)
+    turned = np.array(
+        [[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]]
+    )
+    angles = scanner_outcomes.angles_to_surface(flat.moved(flat.vertices @ turned), flat)
+    assert np.degrees(angles) == pytest.approx([20.0, 20.0])
+
+
+def test_the_command_runs_as_users_run_it():
+    pair = scanner_cases.add_kind("normals 0.2", "torus", small_torus)
+    noisy = scanner_outcomes.measure_errors(pair, pair.noisy)
+    for name in scanner_outcomes.ours():
+        found = scanner_outcomes.run_command(pair, name)
+        assert found.errors.angle_deg < 0.8 * noisy.angle_deg, name
+        assert bool(found.reason) == (name in ("plain", "auto")), name
+
+
+def test_the_seventeen_settings_are_apart():
+    labels = [one.label for one in PEER_SETTINGS]
+    assert len(set(labels)) == len(labels) == 17
+    assert len({(one.filter, str(one.parameters), one.times) for one in PEER_SETTINGS}) == 17
+
+
+def test_a_tool_that_fails_is_named():
+    meshes = {"0": small_torus()}
+    setting = scanner_settings.PeerSetting("x", "nonsuch", "smooth")
+    with pytest.raises(RuntimeError, match=r"(?s)nonsuch: .*KeyError"):
+        scanner_settings.run_peers(sys.executable, meshes, {"0": [setting]})
+
+
+def test_the_cache_is_used_until_the_mesh_changes(tmp_path, monkeypatch):
+    path = tmp_path / "cache.json"
+    made = []
+
+    def make(level: float) -> Pair:
+        made.append(level)
+        true = small_torus()
+        return Pair(true.moved((1.0 + level) * true.vertices), true)
+
+    def rows(level: float, again: bool = False):
+        outcomes = scanner_outcomes.Outcomes(path, None)
+        case = Case("kind", "model", lambda: make(level))
+        if again:
+            outcomes.forget(["msal"], [case.key])
+        return outcomes.run([case], ["msal"], PEER_SETTINGS)["model"]
+
+    first = rows(0.1)
+    assert set(first) == {NOISY, "msal"}
+    assert rows(0.2) == first and made == [0.1]
+    changed = rows(0.2, again=True)
+    assert made == [0.1, 0.2]
+    assert changed[NOISY].errors.distance_percent > first[NOISY].errors.distance_percent
+
+
+def test_the_best_single_setting_is_judged_over_all_models():
+    first, second = PEER_SETTINGS[1], PEER_SETTINGS[2]
+    rows = {
+        "a": {first.label: outcome(2.0, 2.0), second.label: outcome(1.0, 1.0)},
+        "b": {first.label: outcome(2.0, 2.0), second.label: outcome(9.0, 9.0)},
+    }
+    best = scanner_tables.best_setting(rows)
+    assert best is not None and best.label == first.label
+    assert scanner_tables.misses(np.array([2.5, 2.0]), best) == "angle +25 %"
+    assert scanner_tables.misses(np.array([2.02, 2.04]), best) == "none"
+    assert scanner_tables.misses(np.array([1.0, 2.2]), best) == "distance +10 %"
+
+
+def test_the_section_is_printed_without_any_peer(one_model, tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("MSAL_PEERS_PYTHON", raising=False)
+    words = [
+        "--cache",
+        str(tmp_path / "cache.json"),
+        "--only",
+        "plain",
+        "--kinds",
+        "normals",
+        "clean",
+    ]
+    scanners.main(words)
+    printed = capsys.readouterr().out
+    assert "## Noise as scanners make it" in printed
+    (row,) = (line for line in printed.splitlines() if line.startswith("| normals 0.2 (1) |"))
+    noisy, _, plain = (cell.strip() for cell in row.split("|")[2:5])
+    assert float(plain.split("/")[0]) < float(noisy.split("/")[0])
+    for setting in PEER_SETTINGS:
+        assert f"| {setting.label} |" in printed
+    scanners.main(words)
+    assert capsys.readouterr().out == printed
