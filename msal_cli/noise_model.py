@@ -14,6 +14,7 @@ Its covariance is what Stein's lemma and a rehearsal need, and both need only dr
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -74,6 +75,16 @@ class NoiseModel:
             return coordinates * self.level * self.level
         some = self.shares[judged]
         return coordinates * self.level * self.level * float((some * some).mean())
+
+    def height(self, judged: NDArray[np.bool_], normals: Floats | None = None) -> float:
+        """Root mean square of the displacement along the normals, file units, over the vertices
+        that are ``judged``; along an axis that is less than the level, by ``normals`` (n, 3)."""
+        coordinates = 3.0 if self.direction == ISOTROPIC else 1.0
+        height = math.sqrt(self.variance(judged) / coordinates)
+        if self.axis is None or normals is None:
+            return height
+        along = normals[judged] @ np.asarray(self.axis)
+        return height * math.sqrt(float((along * along).mean())) if len(along) else height
 
     def draw(self, mesh: Mesh, normals: Floats, generator: np.random.Generator) -> Floats:
         """One field of displacements (n, 3), file units; ``normals`` (n, 3) are those of the

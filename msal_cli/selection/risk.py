@@ -13,7 +13,7 @@ the trace of C times the derivative of d_k (Stein's lemma), and that is measured
 are drawn from the same covariance: u . (d_k(y + e u) - d_k(y)) / e.  So any colour, direction and
 level by region will do.
 
-``rehearsed`` takes a mesh whose truth is known: a first result stands for the truth, noise of the
+``Rehearsal`` takes a mesh whose truth is known: a first result stands for the truth, noise of the
 same kind is put on it, and every filter is run on that.
 
 Both are taken for the positions, and for the slopes, the differences along edges over their
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     Run = Callable[[Mesh], "Floats"]
     """Gives what a filter moves the vertices of a mesh by, (m, 3)."""
 
+Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
 PROBES = 2
@@ -178,93 +179,107 @@ class Stein:
         self, part: Part, noise: NoiseModel, normals: Floats, probes: int = PROBES
     ) -> None:
         mesh = part.mesh
-        self._part, self._noise = part, _at_least(noise, mesh)
-        self._slopes = _slopes(mesh, normals, part.judged, noise.direction == ISOTROPIC)
-        self._pushes, self._tilts, self._probes = [], [], []
+        self._part, self._noise, self._normals = part, _at_least(noise, mesh), normals
+        self._pushes, self._probes = [], []
         for probe in range(probes):
             generator = np.random.Generator(np.random.PCG64(probe + 1))
             push = self._noise.probe(mesh, normals, generator)
-            self._pushes.append(np.where(part.judged[:, None], push, 0.0))
-            self._tilts.append(self._slopes(push))
+            self._pushes.append(push)
             self._probes.append(mesh.moved(mesh.vertices + PROBE_STEP * push))
         self._moves: list[Floats] = []
-        self._places: list[float] = []
-        self._turns: list[float] = []
+        self._changes: list[list[Floats]] = []
 
     def add(self, run: Run, on_run: Callable[[], object]) -> None:
         """Run one more filter on the part, and on its probes."""
         moves = run(self._part.mesh)
         on_run()
-        place = turn = 0.0
-        for push, tilt, probe in zip(self._pushes, self._tilts, self._probes, strict=True):
-            change = (run(probe) - moves) / PROBE_STEP
-            place += float(np.einsum("ij,ij->", push, change))
-            turn += float(np.einsum("i,i->", tilt, self._slopes(change)))
+        changes = []
+        for probe in self._probes:
+            changes.append((run(probe) - moves) / PROBE_STEP)
             on_run()
         self._moves.append(moves)
-        self._places.append(place)
-        self._turns.append(turn)
+        self._changes.append(changes)
 
     @property
     def moves(self) -> Floats:
         """(k, m, 3), what each filter moves the vertices of the part by."""
         return np.stack(self._moves)
 
-    def risk(self) -> Risk:
-        """The risk of blends of all that were added."""
-        judged, count = self._part.judged, len(self._probes)
-        seen = np.where(judged[None, :, None], self.moves, 0.0)
-        tilted = np.stack([self._slopes(move) for move in self._moves])
+    def risk(self, judged: Flags | None = None) -> Risk:
+        """The risk of blends of all that were added, over the vertices (m,) that are ``judged``;
+        None for those of the part."""
+        judged = self._part.judged if judged is None else judged
+        mesh, moves, inside = self._part.mesh, self.moves, judged[:, None]
+        slopes = _slopes(mesh, self._normals, judged, self._noise.direction == ISOTROPIC)
+        places, turns = np.zeros(len(moves)), np.zeros(len(moves))
         # The probes' own squares: of coloured ones they scatter as the products do.
-        pushed = max(sum(_square(push) for push in self._pushes), np.finfo(float).tiny)
-        # Without a judged edge there are no slopes to tell of.
-        turned = max(sum(_square(tilt) for tilt in self._tilts), np.finfo(float).tiny)
+        pushed = turned = np.finfo(float).tiny
+        for at, push in enumerate(self._pushes):
+            some, tilt = np.where(inside, push, 0.0), slopes(push)
+            pushed += _square(some)
+            turned += _square(tilt)
+            for k, changes in enumerate(self._changes):
+                places[k] += float(np.einsum("ij,ij->", some, changes[at]))
+                turns[k] += float(np.einsum("i,i->", tilt, slopes(changes[at])))
+        seen = np.where(inside[None], moves, 0.0)
+        tilted = np.stack([slopes(move) for move in moves])
         total = max(int(judged.sum()), 1) * self._noise.variance(judged)
+        # Where no noise is expected every move is an error.
+        total = max(total, np.finfo(float).tiny)
         return Risk(
-            Quadratic(_gram(seen) / total, -np.array(self._places) / pushed),
-            Quadratic(_gram(tilted) * (count / turned), -np.array(self._turns) / turned),
-            _drift(self._part.mesh, seen, self._noise.level),
+            Quadratic(_gram(seen) / total, -places / pushed),
+            Quadratic(_gram(tilted) * (len(self._pushes) / turned), -turns / turned),
+            _drift(mesh, seen, self._noise.level),
         )
 
 
-def rehearsed(
-    part: Part,
-    pilot: Floats,
-    runs: Sequence[Run],
-    noise: NoiseModel,
-    is_impulsive: bool,
-    on_run: Callable[[], object],
-) -> Risk:
-    """The risk on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with ``noise``.
+class Rehearsal:
+    """Filters on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with ``noise``.
 
     If it is ``is_impulsive``, its heights are what the pilot took from the part, dealt out anew
     over the vertices and scaled to the level.
     """
-    noise = _at_least(noise, part.mesh)
-    truth = part.mesh.moved(pilot)
-    normals = truth.vertex_normals("uniform")
-    generator = np.random.Generator(np.random.PCG64(PROBES + 1))
-    taken = np.einsum("ij,ij->i", part.mesh.vertices - pilot, normals)
-    taken -= np.median(taken)
-    spread = float(taken[part.judged].std()) if part.judged.any() else 0.0
-    if is_impulsive and spread > 0.0:
-        moved = noise.displaced(truth, normals, lambda: generator.permutation(taken) / spread)
-    else:
-        moved = noise.draw(truth, normals, generator)
-    noisy = truth.moved(pilot + moved)
-    judged = part.judged
-    slopes = _slopes(noisy, normals, judged, noise.direction == ISOTROPIC)
-    back = pilot - noisy.vertices
-    moves = np.empty((len(runs), *pilot.shape))
-    for k, run in enumerate(runs):
-        moves[k] = run(noisy)
-        on_run()
-    seen = np.where(judged[None, :, None], moves, 0.0)
-    return Risk(
-        _known(seen, np.where(judged[:, None], back, 0.0)),
-        _known(np.stack([slopes(move) for move in moves]), slopes(back)),
-        _drift(noisy, seen, noise.level),
-    )
+
+    def __init__(
+        self,
+        part: Part,
+        pilot: Floats,
+        runs: Sequence[Run],
+        noise: NoiseModel,
+        is_impulsive: bool,
+        on_run: Callable[[], object],
+    ) -> None:
+        self._part, self._noise = part, _at_least(noise, part.mesh)
+        truth = part.mesh.moved(pilot)
+        self._normals = truth.vertex_normals("uniform")
+        generator = np.random.Generator(np.random.PCG64(PROBES + 1))
+        taken = np.einsum("ij,ij->i", part.mesh.vertices - pilot, self._normals)
+        taken -= np.median(taken)
+        spread = float(taken[part.judged].std()) if part.judged.any() else 0.0
+        if is_impulsive and spread > 0.0:
+            added = self._noise.displaced(
+                truth, self._normals, lambda: generator.permutation(taken) / spread
+            )
+        else:
+            added = self._noise.draw(truth, self._normals, generator)
+        self._noisy = truth.moved(pilot + added)
+        self._back = pilot - self._noisy.vertices
+        self._moves = np.empty((len(runs), *pilot.shape))
+        for k, run in enumerate(runs):
+            self._moves[k] = run(self._noisy)
+            on_run()
+
+    def risk(self, judged: Flags | None = None) -> Risk:
+        """The risk of blends of the filters, over the vertices (m,) that are ``judged``; None for
+        those of the part."""
+        judged = self._part.judged if judged is None else judged
+        slopes = _slopes(self._noisy, self._normals, judged, self._noise.direction == ISOTROPIC)
+        seen = np.where(judged[None, :, None], self._moves, 0.0)
+        return Risk(
+            _known(seen, np.where(judged[:, None], self._back, 0.0)),
+            _known(np.stack([slopes(move) for move in self._moves]), slopes(self._back)),
+            _drift(self._noisy, seen, self._noise.level),
+        )
 
 
 def _square(values: Floats) -> float:

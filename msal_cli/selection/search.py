@@ -1,11 +1,11 @@
-"""The search: candidates on a part of the mesh, their errors estimated, the best blend of them.
+"""The search: candidates on parts of the mesh, their errors estimated, the best blend of them.
 
-1. The noise is estimated.  Where there is none to speak of nothing is done.
-2. Every candidate that the budget allows runs on a part of the mesh, and on probes of it, and
+1. The noise is estimated.  Where there is none to speak of nothing is done, see ``leaving``.
+2. Every candidate that the budget allows runs on a small part of the mesh and on a probe of it, and
    Stein's lemma gives the error of any blend of them; the best blend is a first result.
-3. If that has sharp edges between smooth parts, or noise could hide them, dear filters join in,
-   and they and the best are tried again.
-4. The best ones rehearse: the best result yet stands for the truth, with noise put on it.
+3. The members of that and the best by themselves are tried on a larger part.  If the first result
+   has sharp edges between smooth parts, or noise could hide them, expensive filters join in.
+4. They rehearse: the best result yet stands for the truth, with noise put on it.
 5. The blend that is best by both estimates is taken, without members that hardly count.  Stein's
    counts the more the less sure it is what is noise and what is texture.
 
@@ -27,14 +27,15 @@ from msal_cli.noise_estimate import NoiseLevel, estimated
 from msal_cli.noise_model import NoiseModel
 from msal_cli.selection import NONE, Choice, Wishes
 from msal_cli.selection.candidates import CANDIDATES, ROBUST, SMOOTHER, Candidate
-from msal_cli.selection.patches import Part, representative
+from msal_cli.selection.patches import representative
 from msal_cli.selection.recipe import recipe
-from msal_cli.selection.risk import PROBES, Risk, Stein, rehearsed
+from msal_cli.selection.risk import PROBES, Risk
 from msal_cli.selection.surface import CLEAN, MACHINED, kind_of
+from msal_cli.selection.trials import Trials
 from msal_cli.selection.weighing import FLOOR, best_weights, rounded
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from msal_cli.selection import OnStep
 
@@ -51,10 +52,13 @@ START = 1_000_000
 SEARCH = 0.4
 """Part of the budget that may go into looking at candidates."""
 
-LEAST_PART, MOST_PART = 8_000, 16_000
-"""Vertices that candidates are tried on; on fewer the estimates scatter too much."""
+GLANCE = 4_000
+"""Vertices that all candidates are tried on: enough to tell which are worth a longer look."""
 
-REHEARSING = 14
+LEAST_PART, MOST_PART = 6_000, 12_000
+"""Vertices that the best are tried on; on fewer the estimates scatter too much."""
+
+LONGER_LOOK = 6
 """The best candidates by themselves that rehearse beside the members of the first blend."""
 
 LEAST_WEIGHT = 0.04
@@ -115,6 +119,8 @@ class _Search:
         # In filters of the default run over one vertex.
         self.allowance = (wishes.budget - 1.0) * ((RUN + 1.0) * n + START) + n
         self._done = self._total = 0
+        self.model = NoiseModel(self.level)
+        self._whole: Trials | None = None
 
     def chosen(self) -> Choice:
         """The best blend, or single method, that the budget allows."""
@@ -122,63 +128,55 @@ class _Search:
         # A budget of one run leaves nothing for looking around.
         usable = usable or [min(CANDIDATES, key=lambda one: one.cost)]
         at_first = [one for one in usable if not one.is_last_resort]
-        dear = [one for one in usable if one.is_last_resort]
-        part = representative(self.mesh, self._part_size(at_first))
-        look = self._by_rehearsals if self.is_impulsive else self._by_stein
-        members, risks, surface, tried = look(part, at_first, dear)
+        last = [one for one in usable if one.is_last_resort]
+        self._total = 2 * len(at_first) + 5 * (LONGER_LOOK + len(last)) + 1
+        glance = self._trials(GLANCE)
+        risk = self._look(glance, at_first)
+        weights = self._best([risk])
+        surface = kind_of(glance.part.mesh.moved(glance.positions(at_first, weights)))
+        shortlist = self._shortlist(risk, weights)
+        members = [at_first[k] for k in shortlist]
+        weights = weights[shortlist]
+        tried = len(at_first)
+        if self._may_be_sharp(surface):
+            members += last
+            weights = np.concatenate([weights, np.zeros(len(last))])
+            tried += len(last)
+        study = self._trials(self._part_size(members))
+        first = study.positions(members, weights)
+        risks: list[Risk] = []
+        if self._is_gaussian and self._doubt > 0.0:
+            stein = study.by_stein(members, first, PROBES).risk()
+            risks.append(stein.counted(self._doubt))
+        again = study.by_rehearsal(members, first).risk()
+        first = study.positions(members, self._best([*risks, again]))
+        risks.append(study.by_rehearsal(members, first).risk())
         final = self._pruned(members, risks)
         self._finish()
         return self._choice(members, final, risks, surface, tried)
 
-    def _by_stein(
-        self, part: Part, at_first: list[Candidate], dear: list[Candidate]
-    ) -> tuple[list[Candidate], list[Risk], str, int]:
-        """The shortlist, its risks by Stein's lemma and by a rehearsal, the kind of surface, and
-        how many candidates were looked at."""
-        once = len(at_first) + len(dear) + REHEARSING
-        self._total = (1 + PROBES) * once + 2 * REHEARSING + len(at_first)
-        first = part.mesh.vertices + self._run(SMOOTHER, part.mesh)(part.mesh)
-        looked, tried = at_first, len(at_first)
-        risk, moves = self._judged(part, first, looked)
-        weights = self._best([risk])
-        first = part.mesh.vertices + _blend(weights, moves)
-        surface = kind_of(part.mesh.moved(first))
-        is_sharp = bool(dear) and self._may_be_sharp(surface)
-        if is_sharp:
-            # Along better directions: under the noise in which edges are sharp they matter.
-            looked = [at_first[k] for k in self._shortlist(risk, weights)] + dear
-            tried += len(dear)
-            risk, moves = self._judged(part, first, looked)
-            weights = self._best([risk])
-            first = part.mesh.vertices + _blend(weights, moves)
-        shortlist = self._shortlist(risk, weights)
-        members = [looked[k] for k in shortlist]
-        risk = risk.of(shortlist)
-        again = self._rehearsed(part, first, members)
-        if not is_sharp:
-            better = part.mesh.vertices + _blend(self._best([risk, again]), moves[shortlist])
-            again = self._rehearsed(part, better, members)
-        return members, [risk.counted(self._doubt), again], surface, tried
+    def _look(self, glance: Trials, candidates: Sequence[Candidate]) -> Risk:
+        """The risk of all candidates, by Stein's lemma where it holds."""
+        if self._is_gaussian:
+            first = glance.positions([SMOOTHER], np.ones(1))
+            return glance.by_stein(candidates, first, 1).risk()
+        first = glance.positions([ROBUST], np.ones(1))
+        return glance.by_rehearsal(candidates, first).risk()
 
-    def _by_rehearsals(
-        self, part: Part, at_first: list[Candidate], dear: list[Candidate]
-    ) -> tuple[list[Candidate], list[Risk], str, int]:
-        """The same for impulsive noise, of which Stein's lemma knows nothing: two rehearsals, the
-        second one on what the first has chosen."""
-        first = part.mesh.vertices + self._run(ROBUST, part.mesh)(part.mesh)
-        surface = kind_of(part.mesh.moved(first))
-        looked = at_first + dear if self._may_be_sharp(surface) else at_first
-        self._total = 2 * len(looked)
-        risk = self._rehearsed(part, first, looked)
-        weights = self._best([risk])
-        shortlist = self._shortlist(risk, weights)
-        members = [looked[k] for k in shortlist]
-        moves = np.zeros_like(first)
-        for weight, member in zip(weights[shortlist], members, strict=True):
-            if weight > 0.0:
-                moves += weight * self._run(member, part.mesh)(part.mesh)
-        again = self._rehearsed(part, part.mesh.vertices + moves, members)
-        return members, [again], surface, len(looked)
+    def _trials(self, size: int) -> Trials:
+        """Trials on a part of about so many vertices; on the same one where it is the whole."""
+        part = representative(self.mesh, size)
+        if self._whole is not None and part.numbers is None:
+            return self._whole
+        trials = Trials(part, self.model, self.is_impulsive, self._step)
+        if part.numbers is None:
+            self._whole = trials
+        return trials
+
+    @property
+    def _is_gaussian(self) -> bool:
+        """Whether Stein's lemma holds for the noise."""
+        return not self.is_impulsive
 
     @property
     def _doubt(self) -> float:
@@ -198,11 +196,6 @@ class _Search:
     def _may_be_sharp(self, surface: str) -> bool:
         return surface == MACHINED or self._noise_edges(self.mesh) >= HEAVY
 
-    def _rehearsed(self, part: Part, first: Floats, members: Sequence[Candidate]) -> Risk:
-        """The risk of members on ``first`` (m, 3) with the mesh's noise put on it."""
-        runs = [self._run(member, part.mesh) for member in members]
-        return rehearsed(part, first, runs, NoiseModel(self.level), self.is_impulsive, self._step)
-
     def _is_usable(self, candidate: Candidate) -> bool:
         """Whether one may be chosen: its run over the mesh fits, and trust has an effect."""
         spare = self.allowance * (1.0 - SEARCH)
@@ -212,36 +205,14 @@ class _Search:
         return candidate.cost * len(self.mesh.vertices) <= spare
 
     def _part_size(self, candidates: Sequence[Candidate]) -> int:
-        """Vertices of the part on which all candidates together keep within the budget."""
-        cost = sum(candidate.cost for candidate in candidates) * (PROBES + 2)
+        """Vertices of the part on which these candidates keep within the budget."""
+        cost = sum(candidate.cost for candidate in candidates) * (PROBES + 3)
         size = SEARCH * self.allowance / max(cost, 1.0)
         return int(min(max(size, LEAST_PART), MOST_PART))
-
-    def _run(self, candidate: Candidate, mesh: Mesh) -> Callable[[Mesh], Floats]:
-        """What the candidate moves a mesh like ``mesh`` by."""
-        method = methods.find(candidate.method)
-        settled = method.settled(candidate.settings(self._noise_edges(mesh)))
-
-        def run(other: Mesh) -> Floats:
-            moves: Floats = method.denoised(other, settled).vertices - other.vertices
-            return moves
-
-        return run
 
     def _noise_edges(self, mesh: Mesh) -> float:
         """The noise in mean edge lengths, with as many digits as are worth writing down."""
         return float(round(self.level / mesh.mean_edge_length, 4))
-
-    def _judged(
-        self, part: Part, first: Floats, candidates: Sequence[Candidate]
-    ) -> tuple[Risk, Floats]:
-        """Stein's risk of candidates, and what they move the part by (k, m, 3), with the noise
-        along the normals that the part has at ``first`` (m, 3)."""
-        normals = part.mesh.moved(first).vertex_normals("uniform")
-        judge = Stein(part, NoiseModel(self.level), normals)
-        for candidate in candidates:
-            judge.add(self._run(candidate, part.mesh), self._step)
-        return judge.risk(), judge.moves
 
     def _best(self, risks: Sequence[Risk]) -> Floats:
         if self.mesh.trust is not None:
@@ -263,7 +234,7 @@ class _Search:
 
     def _shortlist(self, risk: Risk, weights: Floats) -> list[int]:
         """Who rehearses: the members of the first blend, and the best by themselves."""
-        best = np.argsort(self._scores([risk]), kind="stable")[:REHEARSING]
+        best = np.argsort(self._scores([risk]), kind="stable")[:LONGER_LOOK]
         return sorted({*np.flatnonzero(weights >= 0.01).tolist(), *best.tolist()})
 
     def _pruned(self, members: Sequence[Candidate], risks: Sequence[Risk]) -> Floats:
@@ -326,9 +297,3 @@ class _Search:
     def _finish(self) -> None:
         if self._on_step is not None:
             self._on_step(self._total, self._total)
-
-
-def _blend(weights: Floats, moves: Floats) -> Floats:
-    """Moves (m, 3) of a blend."""
-    moved: Floats = np.einsum("k,kij->ij", weights, moves)
-    return moved

@@ -8,7 +8,7 @@ import pytest
 from msal_cli.mesh import Mesh, prepared
 from msal_cli.noise_model import AXIS, ISOTROPIC, NoiseModel
 from msal_cli.selection.patches import Part, representative
-from msal_cli.selection.risk import Quadratic, Stein, rehearsed
+from msal_cli.selection.risk import Quadratic, Rehearsal, Stein
 from msal_cli.selection.risk import _slopes as slopes_of
 from tests.shapes import grid, noisy, torus
 
@@ -60,6 +60,10 @@ def smoothing(mesh):
 
 def nothing():
     pass
+
+
+def rehearsed(*arguments):
+    return Rehearsal(*arguments).risk()
 
 
 def stein(part, noise, *runs):
