@@ -20,9 +20,10 @@ LongInts = NDArray[np.int64]
 
 @compiled
 def _reached(  # type: ignore[no-untyped-def]
-    start, stop, first, c, ring_start, ring, square_radius, most, sizes, near
+    start, stop, first, c, ring_start, ring, radii, most, sizes, near
 ):
-    """Find rows as ``found_rows`` wants them; c centroids, flat."""
+    """Find rows as ``found_rows`` wants them; c centroids, flat; ``radii`` one, or one a face."""
+    has_own = len(radii) > 1
     seen = np.empty(len(ring_start) - 1, dtype=np.uint32)
     nobody = np.uint32(len(seen))
     for face in range(np.uint64(len(seen))):
@@ -33,6 +34,8 @@ def _reached(  # type: ignore[no-untyped-def]
     for own in range(np.uint64(first + start), np.uint64(first + stop)):
         p = THREE * own
         x, y, z = c[p], c[p + ONE], c[p + TWO]
+        radius = radii[own] if has_own else radii[0]
+        square_radius = radius * radius
         name = np.uint32(own)
         seen[own] = name
         g = np.uint64(own)
@@ -61,7 +64,7 @@ def _reached(  # type: ignore[no-untyped-def]
 
 
 def faces_within(
-    centroids: Floats, ring_start: Ints, ring: Ints, radius: float, most: int
+    centroids: Floats, ring_start: Ints, ring: Ints, radius: float | Floats, most: int
 ) -> tuple[LongInts, Ints]:
     """Rows of the faces near each face: ``near_start`` (m + 1,) int64 and ``near``.
 
@@ -69,7 +72,8 @@ def faces_within(
     ----------
     centroids : (m, 3), file units.
     ring_start, ring : rows of the neighbours that the flood goes through, (m + 1,) and (k,).
-    radius : distance between centroids up to which a face is near, file units.
+    radius : distance between centroids up to which a face is near, file units; or (m,), one for
+        each face, from which the distance is measured.
     most : faces at which the flood from a face stops; the first that it meets are kept.
 
     A face is not in its own row.  Rows begin with the nearest neighbours, in steps along ``ring``.
@@ -81,7 +85,7 @@ def faces_within(
         centroids.reshape(-1),
         ring_start.view(np.uint32),
         ring.view(np.uint32),
-        radius * radius,
+        np.atleast_1d(np.float64(radius)),
         most,
     )
     near_start = np.zeros(len(centroids) + 1, dtype=np.int64)

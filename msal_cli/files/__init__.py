@@ -282,6 +282,6 @@ def vertex_property(mesh_file: MeshFile, name: str) -> NDArray[np.float64]:
         raise UnsupportedError(
             f"vertex properties such as {name!r} are read from PLY, not from "
             f"{mesh_file.format.upper()}",
-            hint="leave --weights and --lock away for this file, or give a PLY",
+            hint="give a PLY, or leave out for this file what names a property",
         )
     return mesh_file.vertex_property(name)

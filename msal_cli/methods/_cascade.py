@@ -1,0 +1,124 @@
+"""The stages of a learned filter, and the weights of its networks.
+
+The weights are two files of ``msal_cli/weights``: ``learned.json``, which describes the other, and
+``learned.f32``, little-endian numbers of 32 bits.  For each stage there are three layers, and for
+each layer its biases (out,), then its matrix (out, in), row by row.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.core.face_rings import face_centroids, face_rings
+from msal_cli.core.geometry import face_normals_and_areas
+from msal_cli.core.normal_regression import (
+    Descriptors,
+    Network,
+    describe_normals,
+    find_neighbourhoods,
+)
+from msal_cli.core.vertex_update import updated_vertices
+from msal_cli.errors import InternalError
+from msal_cli.mesh import Mesh
+from msal_cli.methods._sweeps import free_vertices
+
+Floats = NDArray[np.float64]
+
+WEIGHTS = Path(__file__).parents[1] / "weights"
+"""The folder of the trained weights."""
+
+FORMAT = 1
+
+
+class Cascade:
+    """The stages of one mesh: descriptors of where it is, and vertices that fit new normals."""
+
+    def __init__(self, mesh: Mesh, boundary: str) -> None:
+        self.mesh = mesh
+        self.free = free_vertices(mesh, boundary)
+        centroids = face_centroids(mesh.vertices, mesh.faces)
+        rings = face_rings(mesh.faces, mesh.links, "vertex")
+        self.near = find_neighbourhoods(centroids, *rings)
+        self.scanned = face_normals_and_areas(mesh.vertices, mesh.faces)
+
+    def describe(self, positions: Floats, earlier: Floats | None) -> Descriptors:
+        """The descriptors of all faces with the vertices at ``positions`` (n, 3).
+
+        ``earlier`` are the normals (m, 3) of the stage before; None for the first one.
+        """
+        faces = self.mesh.faces
+        normals, areas = face_normals_and_areas(positions, faces)
+        before = None if earlier is None else (self.scanned[0], earlier)
+        return describe_normals(
+            normals, areas, face_centroids(positions, faces), self.near, before
+        )
+
+    def fit(
+        self,
+        positions: Floats,
+        normals: Floats,
+        passes: int,
+        on_pass: Callable[[], object] | None = None,
+    ) -> Floats:
+        """Positions (n, 3) that fit the normals (m, 3) better, after ``passes`` passes."""
+        mesh = self.mesh
+        return updated_vertices(
+            positions, normals, mesh.faces, mesh.links, self.free, passes, on_pass
+        )
+
+
+@functools.cache
+def load_networks() -> tuple[Network, ...]:
+    """The trained networks, one for each stage; InternalError where the files are damaged."""
+    return read_networks(WEIGHTS / "learned.json")
+
+
+def read_networks(header_path: Path) -> tuple[Network, ...]:
+    """The networks of a header, a JSON file, and of the ``.f32`` file beside it."""
+    try:
+        header = json.loads(header_path.read_text(encoding="utf-8"))
+        data = header_path.with_suffix(".f32").read_bytes()
+    except (OSError, ValueError) as error:
+        raise InternalError(
+            f"the weights of the learned filter cannot be read: {error}",
+            hint="install msal again",
+        ) from None
+    if header["format"] != FORMAT or hashlib.sha256(data).hexdigest() != header["sha256"]:
+        raise InternalError(
+            "the weights of the learned filter are damaged", hint="install msal again"
+        )
+    numbers = np.frombuffer(data, dtype="<f4").astype(np.float32)
+    networks, at = [], 0
+    for sizes in header["stages"]:
+        layers = []
+        for n_in, n_out in zip(sizes, sizes[1:], strict=False):
+            bias = numbers[at : at + n_out]
+            matrix = numbers[at + n_out : at + n_out * (1 + n_in)].reshape(n_out, n_in)
+            at += n_out * (1 + n_in)
+            layers.append((bias, matrix))
+        networks.append(Network(tuple(layers)))
+    return tuple(networks)
+
+
+def write_networks(header_path: Path, networks: tuple[Network, ...], about: dict[str, str]) -> None:
+    """Write what ``read_networks`` reads; ``about`` says in the header how they were trained."""
+    parts = [part for one in networks for layer in one.layers for part in layer]
+    data = b"".join([part.astype("<f4").tobytes() for part in parts])
+    stages = [
+        [one.layers[0][1].shape[1], *[len(bias) for bias, _ in one.layers]] for one in networks
+    ]
+    header = {
+        "format": FORMAT,
+        **about,
+        "stages": stages,
+        "sha256": hashlib.sha256(data).hexdigest(),
+    }
+    header_path.with_suffix(".f32").write_bytes(data)
+    header_path.write_text(json.dumps(header, indent=2) + "\n", encoding="utf-8")
