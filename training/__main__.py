@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from msal_cli.core.normal_descriptors import WIDE_FILTERED
-from msal_cli.core.normal_regression import GLOBALS, VECTORS, Network
+from msal_cli.core.normal_regression import VECTORS, Network
 from msal_cli.methods._cascade import write_networks
 from training.regression import Schedule, train_network
 from training.samples import NoisyMesh, collect_samples, draw_meshes

@@ -56,9 +56,7 @@ class Cascade:
         faces = self.mesh.faces
         normals, areas = face_normals_and_areas(positions, faces)
         before = None if earlier is None else (self.scanned[0], earlier)
-        return describe_normals(
-            normals, areas, face_centroids(positions, faces), self.near, before
-        )
+        return describe_normals(normals, areas, face_centroids(positions, faces), self.near, before)
 
     def fit(
         self,

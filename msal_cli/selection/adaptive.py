@@ -21,7 +21,7 @@ from msal_cli import methods
 from msal_cli.noise_estimate import SURE, NoiseLevel, estimated
 from msal_cli.noise_model import NoiseModel
 from msal_cli.selection import FAMILY, NONE, Choice
-from msal_cli.selection.candidates import Candidate
+from msal_cli.selection.candidates import Candidate, wiener_al
 from msal_cli.selection.patches import representative
 from msal_cli.selection.risk import Risk, Stein
 from msal_cli.selection.weighing import FLOOR
@@ -37,13 +37,6 @@ Floats = NDArray[np.float64]
 FEWEST_VERTICES = 256
 """Vertices below which the noise estimate takes the shape of coarse models for noise: a cone of 34,
 a torus of 96, a ring of 128.  Scans have more."""
-
-STRONG_EDGES = 0.25
-"""Noise in mean edge lengths from which normals are mollified twice."""
-
-FEW_SWEEPS, SWEEPS, FAIR_EDGES = 4, 6, 0.15
-"""Sweeps with the Wiener schedule, the second number above that noise, in mean edge lengths.  More
-hardly matter: 10 reduce the angle by 1 %, and weak noise is gone after four."""
 
 PART, SEEDS = 4_000, 16_384
 """Vertices that candidates run on, and places where patches of a large mesh may begin."""
@@ -77,7 +70,7 @@ def _chosen(mesh: Mesh, on_step: OnStep) -> Choice:
         return _none(noise, f"noise {noise.mean_edges:.2g} e; clean")
     if noise.is_negligible:
         what = f"noise not separable from texture, at most {noise.high:.2g} e"
-        return _choice(noise, what, noise.high, _wiener(noise.high))
+        return _choice(noise, what, noise.high, wiener_al(noise.high))
     return _by_risk(mesh, noise, on_step)
 
 
@@ -128,21 +121,11 @@ def _scores(risk: Risk) -> Floats:
     return scores
 
 
-def _wiener(level: float) -> Candidate:
-    """AL with the Wiener schedule, for noise of ``level`` mean edge lengths."""
-    given = {
-        "schedule": "wiener",
-        "iterations": SWEEPS if level > FAIR_EDGES else FEW_SWEEPS,
-        "mollify": 2 if level > STRONG_EDGES else 1,
-    }
-    return Candidate("al", given, 2.0, takes_noise=True)
-
-
 def _candidates(mesh: Mesh, level: float) -> list[Candidate]:
     """What is tried, the usual one first; with trust only what has a data term."""
     robust = Candidate("msal", {"schedule": "robust", "K": 0.2, "iterations": 3}, 1.0)
     single = Candidate("al", {"iterations": 1, "mollify": 0}, 0.5)
-    found = [_wiener(level), robust]
+    found = [wiener_al(level), robust]
     return found if mesh.trust is not None else [*found, single]
 
 

@@ -154,6 +154,24 @@ CANDIDATES: tuple[Candidate, ...] = (
     Candidate("l0", dict(_SLIDING), 190.0, is_last_resort=True),
 )
 
+STRONG_EDGES = 0.25
+"""Noise in mean edge lengths from which AL mollifies normals twice."""
+
+FEW_SWEEPS, SWEEPS, FAIR_EDGES = 4, 6, 0.15
+"""Sweeps of AL with the Wiener schedule, the second number above that noise, in mean edge lengths.
+More hardly matter: 10 reduce the angle by 1 %, and weak noise is gone after four."""
+
+
+def wiener_al(level: float) -> Candidate:
+    """AL with the Wiener schedule, for noise of ``level`` mean edge lengths."""
+    given = {
+        "schedule": "wiener",
+        "iterations": SWEEPS if level > FAIR_EDGES else FEW_SWEEPS,
+        "mollify": 2 if level > STRONG_EDGES else 1,
+    }
+    return Candidate("al", given, 2.0, takes_noise=True)
+
+
 SMOOTHER = _wiener(0.75, 2.25)
 """A cheap one that does well on most meshes: its result gives the directions of the noise."""
 

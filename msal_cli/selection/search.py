@@ -16,6 +16,7 @@ benchmarks/accuracy.py; docs/accuracy.md has other models as a check.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,7 @@ from msal_cli.noise_estimate import NoiseLevel, estimated
 from msal_cli.noise_model import NoiseModel
 from msal_cli.selection import NONE, Choice, Wishes
 from msal_cli.selection.candidates import CANDIDATES, ROBUST, SMOOTHER, Candidate
+from msal_cli.selection.least import SHAPE, STRENGTH, choose_least
 from msal_cli.selection.patches import representative
 from msal_cli.selection.recipe import recipe
 from msal_cli.selection.risk import PROBES, Risk
@@ -78,13 +80,12 @@ Stein's risk counts as much."""
 HEAVY = 0.35
 """Noise in mean edge lengths under which no first result shows whether there are sharp edges."""
 
-STRENGTH = 1.2
-"""Factor of the noise that is reckoned with for each step of ``Wishes.strength``."""
+HARM = "every filter would add more error than it takes away"
 
 _SLOPES = {"balanced": 0.5, "positions": 0.25, "normals": 0.75, "volume": 0.4}
 _DRIFT = {"volume": 1000.0}
 # What is to be kept: factor of the noise, share of the slopes.
-_KEEP = {"texture": (0.9, 0.5), "edges": (1.0, 0.7), "shape": (1.25, 0.4)}
+_KEEP = {"texture": (0.9, 0.5), "edges": (1.0, 0.7), "shape": (SHAPE, 0.4)}
 
 
 def chosen(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
@@ -93,8 +94,7 @@ def chosen(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
     if noise.is_negligible or not mesh.links.has_ring.any():
         if on_step is not None:
             on_step(1, 1)
-        reason = f"noise {noise.mean_edges:.2g} e; {CLEAN}; left as it is"
-        return Choice(NONE, {}, reason, CLEAN, noise)
+        return choose_least(noise, wishes, CLEAN, CLEAN)
     return _Search(mesh, wishes, noise, on_step).chosen()
 
 
@@ -278,15 +278,20 @@ class _Search:
         made = recipe(members, weights, self._noise_edges(self.mesh))
         what = "impulsive noise" if self.is_impulsive else "noise"
         level = self.noise.rms_edges if self.is_impulsive else self.noise.mean_edges
-        return Choice(
+        choice = Choice(
             made.method,
             made.parameters,
             f"{what} {level:.2g} e; {surface}; {made.label}",
             surface,
             self.noise,
-            together**0.5 * unit,
-            tried,
-            tuple((members[k].label, float(alone[k]) ** 0.5 * unit) for k in beside),
+        )
+        if made.method == NONE:
+            choice = choose_least(self.noise, self.wishes, f"{surface}; {HARM}", surface, True)
+        return dataclasses.replace(
+            choice,
+            risk=together**0.5 * unit,
+            tried=tried,
+            runners_up=tuple((members[k].label, float(alone[k]) ** 0.5 * unit) for k in beside),
         )
 
     def _step(self) -> None:
