@@ -16,17 +16,19 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.noise import share_over_rings
+from msal_cli.noise_estimate import regional
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from msal_cli.mesh import Mesh
+    from msal_cli.noise_estimate import NoiseLevel
 
 Floats = NDArray[np.float64]
 
@@ -47,6 +49,8 @@ class NoiseModel:
     axis : unit vector (3,) of the last; None otherwise.
     shares : (n,) level of each vertex over ``level``, for noise that is not the same everywhere;
         None where it is.
+    step : of depths that are rounded, file units: along the axis or, without one, along the
+        coordinate axis that is nearest to the normal; 0 for none.
     """
 
     level: float
@@ -54,19 +58,31 @@ class NoiseModel:
     direction: str = NORMALS
     axis: tuple[float, float, float] | None = None
     shares: Floats | None = None
+    step: float = 0.0
+
+    @property
+    def is_gaussian(self) -> bool:
+        """Whether Stein's lemma holds for it."""
+        return not self.step
 
     @property
     def is_plain(self) -> bool:
         """Whether it is white, along the normals, and the same everywhere."""
         return not self.rings and self.direction == NORMALS and self.shares is None
 
+    def along_normals(self) -> NoiseModel:
+        """The same noise, of which only the part along the normals counts."""
+        return dataclasses.replace(self, direction=NORMALS, axis=None)
+
     def at_level(self, level: float) -> NoiseModel:
         """The same noise, of another level in file units."""
         return dataclasses.replace(self, level=level)
 
-    def over(self, shares: Floats | None) -> NoiseModel:
-        """The same noise with levels of vertices (n,) over its level."""
-        return dataclasses.replace(self, shares=shares)
+    def on_part(self, numbers: NDArray[Any] | None) -> NoiseModel:
+        """The same noise on some vertices (m,) of the mesh, by their numbers; None for all."""
+        if self.shares is None or numbers is None:
+            return self
+        return dataclasses.replace(self, shares=self.shares[numbers])
 
     def variance(self, judged: NDArray[np.bool_]) -> float:
         """Mean of the squared displacement over the vertices that are ``judged``, file units."""
@@ -112,3 +128,30 @@ class NoiseModel:
             moves = fields[0][:, None] * along
         scale = self.level if self.shares is None else self.level * self.shares[:, None]
         return np.asarray(scale * moves)
+
+    def _rounded(self, mesh: Mesh, normals: Floats, offset: float) -> Floats:
+        """Displacements (n, 3) that round depths to steps; a layer begins at ``offset`` of one."""
+        if self.axis is None:
+            along = np.zeros_like(normals)
+            along[np.arange(len(normals)), np.abs(normals).argmax(axis=1)] = 1.0
+        else:
+            along = np.broadcast_to(np.asarray(self.axis), normals.shape)
+        depths = np.einsum("ij,ij->i", mesh.vertices, along) / self.step + offset
+        return np.asarray((self.step * (np.round(depths) - depths))[:, None] * along)
+
+
+def build_model(mesh: Mesh, noise: NoiseLevel) -> NoiseModel:
+    """The estimated noise of a mesh as a field to draw from."""
+    character = getattr(noise, "character", None)
+    if character is None:
+        return NoiseModel(noise.mean_edges * mesh.mean_edge_length)
+    level = (noise.rms_edges if noise.is_impulsive else noise.mean_edges) * mesh.mean_edge_length
+    shares = regional(mesh) / level if noise.is_uneven and level > 0.0 else None
+    return NoiseModel(
+        level,
+        character.rings,
+        character.direction,
+        character.axis,
+        shares,
+        character.step * mesh.mean_edge_length,
+    )

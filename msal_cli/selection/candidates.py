@@ -54,9 +54,11 @@ NAMES = {
     "hybrid": "regularised AL",
     "l0": "L0",
     "normal_diffusion": "diffused normals",
+    "windowed_sinc": "pass band {pass_band:g}, {iterations} steps",
     "normal_threshold": "thresholded normals",
     "robust_msal": "robust MSAL",
     "wiener": "Wiener",
+    "windowed_sinc": "windowed sinc",
     "wiener_al": "AL with Wiener fidelity",
 }
 """What people call the methods, and those of their schedules in ``_KINDS``."""
@@ -74,6 +76,7 @@ _WORDS = {
     "wiener": "caution {caution:g}, sigma_s {similarity:g}",
     "msal": "K = {K:g}, {mollify} mollifications",
     "al": "{iterations} sweeps, {mollify} mollifications",
+    "windowed_sinc": "pass band {pass_band:g}, {iterations} steps",
     "normal_threshold": "threshold {threshold:g}, {iterations} iterations",
     "robust_msal": "K = {K:g}, {iterations} sweeps",
     "wiener_al": "{iterations} sweeps",
@@ -113,6 +116,10 @@ def _wiener(caution: float, similarity: float) -> Candidate:
     return Candidate("wiener", given, 10.0, takes_noise=True)
 
 
+def _sinc(iterations: int, pass_band: float, cost: float) -> Candidate:
+    return Candidate("windowed_sinc", {"iterations": iterations, "pass_band": pass_band}, cost)
+
+
 CANDIDATES: tuple[Candidate, ...] = (
     _al(1, 1, 0.6),
     _al(2, 1, 0.8),
@@ -132,6 +139,10 @@ CANDIDATES: tuple[Candidate, ...] = (
     _diffusion(1, 5, 0.5, 5.5),
     _diffusion(3, 15, 0.0, 18.0),
     _diffusion(5, 15, 0.0, 28.0),
+    _sinc(10, 0.3, 3.0),
+    _sinc(20, 0.1, 6.0),
+    _sinc(30, 0.05, 8.0),
+    _sinc(50, 0.01, 13.0),
     Candidate("bilateral_non_iterative", {}, 12.0),
     Candidate("hybrid", {}, 6.0),
     Candidate(

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from msal_cli import methods
 from msal_cli.mesh import Mesh
 from msal_cli.noise_estimate import NoiseLevel, estimated
-from msal_cli.noise_model import NoiseModel
+from msal_cli.noise_model import ISOTROPIC, build_model
 from msal_cli.selection import NONE, Choice, Wishes
 from msal_cli.selection.candidates import CANDIDATES, ROBUST, SMOOTHER, Candidate
 from msal_cli.selection.least import SHAPE, STRENGTH, choose_least
@@ -80,6 +80,10 @@ Stein's risk counts as much."""
 HEAVY = 0.35
 """Noise in mean edge lengths under which no first result shows whether there are sharp edges."""
 
+RELAX = 2
+"""Passes that even out triangles where noise is in all directions: more hardly help, and move
+vertices from their places."""
+
 HARM = "every filter would add more error than it takes away"
 
 _SLOPES = {"balanced": 0.5, "positions": 0.25, "normals": 0.75, "volume": 0.4}
@@ -119,7 +123,13 @@ class _Search:
         # In filters of the default run over one vertex.
         self.allowance = (wishes.budget - 1.0) * ((RUN + 1.0) * n + START) + n
         self._done = self._total = 0
-        self.model = NoiseModel(self.level)
+        self.model = build_model(mesh, noise).at_level(self.level)
+        self.relax = 0
+        if self.model.direction == ISOTROPIC and mesh.trust is None:
+            # Jagged triangles first, and what is left of the noise is along the normals.
+            self.relax = RELAX
+            self.mesh = even_out(mesh, RELAX)
+            self.model = self.model.along_normals()
         self._whole: Trials | None = None
 
     def chosen(self) -> Choice:
@@ -168,7 +178,7 @@ class _Search:
         part = representative(self.mesh, size)
         if self._whole is not None and part.numbers is None:
             return self._whole
-        trials = Trials(part, self.model, self.is_impulsive, self._step)
+        trials = Trials(part, self.model.on_part(part.numbers), self.is_impulsive, self._step)
         if part.numbers is None:
             self._whole = trials
         return trials
@@ -176,7 +186,7 @@ class _Search:
     @property
     def _is_gaussian(self) -> bool:
         """Whether Stein's lemma holds for the noise."""
-        return not self.is_impulsive
+        return not self.is_impulsive and self.model.is_gaussian
 
     @property
     def _doubt(self) -> float:

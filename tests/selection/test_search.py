@@ -82,7 +82,7 @@ def members_of(choice):
         parts = [(1.0, methods.find(choice.method), choice.parameters)]
     else:
         parts = [
-            (member.weight, member.method, member.parameters)
+            (member.weights[0], member.method, member.parameters)
             for member in read(choice.parameters["members"])
         ]
     return [
