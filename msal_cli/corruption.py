@@ -13,18 +13,13 @@ from typing import TYPE_CHECKING
 from msal_cli.errors import InternalError, MsalError, OutputError, ResourceError, UnsupportedError
 
 if TYPE_CHECKING:
-    from msal_cli.files.base import Buffer
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from msal_cli.files.base import Buffer, MeshFile
     from msal_cli.files.companions import Companion
-
-
-@dataclass(frozen=True)
-class Noise:
-    """What to add; see ``noise.noisy``."""
-
-    kind: str
-    level: float
-    seed: int
-    fraction: float = 0.1
+    from msal_cli.mesh import Prepared
+    from msal_cli.noise import AddedNoise
 
 
 @dataclass(frozen=True)
@@ -39,7 +34,9 @@ class Corrupted:
     companions: tuple[Companion, ...] = ()
 
 
-def corrupt_file(source: str, target: str, noise: Noise, format: str | None = None) -> Corrupted:
+def corrupt_file(
+    source: str, target: str, noise: AddedNoise, format: str | None = None
+) -> Corrupted:
     """Write the file ``source`` with noise added to ``target``.
 
     Raises
@@ -67,7 +64,7 @@ def corrupt_file(source: str, target: str, noise: Noise, format: str | None = No
 
 
 def corrupted(
-    data: Buffer, name: str, target: str, noise: Noise, format: str | None = None
+    data: Buffer, name: str, target: str, noise: AddedNoise, format: str | None = None
 ) -> tuple[Buffer, Corrupted]:
     """The bytes of the output for the bytes of the input ``name``, and what was done.
 
@@ -77,7 +74,7 @@ def corrupted(
 
     from msal_cli import files
     from msal_cli.mesh import prepared
-    from msal_cli.noise import noisy
+    from msal_cli.noise import add_noise
 
     plain, is_compressed = files.expanded(data, name)
     mesh_file = files.open_mesh(plain, name, format)
@@ -90,7 +87,10 @@ def corrupted(
     ready = prepared(
         mesh_file.vertices, mesh_file.faces, are_distinct=mesh_file.merged_vertices > 0
     )
-    positions = noisy(ready.mesh, noise.kind, noise.level, noise.seed, noise.fraction)
+    weights = None
+    if noise.kind == "property":
+        weights = read_weights(mesh_file, ready, noise.property)
+    positions = add_noise(ready.mesh, noise, weights)
     if not np.isfinite(positions).all():
         raise InternalError("noise made a position that is not finite")
     original = mesh_file.vertices
@@ -113,6 +113,21 @@ def corrupted(
     if not n_moved and compress == is_compressed:
         return output, result
     return files.compressed(output) if compress else output, result
+
+
+def read_weights(mesh_file: MeshFile, ready: Prepared, name: str) -> NDArray[np.float64]:
+    """A vertex property of the file at the mesh's vertices (n,); of vertices at one place the
+    first in the file counts."""
+    import numpy as np
+
+    from msal_cli import files
+
+    values = files.vertex_property(mesh_file, name)
+    if ready.place is None:
+        return values
+    is_used = ready.place >= 0
+    _, first = np.unique(ready.place[is_used], return_index=True)
+    return values[is_used][first]
 
 
 def _make_folder_of(path: str) -> None:

@@ -112,7 +112,27 @@ class AddedNoise:
         length = math.hypot(*self.direction)
         _require(0.0 < length < math.inf, "direction", self.direction, "a vector with a length")
         _require(0.0 < self.step < math.inf, "step", self.step, "a number above 0")
+        if self.kind == "property":
+            _require(bool(self.property), "property", self.property, "the name of one")
         _require(0.0 <= self.border <= 1.0, "border", self.border, "a number from 0 to 1")
+
+    def describe(self) -> str:
+        """The settings that the kind uses, in words: "along (0, 0, 1), shared over 2 rings"."""
+        used = OPTIONS[self.kind]
+        words = []
+        if "fraction" in used:
+            words.append(f"at {self.fraction:g} of the vertices")
+        if "direction" in used:
+            words.append("along ({:g}, {:g}, {:g})".format(*self.direction))
+        if "step" in used:
+            words.append(f"in steps of {self.step:g} e")
+        if self.border and "border" in used:
+            words.append(f"with a border of {self.border:g}")
+        if "property" in used:
+            words.append(f"times {self.property}")
+        if n_rings := self.count_rings():
+            words.append(f"shared over {n_rings} ring{'s' * (n_rings > 1)}")
+        return ", ".join(words)
 
     def count_rings(self) -> int:
         """Averages over one-rings, the kind's own where none are given."""
@@ -223,7 +243,11 @@ def _regional_weights(
         if weights is None or len(weights) != len(mesh.vertices):
             raise UsageError("noise by a property needs the property's value at every vertex")
         if not np.isfinite(weights).all():
-            raise ContentError(f"the property {noise.property!r} is not finite", code="E_PROPERTY")
+            raise ContentError(
+                f"the property {noise.property!r} is not finite",
+                code="E_NONFINITE",
+                hint="mend it, or choose another property",
+            )
         return weights
     if noise.kind not in ("half", "ramp"):
         return np.ones(len(mesh.vertices))

@@ -14,11 +14,27 @@ from msal_cli.cli.pipe import STREAM
 from msal_cli.errors import MsalError, UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.corruption import Corrupted, Noise
+    from msal_cli.corruption import Corrupted
+    from msal_cli.noise import AddedNoise
 
 _PATH = click.Path(readable=False, allow_dash=True)
 # Those of noise.KINDS, whose module takes numpy to import; a test holds them together.
-_KINDS = ("gaussian-normal", "gaussian", "mixed", "impulsive")
+_KINDS = (
+    "gaussian-normal",
+    "gaussian",
+    "mixed",
+    "impulsive",
+    "correlated",
+    "view",
+    "quantised",
+    "grazing",
+    "half",
+    "ramp",
+    "property",
+    "outliers",
+)
+# Settings that only some kinds use; noise.OPTIONS says which.
+_SETTINGS = ("fraction", "rings", "direction", "step", "border", "property")
 
 
 @dataclass(frozen=True)
@@ -30,7 +46,12 @@ class Request:
     kind: str
     level: float
     seed: int
-    fraction: float
+    fraction: float | None
+    rings: int | None
+    direction: tuple[float, float, float] | None
+    step: float | None
+    border: float | None
+    property: str | None
     include: tuple[str, ...]
     exclude: tuple[str, ...]
     format: str | None
@@ -42,7 +63,11 @@ class Request:
 def _share(least: float, most: float, unit: str) -> Any:
     """A callback for a number from ``least`` to ``most``, which ``unit`` may follow."""
 
-    def number(context: click.Context, parameter: click.Parameter, value: str) -> float:
+    def number(
+        context: click.Context, parameter: click.Parameter, value: str | None
+    ) -> float | None:
+        if value is None:
+            return None
         try:
             share = float(value.removesuffix(unit) if unit else value)
         except ValueError:
@@ -61,6 +86,7 @@ def _share(least: float, most: float, unit: str) -> Any:
 Examples:
   msal noise clean.ply -o noisy.ply --kind gaussian-normal --level 0.2 --seed 7
   msal noise clean -o noisy --kind impulsive --fraction 0.05
+  msal noise clean.ply -o scan.ply --kind view --direction -z --rings 1
 \b
 Exit status: see msal --help.""",
 )
@@ -76,10 +102,14 @@ Exit status: see msal --help.""",
 @click.option(
     "--kind",
     type=click.Choice(_KINDS),
+    metavar="KIND",
     default="gaussian-normal",
     show_default=True,
-    help="Gaussian along the vertex normals; Gaussian in each coordinate; mixed: along the normals "
-    "and as much across them; impulsive: along the normals at a fraction of the vertices.",
+    help="gaussian-normal: along the vertex normals; gaussian: in each coordinate; mixed: along "
+    "the normals and as much across them; impulsive: at a fraction of the vertices; correlated: "
+    "shared by neighbours; view: along one direction; quantised: along it, depths in steps; "
+    "grazing: along it, more at grazing angles; half: on one half; ramp: growing; property: times "
+    "a vertex property; outliers: a fraction of the vertices far off.",
 )
 @click.option(
     "--level",
@@ -100,10 +130,39 @@ Exit status: see msal --help.""",
 @click.option(
     "--fraction",
     metavar="NUMBER",
-    default="0.1",
-    show_default=True,
     callback=_share(0.0, 1.0, ""),
-    help="Share of the vertices that impulsive noise moves.",
+    help="Share of the vertices that impulsive noise or outliers move.  [default: 0.1]",
+)
+@click.option(
+    "--rings",
+    metavar="N",
+    callback=words.count_from(0),
+    help="How often noise is averaged over one-rings, so that neighbours share it; the level "
+    "stays.  [default: 2 for correlated, else 0]",
+)
+@click.option(
+    "--direction",
+    metavar="X,Y,Z",
+    callback=words.direction,
+    help="Direction of view; of half and ramp, where there is more noise. Or x, -y, z, ... "
+    " [default: z]",
+)
+@click.option(
+    "--step",
+    metavar="NUMBER",
+    callback=_share(1e-9, 1000.0, "e"),
+    help="Step of quantised depths in mean edge lengths.  [default: 0.5]",
+)
+@click.option(
+    "--border",
+    metavar="NUMBER",
+    callback=_share(0.0, 1.0, ""),
+    help="Width of the border of half, as a share of the mesh's extent.  [default: 0, sharp]",
+)
+@click.option(
+    "--property",
+    metavar="NAME",
+    help="Vertex property (of PLY) that property noise is multiplied with.",
 )
 @file_options("The inputs' format, where neither their name nor their content tells.")
 @click.option("--force", is_flag=True, help="Replace files in the output folder.")
@@ -129,10 +188,10 @@ def _run(request: Request) -> int:
     from msal_cli import files
     from msal_cli.batch import inputs, plan, signals
     from msal_cli.cli import pipe
-    from msal_cli.corruption import Noise, corrupt_file
+    from msal_cli.corruption import corrupt_file
 
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
-    noise = Noise(request.kind, request.level, request.seed, request.fraction)
+    noise = _build_noise(request)
     one = pipe.pipe(request.inputs, request.output)
     if one is not None:
         return _piped(request, one, noise, format)
@@ -150,11 +209,30 @@ def _run(request: Request) -> int:
             n_failed += 1
             talk.say_error(error)
             continue
-        _tell(request, task.output, told)
+        _tell(request, task.output, noise, told)
     return exit_codes.of_files(len(tasks), n_failed)
 
 
-def _piped(request: Request, one: Any, noise: Noise, format: str | None) -> int:
+def _build_noise(request: Request) -> AddedNoise:
+    """What the command line describes; UsageError for a setting that the kind does not use."""
+    from msal_cli.noise import OPTIONS, AddedNoise
+
+    given = {name: value for name in _SETTINGS if (value := getattr(request, name)) is not None}
+    for name in given:
+        if name not in OPTIONS[request.kind]:
+            users = ", ".join(kind for kind, used in OPTIONS.items() if name in used)
+            raise UsageError(
+                f"--{name} means nothing for {request.kind} noise",
+                hint=f"leave it out; it is for --kind {users}",
+            )
+    if request.kind == "property" and not request.property:
+        raise UsageError(
+            "--kind property needs --property NAME", hint="msal info lists a file's properties"
+        )
+    return AddedNoise(request.kind, request.level, request.seed, **given)
+
+
+def _piped(request: Request, one: Any, noise: AddedNoise, format: str | None) -> int:
     from msal_cli import corruption, files
     from msal_cli.cli.standard_input import read_stream
 
@@ -166,19 +244,21 @@ def _piped(request: Request, one: Any, noise: Noise, format: str | None) -> int:
         talk.put_bytes(output)
     else:
         files.write_whole(one.target, [output])
-    _tell(request, one.target, told)
+    _tell(request, one.target, noise, told)
     return exit_codes.SUCCESS
 
 
-def _tell(request: Request, name: str, told: Corrupted) -> None:
+def _tell(request: Request, name: str, noise: AddedNoise, told: Corrupted) -> None:
     from msal_cli.report.as_text import file_name
     from msal_cli.report.names import shown
 
     if request.quiet:
         return
     amount = f"{request.level:g} mean edge lengths ({told.deviation:.4g})"
+    settings = noise.describe()
     talk.say(
         f"{file_name(name)}: {request.kind} noise of {amount}, "
+        f"{shown(settings) + ', ' if settings else ''}"
         f"{told.moved_vertices:,} of {told.vertices:,} vertices moved, seed {request.seed}"
     )
     for warning in told.warnings:

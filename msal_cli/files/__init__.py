@@ -27,6 +27,7 @@ __all__ = [
     "content_format",
     "converted",
     "corner_count",
+    "encode_mesh",
     "expanded",
     "format_of_name",
     "give_back_large_arrays",
@@ -243,6 +244,13 @@ def converted(
     return convert.converted(mesh_file, vertices, to, encoding, precision)
 
 
+def encode_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int32], to: str) -> Buffer:
+    """A new file of vertices (n, 3) and faces (m, 3); see ``convert.encode_mesh``."""
+    from msal_cli.files import convert
+
+    return convert.encode_mesh(vertices, faces, to)
+
+
 def normal_warnings(mesh_file: MeshFile, vertices: NDArray[np.float64]) -> tuple[str, ...]:
     """What a user should know of the normals that the file stores once its vertices are there.
 
@@ -282,6 +290,6 @@ def vertex_property(mesh_file: MeshFile, name: str) -> NDArray[np.float64]:
         raise UnsupportedError(
             f"vertex properties such as {name!r} are read from PLY, not from "
             f"{mesh_file.format.upper()}",
-            hint="leave --weights and --lock away for this file, or give a PLY",
+            hint="give a PLY, or leave out for this file what names a property",
         )
     return mesh_file.vertex_property(name)

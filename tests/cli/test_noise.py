@@ -10,7 +10,7 @@ import pytest
 from msal_cli import files
 from msal_cli.cli.noise import _KINDS
 from msal_cli.noise import KINDS
-from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on, ply_text
 from tests.shapes import torus
 
 
@@ -26,7 +26,8 @@ def test_the_command_offers_every_kind():
 @pytest.mark.parametrize("kind", KINDS)
 def test_only_positions_change(scan, kind):
     target = scan.with_name("out.ply")
-    made = msal("noise", scan, "-o", target, "--kind", kind, "--level", "0.3", "--seed", 5)
+    words = ["--property", "x"] if kind == "property" else []
+    made = msal("noise", scan, "-o", target, "--kind", kind, "--level", "0.3", "--seed", 5, *words)
     assert (made.exit_code, made.stdout) == (0, "")
     assert f"{kind} noise of 0.3 mean edge lengths" in made.stderr
     before, after = scan.read_bytes().splitlines(), target.read_bytes().splitlines()
@@ -103,6 +104,15 @@ def test_a_stream(scan):
         ["--seed", "-3"],
         ["--fraction", "1.5"],
         ["--kind", "salt"],
+        ["--kind", "view", "--direction", "0,0,0"],
+        ["--kind", "view", "--direction", "1,2"],
+        ["--kind", "view", "--direction", "up"],
+        ["--kind", "view", "--direction", "nan,0,1"],
+        ["--kind", "view", "--rings", "1.5"],
+        ["--kind", "view", "--rings", "100000"],
+        ["--kind", "quantised", "--step", "0"],
+        ["--kind", "half", "--border", "2"],
+        ["--kind", "property"],
     ],
 )
 def test_wrong_values_touch_nothing(scan, wrong):
@@ -130,3 +140,92 @@ def test_a_file_needs_an_output(scan):
     made = msal("noise", scan)
     assert made.exit_code == 2
     assert "there is no output" in made.stderr
+
+
+@pytest.mark.parametrize(
+    ("kind", "setting", "users"),
+    [
+        ("gaussian", ["--fraction", "0.2"], "impulsive, outliers"),
+        ("gaussian-normal", ["--rings", "2"], "correlated, view"),
+        ("correlated", ["--direction", "x"], "view, quantised, grazing, half, ramp"),
+        ("view", ["--step", "0.5"], "quantised"),
+        ("ramp", ["--border", "0.1"], "half"),
+        ("half", ["--property", "x"], "property"),
+    ],
+)
+def test_a_setting_that_the_kind_does_not_use_is_refused(scan, kind, setting, users):
+    target = scan.with_name("out.ply")
+    made = msal("noise", scan, "-o", target, "--kind", kind, *setting)
+    assert (made.exit_code, target.exists()) == (2, False)
+    assert f"{setting[0]} means nothing for {kind} noise" in made.stderr
+    assert users in made.stderr
+
+
+@pytest.mark.parametrize(
+    ("given", "told", "axis"),
+    [("-z", "(0, 0, -1)", 2), ("X", "(1, 0, 0)", 0), ("0,2,0", "(0, 2, 0)", 1)],
+)
+def test_a_direction_is_an_axis_or_three_numbers(scan, given, told, axis):
+    target = scan.with_name("out.ply")
+    made = msal("noise", scan, "-o", target, "--kind", "view", "--direction", given, "--rings", 1)
+    assert made.exit_code == 0
+    assert f"along {told}, shared over 1 ring, 288 of 288" in made.stderr
+    moved = files_vertices(target) != files_vertices(scan)
+    assert moved.any(axis=0).tolist() == [at == axis for at in range(3)]
+
+
+def files_vertices(path):
+    return files.open_mesh(path.read_bytes(), path.name).vertices
+
+
+def test_quantised_depths_in_the_file_lie_on_levels(scan):
+    target = scan.with_name("out.ply")
+    words = ["--kind", "quantised", "--direction", "y", "--step", "0.7", "--level", "0.1"]
+    assert msal("noise", scan, "-o", target, *words).exit_code == 0
+    gaps = np.diff(np.unique(np.round(files_vertices(target)[:, 1], 4)))
+    step = gaps.min()
+    assert 0.1 < step < 1.0
+    assert gaps / step == pytest.approx(np.round(gaps / step), abs=0.01)
+
+
+def test_noise_by_a_property_leaves_alone_what_has_none(scan):
+    vertices, faces = torus()
+    lines = [f"{x:.6f} {y:.6f} {z:.6f} {max(x, 0.0):.6f}" for x, y, z in vertices]
+    text = scan.read_text().split("end_header")[0]
+    text = text.replace("float z", "float z\nproperty float amount") + "end_header\n"
+    text += "\n".join(lines) + "\n" + "".join(f"3 {a} {b} {c}\n" for a, b, c in faces)
+    source, target = scan.with_name("amount.ply"), scan.with_name("out.ply")
+    source.write_text(text)
+    made = msal("noise", source, "-o", target, "--kind", "property", "--property", "amount")
+    assert made.exit_code == 0
+    assert "times amount" in made.stderr
+    moved = (files_vertices(target) != files_vertices(source)).any(axis=1)
+    assert not moved[vertices[:, 0] <= 0.0].any()
+    assert moved[vertices[:, 0] > 0.5].all()
+    wrong = msal("noise", source, "-o", target, "--kind", "property", "--property", "Amount")
+    assert (wrong.exit_code, "E_PROPERTY" in wrong.stderr) == (1, True)
+    assert "amount" in wrong.stderr
+
+
+def test_noise_by_a_property_needs_a_format_that_has_them(tmp_path):
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    words = ["--kind", "property", "--property", "quality"]
+    made = msal("noise", tmp_path / "a.obj", "-o", tmp_path / "b.obj", *words)
+    assert (made.exit_code, (tmp_path / "b.obj").exists()) == (1, False)
+    assert "are read from PLY, not from OBJ" in made.stderr
+
+
+@pytest.mark.parametrize("kind", ["correlated", "view", "quantised", "outliers", "property"])
+def test_seams_stay_closed_whatever_the_kind(tmp_path, kind):
+    vertices, faces = torus()
+    corners = vertices[faces.reshape(-1)]
+    soup = np.arange(len(corners)).reshape(-1, 3)
+    (tmp_path / "soup.ply").write_bytes(ply_text(corners, soup))
+    words = ["--property", "z"] if kind == "property" else []
+    made = msal("noise", tmp_path / "soup.ply", "-o", tmp_path / "out.ply", "--kind", kind, *words)
+    assert made.exit_code == 0
+    after = files_vertices(tmp_path / "out.ply")
+    assert (after != files_vertices(tmp_path / "soup.ply")).any()
+    for at in range(len(vertices)):
+        places = after[faces.reshape(-1) == at]
+        assert (places == places[0]).all()
