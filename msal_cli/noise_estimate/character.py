@@ -42,6 +42,15 @@ LEAST_STEP_LEVEL = 0.02
 WORST_FIT = 0.12
 """Mean error of logarithms up to which a number of rings explains the levels by scale."""
 
+SHEET, MOST_FACING = 0.3, 0.97
+"""Length of the mean normal, and share of the normals within a right angle of it, of a sheet."""
+
+LEAST_TEXTURE = 0.5
+"""Share of what fits over two rings leave over that those over one leave of texture."""
+
+MISSED = 0.7
+"""Share of the level below which fits over one-rings have missed it."""
+
 SURE_MARGIN = 0.06
 """By how much another number of rings has to be worse for there to be no doubt."""
 
@@ -71,6 +80,10 @@ and others have none."""
 
 UNEVEN_RATIO, LEAST_LOUD = 2.5, 0.05
 """Ratio of the most to the least noisy region, and mean edge lengths that the former has."""
+
+LEAST_PURE, MOST_UNEVEN_RINGS = 0.1, 2
+"""Share of the places in loud regions, and most rings, with which noise that differs by region is
+told from texture."""
 
 PURE = 0.3
 """Least ratio of the variances of a tenth and of half of the places in a region that is in one part
@@ -133,7 +146,7 @@ def _decide(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> NoiseLevel:
         return _spiked(mesh, white, survey)
     if axis is not None:
         return _along(white, axis, colour)
-    is_shared = colour is not None and _is_shared(white, colour)
+    is_shared = colour is not None and _is_shared(white, survey, colour)
     is_even = colour is not None and colour.is_even and colour.rings == 0
     regional = None if is_shared or is_even else _find_regional(survey)
     if regional is not None:
@@ -142,6 +155,8 @@ def _decide(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> NoiseLevel:
         return _plain(white, "none" if white.level.is_negligible else "unknown", 0.3, "few places")
     if is_shared:
         return _shared(white, colour)
+    if colour.rings == 0 and _is_uneven_mesh(white, colour):
+        return _on_uneven_triangles(white, colour)
     if white.level.is_negligible:
         return _plain(white, "none", 0.9, "nothing that noise would leave to fits over one ring")
     if colour.sharpness[1] < SHARP_WHITE or white.level.low == 0.0:
@@ -171,16 +186,53 @@ def _is_spiked(white: WhiteEstimate, colour: Colour | None) -> bool:
     if white.level.is_negligible:
         return False
     # Where half of the vertices have impulses, few stand out, but many one-rings have none.
-    is_mixed = colour is not None and colour.sharpness[0] < MIXED and colour.is_even
+    is_mixed = colour is not None and colour.sharpness[0] < MIXED and colour.is_alike
     return white.level.is_impulsive or (white.level.tail > MIXED_TAIL and is_mixed)
 
 
-def _is_shared(white: WhiteEstimate, colour: Colour) -> bool:
+def _is_shared(white: WhiteEstimate, survey: Survey, colour: Colour) -> bool:
     """Whether neighbours share noise, and it is no texture."""
     is_shared = colour.rings > 0 and colour.is_floor and colour.misfit < WORST_FIT
-    # Texture that fits over one ring leave little of is no noise shared over one ring.
-    is_texture = colour.rings == 1 and white.level.low == 0.0 and not white.level.is_negligible
-    return is_shared and colour.level > LEAST_SHARED and not is_texture
+    if not is_shared or colour.level < LEAST_SHARED:
+        return False
+    if colour.rings > 1 or white.level.low > 0.0 or white.level.is_negligible:
+        return True
+    # Fine texture that is the same everywhere looks like that too.  But a sheet that faces one way
+    # comes from a scanner, and of texture fits over one ring leave more.
+    is_missed = white.level.mean_edges < LEAST_TEXTURE * float(colour.by_scale[TWO])
+    return is_missed or _is_sheet(survey)
+
+
+def _is_sheet(survey: Survey) -> bool:
+    """Whether all normals are within a hemisphere: what a scanner sees from one side."""
+    middle = survey.normals.mean(axis=0)
+    length = math.sqrt(float(middle @ middle))
+    cosines = survey.normals @ middle
+    return bool(length > SHEET and (cosines > 0.0).mean() > MOST_FACING)
+
+
+def _is_uneven_mesh(white: WhiteEstimate, colour: Colour) -> bool:
+    """Whether the least fits, over one-rings, miss white noise since vertices lie close there."""
+    return (
+        colour.is_floor
+        and colour.misfit < WORST_FIT
+        and colour.level > max(LEAST_SHARED, white.level.mean_edges / MISSED)
+    )
+
+
+def _on_uneven_triangles(white: WhiteEstimate, colour: Colour) -> NoiseLevel:
+    character = NoiseCharacter(
+        "white",
+        0,
+        "normals",
+        None,
+        0.0,
+        0.0,
+        0.5,
+        "fits over two to six rings leave as much, and less over one, as on uneven triangles",
+    )
+    low, high = 1.0 - SHARED_ERROR, 1.0 + SHARED_ERROR
+    return _with(white, colour.level, low * colour.level, high * colour.level, character)
 
 
 def _with(
@@ -328,7 +380,7 @@ def _find_regional(survey: Survey) -> _Regional | None:
             few, half = np.quantile(values, [0.1, 0.5])
             pure[region] = few > PURE * half
             lows[region] = np.quantile(values / chi_square_quantile(freedoms[among], 0.3), 0.3)
-            means[region] = np.quantile(values / chi_square_quantile(freedoms[among], 0.5), 0.5)
+            means[region] = np.quantile(values / chi_square_quantile(freedoms[among], 0.4), 0.4)
     known = np.isfinite(lows)
     if known.sum() < 2:
         return None
@@ -349,6 +401,8 @@ def _uneven(white: WhiteEstimate, regional: _Regional, colour: Colour | None) ->
         colour is not None
         and bool((colour.sharpness[1:4] > SHARP_WHITE).all())
         and colour.sharpness[0] > SHARP_PLANE
+        and colour.rings <= MOST_UNEVEN_RINGS
+        and (regional.scale > 0.0).mean() > LEAST_PURE
         and colour.misfit < WORST_FIT
     )
     if not is_noise or colour is None:

@@ -45,7 +45,7 @@ FREEDOMS = np.array(
 FLOOR, FLAT = 0.05, 0.2
 """Shares of the places at whose variances the level by scale is read."""
 
-SEEN = 0.3
+SEEN = 0.35
 """Share of the places without creases and texture that ``FLAT`` of all is, as a rule."""
 
 WEIGHTS = np.array([0.0, 1.0, 1.0, 1.0, 0.7])
@@ -64,6 +64,9 @@ FINE_WEIGHT, MOST_FINE = 0.1, 0.03
 the number of averages; and how much it counts, by error and
 at most.  Measured on noise of 0.2 on 12 shapes."""
 
+WHITE_FINE = 0.88
+"""Ratio of the same above which neighbours share nothing."""
+
 LEAST_RISE = 1.2
 """How much more of shared noise a fit over four rings leaves than one over two, at least."""
 
@@ -78,6 +81,10 @@ SHARP = np.array([0.0, 0.58, 0.68, 0.705, 0.38])
 """Ratios of standard deviations at ``FLOOR`` and ``FLAT`` that noise shows, shared or not, by fit;
 texture and shape show less in one of them."""
 
+
+LOUD = 0.12
+SHARP_LOUD = np.array([0.0, 0.58, 0.68, 0.665, 0.38])
+"""The same for levels from so many mean edges on, which fine texture seldom has."""
 
 EVEN = np.array([0.0, 0.74, 0.78, 0.78, 0.0])
 ALIKE = np.array([0.0, 0.66, 0.70, 0.70, 0.0])
@@ -141,6 +148,8 @@ def find_colour(
     if fine is not None and has[TWO]:
         ratio = max(fine / float(by_scale[TWO]), 0.1)
         totals += np.minimum(FINE_WEIGHT * np.log(ratio / FINE) ** 2, MOST_FINE)[:, None]
+        if ratio > WHITE_FINE:
+            totals[1:] += 1.0
     if not (has[TWO] and has[FOUR] and by_scale[FOUR] > LEAST_RISE * by_scale[TWO]):
         totals[1:] += 1.0
     best = totals.argmin(axis=1)
@@ -149,14 +158,15 @@ def find_colour(
     rings = int(chosen.argmin())
     others = np.delete(chosen, rings)
     likely = np.exp((chosen[rings] - chosen) / DOUBT)
-    logarithm = float(likely @ tried[np.arange(len(best)), best] / likely.sum())
+    logarithm = 0.5 * float(likely @ tried[np.arange(len(best)), best] / likely.sum())
+    level = math.exp(logarithm)
     return Colour(
         rings=rings,
-        level=math.exp(0.5 * logarithm),
+        level=level,
         misfit=float(least[rings]),
         margin=float(others.min() - chosen[rings]),
         sharpness=sharpness,
-        is_floor=bool((sharpness >= SHARP).all()),
+        is_floor=bool((sharpness >= (SHARP_LOUD if level > LOUD else SHARP)).all()),
         is_even=bool((sharpness > EVEN)[1:4].all()),
         is_alike=bool((sharpness > ALIKE)[1:4].all()),
         by_scale=by_scale,

@@ -7,7 +7,15 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_NORMAL = {0.05: -1.6448536, 0.2: -0.8416212, 0.25: -0.6744898, 0.3: -0.5244005, 0.5: 0.0}
+_NORMAL = {
+    0.05: -1.6448536,
+    0.2: -0.8416212,
+    0.25: -0.6744898,
+    0.3: -0.5244005,
+    0.35: -0.3853205,
+    0.4: -0.2533471,
+    0.5: 0.0,
+}
 
 
 def chi_square_quantile(freedoms: Floats, share: float) -> Floats:
