@@ -142,9 +142,7 @@ class NoiseModel:
 
 def build_model(mesh: Mesh, noise: NoiseLevel) -> NoiseModel:
     """The estimated noise of a mesh as a field to draw from."""
-    character = getattr(noise, "character", None)
-    if character is None:
-        return NoiseModel(noise.mean_edges * mesh.mean_edge_length)
+    character = noise.character
     level = (noise.rms_edges if noise.is_impulsive else noise.mean_edges) * mesh.mean_edge_length
     shares = regional(mesh) / level if noise.is_uneven and level > 0.0 else None
     return NoiseModel(

@@ -34,6 +34,8 @@ MAY_IMPORT = {
     "records": {"errors"},
     "constraints": {"core", "files", "mesh", "units", "errors"},
     "corruption": {"files", "mesh", "noise", "errors"},
+    "scanning": {"files", "mesh", "simulation", "errors"},
+    "simulation": {"extras", "mesh", "metrics", "noise", "core", "errors"},
     "baseline": {"records", "errors"},
     "comparison": {"colours", "files", "metrics", "mesh", "records", "errors"},
     "gates": {"records", "units", "errors"},
@@ -119,8 +121,11 @@ MAY_IMPORT = {
         "pipeline",
         "records",
         "render",
+        "output",
         "report",
+        "scanning",
         "selection",
+        "simulation",
         "units",
     },
     "__main__": {"cli"},
@@ -139,7 +144,9 @@ ONLY_IN = {
     "fsspec": {"files.remote"},
     "s3fs": set(),
     "PIL": {"render"},
-    "fcpw": {"metrics.surface_distance"},
+    "fcpw": {"metrics.surface_distance", "simulation.surface"},
+    "scipy": {"simulation"},
+    "skimage": {"simulation"},
 }
 
 

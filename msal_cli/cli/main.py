@@ -28,6 +28,7 @@ _COMMANDS = (
     "view",
     "sweep",
     "noise",
+    "scan",
     "methods",
     "report",
     "completion",

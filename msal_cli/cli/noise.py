@@ -35,7 +35,6 @@ _KINDS = (
 )
 # Settings that only some kinds use; noise.OPTIONS says which.
 _SETTINGS = ("fraction", "rings", "direction", "step", "border", "property")
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 @dataclass(frozen=True)
@@ -78,29 +77,6 @@ def _share(least: float, most: float, unit: str) -> Any:
         return share
 
     return number
-
-
-def _direction(
-    context: click.Context, parameter: click.Parameter, value: str | None
-) -> tuple[float, float, float] | None:
-    """Three numbers between commas, or an axis such as ``z`` or ``-z``."""
-    if value is None:
-        return None
-    axis = _AXES.get(value.lower().removeprefix("-").removeprefix("+"))
-    if axis is not None:
-        sign = -1.0 if value.startswith("-") else 1.0
-        # Not -0.0, which would be shown.
-        x, y, z = (sign * one + 0.0 for one in axis)
-        return x, y, z
-    try:
-        x, y, z = (float(word) for word in value.split(","))
-    except ValueError:
-        x = y = z = math.nan
-    if not 1e-100 < math.hypot(x, y, z) < 1e100:
-        raise click.BadParameter(
-            f"{value!r} is neither an axis such as z or -z nor three numbers such as 0,-1,0.5"
-        )
-    return x, y, z
 
 
 @click.command(
@@ -167,7 +143,7 @@ Exit status: see msal --help.""",
 @click.option(
     "--direction",
     metavar="X,Y,Z",
-    callback=_direction,
+    callback=words.direction,
     help="Direction of view; of half and ramp, where there is more noise. Or x, -y, z, ... "
     " [default: z]",
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import os
 import re
 from collections.abc import Callable
@@ -18,6 +19,7 @@ _MOST_JOBS = 4096
 _MOST_DIGITS = 15
 
 _NUMBER_AND_UNIT = r"(?ai)(\d{1,15}(?:\.\d{0,9})?|\.\d{1,9})\s*([a-z]*)"
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _BYTES = {
     **{f"{letter}{end}": 1000**n for n, letter in enumerate("kmgt", 1) for end in ("", "b")},
@@ -113,6 +115,29 @@ def size(context: click.Context, parameter: click.Parameter, value: str | None) 
     if match is None or unit is None or not float(match[1]) * unit >= 1.0:
         raise click.BadParameter(f"{value!r} is not a size such as 500M, 2G or 1.5GiB")
     return int(float(match[1]) * unit)
+
+
+def direction(
+    context: click.Context, parameter: click.Parameter, value: str | None
+) -> tuple[float, float, float] | None:
+    """Three numbers between commas, or an axis such as ``z`` or ``-z``."""
+    if value is None:
+        return None
+    axis = _AXES.get(value.lower().removeprefix("-").removeprefix("+"))
+    if axis is not None:
+        sign = -1.0 if value.startswith("-") else 1.0
+        # Not -0.0, which would be shown.
+        x, y, z = (sign * one + 0.0 for one in axis)
+        return x, y, z
+    try:
+        x, y, z = (float(word) for word in value.split(","))
+    except ValueError:
+        x = y = z = math.nan
+    if not 1e-100 < math.hypot(x, y, z) < 1e100:
+        raise click.BadParameter(
+            f"{value!r} is neither an axis such as z or -z nor three numbers such as 0,-1,0.5"
+        )
+    return x, y, z
 
 
 def check_threads_variable() -> None:

@@ -71,7 +71,7 @@ def _patch(i, rings, ring_start, ring, found):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _monomials(u, w, terms):  # type: ignore[no-untyped-def]
+def fill_monomials(u, w, terms):  # type: ignore[no-untyped-def]
     """1, u, w, uu, uw, ww, uuu ... in ``terms``, up to degree 6."""
     terms[0] = 1.0
     before, at = 0, 1
@@ -84,7 +84,7 @@ def _monomials(u, w, terms):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _begun(sums, along, squares, first, terms, equations):  # type: ignore[no-untyped-def]
+def begin_equations(sums, along, squares, first, terms, equations):  # type: ignore[no-untyped-def]
     """Set up the normal equations: ``sums`` of monomials, of their products with the heights
     (``along``), and of those' ``squares``; the ``first`` height stands at the monomials ``terms``.
     """
@@ -107,7 +107,7 @@ def _begun(sums, along, squares, first, terms, equations):  # type: ignore[no-un
 
 
 @compiled
-def _eliminated(equations, sums_of_squares, first, last):  # type: ignore[no-untyped-def]
+def eliminate(equations, sums_of_squares, first, last):  # type: ignore[no-untyped-def]
     """Eliminate the monomials ``first`` ... ``last``, above the diagonal; how many of them the
     patch can tell apart.  What is left of the heights stands in their rows then."""
     rank = 0
@@ -189,7 +189,7 @@ def _fitted(  # type: ignore[no-untyped-def]
                 y = (vertices[k, 1] - my) * scale
                 z = (vertices[k, 2] - mz) * scale
                 height = x * nx + y * ny + z * nz
-                _monomials(x * ux + y * uy + z * uz, x * wx + y * wy + z * wz, terms)
+                fill_monomials(x * ux + y * uy + z * uz, x * wx + y * wy + z * wz, terms)
                 if added == 0:
                     first_height = height
                     for m in range(CUBIC_TERMS):
@@ -204,10 +204,10 @@ def _fitted(  # type: ignore[no-untyped-def]
             last = PLANE_TERMS if fit == 0 else (CUBIC_TERMS if fit == 3 else QUADRIC_TERMS)
             if first == 0:
                 rank = 0
-                _begun(sums, along, squares, first_height, first_terms, equations)
+                begin_equations(sums, along, squares, first_height, first_terms, equations)
                 for m in range(CUBIC_TERMS):
                     own[m] = equations[m, m]
-            rank += _eliminated(equations, own, first, last)
+            rank += eliminate(equations, own, first, last)
             if rows <= rank:
                 continue
             rest = equations[HEIGHT, HEIGHT]

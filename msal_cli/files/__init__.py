@@ -27,6 +27,7 @@ __all__ = [
     "content_format",
     "converted",
     "corner_count",
+    "encode_mesh",
     "expanded",
     "format_of_name",
     "give_back_large_arrays",
@@ -241,6 +242,13 @@ def converted(
     from msal_cli.files import convert
 
     return convert.converted(mesh_file, vertices, to, encoding, precision)
+
+
+def encode_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int32], to: str) -> Buffer:
+    """A new file of vertices (n, 3) and faces (m, 3); see ``convert.encode_mesh``."""
+    from msal_cli.files import convert
+
+    return convert.encode_mesh(vertices, faces, to)
 
 
 def normal_warnings(mesh_file: MeshFile, vertices: NDArray[np.float64]) -> tuple[str, ...]:

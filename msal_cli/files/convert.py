@@ -133,6 +133,24 @@ def converted(
     return _through_library(content, to, encoding, single), tuple(losses)
 
 
+def encode_mesh(vertices: Floats, faces: Ints, to: str) -> Buffer:
+    """A new file of a mesh that no file held before, one of ``writable()``.
+
+    Positions are float32, or float64 where float32 would round them by more than a millionth of
+    the mesh's extent.
+    """
+    from msal_cli.files import ply
+
+    extent = float(np.ptp(vertices, axis=0).max())
+    step = float(np.spacing(np.float32(np.abs(vertices).max())))
+    content = _Content(vertices, faces, None, None, None)
+    data = _as_ply(content, "binary", single=step <= 1e-6 * extent)
+    if to == "ply":
+        return data
+    mesh_file = ply.read(data, "")
+    return converted(mesh_file, mesh_file.vertices, to, "same", "same")[0]
+
+
 def _is_single(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> bool:
     only_single = to in _SINGLE and encoding == "binary"
     if precision == "float64" and only_single:

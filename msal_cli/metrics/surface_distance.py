@@ -9,6 +9,7 @@ too long by at most some 1e-6 of the larger mesh's extent.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,23 +64,13 @@ def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
     UnsupportedError
         with code ``E_NO_LIBRARY`` where FCPW is not installed.
     """
-    try:
-        import fcpw
-    except ImportError:
-        raise UnsupportedError(
-            "distances to a surface need the package fcpw, which is not installed",
-            code="E_NO_LIBRARY",
-            hint="install it with pip install fcpw; where it has no wheel it must be built",
-        ) from None
+    require_library()
+    import fcpw
 
     vertices, faces = surface.vertices, surface.faces
     # In single precision, coordinates of 1e25 would overflow when squared, and 1e-25 vanish.
     scale = max(float(np.abs(points).max(initial=0.0)), float(np.abs(vertices).max()))
-    scene = fcpw.scene_3D()
-    scene.set_object_count(1)
-    scene.set_object_vertices(_single(vertices, scale), 0)
-    scene.set_object_triangles(np.asfortranarray(faces), 0)
-    scene.build(fcpw.aggregate_type.bvh_surface_area, True)
+    scene = build_scene(surface, scale)
     triangles = np.empty(len(points), dtype=np.int32)
     distances = np.empty(len(points))
     for start in range(0, len(points), AT_ONCE):
@@ -87,7 +78,7 @@ def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
         end = start + len(some)
         found = fcpw.interaction_3D_list()
         reach = np.full(len(some), np.inf, dtype=np.float32)
-        scene.find_closest_points(_single(some, scale), reach, found)
+        scene.find_closest_points(single(some, scale), reach, found)
         nearest = np.fromiter((one.primitive_index for one in found), np.int32, len(some))
         triangles[start:end] = nearest
         distances[start:end] = distances_to_triangles(some, vertices[faces[nearest]])
@@ -96,7 +87,33 @@ def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
     return triangles, distances
 
 
-def _single(positions: Floats, scale: float) -> NDArray[np.float32]:
+def require_library() -> None:
+    """Raise UnsupportedError, ``E_NO_LIBRARY``, where FCPW is not installed."""
+    try:
+        import fcpw  # noqa: F401
+    except ImportError:
+        raise UnsupportedError(
+            "distances to a surface and rays need the package fcpw, which is not installed",
+            code="E_NO_LIBRARY",
+            hint="install it with pip install fcpw; where it has no wheel it must be built",
+        ) from None
+
+
+def build_scene(surface: Mesh, scale: float) -> Any:
+    """The library's search tree over a mesh, whose coordinates are divided by ``scale``."""
+    require_library()
+    import fcpw
+
+    scene = fcpw.scene_3D()
+    scene.set_object_count(1)
+    scene.set_object_vertices(single(surface.vertices, scale), 0)
+    scene.set_object_triangles(np.asfortranarray(surface.faces), 0)
+    scene.build(fcpw.aggregate_type.bvh_surface_area, True)
+    return scene
+
+
+def single(positions: Floats, scale: float) -> NDArray[np.float32]:
+    """Positions divided by ``scale``, as the library takes them."""
     return np.asfortranarray(positions / scale, dtype=np.float32)
 
 

@@ -9,13 +9,15 @@ the flattest fifth of the places, set right for having looked there.
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+from msal_cli.noise_estimate.level import NoiseLevel, are_spikes, are_uneven, to_clean_edges
+from msal_cli.noise_estimate.regions import split_regions
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
@@ -65,9 +67,6 @@ FAR_OUT_EXCESS = 0.08
 NEGLIGIBLE = 0.005
 """Mean edge lengths below which no noise can be seen."""
 
-SURE = 0.025
-"""Mean edge lengths: upper end of the interval below which there is certainly no noise."""
-
 DOUBTFUL = 0.05
 """Mean edge lengths: noise whose interval goes from 0 to less is none to speak of, for all of it
 may be texture."""
@@ -75,76 +74,8 @@ may be texture."""
 SPREAD = 0.1
 """What the upper end allows for spikes that do not stand out."""
 
-SPIKES = 0.07
-"""Mean edge lengths, root mean square, from which single spikes are noise to speak of."""
-
-FEWEST_SPIKES = 0.005
-"""Share of the vertices that have to stand out for that."""
-
-VERTICES_PER_REGION = 800
-MOST_REGIONS = 16
 FEWEST_PLACES = 48
 """Places that a region needs."""
-
-UNEVEN = 2.0
-"""Ratio of the most to the least noisy region from which noise is not the same everywhere."""
-
-BLOCK_VERTICES = 1 << 14
-"""Vertices whose distances to all regions stand in memory at a time."""
-
-IMPULSIVE_TAIL, IMPULSIVE_EXCESS = 0.02, 1.03
-"""Share of outliers, and their root mean square over the robust level, from which on the noise is
-taken for impulsive."""
-
-LEAST_UNEVEN = 0.05
-"""Mean edge lengths that the most noisy region needs for that."""
-
-
-@dataclass(frozen=True)
-class NoiseLevel:
-    """The noise of a mesh: the standard deviation along its normals.
-
-    Attributes
-    ----------
-    mean_edges : in mean edge lengths of the mesh as it is.
-    low, high : an interval for it, mean edge lengths: from where all that may be texture is, to
-        where none is, and beyond by the sampling error.
-    file_units : the same level in file units.
-    clean_edges : in mean edge lengths of the surface without the noise, which are shorter.
-    rms_edges : root mean square with single spikes, which the level leaves out, mean edge lengths.
-    tail : share of the vertices, 0 to 1, further out among the others than 99 in 100 are with
-        Gaussian noise; 0.01 for that, 0.02 and more for impulsive noise.
-    is_negligible : whether there is no noise to speak of.
-    lowest, highest : levels of the least and the most noisy region, mean edge lengths.
-    regions : how many regions were told apart.
-    """
-
-    mean_edges: float
-    low: float
-    high: float
-    file_units: float
-    clean_edges: float
-    rms_edges: float
-    tail: float
-    is_negligible: bool
-    lowest: float
-    highest: float
-    regions: int
-
-    def is_below(self, edges: float) -> bool:
-        """Whether neither the level nor single spikes reach so many mean edge lengths."""
-        are_spikes = _are_spikes(self.rms_edges, self.tail) and self.rms_edges >= edges
-        return self.mean_edges < edges and not are_spikes
-
-    @property
-    def is_impulsive(self) -> bool:
-        """Whether it has more outliers than Gaussian noise would."""
-        return self.tail >= IMPULSIVE_TAIL and self.rms_edges > IMPULSIVE_EXCESS * self.mean_edges
-
-    @property
-    def is_uneven(self) -> bool:
-        """Whether some regions have noise that others have not."""
-        return _are_uneven(self.lowest, self.highest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,28 +106,32 @@ PLANE, NEAR, FAR, CUBIC = range(4)
 """The fits: a plane and degree 2 over the one-ring, degrees 2 and 3 over the two-ring."""
 
 
-def estimated(mesh: Mesh) -> NoiseLevel:
-    """The noise of a mesh.
+@dataclass(frozen=True, eq=False)
+class WhiteEstimate:
+    """The level by fits over one- and two-rings, which takes the noise for white.
 
-    White noise of 0.02 to 0.7 mean edge lengths along the normals, or in all directions, is told
-    within some per cent.  Detail as fine as the mesh itself cannot be told from noise: the interval
-    says how much of the level may be that.  It does not depend on how the mesh is turned, moved or
-    scaled, nor on the number of threads.  Its cost hardly depends on the size of the mesh.
+    Attributes
+    ----------
+    level : what ``NoiseLevel`` says of it.
+    places : (c,) vertices around which the fits are.
+    labels : (c,) region of each of them.
+    middles : (r, 3) positions of the regions' middles.
+    regions : (r,) levels of the regions, file units.
+    far : (c,) whether a vertex is far out among its neighbours.
+    edge : mean edge length, file units.
     """
-    return _told(mesh)[0]
+
+    level: NoiseLevel
+    places: Places
+    labels: Places
+    middles: Floats
+    regions: Floats
+    far: NDArray[np.bool_]
+    edge: float
 
 
-def regional(mesh: Mesh) -> Floats:
-    """Level of the noise around each vertex (n,), file units: that of the region it lies in.
-
-    Vertices that no face uses have 0.
-    """
-    _, middles, levels = _told(mesh)
-    return np.where(mesh.links.has_ring, levels[_nearest(mesh.vertices, middles)], 0.0)
-
-
-def _told(mesh: Mesh) -> tuple[NoiseLevel, Floats, Floats]:
-    """The noise of a mesh, the middles of its regions (r, 3) and their levels (r,), file units."""
+def estimate_white(mesh: Mesh) -> WhiteEstimate:
+    """The noise of a mesh as far as it is white."""
     places = _places(mesh)
     fits = _fits(mesh, places)
     edge = mesh.mean_edge_length
@@ -216,10 +151,10 @@ def _told(mesh: Mesh) -> tuple[NoiseLevel, Floats, Floats]:
     low *= max(1.0 - TOO_MUCH - error, 0.0)
     high = best * (1.0 + TOO_LITTLE + error)
 
-    middles, labels = _regions(mesh.vertices[places], len(mesh.vertices))
+    middles, labels = split_regions(mesh.vertices[places], len(mesh.vertices))
     regions = _levels(fits, labels, len(middles), level, is_impulsive)
     lowest, highest = float(regions.min()), float(regions.max())
-    if _are_uneven(lowest / edge, highest / edge):
+    if are_uneven(lowest / edge, highest / edge):
         shares = np.bincount(labels, minlength=len(middles)) / len(labels)
         level = max(level, math.sqrt(float((shares * regions * regions).sum())))
         low, high = min(low, lowest), max(high, highest)
@@ -235,15 +170,15 @@ def _told(mesh: Mesh) -> tuple[NoiseLevel, Floats, Floats]:
         low=min(low, level) / edge,
         high=high / edge,
         file_units=level,
-        clean_edges=_of_clean_edges(edges),
+        clean_edges=to_clean_edges(edges),
         rms_edges=rms / edge,
         tail=tail,
-        is_negligible=is_small and not _are_spikes(rms / edge, tail),
+        is_negligible=is_small and not are_spikes(rms / edge, tail),
         lowest=lowest / edge,
         highest=highest / edge,
         regions=len(regions),
     )
-    return noise, mesh.vertices[places[middles]], regions
+    return WhiteEstimate(noise, places, labels, mesh.vertices[places[middles]], regions, far, edge)
 
 
 def _places(mesh: Mesh) -> Places:
@@ -297,43 +232,6 @@ def _tail(fits: _Fits) -> tuple[float, NDArray[np.bool_]]:
     return (float(far.sum()) / judged if judged else 0.0), far
 
 
-def _regions(vertices: Floats, n_vertices: int) -> tuple[Places, Places]:
-    """Which of the vertices (c, 3), taken from all ``n_vertices``, are middles of regions, each as
-    far from the others as can be; and which middle is the nearest to each vertex (c,)."""
-    wanted = min(max(n_vertices // VERTICES_PER_REGION, 1), MOST_REGIONS)
-    axes = np.ascontiguousarray(vertices.T)
-    # The first one is the furthest from where they are on average.
-    distances = _squared_distances(axes, axes.mean(axis=1))
-    middles = np.empty(wanted, dtype=np.int64)
-    labels = np.zeros(len(vertices), dtype=np.int64)
-    for number in range(wanted):
-        middles[number] = distances.argmax()
-        from_it = _squared_distances(axes, vertices[middles[number]])
-        if number == 0:
-            distances = from_it
-            continue
-        labels[from_it < distances] = number
-        np.minimum(distances, from_it, out=distances)
-    return middles, labels
-
-
-def _nearest(vertices: Floats, middles: Floats) -> Places:
-    """Which of the middles (r, 3) is the nearest to each of the vertices (n, 3)."""
-    nearest = np.empty(len(vertices), dtype=np.int64)
-    for first in range(0, len(vertices), BLOCK_VERTICES):
-        axes = np.ascontiguousarray(vertices[first : first + BLOCK_VERTICES].T)
-        distances = [_squared_distances(axes, middle) for middle in middles]
-        nearest[first : first + BLOCK_VERTICES] = np.argmin(distances, axis=0)
-    return nearest
-
-
-def _squared_distances(axes: Floats, point: Floats) -> Floats:
-    """Of positions, an axis a row (3, n), from a point (3,)."""
-    x, y, z = axes[0] - point[0], axes[1] - point[1], axes[2] - point[2]
-    distances: Floats = x * x + y * y + z * z
-    return distances
-
-
 def _levels(
     fits: _Fits, labels: Places, n_regions: int, level: float, is_impulsive: bool
 ) -> Floats:
@@ -355,30 +253,3 @@ def _levels(
             if among.sum() >= FEWEST_PLACES:
                 levels[region] = level * compared(among) / everywhere
     return levels
-
-
-def _are_spikes(rms: float, tail: float) -> bool:
-    """Whether spikes with this root mean square, in mean edge lengths, are noise to speak of; the
-    tip of a cone or two corners are not."""
-    return rms >= SPIKES and tail >= FEWEST_SPIKES
-
-
-def _are_uneven(lowest: float, highest: float) -> bool:
-    """Whether levels of regions, in mean edge lengths, are not those of one noise."""
-    return highest > LEAST_UNEVEN and highest > UNEVEN * lowest
-
-
-@functools.cache
-def _lengthening() -> tuple[Floats, Floats]:
-    """Noise in mean edge lengths of the clean surface, and in those of the noisy one: edges across
-    which the heights differ by noise are longer, on average sqrt(1 + 2 s^2 z^2) with normal z."""
-    clean = np.linspace(0.0, 2.0, 201)
-    z = np.linspace(-6.0, 6.0, 241)
-    weights = np.exp(-0.5 * z * z)
-    longer = np.sqrt(1.0 + 2.0 * np.outer(clean, z) ** 2) @ (weights / weights.sum())
-    return clean, clean / longer
-
-
-def _of_clean_edges(edges: float) -> float:
-    clean, noisy = _lengthening()
-    return float(np.interp(edges, noisy, clean))

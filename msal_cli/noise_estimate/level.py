@@ -1,0 +1,184 @@
+"""What is known of the noise of a mesh: how much, and of what kind."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+SURE = 0.025
+"""Mean edge lengths: upper end of the interval below which there is certainly no noise."""
+
+SPIKES = 0.07
+"""Mean edge lengths, root mean square, from which single spikes are noise to speak of."""
+
+FEWEST_SPIKES = 0.005
+"""Share of the vertices that have to stand out for that."""
+
+IMPULSIVE_TAIL, IMPULSIVE_EXCESS = 0.02, 1.03
+"""Share of outliers, and their root mean square over the robust level, from which on the noise is
+taken for impulsive."""
+
+UNEVEN = 2.0
+"""Ratio of the most to the least noisy region from which noise is not the same everywhere."""
+
+LEAST_UNEVEN = 0.05
+"""Mean edge lengths that the most noisy region needs for that."""
+
+KINDS = (
+    "none",
+    "white",
+    "isotropic",
+    "correlated",
+    "view",
+    "quantised",
+    "uneven",
+    "outliers",
+    "impulsive",
+    "staircase",
+    "unknown",
+)
+DIRECTIONS = ("normals", "isotropic", "axis")
+
+_COUNTS = ("no ring", "one ring", "two rings", "three rings", "four rings or more")
+
+
+@dataclass(frozen=True)
+class NoiseCharacter:
+    """What the noise is like.
+
+    Attributes
+    ----------
+    kind : one of ``KINDS``; the most telling, where more than one fits.
+    rings : over how many rings neighbours share noise, 0 (not at all) to 4 (that or more).
+    direction : one of ``DIRECTIONS``: along the normals, in all directions, along ``axis``.
+    axis : unit vector of an axis, up to its sign; else None.
+    step : of quantised depths, or height of the terraces; mean edge lengths, 0 for none.
+    outliers : share of the vertices that lie far off.
+    confidence : of the kind, 0 to 1; below 0.5 a guess.
+    basis : what it rests on, in words.
+    """
+
+    kind: str
+    rings: int
+    direction: str
+    axis: tuple[float, float, float] | None
+    step: float
+    outliers: float
+    confidence: float
+    basis: str
+
+    @property
+    def words(self) -> str:
+        """The character in plain words, for a line after the level; empty for none."""
+        if self.kind in ("none", "unknown"):
+            return "of a kind that cannot be determined" if self.kind == "unknown" else ""
+        words = [self._kind_words()]
+        if self.rings and self.kind not in ("correlated", "staircase"):
+            words.append(f"shared over {_COUNTS[self.rings]}")
+        if self.direction == "axis" and self.kind not in ("view", "quantised", "staircase"):
+            words.append("along the view")
+        if self.direction == "isotropic" and self.kind != "isotropic":
+            words.append("in all directions")
+        if self.outliers and self.kind != "outliers":
+            words.append(f"{100.0 * self.outliers:.2g} % outliers")
+        return "; ".join(words)
+
+    def _kind_words(self) -> str:
+        return {
+            "white": "independent at each vertex, along the normals",
+            "isotropic": "independent at each vertex, in all directions",
+            "correlated": f"shared over {_COUNTS[self.rings]}",
+            "view": "along the view",
+            "quantised": f"depths in steps of {self.step:.2g} e along the view",
+            "uneven": "uneven over the surface",
+            "outliers": f"{100.0 * self.outliers:.2g} % outliers",
+            "impulsive": "impulses at some vertices",
+            "staircase": f"terraces of {self.step:.2g} e",
+        }[self.kind]
+
+
+NO_CHARACTER = NoiseCharacter("none", 0, "normals", None, 0.0, 0.0, 1.0, "")
+
+
+@dataclass(frozen=True)
+class NoiseLevel:
+    """The noise of a mesh: its standard deviation along the direction of its character.
+
+    That is along the normals, along an axis, or by coordinate where it is isotropic.
+
+    Attributes
+    ----------
+    mean_edges : in mean edge lengths of the mesh as it is.
+    low, high : an interval for it, mean edge lengths: from where all that may be texture is, to
+        where none is, and beyond by the sampling error.
+    file_units : the same level in file units.
+    clean_edges : in mean edge lengths of the surface without the noise, which are shorter.
+    rms_edges : root mean square with single spikes, which the level leaves out, mean edge lengths.
+    tail : share of the vertices, 0 to 1, further out among the others than 99 in 100 are with
+        Gaussian noise; 0.01 for that, 0.02 and more for impulsive noise.
+    is_negligible : whether there is no noise to speak of.
+    lowest, highest : levels of the least and the most noisy region, mean edge lengths.
+    regions : how many regions were told apart.
+    character : what kind of noise it is.
+    """
+
+    mean_edges: float
+    low: float
+    high: float
+    file_units: float
+    clean_edges: float
+    rms_edges: float
+    tail: float
+    is_negligible: bool
+    lowest: float
+    highest: float
+    regions: int
+    character: NoiseCharacter = NO_CHARACTER
+
+    def is_below(self, edges: float) -> bool:
+        """Whether neither the level nor single spikes reach so many mean edge lengths."""
+        has_spikes = are_spikes(self.rms_edges, self.tail) and self.rms_edges >= edges
+        return self.mean_edges < edges and not has_spikes
+
+    @property
+    def is_impulsive(self) -> bool:
+        """Whether it has more outliers than Gaussian noise would."""
+        return self.tail >= IMPULSIVE_TAIL and self.rms_edges > IMPULSIVE_EXCESS * self.mean_edges
+
+    @property
+    def is_uneven(self) -> bool:
+        """Whether some regions have noise that others have not."""
+        return are_uneven(self.lowest, self.highest)
+
+
+def are_spikes(rms: float, tail: float) -> bool:
+    """Whether spikes with this root mean square, in mean edge lengths, are noise to speak of; the
+    tip of a cone or two corners are not."""
+    return rms >= SPIKES and tail >= FEWEST_SPIKES
+
+
+def are_uneven(lowest: float, highest: float) -> bool:
+    """Whether levels of regions, in mean edge lengths, are not those of one noise."""
+    return highest > LEAST_UNEVEN and highest > UNEVEN * lowest
+
+
+@functools.cache
+def _lengthening() -> tuple[Floats, Floats]:
+    """Noise in mean edge lengths of the clean surface, and in those of the noisy one: edges across
+    which the heights differ by noise are longer, on average sqrt(1 + 2 s^2 z^2) with normal z."""
+    clean = np.linspace(0.0, 2.0, 201)
+    z = np.linspace(-6.0, 6.0, 241)
+    weights = np.exp(-0.5 * z * z)
+    longer = np.sqrt(1.0 + 2.0 * np.outer(clean, z) ** 2) @ (weights / weights.sum())
+    return clean, clean / longer
+
+
+def to_clean_edges(edges: float) -> float:
+    """A level in mean edge lengths of the noisy surface, in those of the clean one."""
+    clean, noisy = _lengthening()
+    return float(np.interp(edges, noisy, clean))

@@ -1,0 +1,28 @@
+"""Quantiles of chi square over its degrees of freedom, for any number of them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_NORMAL = {
+    0.05: -1.6448536,
+    0.2: -0.8416212,
+    0.25: -0.6744898,
+    0.3: -0.5244005,
+    0.35: -0.3853205,
+    0.4: -0.2533471,
+    0.5: 0.0,
+}
+
+
+def chi_square_quantile(freedoms: Floats, share: float) -> Floats:
+    """What chi square over its degrees of freedom stays below with a probability of ``share``.
+
+    After Wilson and Hilferty 1931; right within 2 % from five degrees of freedom on.
+    """
+    scale = 2.0 / (9.0 * np.maximum(freedoms, 1.0))
+    ratios: Floats = np.maximum(1.0 - scale + _NORMAL[share] * np.sqrt(scale), 0.05) ** 3
+    return ratios

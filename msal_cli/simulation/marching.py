@@ -1,0 +1,85 @@
+"""Surfaces out of volumes by marching cubes (Lewiner et al. 2003), as scikit-image does it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.errors import ContentError, UnsupportedError
+from msal_cli.extras import install_hint
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Volume = NDArray[np.float32]
+
+
+def require_libraries() -> None:
+    """Raise UnsupportedError, ``E_NO_LIBRARY``, where scikit-image is not installed."""
+    try:
+        import scipy.ndimage  # noqa: F401
+        import skimage.measure  # noqa: F401
+    except ImportError:
+        raise UnsupportedError(
+            "meshes out of volumes need the package scikit-image, which is not installed",
+            code="E_NO_LIBRARY",
+            hint=install_hint("simulation"),
+        ) from None
+
+
+def extract_surface(
+    volume: Volume, level: float, spacing: Floats, known: NDArray[np.bool_] | None = None
+) -> tuple[Floats, Ints]:
+    """The surface where a volume has the value ``level``, with greater values inside.
+
+    Parameters
+    ----------
+    volume : (nx, ny, nz) values.
+    level : a value between the least and the greatest.
+    spacing : (3,) from one value to the next along x, y and z.
+    known : (nx, ny, nz) where there are values; the surface ends where there are none.
+
+    Returns
+    -------
+    Vertices (n, 3), the value of index (0, 0, 0) at the origin, and faces (m, 3), which look from
+    greater values to lesser.
+
+    Raises
+    ------
+    UnsupportedError
+        with code ``E_NO_LIBRARY`` where scikit-image is not installed.
+    ContentError
+        with code ``E_NO_FACES`` where the volume has no such surface.
+    """
+    require_libraries()
+    from skimage.measure import marching_cubes
+
+    no_surface = ContentError(
+        f"the volume has no surface at the value {level:g}",
+        code="E_NO_FACES",
+        hint="choose another value, or a finer resolution",
+    )
+    if min(volume.shape) < 2 or not float(volume.min()) < level < float(volume.max()):
+        raise no_surface
+    mask = None if known is None else _last_corners(known)
+    try:
+        vertices, faces, _, _ = marching_cubes(
+            volume, level, gradient_direction="ascent", allow_degenerate=False, mask=mask
+        )
+    except (RuntimeError, ValueError):
+        # All the cells that the surface passes are masked.
+        raise no_surface from None
+    if not len(faces):
+        raise no_surface
+    return vertices.astype(np.float64) * spacing, faces.astype(np.int32)
+
+
+def _last_corners(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The mask in the library's terms: it takes a cell whose last corner, in all axes, is set."""
+    mask = np.zeros(known.shape, dtype=np.bool_)
+    cells = mask[1:, 1:, 1:]
+    cells[:] = True
+    for x in (slice(None, -1), slice(1, None)):
+        for y in (slice(None, -1), slice(1, None)):
+            for z in (slice(None, -1), slice(1, None)):
+                cells &= known[x, y, z]
+    return mask
