@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks import ground_truth
+from benchmarks.true_surface import TrueSurface
 from msal_cli import files
 from msal_cli.mesh import Mesh, prepared
 from msal_cli.noise import AddedNoise, add_noise
+from msal_cli.simulation import ScannerSettings, simulate_scan
 
 CLEAN = "clean"
 """The kind without noise: what moves there is harm."""
@@ -32,6 +34,11 @@ class Pair:
 
     noisy: Mesh
     true: Mesh
+
+    @functools.cached_property
+    def true_surface(self) -> TrueSurface:
+        """The true surface with its normals."""
+        return TrueSurface(self.true)
 
     @property
     def has_same_faces(self) -> bool:
@@ -71,12 +78,32 @@ ADDED: dict[str, dict[str, Any]] = {
 }
 """Noise by the name of the kind; lengths in mean edge lengths, views drawn for each case."""
 
-MODELS = ("fandisk", "bunny", "coin", "bracket", "rock")
-"""Models beside those of ``unseen_shapes``; the bunny is one of 10,000 vertices."""
+SIMULATED: dict[str, dict[str, Any]] = {
+    "binary voxels": {"scanner": "voxels", "cells": 64},
+    "slices 3 apart": {"scanner": "slices", "cells": 64, "slices": 3},
+    "CT, white": {"scanner": "ct", "cells": 64, "level": 0.1},
+    "CT, correlated": {"scanner": "ct", "cells": 64, "level": 0.15, "correlation": 1.5},
+    "depth camera, in steps": {"scanner": "depth", "cells": 144, "level": 0.6, "step": 0.6},
+    "depth camera, grazing": {
+        "scanner": "depth",
+        "cells": 144,
+        "level": 2.0,
+        "step": 0.0,
+        "smoothing": 1.5,
+    },
+    "fusion of 14 views": {"scanner": "fusion", "cells": 64, "views": 14},
+}
+"""Simulated scanners by the name of the kind; views drawn for each case."""
+
+SCANNED = ("fandisk", "bunny", "bracket")
+"""Models that are scanned, beside those of ``unseen_shapes``."""
 
 QUICK_MODELS = ("fandisk", "bunny")
 
 RANGE_SCANS = ("bun000", "bun045")
+
+REAL = ("laser range scan", "Kinect")
+"""Kinds of real scans, of which the folder MSAL_DATA has some."""
 
 
 def _seed(kind: str, model: str) -> int:
@@ -115,6 +142,16 @@ def add_kind(kind: str, model: str, source: Source) -> Pair:
     return Pair(true.moved(add_noise(true, noise)), true)
 
 
+def scan_kind(kind: str, model: str, source: Source) -> Pair:
+    """The model as one of ``SIMULATED`` makes it."""
+    true = source()
+    seed = _seed(kind, model)
+    settings = ScannerSettings(**SIMULATED[kind], seed=seed, direction=draw_direction(seed))
+    scan = simulate_scan(true, settings)
+    ready = prepared(scan.vertices, scan.faces)
+    return Pair(ready.mesh, true.moved(true.vertices - ready.origin))
+
+
 def _clean(source: Source) -> Pair:
     true = source()
     return Pair(true, true)
@@ -136,11 +173,11 @@ def _real() -> Iterator[Case]:
     for name in RANGE_SCANS:
         path = folder / "real" / "bunny_range" / f"{name}.ply"
         if path.exists() and bunny.exists():
-            yield Case("laser range scan", name, functools.partial(_opened_pair, path, bunny))
+            yield Case(REAL[0], name, functools.partial(_opened_pair, path, bunny))
     cone = folder / "real" / "kinect_cone"
     if cone.is_dir():
         make = functools.partial(_opened_pair, cone / "Noisy.obj", cone / "Original.obj")
-        yield Case("Kinect", "cone", make)
+        yield Case(REAL[1], "cone", make)
 
 
 def cases(
@@ -157,6 +194,11 @@ def cases(
         for name, source in shapes.items():
             make = functools.partial(add_kind, kind, name, source)
             found.setdefault(kind, []).append(Case(kind, name, make))
+    for kind in SIMULATED:
+        for name in SCANNED:
+            if name in shapes:
+                make = functools.partial(scan_kind, kind, name, shapes[name])
+                found.setdefault(kind, []).append(Case(kind, name, make))
     for case in _real():
         found.setdefault(case.kind, []).append(case)
     for name, source in shapes.items():

@@ -21,11 +21,10 @@ from numpy.typing import NDArray
 from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_settings import PeerSetting, run_peers
 from msal_cli import files, methods
-from msal_cli.core.geometry import face_normals
 from msal_cli.mesh import Mesh
 from msal_cli.metrics.comparison import moved_statistics, used_vertices, vertex_error_percent
 from msal_cli.metrics.surface import normal_statistics
-from msal_cli.metrics.surface_distance import distances_to_surface, nearest_on_surface
+from msal_cli.metrics.surface_distance import distances_to_surface
 from msal_cli.pipeline import ADAPTIVE, AUTO, denoise_bytes
 from msal_cli.selection import Wishes
 from msal_cli.tasks import Settings
@@ -46,7 +45,7 @@ class Errors:
     Attributes
     ----------
     angle_deg : mean angle between face normals and those of the truth: of the same face or, where
-        the faces differ, of the true face nearest to the centre; degrees.
+        the faces differ, of the true surface nearest to the centre; degrees.
     distance_percent : mean distance of vertices to the true surface, % of the mean edge length:
         of the truth's or, where the faces differ, of the noisy mesh's.
     vertex_percent : mean distance between corresponding vertices, % of the same length; None where
@@ -86,22 +85,10 @@ def measure_errors(pair: Pair, result: Mesh) -> Errors:
         vertex = vertex_error_percent(true, moved_statistics(true, result))
     else:
         edge = pair.noisy.mean_edge_length
-        angle = float(np.degrees(angles_to_surface(result, true)).mean())
+        angle = float(np.degrees(pair.true_surface.angles_of(result)).mean())
         vertex = None
     distance = distances_to_surface(used_vertices(result), true).mean()
     return Errors(angle, 100.0 * float(distance) / edge, vertex)
-
-
-def angles_to_surface(mesh: Mesh, surface: Mesh) -> Floats:
-    """Angles (k,) between the normals of the faces and of those of ``surface`` nearest to their
-    centres, radians; faces without area, on either side, are left out."""
-    triangles, _ = nearest_on_surface(mesh.vertices[mesh.faces].mean(axis=1), surface)
-    normals = face_normals(mesh.vertices, mesh.faces)
-    others = face_normals(surface.vertices, surface.faces)[triangles]
-    has_both = (np.abs(normals).sum(axis=1) > 0.0) & (np.abs(others).sum(axis=1) > 0.0)
-    cosines = (normals[has_both] * others[has_both]).sum(axis=1)
-    angles: Floats = np.arccos(np.clip(cosines, -1.0, 1.0))
-    return angles
 
 
 class Outcomes:
@@ -137,6 +124,10 @@ class Outcomes:
             for name in names:
                 self._rows.get(key, {}).pop(name, None)
 
+    def known(self, cases: Sequence[Case]) -> dict[str, Row]:
+        """The rows of the cases by model, as far as they are in the cache."""
+        return {one.model: self._rows[one.key] for one in cases if one.key in self._rows}
+
     def run(
         self, cases: Sequence[Case], names: Sequence[str], settings: Sequence[PeerSetting]
     ) -> dict[str, Row]:
@@ -157,7 +148,7 @@ class Outcomes:
         self._run_peers(pairs, others)
         if open_cases:
             self._write()
-        return {one.model: self._rows.get(one.key, {}) for one in cases}
+        return self.known(cases)
 
     def _run_ours(self, key: str, pair: Pair, names: Sequence[str]) -> None:
         row = self._rows[key]

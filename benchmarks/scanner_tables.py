@@ -67,18 +67,22 @@ def cell(errors: Floats) -> str:
     return "" if np.isnan(errors).any() else f"{errors[0]:.1f} / {errors[1]:.1f}"
 
 
-def misses(errors: Floats, best: Best | None) -> str:
-    """The measures in which ``errors`` are worse than those of the best setting, in % of them; a
-    difference that the table does not show is none."""
+def misses(errors: Floats, best: Best) -> NDArray[np.bool_]:
+    """In which measure ``errors`` are worse than those of the best setting (2,); a difference that
+    the table does not show is none."""
+    worse: NDArray[np.bool_] = np.round(errors, 1) > np.round(best.errors, 1)
+    return worse
+
+
+def ratio_cell(errors: Floats, best: Best | None) -> str:
+    """Errors over those of the best setting, a miss in bold."""
     if best is None or np.isnan(errors).any():
         return ""
-    ours, others = np.round(errors, 1), np.round(best.errors, 1)
-    worse = [
-        f"{word} +{100.0 * (one / other - 1.0):.0f} %"
-        for word, one, other in zip(("angle", "distance"), ours, others, strict=True)
-        if one > other
-    ]
-    return ", ".join(worse) or "none"
+    words = (f"{ratio:.2f}" for ratio in errors / best.errors)
+    return " / ".join(
+        f"**{word}**" if is_worse else word
+        for word, is_worse in zip(words, misses(errors, best), strict=True)
+    )
 
 
 def overview(kinds: Mapping[str, Rows], names: Sequence[str]) -> list[str]:
@@ -86,8 +90,8 @@ def overview(kinds: Mapping[str, Rows], names: Sequence[str]) -> list[str]:
     titles = [TITLES[name] for name in (NOISY, *names)]
     lines = [
         f"| kind | {' | '.join(titles)} | {TAUBIN.label} | best single setting | "
-        "least angle, least distance of any | `--auto` misses |",
-        "|---|" + "--:|" * (len(titles) + 3) + "---|",
+        "least angle, least distance of any | `--auto` / best single setting |",
+        "|---|" + "--:|" * (len(titles) + 4),
     ]
     for kind, rows in kinds.items():
         if kind == CLEAN:
@@ -96,7 +100,7 @@ def overview(kinds: Mapping[str, Rows], names: Sequence[str]) -> list[str]:
         cells = [cell(errors_of(rows, name).mean(axis=0)) for name in (NOISY, *names, TAUBIN.label)]
         cells.append("" if best is None else f"{cell(best.errors)} ({best.label})")
         cells.append(cell(_least(rows)))
-        cells.append(misses(errors_of(rows, JUDGED).mean(axis=0), best))
+        cells.append(ratio_cell(errors_of(rows, JUDGED).mean(axis=0), best))
         lines.append(f"| {kind} ({len(rows)}) | " + " | ".join(cells) + " |")
     return lines
 
@@ -108,31 +112,26 @@ def _least(rows: Rows) -> Floats:
 
 def totals(kinds: Mapping[str, Rows]) -> list[str]:
     """In how many kinds, and in how many cases, ``--auto`` is at least as good as others."""
-    filtered = {kind: rows for kind, rows in kinds.items() if kind != CLEAN}
-    words = [
-        misses(errors_of(rows, JUDGED).mean(axis=0), best_setting(rows))
-        for rows in filtered.values()
+    n_kinds = n_reached = 0
+    cases: list[Floats] = []
+    for kind, rows in kinds.items():
+        auto, best = errors_of(rows, JUDGED), best_setting(rows)
+        if kind == CLEAN or best is None or np.isnan(auto).any():
+            continue
+        n_kinds += 1
+        n_reached += not misses(auto.mean(axis=0), best).any()
+        angles = (errors_of(rows, name)[:, 0] for name in (JUDGED, TAUBIN.label, NOISY))
+        cases.append(np.stack(tuple(angles), axis=1))
+    if not cases:
+        return []
+    angle, taubin, noisy = np.concatenate(cases).T
+    return [
+        f"`--auto` is at least as good as the best single setting, in both measures, in "
+        f"{n_reached} of {n_kinds} kinds.",
+        f"Its angle is more than 5 % above that of {TAUBIN.label} in "
+        f"{int((angle > 1.05 * taubin).sum())} of {len(angle)} cases, and less than 1 % below that "
+        f"of the noisy mesh in {int((angle > 0.99 * noisy).sum())}.",
     ]
-    known = [word for word in words if word]
-    angles, gains = [], []
-    for rows in filtered.values():
-        auto, taubin, noisy = (errors_of(rows, one)[:, 0] for one in (JUDGED, TAUBIN.label, NOISY))
-        angles += list(auto / taubin)
-        gains += list(auto / noisy)
-    ratios = np.array([one for one in angles if not np.isnan(one)])
-    lines = []
-    if known:
-        lines.append(
-            f"`--auto` is at least as good as the best single setting, in both measures, in "
-            f"{sum(word == 'none' for word in known)} of {len(known)} kinds."
-        )
-    if len(ratios):
-        lines.append(
-            f"Its angle is more than 5 % above that of {TAUBIN.label} in "
-            f"{int((ratios > 1.05).sum())} of {len(ratios)} cases, and it gains less than 1 % in "
-            f"{int((np.array(gains) > 0.99).sum())} of {len(gains)}."
-        )
-    return lines
 
 
 def models(kinds: Mapping[str, Rows]) -> list[str]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmarks import scanner_cases, scanner_outcomes, scanner_tables
@@ -24,26 +25,24 @@ from benchmarks.scanner_settings import PEER_SETTINGS
 DETAILS = ("models", "seconds", "reasons")
 
 
-def print_section(found: dict[str, scanner_tables.Rows], details: list[str]) -> None:
-    """The section of docs/accuracy.md, and more tables below it."""
+def section(found: Mapping[str, scanner_tables.Rows], details: Sequence[str]) -> list[str]:
+    """The tables of the section in docs/accuracy.md; ``details`` are some of ``DETAILS``."""
     names = scanner_outcomes.ours()
-    print("## Noise as scanners make it\n")
-    print("\n".join(scanner_tables.overview(found, names)))
-    print("\n" + "\n".join(scanner_tables.totals(found)))
+    lines = [*scanner_tables.overview(found, names), "", *scanner_tables.totals(found)]
     if scanner_cases.CLEAN in found:
-        print("\nClean meshes, angle / distance between corresponding vertices:\n")
-        print("\n".join(scanner_tables.clean(found[scanner_cases.CLEAN], names)))
+        lines += ["", "Clean meshes, angle / distance between corresponding vertices:", ""]
+        lines += scanner_tables.clean(found[scanner_cases.CLEAN], names)
     if "models" in details:
-        print("\nModel by model, with the best single setting of the kind:\n")
-        print("\n".join(scanner_tables.models(found)))
-    print("\nThe settings of other tools; what is not named is at the tool's default:\n")
-    print("\n".join(scanner_tables.settings()))
+        lines += ["", "Model by model, with the best single setting of the kind:", ""]
+        lines += scanner_tables.models(found)
+    lines += ["", "The settings of other tools; what is not named is at the tool's default:", ""]
+    lines += scanner_tables.settings()
     if "seconds" in details:
-        print("\nProcessor time of the whole command:\n")
-        print("\n".join(scanner_tables.seconds(found, names)))
+        lines += ["", "Processor time of the whole command:", ""]
+        lines += scanner_tables.seconds(found, names)
     if "reasons" in details:
-        print("\nWhat `--auto` said:\n")
-        print("\n".join(scanner_tables.reasons(found)))
+        lines += ["", "What `--auto` said:", "", *scanner_tables.reasons(found)]
+    return lines
 
 
 def main(words: list[str] | None = None) -> None:
@@ -77,7 +76,8 @@ def main(words: list[str] | None = None) -> None:
         keys = [case.key for some in cases.values() for case in some]
         outcomes.forget(given.again or names, keys)
     found = {kind: outcomes.run(some, names, PEER_SETTINGS) for kind, some in cases.items()}
-    print_section(found, given.details)
+    print("## Noise as scanners make it\n")
+    print("\n".join(section(found, given.details)))
 
 
 if __name__ == "__main__":

@@ -11,8 +11,11 @@ from benchmarks import scanner_cases, scanner_outcomes, scanner_settings, scanne
 from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_outcomes import NOISY, Errors, Outcome
 from benchmarks.scanner_settings import PEER_SETTINGS
+from benchmarks.true_surface import TrueSurface, corner_normals
+from msal_cli.core.geometry import face_normals
 from msal_cli.mesh import Mesh, prepared
-from tests.shapes import ball, torus
+from msal_cli.metrics.surface_distance import distances_to_surface, nearest_on_surface
+from tests.shapes import ball, cube, torus
 
 pytest.importorskip("fcpw")
 
@@ -39,6 +42,23 @@ def test_every_kind_changes_its_model_and_repeats(one_model):
         assert np.array_equal(pair.noisy.vertices, again.noisy.vertices), kind
         has_moved = not np.array_equal(pair.noisy.vertices, pair.true.vertices)
         assert has_moved == (kind != scanner_cases.CLEAN), kind
+
+
+def test_every_simulated_scanner_sees_its_model(one_model, monkeypatch):
+    pytest.importorskip("skimage")
+    monkeypatch.setattr(scanner_cases, "SCANNED", ("torus",))
+    for kind, given in scanner_cases.SIMULATED.items():
+        monkeypatch.setitem(scanner_cases.SIMULATED, kind, {**given, "cells": 24})
+    found = scanner_cases.cases(kinds=list(scanner_cases.SIMULATED))
+    assert list(found) == list(scanner_cases.SIMULATED)
+    for kind, (case,) in found.items():
+        pair, again = case.make(), case.make()
+        assert np.array_equal(pair.noisy.vertices, again.noisy.vertices), kind
+        assert not pair.has_same_faces
+        # A scan lies within two cells of the truth.
+        cell = np.ptp(pair.true.vertices, axis=0).max() / 24
+        far = distances_to_surface(pair.noisy.vertices, pair.true)
+        assert 0.0 < far.mean() < 2.0 * cell, kind
 
 
 def test_kinds_and_models_are_picked_by_words(one_model):
@@ -76,8 +96,21 @@ def test_angles_to_a_surface_are_those_between_planes():
     turned = np.array(
         [[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]]
     )
-    angles = scanner_outcomes.angles_to_surface(flat.moved(flat.vertices @ turned), flat)
+    angles = TrueSurface(flat).angles_of(flat.moved(flat.vertices @ turned))
     assert np.degrees(angles) == pytest.approx([20.0, 20.0])
+
+
+def test_true_normals_are_smooth_on_a_ball_and_sharp_on_a_cube():
+    coarse = prepared(*ball(24, 12)).mesh
+    points = prepared(*ball(96, 48)).mesh.vertices
+    radial = points / np.linalg.norm(points, axis=1)[:, None]
+    facets = face_normals(coarse.vertices, coarse.faces)[nearest_on_surface(points, coarse)[0]]
+    smooth = TrueSurface(coarse).normals_at(points)
+    errors = [np.arccos(np.clip((one * radial).sum(axis=1), -1, 1)) for one in (smooth, facets)]
+    assert errors[0].mean() < 0.3 * errors[1].mean()
+    box = prepared(*cube()).mesh
+    normals = face_normals(box.vertices, box.faces)
+    assert np.allclose(corner_normals(box), normals[:, None, :])
 
 
 def test_the_command_runs_as_users_run_it():
@@ -134,9 +167,23 @@ def test_the_best_single_setting_is_judged_over_all_models():
     }
     best = scanner_tables.best_setting(rows)
     assert best is not None and best.label == first.label
-    assert scanner_tables.misses(np.array([2.5, 2.0]), best) == "angle +25 %"
-    assert scanner_tables.misses(np.array([2.02, 2.04]), best) == "none"
-    assert scanner_tables.misses(np.array([1.0, 2.2]), best) == "distance +10 %"
+    assert scanner_tables.ratio_cell(np.array([2.5, 2.0]), best) == "**1.25** / 1.00"
+    assert scanner_tables.ratio_cell(np.array([2.02, 2.04]), best) == "1.01 / 1.02"
+    assert scanner_tables.ratio_cell(np.array([1.0, 2.2]), best) == "0.50 / **1.10**"
+
+
+def test_the_totals_count_kinds_and_cases():
+    setting = {one.label: outcome(4.0, 4.0) for one in PEER_SETTINGS} | {NOISY: outcome(8.0, 8.0)}
+    kinds = {
+        "better": {"a": setting | {"auto": outcome(2.0, 3.0)}},
+        "idle": {"a": setting | {"auto": outcome(8.0, 3.0)}},
+        scanner_cases.CLEAN: {"a": setting | {"auto": outcome(9.0, 9.0)}},
+        "not run": {"a": setting},
+    }
+    first, second = scanner_tables.totals(kinds)
+    assert first.endswith("in 1 of 2 kinds.")
+    assert second.startswith("Its angle is more than 5 % above that of Taubin 10 in 1 of 2 cases")
+    assert second.endswith("of the noisy mesh in 1.")
 
 
 def test_the_section_is_printed_without_any_peer(one_model, tmp_path, capsys, monkeypatch):

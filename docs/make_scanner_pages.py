@@ -1,0 +1,145 @@
+"""Make the table "Your scanner" of noise.md with its pictures, and the tables of accuracy.md.
+
+    MSAL_DATA=FOLDER python docs/make_scanner_pages.py --cache FILE.json [--no-pictures]
+
+FILE.json is the cache of ``python -m benchmarks.scanners``, with all kinds run; the figures come
+from it, and the pictures from the sample meshes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import make_pictures
+from scanner_examples import EXAMPLES, Example, true_mesh
+
+from benchmarks import scanner_cases, scanner_outcomes, scanner_tables, scanners
+from benchmarks.scanner_cases import Pair
+from benchmarks.scanner_outcomes import NOISY, Outcomes
+from msal_cli import render
+from msal_cli.render.camera import framing, turned
+
+Image = NDArray[np.uint8]
+
+DOCS = Path(__file__).resolve().parent
+IMAGES = DOCS / "images" / "scanners"
+SIZE = (200, 200)
+COMMAND = "auto"
+LARGEST_PICTURE = 150_000  # bytes
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a picture shows: its panels, the angles before and after, and the words of msal."""
+
+    picture: Image
+    before_deg: float
+    after_deg: float
+    reason: str
+
+
+def draw(example: Example) -> Shown:
+    """The noisy mesh, what ``--auto`` makes of it, and the truth, side by side."""
+    true = true_mesh(example.model)
+    pair = Pair(example.make(true), true)
+    vertices, reason = scanner_outcomes.denoise(pair.noisy, COMMAND)
+    result = pair.noisy.moved(vertices)
+    turn = make_pictures.VIEWS[example.model]
+    axes = turned(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *turn)
+    camera = framing(axes, true.vertices)
+    panels = [
+        render.shaded(mesh.vertices, mesh.faces, camera, *SIZE)
+        for mesh in (pair.noisy, result, true)
+    ]
+    return Shown(
+        make_pictures.row(panels),
+        scanner_outcomes.measure_errors(pair, pair.noisy).angle_deg,
+        scanner_outcomes.measure_errors(pair, result).angle_deg,
+        reason,
+    )
+
+
+def write_picture(name: str, picture: Image) -> None:
+    """Write a picture with as many colours as its size allows."""
+    for most in (256, 128, 64, 32, 16):
+        data = render.png_bytes(picture, most)
+        if len(data) <= LARGEST_PICTURE:
+            break
+    IMAGES.mkdir(parents=True, exist_ok=True)
+    (IMAGES / f"{name}.png").write_bytes(data)
+    print(f"{name}: {len(data):,} bytes, {most} colours")
+
+
+def scanner_table(found: dict[str, scanner_tables.Rows]) -> list[str]:
+    """The table "Your scanner", with angles of the benchmark before and after ``--auto``."""
+    lines = ["| your scanner | what its noise is like | what msal does | |", "|---|---|---|---|"]
+    for one in EXAMPLES:
+        angles = "".join(
+            f"<br>{kind}: {_change(found[kind])}" for kind in one.kinds if kind in found
+        )
+        picture = f"![Noisy, denoised, and the truth](images/scanners/{one.name}.png)"
+        lines.append(f"| {one.scanner} | {one.noise} | {one.does}{angles} | {picture} |")
+    return lines
+
+
+def _change(rows: scanner_tables.Rows) -> str:
+    before, after = (
+        scanner_tables.errors_of(rows, name).mean(axis=0)[0]
+        for name in (NOISY, scanner_tables.JUDGED)
+    )
+    return f"{before:.1f}° to {after:.1f}°"
+
+
+def picture_lines(shown: dict[str, Shown]) -> list[str]:
+    """What msal says of each picture."""
+    lines = ["| picture | angle before | after | what msal says |", "|---|--:|--:|---|"]
+    for one in EXAMPLES:
+        seen = shown[one.name]
+        lines.append(
+            f"| {one.name.replace('_', ' ')} ({one.model}) | {seen.before_deg:.1f}° | "
+            f"{seen.after_deg:.1f}° | {seen.reason} |"
+        )
+    return lines
+
+
+def put(page: Path, name: str, lines: list[str]) -> None:
+    """Put lines into a page where it has a place of that name."""
+    place = re.compile(rf"(<!-- made: {name} -->\n).*?(?=<!-- end -->)", re.DOTALL)
+    text = page.read_text(encoding="utf-8")
+    if not place.search(text):
+        sys.exit(f"{page.name} has no place for {name}")
+    made = "\n".join(lines) + "\n"
+    page.write_text(place.sub(lambda at: at[1] + made, text), encoding="utf-8", newline="\n")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--cache", type=Path, required=True, help="cache of benchmarks.scanners")
+    parser.add_argument("--no-pictures", action="store_true", help="only the tables of figures")
+    given = parser.parse_args()
+    outcomes = Outcomes(given.cache, None)
+    found = {kind: outcomes.known(some) for kind, some in scanner_cases.cases().items()}
+    found = {kind: rows for kind, rows in found.items() if rows}
+    put(DOCS / "accuracy.md", "scanners", scanners.section(found, ["models"]))
+    put(DOCS / "noise.md", "your scanner", scanner_table(found))
+    if given.no_pictures:
+        return
+    shown = {}
+    for one in EXAMPLES:
+        shown[one.name] = draw(one)
+        write_picture(one.name, shown[one.name].picture)
+    put(DOCS / "noise.md", "pictures of scanners", picture_lines(shown))
+
+
+if __name__ == "__main__":
+    main()
