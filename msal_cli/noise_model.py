@@ -35,6 +35,9 @@ Floats = NDArray[np.float64]
 NORMALS, ISOTROPIC, AXIS = "normals", "isotropic", "axis"
 """Directions of noise."""
 
+QUIETEST = 0.05
+"""Least level of a region over that of all: what moves there is an error, but not beyond measure."""
+
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
@@ -144,7 +147,12 @@ def build_model(mesh: Mesh, noise: NoiseLevel) -> NoiseModel:
     """The estimated noise of a mesh as a field to draw from."""
     character = noise.character
     level = (noise.rms_edges if noise.is_impulsive else noise.mean_edges) * mesh.mean_edge_length
-    shares = regional(mesh) / level if noise.is_uneven and level > 0.0 else None
+    shares = None
+    # Along an axis, regions differ by their slope.
+    if noise.is_uneven and not noise.is_impulsive and character.axis is None and level > 0.0:
+        local = np.maximum(regional(mesh) / level, QUIETEST)
+        used = local[mesh.links.has_ring]
+        shares = local / math.sqrt(float((used * used).mean()))
     return NoiseModel(
         level,
         character.rings,

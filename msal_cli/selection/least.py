@@ -11,12 +11,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from msal_cli import methods
-from msal_cli.noise_estimate import DOUBTFUL, SURE
+from msal_cli.noise_estimate import SURE
 from msal_cli.selection import NONE, Choice, Wishes
 from msal_cli.selection.candidates import wiener_al
 
 if TYPE_CHECKING:
     from msal_cli.noise_estimate import NoiseLevel
+
+LEAST = 0.05
+"""Mean edge lengths: noise that a mesh is smoothed for at least, where smoothing is asked for."""
 
 STRENGTH = 1.2
 """Factor of the noise that is reckoned with for each step of ``Wishes.strength``."""
@@ -37,7 +40,7 @@ def choose_least(
         return Choice(NONE, {}, f"{what}; left as it is", surface, noise)
     level = max(noise.high, noise.mean_edges)
     if is_more:
-        level = max(level, DOUBTFUL) * STRENGTH**wishes.strength
+        level = max(level, LEAST) * STRENGTH**wishes.strength
         level *= SHAPE if wishes.keep == "shape" else 1.0
     elif level < SURE or is_harm:
         hint = "--strength 1 smooths it all the same"

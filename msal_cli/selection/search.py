@@ -24,14 +24,15 @@ from numpy.typing import NDArray
 
 from msal_cli import methods
 from msal_cli.mesh import Mesh
-from msal_cli.noise_estimate import NoiseLevel, estimated
+from msal_cli.methods._triangles import even_out
+from msal_cli.noise_estimate import NoiseLevel, estimated, regional
 from msal_cli.noise_model import ISOTROPIC, build_model
 from msal_cli.selection import NONE, Choice, Wishes
 from msal_cli.selection.candidates import CANDIDATES, ROBUST, SMOOTHER, Candidate
 from msal_cli.selection.least import SHAPE, STRENGTH, choose_least
-from msal_cli.selection.patches import representative
+from msal_cli.selection.patches import Part, representative
 from msal_cli.selection.recipe import recipe
-from msal_cli.selection.risk import PROBES, Risk
+from msal_cli.selection.risk import PROBES, Rehearsal, Risk, Stein
 from msal_cli.selection.surface import CLEAN, MACHINED, kind_of
 from msal_cli.selection.trials import Trials
 from msal_cli.selection.weighing import FLOOR, best_weights, rounded
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 
     from msal_cli.selection import OnStep
 
+Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
 RUN = 1.7
@@ -77,8 +79,20 @@ SURE, UNSURE = 0.13, 0.23
 """The same width, up to which a rehearsal is believed alone, and from which on
 Stein's risk counts as much."""
 
+UNEVEN_WIDTH = 0.18
+"""The same width, as it is taken for noise that is not the same everywhere."""
+
+FEWEST_JUDGED = 200
+"""Vertices that a level of local noise needs for weights of its own."""
+
 HEAVY = 0.35
 """Noise in mean edge lengths under which no first result shows whether there are sharp edges."""
+
+QUANTILES = (0.1, 0.5, 0.9)
+"""Of local levels, for which weights are chosen."""
+
+LEAST_RATIO, LEAST_GAP = 1.25, 0.01
+"""By how much they have to differ, as a ratio and in mean edge lengths."""
 
 RELAX = 2
 """Passes that even out triangles where noise is in all directions: more hardly help, and move
@@ -108,12 +122,13 @@ class _Search:
     def __init__(
         self, mesh: Mesh, wishes: Wishes, noise: NoiseLevel, on_step: OnStep | None
     ) -> None:
+        self.levels: tuple[float, ...]
         self.mesh, self.wishes, self.noise = mesh, wishes, noise
         self._on_step = on_step
         self.is_impulsive = noise.is_impulsive
         edges = noise.rms_edges if self.is_impulsive else noise.mean_edges
         doubt = DOUBT + (GREAT_DOUBT - DOUBT) * max(self._width - WIDE, 0.0) / (1.0 - WIDE)
-        edges -= doubt * (noise.mean_edges - noise.low)
+        edges -= doubt * self._width * noise.mean_edges
         factor, self.slopes = _KEEP.get(wishes.keep or "", (1.0, _SLOPES[wishes.prefer]))
         if wishes.keep is not None and wishes.prefer != "balanced":
             self.slopes = _SLOPES[wishes.prefer]
@@ -130,6 +145,11 @@ class _Search:
             self.relax = RELAX
             self.mesh = even_out(mesh, RELAX)
             self.model = self.model.along_normals()
+        # Of the mesh as the blend gets it, and without what is wished.
+        self.local, self.levels = np.empty(0), ()
+        if self.model.shares is not None and mesh.trust is None:
+            self.local = regional(mesh) / mesh.mean_edge_length
+            self.levels = _spread_levels(self.local[mesh.links.has_ring])
         self._whole: Trials | None = None
 
     def chosen(self) -> Choice:
@@ -154,16 +174,17 @@ class _Search:
             tried += len(last)
         study = self._trials(self._part_size(members))
         first = study.positions(members, weights)
-        risks: list[Risk] = []
+        judges: list[tuple[Stein | Rehearsal, float]] = []
         if self._is_gaussian and self._doubt > 0.0:
-            stein = study.by_stein(members, first, PROBES).risk()
-            risks.append(stein.counted(self._doubt))
-        again = study.by_rehearsal(members, first).risk()
-        first = study.positions(members, self._best([*risks, again]))
-        risks.append(study.by_rehearsal(members, first).risk())
+            judges.append((study.by_stein(members, first, PROBES), self._doubt))
+        again = study.by_rehearsal(members, first)
+        first = study.positions(members, self._best(_risks([*judges, (again, 1.0)])))
+        judges.append((study.by_rehearsal(members, first), 1.0))
+        risks = _risks(judges)
         final = self._pruned(members, risks)
+        rows = self._by_level(study.part, judges, final)
         self._finish()
-        return self._choice(members, final, risks, surface, tried)
+        return self._choice(members, final, rows, risks, surface, tried)
 
     def _look(self, glance: Trials, candidates: Sequence[Candidate]) -> Risk:
         """The risk of all candidates, by Stein's lemma where it holds."""
@@ -172,6 +193,24 @@ class _Search:
             return glance.by_stein(candidates, first, 1).risk()
         first = glance.positions([ROBUST], np.ones(1))
         return glance.by_rehearsal(candidates, first).risk()
+
+    def _by_level(
+        self, part: Part, judges: Sequence[tuple[Stein | Rehearsal, float]], weights: Floats
+    ) -> Floats:
+        """Weights (levels, k) of the members that ``weights`` (k,) has, for places of each level
+        of local noise; one row where noise is the same everywhere."""
+        rows = np.tile(weights, (max(len(self.levels), 1), 1))
+        kept = np.flatnonzero(weights)
+        if not self.levels or not len(kept):
+            return rows
+        local = self.local if part.numbers is None else self.local[part.numbers]
+        nearest = np.abs(local[:, None] - np.array(self.levels)).argmin(axis=1)
+        for level, row in enumerate(rows):
+            judged = part.judged & (nearest == level)
+            if judged.sum() >= FEWEST_JUDGED:
+                some = self._best([risk.of(kept.tolist()) for risk in _risks(judges, judged)])
+                row[kept] = np.where(some >= LEAST_WEIGHT, some, 0.0)
+        return rows
 
     def _trials(self, size: int) -> Trials:
         """Trials on a part of about so many vertices; on the same one where it is the whole."""
@@ -200,6 +239,9 @@ class _Search:
     @property
     def _width(self) -> float:
         """How far below its level the noise may be, in parts of the level."""
+        if self.noise.is_uneven:
+            # The interval reaches to the quietest region.
+            return UNEVEN_WIDTH
         level = self.noise.mean_edges
         return (level - self.noise.low) / level if level > 0.0 else 0.0
 
@@ -273,6 +315,7 @@ class _Search:
         self,
         members: Sequence[Candidate],
         weights: Floats,
+        rows: Floats,
         risks: Sequence[Risk],
         surface: str,
         tried: int,
@@ -285,7 +328,7 @@ class _Search:
         together = max(*(risk.positions.at(weights) for risk in counted), 0.0)
         order = np.argsort(self._scores(risks), kind="stable").tolist()
         beside = [k for k in order if weights[k] < 1.0][:3]
-        made = recipe(members, weights, self._noise_edges(self.mesh))
+        made = recipe(members, rows, self._noise_edges(self.mesh), self.levels, self.relax)
         what = "impulsive noise" if self.is_impulsive else "noise"
         level = self.noise.rms_edges if self.is_impulsive else self.noise.mean_edges
         choice = Choice(
@@ -312,3 +355,20 @@ class _Search:
     def _finish(self) -> None:
         if self._on_step is not None:
             self._on_step(self._total, self._total)
+
+
+def _risks(
+    judges: Sequence[tuple[Stein | Rehearsal, float]], judged: Flags | None = None
+) -> list[Risk]:
+    """The risks by judges of some importance each, over the vertices (m,) that are ``judged``."""
+    return [judge.risk(judged).counted(importance) for judge, importance in judges]
+
+
+def _spread_levels(local: Floats) -> tuple[float, ...]:
+    """Levels of local noise (n,) that stand for quiet, usual and loud places; none if they are
+    much alike."""
+    found: list[float] = []
+    for level in np.quantile(local, QUANTILES).tolist():
+        if not found or level > LEAST_RATIO * found[-1] + LEAST_GAP:
+            found.append(round(level, 3))
+    return tuple(found) if len(found) > 1 else ()
