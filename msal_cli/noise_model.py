@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.noise import share_over_rings
-from msal_cli.noise_estimate import regional
+from msal_cli.noise_estimate.local import local_levels
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -150,7 +150,7 @@ def build_model(mesh: Mesh, noise: NoiseLevel) -> NoiseModel:
     shares = None
     # Along an axis, regions differ by their slope.
     if noise.is_uneven and not noise.is_impulsive and character.axis is None and level > 0.0:
-        local = np.maximum(regional(mesh) / level, QUIETEST)
+        local = np.maximum(local_levels(mesh) * (mesh.mean_edge_length / level), QUIETEST)
         used = local[mesh.links.has_ring]
         shares = local / math.sqrt(float((used * used).mean()))
     return NoiseModel(

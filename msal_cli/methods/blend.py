@@ -17,8 +17,7 @@ and the memory that of the hungriest.  One member of weight 1 is that method, to
 
 Where the noise is not the same everywhere, weights may follow it: with ``levels=0.02:0.25`` a
 member 0.1:0.6*al weighs 0.1 where the local noise is at most 0.02 mean edge lengths, 0.6 from 0.25
-on, and in between in proportion.  The local noise is that of ``--fields noise``, averaged over a
-few rings.
+on, and in between in proportion.
 
 ``relax`` evens triangles out within the surface before the members run.  Noise in all directions
 makes them jagged, and two passes take most of that away.
@@ -39,16 +38,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from msal_cli.core.geometry import ring_means
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import Method, OnSweep, Result, parameter
 from msal_cli.methods._triangles import even_out
-from msal_cli.noise_estimate import regional
-
-Floats = NDArray[np.float64]
+from msal_cli.noise_estimate.local import local_levels
 
 BYTES_PER_FACE = 485
 """Memory with the hungriest member that is ever chosen, ``l0``; see ``Method``."""
@@ -65,9 +60,6 @@ STEPS = 100
 
 ROUNDING = 1e-9
 """By which weights may add up to more than 1."""
-
-BORDER = 6
-"""Averages over one-rings by which levels of regions pass into one another."""
 
 _MEMBER = re.compile(
     r"([0-9.]+(?:[eE][+-]?[0-9]+)?(?::[0-9.]+(?:[eE][+-]?[0-9]+)?)*)"
@@ -230,7 +222,7 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
     started = time.perf_counter()
     levels = read_levels(parameters.levels)
     members = read(parameters.members, len(levels))
-    local = _local_levels(mesh) if levels else None
+    local = local_levels(mesh) if levels else None
     mesh = even_out(mesh, parameters.relax)
     if [member.weights for member in members] == [(1.0,)]:
         return members[0].method.denoised(mesh, members[0].parameters, on_sweep)
@@ -253,11 +245,3 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         mesh.forget_normals()
     move += mesh.vertices
     return Result(move, seconds={"normals": 0.0, "sweeps": time.perf_counter() - started})
-
-
-def _local_levels(mesh: Mesh) -> Floats:
-    """The noise around each vertex (n,), mean edge lengths."""
-    levels = regional(mesh) / mesh.mean_edge_length
-    for _ in range(BORDER):
-        levels = ring_means(levels, mesh.links.ring_start, mesh.links.ring)
-    return levels

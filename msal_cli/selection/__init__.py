@@ -38,6 +38,7 @@ METHODS = (
     "normal_diffusion",
     "normal_threshold",
     "wiener",
+    "windowed_sinc",
 )
 """The methods that are ever chosen: memory is set aside for the hungriest of them."""
 

@@ -61,14 +61,14 @@ def recipe(
     if rest.max() > 0.005:
         label += f" + {_percent(rest)} as it was"
     if levels:
-        label += f" where the noise is {levels[0]:.2g} to {levels[-1]:.2g} e"
+        label += " where the noise is " + "/".join(f"{level:.2g}" for level in levels) + " e"
     if relax:
         label += ", after triangles were evened out"
     return Recipe("blend", methods.find("blend").settled(given), label)
 
 
 def _percent(weights: Floats) -> str:
-    """One weight as 40%, more of them as 0 to 60%."""
+    """One weight as 40%, more of them as 0/20/60%."""
     if (weights == weights[0]).all():
         return f"{weights[0]:.0%}"
-    return f"{100.0 * weights[0]:.0f} to {weights[-1]:.0%}"
+    return "/".join(f"{100.0 * weight:.0f}" for weight in weights) + "%"

@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from msal_cli import methods
 from msal_cli.mesh import Mesh
 from msal_cli.methods._triangles import even_out
-from msal_cli.noise_estimate import NoiseLevel, estimated, regional
+from msal_cli.noise_estimate import NoiseLevel, estimated
+from msal_cli.noise_estimate.local import local_levels
 from msal_cli.noise_model import ISOTROPIC, build_model
 from msal_cli.selection import NONE, Choice, Wishes
 from msal_cli.selection.candidates import CANDIDATES, ROBUST, SMOOTHER, Candidate
@@ -148,7 +149,7 @@ class _Search:
         # Of the mesh as the blend gets it, and without what is wished.
         self.local, self.levels = np.empty(0), ()
         if self.model.shares is not None and mesh.trust is None:
-            self.local = regional(mesh) / mesh.mean_edge_length
+            self.local = local_levels(mesh)
             self.levels = _spread_levels(self.local[mesh.links.has_ring])
         self._whole: Trials | None = None
 
@@ -370,5 +371,5 @@ def _spread_levels(local: Floats) -> tuple[float, ...]:
     found: list[float] = []
     for level in np.quantile(local, QUANTILES).tolist():
         if not found or level > LEAST_RATIO * found[-1] + LEAST_GAP:
-            found.append(round(level, 3))
+            found.append(float(round(level, 3)))
     return tuple(found) if len(found) > 1 else ()
