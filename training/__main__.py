@@ -8,17 +8,21 @@ The same seed, settings and versions of numpy on the same kind of processor give
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
+from msal_cli import files
 from msal_cli.core.normal_descriptors import WIDE_FILTERED
 from msal_cli.core.normal_regression import VECTORS, Network
 from msal_cli.methods._cascade import write_networks
 from training.regression import Schedule, train_network
-from training.samples import NoisyMesh, collect_samples, draw_meshes
+from training.samples import NoisyMesh, Shape, collect_samples, draw_meshes
+from training.shapes import build_shapes
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -31,9 +35,9 @@ def build_parser() -> argparse.ArgumentParser:
     add("--stages", type=int, default=3)
     add("--hidden", type=int, default=96, help="numbers in each hidden layer")
     add("--copies", type=int, default=8, help="noisy meshes of every shape")
-    add("--samples", type=int, default=1_500_000, help="faces that a stage learns from")
-    add("--epochs", type=int, default=12)
-    add("--shapes", type=Path, help="folder of .npz")
+    add("--samples", type=int, default=1_500_000, help="faces that each stage learns from")
+    add("--epochs", type=int, default=12, help="passes over the samples")
+    add("--quick", action="store_true", help="few and small shapes: to see that it works")
     return parser
 
 
@@ -46,10 +50,10 @@ def main(words: list[str] | None = None) -> int:
         print(f"{time.process_time() - started:7.1f} s  {text}", flush=True)
 
     generator = np.random.default_rng(options.seed)
-    shapes = []
-    for p in sorted(options.shapes.glob("*.npz")):
-        z = np.load(p)
-        shapes.append((p.stem, z["v"], z["f"]))
+    shapes = itertools.chain(
+        build_shapes(options.seed, options.quick),
+        read_meshes(options.clean) if options.clean else (),
+    )
     meshes = draw_meshes(shapes, options.copies, generator)
     n_faces = sum(len(one.truth) for one in meshes)
     report(f"{len(meshes)} noisy meshes with {n_faces} faces")
@@ -79,13 +83,21 @@ def main(words: list[str] | None = None) -> int:
     return 0
 
 
-def report_errors(meshes: list[NoisyMesh], network: Network, report: object) -> None:
+def read_meshes(folder: Path) -> Iterator[Shape]:
+    """The meshes of a folder, those of a name with a suffix that msal reads, in their order."""
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in files.readable_suffixes():
+            mesh_file = files.open_mesh(files.read_whole(str(path)), path.name)
+            yield path.name, mesh_file.vertices, mesh_file.faces
+
+
+def report_errors(meshes: list[NoisyMesh], network: Network, report: Callable[[str], None]) -> None:
     """Take the stage on all meshes and say how far the normals are off."""
     errors = []
     for one in meshes:
         one.advance(network)
-        cosine = np.einsum("ij,ij->i", one.earlier, one.truth)
-        errors.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
+        assert one.earlier is not None
+        errors.append(np.degrees(one.mean_angle(one.earlier)))
     report(f"  mean error {np.mean(errors):.2f} degrees")
 
 

@@ -36,10 +36,10 @@ class Kind:
 
 
 MIXTURE = (
-    Kind("none", 6.0),
+    Kind("none", 8.0),
     Kind("gaussian-normal", 3.0, 0.003, 0.04),
-    Kind("gaussian-normal", 20.0, 0.05, 0.75),
-    Kind("gaussian-normal", 8.0, 0.07, 0.3),
+    Kind("gaussian-normal", 20.0, 0.08, 0.75),
+    Kind("gaussian-normal", 9.0, 0.05, 0.2),
     Kind("gaussian", 7.0, 0.03, 0.35),
     Kind("correlated", 13.0, 0.05, 0.35, rings=4, least_rings=1),
     Kind("view", 8.0, 0.05, 0.4, rings=2),

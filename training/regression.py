@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -59,7 +60,7 @@ def train_network(
     sizes = (inputs.shape[1], n_hidden, n_hidden, n_vectors)
     matrices = [
         (generator.standard_normal((a, b)) * np.sqrt(2.0 / a)).astype(np.float32)
-        for a, b in zip(sizes, sizes[1:], strict=False)
+        for a, b in itertools.pairwise(sizes)
     ]
     matrices[-1] *= np.float32(0.05)
     biases = [np.zeros(size, dtype=np.float32) for size in sizes[1:]]

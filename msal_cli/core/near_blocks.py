@@ -29,7 +29,7 @@ X, Y, Z, NX, NY, NZ, NARROW_WEIGHT, WIDE_WEIGHT, JUMP = (np.uint64(32 * row) for
 ENTRY = R9
 """What a neighbour takes in a block."""
 
-NARROW, WIDE = 1.5, 2.8
+NARROW, WIDE = 1.45, 2.7
 """The reaches of both weights, in local units."""
 
 FOUR, FIVE, SIX = np.uint64(4), np.uint64(5), np.uint64(6)

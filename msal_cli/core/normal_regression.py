@@ -8,11 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.core.compiled import compiled
+from msal_cli.core.connectivity import Connectivity
 from msal_cli.core.face_reach import faces_within
+from msal_cli.core.geometry import ring_means
+from msal_cli.core.medians import median
 from msal_cli.core.near_blocks import RECORD, WIDE
 from msal_cli.core.normal_descriptors import (
     GUIDE,
     GUIDED,
+    NARROW_MEAN,
     NORMAL,
     NUMBERS,
     REFINED,
@@ -20,6 +24,7 @@ from msal_cli.core.normal_descriptors import (
     VECTORS,
     WIDE_FILTERED,
     WIDE_MEAN,
+    WIDER,
     describe,
     filter_jointly,
     pick_guides,
@@ -40,7 +45,10 @@ EARLIER = 4
 """Vectors that a later stage has in addition: the scanned normal, that of the stage before, and
 the first filtered by the second, with two ranges."""
 
-GLOBALS = 4
+ROOT_3 = 3.0**0.5
+"""The edge of equilateral triangles over the distance of their centroids."""
+
+GLOBALS = 8
 """Inputs that are the same for all faces of a mesh."""
 
 _FIVE, _SIX, _SEVEN = np.uint64(5), np.uint64(6), np.uint64(7)
@@ -48,7 +56,7 @@ _FOUR = np.uint64(4)
 
 
 @compiled
-def _local_units(start, stop, c, ring_start, ring, units):  # type: ignore[no-untyped-def]
+def _mean_distances(start, stop, c, ring_start, ring, distances):  # type: ignore[no-untyped-def]
     """Mean distances of the centroids c, flat, to those of the row of each face; zero for none."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own = THREE * f
@@ -59,7 +67,18 @@ def _local_units(start, stop, c, ring_start, ring, units):  # type: ignore[no-un
             k = THREE * ring[entry]
             dx, dy, dz = c[k] - x, c[k + ONE] - y, c[k + TWO] - z
             total += np.sqrt(dx * dx + dy * dy + dz * dz)
-        units[f] = total / np.float64(max(end - row, ONE))
+        distances[f] = total / np.float64(max(end - row, ONE))
+
+
+@compiled
+def _local_units(start, stop, distances, ring_start, ring, units):  # type: ignore[no-untyped-def]
+    """The mean of a face's distance and those of its row, times root 3."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        total = distances[f]
+        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
+        for entry in range(row, end):
+            total += distances[ring[entry]]
+        units[f] = ROOT_3 * total / np.float64(end - row + ONE)
 
 
 @compiled
@@ -101,13 +120,49 @@ def _fill_missing(start, stop, ring_start, ring, normals, records):  # type: ign
             records[to + _FIVE] = z / length
 
 
+@compiled
+def _corner_means(start, stop, faces, heights, units, scatter, ripples):  # type: ignore[no-untyped-def]
+    """Five numbers of each face: its scatter, and means of its corners' ``heights`` (n, 4) in its
+    unit."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        a, b, c = faces[THREE * f], faces[THREE * f + ONE], faces[THREE * f + TWO]
+        per_unit = 1.0 / (3.0 * units[f]) if units[f] > 0.0 else 0.0
+        ripples[_FIVE * f] = scatter[f]
+        for k in range(_FOUR):
+            total = heights[_FOUR * a + k] + heights[_FOUR * b + k] + heights[_FOUR * c + k]
+            value = total * per_unit
+            # Bounded, so that a single spike does not decide a mean.
+            ripples[_FIVE * f + ONE + k] = np.float32(value / (1.0 + value))
+
+
+def measure_ripples(vertices: Floats, normals: Floats, links: Connectivity) -> Floats:
+    """How rough the surface is at each vertex, (n, 4), in the unit of ``vertices`` (n, 3).
+
+    The distances along the ``normals`` (n, 3) that are left of the positions when the umbrella is
+    applied once, twice and three times: ever finer ripples.  The last is what is left sideways of
+    the second.  Boundary vertices have none.
+    """
+    rows = links.ring_start, links.ring
+    inner = links.has_ring & ~links.boundary
+    left = [np.ascontiguousarray(vertices[:, axis]) for axis in range(3)]
+    ripples = np.empty((len(vertices), 4))
+    for time in range(3):
+        left = [np.where(inner, ring_means(one, *rows) - one, 0.0) for one in left]
+        along = left[0] * normals[:, 0] + left[1] * normals[:, 1] + left[2] * normals[:, 2]
+        ripples[:, time] = np.abs(along)
+        if time == 1:
+            square = left[0] ** 2 + left[1] ** 2 + left[2] ** 2 - along**2
+            ripples[:, 3] = np.sqrt(np.maximum(square, 0.0))
+    return ripples
+
+
 @dataclass(frozen=True, eq=False)
 class Neighbourhoods:
     """Which faces are near each face, the same for all stages.
 
     Attributes
     ----------
-    ring_start, ring : rows of the faces that share a vertex with each face.
+    ring_start, ring : rows of the faces that share an edge with each face.
     near_start, near : rows of the faces within ``WIDE`` local units, the nearest first.
     """
 
@@ -125,9 +180,11 @@ def find_neighbourhoods(centroids: Floats, ring_start: Ints, ring: Ints) -> Neig
 
 
 def _find_units(centroids: Floats, ring_start: Ints, ring: Ints) -> Floats:
-    units = np.empty(len(centroids))
+    m = len(centroids)
+    distances, units = np.empty(m), np.empty(m)
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
-    over_ranges(_local_units, len(units), centroids.reshape(-1), *rows, units)
+    over_ranges(_mean_distances, m, centroids.reshape(-1), *rows, distances)
+    over_ranges(_local_units, m, distances, *rows, units)
     return units
 
 
@@ -220,6 +277,8 @@ def describe_normals(
     normals: Floats,
     areas: Floats,
     centroids: Floats,
+    heights: Floats,
+    faces: Ints,
     around: Neighbourhoods,
     earlier: tuple[Floats, Floats] | None = None,
 ) -> Descriptors:
@@ -228,6 +287,8 @@ def describe_normals(
     Parameters
     ----------
     normals, areas, centroids : (m, 3), (m,), (m, 3); zero normals where there is none.
+    heights : (n, 4) of the vertices, ``measure_ripples``.
+    faces : (m, 3).
     earlier : the scanned normals and those of the stage before, (m, 3) each, for a later stage.
     """
     m = len(normals)
@@ -251,27 +312,33 @@ def describe_normals(
     flat_table = table.reshape(-1)
     of = records, per_reach, *near
     over_ranges(describe, m, *of, width, flat_table, numbers.reshape(-1), axes.reshape(-1))
-    over_ranges(pick_guides, m, records, *near, width, flat_table, numbers.reshape(-1))
-    tasks = [(GUIDE, NORMAL, GUIDED), (WIDE_FILTERED, NORMAL, REFINED)]
-    ranges = [(0.3, 0.6), (0.25, 0.5)]
+    ripples = np.empty((m, 5), dtype=np.float32)
+    scatter = np.ascontiguousarray(numbers[:, 14])
+    corners = faces.reshape(-1).view(np.uint32)
+    over_ranges(_corner_means, m, corners, heights.reshape(-1), units, scatter, ripples.reshape(-1))
+    to = width, flat_table, numbers.reshape(-1)
+    over_ranges(pick_guides, m, records, *near, ripples.reshape(-1), *to)
+    tasks = [
+        (GUIDE, NORMAL, GUIDED),
+        (WIDE_FILTERED, NORMAL, REFINED),
+        (WIDE_FILTERED, WIDE_FILTERED, TWICE),
+        (WIDE_MEAN, WIDE_MEAN, WIDER),
+    ]
+    ranges = [(0.3, 0.6), (0.25, 0.5), (0.25, 0.5), (0.25, 0.7)]
     if earlier is not None:
         table[:, VECTORS] = earlier[0]
         table[:, VECTORS + 1] = earlier[1]
-        tasks += [(VECTORS + 1, VECTORS, VECTORS + 2)]
-        ranges += [(0.3, 0.6)]
-    for some, widths in (
-        (tasks, ranges),
-        ([(REFINED + 1,) * 2 + (TWICE,), (WIDE_MEAN,) * 2 + (TWICE + 2,)], [(0.25, 0.5)] * 2),
-    ):
-        per_range = (1.0 / np.array(widths) ** 2).astype(np.float32)
-        over_ranges(filter_jointly, m, *of, np.array(some), per_range, width, flat_table)
-    return Descriptors(table, numbers, axes, _find_globals(table, numbers))
+        tasks.append((VECTORS + 1, VECTORS, VECTORS + 2))
+        ranges.append((0.3, 0.6))
+    per_range = (1.0 / np.array(ranges) ** 2).astype(np.float32)
+    over_ranges(filter_jointly, m, *of, np.array(tasks), per_range, width, flat_table)
+    return Descriptors(table, numbers, axes, _find_globals(table, numbers, ripples))
 
 
-def _find_globals(table: Singles, numbers: Singles) -> Singles:
-    """What the whole mesh is like: medians of scatter and of differences between means."""
-    own, narrow, wide = table[:, 0], table[:, 4], table[:, WIDE_MEAN]
-    squares = [((a - b) ** 2).sum(axis=1) for a, b in ((own, wide), (narrow, wide))]
-    medians = [np.median(np.sqrt(one)) for one in squares]
-    medians += [np.median(numbers[:, 14]), np.median(numbers[:, 9])]
+def _find_globals(table: Singles, numbers: Singles, ripples: Singles) -> Singles:
+    """What the whole mesh is like: medians of scatter, of differences between means, of ripples."""
+    own, narrow, wide = table[:, NORMAL], table[:, NARROW_MEAN], table[:, WIDE_MEAN]
+    of = [np.sqrt(((a - b) ** 2).sum(axis=1)) for a, b in ((own, wide), (narrow, wide))]
+    of += [numbers[:, 9], *ripples.T]
+    medians = [median(one.astype(np.float64)) for one in of]
     return np.array([m / (m + 0.1) for m in medians], dtype=np.float32)

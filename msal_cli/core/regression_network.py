@@ -37,7 +37,7 @@ def _lay_inputs(first, last, width, table, per_face, numbers, axes, x):  # type:
         at += THREE
         cx, cy, cz = axes[at], axes[at + ONE], axes[at + TWO]
         at = THREE * width * f
-        row = lane
+        row = ZERO + lane
         for _ in range(width):
             vx, vy, vz = table[at], table[at + ONE], table[at + TWO]
             x[row] = vx * ax + vy * ay + vz * az

@@ -152,6 +152,11 @@ def encode_mesh(vertices: Floats, faces: Ints, to: str) -> Buffer:
 
 
 def _is_single(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> bool:
+    if to == "med":
+        # Its positions are double by definition.
+        if precision == "float32":
+            raise UnsupportedError("med has no float32", hint="write VTU with --to vtu")
+        return False
     only_single = to in _SINGLE and encoding == "binary"
     if precision == "float64" and only_single:
         raise UnsupportedError(f"{encoding} {to} has no float64", hint="write PLY with --to ply")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -23,6 +24,7 @@ from msal_cli.core.normal_regression import (
     Network,
     describe_normals,
     find_neighbourhoods,
+    measure_ripples,
 )
 from msal_cli.core.vertex_update import updated_vertices
 from msal_cli.errors import InternalError
@@ -44,7 +46,7 @@ class Cascade:
         self.mesh = mesh
         self.free = free_vertices(mesh, boundary)
         centroids = face_centroids(mesh.vertices, mesh.faces)
-        rings = face_rings(mesh.faces, mesh.links, "vertex")
+        rings = face_rings(mesh.faces, mesh.links, "edge")
         self.near = find_neighbourhoods(centroids, *rings)
         self.scanned = face_normals_and_areas(mesh.vertices, mesh.faces)
 
@@ -56,7 +58,10 @@ class Cascade:
         faces = self.mesh.faces
         normals, areas = face_normals_and_areas(positions, faces)
         before = None if earlier is None else (self.scanned[0], earlier)
-        return describe_normals(normals, areas, face_centroids(positions, faces), self.near, before)
+        centroids = face_centroids(positions, faces)
+        at_vertices = self.mesh.moved(positions).vertex_normals()
+        heights = measure_ripples(positions, at_vertices, self.mesh.links)
+        return describe_normals(normals, areas, centroids, heights, faces, self.near, before)
 
     def fit(
         self,
@@ -96,7 +101,7 @@ def read_networks(header_path: Path) -> tuple[Network, ...]:
     networks, at = [], 0
     for sizes in header["stages"]:
         layers = []
-        for n_in, n_out in zip(sizes, sizes[1:], strict=False):
+        for n_in, n_out in itertools.pairwise(sizes):
             bias = numbers[at : at + n_out]
             matrix = numbers[at + n_out : at + n_out * (1 + n_in)].reshape(n_out, n_in)
             at += n_out * (1 + n_in)

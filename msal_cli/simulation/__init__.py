@@ -65,7 +65,7 @@ def simulate_scan(mesh: Mesh, settings: ScannerSettings) -> Scan:
     ContentError
         with code ``E_NO_FACES`` where the scanner sees nothing at its resolution.
     TooLargeError
-        for more than ``settings.MOST_CELLS`` voxels or pixels.
+        for more than ``settings.MOST_CELLS`` voxels or ``MOST_PIXELS`` pixels.
     """
     if settings.scanner in ("voxels", "ct", "slices"):
         from msal_cli.simulation.volumes import scan_volume

@@ -16,7 +16,7 @@ from msal_cli.errors import ContentError, TooLargeError
 from msal_cli.mesh import Mesh
 from msal_cli.noise import grazing_growth
 from msal_cli.simulation.frames import build_frame, turn, turn_back
-from msal_cli.simulation.settings import MOST_CELLS, ScannerSettings
+from msal_cli.simulation.settings import MOST_PIXELS, ScannerSettings
 from msal_cli.simulation.surface import Surface
 
 Floats = NDArray[np.float64]
@@ -104,9 +104,9 @@ def place_camera(mesh: Mesh, frame: Floats, pixel: float, draw: np.random.Genera
     images = seen[:, :2] * (distance / (distance - seen[:, 2]))[:, None]
     low, extent = images.min(axis=0), np.ptp(images, axis=0)
     counts = np.ceil(extent / pixel) + 3
-    if float(counts.prod()) > MOST_CELLS:
+    if float(counts.prod()) > MOST_PIXELS:
         raise TooLargeError(
-            f"the image would have {counts.prod():,.0f} pixels, more than {MOST_CELLS:,}",
+            f"the image would have {counts.prod():,.0f} pixels, more than {MOST_PIXELS:,}",
             hint="choose a coarser resolution",
         )
     first = low - pixel * (0.5 + draw.random(2))

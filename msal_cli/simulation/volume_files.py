@@ -74,7 +74,8 @@ def mesh_volume(data: bytes | memoryview, settings: VolumeSettings) -> tuple[Flo
         for a file that does not hold the volume that it, or the settings, say.
     """
     volume = read_raw(data, settings) if settings.counts is not None else read_npy(data)
-    values = volume.transpose(2, 1, 0).astype(np.float32)
+    with np.errstate(over="ignore"):
+        values = volume.transpose(2, 1, 0).astype(np.float32)
     if not np.isfinite(values).all():
         raise ContentError(
             "the volume has values that are not finite, or too large for single precision",

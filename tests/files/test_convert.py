@@ -10,7 +10,13 @@ import pytest
 import trimesh
 
 from msal_cli.errors import UnsupportedError
-from msal_cli.files import converted, open_mesh, readable_suffixes, writable_formats
+from msal_cli.files import (
+    converted,
+    encode_mesh,
+    open_mesh,
+    readable_suffixes,
+    writable_formats,
+)
 from tests.files import plain_stl
 from tests.shapes import cube, noisy, torus
 
@@ -309,3 +315,29 @@ def test_ninety_degrees_of_real_scans(real_data):
             again = reopened(converted(source, source.vertices, to)[0], to)
             assert len(again.faces) == len(source.faces)
             assert np.allclose(corners(again), corners(source), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("to", writable_formats())
+def test_a_single_precision_mesh_goes_into_every_format(to):
+    vertices, faces = torus(12, 8)
+    ply = open_mesh(encode_mesh(vertices, faces, "ply"), "a.ply")
+    assert ply.precision == "float32"
+    made = reopened(converted(ply, ply.vertices, to)[0], to)
+    assert corners(made) == pytest.approx(corners(ply), abs=1e-6)
+
+
+def test_a_new_mesh_is_single_where_that_rounds_nothing_away():
+    vertices, faces = torus(12, 8)
+    assert open_mesh(encode_mesh(vertices, faces, "ply"), "a.ply").precision == "float32"
+    far = open_mesh(encode_mesh(vertices + 1e5, faces, "ply"), "a.ply")
+    assert far.precision == "float64"
+    assert np.array_equal(far.vertices, vertices + 1e5)
+    assert np.array_equal(far.faces, faces)
+
+
+def test_med_has_no_single_precision():
+    pytest.importorskip("h5py")
+    vertices, faces = torus(12, 8)
+    ply = open_mesh(encode_mesh(vertices, faces, "ply"), "a.ply")
+    with pytest.raises(UnsupportedError, match="float32"):
+        converted(ply, ply.vertices, "med", precision="float32")

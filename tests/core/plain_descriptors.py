@@ -1,0 +1,132 @@
+"""Plain numpy twins of the descriptors of face normals and of the network, face by face."""
+
+from __future__ import annotations
+
+import numpy as np
+
+NARROW, WIDE = 1.45, 2.7
+
+
+def to_unit(vector):
+    length = np.linalg.norm(vector)
+    return vector / length if length > 0 else vector
+
+
+def biweight(squares):
+    return np.maximum(1 - squares, 0) ** 2
+
+
+def local_units(centroids, across):
+    """Mean distances to the faces across edges, averaged with theirs, times root 3."""
+    raw = np.array(
+        [
+            np.mean([np.linalg.norm(centroids[f] - centroids[g]) for g in row]) if row else 0.0
+            for f, row in enumerate(across)
+        ]
+    )
+    return np.sqrt(3) * np.array([np.mean(raw[[f, *row]]) for f, row in enumerate(across)])
+
+
+def plane_normal(points, weights, base):
+    """Normal, variance off the plane, height of the origin's mean above it, distance within it."""
+    mean = weights @ points / weights.sum()
+    centred = points - mean
+    covariance = np.einsum("k,ki,kj->ij", weights, centred, centred) / weights.sum()
+    covariance += 1e-4 * np.eye(3)
+    normal = to_unit(np.linalg.solve(covariance, base))
+    height = mean @ normal
+    return normal, normal @ covariance @ normal, height, np.sqrt(max(mean @ mean - height**2, 0))
+
+
+class Plain:
+    """Vectors (m, 22, 3) and numbers of every face, as ``describe_normals`` has them."""
+
+    def __init__(self, normals, areas, centroids, near, units):
+        self.normals, self.areas = normals, areas / areas.mean()
+        self.centroids, self.near, self.units = centroids, near, units
+        m = len(normals)
+        self.vectors = np.zeros((m, 22, 3))
+        self.numbers = np.zeros((m, 19))
+        self.tensors = np.zeros((m, 3, 3))
+        for f in range(m):
+            self.describe(f)
+        for f in range(m):
+            best = min([f, *near[f][:16]], key=lambda g: self.numbers[g, 14])
+            self.vectors[f, 13] = self.vectors[best, 4]
+            self.numbers[f, 15] = self.numbers[best, 14]
+            row = [f, *near[f]]
+            self.numbers[f, 16] = self.numbers[row, 14].mean()
+            mean_area = self.areas[row].mean()
+            self.numbers[f, 18] = self.areas[f] / (self.areas[f] + mean_area)
+        for guide, of, to, ranges in (
+            (13, 0, 14, (0.3, 0.6)),
+            (7, 0, 16, (0.25, 0.5)),
+            (7, 7, 18, (0.25, 0.5)),
+            (9, 9, 20, (0.25, 0.7)),
+        ):
+            for k, s in enumerate(ranges):
+                self.vectors[:, to + k] = [
+                    self.filtered(f, self.vectors[:, guide], self.vectors[:, of], s)
+                    for f in range(m)
+                ]
+
+    def weights(self, f, reach):
+        row = [f, *self.near[f]]
+        away = (self.centroids[row] - self.centroids[f]) / (reach * self.units[f])
+        return row, away, self.areas[row] * biweight((away**2).sum(axis=1))
+
+    def filtered(self, f, guides, normals, s):
+        row, _, w = self.weights(f, WIDE)
+        w = w * biweight(((guides[row] - guides[f]) ** 2).sum(axis=1) / s**2)
+        return to_unit(w @ normals[row])
+
+    def describe(self, f):
+        n, vectors, numbers = self.normals, self.vectors[f], self.numbers[f]
+        vectors[0] = n[f]
+        row, wide_away, wide = self.weights(f, WIDE)
+        _, _, narrow = self.weights(f, NARROW)
+        jump = ((n[row] - n[f]) ** 2).sum(axis=1)
+        for k, s in enumerate((0.35, 0.7, 1.1, np.inf)):
+            w = narrow * biweight(jump / s**2)
+            vectors[1 + k] = to_unit(w @ n[row])
+            if k < 3:
+                numbers[k] = w.sum() / narrow.sum()
+        for k, s in enumerate((0.2, 0.4, 0.7, 1.2, np.inf)):
+            w = wide * biweight(jump / s**2)
+            vectors[5 + k] = to_unit(w @ n[row])
+            if k < 4:
+                numbers[3 + k] = w.sum() / wide.sum()
+        # All in wide reaches.
+        vectors[10], square, numbers[11], numbers[12] = plane_normal(wide_away, wide, vectors[7])
+        numbers[9] = np.sqrt(square)
+        ranged = wide * biweight(jump / 0.7**2)
+        vectors[11] = plane_normal(wide_away, ranged, vectors[7])[0]
+        vectors[12], square, _, _ = plane_normal(wide_away, narrow, vectors[4])
+        numbers[10] = np.sqrt(square)
+        self.tensors[f] = np.einsum("k,ki,kj->ij", wide, n[row], n[row]) / wide.sum()
+        values = np.maximum(np.linalg.eigvalsh(self.tensors[f]), 0)
+        numbers[7], numbers[8] = np.sqrt(values[1]), np.sqrt(values[0])
+        numbers[13] = len(self.near[f]) / 64
+        scatter = ((n[row] - vectors[4]) ** 2).sum(axis=1)
+        mean = narrow @ scatter / narrow.sum()
+        numbers[14] = (scatter[narrow > 0].max() * mean) ** 0.25
+        numbers[17] = self.units[f] / (self.units[f] + self.units.mean())
+
+    def axes(self, f):
+        """Eigenvectors, greatest eigenvalue first, each turned to where the normals lean."""
+        _, vectors = np.linalg.eigh(self.tensors[f])
+        row, _, wide = self.weights(f, WIDE)
+        axes = vectors.T[::-1]
+        skews = ((self.normals[row] @ axes.T) ** 3 * wide[:, None]).sum(axis=0)
+        return axes * np.where(skews < 0, -1, 1)[:, None], skews / wide.sum()
+
+
+def predict(layers, inputs, vectors):
+    """The normals (k, 3) that a network of three layers gives for vectors (k, v, 3)."""
+    x = inputs
+    for at, (bias, matrix) in enumerate(layers):
+        x = x @ matrix.T + bias
+        if at < 2:
+            x = np.maximum(x, x / 64)
+    combined = np.einsum("kv,kvi->ki", x, vectors)
+    return combined / np.linalg.norm(combined, axis=1)[:, None]

@@ -1,0 +1,163 @@
+"""The clean training meshes: sound, true to their surfaces, and the same for the same seed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("manifold3d")
+pytest.importorskip("skimage")
+pytest.importorskip("fast_simplification")
+pytest.importorskip("fcpw")
+
+from manifold3d import Manifold
+
+from training import organic, relief, shapes, solids, triangulations
+from training.connectivity import build_edges, edge_lengths, face_crosses, to_unit
+from training.openings import cut_open
+from training.range_grid import make_range_grid
+from training.remesh import remesh, shape_quality
+from training.shapes import QUICK, RECIPES, Recipe, build_shape, build_shapes, write_ply
+from training.surface import LabelledMesh, PolyhedralSurface
+
+
+@pytest.fixture(scope="module")
+def quick_shapes() -> list[tuple[str, np.ndarray, np.ndarray]]:
+    return list(build_shapes(7, quick=True))
+
+
+@pytest.fixture(scope="module")
+def notched_cube() -> LabelledMesh:
+    """A cube of side 2 with a notch: every point of an edge has two coordinates of a few values."""
+    notch = Manifold.cube((1.0, 1.0, 4.0), True).translate((1.0, 1.0, 0.0))
+    return solids.to_labelled_mesh(Manifold.cube((2.0, 2.0, 2.0), True) - notch)
+
+
+def test_shapes_are_sound_meshes(quick_shapes):
+    assert len(quick_shapes) == QUICK
+    for (name, vertices, faces), recipe in zip(quick_shapes, RECIPES, strict=False):
+        assert vertices.dtype == np.float64 and faces.dtype == np.int32, name
+        assert np.isfinite(vertices).all(), name
+        assert np.array_equal(np.unique(faces), np.arange(len(vertices))), name
+        # No edge has three faces, and all faces are wound alike: build_edges raises otherwise.
+        edges = build_edges(faces.astype(np.int64), len(vertices))
+        assert edges.is_boundary.any() != recipe.is_closed, name
+        assert len(np.unique(np.sort(faces, axis=1), axis=0)) == len(faces), name
+        assert shape_quality(vertices, faces).min() > 1e-3, name
+        assert edge_lengths(vertices, edges.ends).mean() == pytest.approx(1.0), name
+        assert len(np.unique(vertices, axis=0)) == len(vertices), name
+
+
+def test_closed_shapes_face_outwards(quick_shapes):
+    for (name, vertices, faces), recipe in zip(quick_shapes, RECIPES, strict=False):
+        if recipe.is_closed:
+            a, b, c = vertices[faces].transpose(1, 0, 2)
+            assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0.0, name
+
+
+def test_same_seed_gives_same_shape_and_another_seed_another(quick_shapes):
+    recipe = RECIPES[3]
+    for seed, same in ((7, True), (8, False)):
+        mesh = build_shape(recipe, np.random.default_rng([seed, 3]), 0.25)
+        assert np.array_equal(mesh.vertices, quick_shapes[3][1]) == same
+
+
+def test_recipes_differ_and_cover_all_sources_and_reliefs():
+    makers = {
+        name[5:] for module in (solids, organic) for name in dir(module) if name.startswith("make_")
+    }
+    assert {recipe.source for recipe in RECIPES} == makers
+    reliefs = {name[5:] for name in dir(relief) if name.startswith("make_")}
+    assert {recipe.relief for recipe in RECIPES} - {""} == reliefs
+    assert 60 <= len(RECIPES) <= 90
+
+
+@pytest.mark.parametrize(
+    "name", ["isotropic", "graded", "adaptive", "scattered", "subdivided", "jagged"]
+)
+def test_triangulations_keep_sharp_edges_exact(notched_cube, name):
+    surface = PolyhedralSurface(notched_cube)
+    make = getattr(triangulations, f"make_{name}")
+    mesh = make(notched_cube, surface, 900, np.random.default_rng(5))
+    assert 500 < len(mesh.vertices) < 2200
+    # All faces are flat to the sides' planes, so none cuts an edge off.
+    normals = to_unit(face_crosses(mesh.vertices, mesh.faces))
+    assert np.abs(np.abs(normals).max(axis=1) - 1.0).max() < 1e-9
+    planes = np.array([-1.0, 0.5, 1.0])
+    gap = np.abs(mesh.vertices[:, :, None] - planes).min(axis=2).min(axis=1)
+    assert gap.max() < 1e-9
+    areas = np.linalg.norm(face_crosses(mesh.vertices, mesh.faces), axis=1) / 2.0
+    assert areas.sum() == pytest.approx(6 * 4 - 2 * 0.25, rel=1e-9)
+
+
+def test_isotropic_triangles_are_even(notched_cube):
+    surface = PolyhedralSurface(notched_cube)
+    length = triangulations.ideal_edge(notched_cube, 1500)
+    mesh = remesh(notched_cube, surface, triangulations.constant_sizing(length), 0)
+    assert np.quantile(shape_quality(mesh.vertices, mesh.faces), 0.02) > 0.7
+    lengths = edge_lengths(mesh.vertices, build_edges(mesh.faces, len(mesh.vertices)).ends)
+    assert lengths.max() < 1.8 * length and lengths.min() > 0.2 * length
+
+
+def test_marching_cubes_lie_on_the_field():
+    def ball(points):
+        return (np.linalg.norm(points, axis=1) - 1.0) * (2.0 + np.sin(points[:, 0]))
+
+    mesh = organic.polygonise(ball, 1.6, 40)
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1.0).max() < 1e-9
+    assert np.einsum("ij,ij->i", mesh.vertices[mesh.faces[:, 0]],
+                     face_crosses(mesh.vertices, mesh.faces)).min() > 0.0  # fmt: skip
+
+
+def test_range_grid_sees_one_side_and_its_sharp_edges(notched_cube):
+    surface = PolyhedralSurface(notched_cube)
+    mesh = make_range_grid(notched_cube, surface, 3000, np.random.default_rng(2))
+    normals = to_unit(face_crosses(mesh.vertices, mesh.faces))
+    flat = np.abs(normals).max(axis=1) > 1.0 - 1e-9
+    # Without vertices on the edges, each row of the grid would have a face across each edge.
+    assert flat.mean() > 0.97
+    assert len(np.unique(np.argmax(np.abs(normals), axis=1)[flat])) >= 2
+
+
+def test_relief_has_its_height_and_leaves_sharp_edges(notched_cube):
+    surface = PolyhedralSurface(notched_cube)
+    plain = triangulations.make_isotropic(notched_cube, surface, 4000, np.random.default_rng(1))
+    plain = shapes.scale_to_unit_edges(plain)
+    rough = relief.apply_relief(plain, relief.make_orange_peel, 6.0, 0.5, np.random.default_rng(1))
+    shift = np.linalg.norm(rough.vertices - plain.vertices, axis=1)
+    assert 0.05 < shift.mean() < 0.4 and shift.max() < 1.0
+    on_edge = (np.abs(plain.vertices) > np.abs(plain.vertices).max() - 1e-6).sum(axis=1) >= 2
+    assert on_edge.any() and shift[on_edge].max() == 0.0
+
+
+@pytest.mark.parametrize("name", [n[5:] for n in dir(relief) if n.startswith("make_")])
+def test_reliefs_are_about_one_high(name):
+    ball = organic.polygonise(lambda p: np.linalg.norm(p, axis=1) - 1.0, 1.6, 40)
+    ball = shapes.scale_to_unit_edges(ball)
+    normals = to_unit(ball.vertices)
+    make = getattr(relief, f"make_{name}")
+    heights = make(np.random.default_rng(4), ball.vertices, normals, 8.0)
+    assert heights.shape == (len(ball.vertices),)
+    assert 0.5 < np.ptp(heights) < 4.0
+
+
+def test_cut_meshes_are_one_piece_with_a_border():
+    ball = organic.polygonise(lambda p: np.linalg.norm(p, axis=1) - 1.0, 1.6, 30)
+    half = cut_open(ball, np.random.default_rng(0))
+    edges = build_edges(half.faces, len(half.vertices))
+    assert edges.is_boundary.sum() > 20
+    assert 0.3 * len(ball.faces) < len(half.faces) < 0.9 * len(ball.faces)
+
+
+def test_command_writes_ply_that_msal_reads(tmp_path: Path):
+    from msal_cli import files
+
+    mesh = build_shape(Recipe("metaballs", "marching_cubes"), np.random.default_rng(1), 0.2)
+    path = tmp_path / "shape.ply"
+    write_ply(path, mesh.vertices, mesh.faces.astype(np.int32))
+    back = files.open_mesh(files.read_whole(str(path)), path.name)
+    assert np.array_equal(back.vertices, mesh.vertices)
+    assert np.array_equal(back.faces, mesh.faces)
+    assert [p.name for p in tmp_path.iterdir()] == ["shape.ply"]

@@ -1,0 +1,59 @@
+"""Meshes out of simulated scanners for training, with the true normals of their faces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from msal_cli.core.geometry import face_normals_and_areas
+from msal_cli.mesh import Mesh
+from msal_cli.simulation import ScannerSettings, find_truth, simulate_scan
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+SHARES = {"voxels": 2.0, "ct": 4.0, "slices": 2.0, "depth": 5.0, "fusion": 2.0}
+"""How often each scanner is drawn, relative to the others."""
+
+CELLS = {"ct": (0.9, 1.6), "depth": (0.45, 1.1)}
+"""Least and greatest cell, mean edge lengths of the clean mesh; that of ``ct`` for the others."""
+
+LEAST_AREA = 0.05
+"""A face whose true area is a smaller share of its own has no true normal that is known."""
+
+
+def draw_scan(clean: Mesh, generator: Generator) -> tuple[Floats, Ints, Floats]:
+    """Vertices and faces of a scan of the mesh, and the true normals (m, 3), zero if unknown."""
+    shares = np.array(list(SHARES.values()))
+    scanner = list(SHARES)[int(generator.choice(len(SHARES), p=shares / shares.sum()))]
+    scan = simulate_scan(clean, _draw_settings(scanner, generator))
+    true_vertices = find_truth(clean, scan)
+    truth, areas = face_normals_and_areas(true_vertices, scan.faces)
+    normals, own_areas = face_normals_and_areas(scan.vertices, scan.faces)
+    is_known = (areas > LEAST_AREA * own_areas) & (np.einsum("ij,ij->i", truth, normals) > -0.2)
+    return scan.vertices, scan.faces, np.where(is_known[:, None], truth, 0.0)
+
+
+def _draw_settings(scanner: str, generator: Generator) -> ScannerSettings:
+    direction = generator.standard_normal(3)
+    given: dict[str, Any] = {
+        "direction": (float(direction[0]), float(direction[1]), float(direction[2])),
+        "seed": int(generator.integers(2**31)),
+        "cell_edges": float(generator.uniform(*CELLS.get(scanner, CELLS["ct"]))),
+    }
+    correlated = float(generator.choice([0.0, generator.uniform(0.5, 1.5)]))
+    if scanner == "ct":
+        given |= {"level": float(generator.uniform(0.02, 0.25)), "correlation": correlated}
+        given |= {"smoothing": float(generator.uniform(0.3, 1.0))}
+    elif scanner == "slices":
+        given |= {"slices": int(generator.integers(2, 4))}
+    elif scanner in ("depth", "fusion"):
+        given |= {"level": float(generator.uniform(0.2, 1.2)), "correlation": correlated}
+        given |= {"smoothing": float(generator.uniform(0.0, 1.5))}
+        given |= {"step": float(generator.choice([0.0, generator.uniform(0.1, 0.6)]))}
+        if scanner == "fusion":
+            given |= {"views": int(generator.integers(6, 12))}
+    return ScannerSettings(scanner, **given)
