@@ -34,6 +34,7 @@ METHODS = (
     "guided_normal",
     "hybrid",
     "l0",
+    "learned",
     "msal",
     "normal_diffusion",
     "normal_threshold",
@@ -69,7 +70,7 @@ class Wishes:
     prefer: str = "balanced"
     keep: str | None = None
     strength: float = 0.0
-    budget: float = 10.0
+    budget: float = 60.0
 
 
 @dataclass(frozen=True)

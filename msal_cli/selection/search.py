@@ -63,8 +63,9 @@ GLANCE = 4_000
 LEAST_PART, MOST_PART = 6_000, 12_000
 """Vertices that the best are tried on; on fewer the estimates scatter too much."""
 
-LONGER_LOOK = 6
-"""The best candidates by themselves that rehearse beside the members of the first blend."""
+LONGER_LOOK, SECOND_LOOK = 6, 3
+"""The best candidates by themselves that rehearse beside the members of the first blend, and of
+the second."""
 
 LEAST_WEIGHT = 0.04
 """Members below this weight are left out."""
@@ -165,21 +166,28 @@ class _Search:
         risk = self._look(glance, at_first)
         weights = self._best([risk])
         surface = kind_of(glance.part.mesh.moved(glance.positions(at_first, weights)))
-        shortlist = self._shortlist(risk, weights)
+        shortlist = self._shortlist(risk, weights, LONGER_LOOK)
         members = [at_first[k] for k in shortlist]
         weights = weights[shortlist]
         tried = len(at_first)
-        if self._may_be_sharp(surface):
+        is_sharp = self._may_be_sharp(surface)
+        if is_sharp:
             members += last
             weights = np.concatenate([weights, np.zeros(len(last))])
             tried += len(last)
         study = self._trials(self._part_size(members))
         first = study.positions(members, weights)
-        judges: list[tuple[Stein | Rehearsal, float]] = []
-        if self._is_gaussian and self._doubt > 0.0:
-            judges.append((study.by_stein(members, first, PROBES), self._doubt))
         again = study.by_rehearsal(members, first)
-        first = study.positions(members, self._best(_risks([*judges, (again, 1.0)])))
+        weights = self._best([again.risk()])
+        # Only what is any good rehearses twice.
+        shortlist = self._shortlist(again.risk(), weights, SECOND_LOOK)
+        members, weights = [members[k] for k in shortlist], weights[shortlist]
+        judges: list[tuple[Stein | Rehearsal, float]] = []
+        if self._is_gaussian and self._doubt > 0.0 and not is_sharp:
+            judges.append((study.by_stein(members, first, PROBES), self._doubt))
+            both = [judges[0][0].risk().counted(self._doubt), again.risk().of(shortlist)]
+            weights = self._best(both)
+        first = study.positions(members, weights)
         judges.append((study.by_rehearsal(members, first), 1.0))
         risks = _risks(judges)
         final = self._pruned(members, risks)
@@ -285,9 +293,9 @@ class _Search:
             score += risk.importance * ((1.0 - self.slopes) * places + self.slopes * tilts)
         return score
 
-    def _shortlist(self, risk: Risk, weights: Floats) -> list[int]:
-        """Who rehearses: the members of the first blend, and the best by themselves."""
-        best = np.argsort(self._scores([risk]), kind="stable")[:LONGER_LOOK]
+    def _shortlist(self, risk: Risk, weights: Floats, count: int) -> list[int]:
+        """The members of a first blend, and so many of the best by themselves."""
+        best = np.argsort(self._scores([risk]), kind="stable")[:count]
         return sorted({*np.flatnonzero(weights >= 0.01).tolist(), *best.tolist()})
 
     def _pruned(self, members: Sequence[Candidate], risks: Sequence[Risk]) -> Floats:
