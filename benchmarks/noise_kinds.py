@@ -19,9 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks import ground_truth, machine
-from msal_cli.mesh import Mesh
+from msal_cli.mesh import Mesh, prepared
 from msal_cli.noise import AddedNoise, add_noise
 from msal_cli.noise_estimate import NoiseLevel, estimated
+from msal_cli.simulation import ScannerSettings, find_truth, simulate_scan
 
 SHAPES = (
     "Fandisk",
@@ -49,11 +50,11 @@ class Kind:
 
     Attributes
     ----------
-    noise : what is added; None for nothing.
+    noise : what is added, or which scanner makes the mesh; None for nothing.
     right : kinds that the estimate may give.
     """
 
-    noise: AddedNoise | None
+    noise: AddedNoise | ScannerSettings | None
     right: tuple[str, ...]
 
 
@@ -67,11 +68,15 @@ KINDS = {
     "shared, 2 rings": Kind(AddedNoise("correlated", 0.2, SEED, rings=2), ("correlated",)),
     "shared, 3 rings": Kind(AddedNoise("correlated", 0.2, SEED, rings=3), ("correlated",)),
     "view": Kind(AddedNoise("view", 0.2, SEED), ("view",)),
+    "view, 2 rings": Kind(AddedNoise("view", 0.2, SEED, rings=2), ("view",)),
     "view, slanted": Kind(AddedNoise("view", 0.2, SEED, direction=SLANTED), ("view",)),
     "quantised": Kind(AddedNoise("quantised", 0.05, SEED, step=0.5), ("quantised",)),
     "half": Kind(AddedNoise("half", 0.25, SEED), ("uneven",)),
     "ramp": Kind(AddedNoise("ramp", 0.4, SEED), ("uneven",)),
+    "2 % on white 0.1": Kind(AddedNoise("outliers", 0.1, SEED, fraction=0.02), ("outliers",)),
     "outliers 5 %": Kind(AddedNoise("outliers", 0.0, SEED, fraction=0.05), ("outliers",)),
+    "binary voxels": Kind(ScannerSettings("voxels", SEED), ("staircase",)),
+    "slices, 3 apart": Kind(ScannerSettings("slices", SEED), ("staircase",)),
     "impulses, half": Kind(AddedNoise("impulsive", 0.5, SEED, fraction=0.5), ("impulsive",)),
 }
 
@@ -106,10 +111,16 @@ class Outcome:
         return told / self.level - 1.0 if self.level > 0.0 else math.nan
 
 
-def corrupt(true: Mesh, noise: AddedNoise | None) -> tuple[Mesh, float]:
+def corrupt(true: Mesh, noise: AddedNoise | ScannerSettings | None) -> tuple[Mesh, float]:
     """The shape with noise, and the level in mean edge lengths of the result."""
     if noise is None:
         return true, 0.0
+    if isinstance(noise, ScannerSettings):
+        scan = simulate_scan(true, noise)
+        ready = prepared(scan.vertices, scan.faces)
+        distances = scan.vertices - find_truth(true, scan)
+        rms = math.sqrt(float((distances * distances).sum(axis=1).mean()))
+        return ready.mesh, rms / ready.mesh.mean_edge_length
     mesh = true.moved(add_noise(true, noise))
     if noise.kind == "outliers":
         return mesh, noise.level * true.mean_edge_length / mesh.mean_edge_length

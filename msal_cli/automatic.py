@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.records import ChoiceMade, MethodUsed, RunnerUp
@@ -58,6 +58,12 @@ def settled(
         # A choice keeps away from this where it can.
         warnings = (f"--weights has no effect: {method.name} has no pull to the scanned positions",)
     return Settled(method, MethodUsed(choice.method, values), made, choice.noise, warnings)
+
+
+def with_despiking(made: ChoiceMade) -> ChoiceMade:
+    """A choice for a mesh whose outliers were brought back: words and options say so."""
+    reason = made.reason.replace("left as it is", "the rest left as it is")
+    return replace(made, reason=reason, repeat=(*made.repeat, "--despike"))
 
 
 def options_of(method: Method | None, values: Mapping[str, Any]) -> tuple[str, ...]:

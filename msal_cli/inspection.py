@@ -134,7 +134,7 @@ def _polygon_sizes(mesh_file: MeshFile) -> dict[str, int]:
 
 
 def noise_estimate(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate:
-    """The noise along the normals, as records tell it (see ``noise_estimate``); ``known`` is what
+    """The noise, as records tell it (see ``noise_estimate``); ``known`` is what
     was estimated of this mesh before."""
     from msal_cli.noise_estimate import estimated
 
@@ -152,4 +152,13 @@ def noise_estimate(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate
         highest_edges=level.highest,
         regions=level.regions,
         uneven=level.is_uneven,
+        kind=level.character.kind,
+        rings=level.character.rings,
+        direction=level.character.direction,
+        axis=level.character.axis,
+        step_edges=level.character.step,
+        outliers=level.character.outliers,
+        confidence=level.character.confidence,
+        basis=level.character.basis,
+        words=level.character.words,
     )

@@ -315,8 +315,8 @@ class _Run:
             self.warn(*changes.warnings_of(ready.defects))
             constraints = self._constraints(ready, mesh_file)
             mesh_file.forget_vertices()
-        mesh = ready.mesh if constraints is None else constraints.mesh
-        method, parameters = self._method(mesh)
+        given = ready.mesh if constraints is None else constraints.mesh
+        mesh, method, parameters = self._prepare(given)
         fidelity = None
         with self.stage("sweeps"):
             moved = mesh.vertices
@@ -347,7 +347,7 @@ class _Run:
             measured = changes.measured(ready, moved, self._noise)
             if measured.harm is not None and self._record.choice is not None:
                 self._reject_choice(measured.harm)
-                moved, method, fidelity = mesh.vertices, None, None
+                moved, method, fidelity = given.vertices, None, None
                 measured = changes.measured(ready, moved, self._noise)
             self.know(**measured.fields)
             self._warn_with_codes(measured.warnings)
@@ -372,8 +372,12 @@ class _Run:
 
         choice = self._record.choice
         assert choice is not None
+        if self._record.despiked:
+            # It was estimated without the outliers.
+            self._noise = None
         self.know(
             method=MethodUsed(NO_METHOD, {}),
+            despiked=None if self._record.despiked is None else 0,
             choice=replace(
                 choice,
                 reason=f"{choice.reason}; rejected, for {harm.reason}; left as it is",
@@ -388,19 +392,50 @@ class _Run:
         if noise is not None and moved is not None:
             self.warn(*advice.build_advice(method, parameters, noise, moved, is_ruled))
 
-    def _method(self, mesh: Mesh) -> tuple[Method | None, dict[str, Any]]:
-        """What is to be run, with its parameters; None where the mesh stays as it is."""
+    def _prepare(self, given: Mesh) -> tuple[Mesh, Method | None, dict[str, Any]]:
+        """The mesh without outliers, and what is to be run on it, with its parameters; None where
+        the mesh stays as it is."""
         settings = self.settings
         if settings.min_noise is not None:
             with self.stage("choose"):
                 from msal_cli.left_alone import too_little
                 from msal_cli.noise_estimate import estimated
 
-                self._noise = estimated(mesh)
-                why = too_little(self._noise, mesh, settings.min_noise)
+                self._noise = estimated(given)
+                why = too_little(self._noise, given, settings.min_noise)
             if why:
                 self.know(left_alone=why, method=MethodUsed(NO_METHOD, {}))
-                return None, {}
+                return given, None, {}
+        mesh = self._repair_outliers(given) if settings.looks_for_outliers else given
+        return mesh, *self._method(mesh)
+
+    def _repair_outliers(self, given: Mesh) -> Mesh:
+        """The mesh with its outlier vertices brought back, where they are clear or this was asked
+        for; the noise of the record is then that without them."""
+        from msal_cli import outliers
+
+        with self.stage("choose"):
+            found = outliers.find_outliers(given)
+            is_asked = bool(self.settings.despike)
+            if is_asked and found.are_too_many:
+                self.warn(
+                    f"{100.0 * found.share:.0f} % of the vertices stand out, too many to be "
+                    "outliers: none was brought back"
+                )
+            repairs = found.count > 0 and (is_asked or found.are_clear)
+            self.know(despiked=found.count if repairs else 0)
+            if not repairs:
+                return given
+            mesh = given.moved(found.vertices)
+            if self.settings.method not in CHOOSING:
+                from msal_cli.noise_estimate import estimated
+
+                self._noise = estimated(mesh)
+            return mesh
+
+    def _method(self, mesh: Mesh) -> tuple[Method | None, dict[str, Any]]:
+        """What is to be run, with its parameters; None where the mesh stays as it is."""
+        settings = self.settings
         if settings.method not in CHOOSING:
             from msal_cli import methods
 
@@ -413,7 +448,10 @@ class _Run:
                 settings.parameters if settings.method == AUTO else None,
                 lambda done, total: self._on_progress("choose", done, total),
             )
-            self.know(method=found.used, choice=found.made)
+            made = found.made
+            if self._record.despiked:
+                made = automatic.with_despiking(made)
+            self.know(method=found.used, choice=made)
             self.warn(*found.warnings)
             self._noise = found.noise
         return found.method, found.used.parameters

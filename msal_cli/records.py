@@ -79,9 +79,9 @@ class NormalChange:
 
 @dataclass(frozen=True, slots=True)
 class NoiseEstimate:
-    """Estimated standard deviation of the noise along the normals, and what is behind it.
+    """Estimated standard deviation of the noise along its direction, and what is behind it.
 
-    Records of earlier versions have the first two fields only.
+    Records of earlier versions have the first two fields only, or none from ``kind`` on.
     """
 
     mean_edges: float
@@ -96,6 +96,15 @@ class NoiseEstimate:
     highest_edges: float | None = None
     regions: int | None = None
     uneven: bool | None = None
+    kind: str | None = None
+    rings: int | None = None
+    direction: str | None = None
+    axis: tuple[float, float, float] | None = None
+    step_edges: float | None = None
+    outliers: float | None = None
+    confidence: float | None = None
+    basis: str | None = None
+    words: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,6 +334,7 @@ class MeshRecord:
     flipped_faces: int | None = None
     clamped_vertices: int | None = None
     locked_vertices: int | None = None
+    despiked: int | None = None
     self_intersections: SelfIntersections | None = None
     noise_estimate: NoiseEstimate | None = None
     left_alone: str | None = None

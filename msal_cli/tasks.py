@@ -47,6 +47,8 @@ class Settings:
     max_move, lock, weights : what keeps vertices near their place; see ``constraints``.
     fields : what is written beside the output, see ``fields``.
     checks : what is counted beside what always is: ``SELF_INTERSECTIONS``.
+    despike : whether outlier vertices are brought back before the method runs, see ``outliers``;
+        None does so where a method is chosen and the outliers are clear.
     min_noise : below which noise a mesh stays as it is: a length as of ``constraints``, or
         ``NEGLIGIBLE`` for "no noise to speak of".
     """
@@ -64,6 +66,12 @@ class Settings:
     fields: tuple[str, ...] = ()
     min_noise: str | None = None
     checks: tuple[str, ...] = ()
+    despike: bool | None = None
+
+    @property
+    def looks_for_outliers(self) -> bool:
+        """Whether outlier vertices are looked for."""
+        return self.method in CHOOSING if self.despike is None else self.despike
 
 
 @dataclass(frozen=True)
@@ -85,6 +93,8 @@ class Limits:
 NO_LIMITS = Limits()
 
 _FIELDS_BYTES_PER_FACE = 64
+# A second set of positions stays until the output is built.
+_OUTLIERS_BYTES_PER_FACE = 12
 # A tree of boxes with nine directions, filled up to a power of two; measured: 1,060.
 _INTERSECTIONS_BYTES_PER_FACE = 1100
 
@@ -189,6 +199,8 @@ def method_bytes_per_face(settings: Settings) -> int:
     from msal_cli import methods
 
     extra = _FIELDS_BYTES_PER_FACE if settings.fields else 0
+    if settings.looks_for_outliers:
+        extra += _OUTLIERS_BYTES_PER_FACE
     if SELF_INTERSECTIONS in settings.checks:
         extra += _INTERSECTIONS_BYTES_PER_FACE
     if settings.method == AUTO:

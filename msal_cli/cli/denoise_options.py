@@ -37,6 +37,7 @@ class Request:
     auto_budget: float | None
     max_move: str | None
     lock: tuple[str, ...]
+    despike: bool | None
     weights: str | None
     min_noise: str | None
     unit: str | None
@@ -150,6 +151,12 @@ _MOVES = (
         metavar="PROPERTY",
         help="PLY vertex property, such as confidence, as trust: the pull to the scanned position "
         "is scaled by it. For msal, and methods with a --schedule other than plain.",
+    ),
+    click.option(
+        "--despike/--no-despike",
+        default=None,
+        help="Bring vertices that stand far out of the surface back to it before the method runs.  "
+        "[default: where a method is chosen and they are clearly outliers]",
     ),
     click.option(
         "--min-noise",

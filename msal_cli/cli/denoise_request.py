@@ -162,6 +162,7 @@ def settings_of(request: Request) -> Settings:
         fields=_fields_of(request),
         min_noise=_min_noise_of(request),
         checks=_checks_of(request),
+        despike=request.despike,
     )
 
 

@@ -142,9 +142,10 @@ def encode_mesh(vertices: Floats, faces: Ints, to: str) -> Buffer:
     from msal_cli.files import ply
 
     extent = float(np.ptp(vertices, axis=0).max())
-    step = float(np.spacing(np.float32(np.abs(vertices).max())))
+    largest = float(np.abs(vertices).max())
+    single = largest < 3e38 and float(np.spacing(np.float32(largest))) <= 1e-6 * extent
     content = _Content(vertices, faces, None, None, None)
-    data = _as_ply(content, "binary", single=step <= 1e-6 * extent)
+    data = _as_ply(content, "binary", single)
     if to == "ply":
         return data
     mesh_file = ply.read(data, "")

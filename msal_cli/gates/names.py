@@ -99,6 +99,8 @@ class Quantity:
             return f"{self.name} is not known: {reference.error.message}"
         if any(one.startswith("self_intersections.") for one in self.fields):
             return f"{self.name} is not known: count them with --check self-intersections"
+        if self.name == "despiked":
+            return "despiked is not known: outliers were not looked for, as --despike does"
         return f"{self.name} is not known for this file"
 
 

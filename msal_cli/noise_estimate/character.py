@@ -11,18 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.noise_estimate.colour import Colour, find_colour
-from msal_cli.noise_estimate.direction import AxisEvidence, find_axis, group_places, is_isotropic
+from msal_cli.noise_estimate.direction import (
+    CLEAR_CONTRAST,
+    AxisEvidence,
+    find_axis,
+    group_places,
+    is_isotropic,
+)
 from msal_cli.noise_estimate.level import NoiseCharacter, NoiseLevel, to_clean_edges
-from msal_cli.noise_estimate.quantiles import chi_square_quantile
-from msal_cli.noise_estimate.regions import VERTICES_PER_REGION, split_regions
-from msal_cli.noise_estimate.steps import Steps, find_steps, ring_offsets
+from msal_cli.noise_estimate.spikes import Spikes, find_spikes
+from msal_cli.noise_estimate.steps import Steps, find_steps
 from msal_cli.noise_estimate.survey import TWO, Survey, take_survey
+from msal_cli.noise_estimate.unevenness import Unevenness, find_differences, find_unevenness
 from msal_cli.noise_estimate.white import WhiteEstimate
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
 Floats = NDArray[np.float64]
+
+UNLIKE = "texture or noise: it is not the same everywhere"
 
 LEAST_SHARED = 0.05
 """Mean edge lengths from which noise that neighbours share is taken for noise, and not texture."""
@@ -33,14 +41,25 @@ LEAST_ALONG = 0.03
 LEAST_COSINE = 0.1
 """Squared cosine to the axis from which a place says something of the noise along it."""
 
-SHARED_MARGIN = 0.02
-"""By how much no sharing has to be worse for noise along an axis."""
+CLEAR_GAIN = 0.3
+"""By how much an axis explains what is left over better, where what it leaves is not alike."""
+
+SHARED_MARGIN, FURTHER_MARGIN = 0.02, 0.003
+"""By how much other numbers of rings have to be worse for noise along an axis that is shared over
+one, and over more."""
+
+MORE_THAN_STEP = 1.5
+"""Level along the axis, in levels of the steps, from which there is more noise than the steps'."""
 
 LEAST_STEP_LEVEL = 0.02
 """Mean edge lengths from which steps are."""
 
-WORST_FIT = 0.12
+WORST_FIT = 0.1
 """Mean error of logarithms up to which a number of rings explains the levels by scale."""
+
+LEAST_ONE_RING = 0.13
+"""Mean edge lengths from which noise that is shared over one ring is told from white noise on a
+scan's texture."""
 
 SHEET, MOST_FACING = 0.3, 0.97
 """Length of the mean normal, and share of the normals within a right angle of it, of a sheet."""
@@ -57,40 +76,9 @@ SURE_MARGIN = 0.06
 SHARP_WHITE = 0.72
 """Ratio of standard deviations at the flattest twentieth and fifth that white noise shows."""
 
-SHARP_PLANE = 0.3
-"""The same of fits over one ring, where the noise differs by region: shape may have none."""
-
-SHARED_ERROR, ALONG_ERROR, STEP_ERROR = 0.25, 0.15, 0.2
-"""What the interval allows for, of noise that is shared, along an axis, in steps."""
-
-FEWEST_OUTLIERS = 0.003
-"""Share of the vertices from which they are outliers."""
-
-OUTLYING = 0.6
-"""Mean edge lengths that an outlier is off the middle of its ring, and spikes are not as a rule
-within the surface."""
-
-SLIDING = 0.3
-"""Mean edge lengths within the surface, as the median of those far out, that tells outliers, which
-lie anywhere, from impulses along the normals."""
-
-MIXED, MIXED_TAIL = 0.5, 0.014
-"""Sharpness of fits over one ring below which, with such a tail, a part of the vertices has noise
-and others have none."""
-
-UNEVEN_RATIO, LEAST_LOUD = 2.5, 0.05
-"""Ratio of the most to the least noisy region, and mean edge lengths that the former has."""
-
-LEAST_PURE, MOST_UNEVEN_RINGS = 0.1, 2
-"""Share of the places in loud regions, and most rings, with which noise that differs by region is
-told from texture."""
-
-PURE = 0.3
-"""Least ratio of the variances of a tenth and of half of the places in a region that is in one part
-of the mesh only."""
-
-MOST_REGIONS, FEWEST_IN_REGION = 20, 20
-"""Regions of the survey, and the places that each has."""
+SHARED_ERROR, ALONG_ERROR, STEP_ERROR, TERRACE_ERROR = 0.25, 0.15, 0.2, 0.5
+"""What the interval allows for, of noise that is shared, along an axis, in steps, and of
+terraces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,30 +97,9 @@ class Characterized:
     regions: Floats
 
 
-@dataclass(frozen=True)
-class _Regional:
-    """Levels by region, mean edges, where they differ: least, most, and root mean square; and the
-    scale (c,) of the variances at the places."""
-
-    lowest: float
-    highest: float
-    level: float
-    scale: Floats
-
-
 def characterize(mesh: Mesh, white: WhiteEstimate) -> Characterized:
     """What the noise is like, and its level as it is for such."""
     survey = take_survey(mesh, white.places)
-    level = _decide(mesh, white, survey)
-    same = level.file_units == white.level.file_units or not white.level.file_units
-    growth = 1.0 if same else level.file_units / white.level.file_units
-    regions = white.regions * growth
-    if not white.level.file_units:
-        regions = np.full(len(white.regions), level.file_units)
-    return Characterized(level, white.middles, regions)
-
-
-def _decide(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> NoiseLevel:
     groups = group_places(survey)
     steps = find_steps(mesh, survey, groups)
     axis = None if groups is None else find_axis(survey, groups)
@@ -141,16 +108,37 @@ def _decide(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> NoiseLevel:
         colour = find_colour(survey, fine=white.level.mean_edges)
 
     if steps is not None and steps.level > LEAST_STEP_LEVEL:
-        return _stepped(white, steps, axis, colour)
-    if _is_spiked(white, colour):
-        return _spiked(mesh, white, survey)
+        return _by_region(white, _stepped(white, steps, axis))
+    spikes = find_spikes(mesh, white, survey, colour)
+    if spikes is not None:
+        return _by_region(white, _spiked(white, spikes))
     if axis is not None:
-        return _along(white, axis, colour)
+        return _by_region(white, _along(white, axis, colour))
     is_shared = colour is not None and _is_shared(white, survey, colour)
     is_even = colour is not None and colour.is_even and colour.rings == 0
-    regional = None if is_shared or is_even else _find_regional(survey)
-    if regional is not None:
-        return _uneven(white, regional, find_colour(survey, regional.scale))
+    differences = None if is_shared or is_even else find_differences(survey)
+    if differences is not None:
+        uneven = find_unevenness(survey, differences)
+        if uneven is not None:
+            middles = mesh.vertices[survey.vertices[uneven.middles]]
+            return Characterized(_uneven(white, uneven), middles, uneven.regions * white.edge)
+        kind = "none" if white.level.is_negligible else "unknown"
+        return _by_region(white, _plain(white, kind, 0.3, UNLIKE))
+    return _by_region(white, _decide(white, survey, colour, is_shared))
+
+
+def _by_region(white: WhiteEstimate, level: NoiseLevel) -> Characterized:
+    """The level, and by region as for white noise, or the same everywhere for any other."""
+    regions = white.regions
+    if level.file_units != white.level.file_units:
+        regions = np.full(len(white.regions), level.file_units)
+    return Characterized(level, white.middles, regions)
+
+
+def _decide(
+    white: WhiteEstimate, survey: Survey, colour: Colour | None, is_shared: bool
+) -> NoiseLevel:
+    """The level where noise is the same everywhere, and along the normals or isotropic."""
     if colour is None:
         return _plain(white, "none" if white.level.is_negligible else "unknown", 0.3, "few places")
     if is_shared:
@@ -160,7 +148,12 @@ def _decide(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> NoiseLevel:
     if white.level.is_negligible:
         return _plain(white, "none", 0.9, "nothing that noise would leave to fits over one ring")
     if colour.sharpness[1] < SHARP_WHITE or white.level.low == 0.0:
-        return _plain(white, "unknown", 0.3, "texture or noise: it is not the same everywhere")
+        noise = _plain(white, "unknown", 0.3, UNLIKE)
+        most = max(noise.high, colour.level) if colour.is_floor else noise.high
+        return dataclasses.replace(noise, high=most)
+    if colour.is_floor and _is_doubtful(white, colour):
+        noise = _plain(white, "white", 0.4, "on texture, or shared over one ring")
+        return dataclasses.replace(noise, high=max(noise.high, colour.level))
     confidence = min(0.6 + colour.margin / SURE_MARGIN, 0.98) if colour.rings == 0 else 0.5
     if is_isotropic(survey, white.level.mean_edges):
         return _plain(
@@ -178,22 +171,16 @@ def _explain_by_axis(
         return None, None
     cosines = (survey.normals @ axis.axis) ** 2
     colour = find_colour(survey, np.where(cosines > LEAST_COSINE, cosines, 0.0))
-    return (axis, colour) if colour is not None and colour.is_alike else (None, None)
-
-
-def _is_spiked(white: WhiteEstimate, colour: Colour | None) -> bool:
-    """Whether single vertices stand out."""
-    if white.level.is_negligible:
-        return False
-    # Where half of the vertices have impulses, few stand out, but many one-rings have none.
-    is_mixed = colour is not None and colour.sharpness[0] < MIXED and colour.is_alike
-    return white.level.is_impulsive or (white.level.tail > MIXED_TAIL and is_mixed)
+    is_alike = colour is not None and colour.is_alike
+    # Rounded depths differ from place to place, and grazing noise grows; both slide.
+    is_clear = axis.is_clear and axis.gain > CLEAR_GAIN and axis.contrast > CLEAR_CONTRAST
+    return (axis, colour) if is_alike or is_clear else (None, None)
 
 
 def _is_shared(white: WhiteEstimate, survey: Survey, colour: Colour) -> bool:
     """Whether neighbours share noise, and it is no texture."""
     is_shared = colour.rings > 0 and colour.is_floor and colour.misfit < WORST_FIT
-    if not is_shared or colour.level < LEAST_SHARED:
+    if not is_shared or colour.level < LEAST_SHARED or _is_doubtful(white, colour):
         return False
     if colour.rings > 1 or white.level.low > 0.0 or white.level.is_negligible:
         return True
@@ -201,6 +188,11 @@ def _is_shared(white: WhiteEstimate, survey: Survey, colour: Colour) -> bool:
     # comes from a scanner, and of texture fits over one ring leave more.
     is_missed = white.level.mean_edges < LEAST_TEXTURE * float(colour.by_scale[TWO])
     return is_missed or _is_sheet(survey)
+
+
+def _is_doubtful(white: WhiteEstimate, colour: Colour) -> bool:
+    """Whether white noise on a texture would leave the same."""
+    return colour.rings == 1 and white.level.low > 0.0 and colour.level < LEAST_ONE_RING
 
 
 def _is_sheet(survey: Survey) -> bool:
@@ -238,20 +230,18 @@ def _on_uneven_triangles(white: WhiteEstimate, colour: Colour) -> NoiseLevel:
 def _with(
     white: WhiteEstimate, level: float, low: float, high: float, character: NoiseCharacter
 ) -> NoiseLevel:
-    """The estimate with another level, mean edges, and its character."""
-    old = white.level
-    growth = level / old.mean_edges if old.mean_edges > 0.0 else 0.0
+    """The estimate with another level, mean edges, the same everywhere, and its character."""
     return dataclasses.replace(
-        old,
+        white.level,
         mean_edges=level,
         low=low,
         high=max(high, level),
         file_units=level * white.edge,
         clean_edges=to_clean_edges(level),
-        rms_edges=max(old.rms_edges, level),
+        rms_edges=max(white.level.rms_edges, level),
         is_negligible=False,
-        lowest=old.lowest * growth if growth else level,
-        highest=old.highest * growth if growth else level,
+        lowest=level,
+        highest=level,
         character=character,
     )
 
@@ -285,9 +275,9 @@ def _along(white: WhiteEstimate, axis: AxisEvidence, colour: Colour | None) -> N
         colour is not None
         and colour.rings > 0
         and colour.is_floor
-        and (colour.rings > 1 or colour.margin > SHARED_MARGIN)
+        and colour.margin > (SHARED_MARGIN if colour.rings == 1 else FURTHER_MARGIN)
     )
-    level = colour.level if is_shared and colour is not None else axis.level
+    level = colour.level if is_shared and colour is not None else axis.best_level
     rings = colour.rings if is_shared and colour is not None else 0
     character = NoiseCharacter(
         "view",
@@ -303,9 +293,7 @@ def _along(white: WhiteEstimate, axis: AxisEvidence, colour: Colour | None) -> N
     return _with(white, level, (1.0 - error) * level, (1.0 + error) * level, character)
 
 
-def _stepped(
-    white: WhiteEstimate, steps: Steps, axis: AxisEvidence | None, colour: Colour | None
-) -> NoiseLevel:
+def _stepped(white: WhiteEstimate, steps: Steps, axis: AxisEvidence | None) -> NoiseLevel:
     level = steps.level
     if steps.axis is None:
         character = NoiseCharacter(
@@ -313,7 +301,8 @@ def _stepped(
         )
     else:
         if axis is not None and abs(float(axis.axis @ steps.axis)) > 0.9:
-            level = max(level, axis.level)
+            # Rounded depths differ less, and slide more, than Gaussian noise.
+            level = max(level, axis.best_level if axis.best_level > MORE_THAN_STEP * level else 0.0)
         character = NoiseCharacter(
             "quantised",
             0,
@@ -324,102 +313,47 @@ def _stepped(
             0.95,
             "neighbours differ by multiples of one step along the axis",
         )
-    return _with(white, level, (1.0 - STEP_ERROR) * level, (1.0 + STEP_ERROR) * level, character)
+    error = TERRACE_ERROR if steps.axis is None else STEP_ERROR
+    return _with(white, level, (1.0 - error) * level, (1.0 + error) * level, character)
 
 
-def _spiked(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> NoiseLevel:
-    far = white.places[white.far]
-    offsets = ring_offsets(mesh, far) / white.edge
-    normals = mesh.vertex_normals("uniform", 1)[far]
-    along = (offsets * normals).sum(axis=1)
-    within = np.sqrt(np.maximum((offsets * offsets).sum(axis=1) - along * along, 0.0))
-    lengths = np.sqrt((survey.offsets * survey.offsets).sum(axis=1))
-    share = float((lengths > OUTLYING).mean())
-    if share > FEWEST_OUTLIERS and float(np.median(within)) > SLIDING:
-        character = NoiseCharacter(
-            "outliers",
-            0,
-            "normals",
-            None,
-            0.0,
-            share,
-            0.9,
-            f"{100.0 * share:.2g} % of the vertices lie far off their neighbours",
-        )
+def _spiked(white: WhiteEstimate, spikes: Spikes) -> NoiseLevel:
+    if spikes.kind == "outliers":
+        basis = f"{100.0 * spikes.share:.2g} % of the vertices lie far off their neighbours"
+        confidence = 0.9
     else:
-        character = NoiseCharacter(
-            "impulsive",
-            0,
-            "normals",
-            None,
-            0.0,
-            0.0,
-            0.8,
+        basis = (
             f"{100.0 * white.level.tail:.2g} % of the vertices stand out along the normals, where "
-            "1 % would by chance",
+            "1 % would by chance"
         )
-    return dataclasses.replace(white.level, character=character)
-
-
-def _find_regional(survey: Survey) -> _Regional | None:
-    """Levels by region, where they differ."""
-    fit = TWO
-    has = np.isfinite(survey.variances[:, fit])
-    if has.sum() < 2 * FEWEST_IN_REGION:
-        return None
-    count = min(MOST_REGIONS, int(has.sum()) // FEWEST_IN_REGION)
-    middles, labels = split_regions(survey.positions, VERTICES_PER_REGION * count)
-    variances, freedoms = survey.variances[:, fit], survey.freedoms[:, fit]
-    lows = np.full(len(middles), np.nan)
-    means = np.full(len(middles), np.nan)
-    pure = np.zeros(len(middles), dtype=bool)
-    for region in range(len(middles)):
-        among = has & (labels == region)
-        if among.sum() >= FEWEST_IN_REGION // 2:
-            values = variances[among]
-            few, half = np.quantile(values, [0.1, 0.5])
-            pure[region] = few > PURE * half
-            lows[region] = np.quantile(values / chi_square_quantile(freedoms[among], 0.3), 0.3)
-            means[region] = np.quantile(values / chi_square_quantile(freedoms[among], 0.4), 0.4)
-    known = np.isfinite(lows)
-    if known.sum() < 2:
-        return None
-    lowest, highest = math.sqrt(lows[known].min()), math.sqrt(lows[known].max())
-    if highest < LEAST_LOUD or highest < UNEVEN_RATIO * lowest:
-        return None
-    pure &= known & (lows > 0.16 * highest**2)
-    counts = np.bincount(labels, minlength=len(middles))[known]
-    level = math.sqrt(float(counts @ means[known] / counts.sum()))
-    scale = np.where(pure, lows, 0.0)[labels]
-    if not scale.any():
-        return None
-    return _Regional(lowest, highest, level, scale)
-
-
-def _uneven(white: WhiteEstimate, regional: _Regional, colour: Colour | None) -> NoiseLevel:
-    is_noise = (
-        colour is not None
-        and bool((colour.sharpness[1:4] > SHARP_WHITE).all())
-        and colour.sharpness[0] > SHARP_PLANE
-        and colour.rings <= MOST_UNEVEN_RINGS
-        and (regional.scale > 0.0).mean() > LEAST_PURE
-        and colour.misfit < WORST_FIT
+        confidence = 0.8
+    character = NoiseCharacter(
+        spikes.kind, 0, "normals", None, 0.0, spikes.share, confidence, basis
     )
-    if not is_noise or colour is None:
-        kind = "none" if white.level.is_negligible else "unknown"
-        return _plain(white, kind, 0.3, "texture or noise: it is not the same everywhere")
+    rms = max(white.level.rms_edges, white.level.mean_edges)
+    return dataclasses.replace(
+        white.level,
+        character=character,
+        is_negligible=False,
+        high=max(white.level.high, rms),
+    )
+
+
+def _uneven(white: WhiteEstimate, uneven: Unevenness) -> NoiseLevel:
     character = NoiseCharacter(
         "uneven",
-        colour.rings,
+        uneven.rings,
         "normals",
         None,
         0.0,
         0.0,
-        min(0.5 + 0.1 * regional.highest / max(regional.lowest, 0.02), 0.95),
-        f"{regional.lowest:.2g} to {regional.highest:.2g} e by region",
+        min(0.5 + 0.1 * uneven.highest / max(uneven.lowest, 0.02), 0.95),
+        f"{uneven.lowest:.2g} to {uneven.highest:.2g} e by region",
     )
-    result = _with(white, regional.level, regional.lowest, regional.highest, character)
-    return dataclasses.replace(result, lowest=regional.lowest, highest=regional.highest)
+    result = _with(white, uneven.level, uneven.lowest, uneven.highest, character)
+    return dataclasses.replace(
+        result, lowest=uneven.lowest, highest=uneven.highest, regions=len(uneven.regions)
+    )
 
 
 def _as_tuple(axis: Floats) -> tuple[float, float, float]:

@@ -86,6 +86,9 @@ LOUD = 0.12
 SHARP_LOUD = np.array([0.0, 0.58, 0.68, 0.665, 0.38])
 """The same for levels from so many mean edges on, which fine texture seldom has."""
 
+PATTERN = np.array([1.0, 1.0, 1.0, 0.92, 0.945])
+"""Sharpness that shared noise does not reach, and shape that repeats does."""
+
 EVEN = np.array([0.0, 0.74, 0.78, 0.78, 0.0])
 ALIKE = np.array([0.0, 0.66, 0.70, 0.70, 0.0])
 """The same for white noise, and for noise by the angle to an axis."""
@@ -144,6 +147,7 @@ def find_colour(
     above = ABOVE[None, :, None] * np.minimum(squares, MOST_ABOVE)
     costs = np.where(errors > 0.0, above, squares)
     totals = (weights[None, :, None] * costs).sum(axis=1) / weights.sum()
+    misfits = 0.5 * np.sqrt(totals.min(axis=1))
     by_scale = np.sqrt(flats / chi_square_quantile(FREEDOMS[0], FLAT))
     if fine is not None and has[TWO]:
         ratio = max(fine / float(by_scale[TWO]), 0.1)
@@ -163,11 +167,17 @@ def find_colour(
     return Colour(
         rings=rings,
         level=level,
-        misfit=float(least[rings]),
+        misfit=float(misfits[rings]),
         margin=float(others.min() - chosen[rings]),
         sharpness=sharpness,
-        is_floor=bool((sharpness >= (SHARP_LOUD if level > LOUD else SHARP)).all()),
+        is_floor=_is_floor(sharpness, rings, level),
         is_even=bool((sharpness > EVEN)[1:4].all()),
         is_alike=bool((sharpness > ALIKE)[1:4].all()),
         by_scale=by_scale,
     )
+
+
+def _is_floor(sharpness: Floats, rings: int, level: float) -> bool:
+    """Whether what wide fits leave over is as even as noise, and not as a pattern."""
+    is_pattern = rings > 0 and bool((sharpness > PATTERN).any())
+    return bool((sharpness >= (SHARP_LOUD if level > LOUD else SHARP)).all()) and not is_pattern

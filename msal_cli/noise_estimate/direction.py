@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.noise_estimate.quantiles import chi_square_quantile
+from msal_cli.noise_estimate.quantiles import chi_square_quantile, quantile
 from msal_cli.noise_estimate.survey import THREE, Survey
 
 Floats = NDArray[np.float64]
@@ -34,8 +34,17 @@ CLOSE = 0.02
 ROUNDS = 8
 """Rounds of the fit in which groups with more texture count for less."""
 
-GRAIN = 0.02
-"""What is added to squared cosines, so that no group counts for more than four in logarithms."""
+GRAIN, MOST_ERROR = 0.02, 3.0
+"""What is added to squared cosines, and the most that the logarithm of a variance counts."""
+
+FACING = 0.1
+"""Mean squared cosine to an axis from which a group tells the level along it."""
+
+HOPELESS = 0.4
+"""By how much an axis may be worse than none before it is turned."""
+
+TURNS = (0.3, 0.15, 0.08, 0.04)
+"""Tangents of the angles by which an axis is turned in search of a better one."""
 
 WORST_MISFIT, LEAST_GAIN = 0.6, 0.1
 """Mean error of the logarithms of the groups' variances, with which an axis is taken; and by how
@@ -47,6 +56,16 @@ that an axis shows at least."""
 
 CLEAR_SLIDE, CLEAR_CONTRAST, WORST_IF_CLEAR = 0.7, 2.5, 0.75
 """The same where it leaves no doubt, and the misfit that is allowed then."""
+
+PLAIN_GAIN, WORST_IF_PLAIN, SHARED_SLIDE, PLAIN_CONTRAST = 0.5, 1.2, 0.35, 1.35
+"""Gain that texture and noise by region do not bring, and the misfit and the least movement then.
+"""
+
+MOST_EXCESS = 1.4
+"""Movement along the axis over the level that noise explains where the contrast is low."""
+
+LEAST_OF_SLIDE = 0.85
+"""Share of that movement that the level has at least, where it is clear."""
 
 STEEP = 0.3
 """Sine of the angle between normal and axis from which movement along it can be seen."""
@@ -82,19 +101,44 @@ class AxisEvidence:
     @property
     def is_sure(self) -> bool:
         """Whether the noise is along the axis."""
-        slides = self.slide > CLEAR_SLIDE * self.level and self.contrast > CLEAR_CONTRAST
-        return (
-            self.misfit < (WORST_IF_CLEAR if slides else WORST_MISFIT)
-            and self.without - self.misfit > LEAST_GAIN
-            and self.slide > LEAST_SLIDE * self.level
-            and self.contrast > LEAST_CONTRAST
-        )
+        worst = WORST_MISFIT
+        if self.is_clear:
+            worst = WORST_IF_PLAIN if self.gain > PLAIN_GAIN else WORST_IF_CLEAR
+        slides = self.slide > LEAST_SLIDE * self.level and self.contrast > LEAST_CONTRAST
+        return self.misfit < worst and self.gain > LEAST_GAIN and (slides or self.is_clear)
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether vertices slide along the axis as much as noise along it makes them."""
+        # Those that share noise slide less.
+        least = SHARED_SLIDE if self.gain > PLAIN_GAIN else CLEAR_SLIDE
+        if self.excess < least * self.level:
+            return False
+        is_plain = self.gain > PLAIN_GAIN and self.excess < MOST_EXCESS * self.level
+        return self.contrast > (PLAIN_CONTRAST if is_plain else CLEAR_CONTRAST)
+
+    @property
+    def excess(self) -> float:
+        """Standard deviation along the axis by how much more vertices slide along it."""
+        return self.slide * math.sqrt(max(1.0 - 1.0 / max(self.contrast, 1.0) ** 2, 0.0))
+
+    @property
+    def best_level(self) -> float:
+        """Standard deviation along the axis, if the noise is white: by what fits leave over, within
+        what the vertices slide, which shape does not add to."""
+        if not self.is_clear:
+            return self.level
+        return min(max(self.level, LEAST_OF_SLIDE * self.excess), self.excess)
+
+    @property
+    def gain(self) -> float:
+        """How much better the axis explains the variances than the normals do."""
+        return self.without - self.misfit
 
     @property
     def confidence(self) -> float:
         """How sure that is, from 0.5 to 0.99."""
-        gain = self.without - self.misfit
-        return min(0.5 + gain, 0.99)
+        return min(0.5 + self.gain, 0.99)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +161,9 @@ class Groups:
 
     def misfit(self, axis: Floats | None) -> float:
         """Mean error of the logarithms of the levels, for noise along an axis or the normals."""
-        return _misfit(axis, self.levels, self.squares, self.counts)
+        if axis is None:
+            return _misfit(np.ones(len(self.levels)), self.levels, self.counts)
+        return _misfit(_cosines(axis[None], self.squares)[0], self.levels, self.counts)
 
 
 def group_places(survey: Survey) -> Groups | None:
@@ -136,17 +182,21 @@ def group_places(survey: Survey) -> Groups | None:
 
 def find_axis(survey: Survey, groups: Groups) -> AxisEvidence | None:
     """The axis that the noise is along, if it is along any; None where that cannot be seen."""
-    levels, squares, counts = groups.levels, groups.squares, groups.counts
-    candidates = [_main_axis(levels, squares, counts), _main_offset(survey.offsets)]
+    candidates = [
+        _main_axis(groups.levels, groups.squares, groups.counts),
+        _main_offset(survey.offsets),
+    ]
+    without = groups.misfit(None)
     best, misfit = None, math.inf
     for candidate in candidates:
-        axis, error = _refine(candidate, levels, squares, counts)
+        if groups.misfit(candidate) > without + HOPELESS:
+            continue
+        axis, error = _refine(candidate, groups)
         if error < misfit:
             best, misfit = axis, error
     if best is None:
         return None
     level = _axis_level(groups.variances, groups.normals, best)
-    without = groups.misfit(None)
     slide, across = _slides(survey, best)
     contrast = slide / across if across > 0.0 else (math.inf if slide > 0.0 else 0.0)
     return AxisEvidence(_signed(best), misfit, without, slide, contrast, level)
@@ -172,9 +222,7 @@ def _group(scaled: Floats, normals: Floats) -> tuple[Floats, Floats, Floats]:
         among = labels == group
         count = int(among.sum())
         if count >= FEWEST_IN_GROUP:
-            values = scaled[among]
-            rank = int(LOW_SHARE * (count - 1))
-            levels.append(float(np.partition(values, rank)[rank]))
+            levels.append(quantile(scaled[among], LOW_SHARE))
             squares.append(normals[among].T @ normals[among] / count)
             counts.append(float(count))
     return np.array(levels), np.array(squares).reshape(-1, 3, 3), np.array(counts)
@@ -223,32 +271,39 @@ def _main_offset(offsets: Floats) -> Floats:
     return main
 
 
-def _misfit(axis: Floats | None, levels: Floats, squares: Floats, counts: Floats) -> float:
-    """Mean error of the logarithms of variances along an axis, or along the normals."""
-    cosines = np.ones(len(levels)) if axis is None else squares @ axis @ axis
-    faces = cosines > 0.1
+def _cosines(axes: Floats, squares: Floats) -> Floats:
+    """Mean squared cosines (k, g) of the groups' normals to axes (k, 3)."""
+    products = (axes[:, :, None] * axes[:, None, :]).reshape(len(axes), 9)
+    cosines: Floats = products @ squares.reshape(-1, 9).T
+    return cosines
+
+
+def _misfit(cosines: Floats, levels: Floats, counts: Floats) -> float:
+    """Mean error of the logarithms of variances (g,) that go by squared cosines (g,)."""
+    faces = cosines > FACING
     if not faces.any():
         return math.inf
-    order = np.argsort(levels[faces] / cosines[faces])
+    ratios = levels[faces] / cosines[faces]
+    order = np.argsort(ratios)
     shares = np.cumsum(counts[faces][order])
-    middle = order[int(np.searchsorted(shares, 0.5 * shares[-1]))]
-    variance = float((levels[faces] / cosines[faces])[middle])
+    variance = float(ratios[order[int(np.searchsorted(shares, 0.5 * shares[-1]))]])
     if variance <= 0.0:
         return math.inf
     errors = np.abs(np.log((levels / variance + GRAIN) / (cosines + GRAIN)))
-    return float(counts @ np.minimum(errors, 3.0) / counts.sum())
+    return float(counts @ np.minimum(errors, MOST_ERROR) / counts.sum())
 
 
-def _refine(axis: Floats, levels: Floats, squares: Floats, counts: Floats) -> tuple[Floats, float]:
+def _refine(axis: Floats, groups: Groups) -> tuple[Floats, float]:
     """The axis near by with the least misfit, and that."""
-    least = _misfit(axis, levels, squares, counts)
-    for turn in (0.3, 0.15, 0.08, 0.04):
+    least = groups.misfit(axis)
+    angles = np.arange(8) * (math.pi / 4.0)
+    for turn in TURNS:
         across = np.linalg.svd(axis[None])[2][1:]
-        start = axis
-        for angle in np.arange(8) * (math.pi / 4.0):
-            other = start + turn * (math.cos(angle) * across[0] + math.sin(angle) * across[1])
-            other = other / math.sqrt(float(other @ other))
-            error = _misfit(other, levels, squares, counts)
+        ways = np.cos(angles)[:, None] * across[0] + np.sin(angles)[:, None] * across[1]
+        others = axis + turn * ways
+        others /= math.sqrt(1.0 + turn * turn)
+        for other, cosines in zip(others, _cosines(others, groups.squares), strict=True):
+            error = _misfit(cosines, groups.levels, groups.counts)
             if error < least:
                 axis, least = other, error
     return axis, least
@@ -260,9 +315,7 @@ def _axis_level(scaled: Floats, normals: Floats, axis: Floats) -> float:
     faces = cosines > FLAT_COSINE
     if not faces.any():
         return 0.0
-    values = scaled[faces] / cosines[faces]
-    rank = int(LOW_SHARE * (len(values) - 1))
-    return math.sqrt(float(np.partition(values, rank)[rank]))
+    return math.sqrt(quantile(scaled[faces] / cosines[faces], LOW_SHARE))
 
 
 def _slides(survey: Survey, axis: Floats) -> tuple[float, float]:
@@ -290,7 +343,7 @@ def is_isotropic(survey: Survey, level: float) -> bool:
     """Whether vertices are moved within the surface as by noise of a level, mean edges."""
     along = (survey.offsets * survey.normals).sum(axis=1)
     squares = 0.5 * ((survey.offsets**2).sum(axis=1) - along * along)
-    few, some, half = np.quantile(np.maximum(squares, 0.0), [0.1, 0.3, 0.5])
+    few, some, half = (quantile(squares, share) for share in (0.1, 0.3, 0.5))
     # Of chi square with two degrees of freedom, by those.
     few, some, half = few / 0.10536, some / 0.35667, half / 0.69315
     low, high = (JITTER_LOW * level) ** 2, (JITTER_HIGH * level) ** 2

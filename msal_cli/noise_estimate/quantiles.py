@@ -1,4 +1,4 @@
-"""Quantiles of chi square over its degrees of freedom, for any number of them."""
+"""Quantiles: of values, and of chi square over its degrees of freedom."""
 
 from __future__ import annotations
 
@@ -16,6 +16,13 @@ _NORMAL = {
     0.4: -0.2533471,
     0.5: 0.0,
 }
+"""Quantiles of the normal distribution."""
+
+
+def quantile(values: Floats, share: float) -> float:
+    """The value (of at least one) below which a share of them lies; one of them, no mean of two."""
+    rank = int(share * (len(values) - 1))
+    return float(np.partition(values, rank)[rank])
 
 
 def chi_square_quantile(freedoms: Floats, share: float) -> Floats:

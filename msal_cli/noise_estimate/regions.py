@@ -15,16 +15,20 @@ BLOCK_VERTICES = 1 << 14
 """Vertices whose distances to all regions stand in memory at a time."""
 
 
-def split_regions(vertices: Floats, n_vertices: int) -> tuple[Places, Places]:
-    """Which of the vertices (c, 3), taken from all ``n_vertices``, are middles of regions, each as
-    far from the others as can be; and which middle is the nearest to each vertex (c,)."""
-    wanted = min(max(n_vertices // VERTICES_PER_REGION, 1), MOST_REGIONS)
+def count_regions(n_vertices: int) -> int:
+    """Into how many regions a mesh is split."""
+    return min(max(n_vertices // VERTICES_PER_REGION, 1), MOST_REGIONS)
+
+
+def split_regions(vertices: Floats, count: int) -> tuple[Places, Places]:
+    """Which of the vertices (c, 3) are middles of ``count`` regions, each as far from the others as
+    can be; and which middle is the nearest to each vertex (c,)."""
     axes = np.ascontiguousarray(vertices.T)
     # The first one is the furthest from where they are on average.
     distances = _squared_distances(axes, axes.mean(axis=1))
-    middles = np.empty(wanted, dtype=np.int64)
+    middles = np.empty(count, dtype=np.int64)
     labels = np.zeros(len(vertices), dtype=np.int64)
-    for number in range(wanted):
+    for number in range(count):
         middles[number] = distances.argmax()
         from_it = _squared_distances(axes, vertices[middles[number]])
         if number == 0:

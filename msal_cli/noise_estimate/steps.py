@@ -51,6 +51,11 @@ FACING = 0.6
 LEAST_GAIN = 0.05
 """By how much an axis explains better what is left over, where it does not."""
 
+OF_VOXELS, OF_SLICES, SAME_HEIGHT = 0.205, 0.145, 1.2
+"""Root mean square distance of terraces from the surface, in heights, where they have the same
+height in all directions and where not; median over ten closed shapes, the latter with slices of
+three voxels.  It depends on the shape by 10 and by 40 %."""
+
 
 @dataclass(frozen=True)
 class Steps:
@@ -60,16 +65,13 @@ class Steps:
     ----------
     axis : (3,) unit vector; None for terraces in all directions.
     step : distance of the depths, or height of the terraces, mean edges.
-    level : its standard deviation, step / sqrt(12).
+    level : standard deviation of what is rounded, along the axis, or of the distance of terraces
+        from the surface; mean edges.
     """
 
     axis: Floats | None
     step: float
-
-    @property
-    def level(self) -> float:
-        """Standard deviation of what is rounded to the steps, mean edges."""
-        return self.step / math.sqrt(12.0)
+    level: float
 
 
 def find_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> Steps | None:
@@ -83,7 +85,8 @@ def find_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> Steps | Non
         step = 2.0 * max(steps)
         closest = (survey.normals**2).max(axis=1)
         if _is_rough(survey, FOUR, closest, np.ones(len(closest)), 0.5 * step):
-            return Steps(None, step)
+            is_even = max(steps) < SAME_HEIGHT * min(steps)
+            return Steps(None, step, (OF_VOXELS if is_even else OF_SLICES) * step)
         return None
     for axis in np.argsort(steps)[::-1]:
         squares = survey.normals[:, axis] ** 2
@@ -91,19 +94,8 @@ def find_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> Steps | Non
             continue
         direction = np.eye(3)[axis]
         if squares.mean() > FACING or (groups is not None and _is_along(groups, direction)):
-            return Steps(direction, steps[axis])
+            return Steps(direction, steps[axis], steps[axis] / math.sqrt(12.0))
     return None
-
-
-def ring_offsets(mesh: Mesh, vertices: NDArray[np.int64]) -> Floats:
-    """From the middles of the one-rings of vertices (c,) to these, (c, 3), file units."""
-    starts, ring = mesh.links.ring_start, mesh.links.ring
-    return np.array(
-        [
-            mesh.vertices[vertex] - mesh.vertices[ring[starts[vertex] : starts[vertex + 1]]].mean(0)
-            for vertex in vertices
-        ]
-    ).reshape(-1, 3)
 
 
 def _is_along(groups: Groups, axis: Floats) -> bool:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.noise_estimate.quantiles import quantile
+
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
@@ -55,8 +57,7 @@ class Survey:
         values = values[np.isfinite(values)]
         if not len(values):
             return float("nan")
-        rank = int(share * (len(values) - 1))
-        return float(np.partition(values, rank)[rank])
+        return quantile(values, share)
 
 
 def take_survey(mesh: Mesh, places: Places) -> Survey:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.noise_estimate.level import NoiseLevel, are_spikes, are_uneven, to_clean_edges
-from msal_cli.noise_estimate.regions import split_regions
+from msal_cli.noise_estimate.regions import count_regions, split_regions
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
@@ -151,7 +151,7 @@ def estimate_white(mesh: Mesh) -> WhiteEstimate:
     low *= max(1.0 - TOO_MUCH - error, 0.0)
     high = best * (1.0 + TOO_LITTLE + error)
 
-    middles, labels = split_regions(mesh.vertices[places], len(mesh.vertices))
+    middles, labels = split_regions(mesh.vertices[places], count_regions(len(mesh.vertices)))
     regions = _levels(fits, labels, len(middles), level, is_impulsive)
     lowest, highest = float(regions.min()), float(regions.max())
     if are_uneven(lowest / edge, highest / edge):

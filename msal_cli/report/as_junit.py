@@ -17,7 +17,13 @@ from typing import Any
 from xml.etree import ElementTree as Xml
 
 from msal_cli.records import MeshRecord
-from msal_cli.report.as_text import defects_text, percent_text, reason, vertices_text
+from msal_cli.report.as_text import (
+    defects_text,
+    despiked_text,
+    percent_text,
+    reason,
+    vertices_text,
+)
 from msal_cli.report.document import Run
 from msal_cli.report.names import shown
 from msal_cli.report.worst import broken_gates
@@ -123,6 +129,8 @@ def _figures(record: MeshRecord) -> Iterator[str]:
         parts.append(f"moved {moved.mean_edges:.3g} (most {moved.max_edges:.3g}) mean edge lengths")
     if record.volume is not None and record.volume.valid:
         parts.append(f"volume {percent_text(record.volume.change_percent)}")
+    if record.despiked:
+        parts.append(despiked_text(record.despiked))
     if record.choice is not None:
         parts.append(f"chosen: {shown(record.choice.reason)}")
     if defects := defects_text(record):

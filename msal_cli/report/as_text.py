@@ -157,6 +157,8 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str]]:
         yield "defects", defects
     if record.noise_estimate is not None:
         yield "noise", "; ".join(noise_texts(record.noise_estimate))
+    if record.despiked:
+        yield "despiked", despiked_text(record.despiked)
     if record.choice is not None:
         yield "chosen", shown(record.choice.reason)
     if record.left_alone and record.status != "unchanged":
@@ -204,7 +206,10 @@ def noise_texts(noise: NoiseEstimate) -> list[str]:
     if noise.negligible:
         return [f"{level}: none to speak of"]
     texts = [level]
-    if noise.uneven and noise.lowest_edges is not None and noise.highest_edges is not None:
+    if noise.words and noise.confidence is not None:
+        texts.append(f"{noise.words} ({100.0 * noise.confidence:.0f} % sure: {noise.basis})")
+    is_uneven = noise.uneven and noise.kind != "uneven"
+    if is_uneven and noise.lowest_edges is not None and noise.highest_edges is not None:
         texts.append(f"uneven: {noise.lowest_edges:.2g} to {noise.highest_edges:.2g} by region")
     stand_out, rms = noise.tail, noise.rms_edges
     if stand_out is not None and rms is not None and stand_out >= IMPULSIVE_TAIL:
@@ -213,6 +218,11 @@ def noise_texts(noise: NoiseEstimate) -> list[str]:
             f"{rms:.3g} mean edge lengths"
         )
     return texts
+
+
+def despiked_text(despiked: int) -> str:
+    """``12 outlier vertices brought back``."""
+    return _counted(despiked, "outlier vertex", "outlier vertices") + " brought back"
 
 
 def by_hand(choice: ChoiceMade) -> str:

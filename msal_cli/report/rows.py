@@ -10,6 +10,7 @@ from msal_cli.records import MeshRecord
 from msal_cli.report.as_text import (
     by_hand,
     defects_text,
+    despiked_text,
     noise_texts,
     reason,
     runner_up_text,
@@ -128,6 +129,7 @@ def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
     yield "Defects", defects_text(record)
     if record.noise_estimate is not None:
         yield "Noise", "; ".join(noise_texts(record.noise_estimate))
+    yield "Despiked", despiked_text(record.despiked) if record.despiked else ""
     if record.volume is not None and not record.volume.valid:
         yield "Volume", f"no figure: {record.volume.reason}"
     if record.self_intersections is not None:

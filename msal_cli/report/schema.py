@@ -99,10 +99,14 @@ DESCRIPTIONS: dict[str, str] = {
     "MeshRecord.locked_vertices": (
         "vertices that --lock pinned; null without that option; vertices at one place are one"
     ),
+    "MeshRecord.despiked": (
+        "outlier vertices that were brought back to the surface before the method ran; null where "
+        "they were not looked for"
+    ),
     "MeshRecord.self_intersections": (
         "pairs of faces that intersect each other; null without --check or a gate that names them"
     ),
-    "MeshRecord.noise_estimate": "noise of the input, estimated",
+    "MeshRecord.noise_estimate": "noise of the input, estimated; without the outliers brought back",
     "MeshRecord.left_alone": "why --min-noise left the mesh as it is; null if it did not",
     "MeshRecord.method": "method and parameters, given or chosen",
     "MeshRecord.choice": "why that method was chosen; null where it was given",
@@ -155,8 +159,11 @@ DESCRIPTIONS: dict[str, str] = {
     ),
     "NormalChange.mean_deg": "mean angle, degrees",
     "NormalChange.max_deg": "largest angle, degrees",
-    "NoiseEstimate.mean_edges": "standard deviation along the normals, mean edge lengths",
-    "NoiseEstimate.file_units": "standard deviation along the normals, file units",
+    "NoiseEstimate.mean_edges": (
+        "standard deviation along the direction: the normals, an axis, or each coordinate where it "
+        "is isotropic; mean edge lengths"
+    ),
+    "NoiseEstimate.file_units": "the same in file units",
     "NoiseEstimate.low_edges": (
         "lower end of an interval for it, as if all that may be texture were, mean edge lengths"
     ),
@@ -176,6 +183,21 @@ DESCRIPTIONS: dict[str, str] = {
     "NoiseEstimate.highest_edges": "level of the most noisy region, mean edge lengths",
     "NoiseEstimate.regions": "number of regions that were told apart",
     "NoiseEstimate.uneven": "whether the noise is not the same everywhere",
+    "NoiseEstimate.kind": (
+        "none, white (independent at each vertex, along the normals), isotropic, correlated "
+        "(neighbours share it), view (along an axis), quantised (depths in steps), uneven (by "
+        "region), outliers, impulsive, staircase (terraces of voxels), or unknown"
+    ),
+    "NoiseEstimate.rings": "over how many rings neighbours share it, 0 (not at all) to 4",
+    "NoiseEstimate.direction": "normals, isotropic or axis",
+    "NoiseEstimate.axis": "unit vector of the axis, up to its sign; null for none",
+    "NoiseEstimate.step_edges": (
+        "step of the depths or height of the terraces, 0 for none, mean edge lengths"
+    ),
+    "NoiseEstimate.outliers": "share of the vertices that lie far off, 0 to 1",
+    "NoiseEstimate.confidence": "how sure the kind is, 0 to 1; below 0.5 a guess",
+    "NoiseEstimate.basis": "what the kind rests on, in words",
+    "NoiseEstimate.words": "what the noise is like, in words; empty for none",
     "MethodUsed.name": (
         "name of the method; none where the choice or --min-noise left the mesh as it is, adaptive "
         "or auto where it was not chosen yet"

@@ -329,6 +329,9 @@ def test_a_single_precision_mesh_goes_into_every_format(to):
 def test_a_new_mesh_is_single_where_that_rounds_nothing_away():
     vertices, faces = torus(12, 8)
     assert open_mesh(encode_mesh(vertices, faces, "ply"), "a.ply").precision == "float32"
+    for scale in (1e50, 1e-50):
+        extreme = open_mesh(encode_mesh(scale * vertices, faces, "ply"), "a.ply")
+        assert np.array_equal(extreme.vertices, scale * vertices)
     far = open_mesh(encode_mesh(vertices + 1e5, faces, "ply"), "a.ply")
     assert far.precision == "float64"
     assert np.array_equal(far.vertices, vertices + 1e5)

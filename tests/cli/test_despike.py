@@ -1,0 +1,144 @@
+"""Outliers from the command line: counted, repeated, forbidden, and within the constraints."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from msal_cli import files, methods, selection
+from msal_cli.mesh import prepared
+from msal_cli.noise import noisy
+from msal_cli.noise_estimate import estimated
+from msal_cli.selection import adaptive
+from tests.cli.scans import folder_of, msal, ply_text
+from tests.shapes import torus
+
+SPIKED = np.arange(40, 1800, 88)
+
+
+def spiked_scan(level):
+    """A torus with noise, and 20 of its 1,800 vertices two edges off along the normals."""
+    mesh = prepared(*torus(60, 30)).mesh
+    vertices = noisy(mesh, "gaussian-normal", level, 1)
+    vertices[SPIKED] += 2.0 * mesh.mean_edge_length * mesh.vertex_normals()[SPIKED]
+    return ply_text(vertices, mesh.faces)
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("despike") / "in"
+    return folder_of(folder, quiet=spiked_scan(0.0), loud=spiked_scan(0.15))
+
+
+def run(*words, code=0):
+    made = msal("denoise", *words, "--json")
+    assert made.exit_code == code, made.stderr
+    [record] = json.loads(made.stdout)["records"]
+    return record, made
+
+
+def vertices_of(path):
+    return files.open_mesh(path.read_bytes(), path.name).vertices
+
+
+def true_vertices():
+    return torus(60, 30)[0]
+
+
+def test_the_plain_command_brings_them_back_and_leaves_the_rest(scans, tmp_path):
+    record, made = run(scans / "quiet.ply", "-o", tmp_path / "o.ply")
+    assert (record["despiked"], record["status"]) == (20, "written")
+    assert record["choice"]["reason"].endswith("clean; the rest left as it is")
+    assert record["displacement"]["moved_vertices"] == 20
+    assert "despiked      20 outlier vertices brought back" in made.stderr
+    assert np.abs(vertices_of(tmp_path / "o.ply") - true_vertices()).max() < 0.1
+    # Without them there is no noise.
+    assert record["noise_estimate"]["negligible"]
+
+
+@pytest.mark.parametrize("how", [(), ("--auto-budget", "3")])
+def test_the_options_repeat_the_bytes(scans, tmp_path, how):
+    record, _ = run(scans / "loud.ply", "-o", tmp_path / "a.ply", *how)
+    by_hand = record["choice"]["repeat"]
+    assert by_hand[-1] == "--despike"
+    again, _ = run(scans / "loud.ply", "-o", tmp_path / "b.ply", *by_hand)
+    assert again["despiked"] == record["despiked"] == 20
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    assert again["noise_estimate"] == record["noise_estimate"]
+    assert record["noise_estimate"]["tail"] < 0.02
+
+
+def test_they_stay_where_this_is_forbidden(scans, tmp_path):
+    record, made = run(scans / "quiet.ply", "-o", tmp_path / "o.ply", "--no-despike")
+    assert record["despiked"] is None
+    assert "brought back" not in made.stderr
+    assert "--despike" not in record["choice"]["repeat"]
+
+
+def test_a_method_by_name_is_the_method_alone(scans, tmp_path):
+    plain, _ = run(scans / "loud.ply", "-o", tmp_path / "a.ply", "--method", "msal")
+    assert plain["despiked"] is None
+    asked, _ = run(scans / "loud.ply", "-o", tmp_path / "b.ply", "--method", "msal", "--despike")
+    assert asked["despiked"] == 20
+    errors = [
+        np.abs(vertices_of(tmp_path / name) - true_vertices()).max() for name in ("a.ply", "b.ply")
+    ]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_no_vertex_goes_further_than_the_limit(scans, tmp_path):
+    record, _ = run(scans / "quiet.ply", "-o", tmp_path / "o.ply", "--max-move", "0.5e")
+    assert record["displacement"]["max_edges"] <= 0.5 + 1e-6
+    assert (record["despiked"], record["clamped_vertices"]) == (20, 20)
+
+
+def test_locked_vertices_stay(scans, tmp_path):
+    before = vertices_of(scans / "quiet.ply")
+    record, _ = run(scans / "quiet.ply", "-o", tmp_path / "o.ply", "--lock", "x > 0")
+    locked = before[:, 0] > 0
+    assert record["despiked"] == 20 - int(locked[SPIKED].sum())
+    assert (vertices_of(tmp_path / "o.ply")[locked] == before[locked]).all()
+
+
+def test_quiet_meshes_are_left_alone_only_without_spikes(scans, tmp_path):
+    # Spikes are noise: a bound above them leaves all as it is.
+    record, _ = run(scans / "quiet.ply", "-o", tmp_path / "o.ply", "--min-noise", "5e")
+    assert (record["status"], record["despiked"]) == ("unchanged", None)
+    record, _ = run(scans / "quiet.ply", "-o", tmp_path / "p.ply", "--min-noise", "auto")
+    assert (record["status"], record["despiked"]) == ("written", 20)
+
+
+def test_a_choice_that_damages_leaves_the_outliers_too(scans, tmp_path, monkeypatch):
+    def collapsing(mesh, *given, **named):
+        values = methods.find("umbrella").settled({"iterations": 1000})
+        return selection.Choice("umbrella", values, "collapse", None, estimated(mesh))
+
+    monkeypatch.setattr(adaptive, "chosen", collapsing)
+    record, _ = run(scans / "quiet.ply", "-o", tmp_path / "o.ply")
+    assert (record["status"], record["despiked"]) == ("unchanged", 0)
+    assert (tmp_path / "o.ply").read_bytes() == (scans / "quiet.ply").read_bytes()
+    assert "--despike" not in record["choice"]["repeat"]
+    # The noise is that of the mesh as it stays.
+    assert record["noise_estimate"]["rms_edges"] > 0.1
+
+
+def test_gates_know_the_number(scans, tmp_path):
+    out = ("-o", tmp_path / "o.ply", "--fail-on", "despiked > 19")
+    record, _ = run(scans / "quiet.ply", *out, code=4)
+    assert record["gates"][0]["values"] == {"despiked": 20.0}
+    record, _ = run(scans / "quiet.ply", *out, "--no-despike", "--fresh", code=4)
+    assert "outliers were not looked for" in record["gates"][0]["reason"]
+
+
+def test_too_many_are_a_warning_where_it_was_asked_for(tmp_path):
+    mesh = prepared(*torus(60, 30)).mesh
+    vertices = mesh.vertices.copy()
+    draw = np.random.default_rng(0)
+    moved = draw.permutation(len(vertices))[:540]
+    vertices[moved] += 2.0 * mesh.mean_edge_length * draw.choice([-1.0, 1.0], (540, 3))
+    scan = folder_of(tmp_path / "in", wild=ply_text(vertices, mesh.faces)) / "wild.ply"
+    record, _ = run(scan, "-o", tmp_path / "o.ply", "--method", "msal", "--despike")
+    assert record["despiked"] == 0
+    assert "too many to be outliers" in record["warnings"][0]
