@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from msal_cli import files
-from msal_cli.core.normal_descriptors import WIDE_FILTERED
-from msal_cli.core.normal_regression import VECTORS, Network
+from msal_cli.core.normal_descriptors import VECTORS, WIDE_FILTERED
+from msal_cli.core.normal_regression import Network
 from msal_cli.methods._cascade import write_networks
 from training.regression import Schedule, train_network
 from training.samples import NoisyMesh, Shape, collect_samples, draw_meshes

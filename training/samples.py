@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from msal_cli.core.geometry import face_normals
 from msal_cli.core.normal_regression import Descriptors, Network
-from msal_cli.mesh import prepared
+from msal_cli.errors import ContentError
+from msal_cli.mesh import Mesh, prepared
 from msal_cli.methods._cascade import Cascade
 from msal_cli.methods.learned import STAGE_PASSES
 from training.noise_mixture import draw_noise
@@ -23,11 +24,23 @@ Ints = NDArray[np.int32]
 Shape = tuple[str, Floats, Ints]
 """A clean mesh: its name, vertices (n, 3) and faces (m, 3)."""
 
+COARSE_SHARE = 0.15
+"""Copies of a shape at which it is decimated: its detail comes closer to the edges' length."""
+
 SCAN_SHARE = 0.2
 """Meshes out of simulated scanners; the others have noise added."""
 
+LEAST_COARSE = 3_000
+"""Faces below which no mesh is decimated."""
+
 LEAST_FACES = 300
 """Scans of fewer faces teach nothing."""
+
+UNKNOWN_SHARE = 0.35
+"""Meshes whose noise is not given."""
+
+LOW_SHARE = 0.1
+"""Meshes whose noise is given as less than it is."""
 
 PATCH_FACES = 7_000
 """Faces that are taken of one mesh at most: more meshes teach more than larger ones."""
@@ -61,7 +74,7 @@ class NoisyMesh:
     weight: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self.weight = (self.mean_angle(self.cascade.scanned[0]) + CLEAN_ANGLE) ** -BALANCE
+        self.weight = (self.mean_angle(self.cascade.scanned) + CLEAN_ANGLE) ** -BALANCE
 
     def mean_angle(self, normals: Floats) -> float:
         """Mean angle, radians, between normals (m, 3) and the true ones where these are known."""
@@ -81,6 +94,19 @@ class NoisyMesh:
         self.positions = self.cascade.fit(self.positions, self.earlier, STAGE_PASSES)
 
 
+def coarsen(vertices: Floats, faces: Ints, generator: Generator) -> tuple[Floats, Ints]:
+    """A mesh with a third to two thirds of the faces, or as it is where few would be left."""
+    import fast_simplification
+
+    count = int(len(faces) * generator.uniform(0.35, 0.7))
+    if count < LEAST_COARSE:
+        return vertices, faces
+    points, triangles = fast_simplification.simplify(
+        vertices.astype(np.float32), faces, target_count=count
+    )
+    return points.astype(np.float64), triangles.astype(np.int32)
+
+
 def choose_patch(vertices: Floats, faces: Ints, generator: Generator) -> Ints:
     """Indices of at most ``PATCH_FACES`` of the faces, those nearest to a random one."""
     if len(faces) <= PATCH_FACES:
@@ -91,17 +117,16 @@ def choose_patch(vertices: Floats, faces: Ints, generator: Generator) -> Ints:
     return np.sort(nearest).astype(np.int32)
 
 
-def draw_meshes(
-    shapes: Iterable[Shape], copies: int, generator: Generator
-) -> list[NoisyMesh]:
+def draw_meshes(shapes: Iterable[Shape], copies: int, generator: Generator) -> list[NoisyMesh]:
     """``copies`` noisy meshes of every shape, each of another part and with other noise."""
     made = []
     for _, vertices, faces in shapes:
         for _ in range(copies):
-            one = None
-            if generator.random() < SCAN_SHARE:
-                one = _scan(vertices, faces, generator)
-            made.append(one or _add_noise(vertices, faces, generator))
+            shape = vertices, faces
+            if generator.random() < COARSE_SHARE:
+                shape = coarsen(vertices, faces, generator)
+            one = _scan(*shape, generator) if generator.random() < SCAN_SHARE else None
+            made.append(one or _add_noise(*shape, generator))
     return made
 
 
@@ -109,20 +134,48 @@ def _add_noise(vertices: Floats, faces: Ints, generator: Generator) -> NoisyMesh
     clean = prepared(vertices, faces[choose_patch(vertices, faces, generator)]).mesh
     noisy = clean.moved(draw_noise(clean, generator))
     truth = face_normals(clean.vertices, clean.faces)
-    return NoisyMesh(Cascade(noisy, "free"), truth, noisy.vertices)
+    return _start(noisy, clean.vertices, truth, generator)
 
 
 def _scan(vertices: Floats, faces: Ints, generator: Generator) -> NoisyMesh | None:
     """A part of a simulated scan; None where its faces cannot be taken as they are."""
-    points, triangles, truth = draw_scan(prepared(vertices, faces).mesh, generator)
+    try:
+        scan = draw_scan(prepared(vertices, faces).mesh, generator)
+    except ContentError:
+        return None
+    points, triangles, true_points, truth = scan
     if len(triangles) < LEAST_FACES:
         return None
     chosen = choose_patch(points, triangles, generator)
-    noisy = prepared(points, triangles[chosen])
-    if noisy.defects.turned_faces or len(noisy.mesh.faces) != len(chosen):
+    used = np.unique(triangles[chosen])
+    number = np.zeros(len(points), dtype=np.int32)
+    number[used] = np.arange(len(used))
+    noisy = prepared(points[used], number[triangles[chosen]])
+    if noisy.place is not None or noisy.defects.turned_faces or len(noisy.mesh.faces) < len(chosen):
         return None
-    mesh = noisy.mesh
-    return NoisyMesh(Cascade(mesh, "free"), truth[chosen], mesh.vertices)
+    return _start(noisy.mesh, true_points[used] - noisy.origin, truth[chosen], generator)
+
+
+def _start(mesh: Mesh, true_vertices: Floats, truth: Floats, generator: Generator) -> NoisyMesh:
+    noise = draw_estimate(mesh, true_vertices, generator)
+    return NoisyMesh(Cascade(mesh, "free", noise), truth, mesh.vertices)
+
+
+def draw_estimate(mesh: Mesh, true_vertices: Floats, generator: Generator) -> float | None:
+    """What the estimate may say of the noise of a mesh: nearly right, too low, or nothing."""
+    heights = np.einsum("ij,ij->i", mesh.vertices - true_vertices, mesh.vertex_normals())
+    among = mesh.links.has_ring
+    typical = float(np.median(np.abs(heights[among]))) / 0.6745
+    square = float(np.sqrt((heights[among] ** 2).mean()))
+    share = generator.random()
+    level = (share * typical + (1.0 - share) * square) / mesh.mean_edge_length
+    level *= float(np.exp(0.15 * generator.standard_normal()))
+    kind = generator.random()
+    if kind < UNKNOWN_SHARE:
+        return None
+    if kind < UNKNOWN_SHARE + LOW_SHARE:
+        return level * float(generator.random())
+    return level
 
 
 def collect_samples(
@@ -132,7 +185,7 @@ def collect_samples(
     inputs, targets, weights = [], [], []
     n_vectors = 0
     for one in meshes:
-        known = np.flatnonzero(one.truth.any(axis=1) & one.cascade.scanned[0].any(axis=1))
+        known = np.flatnonzero(one.truth.any(axis=1) & one.cascade.scanned.any(axis=1))
         chosen = np.sort(generator.permutation(known)[:per_mesh])
         descriptors = one.describe()
         n_vectors = descriptors.vectors.shape[1]

@@ -25,8 +25,9 @@ LEAST_AREA = 0.05
 """A face whose true area is a smaller share of its own has no true normal that is known."""
 
 
-def draw_scan(clean: Mesh, generator: Generator) -> tuple[Floats, Ints, Floats]:
-    """Vertices and faces of a scan of the mesh, and the true normals (m, 3), zero if unknown."""
+def draw_scan(clean: Mesh, generator: Generator) -> tuple[Floats, Ints, Floats, Floats]:
+    """Vertices (n, 3) and faces (m, 3) of a scan of the mesh, where the vertices should be, and
+    the true normals (m, 3), zero where these are not known."""
     shares = np.array(list(SHARES.values()))
     scanner = list(SHARES)[int(generator.choice(len(SHARES), p=shares / shares.sum()))]
     scan = simulate_scan(clean, _draw_settings(scanner, generator))
@@ -34,7 +35,7 @@ def draw_scan(clean: Mesh, generator: Generator) -> tuple[Floats, Ints, Floats]:
     truth, areas = face_normals_and_areas(true_vertices, scan.faces)
     normals, own_areas = face_normals_and_areas(scan.vertices, scan.faces)
     is_known = (areas > LEAST_AREA * own_areas) & (np.einsum("ij,ij->i", truth, normals) > -0.2)
-    return scan.vertices, scan.faces, np.where(is_known[:, None], truth, 0.0)
+    return scan.vertices, scan.faces, true_vertices, np.where(is_known[:, None], truth, 0.0)
 
 
 def _draw_settings(scanner: str, generator: Generator) -> ScannerSettings:

@@ -231,12 +231,13 @@ def pick_guides(start, stop, records, near_start, near, ripples, width, table, n
 
 @compiled
 def filter_jointly(  # type: ignore[no-untyped-def]
-    start, stop, records, per_reach, near_start, near, tasks, ranges, width, table
+    start, stop, records, per_reach, near_start, near, tasks, ranges, n_read, width, read, table
 ):
     """Fill two vectors for each task: filtered normals of two ranges.
 
-    A row of ``tasks`` has the places of the guide, of the normals, and of the first outcome; its
-    row of ``ranges`` has 1 / s^2 of both.
+    A row of ``tasks`` has the places of the guide and of the normals in ``read``, which has
+    ``n_read`` vectors of each face, and that of the first outcome in ``table``, which has
+    ``width``.  Its row of ``ranges`` has 1 / s^2 of both.
     """
     widest = ONE
     for f in range(np.uint64(start), np.uint64(stop)):
@@ -245,7 +246,7 @@ def filter_jointly(  # type: ignore[no-untyped-def]
     sums = np.empty(np.int64(R6), dtype=np.float32)
     vectors = np.empty(np.int64(R6), dtype=np.float32)
     own = np.empty(np.int64(R3), dtype=np.float32)
-    width = THREE * np.uint64(width)
+    width, n_read = THREE * np.uint64(width), THREE * np.uint64(n_read)
     last = np.uint64(stop)
     for first in range(np.uint64(start), last, LANES):
         rows = near_block(first, last, records, per_reach, near_start, near, block, own)
@@ -256,7 +257,7 @@ def filter_jointly(  # type: ignore[no-untyped-def]
                 THREE * np.uint64(tasks[task, 1]),
                 THREE * np.uint64(tasks[task, 2]),
             )
-            _lay_normals(first, last, near_start, near, guide, normal, width, table, block, own)
+            _lay_normals(first, last, near_start, near, guide, normal, n_read, read, block, own)
             add_pair(rows, ranges[task, 0], ranges[task, 1], block, sums)
             normalise(sums, ZERO, own, vectors, ZERO)
             normalise(sums, R3, own, vectors, ONE)

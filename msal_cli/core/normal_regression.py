@@ -48,7 +48,14 @@ the first filtered by the second, with two ranges."""
 ROOT_3 = 3.0**0.5
 """The edge of equilateral triangles over the distance of their centroids."""
 
-GLOBALS = 8
+EXCHANGED = 6
+"""Vectors that faces read of those near: the normal, the wide filtered one, the wide mean, the
+guide, the scanned normal, that of the stage before."""
+
+SAMPLED = 1 << 15
+"""Faces from which the medians of a mesh are taken, or up to twice as many, evenly spread."""
+
+GLOBALS = 10
 """Inputs that are the same for all faces of a mesh."""
 
 _FIVE, _SIX, _SEVEN = np.uint64(5), np.uint64(6), np.uint64(7)
@@ -273,72 +280,123 @@ def _filled(count: int) -> int:
     return -(-count // int(STEP)) * int(STEP)
 
 
-def describe_normals(
-    normals: Floats,
-    areas: Floats,
-    centroids: Floats,
-    heights: Floats,
-    faces: Ints,
-    around: Neighbourhoods,
-    earlier: tuple[Floats, Floats] | None = None,
-) -> Descriptors:
-    """The descriptors of faces.
+class NormalDescriber:
+    """Makes the descriptors of the faces of one mesh, stage by stage.
+
+    What it gives is overwritten by the next: memory that is new costs as much as the arithmetic.
 
     Parameters
     ----------
-    normals, areas, centroids : (m, 3), (m,), (m, 3); zero normals where there is none.
-    heights : (n, 4) of the vertices, ``measure_ripples``.
     faces : (m, 3).
-    earlier : the scanned normals and those of the stage before, (m, 3) each, for a later stage.
+    centroids : (m, 3) of the scan, file units, from which the faces near each are found.
+    ring_start, ring : rows of the faces that share an edge with each face.
+    noise : its standard deviation, mean edge lengths; None where it is not known.
     """
-    m = len(normals)
-    width = VECTORS + (EARLIER if earlier else 0)
-    rows = around.ring_start.view(np.uint32), around.ring.view(np.uint32)
-    units = _find_units(centroids, around.ring_start, around.ring)
-    unit = float(units.mean()) or 1.0
-    mean_area = float(areas.mean()) or 1.0
-    records = np.empty(m * int(RECORD))
-    flat = normals.reshape(-1)
-    to_units = 1.0 / unit, 1.0 / mean_area
-    over_ranges(_records, m, centroids.reshape(-1), flat, areas, *to_units, records)
-    if not normals.any(axis=1).all():
-        over_ranges(_fill_missing, m, *rows, flat, records)
-    numbers = np.empty((m, NUMBERS), dtype=np.float32)
-    numbers[:, 17] = units / (units + unit)
-    per_reach = unit / (WIDE * np.where(units > 0.0, units, unit))
-    near = around.near_start.view(np.uint64), around.near.view(np.uint32)
-    axes = np.empty((m, 3, 3), dtype=np.float32)
-    table = np.empty((m, width, 3), dtype=np.float32)
-    flat_table = table.reshape(-1)
-    of = records, per_reach, *near
-    over_ranges(describe, m, *of, width, flat_table, numbers.reshape(-1), axes.reshape(-1))
-    ripples = np.empty((m, 5), dtype=np.float32)
-    scatter = np.ascontiguousarray(numbers[:, 14])
-    corners = faces.reshape(-1).view(np.uint32)
-    over_ranges(_corner_means, m, corners, heights.reshape(-1), units, scatter, ripples.reshape(-1))
-    to = width, flat_table, numbers.reshape(-1)
-    over_ranges(pick_guides, m, records, *near, ripples.reshape(-1), *to)
-    tasks = [
-        (GUIDE, NORMAL, GUIDED),
-        (WIDE_FILTERED, NORMAL, REFINED),
-        (WIDE_FILTERED, WIDE_FILTERED, TWICE),
-        (WIDE_MEAN, WIDE_MEAN, WIDER),
-    ]
-    ranges = [(0.3, 0.6), (0.25, 0.5), (0.25, 0.5), (0.25, 0.7)]
-    if earlier is not None:
-        table[:, VECTORS] = earlier[0]
-        table[:, VECTORS + 1] = earlier[1]
-        tasks.append((VECTORS + 1, VECTORS, VECTORS + 2))
-        ranges.append((0.3, 0.6))
-    per_range = (1.0 / np.array(ranges) ** 2).astype(np.float32)
-    over_ranges(filter_jointly, m, *of, np.array(tasks), per_range, width, flat_table)
-    return Descriptors(table, numbers, axes, _find_globals(table, numbers, ripples))
+
+    def __init__(
+        self,
+        faces: Ints,
+        centroids: Floats,
+        ring_start: Ints,
+        ring: Ints,
+        noise: float | None,
+    ) -> None:
+        m = len(faces)
+        self.around = find_neighbourhoods(centroids, ring_start, ring)
+        self.noise = noise
+        self._corners = faces.reshape(-1).view(np.uint32)
+        self._records = np.empty(m * int(RECORD))
+        self._table = np.empty(m * 3 * (VECTORS + EARLIER), dtype=np.float32)
+        self._numbers = np.empty((m, NUMBERS), dtype=np.float32)
+        self._axes = np.empty((m, 3, 3), dtype=np.float32)
+        self._ripples = np.empty((m, 5), dtype=np.float32)
+        self._exchange = np.empty((m, EXCHANGED, 3), dtype=np.float32)
+
+    def describe(
+        self,
+        normals: Floats,
+        areas: Floats,
+        centroids: Floats,
+        heights: Floats,
+        earlier: tuple[Floats, Floats] | None = None,
+    ) -> Descriptors:
+        """The descriptors for one stage.
+
+        Parameters
+        ----------
+        normals, areas, centroids : (m, 3), (m,), (m, 3); zero normals where there is none.
+        heights : (n, 4) of the vertices, ``measure_ripples``.
+        earlier : the scanned normals and those of the stage before, (m, 3) each, for a later
+            stage.
+        """
+        m = len(normals)
+        width = VECTORS + (EARLIER if earlier else 0)
+        table = self._table[: 3 * m * width].reshape(m, width, 3)
+        numbers, ripples, around = self._numbers, self._ripples, self.around
+        units = self._record(normals, areas, centroids)
+        unit = float(units.mean()) or 1.0
+        per_reach = unit / (WIDE * np.where(units > 0.0, units, unit))
+        near = around.near_start.view(np.uint64), around.near.view(np.uint32)
+        of = self._records, per_reach, *near
+        to = width, table.reshape(-1), numbers.reshape(-1)
+        over_ranges(describe, m, *of, *to, self._axes.reshape(-1))
+        numbers[:, 17] = units / (units + unit)
+        scatter = np.ascontiguousarray(numbers[:, 14])
+        flat = ripples.reshape(-1)
+        over_ranges(_corner_means, m, self._corners, heights.reshape(-1), units, scatter, flat)
+        over_ranges(pick_guides, m, self._records, *near, flat, *to)
+        self._filter_jointly(of, table, earlier)
+        values = _find_globals(table, numbers, ripples, self.noise)
+        return Descriptors(table, numbers, self._axes, values)
+
+    def _record(self, normals: Floats, areas: Floats, centroids: Floats) -> Floats:
+        """Fill the table that neighbours are read from; the local units (m,) of the faces."""
+        m, around = len(normals), self.around
+        units = _find_units(centroids, around.ring_start, around.ring)
+        per_unit = 1.0 / (float(units.mean()) or 1.0)
+        per_area = 1.0 / (float(areas.mean()) or 1.0)
+        flat = normals.reshape(-1), areas
+        over_ranges(_records, m, centroids.reshape(-1), *flat, per_unit, per_area, self._records)
+        if not normals.any(axis=1).all():
+            rows = around.ring_start.view(np.uint32), around.ring.view(np.uint32)
+            over_ranges(_fill_missing, m, *rows, flat[0], self._records)
+        return units
+
+    def _filter_jointly(
+        self,
+        of: tuple[Floats, Floats, NDArray[np.uint64], NDArray[np.uint32]],
+        table: Singles,
+        earlier: tuple[Floats, Floats] | None,
+    ) -> None:
+        """Fill the vectors that are filtered by others."""
+        exchange = self._exchange
+        for place, slot in enumerate((NORMAL, WIDE_FILTERED, WIDE_MEAN, GUIDE)):
+            exchange[:, place] = table[:, slot]
+        tasks = [(3, 0, GUIDED), (1, 0, REFINED), (1, 1, TWICE), (2, 2, WIDER)]
+        ranges = [(0.3, 0.6), (0.25, 0.5), (0.25, 0.5), (0.25, 0.7)]
+        if earlier is not None:
+            for place, one in enumerate(earlier):
+                exchange[:, 4 + place] = one
+                table[:, VECTORS + place] = one
+            tasks.append((5, 4, VECTORS + 2))
+            ranges.append((0.3, 0.6))
+        per_range = (1.0 / np.array(ranges) ** 2).astype(np.float32)
+        width, flat = table.shape[1], (exchange.reshape(-1), table.reshape(-1))
+        over_ranges(
+            filter_jointly, len(table), *of, np.array(tasks), per_range, EXCHANGED, width, *flat
+        )
 
 
-def _find_globals(table: Singles, numbers: Singles, ripples: Singles) -> Singles:
-    """What the whole mesh is like: medians of scatter, of differences between means, of ripples."""
+def _find_globals(
+    table: Singles, numbers: Singles, ripples: Singles, noise: float | None
+) -> Singles:
+    """What the whole mesh is like: medians of differences between means, of the deviation from
+    planes, of scatter and ripples; whether the noise is known, and its level."""
+    step = max(len(table) // SAMPLED, 1)
+    table, numbers, ripples = table[::step], numbers[::step], ripples[::step]
     own, narrow, wide = table[:, NORMAL], table[:, NARROW_MEAN], table[:, WIDE_MEAN]
     of = [np.sqrt(((a - b) ** 2).sum(axis=1)) for a, b in ((own, wide), (narrow, wide))]
     of += [numbers[:, 9], *ripples.T]
-    medians = [median(one.astype(np.float64)) for one in of]
-    return np.array([m / (m + 0.1) for m in medians], dtype=np.float32)
+    values = [median(one.astype(np.float64)) for one in of] + [noise or 0.0]
+    bounded = [value / (value + 0.1) for value in values]
+    return np.array([*bounded, float(noise is not None)], dtype=np.float32)

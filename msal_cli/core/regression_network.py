@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.core.compiled import compiled
-from msal_cli.core.near_blocks import LANES, R1, R2, R3
+from msal_cli.core.near_blocks import LANES, R1, R2, R3, R4, R5, R6, R7
 from msal_cli.core.ring_blocks import ONE, THREE, TWO, ZERO
 
 STEP = np.uint64(8)
@@ -74,13 +74,13 @@ def _multiply(n_in, n_out, weights, at, x, y, leak):  # type: ignore[no-untyped-
             for lane in range(LANES):
                 p = of + lane
                 total = y[to + lane] + w0 * x[p]
-                total += w1 * x[p + np.uint64(1 * 32)]
-                total += w2 * x[p + np.uint64(2 * 32)]
-                total += w3 * x[p + np.uint64(3 * 32)]
-                total += w4 * x[p + np.uint64(4 * 32)]
-                total += w5 * x[p + np.uint64(5 * 32)]
-                total += w6 * x[p + np.uint64(6 * 32)]
-                total += w7 * x[p + np.uint64(7 * 32)]
+                total += w1 * x[p + R1]
+                total += w2 * x[p + R2]
+                total += w3 * x[p + R3]
+                total += w4 * x[p + R4]
+                total += w5 * x[p + R5]
+                total += w6 * x[p + R6]
+                total += w7 * x[p + R7]
                 y[to + lane] = total
         for lane in range(LANES):
             total = y[to + lane]

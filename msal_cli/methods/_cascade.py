@@ -22,8 +22,7 @@ from msal_cli.core.geometry import face_normals_and_areas
 from msal_cli.core.normal_regression import (
     Descriptors,
     Network,
-    describe_normals,
-    find_neighbourhoods,
+    NormalDescriber,
     measure_ripples,
 )
 from msal_cli.core.vertex_update import updated_vertices
@@ -40,28 +39,32 @@ FORMAT = 1
 
 
 class Cascade:
-    """The stages of one mesh: descriptors of where it is, and vertices that fit new normals."""
+    """The stages of one mesh: descriptors of where it is, and vertices that fit new normals.
 
-    def __init__(self, mesh: Mesh, boundary: str) -> None:
+    ``noise`` is that of the mesh, mean edge lengths; None where it is not known.
+    """
+
+    def __init__(self, mesh: Mesh, boundary: str, noise: float | None) -> None:
         self.mesh = mesh
         self.free = free_vertices(mesh, boundary)
         centroids = face_centroids(mesh.vertices, mesh.faces)
         rings = face_rings(mesh.faces, mesh.links, "edge")
-        self.near = find_neighbourhoods(centroids, *rings)
-        self.scanned = face_normals_and_areas(mesh.vertices, mesh.faces)
+        self.describer = NormalDescriber(mesh.faces, centroids, *rings, noise)
+        self.scanned = face_normals_and_areas(mesh.vertices, mesh.faces)[0]
 
     def describe(self, positions: Floats, earlier: Floats | None) -> Descriptors:
         """The descriptors of all faces with the vertices at ``positions`` (n, 3).
 
-        ``earlier`` are the normals (m, 3) of the stage before; None for the first one.
+        ``earlier`` are the normals (m, 3) of the stage before; None for the first one.  The next
+        call overwrites what this one gives.
         """
-        faces = self.mesh.faces
-        normals, areas = face_normals_and_areas(positions, faces)
-        before = None if earlier is None else (self.scanned[0], earlier)
-        centroids = face_centroids(positions, faces)
-        at_vertices = self.mesh.moved(positions).vertex_normals()
-        heights = measure_ripples(positions, at_vertices, self.mesh.links)
-        return describe_normals(normals, areas, centroids, heights, faces, self.near, before)
+        mesh = self.mesh
+        normals, areas = face_normals_and_areas(positions, mesh.faces)
+        centroids = face_centroids(positions, mesh.faces)
+        at_vertices = mesh.moved(positions).vertex_normals()
+        heights = measure_ripples(positions, at_vertices, mesh.links)
+        before = None if earlier is None else (self.scanned, earlier)
+        return self.describer.describe(normals, areas, centroids, heights, before)
 
     def fit(
         self,

@@ -15,7 +15,7 @@ from msal_cli.core.normal_regression import (
     NUMBERS,
     VECTORS,
     Network,
-    describe_normals,
+    NormalDescriber,
     find_neighbourhoods,
     measure_ripples,
 )
@@ -28,12 +28,13 @@ def rows_of(start, entries):
     return [entries[a:b].tolist() for a, b in itertools.pairwise(start)]
 
 
-def described(mesh, earlier=None):
+def described(mesh, earlier=None, noise=0.1):
     normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
     centroids = face_centroids(mesh.vertices, mesh.faces)
-    around = find_neighbourhoods(centroids, *face_rings(mesh.faces, mesh.links, "edge"))
+    rings = face_rings(mesh.faces, mesh.links, "edge")
+    describer = NormalDescriber(mesh.faces, centroids, *rings, noise)
     heights = measure_ripples(mesh.vertices, mesh.vertex_normals(), mesh.links)
-    return describe_normals(normals, areas, centroids, heights, mesh.faces, around, earlier), around
+    return describer.describe(normals, areas, centroids, heights, earlier), describer.around
 
 
 def random_network(width, seed=0, hidden=16):
