@@ -36,7 +36,7 @@ NORMALS, ISOTROPIC, AXIS = "normals", "isotropic", "axis"
 """Directions of noise."""
 
 QUIETEST = 0.05
-"""Least level of a region over that of all: what moves there is an error, but not beyond measure."""
+"""Least level of a place over that of all: moves there are errors, but not beyond measure."""
 
 
 @dataclass(frozen=True, eq=False)

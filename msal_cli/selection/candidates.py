@@ -143,7 +143,7 @@ CANDIDATES: tuple[Candidate, ...] = (
     _sinc(20, 0.1, 3.5),
     _sinc(30, 0.05, 5.0),
     _sinc(50, 0.01, 9.0),
-    Candidate("learned", dict(_SLIDING), 115.0),
+    Candidate("learned", dict(_SLIDING), 115.0, takes_noise=True),
     Candidate("bilateral_non_iterative", {}, 12.0),
     Candidate("hybrid", {}, 6.0),
     Candidate(

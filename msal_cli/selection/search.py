@@ -31,12 +31,14 @@ from msal_cli.noise_model import ISOTROPIC, build_model
 from msal_cli.selection import NONE, Choice, Wishes
 from msal_cli.selection.candidates import CANDIDATES, ROBUST, SMOOTHER, Candidate
 from msal_cli.selection.least import SHAPE, STRENGTH, choose_least
+from msal_cli.selection.levels import FEWEST_JUDGED, RELAX, level_masks, spread_levels
 from msal_cli.selection.patches import Part, representative
 from msal_cli.selection.recipe import recipe
 from msal_cli.selection.risk import PROBES, Rehearsal, Risk, Stein
 from msal_cli.selection.surface import CLEAN, MACHINED, kind_of
 from msal_cli.selection.trials import Trials
 from msal_cli.selection.weighing import FLOOR, best_weights, rounded
+from msal_cli.selection.words import describe_noise
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -84,21 +86,8 @@ Stein's risk counts as much."""
 UNEVEN_WIDTH = 0.18
 """The same width, as it is taken for noise that is not the same everywhere."""
 
-FEWEST_JUDGED = 200
-"""Vertices that a level of local noise needs for weights of its own."""
-
 HEAVY = 0.35
 """Noise in mean edge lengths under which no first result shows whether there are sharp edges."""
-
-QUANTILES = (0.1, 0.5, 0.9)
-"""Of local levels, for which weights are chosen."""
-
-LEAST_RATIO, LEAST_GAP = 1.25, 0.01
-"""By how much they have to differ, as a ratio and in mean edge lengths."""
-
-RELAX = 2
-"""Passes that even out triangles where noise is in all directions: more hardly help, and move
-vertices from their places."""
 
 HARM = "every filter would add more error than it takes away"
 
@@ -151,7 +140,7 @@ class _Search:
         self.local, self.levels = np.empty(0), ()
         if self.model.shares is not None and mesh.trust is None:
             self.local = local_levels(mesh)
-            self.levels = _spread_levels(self.local[mesh.links.has_ring])
+            self.levels = spread_levels(self.local[mesh.links.has_ring])
         self._whole: Trials | None = None
 
     def chosen(self) -> Choice:
@@ -212,10 +201,7 @@ class _Search:
         kept = np.flatnonzero(weights)
         if not self.levels or not len(kept):
             return rows
-        local = self.local if part.numbers is None else self.local[part.numbers]
-        nearest = np.abs(local[:, None] - np.array(self.levels)).argmin(axis=1)
-        for level, row in enumerate(rows):
-            judged = part.judged & (nearest == level)
+        for row, judged in zip(rows, level_masks(part, self.local, self.levels), strict=True):
             if judged.sum() >= FEWEST_JUDGED:
                 some = self._best([risk.of(kept.tolist()) for risk in _risks(judges, judged)])
                 row[kept] = np.where(some >= LEAST_WEIGHT, some, 0.0)
@@ -338,12 +324,10 @@ class _Search:
         order = np.argsort(self._scores(risks), kind="stable").tolist()
         beside = [k for k in order if weights[k] < 1.0][:3]
         made = recipe(members, rows, self._noise_edges(self.mesh), self.levels, self.relax)
-        what = "impulsive noise" if self.is_impulsive else "noise"
-        level = self.noise.rms_edges if self.is_impulsive else self.noise.mean_edges
         choice = Choice(
             made.method,
             made.parameters,
-            f"{what} {level:.2g} e; {surface}; {made.label}",
+            f"{describe_noise(self.noise)}; {surface}; {made.label}",
             surface,
             self.noise,
         )
@@ -371,13 +355,3 @@ def _risks(
 ) -> list[Risk]:
     """The risks by judges of some importance each, over the vertices (m,) that are ``judged``."""
     return [judge.risk(judged).counted(importance) for judge, importance in judges]
-
-
-def _spread_levels(local: Floats) -> tuple[float, ...]:
-    """Levels of local noise (n,) that stand for quiet, usual and loud places; none if they are
-    much alike."""
-    found: list[float] = []
-    for level in np.quantile(local, QUANTILES).tolist():
-        if not found or level > LEAST_RATIO * found[-1] + LEAST_GAP:
-            found.append(float(round(level, 3)))
-    return tuple(found) if len(found) > 1 else ()
