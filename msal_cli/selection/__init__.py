@@ -33,7 +33,6 @@ METHODS = (
     "blend",
     "guided_normal",
     "hybrid",
-    "l0",
     "learned",
     "msal",
     "normal_diffusion",

@@ -17,10 +17,10 @@ Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Ints = NDArray[Any]
 
-PATCH = 1_000
+PATCH = 2_000
 """Vertices of a patch, about: in smaller ones too much is near the cut."""
 
-MARGIN = 2
+MARGIN = 3
 """Rings at the cut of a patch that are filtered with it, but not judged: what lies beyond is
 missing there."""
 

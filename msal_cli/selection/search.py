@@ -29,7 +29,7 @@ from msal_cli.noise_estimate import NoiseLevel, estimated
 from msal_cli.noise_estimate.local import local_levels
 from msal_cli.noise_model import ISOTROPIC, build_model
 from msal_cli.selection import NONE, Choice, Wishes
-from msal_cli.selection.candidates import CANDIDATES, ROBUST, SMOOTHER, Candidate
+from msal_cli.selection.candidates import CANDIDATES, LEARNED, ROBUST, SMOOTHER, Candidate
 from msal_cli.selection.least import SHAPE, STRENGTH, choose_least
 from msal_cli.selection.levels import FEWEST_JUDGED, RELAX, level_masks, spread_levels
 from msal_cli.selection.patches import Part, representative
@@ -62,7 +62,7 @@ SEARCH = 0.4
 GLANCE = 4_000
 """Vertices that all candidates are tried on: enough to tell which are worth a longer look."""
 
-LEAST_PART, MOST_PART = 6_000, 12_000
+LEAST_PART, MOST_PART = 6_000, 8_000
 """Vertices that the best are tried on; on fewer the estimates scatter too much."""
 
 LONGER_LOOK, SECOND_LOOK = 6, 3
@@ -156,6 +156,8 @@ class _Search:
         weights = self._best([risk])
         surface = kind_of(glance.part.mesh.moved(glance.positions(at_first, weights)))
         shortlist = self._shortlist(risk, weights, LONGER_LOOK)
+        if LEARNED in at_first:
+            shortlist = sorted({*shortlist, at_first.index(LEARNED)})
         members = [at_first[k] for k in shortlist]
         weights = weights[shortlist]
         tried = len(at_first)
