@@ -106,3 +106,18 @@ def drop_unused(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, Ints]:
     number = np.full(len(vertices), -1, dtype=np.int64)
     number[kept] = np.arange(len(kept))
     return vertices[kept], number[faces], kept
+
+
+def shape_quality(vertices: Floats, faces: Ints) -> Floats:
+    """(m,) from 0 for a flat face to 1 for an equilateral one."""
+    corner = vertices[faces]
+    squared = ((corner - corner[:, [1, 2, 0]]) ** 2).sum(axis=(1, 2))
+    area = np.linalg.norm(face_crosses(vertices, faces), axis=1)
+    return 2.0 * np.sqrt(3.0) * area / np.maximum(squared, 1e-300)
+
+
+def corner_angles(vertices: Floats, left: Ints, tip: Ints, right: Ints) -> Floats:
+    """Angles (k,) at ``tip``, radians."""
+    u, v = vertices[left] - vertices[tip], vertices[right] - vertices[tip]
+    sine = np.linalg.norm(np.cross(u, v), axis=1)
+    return np.arctan2(sine, np.einsum("ij,ij->i", u, v))

@@ -278,26 +278,25 @@ def make_head(g: Generator) -> Field:
 
 
 def make_gyroid(g: Generator) -> Field:
-    """A wall of a gyroid within a ball: thin sheets that turn everywhere."""
-    cells, wall = g.uniform(2.2, 2.8), g.uniform(0.28, 0.4)
+    """A wall of a gyroid within a ball: sheets that turn everywhere, with round rims."""
+    cells, wall = g.uniform(1.6, 2.0), g.uniform(0.6, 0.8)
     phase = g.uniform(0, 6, 3)
 
     def field(points: Floats) -> Floats:
         x, y, z = (points * np.pi * cells / 1.4 + phase).T
         level = np.sin(x) * np.cos(y) + np.sin(y) * np.cos(z) + np.sin(z) * np.cos(x)
-        sheet = (np.abs(level) - wall) / (np.pi * cells)
-        # Rounded where the ball cuts the sheets.
+        sheet = (np.sqrt(level * level + 0.01) - wall) / (np.pi * cells)
         ball = np.linalg.norm(points, axis=1) - 1.0
-        return -smooth_union(-sheet, -ball, 0.08)
+        return -smooth_union(-sheet, -ball, 0.2)
 
     return field
 
 
 def make_shell(g: Generator) -> Field:
-    """A snail's shell: a tube that grows along a spiral, with a crease between the turns."""
+    """A horn: a tube that grows along a spiral, whose turns come near each other."""
     t = np.linspace(0.0, 1.0, 800)
     scale = np.exp(2.2 * (t - 1.0))
     turn = 2.0 * np.pi * g.uniform(2.2, 2.8) * t
     ring, rise = 0.6 * scale, 1.0 - 1.7 * scale
     centres = np.stack([ring * np.cos(turn), ring * np.sin(turn), 0.3 + rise * 0.6], axis=1)
-    return _tube_field(centres, 0.36 * scale)
+    return _tube_field(centres, 0.27 * scale)

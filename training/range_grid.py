@@ -32,7 +32,7 @@ def make_range_grid(mesh: LabelledMesh, surface: Surface, count: int, g: Generat
     """
     axes = _choose_view(mesh, g)
     # About a third of the surface is seen, and seen obliquely.
-    step = 0.55 * ideal_edge(mesh, count)
+    step = 0.42 * ideal_edge(mesh, count)
     scene = _RayScene(mesh)
     flat = mesh.vertices @ axes[:2].T
     low, high = flat.min(axis=0), flat.max(axis=0)

@@ -83,10 +83,12 @@ def make_pits(g: Generator, points: Floats, normals: Floats, wavelength: float) 
 def make_scales(g: Generator, points: Floats, normals: Floats, wavelength: float) -> Floats:
     """Overlapping plates: each rises along one direction and ends in a step."""
     del normals
-    _, near = _nearest_seeds(g, points, wavelength, 1)
+    gap, near = _nearest_seeds(g, points, wavelength, 2)
     direction = to_unit(g.normal(size=(1, 3)))[0]
-    seeds = near[:, 0]
-    return ((points - points[seeds]) @ direction) / (1.6 * wavelength)
+    rise = (points[:, None] - points[near]) @ direction / (1.6 * wavelength)
+    # The step goes over two edges: a sharper one would be ragged.
+    share = 0.5 + 0.5 * np.tanh((gap[:, 1] - gap[:, 0]) / 1.2)
+    return rise[:, 0] * share + rise[:, 1] * (1.0 - share)
 
 
 def make_cobbles(g: Generator, points: Floats, normals: Floats, wavelength: float) -> Floats:
@@ -106,7 +108,10 @@ def make_weave(g: Generator, points: Floats, normals: Floats, wavelength: float)
 
 
 def make_letters(g: Generator, points: Floats, normals: Floats, wavelength: float) -> Floats:
-    """Letters engraved or raised all over, ``wavelength`` high, with walls of about one edge."""
+    """Letters engraved or raised all over, ``wavelength`` high, with walls of two edges.
+
+    Steeper walls would be ragged, for no edges follow them.
+    """
     places, _ = _draw_seeds(g, points, 1.5 * wavelength)
     tree = cKDTree(points)
     heights = np.zeros(len(points))
@@ -120,7 +125,8 @@ def make_letters(g: Generator, points: Floats, normals: Floats, wavelength: floa
         flat = (points[near] - points[place]) @ frame / (0.25 * wavelength) + 2.0
         gap = _stroke_distance(flat, STROKES[names[int(g.integers(len(names)))]])
         gap *= 0.25 * wavelength
-        depth = np.clip((width + 0.5 - gap) / 1.0, 0.0, 1.0)
+        depth = np.clip((width + 1.2 - gap) / 2.4, 0.0, 1.0)
+        depth = depth * depth * (3.0 - 2.0 * depth)
         heights[near] = np.maximum(heights[near], depth)
     return -heights if g.integers(2) else heights
 

@@ -18,9 +18,11 @@ from training.connectivity import (
     Floats,
     Ints,
     build_edges,
+    corner_angles,
     drop_unused,
     edge_lengths,
     face_crosses,
+    shape_quality,
     to_unit,
     vertex_normals,
 )
@@ -29,7 +31,7 @@ from training.surface import LabelledMesh, Surface, face_labels
 LONG, SHORT = 4.0 / 3.0, 4.0 / 5.0
 """Shares of the target beyond which edges are split and collapsed."""
 
-FEW = 0.004
+FEW = 0.008
 """Share of the vertices: rounds that change no more are the last ones."""
 
 TINY = 0.1
@@ -145,16 +147,19 @@ class Remesher:
             labels += [self.labels[some]] * len(parts)
         self.faces, self.labels = np.concatenate(faces), np.concatenate(labels)
 
-    def collapse_short(self, share: float = SHORT, rounds: int = 8, few: float = FEW) -> None:
+    def collapse_short(
+        self, share: float = SHORT, rounds: int = 8, few: float = FEW, least: float = 0.7
+    ) -> None:
         """Collapse edges below ``share`` of the target where shape and topology allow it.
 
-        A round that collapses no more than ``few`` times the number of vertices is the last.
+        A round that collapses no more than ``few`` times the number of vertices is the last;
+        ``least`` is the cosine between new faces and those around that is allowed.
         """
         for _ in range(rounds):
-            if self._collapse_round(share) <= few * len(self.vertices):
+            if self._collapse_round(share, least) <= few * len(self.vertices):
                 return
 
-    def _collapse_round(self, share: float) -> int:
+    def _collapse_round(self, share: float, least: float) -> int:
         edges = self.edges()
         is_curve, _ = self._curve_edges(edges)
         valence = self._curve_valence(edges, is_curve)
@@ -179,7 +184,7 @@ class Remesher:
         sound = link == np.where(edges.is_boundary[candidate], 1, 2)
         i, j = i[sound], j[sound]
         chosen = self._choose_apart(edges.ends, i, j)
-        return self._collapse(edges, i[chosen], j[chosen], size)
+        return self._collapse(edges, i[chosen], j[chosen], size, least)
 
     def _choose_apart(self, ends: Ints, i: Ints, j: Ints) -> Bools:
         """Which pairs of vertices can be merged at once: none has a neighbour of another."""
@@ -197,7 +202,7 @@ class Remesher:
             priority[chosen] = -1.0 - np.arange(chosen.sum())
         return chosen
 
-    def _collapse(self, edges: Edges, i: Ints, j: Ints, size: Floats) -> int:
+    def _collapse(self, edges: Edges, i: Ints, j: Ints, size: Floats, least: float) -> int:
         """Merge vertices j into i but where a face would turn over or an edge become long."""
         onto = np.arange(len(self.vertices))
         onto[j] = i
@@ -214,7 +219,7 @@ class Remesher:
         whole = _have_three(renamed)
         some = np.flatnonzero(touched & whole)
         around = self._mean_normals(edges)[some]
-        turned = _is_turned(self.vertices, self.faces[some], renamed[some], around, 0.7)
+        turned = _is_turned(self.vertices, self.faces[some], renamed[some], around, least)
         poor = shape_quality(self.vertices, renamed[some]) < np.minimum(
             0.1, 0.5 * shape_quality(self.vertices, self.faces[some])
         )
@@ -238,13 +243,15 @@ class Remesher:
             if self._flip_round(below, least) <= FEW * len(self.vertices):
                 return
 
-    def flip_flat_edges(self) -> None:
-        """Flip edges between faces of one plane alone.
+    def merge_facets(self) -> None:
+        """Make the long and narrow faces that boolean operations leave fewer.
 
-        The fans that boolean operations leave in flat patches would become very many when split.
-        In a curved patch of long faces, other flips would cut across the curve.
+        Split as they are, they would become very many.  Edges flip within planes only: in a curved
+        patch of long faces, others would come to cut across the curve.
         """
-        self.flip_edges(30, 1.1, 1.0 - 1e-9)
+        for _ in range(3):
+            self.flip_edges(30, 1.1, 1.0 - 1e-9)
+            self.collapse_short(SHORT, 16, FEW, 0.985)
 
     def _flip_round(self, below: float, least: float) -> int:
         edges = self.edges()
@@ -254,7 +261,7 @@ class Remesher:
         a, b = edges.ends[inner].T
         c, d = edges.opposite[inner].T
         v = self.vertices
-        excess = _angle(v, a, c, b) + _angle(v, a, d, b) - np.pi
+        excess = corner_angles(v, a, c, b) + corner_angles(v, a, d, b) - np.pi
         worth = excess > 1e-6
         inner, excess = inner[worth], excess[worth]
         a, b, c, d = (x[worth] for x in (a, b, c, d))
@@ -359,14 +366,18 @@ class Remesher:
 
 
 def remesh(
-    mesh: LabelledMesh, surface: Surface, sizing: Sizing, seed: int, iterations: int = 5
+    mesh: LabelledMesh, surface: Surface, sizing: Sizing, seed: int, iterations: int = 4
 ) -> LabelledMesh:
     """The mesh with edges of about the target lengths that ``sizing`` gives."""
     state = Remesher(mesh, surface, sizing, seed)
-    state.flip_flat_edges()
-    for _ in range(iterations):
+    state.merge_facets()
+    for k in range(iterations):
         state.split_long()
         state.collapse_short()
+        if k == 0:
+            # Narrow faces leave many more than are wanted, and flips make more of them collapse.
+            state.flip_edges(2)
+            state.collapse_short()
         state.flip_edges()
         state.relax()
     state.flip_edges()
@@ -418,21 +429,6 @@ def _have_three(faces: Ints) -> Bools:
     """(m,) whether faces have three different vertices."""
     a, b, c = faces.T
     return (a != b) & (b != c) & (c != a)
-
-
-def shape_quality(vertices: Floats, faces: Ints) -> Floats:
-    """(m,) from 0 for a flat face to 1 for an equilateral one."""
-    corner = vertices[faces]
-    squared = ((corner - corner[:, [1, 2, 0]]) ** 2).sum(axis=(1, 2))
-    area = np.linalg.norm(face_crosses(vertices, faces), axis=1)
-    return 2.0 * np.sqrt(3.0) * area / np.maximum(squared, 1e-300)
-
-
-def _angle(vertices: Floats, left: Ints, tip: Ints, right: Ints) -> Floats:
-    """Angles (k,) at ``tip``, radians."""
-    u, v = vertices[left] - vertices[tip], vertices[right] - vertices[tip]
-    sine = np.linalg.norm(np.cross(u, v), axis=1)
-    return np.arctan2(sine, np.einsum("ij,ij->i", u, v))
 
 
 def _have_edges(ends: Ints, wanted: Ints, n: int) -> Bools:

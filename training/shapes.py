@@ -168,7 +168,7 @@ def build_shapes(seed: int, quick: bool = False) -> Iterator[tuple[str, Floats, 
 
 def build_shape(recipe: Recipe, g: np.random.Generator, fineness: float = 1.0) -> LabelledMesh:
     """The mesh of a recipe, of 4,000 to 15,000 vertices times ``fineness``, mean edge 1."""
-    count = int(fineness * np.exp(g.uniform(np.log(4200), np.log(10500))))
+    count = int(fineness * np.exp(g.uniform(np.log(3600), np.log(9000))))
     mesh = scale_to_unit_edges(_triangulate(recipe, count, g))
     if recipe.relief:
         maker = getattr(relief, f"make_{recipe.relief}")

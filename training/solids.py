@@ -21,7 +21,8 @@ set_circular_segments(SEGMENTS)
 
 def to_labelled_mesh(solid: Manifold) -> LabelledMesh:
     """The surface of a solid; faces of one smooth part of one primitive share a label."""
-    mesh = solid.to_mesh64()
+    # Offset outlines have facets as narrow as their rounding.
+    mesh = solid.simplify(1e-6).to_mesh64()
     vertices = np.array(mesh.vert_properties)[:, :3].copy()
     faces = np.array(mesh.tri_verts).astype(np.int64)
     runs = np.array(mesh.run_index) // 3

@@ -70,7 +70,7 @@ def make_subdivided(mesh: LabelledMesh, surface: Surface, count: int, g: Generat
     """Edges of a modeller's triangles halved until they are short: narrow triangles stay narrow."""
     length = 1.1 * ideal_edge(mesh, count)
     state = Remesher(mesh, surface, constant_sizing(length), int(g.integers(2**31)))
-    state.flip_flat_edges()
+    state.merge_facets()
     state.split_long()
     state.remove_slivers(0.3)
     state.vertices = state.project(state.vertices)

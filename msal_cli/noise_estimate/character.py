@@ -57,9 +57,9 @@ LEAST_STEP_LEVEL = 0.02
 WORST_FIT = 0.1
 """Mean error of logarithms up to which a number of rings explains the levels by scale."""
 
-LEAST_ONE_RING = 0.13
-"""Mean edge lengths from which noise that is shared over one ring is told from white noise on a
-scan's texture."""
+LEAST_ONE_RING, SHARP_ONE_RING = 0.13, 0.74
+"""Mean edge lengths, and sharpness of fits over two rings, from which noise that is shared over one
+ring is distinguished from white noise on texture."""
 
 SHEET, MOST_FACING = 0.3, 0.97
 """Length of the mean normal, and share of the normals within a right angle of it, of a sheet."""
@@ -192,7 +192,8 @@ def _is_shared(white: WhiteEstimate, survey: Survey, colour: Colour) -> bool:
 
 def _is_doubtful(white: WhiteEstimate, colour: Colour) -> bool:
     """Whether white noise on a texture would leave the same."""
-    return colour.rings == 1 and white.level.low > 0.0 and colour.level < LEAST_ONE_RING
+    is_weak = colour.level < LEAST_ONE_RING or colour.sharpness[TWO] < SHARP_ONE_RING
+    return colour.rings == 1 and white.level.low > 0.0 and is_weak
 
 
 def _is_sheet(survey: Survey) -> bool:

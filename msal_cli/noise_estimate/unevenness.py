@@ -38,6 +38,9 @@ SHARP, SHARP_PLANE, LEAST_PLANE, WORST_FIT = 0.72, 0.3, 0.75, 0.12
 and of those over one ring, what the latter leave over in comparison to fits over two, and
 misfit."""
 
+ONE_RING_MARGIN = 0.03
+"""By how much no sharing has to be worse than sharing over one ring."""
+
 LEAST_PURE, MOST_RINGS = 0.06, 2
 """Share of the places in loud regions, and most rings, with which noise that differs by region is
 told from texture."""
@@ -91,23 +94,28 @@ class Differences:
 
 def find_differences(survey: Survey) -> Differences | None:
     """Variances by region, if they differ by more than chance makes them."""
-    has = np.isfinite(survey.variances[:, TWO])
+    has = np.isfinite(survey.variances[:, : TWO + 1]).all(axis=1)
     count = min(MOST_REGIONS, int(has.sum()) // FEWEST_PLACES)
     if count < 2:
         return None
     middles, labels = split_regions(survey.positions, count)
     # Nearly all places have as many degrees of freedom.
-    freedoms = np.full(1, float(np.median(survey.freedoms[has, TWO])))
-    factors = [float(chi_square_quantile(freedoms, share)[0]) for share in SHARES[1:3]]
+    freedoms = np.median(survey.freedoms[has, : TWO + 1], axis=0)
+    factors = np.array([chi_square_quantile(freedoms, share) for share in SHARES[1:3]])
     lows, means = np.zeros(len(middles)), np.zeros(len(middles))
     is_pure, known = np.zeros(len(middles), dtype=bool), np.zeros(len(middles), dtype=bool)
     for region in range(len(middles)):
-        values = np.sort(survey.variances[has & (labels == region), TWO])
-        if len(values) < FEWEST_PLACES // 2:
+        among = has & (labels == region)
+        count = int(among.sum())
+        if count < FEWEST_PLACES // 2:
             continue
-        few, low, some, half = values[(np.array(SHARES) * (len(values) - 1)).astype(int)]
+        ranks = (np.array(SHARES) * (count - 1)).astype(int)
+        few, low, some, half = np.sort(survey.variances[among, TWO])[ranks]
         known[region], is_pure[region] = True, few > PURE * half
-        lows[region], means[region] = low / factors[0], some / factors[1]
+        _, plane_low, plane_some, _ = np.sort(survey.variances[among, ONE])[ranks]
+        # Shape adds more to the wider fit, and the least of both would be too little on average.
+        lows[region] = min(low / factors[0, 1], plane_low / factors[0, 0])
+        means[region] = math.sqrt(some / factors[1, 1] * plane_some / factors[1, 0])
     if known.sum() < 2:
         return None
     lowest, highest = math.sqrt(lows[known].min()), math.sqrt(lows[known].max())
@@ -126,14 +134,15 @@ def find_unevenness(survey: Survey, differences: Differences) -> Unevenness | No
     colour = find_colour(survey, differences.scale)
     if colour is None or not _is_noise(colour):
         return None
+    rings = colour.rings if colour.rings > 1 or colour.margin > ONE_RING_MARGIN else 0
     # Fits over two rings see a part of shared noise only.
-    growth = colour.level if colour.rings else 1.0
+    growth = colour.level if rings else 1.0
     counts = np.bincount(differences.labels, minlength=len(differences.middles))
     return Unevenness(
         middles=differences.middles,
         regions=growth * np.sqrt(differences.lows),
         level=growth * math.sqrt(float(counts @ differences.means / counts.sum())),
-        rings=colour.rings,
+        rings=rings,
     )
 
 
