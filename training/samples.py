@@ -24,13 +24,19 @@ Ints = NDArray[np.int32]
 Shape = tuple[str, Floats, Ints]
 """A clean mesh: its name, vertices (n, 3) and faces (m, 3)."""
 
-COARSE_SHARE = 0.15
+ROUGH_SHARE = 0.25
+"""Copies of a shape that get steep relief a few edges wide, as carved and cast surfaces have."""
+
+N_WAVES = 16
+"""Plane waves of which that relief is the sum."""
+
+COARSE_SHARE = 0.25
 """Copies of a shape at which it is decimated: its detail comes closer to the edges' length."""
 
 SCAN_SHARE = 0.2
 """Meshes out of simulated scanners; the others have noise added."""
 
-LEAST_COARSE = 3_000
+LEAST_COARSE = 1_200
 """Faces below which no mesh is decimated."""
 
 LEAST_FACES = 300
@@ -95,16 +101,35 @@ class NoisyMesh:
 
 
 def coarsen(vertices: Floats, faces: Ints, generator: Generator) -> tuple[Floats, Ints]:
-    """A mesh with a third to two thirds of the faces, or as it is where few would be left."""
+    """A mesh with a tenth to six tenths of the faces, or as it is where few would be left."""
     import fast_simplification
 
-    count = int(len(faces) * generator.uniform(0.35, 0.7))
+    count = int(len(faces) * generator.uniform(0.1, 0.6))
     if count < LEAST_COARSE:
         return vertices, faces
     points, triangles = fast_simplification.simplify(
         vertices.astype(np.float32), faces, target_count=count
     )
     return points.astype(np.float64), triangles.astype(np.int32)
+
+
+def roughen(vertices: Floats, faces: Ints, generator: Generator) -> tuple[Floats, Ints]:
+    """The mesh with relief along its normals: waves 3 to 10 edges long, or ridges of them."""
+    mesh = prepared(vertices, faces).mesh
+    edge = mesh.mean_edge_length
+    wavelength = edge * float(np.exp(generator.uniform(np.log(3.0), np.log(10.0))))
+    ways = generator.standard_normal((N_WAVES, 3))
+    ways /= np.sqrt((ways * ways).sum(axis=1))[:, None]
+    phases = generator.uniform(0.0, 2.0 * np.pi, N_WAVES)
+    waves = np.sin(mesh.vertices @ ways.T * (2.0 * np.pi / wavelength) + phases)
+    heights = waves.sum(axis=1) * np.sqrt(2.0 / N_WAVES)
+    form = generator.random()
+    if form < 0.3:
+        heights = np.abs(heights)
+    elif form < 0.5:
+        heights = np.clip(heights, -0.3, 0.3) * 2.0
+    amount = wavelength * float(generator.uniform(0.01, 0.12))
+    return mesh.vertices + amount * heights[:, None] * mesh.vertex_normals(), mesh.faces
 
 
 def choose_patch(vertices: Floats, faces: Ints, generator: Generator) -> Ints:
@@ -125,6 +150,8 @@ def draw_meshes(shapes: Iterable[Shape], copies: int, generator: Generator) -> l
             shape = vertices, faces
             if generator.random() < COARSE_SHARE:
                 shape = coarsen(vertices, faces, generator)
+            if generator.random() < ROUGH_SHARE:
+                shape = roughen(*shape, generator)
             one = _scan(*shape, generator) if generator.random() < SCAN_SHARE else None
             made.append(one or _add_noise(*shape, generator))
     return made

@@ -25,6 +25,7 @@ from msal_cli.core.normal_regression import (
     NormalDescriber,
     measure_ripples,
 )
+from msal_cli.core.untangling import untangled
 from msal_cli.core.vertex_update import updated_vertices
 from msal_cli.errors import InternalError
 from msal_cli.mesh import Mesh
@@ -78,6 +79,10 @@ class Cascade:
         return updated_vertices(
             positions, normals, mesh.faces, mesh.links, self.free, passes, on_pass
         )
+
+    def untangle(self, positions: Floats, normals: Floats) -> Floats:
+        """Positions (n, 3) without the thin and folded faces that cannot take their normals."""
+        return untangled(positions, normals, self.mesh.faces, self.mesh.links, self.free)
 
 
 @functools.cache

@@ -15,13 +15,16 @@ stages looks at every face and the faces near it, and makes
 
 A network of two hidden layers gives every vector a coefficient.  The combination, normalised, is
 the new normal, so that where all vectors are one, nothing changes.  The vertices are then fitted to
-the new normals as in ``guided_normal``, and the next stage looks at the outcome.
+the new normals as in ``guided_normal``, and the next stage looks at the outcome.  At the end the
+scanned vertices are fitted to the normals of the last stage.  Vertices with a face that is still
+turned from its normal by more than 20 degrees, thin or folded by noise within the surface, are
+evened out along the surface and fitted again.
 
 The vectors are seen along axes of their own, those of the tensor of the normals near: turning,
 moving or scaling a mesh changes nothing.  Lengths are local: mean distances of centroids, as edges.
 
-What texture is and what noise, is known by their strength: a ``noise`` that is given helps most
-where the texture is as fine as the mesh.
+Texture and noise are told apart by the strength of the noise: a ``noise`` that is given helps most
+where the texture is as fine as the mesh, and a greater one smooths more.
 
 ``sliding=undone`` takes the way back that vertices came sideways, for noise along the normals; see
 ``guided_normal``.  ``sliding=auto`` measures whether it is.
@@ -33,7 +36,7 @@ to the number of faces: 1 s per 100,000 faces on one core, or so.
 The weights are two files of the package: ``weights/learned.json``, which has the sizes of the
 layers and the SHA-256 of the other, and ``weights/learned.f32``, little-endian 32-bit numbers: for
 each layer of each stage the biases, then the matrix row by row.  ``python -m training`` in a
-checkout makes them; ``--clean`` adds meshes of your own.
+checkout makes them, with clean meshes of your own too (docs/training.md).
 
 Source: P.-S. Wang, Y. Liu and X. Tong, Mesh denoising via cascaded normal regression, ACM
 Transactions on Graphics 35 (6), 2016, 232; combinations whose weights are predicted after S. Bako
@@ -52,7 +55,7 @@ from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sliding import settled, sliding_parameter
 from msal_cli.methods._sweeps import noise_parameter
 
-BYTES_PER_FACE = 900
+BYTES_PER_FACE = 1150
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 STAGE_PASSES = 10
@@ -73,8 +76,8 @@ class Parameters:
         more="smoother flat and round parts, sharper edges",
     )
     vertex_iterations: int = parameter(
-        20,
-        "passes that fit the vertices to the normals after the last stage",
+        40,
+        "passes that fit the scanned vertices to the normals of the last stage",
         low=0,
         high=1000,
         more="faces closer to their normals, vertices farther from the scan",
@@ -90,25 +93,37 @@ class Parameters:
 
 def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """The learned filter on ``mesh``; see the module's description."""
-    from msal_cli.noise_estimate import estimated
-
     started = time.perf_counter()
     positions = mesh.vertices.copy()
     stages = parameters.iterations
     if not stages:
         return Result(positions, seconds={"normals": 0.0, "sweeps": 0.0})
-    noise = parameters.noise or estimated(mesh).mean_edges
-    cascade = Cascade(mesh, parameters.boundary, noise)
+    cascade = Cascade(mesh, parameters.boundary, resolve_noise(mesh, parameters.noise))
     normals = None
     ready = time.perf_counter()
     networks = load_networks()
     for done in range(1, stages + 1):
         network = networks[min(done, len(networks)) - 1]
         normals = cascade.describe(positions, normals).predict(network)
-        passes = STAGE_PASSES if done < stages else parameters.vertex_iterations
-        positions = cascade.fit(positions, normals, passes)
+        if done < stages:
+            positions = cascade.fit(positions, normals, STAGE_PASSES)
+        else:
+            positions = cascade.fit(mesh.vertices, normals, parameters.vertex_iterations)
         if on_sweep is not None:
             on_sweep(done, stages)
+    assert normals is not None
     positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
+    positions = cascade.untangle(positions, normals)
     finished = time.perf_counter()
     return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})
+
+
+def resolve_noise(mesh: Mesh, given: float) -> float | None:
+    """The level in mean edge lengths, ``given`` or else estimated; None where no level says what is
+    wrong, as on staircases."""
+    from msal_cli.noise_estimate import estimated
+
+    if given:
+        return given
+    level = estimated(mesh)
+    return None if level.character.kind == "staircase" else level.mean_edges

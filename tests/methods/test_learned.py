@@ -1,0 +1,161 @@
+"""The learned filter: what its weights must do, and how they are read."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+from msal_cli.errors import InternalError
+from msal_cli.mesh import prepared
+from msal_cli.methods import find
+from msal_cli.methods._cascade import WEIGHTS, load_networks, read_networks, write_networks
+from msal_cli.methods.learned import resolve_noise
+from msal_cli.metrics.surface import normal_statistics
+from msal_cli.noise import AddedNoise, add_noise
+from msal_cli.noise_estimate import estimated
+from tests.shapes import ball, grid, torus
+
+
+def run(mesh, **given):
+    method = find("learned")
+    return method.denoised(mesh, method.settled(given)).vertices
+
+
+def error_deg(true, positions):
+    return normal_statistics(true, true.moved(positions)).mean_angular_error_deg
+
+
+def block(n=14):
+    """A block with sharp edges: every side a grid of n x n squares, cut in triangles."""
+    points, faces = [], []
+    for axis in range(3):
+        for side in (0, 1):
+            i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
+            place = np.empty((n + 1, n + 1, 3))
+            place[..., axis] = side * n
+            place[..., (axis + 1) % 3], place[..., (axis + 2) % 3] = i, j
+            at = len(points) * (n + 1) ** 2 + np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+            a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
+            both = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+            faces.append(both if side else both[:, ::-1])
+            points.append(place.reshape(-1, 3))
+    return prepared(np.concatenate(points), np.concatenate(faces).astype(np.int32)).mesh
+
+
+def smooth():
+    return prepared(*torus(120, 60)).mesh
+
+
+def test_the_weights_fit_into_400_kb_and_match_their_header():
+    assert (WEIGHTS / "learned.f32").stat().st_size < 400_000
+    header = json.loads((WEIGHTS / "learned.json").read_text())
+    sizes = [pair for one in header["stages"] for pair in itertools.pairwise(one)]
+    floats = sum(b * (a + 1) for a, b in sizes)
+    assert (WEIGHTS / "learned.f32").stat().st_size == 4 * floats
+    assert len(load_networks()) == 3
+
+
+def test_networks_come_back_as_they_were_written(tmp_path):
+    networks = load_networks()
+    write_networks(tmp_path / "own.json", networks, {"trained_by": "a test"})
+    again = read_networks(tmp_path / "own.json")
+    for one, other in zip(networks, again, strict=True):
+        for layer, same in zip(one.layers, other.layers, strict=True):
+            assert (layer[0] == same[0]).all()
+            assert (layer[1] == same[1]).all()
+
+
+@pytest.mark.parametrize("harm", ["cut", "changed", "no header", "no JSON", "missing"])
+def test_damaged_weights_are_refused(tmp_path, harm):
+    write_networks(tmp_path / "own.json", load_networks(), {})
+    data = tmp_path / "own.f32"
+    if harm == "cut":
+        data.write_bytes(data.read_bytes()[:-4])
+    elif harm == "changed":
+        data.write_bytes(b"\1" + data.read_bytes()[1:])
+    elif harm == "no JSON":
+        (tmp_path / "own.json").write_text("{")
+    else:
+        (data if harm == "missing" else tmp_path / "own.json").unlink()
+    with pytest.raises(InternalError):
+        read_networks(tmp_path / "own.json")
+
+
+@pytest.mark.parametrize(
+    ("noise", "most"),
+    [
+        (AddedNoise("gaussian-normal", 0.3), 0.12),
+        (AddedNoise("gaussian-normal", 0.1), 0.15),
+        (AddedNoise("impulsive", 0.5, fraction=0.3), 0.15),
+        (AddedNoise("view", 0.2, direction=(1, 2, 3)), 0.2),
+        (AddedNoise("half", 0.25), 0.2),
+    ],
+)
+def test_noise_on_a_block_goes_and_its_edges_stay(noise, most):
+    true = block()
+    noisy = add_noise(true, noise)
+    assert error_deg(true, run(true.moved(noisy))) < most * error_deg(true, noisy)
+
+
+@pytest.mark.parametrize("kind", ["gaussian-normal", "correlated", "quantised", "ramp"])
+def test_noise_on_a_smooth_surface_goes(kind):
+    true = smooth()
+    noisy = add_noise(true, AddedNoise(kind, 0.2, direction=(1, 2, 3)))
+    left = error_deg(true, run(true.moved(noisy)))
+    assert left < (0.5 if kind == "correlated" else 0.3) * error_deg(true, noisy)
+
+
+@pytest.mark.parametrize("shape", [block, smooth, lambda: prepared(*ball(64, 32)).mesh])
+def test_what_is_clean_hardly_moves(shape):
+    true = shape()
+    moved = np.linalg.norm(run(true) - true.vertices, axis=1)
+    assert moved.mean() < 0.02 * true.mean_edge_length
+
+
+def test_the_noise_that_is_given_decides_what_is_texture():
+    vertices, faces = grid(50, 50)
+    waves = np.sin(2.0 * np.pi * vertices[:, :2] / 6.0).prod(axis=1)
+    textured = prepared(vertices + 0.35 * waves[:, None] * [0.0, 0.0, 1.0], faces).mesh
+    away = {
+        noise: np.linalg.norm(run(textured, noise=noise) - textured.vertices, axis=1).mean()
+        for noise in (0.005, 0.3)
+    }
+    assert away[0.005] < 0.03
+    assert away[0.3] > 3.0 * away[0.005]
+
+
+def test_the_noise_is_estimated_but_on_staircases(monkeypatch):
+    true = smooth()
+    noisy = true.moved(add_noise(true, AddedNoise("gaussian-normal", 0.2)))
+    level = estimated(noisy)
+    assert resolve_noise(noisy, 0.0) == level.mean_edges
+    assert resolve_noise(noisy, 0.07) == 0.07
+    stairs = dataclasses.replace(level.character, kind="staircase")
+    monkeypatch.setattr(
+        "msal_cli.noise_estimate.estimated",
+        lambda mesh: dataclasses.replace(level, character=stairs),
+    )
+    assert resolve_noise(noisy, 0.0) is None
+    assert np.isfinite(run(noisy)).all()
+
+
+def test_held_and_boundary_vertices_stay():
+    true = prepared(*grid(20, 20)).mesh
+    noisy = true.moved(add_noise(true, AddedNoise("gaussian-normal", 0.2)))
+    boundary = noisy.links.boundary
+    assert (run(noisy, boundary="fixed")[boundary] == noisy.vertices[boundary]).all()
+    assert (run(noisy)[boundary] != noisy.vertices[boundary]).any()
+    held = np.arange(len(noisy.vertices)) % 3 == 0
+    assert (run(noisy.constrained(held, None))[held] == noisy.vertices[held]).all()
+
+
+def test_stages_beyond_the_third_go_on():
+    true = block(6)
+    noisy = true.moved(add_noise(true, AddedNoise("gaussian-normal", 0.3)))
+    three, four = run(noisy, iterations=3), run(noisy, iterations=4)
+    assert (three != four).any()
+    assert error_deg(true, four) < 1.5 * error_deg(true, three) + 1.0

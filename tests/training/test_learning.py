@@ -1,0 +1,162 @@
+"""What the learned filter is trained on, and how."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("manifold3d")
+pytest.importorskip("skimage")
+pytest.importorskip("fast_simplification")
+pytest.importorskip("fcpw")
+
+from msal_cli.core.normal_descriptors import VECTORS, WIDE_FILTERED
+from msal_cli.core.normal_regression import GLOBALS, NUMBERS
+from msal_cli.mesh import prepared
+from tests.shapes import torus
+from training import noise_mixture, regression
+from training.noise_mixture import MIXTURE, draw_noise
+from training.samples import (
+    coarsen,
+    collect_samples,
+    draw_estimate,
+    draw_meshes,
+    roughen,
+)
+from training.scans import SHARES, draw_scan
+
+SHAPES = [("torus", *torus(40, 20)), ("thin", *torus(40, 16, 3.0, 0.5))]
+
+
+def draw(seed=0):
+    return np.random.default_rng(seed)
+
+
+@pytest.fixture(scope="module")
+def samples():
+    meshes = draw_meshes(SHAPES, 3, draw())
+    return meshes, collect_samples(meshes, 400, draw(1))
+
+
+def test_every_kind_of_noise_is_drawn(monkeypatch):
+    mesh = prepared(*torus(40, 20)).mesh
+    for kind in MIXTURE:
+        monkeypatch.setattr(noise_mixture, "MIXTURE", (kind,))
+        levels = []
+        for seed in range(4):
+            away = draw_noise(mesh, draw(seed)) - mesh.vertices
+            levels.append(np.sqrt((away**2).sum(axis=1).mean()) / mesh.mean_edge_length)
+        if kind.name == "none":
+            assert max(levels) == 0.0
+        elif kind.name in ("gaussian-normal", "correlated"):
+            assert 0.8 * kind.low < min(levels)
+            assert max(levels) < 1.2 * kind.high
+        else:
+            assert min(levels) > 0.0
+            assert max(levels) < 2.0
+
+
+@pytest.mark.parametrize("scanner", SHARES)
+def test_scans_know_their_true_normals(scanner, monkeypatch):
+    monkeypatch.setattr("training.scans.SHARES", {scanner: 1.0})
+    mesh = prepared(*torus(60, 30)).mesh
+    vertices, faces, true_vertices, truth = draw_scan(mesh, draw(3))
+    assert vertices.shape == true_vertices.shape
+    assert truth.shape == faces.shape
+    known = truth.any(axis=1)
+    assert known.mean() > 0.8
+    # The normals of a torus point away from its middle circle, of radius 3.
+    centres = true_vertices[faces[known]].mean(axis=1)
+    around = centres * [1, 1, 0]
+    away = centres - 3.0 * around / np.linalg.norm(around, axis=1)[:, None]
+    away /= np.linalg.norm(away, axis=1)[:, None]
+    assert np.median(np.einsum("ij,ij->i", truth[known], away)) > 0.97
+
+
+def test_meshes_are_made_coarser_and_rougher():
+    vertices, faces = torus(120, 60)
+    coarse = coarsen(vertices, faces, draw())
+    assert len(coarse[1]) < 0.62 * len(faces)
+    rough, same = roughen(vertices, faces, draw())
+    away = np.linalg.norm(rough - prepared(vertices, faces).mesh.vertices, axis=1)
+    assert away.max() > 0.0
+    assert (same == faces).all()
+
+
+def test_the_noise_that_is_given_is_nearly_right_or_missing():
+    mesh = prepared(*torus(60, 30)).mesh
+    normals = mesh.vertex_normals()
+    heights = 0.2 * mesh.mean_edge_length * draw(1).standard_normal(len(normals))
+    noisy = mesh.moved(mesh.vertices + heights[:, None] * normals)
+    given = [draw_estimate(noisy, mesh.vertices, draw(seed)) for seed in range(60)]
+    known = [one for one in given if one is not None]
+    assert 10 < len(given) - len(known) < 35
+    assert 0.16 < np.median(known) < 0.22
+    assert max(known) < 0.35
+    assert draw_estimate(mesh, mesh.vertices, draw(1)) in (0.0, None)
+
+
+def test_samples_have_targets_along_the_axes_of_their_inputs(samples):
+    meshes, (inputs, targets, weights, n_vectors) = samples
+    assert inputs.shape[1] == 3 * VECTORS + NUMBERS + GLOBALS
+    assert n_vectors == VECTORS
+    assert len(inputs) == len(targets) == len(weights)
+    assert np.abs(np.linalg.norm(targets, axis=1) - 1).max() < 1e-5
+    assert weights.mean() == pytest.approx(1.0, abs=1e-5)
+    filtered = inputs[:, 3 * WIDE_FILTERED : 3 * WIDE_FILTERED + 3]
+    assert np.median(np.einsum("ij,ij->i", filtered, targets)) > 0.9
+    assert len({one.weight for one in meshes}) > 1
+
+
+def test_gradients_are_those_of_the_loss():
+    generator = draw(2)
+    inputs = generator.standard_normal((5, 9 + 4)).astype(np.float64)
+    targets = generator.standard_normal((5, 3))
+    targets /= np.linalg.norm(targets, axis=1)[:, None]
+    weights = generator.uniform(0.5, 2.0, 5)
+    matrices = [generator.standard_normal(size) for size in ((13, 6), (6, 6), (6, 3))]
+    biases = [generator.standard_normal(n) for n in (6, 6, 3)]
+    vectors = inputs[:, :9].reshape(5, 3, 3)
+
+    def loss():
+        values = regression._forward(inputs, matrices, biases)
+        return values, *regression._loss(values[-1], vectors, targets, weights, 0.01)
+
+    values, before, gradient = loss()
+    gradients = regression._backward(values, matrices, gradient)
+    for parameter, slope in zip(matrices + biases, gradients, strict=True):
+        for place in [(0,) * parameter.ndim, (-1,) * parameter.ndim]:
+            parameter[place] += 1e-6
+            assert (loss()[1] - before) / 1e-6 == pytest.approx(slope[place], rel=1e-3, abs=1e-5)
+            parameter[place] -= 1e-6
+
+
+def test_training_lowers_the_error_and_repeats_bit_for_bit(samples, monkeypatch):
+    meshes, (inputs, targets, weights, n_vectors) = samples
+    monkeypatch.setattr(regression, "BATCH", 128)
+
+    def train():
+        losses = []
+        network = regression.train_network(
+            inputs,
+            targets,
+            weights,
+            n_vectors,
+            16,
+            WIDE_FILTERED,
+            seed=1,
+            schedule=regression.Schedule(epochs=12),
+            report=lambda text: losses.append(float(text.split()[-1])),
+        )
+        return network, losses
+
+    network, losses = train()
+    assert losses[-1] < 0.9 * losses[0]
+    for one, other in zip(network.layers, train()[0].layers, strict=True):
+        assert (one[0] == other[0]).all()
+        assert (one[1] == other[1]).all()
+    # What was trained on standardised inputs is what the kernel gives for raw ones.
+    before = np.mean([one.mean_angle(one.cascade.scanned) for one in meshes])
+    for one in meshes:
+        one.advance(network)
+    assert np.mean([one.mean_angle(one.earlier) for one in meshes]) < before
