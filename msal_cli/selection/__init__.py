@@ -32,7 +32,6 @@ METHODS = (
     "bilateral_normal",
     "blend",
     "guided_normal",
-    "hybrid",
     "learned",
     "msal",
     "normal_diffusion",

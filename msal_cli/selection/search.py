@@ -62,7 +62,7 @@ SEARCH = 0.4
 GLANCE = 4_000
 """Vertices that all candidates are tried on: enough to tell which are worth a longer look."""
 
-LEAST_PART, MOST_PART = 6_000, 8_000
+PART = 6_000
 """Vertices that the best are tried on; on fewer the estimates scatter too much."""
 
 LONGER_LOOK, SECOND_LOOK = 6, 3
@@ -148,25 +148,25 @@ class _Search:
         usable = [one for one in CANDIDATES if self._is_usable(one)]
         # A budget of one run leaves nothing for looking around.
         usable = usable or [min(CANDIDATES, key=lambda one: one.cost)]
-        at_first = [one for one in usable if not one.is_last_resort]
+        later = [one for one in usable if one is LEARNED]
         last = [one for one in usable if one.is_last_resort]
-        self._total = 2 * len(at_first) + 5 * (LONGER_LOOK + len(last)) + 1
+        at_first = [one for one in usable if one not in (*later, *last)] or usable
+        self._total = 2 * len(at_first) + 5 * (LONGER_LOOK + len(later + last)) + 1
         glance = self._trials(GLANCE)
         risk = self._look(glance, at_first)
         weights = self._best([risk])
         surface = kind_of(glance.part.mesh.moved(glance.positions(at_first, weights)))
         shortlist = self._shortlist(risk, weights, LONGER_LOOK)
-        if LEARNED in at_first:
-            shortlist = sorted({*shortlist, at_first.index(LEARNED)})
         members = [at_first[k] for k in shortlist]
         weights = weights[shortlist]
         tried = len(at_first)
         is_sharp = self._may_be_sharp(surface)
-        if is_sharp:
-            members += last
-            weights = np.concatenate([weights, np.zeros(len(last))])
-            tried += len(last)
-        study = self._trials(self._part_size(members))
+        later += last if is_sharp else []
+        later = [one for one in later if one not in members]
+        members += later
+        weights = np.concatenate([weights, np.zeros(len(later))])
+        tried += len(later)
+        study = self._trials(PART)
         first = study.positions(members, weights)
         again = study.by_rehearsal(members, first)
         weights = self._best([again.risk()])
@@ -252,12 +252,6 @@ class _Search:
             method = methods.find(candidate.method)
             return method.has_data_term(method.settled(candidate.given))
         return candidate.cost * len(self.mesh.vertices) <= spare
-
-    def _part_size(self, candidates: Sequence[Candidate]) -> int:
-        """Vertices of the part on which these candidates keep within the budget."""
-        cost = sum(candidate.cost for candidate in candidates) * (PROBES + 3)
-        size = SEARCH * self.allowance / max(cost, 1.0)
-        return int(min(max(size, LEAST_PART), MOST_PART))
 
     def _noise_edges(self, mesh: Mesh) -> float:
         """The noise in mean edge lengths, with as many digits as are worth writing down."""
