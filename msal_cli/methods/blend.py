@@ -45,8 +45,8 @@ from msal_cli.methods._contract import Method, OnSweep, Result, parameter
 from msal_cli.methods._triangles import even_out
 from msal_cli.noise_estimate.local import local_levels
 
-BYTES_PER_FACE = 485
-"""Memory with the hungriest member that is ever chosen, ``l0``; see ``Method``."""
+BYTES_PER_FACE = 1180
+"""Memory with the hungriest member that is ever chosen, ``learned``; see ``Method``."""
 
 KEPT_PER_FACE = 30
 """Memory per triangle that goes on top of the hungriest member's: the sum so far, and what a run
