@@ -14,7 +14,8 @@ are drawn from the same covariance: u . (d_k(y + e u) - d_k(y)) / e.  So any col
 level by region will do.
 
 ``Rehearsal`` takes a mesh whose truth is known: a first result stands for the truth, noise of the
-same kind is put on it, and every filter is run on that.
+same kind is put on it, and every filter is run on that.  Of noise of an unknown kind that is what
+the first result took away, with the other sign: of the same colour, direction and level everywhere.
 
 Both are taken for the positions, and for the slopes, the differences along edges over their
 length, which the angles between face normals follow.  Where noise is in all directions the whole
@@ -50,6 +51,9 @@ PROBES = 2
 
 PROBE_STEP = 0.1
 """How far a probe moves vertices, in standard deviations of the noise."""
+
+DRAWN, DEALT, MIRRORED = "drawn", "dealt", "mirrored"
+"""What a rehearsal puts on a first result."""
 
 SHORTEST_EDGE = 0.3
 """In mean edge lengths: shorter ones are taken for so long, or single slivers would count for
@@ -236,8 +240,9 @@ class Stein:
 class Rehearsal:
     """Filters on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with ``noise``.
 
-    If it is ``is_impulsive``, its heights are what the pilot took from the part, dealt out anew
-    over the vertices and scaled to the level.
+    ``added`` says what is put on it: noise that is ``DRAWN``; or ``DEALT``, with heights that the
+    pilot took from the part, dealt out anew over the vertices and scaled to the level; or
+    ``MIRRORED``, all that the pilot took, with the other sign.
     """
 
     def __init__(
@@ -246,28 +251,38 @@ class Rehearsal:
         pilot: Floats,
         runs: Sequence[Run],
         noise: NoiseModel,
-        is_impulsive: bool,
+        added: str,
         on_run: Callable[[], object],
     ) -> None:
         self._part, self._noise = part, _at_least(noise, part.mesh)
         truth = part.mesh.moved(pilot)
         self._normals = truth.vertex_normals("uniform")
         generator = np.random.Generator(np.random.PCG64(PROBES + 1))
-        taken = np.einsum("ij,ij->i", part.mesh.vertices - pilot, self._normals)
-        taken -= np.median(taken)
-        spread = float(taken[part.judged].std()) if part.judged.any() else 0.0
-        if is_impulsive and spread > 0.0:
-            added = self._noise.displaced(
-                truth, self._normals, lambda: generator.permutation(taken) / spread
-            )
+        taken = part.mesh.vertices - pilot
+        if added == MIRRORED:
+            moved = -taken
         else:
-            added = self._noise.draw(truth, self._normals, generator)
-        self._noisy = truth.moved(pilot + added)
+            heights = np.einsum("ij,ij->i", taken, self._normals)
+            heights -= np.median(heights)
+            spread = float(heights[part.judged].std()) if part.judged.any() else 0.0
+            if added == DEALT and spread > 0.0:
+                moved = self._noise.displaced(
+                    truth, self._normals, lambda: generator.permutation(heights) / spread
+                )
+            else:
+                moved = self._noise.draw(truth, self._normals, generator)
+        self._noisy = truth.moved(pilot + moved)
         self._back = pilot - self._noisy.vertices
         self._moves = np.empty((len(runs), *pilot.shape))
         for k, run in enumerate(runs):
             self._moves[k] = run(self._noisy)
             on_run()
+
+    @property
+    def level(self) -> float:
+        """Root mean square of what was put on, file units, over the vertices that are judged."""
+        judged = self._part.judged
+        return float(np.sqrt(_square(self._back[judged]) / max(int(judged.sum()), 1)))
 
     def risk(self, judged: Flags | None = None) -> Risk:
         """The risk of blends of the filters, over the vertices (m,) that are ``judged``; None for

@@ -34,7 +34,7 @@ from msal_cli.selection.least import SHAPE, STRENGTH, choose_least
 from msal_cli.selection.levels import FEWEST_JUDGED, RELAX, level_masks, spread_levels
 from msal_cli.selection.patches import Part, representative
 from msal_cli.selection.recipe import recipe
-from msal_cli.selection.risk import PROBES, Rehearsal, Risk, Stein
+from msal_cli.selection.risk import DEALT, DRAWN, MIRRORED, PROBES, Rehearsal, Risk, Stein
 from msal_cli.selection.surface import CLEAN, MACHINED, kind_of
 from msal_cli.selection.trials import Trials
 from msal_cli.selection.weighing import FLOOR, best_weights, rounded
@@ -89,6 +89,10 @@ UNEVEN_WIDTH = 0.18
 HEAVY = 0.35
 """Noise in mean edge lengths under which no first result shows whether there are sharp edges."""
 
+PLAIN_KINDS, SURE_KIND = ("white", "isotropic"), 0.7
+"""Kinds whose noise is drawn on any surface, and the confidence of the estimate from which on it is
+believed."""
+
 HARM = "every filter would add more error than it takes away"
 
 _SLOPES = {"balanced": 0.5, "positions": 0.25, "normals": 0.75, "volume": 0.4}
@@ -117,6 +121,7 @@ class _Search:
         self.mesh, self.wishes, self.noise = mesh, wishes, noise
         self._on_step = on_step
         self.is_impulsive = noise.is_impulsive
+        self.added = DEALT if self.is_impulsive else DRAWN
         edges = noise.rms_edges if self.is_impulsive else noise.mean_edges
         doubt = DOUBT + (GREAT_DOUBT - DOUBT) * max(self._width - WIDE, 0.0) / (1.0 - WIDE)
         edges -= doubt * self._width * noise.mean_edges
@@ -152,6 +157,8 @@ class _Search:
         last = [one for one in usable if one.is_last_resort]
         at_first = [one for one in usable if one not in (*later, *last)] or usable
         self._total = 2 * len(at_first) + 5 * (LONGER_LOOK + len(later + last)) + 1
+        if self._is_of_other_kind and LEARNED in later:
+            self._mirror_on_machined()
         glance = self._trials(GLANCE)
         risk = self._look(glance, at_first)
         weights = self._best([risk])
@@ -167,7 +174,10 @@ class _Search:
         weights = np.concatenate([weights, np.zeros(len(later))])
         tried += len(later)
         study = self._trials(PART)
-        first = study.positions(members, weights)
+        if self.added == MIRRORED:
+            first = study.positions([LEARNED], np.ones(1))
+        else:
+            first = study.positions(members, weights)
         again = study.by_rehearsal(members, first)
         weights = self._best([again.risk()])
         # Only what is any good rehearses twice.
@@ -179,7 +189,9 @@ class _Search:
             both = [judges[0][0].risk().counted(self._doubt), again.risk().of(shortlist)]
             weights = self._best(both)
         first = study.positions(members, weights)
-        judges.append((study.by_rehearsal(members, first), 1.0))
+        last_one = study.by_rehearsal(members, first)
+        judges.append((last_one, 1.0))
+        self.unit = last_one.level if self.added == MIRRORED else self.level
         risks = _risks(judges)
         final = self._pruned(members, risks)
         rows = self._by_level(study.part, judges, final)
@@ -191,7 +203,8 @@ class _Search:
         if self._is_gaussian:
             first = glance.positions([SMOOTHER], np.ones(1))
             return glance.by_stein(candidates, first, 1).risk()
-        first = glance.positions([ROBUST], np.ones(1))
+        pilot = LEARNED if self.added == MIRRORED else ROBUST
+        first = glance.positions([pilot], np.ones(1))
         return glance.by_rehearsal(candidates, first).risk()
 
     def _by_level(
@@ -214,7 +227,7 @@ class _Search:
         part = representative(self.mesh, size)
         if self._whole is not None and part.numbers is None:
             return self._whole
-        trials = Trials(part, self.model.on_part(part.numbers), self.is_impulsive, self._step)
+        trials = Trials(part, self.model.on_part(part.numbers), self.added, self._step)
         if part.numbers is None:
             self._whole = trials
         return trials
@@ -222,7 +235,21 @@ class _Search:
     @property
     def _is_gaussian(self) -> bool:
         """Whether Stein's lemma holds for the noise."""
-        return not self.is_impulsive and self.model.is_gaussian
+        return self.added == DRAWN and self.model.is_gaussian
+
+    @property
+    def _is_of_other_kind(self) -> bool:
+        """Whether the noise is not surely white, and may differ from its model."""
+        character = self.noise.character
+        is_plain = character.kind in PLAIN_KINDS and character.confidence >= SURE_KIND
+        return not is_plain and not self.is_impulsive
+
+    def _mirror_on_machined(self) -> None:
+        """On a machined surface what the learned filter takes away is noise, of whatever kind."""
+        pilot = self._trials(GLANCE)
+        surface = kind_of(pilot.part.mesh.moved(pilot.positions([LEARNED], np.ones(1))))
+        if surface == MACHINED:
+            self.added, self._whole = MIRRORED, None
 
     @property
     def _doubt(self) -> float:
@@ -243,7 +270,9 @@ class _Search:
         return (level - self.noise.low) / level if level > 0.0 else 0.0
 
     def _may_be_sharp(self, surface: str) -> bool:
-        return surface == MACHINED or self._noise_edges(self.mesh) >= HEAVY
+        return (
+            surface == MACHINED or self.added == MIRRORED or self._noise_edges(self.mesh) >= HEAVY
+        )
 
     def _is_usable(self, candidate: Candidate) -> bool:
         """Whether one may be chosen: its run over the mesh fits, and trust has an effect."""
@@ -312,7 +341,7 @@ class _Search:
         tried: int,
     ) -> Choice:
         edge = self.mesh.mean_edge_length
-        unit = self.level / edge
+        unit = self.unit / edge
         counted = [risk for risk in risks if risk.importance > 0.0]
         # Stein's estimate scatters about small errors, and may be below zero.
         alone = np.maximum(np.max([risk.positions.singles() for risk in counted], axis=0), 0.0)

@@ -31,15 +31,15 @@ class Trials:
     ----------
     part : of the mesh.
     noise : on it.
-    is_impulsive : whether rehearsals deal out what a first result has taken away.
+    added : what rehearsals put on a first result, see ``Rehearsal``.
     on_run : called after every run.
     """
 
     def __init__(
-        self, part: Part, noise: NoiseModel, is_impulsive: bool, on_run: Callable[[], object]
+        self, part: Part, noise: NoiseModel, added: str, on_run: Callable[[], object]
     ) -> None:
         self.part, self.noise = part, noise
-        self._is_impulsive, self._on_run = is_impulsive, on_run
+        self._added, self._on_run = added, on_run
         self._edges = float(round(noise.height(part.judged) / part.mesh.mean_edge_length, 4))
         self._known: dict[str, Floats] = {}
 
@@ -69,7 +69,7 @@ class Trials:
     def by_rehearsal(self, candidates: Sequence[Candidate], first: Floats) -> Rehearsal:
         """Candidates judged on ``first`` (m, 3) with the noise put on it."""
         runs = [self._runner(candidate) for candidate in candidates]
-        return Rehearsal(self.part, first, runs, self.noise, self._is_impulsive, self._on_run)
+        return Rehearsal(self.part, first, runs, self.noise, self._added, self._on_run)
 
     def _run_once(self, candidate: Candidate) -> Callable[[Mesh], Floats]:
         """The same as ``_runner``, that knows what becomes of the part itself."""

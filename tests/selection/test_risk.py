@@ -176,7 +176,7 @@ def test_it_is_the_true_error_for_noise_of_any_colour_direction_and_level(noise)
         errors.append(error)
     for gap in (gaps, slope_gaps):
         assert abs(np.mean(gap)) < 4.0 * np.std(gap) / np.sqrt(len(gap)) + 0.02
-    again = rehearsed(part, flat.vertices, [once], noise, False, nothing)
+    again = rehearsed(part, flat.vertices, [once], noise, "drawn", nothing)
     # Noise that is taken for white along the normals is judged wrong.
     assert abs(np.mean(white_gaps)) > 2.0 * abs(np.mean(gaps)) + 0.02
     assert again.positions.singles()[0] == pytest.approx(np.mean(errors), rel=0.2)
@@ -248,7 +248,7 @@ def test_what_is_not_judged_does_not_count(level):
     assert fair.positions.gram[0, 0] == pytest.approx(mean)
 
     again = [
-        rehearsed(part, part.mesh.vertices, [run], NoiseModel(0.1), False, nothing)
+        rehearsed(part, part.mesh.vertices, [run], NoiseModel(0.1), "drawn", nothing)
         for run in (along(once), astray)
     ]
     assert again[1].positions.gram == pytest.approx(again[0].positions.gram, rel=1e-12)
@@ -261,8 +261,10 @@ def test_with_nobody_to_judge_nothing_is_gained(level):
     part, _ = sheet(noise=0.1, judged=np.zeros(24 * 20, dtype=bool))
     for risk in (
         stein(part, 0.1, scaled(-1.0)),
-        rehearsed(part, part.mesh.vertices, [scaled(-1.0)], NoiseModel(0.1), False, nothing),
-        rehearsed(part, 2.0 * part.mesh.vertices, [scaled(-1.0)], NoiseModel(0.1), True, nothing),
+        rehearsed(part, part.mesh.vertices, [scaled(-1.0)], NoiseModel(0.1), "drawn", nothing),
+        rehearsed(
+            part, 2.0 * part.mesh.vertices, [scaled(-1.0)], NoiseModel(0.1), "dealt", nothing
+        ),
     ):
         assert risk.positions.gram.tolist() == [[0.0]]
         assert risk.positions.gain.tolist() == [0.0]
@@ -280,7 +282,9 @@ def test_a_rehearsal_measures_what_is_left(level):
         seen.append(mesh.vertices[:, 2].copy())
         return along(once)(mesh)
 
-    risk = rehearsed(flat, flat.mesh.vertices, [run, scaled(-1.0)], NoiseModel(0.1), False, nothing)
+    risk = rehearsed(
+        flat, flat.mesh.vertices, [run, scaled(-1.0)], NoiseModel(0.1), "drawn", nothing
+    )
     heights = seen[0]
     assert heights.std() == pytest.approx(0.1, rel=0.1)
     left = np.sum((heights + once @ heights) ** 2) / np.sum(heights**2)
@@ -304,7 +308,7 @@ def test_impulses_are_rehearsed_as_impulses(level):
         return np.zeros_like(mesh.vertices)
 
     flat = part.mesh.vertices
-    rehearsed(spiked, flat, [run], NoiseModel(0.2), True, nothing)
+    rehearsed(spiked, flat, [run], NoiseModel(0.2), "dealt", nothing)
     heights = seen[0]
     assert np.unique(heights.round(12)).size == 2
     assert (heights > 0.5).sum() == 10
@@ -320,7 +324,7 @@ def test_impulses_where_the_pilot_took_nothing_are_gaussian(level):
         seen.append(mesh.vertices[:, 2].std())
         return np.zeros_like(mesh.vertices)
 
-    rehearsed(part, part.mesh.vertices, [run], NoiseModel(0.2), True, nothing)
+    rehearsed(part, part.mesh.vertices, [run], NoiseModel(0.2), "dealt", nothing)
     assert seen[0] == pytest.approx(0.2, rel=0.1)
 
 
@@ -336,7 +340,7 @@ def test_risks_are_free_of_scale(scale):
     for mesh, factor in ((one, 1.0), (other, scale)):
         part = representative(mesh, 10_000)
         risk = stein(part, 0.05 * factor, run)
-        again = rehearsed(part, mesh.vertices, [run], NoiseModel(0.05 * factor), False, nothing)
+        again = rehearsed(part, mesh.vertices, [run], NoiseModel(0.05 * factor), "drawn", nothing)
         found = [*risk.positions.singles(), *risk.slopes.singles(), *risk.drift]
         found += [*again.positions.singles(), *again.slopes.singles(), *again.drift]
         if factor == 1.0:
@@ -360,7 +364,9 @@ def test_every_run_is_told_of(level):
     judge.add(scaled(-0.5), lambda: told.append("stein"))
     assert told == ["stein"] * 3
     runs = [scaled(-1.0)] * 2
-    rehearsed(part, part.mesh.vertices, runs, NoiseModel(0.1), False, lambda: told.append("again"))
+    rehearsed(
+        part, part.mesh.vertices, runs, NoiseModel(0.1), "drawn", lambda: told.append("again")
+    )
     assert told[3:] == ["again"] * 2
 
 
@@ -368,7 +374,7 @@ def test_every_run_is_told_of(level):
 def test_without_noise_every_move_is_an_error(noise):
     part, _ = sheet(noise=0.1)
     risk = stein(part, noise, scaled(-0.5), lambda mesh: np.zeros_like(mesh.vertices))
-    again = rehearsed(part, part.mesh.vertices, [scaled(-0.5)], NoiseModel(noise), False, nothing)
+    again = rehearsed(part, part.mesh.vertices, [scaled(-0.5)], NoiseModel(noise), "drawn", nothing)
     assert risk.positions.singles()[0] > 1e6
     assert risk.positions.singles()[1] == 1.0
     assert again.positions.singles()[0] > 1e6
