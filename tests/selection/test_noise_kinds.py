@@ -7,6 +7,7 @@ import functools
 import numpy as np
 import pytest
 
+from benchmarks import machined_shapes
 from msal_cli import methods, selection
 from msal_cli.mesh import prepared
 from msal_cli.methods.blend import read_levels
@@ -112,6 +113,18 @@ def test_quiet_places_hardly_move(choose):
     moved = np.linalg.norm(result_of(mesh, choice).vertices - mesh.vertices, axis=1)
     quiet, loud = true.vertices[:, 1] < -1.5, true.vertices[:, 1] > 1.5
     assert moved[quiet].mean() < 0.1 * moved[loud].mean()
+
+
+def test_noise_of_another_kind_goes_from_a_machined_part():
+    """Noise that grows with the angle to the view fits no model of it, and is all taken away."""
+    true = prepared(*machined_shapes.chipped_cube()).mesh
+    noise = AddedNoise("grazing", 0.1, seed=2, direction=(0.3, 0.5, 0.8))
+    mesh = true.moved(add_noise(true, noise))
+    choice = choose_auto(mesh)
+    made = result_of(mesh, choice)
+    angles = [normal_statistics(true, one).mean_angular_error_deg for one in (mesh, made)]
+    assert choice.surface == "machined"
+    assert angles[1] < 0.3 * angles[0]
 
 
 def test_local_levels_follow_the_noise():

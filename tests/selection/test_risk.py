@@ -316,6 +316,22 @@ def test_impulses_are_rehearsed_as_impulses(level):
     assert (heights[::48] > 0.5).sum() < 10
 
 
+def test_what_the_pilot_took_away_is_put_on_with_the_other_sign():
+    part, heights = sheet(noise=0.1)
+    pilot = part.mesh.vertices.copy()
+    pilot[:, 2] = 0.25 * heights
+    seen = []
+
+    def run(mesh):
+        seen.append(mesh.vertices.copy())
+        return pilot - mesh.vertices
+
+    rehearsal = Rehearsal(part, pilot, [run], NoiseModel(0.1), "mirrored", nothing)
+    assert seen[0] == pytest.approx(2.0 * pilot - part.mesh.vertices, abs=1e-12)
+    assert rehearsal.risk().positions.singles()[0] == pytest.approx(0.0, abs=1e-12)
+    assert rehearsal.level == pytest.approx(0.75 * np.sqrt(np.mean(heights**2)))
+
+
 def test_impulses_where_the_pilot_took_nothing_are_gaussian(level):
     part, _ = sheet()
     seen = []
