@@ -7,6 +7,7 @@ of its own, from its name, so that every run has the same.
 from __future__ import annotations
 
 import functools
+import importlib.util
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -95,10 +96,13 @@ SIMULATED: dict[str, dict[str, Any]] = {
 }
 """Simulated scanners by the name of the kind; views drawn for each case."""
 
-SCANNED = ("fandisk", "bunny", "bracket")
-"""Models that are scanned, beside those of ``unseen_shapes``."""
+UNSEEN = ("joint", "carter", "ratchet", "bumpy_torus", "gargoyle", "paw")
+"""Those of ``unseen_shapes`` that take part: nothing was ever tuned to them."""
 
-QUICK_MODELS = ("fandisk", "bunny")
+SCANNED = ("joint", "bumpy_torus", "gargoyle", "fandisk", "bunny", "bracket")
+"""Models that simulated scanners see."""
+
+QUICK_MODELS = ("joint", "gargoyle", "bunny")
 
 RANGE_SCANS = ("bun000", "bun045")
 
@@ -117,9 +121,18 @@ def draw_direction(seed: int) -> tuple[float, float, float]:
     return (float(x) / length, float(y) / length, float(z) / length)
 
 
+@functools.cache
 def sources() -> dict[str, Source]:
-    """The true shape of every model whose file is there, by name."""
+    """The true shape of every model whose file is there, by name; each is made once.
+
+    Those of ``unseen_shapes`` need manifold3d.
+    """
     found: dict[str, Source] = {}
+    if importlib.util.find_spec("manifold3d") is not None:
+        from benchmarks.unseen_shapes import unseen_shapes
+
+        shapes = unseen_shapes()
+        found |= {name: functools.cache(shapes[name]) for name in UNSEEN}
     folder = ground_truth.data_folder()
     if folder is not None:
         paths = {
@@ -129,9 +142,8 @@ def sources() -> dict[str, Source]:
         for name, path in paths.items():
             if path.exists():
                 found[name] = functools.partial(ground_truth.opened, path)
-    shapes = ground_truth.sources(quick=True)
-    found |= {name: shapes[name] for name in ("coin", "bracket", "rock") if name in shapes}
-    return found
+    samples = ground_truth.sources(quick=True)
+    return found | {name: samples[name] for name in ("coin", "bracket", "rock")}
 
 
 def add_kind(kind: str, model: str, source: Source) -> Pair:

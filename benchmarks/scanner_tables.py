@@ -29,7 +29,7 @@ JUDGED = "auto"
 """The contestant that is held against the best setting."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Best:
     """The single setting that is best for a kind: the least sum of the logarithms of the mean angle
     and the mean distance over the models."""

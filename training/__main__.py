@@ -34,9 +34,9 @@ def build_parser() -> argparse.ArgumentParser:
     add("--clean", type=Path, metavar="FOLDER", help="clean meshes of your own, in addition")
     add("--stages", type=int, default=3)
     add("--hidden", type=int, default=96, help="numbers in each hidden layer")
-    add("--copies", type=int, default=8, help="noisy meshes of every shape")
-    add("--samples", type=int, default=1_500_000, help="faces that each stage learns from")
-    add("--epochs", type=int, default=12, help="passes over the samples")
+    add("--copies", type=int, default=13, help="noisy meshes of every shape")
+    add("--samples", type=int, default=1_700_000, help="faces that each stage learns from")
+    add("--epochs", type=int, default=14, help="passes over the samples")
     add("--quick", action="store_true", help="few and small shapes: to see that it works")
     return parser
 

@@ -45,6 +45,9 @@ LEAST_FACES = 300
 UNKNOWN_SHARE = 0.35
 """Meshes whose noise is not given."""
 
+LEAST_ERROR = 0.015
+"""Deviation of the levels that clean meshes are estimated at, mean edge lengths."""
+
 LOW_SHARE = 0.1
 """Meshes whose noise is given as less than it is."""
 
@@ -197,6 +200,8 @@ def draw_estimate(mesh: Mesh, true_vertices: Floats, generator: Generator) -> fl
     share = generator.random()
     level = (share * typical + (1.0 - share) * square) / mesh.mean_edge_length
     level *= float(np.exp(0.15 * generator.standard_normal()))
+    # What has no noise is hardly ever estimated as zero.
+    level += LEAST_ERROR * abs(float(generator.standard_normal()))
     kind = generator.random()
     if kind < UNKNOWN_SHARE:
         return None

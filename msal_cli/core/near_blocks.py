@@ -114,3 +114,32 @@ def weigh_block(rows, block, own):  # type: ignore[no-untyped-def]
             dy = block[at + NY] - own[R1 + lane]
             dz = block[at + NZ] - own[R2 + lane]
             block[at + JUMP] = dx * dx + dy * dy + dz * dz
+
+
+@compiled
+def weights_block(first, last, records, per_reach, near_start, near, block):  # type: ignore[no-untyped-def]
+    """Lay only the wide weights side by side, as ``near_block`` and ``weigh_block`` make them."""
+    rows = ONE
+    for lane in range(LANES):
+        f = first + lane if first + lane < last else last - ONE
+        block[WIDE_WEIGHT + lane] = np.float32(records[RECORD * f + SIX])
+        rows = max(rows, near_start[f + ONE] - near_start[f] + ONE)
+    for lane in range(LANES):
+        f = first + lane if first + lane < last else last - ONE
+        at = RECORD * f
+        cx, cy, cz, scale = records[at], records[at + ONE], records[at + TWO], per_reach[f]
+        row, end = near_start[f], near_start[f + ONE]
+        place = ENTRY + lane
+        for entry in range(row, end):
+            k = RECORD * near[entry]
+            x = np.float32((records[k] - cx) * scale)
+            y = np.float32((records[k + ONE] - cy) * scale)
+            z = np.float32((records[k + TWO] - cz) * scale)
+            wide = _1 - (x * x + y * y + z * z)
+            wide = wide if wide > _0 else _0
+            block[place + WIDE_WEIGHT] = np.float32(records[k + SIX]) * wide * wide
+            place += ENTRY
+        for _ in range(end - row + ONE, rows):
+            block[place + WIDE_WEIGHT] = _0
+            place += ENTRY
+    return rows

@@ -53,6 +53,7 @@ from msal_cli.core.near_blocks import (
     WIDE_WEIGHT,
     near_block,
     weigh_block,
+    weights_block,
 )
 from msal_cli.core.ring_blocks import ONE, THREE, TWO, ZERO
 
@@ -249,15 +250,16 @@ def filter_jointly(  # type: ignore[no-untyped-def]
     width, n_read = THREE * np.uint64(width), THREE * np.uint64(n_read)
     last = np.uint64(stop)
     for first in range(np.uint64(start), last, LANES):
-        rows = near_block(first, last, records, per_reach, near_start, near, block, own)
-        weigh_block(rows, block, own)
+        rows = weights_block(first, last, records, per_reach, near_start, near, block)
         for task in range(len(tasks)):
             guide, normal, to = (
                 THREE * np.uint64(tasks[task, 0]),
                 THREE * np.uint64(tasks[task, 1]),
                 THREE * np.uint64(tasks[task, 2]),
             )
-            _lay_normals(first, last, near_start, near, guide, normal, n_read, read, block, own)
+            _lay_normals(
+                first, last, rows, near_start, near, guide, normal, n_read, read, block, own
+            )
             add_pair(rows, ranges[task, 0], ranges[task, 1], block, sums)
             normalise(sums, ZERO, own, vectors, ZERO)
             normalise(sums, R3, own, vectors, ONE)
@@ -270,7 +272,7 @@ def filter_jointly(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _lay_normals(first, last, near_start, near, guide, normal, width, table, block, own):  # type: ignore[no-untyped-def]
+def _lay_normals(first, last, rows, near_start, near, guide, normal, width, table, block, own):  # type: ignore[no-untyped-def]
     """Put other normals into a block, and the squares of the differences of their guides."""
     for lane in range(LANES):
         f = first + lane if first + lane < last else last - ONE
@@ -290,4 +292,10 @@ def _lay_normals(first, last, near_start, near, guide, normal, width, table, blo
             block[place + NX] = table[at + normal]
             block[place + NY] = table[at + normal + ONE]
             block[place + NZ] = table[at + normal + TWO]
+            place += ENTRY
+        for _ in range(near_start[f + ONE] - near_start[f] + ONE, rows):
+            block[place + JUMP] = _0
+            block[place + NX] = _0
+            block[place + NY] = _0
+            block[place + NZ] = _0
             place += ENTRY

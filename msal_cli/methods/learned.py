@@ -58,6 +58,9 @@ from msal_cli.methods._sweeps import noise_parameter
 BYTES_PER_FACE = 1150
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
+LEAST_KNOWN = 0.03
+"""Level, mean edge lengths, below which noise of an unknown kind is not taken for so little."""
+
 STAGE_PASSES = 10
 """Passes over the vertices between two stages, as in training."""
 
@@ -119,11 +122,16 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
 
 
 def resolve_noise(mesh: Mesh, given: float) -> float | None:
-    """The level in mean edge lengths, ``given`` or else estimated; None where no level says what is
-    wrong, as on staircases."""
+    """The level in mean edge lengths, ``given`` or else estimated.
+
+    None where no level says what is wrong: on staircases, and where the estimate finds hardly any
+    noise and does not say that there is none.
+    """
     from msal_cli.noise_estimate import estimated
 
     if given:
         return given
     level = estimated(mesh)
-    return None if level.character.kind == "staircase" else level.mean_edges
+    kind = level.character.kind
+    is_open = kind == "staircase" or (kind == "unknown" and level.mean_edges < LEAST_KNOWN)
+    return None if is_open else level.mean_edges

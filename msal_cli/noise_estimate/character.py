@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+FEWEST_VERTICES = 256
+"""Vertices below which six rings are most of the shape, and leave over what noise would."""
+
 UNLIKE = "texture or noise: it is not the same everywhere"
 
 LEAST_SHARED = 0.05
@@ -99,6 +102,9 @@ class Characterized:
 
 def characterize(mesh: Mesh, white: WhiteEstimate) -> Characterized:
     """What the noise is like, and its level as it is for such."""
+    if np.count_nonzero(mesh.links.has_ring) < FEWEST_VERTICES:
+        kind = "none" if white.level.is_negligible else "unknown"
+        return _by_region(white, _plain(white, kind, 0.3, "few vertices"))
     survey = take_survey(mesh, white.places)
     groups = group_places(survey)
     steps = find_steps(mesh, survey, groups)

@@ -285,6 +285,7 @@ class TestSettingsHash:
             {"fields": ("lambda",)},
             {"min_noise": "auto"},
             {"checks": ("self-intersections",)},
+            {"despike": True},
         ]
         hashes = [settings_hash(dataclasses.replace(SETTINGS, **change)) for change in changes]
         changed = {key for change in changes for key in change}

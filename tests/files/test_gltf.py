@@ -14,6 +14,7 @@ from msal_cli import corruption, files, pipeline
 from msal_cli.errors import InternalError, MsalError, UnsupportedError
 from msal_cli.files import convert, gltf, open_mesh
 from msal_cli.files.companions import Companion, write_companions
+from msal_cli.noise import AddedNoise
 from tests.files import test_glb
 from tests.files.plain_glb import content_of
 from tests.shapes import noisy
@@ -216,7 +217,7 @@ def test_streams_hold_embedded_buffers_only(tmp_path):
 
 def test_noise_takes_the_same_way(tmp_path):
     source = in_folder(tmp_path / "in")
-    noise = corruption.Noise("gaussian", 0.2, 1)
+    noise = AddedNoise("gaussian", 0.2, 1)
     corruption.corrupt_file(str(source), str(tmp_path / "out" / "new.gltf"), noise)
     there = opened(tmp_path / "out" / "new.gltf")
     assert not np.allclose(there.vertices, opened(source).vertices)

@@ -93,7 +93,8 @@ def test_the_noise_that_is_given_is_nearly_right_or_missing():
     assert 10 < len(given) - len(known) < 35
     assert 0.16 < np.median(known) < 0.22
     assert max(known) < 0.35
-    assert draw_estimate(mesh, mesh.vertices, draw(1)) in (0.0, None)
+    of_clean = [draw_estimate(mesh, mesh.vertices, draw(seed)) or 0.0 for seed in range(30)]
+    assert 0.0 < max(of_clean) < 0.06
 
 
 def test_samples_have_targets_along_the_axes_of_their_inputs(samples):

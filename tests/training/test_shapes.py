@@ -15,10 +15,10 @@ pytest.importorskip("fcpw")
 from manifold3d import Manifold
 
 from training import organic, relief, shapes, solids, triangulations
-from training.connectivity import build_edges, edge_lengths, face_crosses, to_unit
+from training.connectivity import build_edges, edge_lengths, face_crosses, shape_quality, to_unit
 from training.openings import cut_open
 from training.range_grid import make_range_grid
-from training.remesh import remesh, shape_quality
+from training.remesh import remesh
 from training.shapes import RECIPES, Recipe, build_shape, build_shapes, write_ply
 from training.surface import LabelledMesh, PolyhedralSurface
 
