@@ -32,6 +32,7 @@ METHODS = (
     "bilateral_normal",
     "blend",
     "guided_normal",
+    "l0",
     "learned",
     "msal",
     "normal_diffusion",

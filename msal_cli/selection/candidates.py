@@ -51,6 +51,7 @@ NAMES = {
     "bilateral_non_iterative": "non-iterative bilateral",
     "bilateral_normal": "bilateral normals",
     "guided_normal": "guided normals",
+    "l0": "L0",
     "learned": "learned",
     "normal_diffusion": "diffused normals",
     "normal_threshold": "thresholded normals",
@@ -159,6 +160,7 @@ CANDIDATES: tuple[Candidate, ...] = (
     _guided(0.6, 5, 26.0),
     _guided(0.45, 10, 48.0),
     _guided(0.3, 20, 85.0, last=True),
+    Candidate("l0", dict(_SLIDING), 190.0, is_last_resort=True),
 )
 
 STRONG_EDGES = 0.25

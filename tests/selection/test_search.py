@@ -166,7 +166,7 @@ def test_keeping_texture_moves_less_and_keeping_shape_more():
 
 
 def test_what_is_preferred_comes_out_better():
-    true = prepared(*torus(30, 24)).mesh
+    true = prepared(*torus(60, 48)).mesh
     scan = true.moved(noise.noisy(true, "gaussian-normal", 0.4, 1))
     errors = {}
     for prefer in ("positions", "normals", "volume"):
