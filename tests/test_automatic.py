@@ -66,7 +66,7 @@ def test_memory_is_set_aside_for_choosing(tmp_path):
     task = Task(str(scan), str(tmp_path / "o.obj"), "scan.obj")
     auto = forecast(task, Settings(AUTO, {})).memory_bytes
     # The hungriest that may be chosen.
-    blend = Settings("blend", {"members": "0.5*l0+0.5*al"}, despike=True)
+    blend = Settings("blend", {"members": "0.5*learned+0.5*al"}, despike=True)
     alone = forecast(task, blend).memory_bytes
     assert auto == alone + selection.BYTES
     missing = Task(str(tmp_path / "none.obj"), str(tmp_path / "o.obj"), "none.obj")

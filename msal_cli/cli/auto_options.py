@@ -72,7 +72,7 @@ OPTIONS = (
         metavar="N",
         callback=_number(1.0, math.inf, "a number from 1 up"),
         help="Most time for choosing and denoising together, in runs of the default method over "
-        "the same mesh.  [default: 10]",
+        "the same mesh.  [default: 60]",
     ),
 )
 """The options, in the order in which help shows them."""

@@ -15,6 +15,13 @@ A member is the name of a method with those of its parameters that are not at th
 spaces do not matter.  Every member is run on the same input, so the time is that of all together,
 and the memory that of the hungriest.  One member of weight 1 is that method, to the last bit.
 
+Where the noise is not the same everywhere, weights may follow it: with ``levels=0.02:0.25`` a
+member 0.1:0.6*al weighs 0.1 where the local noise is at most 0.02 mean edge lengths, 0.6 from 0.25
+on, and in between in proportion.
+
+``relax`` evens triangles out within the surface before the members run.  Noise in all directions
+makes them jagged, and two passes take most of that away.
+
 Source: F. Luisier, T. Blu and M. Unser, A new SURE approach to image denoising: interscale
 orthonormal wavelet thresholding, IEEE Transactions on Image Processing 16 (2007), 593-606, for
 denoisers weighted so that an estimate of the error is least; the members have their own.
@@ -22,8 +29,11 @@ denoisers weighted so that an estimate of the error is least; the members have t
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,9 +42,11 @@ import numpy as np
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import Method, OnSweep, Result, parameter
+from msal_cli.methods._triangles import even_out
+from msal_cli.noise_estimate.local import local_levels
 
-BYTES_PER_FACE = 485
-"""Memory with the hungriest member that is ever chosen, ``l0``; see ``Method``."""
+BYTES_PER_FACE = 1180
+"""Memory with the hungriest member that is ever chosen, ``learned``; see ``Method``."""
 
 KEPT_PER_FACE = 30
 """Memory per triangle that goes on top of the hungriest member's: the sum so far, and what a run
@@ -49,33 +61,60 @@ STEPS = 100
 ROUNDING = 1e-9
 """By which weights may add up to more than 1."""
 
-_MEMBER = re.compile(r"([0-9.]+(?:[eE][+-]?[0-9]+)?)\*([a-z_0-9]+)(?:\(([^()]*)\))?")
+_MEMBER = re.compile(
+    r"([0-9.]+(?:[eE][+-]?[0-9]+)?(?::[0-9.]+(?:[eE][+-]?[0-9]+)?)*)"
+    r"\*([a-z_0-9]+)(?:\(([^()]*)\))?"
+)
 _EXAMPLE = "for example 0.6*guided_normal(iterations=5)+0.4*al(iterations=3)"
 
 
 @dataclass(frozen=True)
 class Member:
-    """One method of a blend: its weight, and its settled parameters."""
+    """One method of a blend: its weights, one for each level, and its settled parameters."""
 
-    weight: float
+    weights: tuple[float, ...]
     method: Method
     parameters: dict[str, Any]
 
 
-def written(members: list[tuple[float, str, dict[str, Any]]]) -> str:
+def written(members: list[tuple[Sequence[float], str, dict[str, Any]]]) -> str:
     """The text of ``members`` for weights, names and the parameters that are given; ``read`` gives
     the very numbers back."""
     parts = []
-    for weight, name, given in members:
+    for weights, name, given in members:
         inside = ",".join(f"{word}={value}" for word, value in given.items())
-        # The shortest text of a number that is the number again.
-        shortest = repr(float(weight)).removesuffix(".0")
-        parts.append(f"{shortest}*{name}" + (f"({inside})" if inside else ""))
+        parts.append(f"{_numbers(weights)}*{name}" + (f"({inside})" if inside else ""))
     return "+".join(parts)
 
 
-def read(text: str) -> tuple[Member, ...]:
-    """The members that a text names; UsageError says what is wrong with it."""
+def _numbers(values: Sequence[float]) -> str:
+    # The shortest text of a number that is the number again.
+    return ":".join(repr(float(value)).removesuffix(".0") for value in values)
+
+
+def written_levels(levels: Sequence[float]) -> str:
+    """The text of ``levels``, mean edge lengths."""
+    return _numbers(levels)
+
+
+def read_levels(text: str) -> tuple[float, ...]:
+    """The levels that a text names, rising; none for an empty one."""
+    try:
+        levels = tuple(float(word) for word in text.split(":")) if text.strip() else ()
+    except ValueError:
+        levels = (-1.0,)
+    # A comparison with what is no number is false.
+    is_rising = all(one < other for one, other in itertools.pairwise(levels))
+    if not is_rising or not all(0.0 <= level < math.inf for level in levels):
+        raise UsageError(
+            f"levels = {text} is not allowed", hint="rising levels of noise, for example 0.02:0.25"
+        )
+    return levels
+
+
+def read(text: str, n_levels: int = 0) -> tuple[Member, ...]:
+    """The members that a text names, with a weight for each of so many levels; UsageError says
+    what is wrong with it."""
     from msal_cli import methods
 
     found: list[Member] = []
@@ -84,7 +123,7 @@ def read(text: str) -> tuple[Member, ...]:
         match = _MEMBER.match(rest)
         if match is None:
             raise _not_understood(rest)
-        weight, name, inside = match.groups()
+        words, name, inside = match.groups()
         left = rest[match.end() :]
         if left == "+" or left[:1] not in ("", "+"):
             raise _not_understood(left)
@@ -92,12 +131,13 @@ def read(text: str) -> tuple[Member, ...]:
         if name == __name__.rpartition(".")[2]:
             raise UsageError("a blend cannot be a member of a blend", hint=_EXAMPLE)
         method = methods.find(name)
-        found.append(Member(_weight(weight), method, _settled(method, inside or "")))
+        weights = _weights(words, max(n_levels, 1))
+        found.append(Member(weights, method, _settled(method, inside or "")))
         if len(found) > MOST_MEMBERS:
             raise UsageError(f"there are more than {MOST_MEMBERS} members", hint=_EXAMPLE)
     if not found:
         raise UsageError("there are no members", hint=_EXAMPLE)
-    total = sum(member.weight for member in found)
+    total = max(sum(column) for column in zip(*(one.weights for one in found), strict=True))
     if total > 1.0 + ROUNDING:
         raise UsageError(
             f"the weights of members add up to {total:g}",
@@ -125,16 +165,20 @@ def _settled(method: Method, inside: str) -> dict[str, Any]:
     return method.settled(given)
 
 
-def _weight(text: str) -> float:
+def _weights(text: str, count: int) -> tuple[float, ...]:
+    words = text.split(":")
+    if len(words) != count:
+        wanted = "one weight" if count == 1 else f"{count} weights, as there are levels"
+        raise UsageError(f"{text} is not {wanted}", hint=_EXAMPLE)
     try:
-        weight = float(text)
+        weights = tuple(float(word) for word in words)
     except ValueError:
-        weight = -1.0
-    if not 0.0 < weight <= 1.0:
+        weights = (-1.0,)
+    if not (all(0.0 <= weight <= 1.0 for weight in weights) and any(weights)):
         raise UsageError(
             f"{text} is not the weight of a member", hint=f"above 0, up to 1; {_EXAMPLE}"
         )
-    return weight
+    return weights
 
 
 @dataclass(frozen=True)
@@ -147,21 +191,40 @@ class Parameters:
         more="the more a member weighs, the more the result is like its own",
     )
 
+    levels: str = parameter(
+        "",
+        "levels of the local noise, mean edge lengths, for which members have a weight each, as "
+        "0.02:0.25; empty for the same weights everywhere",
+        more="weights of noisier places are for places of more noise",
+    )
+    relax: int = parameter(
+        0,
+        "passes that even out the triangles within the surface before the members run, for noise "
+        "in all directions",
+        low=0,
+        high=100,
+        more="more even triangles, vertices farther from the scan",
+    )
+
     def __post_init__(self) -> None:
         """Refuse members that mean nothing."""
-        read(self.members)
+        read(self.members, len(read_levels(self.levels)))
 
     @property
     def bytes_per_face(self) -> int:
         """Memory per triangle for these members; see ``Method``."""
-        return KEPT_PER_FACE + max(one.method.bytes_per_face for one in read(self.members))
+        members = read(self.members, len(read_levels(self.levels)))
+        return KEPT_PER_FACE + max(one.method.bytes_per_face for one in members)
 
 
 def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """The blend of what the members make of ``mesh``; see the module's description."""
     started = time.perf_counter()
-    members = read(parameters.members)
-    if [member.weight for member in members] == [1.0]:
+    levels = read_levels(parameters.levels)
+    members = read(parameters.members, len(levels))
+    local = local_levels(mesh) if levels else None
+    mesh = even_out(mesh, parameters.relax)
+    if [member.weights for member in members] == [(1.0,)]:
         return members[0].method.denoised(mesh, members[0].parameters, on_sweep)
     move = np.zeros_like(mesh.vertices)
     for k, member in enumerate(members):
@@ -172,7 +235,10 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
 
         step = member.method.denoised(mesh, member.parameters, going_on).vertices
         step = step - mesh.vertices
-        step *= member.weight
+        if local is None:
+            step *= member.weights[0]
+        else:
+            step *= np.interp(local, levels, member.weights)[:, None]
         move += step
         del step
         # Each set of them takes as much as the vertices, and far less time than a filter.

@@ -32,12 +32,13 @@ METHODS = (
     "bilateral_normal",
     "blend",
     "guided_normal",
-    "hybrid",
     "l0",
+    "learned",
     "msal",
     "normal_diffusion",
     "normal_threshold",
     "wiener",
+    "windowed_sinc",
 )
 """The methods that are ever chosen: memory is set aside for the hungriest of them."""
 
@@ -68,7 +69,7 @@ class Wishes:
     prefer: str = "balanced"
     keep: str | None = None
     strength: float = 0.0
-    budget: float = 10.0
+    budget: float = 60.0
 
 
 @dataclass(frozen=True)

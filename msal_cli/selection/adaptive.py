@@ -12,18 +12,26 @@ from texture, the mildest setting takes away no more than the upper end of the n
 
 from __future__ import annotations
 
+import dataclasses
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli import methods
+from msal_cli.methods._triangles import even_out
 from msal_cli.noise_estimate import SURE, NoiseLevel, estimated
+from msal_cli.noise_estimate.local import local_levels
+from msal_cli.noise_model import ISOTROPIC, NoiseModel, build_model
 from msal_cli.selection import FAMILY, NONE, Choice
-from msal_cli.selection.candidates import Candidate
-from msal_cli.selection.patches import representative
+from msal_cli.selection.candidates import Candidate, wiener_al
+from msal_cli.selection.levels import FEWEST_JUDGED, RELAX, level_masks, spread_levels
+from msal_cli.selection.patches import Part, representative
+from msal_cli.selection.recipe import recipe
 from msal_cli.selection.risk import Risk, Stein
 from msal_cli.selection.weighing import FLOOR
+from msal_cli.selection.words import describe_noise
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,13 +44,6 @@ Floats = NDArray[np.float64]
 FEWEST_VERTICES = 256
 """Vertices below which the noise estimate takes the shape of coarse models for noise: a cone of 34,
 a torus of 96, a ring of 128.  Scans have more."""
-
-STRONG_EDGES = 0.25
-"""Noise in mean edge lengths from which normals are mollified twice."""
-
-FEW_SWEEPS, SWEEPS, FAIR_EDGES = 4, 6, 0.15
-"""Sweeps with the Wiener schedule, the second number above that noise, in mean edge lengths.  More
-hardly matter: 10 reduce the angle by 1 %, and weak noise is gone after four."""
 
 PART, SEEDS = 4_000, 16_384
 """Vertices that candidates run on, and places where patches of a large mesh may begin."""
@@ -76,25 +77,69 @@ def _chosen(mesh: Mesh, on_step: OnStep) -> Choice:
         return _none(noise, f"noise {noise.mean_edges:.2g} e; clean")
     if noise.is_negligible:
         what = f"noise not separable from texture, at most {noise.high:.2g} e"
-        return _choice(noise, what, noise.high, _wiener(noise.high))
+        candidate = wiener_al(noise.high)
+        made = recipe([candidate], np.ones((1, 1)), round(noise.high, 4))
+        reason = f"{what}; {made.label}"
+        return Choice(made.method, made.parameters, reason, None, noise, among=FAMILY)
     return _by_risk(mesh, noise, on_step)
 
 
+@dataclass(frozen=True, eq=False)
+class _Case:
+    """A mesh as the method gets it, and the noise on it as the family knows it.
+
+    Attributes
+    ----------
+    mesh : with its triangles evened out by ``relax`` passes, for noise in all directions.
+    model : the noise; that along the normals counts.
+    edges : its level along the normals, mean edge lengths of ``mesh``; of the loudest places.
+    local, levels : local noise (n,), and levels of it that get weights of their own; empty where
+        the noise is the same everywhere.
+    """
+
+    mesh: Mesh
+    model: NoiseModel
+    edges: float
+    local: Floats
+    levels: tuple[float, ...]
+    relax: int
+
+
+def _case(mesh: Mesh, noise: NoiseLevel) -> _Case:
+    model = build_model(mesh, noise)
+    relax, local = 0, np.empty(0)
+    levels: tuple[float, ...] = ()
+    # Trust scales the pull of one method, not a blend.
+    if mesh.trust is None:
+        relax = RELAX if model.direction == ISOTROPIC else 0
+        if model.shares is not None:
+            local = local_levels(mesh)
+            levels = spread_levels(local[mesh.links.has_ring])
+    model = model.along_normals() if model.direction == ISOTROPIC else model
+    loudest = levels[-1] * mesh.mean_edge_length if levels else 0.0
+    base = even_out(mesh, relax)
+    height = model.height(mesh.links.has_ring, mesh.vertex_normals("uniform", 1))
+    edges = max(height, loudest) / base.mean_edge_length
+    return _Case(base, model, edges, local, levels, relax)
+
+
 def _by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep) -> Choice:
-    level = noise.rms_edges if noise.is_impulsive else noise.mean_edges
-    candidates = _candidates(mesh, level)
-    what = f"{'impulsive noise' if noise.is_impulsive else 'noise'} {level:.2g} e"
-    if noise.is_impulsive:
+    case = _case(mesh, noise)
+    mesh = case.mesh
+    candidates = _candidates(mesh, case.edges, case.model.rings)
+    what = describe_noise(noise)
+    if noise.is_impulsive or not case.model.is_gaussian:
         # Stein's lemma holds for Gaussian noise.
-        return _choice(noise, what, level, candidates[0])
+        return _choice(case, noise, candidates[0], np.ones(1))
     part = representative(mesh, PART, SEEDS)
-    edges = round(level * mesh.mean_edge_length / part.mesh.mean_edge_length, 4)
+    edges = round(case.edges * mesh.mean_edge_length / part.mesh.mean_edge_length, 4)
     usual, *others = [_run(one, edges) for one in candidates]
     moves = usual(part.mesh)
     first = part.mesh.moved(part.mesh.vertices + moves)
     # What the usual one does to the part itself is known.
     runs = [lambda mesh: moves if mesh is part.mesh else usual(mesh), *others]
-    judge = Stein(part, level * mesh.mean_edge_length, first.vertex_normals("uniform"), PROBES)
+    model = case.model.on_part(part.numbers)
+    judge = Stein(part, model, first.vertex_normals("uniform"), PROBES)
     total = len(runs) * (1 + PROBES) + 1
     done = 0
 
@@ -111,11 +156,27 @@ def _by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep) -> Choice:
     order = np.argsort(scores, kind="stable").tolist()
     if scores[order[0]] >= 0.0:
         return _none(noise, f"{what}; every setting would add more error than it takes away")
-    errors = np.sqrt(np.maximum(risk.positions.singles(), 0.0)) * level
+    unit = model.height(part.judged) / mesh.mean_edge_length
+    errors = np.sqrt(np.maximum(risk.positions.singles(), 0.0)) * unit
     next_best = tuple((candidates[k].label, float(errors[k])) for k in order[1:])
-    return _choice(
-        noise, what, level, candidates[order[0]], float(errors[order[0]]), len(runs), next_best
+    weights = _weights(case, part, judge, order[0])
+    choice = _choice(case, noise, candidates[order[0]], weights)
+    return dataclasses.replace(
+        choice, risk=float(errors[order[0]]), tried=len(runs), runners_up=next_best
     )
+
+
+def _weights(case: _Case, part: Part, judge: Stein, at: int) -> Floats:
+    """How much of a setting is best at each level of local noise, by Stein's lemma."""
+    weights = []
+    for judged in level_masks(part, case.local, case.levels) if case.levels else ():
+        if judged.sum() < FEWEST_JUDGED:
+            weights.append(1.0)
+            continue
+        some = judge.risk(judged).of([at]).positions
+        best = float(some.gain[0] / max(some.gram[0, 0], FLOOR))
+        weights.append(round(min(max(best, 0.0), 1.0), 2))
+    return np.array(weights) if any(weights) else np.ones(1)
 
 
 def _scores(risk: Risk) -> Floats:
@@ -126,21 +187,11 @@ def _scores(risk: Risk) -> Floats:
     return scores
 
 
-def _wiener(level: float) -> Candidate:
-    """AL with the Wiener schedule, for noise of ``level`` mean edge lengths."""
-    given = {
-        "schedule": "wiener",
-        "iterations": SWEEPS if level > FAIR_EDGES else FEW_SWEEPS,
-        "mollify": 2 if level > STRONG_EDGES else 1,
-    }
-    return Candidate("al", given, 2.0, takes_noise=True)
-
-
-def _candidates(mesh: Mesh, level: float) -> list[Candidate]:
+def _candidates(mesh: Mesh, level: float, rings: int) -> list[Candidate]:
     """What is tried, the usual one first; with trust only what has a data term."""
     robust = Candidate("msal", {"schedule": "robust", "K": 0.2, "iterations": 3}, 1.0)
     single = Candidate("al", {"iterations": 1, "mollify": 0}, 0.5)
-    found = [_wiener(level), robust]
+    found = [wiener_al(level, rings), robust]
     return found if mesh.trust is not None else [*found, single]
 
 
@@ -160,24 +211,8 @@ def _none(noise: NoiseLevel, why: str) -> Choice:
     return Choice(NONE, {}, f"{why}; left as it is", None, noise, among=FAMILY)
 
 
-def _choice(
-    noise: NoiseLevel,
-    what: str,
-    level: float,
-    candidate: Candidate,
-    risk: float | None = None,
-    tried: int = 0,
-    others: tuple[tuple[str, float], ...] = (),
-) -> Choice:
-    parameters = methods.find(candidate.method).settled(candidate.settings(round(level, 4)))
-    return Choice(
-        candidate.method,
-        parameters,
-        f"{what}; {candidate.label}",
-        None,
-        noise,
-        risk,
-        tried,
-        others,
-        FAMILY,
-    )
+def _choice(case: _Case, noise: NoiseLevel, candidate: Candidate, weights: Floats) -> Choice:
+    levels = case.levels if len(weights) > 1 else ()
+    made = recipe([candidate], weights[:, None], round(case.edges, 4), levels, case.relax)
+    reason = f"{describe_noise(noise)}; {made.label}"
+    return Choice(made.method, made.parameters, reason, None, noise, among=FAMILY)

@@ -17,10 +17,10 @@ Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Ints = NDArray[Any]
 
-PATCH = 1_000
+PATCH = 2_000
 """Vertices of a patch, about: in smaller ones too much is near the cut."""
 
-MARGIN = 2
+MARGIN = 3
 """Rings at the cut of a patch that are filtered with it, but not judged: what lies beyond is
 missing there."""
 
@@ -36,10 +36,12 @@ class Part:
     ----------
     mesh : the patches as one mesh, or the whole.
     judged : (m,) bool, vertices of it that count where results are compared.
+    numbers : (m,) which vertices of the whole these are; None for all of them.
     """
 
     mesh: Mesh
     judged: Flags
+    numbers: Ints | None = None
 
 
 def representative(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
@@ -74,7 +76,7 @@ def representative(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
     used, corners = np.unique(mesh.faces[chosen], return_inverse=True)
     kept = judged[used] & ~_near_cut(used, links)[used]
     part = Mesh(mesh.vertices[used], corners.reshape(-1, 3).astype(np.int32))
-    return Part(part, kept if kept.any() else judged[used])
+    return Part(part, kept if kept.any() else judged[used], used)
 
 
 def _in_space(vertices: Floats) -> NDArray[np.int64]:

@@ -8,15 +8,19 @@ error over the vertices is a quadratic in w,
 for noisy positions y = t + noise.  M can be seen; the truth t, and so b and c, cannot.  Two ways to
 know them, which err differently:
 
-``Stein`` takes the mesh as it is.  With Gaussian noise of standard deviation s along the normals
-n, the mean of <d_k, noise> is s^2 times the divergence of d_k along them (Stein's lemma), and that
-is measured with probes u of +1 and -1: (u n) . (d_k(y + e u n) - d_k(y)) / e.
+``Stein`` takes the mesh as it is.  With Gaussian noise of covariance C the mean of <d_k, noise> is
+the trace of C times the derivative of d_k (Stein's lemma), and that is measured with probes u that
+are drawn from the same covariance: u . (d_k(y + e u) - d_k(y)) / e.  So any colour, direction and
+level by region will do.
 
-``rehearsed`` takes a mesh whose truth is known: a first result stands for the truth, noise of the
-same kind is put on it, and every filter is run on that.
+``Rehearsal`` takes a mesh whose truth is known: a first result stands for the truth, noise of the
+same kind is put on it, and every filter is run on that.  Of noise of an unknown kind that is what
+the first result took away, with the other sign: of the same colour, direction and level everywhere.
 
 Both are taken for the positions, and for the slopes, the differences along edges over their
-length, which the angles between face normals follow.  Vertices that are not judged do not count.
+length, which the angles between face normals follow.  Where noise is in all directions the whole
+difference counts, not only its part across the surface: it also tells how jagged triangles are.
+Vertices that are not judged do not count.
 """
 
 from __future__ import annotations
@@ -27,15 +31,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.noise_model import ISOTROPIC
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from msal_cli.mesh import Mesh
+    from msal_cli.noise_model import NoiseModel
     from msal_cli.selection.patches import Part
 
     Run = Callable[[Mesh], "Floats"]
     """Gives what a filter moves the vertices of a mesh by, (m, 3)."""
 
+Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
 PROBES = 2
@@ -43,6 +51,9 @@ PROBES = 2
 
 PROBE_STEP = 0.1
 """How far a probe moves vertices, in standard deviations of the noise."""
+
+DRAWN, DEALT, MIRRORED = "drawn", "dealt", "mirrored"
+"""What a rehearsal puts on a first result."""
 
 SHORTEST_EDGE = 0.3
 """In mean edge lengths: shorter ones are taken for so long, or single slivers would count for
@@ -110,7 +121,8 @@ class Risk:
 
 @dataclass(frozen=True, eq=False)
 class _Slopes:
-    """Differences of heights along the judged edges of a mesh, over the edges' lengths."""
+    """Differences of moves along the judged edges of a mesh, over the edges' lengths: of heights
+    along ``directions`` (e, 3), or whole where these are numbers (e, 1)."""
 
     first: NDArray[np.int32]
     second: NDArray[np.int32]
@@ -118,11 +130,15 @@ class _Slopes:
 
     def __call__(self, moves: Floats) -> Floats:
         difference = moves[self.first] - moves[self.second]
+        if self.directions.shape[1] == 1:
+            return np.asarray(difference * self.directions).reshape(-1)
         slopes: Floats = np.einsum("ij,ij->i", difference, self.directions)
         return slopes
 
 
-def _slopes(mesh: Mesh, normals: Floats, judged: NDArray[np.bool_]) -> _Slopes:
+def _slopes(
+    mesh: Mesh, normals: Floats, judged: NDArray[np.bool_], is_isotropic: bool = False
+) -> _Slopes:
     """Lengths are those along the surface: across it edges are as long as the noise makes them,
     which would tie the slope to the very noise that is to be judged."""
     links = mesh.links
@@ -137,8 +153,8 @@ def _slopes(mesh: Mesh, normals: Floats, judged: NDArray[np.bool_]) -> _Slopes:
     edges -= np.einsum("ij,ij->i", edges, across)[:, None] * across
     lengths = np.sqrt(np.einsum("ij,ij->i", edges, edges))
     floor = SHORTEST_EDGE * float(lengths.mean()) if len(lengths) else 1.0
-    across /= np.maximum(lengths, max(floor, np.finfo(float).tiny))[:, None]
-    return _Slopes(first, second, across)
+    lengths = np.maximum(lengths, max(floor, np.finfo(float).tiny))[:, None]
+    return _Slopes(first, second, 1.0 / lengths if is_isotropic else across / lengths)
 
 
 def _gram(rows: Floats) -> Floats:
@@ -158,106 +174,133 @@ def _gram(rows: Floats) -> Floats:
 class Stein:
     """The risk by Stein's lemma, for filters that are added one after the other.
 
-    ``noise`` is its standard deviation, file units, and ``normals`` (m, 3) are the directions that
-    it is along: those of a smoothed mesh, since strong noise turns its own by 30 degrees, and the
-    gain of a filter would seem a tenth too large.  More ``probes`` scatter less.
+    ``normals`` (m, 3) are the directions that ``noise`` is along, if it is along normals: those of
+    a smoothed mesh, since strong noise turns its own by 30 degrees, and the gain of a filter would
+    seem a tenth too large.  More ``probes`` scatter less.
     """
 
-    def __init__(self, part: Part, noise: float, normals: Floats, probes: int = PROBES) -> None:
+    def __init__(
+        self, part: Part, noise: NoiseModel, normals: Floats, probes: int = PROBES
+    ) -> None:
         mesh = part.mesh
-        self._part, self._noise = part, _at_least(noise, mesh)
-        self._normals = normals
-        self._slopes = _slopes(mesh, self._normals, part.judged)
-        self._count = max(int(part.judged.sum()), 1)
-        self._step = PROBE_STEP * self._noise
-        self._pushes, self._tilts, self._probes = [], [], []
+        self._part, self._noise, self._normals = part, _at_least(noise, mesh), normals
+        self._pushes, self._probes = [], []
         for probe in range(probes):
-            draw = np.random.Generator(np.random.PCG64(probe + 1))
-            signs = np.where(draw.random(len(self._normals)) < 0.5, -1.0, 1.0)
-            push = signs[:, None] * self._normals
-            self._pushes.append(np.where(part.judged[:, None], push, 0.0))
-            self._tilts.append(self._slopes(push))
-            self._probes.append(mesh.moved(mesh.vertices + self._step * push))
+            generator = np.random.Generator(np.random.PCG64(probe + 1))
+            push = self._noise.probe(mesh, normals, generator)
+            self._pushes.append(push)
+            self._probes.append(mesh.moved(mesh.vertices + PROBE_STEP * push))
         self._moves: list[Floats] = []
-        self._places: list[float] = []
-        self._turns: list[float] = []
+        self._changes: list[list[Floats]] = []
 
     def add(self, run: Run, on_run: Callable[[], object]) -> None:
         """Run one more filter on the part, and on its probes."""
         moves = run(self._part.mesh)
         on_run()
-        place = turn = 0.0
-        for push, tilt, probe in zip(self._pushes, self._tilts, self._probes, strict=True):
-            change = (run(probe) - moves) / self._step
-            place += float(np.einsum("ij,ij->", push, change)) / len(self._probes)
-            turn += float(np.einsum("i,i->", tilt, self._slopes(change))) / len(self._probes)
+        changes = []
+        for probe in self._probes:
+            changes.append((run(probe) - moves) / PROBE_STEP)
             on_run()
         self._moves.append(moves)
-        self._places.append(place)
-        self._turns.append(turn)
+        self._changes.append(changes)
 
     @property
     def moves(self) -> Floats:
         """(k, m, 3), what each filter moves the vertices of the part by."""
         return np.stack(self._moves)
 
-    def risk(self) -> Risk:
-        """The risk of blends of all that were added."""
-        variance = self._noise * self._noise
-        seen = np.where(self._part.judged[None, :, None], self.moves, 0.0)
-        tilted = np.stack([self._slopes(move) for move in self._moves])
-        unit = sum(float(np.einsum("i,i->", tilt, tilt)) for tilt in self._tilts)
-        unit /= len(self._tilts)
-        # Without a judged edge there are no slopes to tell of.
-        unit = max(unit, np.finfo(float).tiny)
+    def risk(self, judged: Flags | None = None) -> Risk:
+        """The risk of blends of all that were added, over the vertices (m,) that are ``judged``;
+        None for those of the part."""
+        judged = self._part.judged if judged is None else judged
+        mesh, moves, inside = self._part.mesh, self.moves, judged[:, None]
+        slopes = _slopes(mesh, self._normals, judged, self._noise.direction == ISOTROPIC)
+        places, turns = np.zeros(len(moves)), np.zeros(len(moves))
+        # The probes' own squares: of coloured ones they scatter as the products do.
+        pushed = turned = np.finfo(float).tiny
+        for at, push in enumerate(self._pushes):
+            some, tilt = np.where(inside, push, 0.0), slopes(push)
+            pushed += _square(some)
+            turned += _square(tilt)
+            for k, changes in enumerate(self._changes):
+                places[k] += float(np.einsum("ij,ij->", some, changes[at]))
+                turns[k] += float(np.einsum("i,i->", tilt, slopes(changes[at])))
+        seen = np.where(inside[None], moves, 0.0)
+        tilted = np.stack([slopes(move) for move in moves])
+        total = max(int(judged.sum()), 1) * self._noise.variance(judged)
+        # Where no noise is expected every move is an error.
+        total = max(total, np.finfo(float).tiny)
         return Risk(
-            Quadratic(
-                _gram(seen) / (self._count * variance), -np.array(self._places) / self._count
-            ),
-            Quadratic(_gram(tilted) / (unit * variance), -np.array(self._turns) / unit),
-            _drift(self._part.mesh, seen, self._noise),
+            Quadratic(_gram(seen) / total, -places / pushed),
+            Quadratic(_gram(tilted) * (len(self._pushes) / turned), -turns / turned),
+            _drift(mesh, seen, self._noise.level),
         )
 
 
-def rehearsed(
-    part: Part,
-    pilot: Floats,
-    runs: Sequence[Run],
-    noise: float,
-    is_impulsive: bool,
-    on_run: Callable[[], object],
-) -> Risk:
-    """The risk on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with noise of
-    standard deviation ``noise``, file units.
+class Rehearsal:
+    """Filters on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with ``noise``.
 
-    The noise is Gaussian along the pilot's normals, or, if it is ``is_impulsive``, what the pilot
-    took from the part, dealt out anew over the vertices and scaled to ``noise``.
+    ``added`` says what is put on it: noise that is ``DRAWN``; or ``DEALT``, with heights that the
+    pilot took from the part, dealt out anew over the vertices and scaled to the level; or
+    ``MIRRORED``, all that the pilot took, with the other sign.
     """
-    noise = _at_least(noise, part.mesh)
-    truth = part.mesh.moved(pilot)
-    normals = truth.vertex_normals("uniform")
-    draw = np.random.Generator(np.random.PCG64(PROBES + 1))
-    heights = draw.standard_normal(len(pilot))
-    if is_impulsive:
-        taken = np.einsum("ij,ij->i", part.mesh.vertices - pilot, normals)
-        taken -= np.median(taken)
-        spread = float(taken[part.judged].std()) if part.judged.any() else 0.0
-        if spread > 0.0:
-            heights = draw.permutation(taken) / spread
-    noisy = truth.moved(pilot + (noise * heights)[:, None] * normals)
-    judged = part.judged
-    slopes = _slopes(noisy, normals, judged)
-    back = pilot - noisy.vertices
-    moves = np.empty((len(runs), *pilot.shape))
-    for k, run in enumerate(runs):
-        moves[k] = run(noisy)
-        on_run()
-    seen = np.where(judged[None, :, None], moves, 0.0)
-    return Risk(
-        _known(seen, np.where(judged[:, None], back, 0.0)),
-        _known(np.stack([slopes(move) for move in moves]), slopes(back)),
-        _drift(noisy, seen, noise),
-    )
+
+    def __init__(
+        self,
+        part: Part,
+        pilot: Floats,
+        runs: Sequence[Run],
+        noise: NoiseModel,
+        added: str,
+        on_run: Callable[[], object],
+    ) -> None:
+        self._part, self._noise = part, _at_least(noise, part.mesh)
+        truth = part.mesh.moved(pilot)
+        self._normals = truth.vertex_normals("uniform")
+        generator = np.random.Generator(np.random.PCG64(PROBES + 1))
+        taken = part.mesh.vertices - pilot
+        if added == MIRRORED:
+            moved = -taken
+        else:
+            heights = np.einsum("ij,ij->i", taken, self._normals)
+            heights -= np.median(heights)
+            spread = float(heights[part.judged].std()) if part.judged.any() else 0.0
+            if added == DEALT and spread > 0.0:
+                moved = self._noise.displaced(
+                    truth, self._normals, lambda: generator.permutation(heights) / spread
+                )
+            else:
+                moved = self._noise.draw(truth, self._normals, generator)
+        self._noisy = truth.moved(pilot + moved)
+        self._back = pilot - self._noisy.vertices
+        self._moves = np.empty((len(runs), *pilot.shape))
+        for k, run in enumerate(runs):
+            self._moves[k] = run(self._noisy)
+            on_run()
+
+    @property
+    def level(self) -> float:
+        """Root mean square of what was put on, file units, over the vertices that are judged."""
+        judged = self._part.judged
+        return float(np.sqrt(_square(self._back[judged]) / max(int(judged.sum()), 1)))
+
+    def risk(self, judged: Flags | None = None) -> Risk:
+        """The risk of blends of the filters, over the vertices (m,) that are ``judged``; None for
+        those of the part."""
+        judged = self._part.judged if judged is None else judged
+        slopes = _slopes(self._noisy, self._normals, judged, self._noise.direction == ISOTROPIC)
+        seen = np.where(judged[None, :, None], self._moves, 0.0)
+        return Risk(
+            _known(seen, np.where(judged[:, None], self._back, 0.0)),
+            _known(np.stack([slopes(move) for move in self._moves]), slopes(self._back)),
+            _drift(self._noisy, seen, self._noise.level),
+        )
+
+
+def _square(values: Floats) -> float:
+    """The sum of squares, in one fixed order."""
+    flat = values.reshape(-1)
+    return float(np.einsum("i,i->", flat, flat))
 
 
 def _known(rows: Floats, wanted: Floats) -> Quadratic:
@@ -268,8 +311,8 @@ def _known(rows: Floats, wanted: Floats) -> Quadratic:
     return Quadratic(_gram(flat) / scale, np.einsum("ij,j->i", flat, aim) / scale)
 
 
-def _at_least(noise: float, mesh: Mesh) -> float:
-    return max(noise, LEAST_NOISE * mesh.mean_edge_length)
+def _at_least(noise: NoiseModel, mesh: Mesh) -> NoiseModel:
+    return noise.at_level(max(noise.level, LEAST_NOISE * mesh.mean_edge_length))
 
 
 def _drift(mesh: Mesh, seen: Floats, noise: float) -> Floats:

@@ -1,11 +1,11 @@
-"""The search: candidates on a part of the mesh, their errors estimated, the best blend of them.
+"""The search: candidates on parts of the mesh, their errors estimated, the best blend of them.
 
-1. The noise is estimated.  Where there is none to speak of nothing is done.
-2. Every candidate that the budget allows runs on a part of the mesh, and on probes of it, and
+1. The noise is estimated.  Where there is none to speak of nothing is done, see ``leaving``.
+2. Every candidate that the budget allows runs on a small part of the mesh and on a probe of it, and
    Stein's lemma gives the error of any blend of them; the best blend is a first result.
-3. If that has sharp edges between smooth parts, or noise could hide them, dear filters join in,
-   and they and the best are tried again.
-4. The best ones rehearse: the best result yet stands for the truth, with noise put on it.
+3. The members of that and the best by themselves are tried on a larger part.  If the first result
+   has sharp edges between smooth parts, or noise could hide them, expensive filters join in.
+4. They rehearse: the best result yet stands for the truth, with noise put on it.
 5. The blend that is best by both estimates is taken, without members that hardly count.  Stein's
    counts the more the less sure it is what is noise and what is texture.
 
@@ -16,6 +16,7 @@ benchmarks/accuracy.py; docs/accuracy.md has other models as a check.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,20 +24,28 @@ from numpy.typing import NDArray
 
 from msal_cli import methods
 from msal_cli.mesh import Mesh
+from msal_cli.methods._triangles import even_out
 from msal_cli.noise_estimate import NoiseLevel, estimated
+from msal_cli.noise_estimate.local import local_levels
+from msal_cli.noise_model import ISOTROPIC, build_model
 from msal_cli.selection import NONE, Choice, Wishes
-from msal_cli.selection.candidates import CANDIDATES, ROBUST, SMOOTHER, Candidate
+from msal_cli.selection.candidates import CANDIDATES, LEARNED, ROBUST, SMOOTHER, Candidate
+from msal_cli.selection.least import SHAPE, STRENGTH, choose_least
+from msal_cli.selection.levels import FEWEST_JUDGED, RELAX, level_masks, spread_levels
 from msal_cli.selection.patches import Part, representative
 from msal_cli.selection.recipe import recipe
-from msal_cli.selection.risk import PROBES, Risk, Stein, rehearsed
+from msal_cli.selection.risk import DEALT, DRAWN, MIRRORED, PROBES, Rehearsal, Risk, Stein
 from msal_cli.selection.surface import CLEAN, MACHINED, kind_of
+from msal_cli.selection.trials import Trials
 from msal_cli.selection.weighing import FLOOR, best_weights, rounded
+from msal_cli.selection.words import describe_noise
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from msal_cli.selection import OnStep
 
+Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
 RUN = 1.7
@@ -50,11 +59,15 @@ START = 1_000_000
 SEARCH = 0.4
 """Part of the budget that may go into looking at candidates."""
 
-LEAST_PART, MOST_PART = 8_000, 16_000
-"""Vertices that candidates are tried on; on fewer the estimates scatter too much."""
+GLANCE = 4_000
+"""Vertices that all candidates are tried on: enough to tell which are worth a longer look."""
 
-REHEARSING = 14
-"""The best candidates by themselves that rehearse beside the members of the first blend."""
+PART = 6_000
+"""Vertices that the best are tried on; on fewer the estimates scatter too much."""
+
+LONGER_LOOK, SECOND_LOOK = 6, 3
+"""The best candidates by themselves that rehearse beside the members of the first blend, and of
+the second."""
 
 LEAST_WEIGHT = 0.04
 """Members below this weight are left out."""
@@ -70,16 +83,22 @@ SURE, UNSURE = 0.13, 0.23
 """The same width, up to which a rehearsal is believed alone, and from which on
 Stein's risk counts as much."""
 
+UNEVEN_WIDTH = 0.18
+"""The same width, as it is taken for noise that is not the same everywhere."""
+
 HEAVY = 0.35
 """Noise in mean edge lengths under which no first result shows whether there are sharp edges."""
 
-STRENGTH = 1.2
-"""Factor of the noise that is reckoned with for each step of ``Wishes.strength``."""
+PLAIN_KINDS, SURE_KIND = ("white", "isotropic"), 0.7
+"""Kinds whose noise is drawn on any surface, and the confidence of the estimate from which on it is
+believed."""
+
+HARM = "every filter would add more error than it takes away"
 
 _SLOPES = {"balanced": 0.5, "positions": 0.25, "normals": 0.75, "volume": 0.4}
 _DRIFT = {"volume": 1000.0}
 # What is to be kept: factor of the noise, share of the slopes.
-_KEEP = {"texture": (0.9, 0.5), "edges": (1.0, 0.7), "shape": (1.25, 0.4)}
+_KEEP = {"texture": (0.9, 0.5), "edges": (1.0, 0.7), "shape": (SHAPE, 0.4)}
 
 
 def chosen(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
@@ -88,8 +107,7 @@ def chosen(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
     if noise.is_negligible or not mesh.links.has_ring.any():
         if on_step is not None:
             on_step(1, 1)
-        reason = f"noise {noise.mean_edges:.2g} e; {CLEAN}; left as it is"
-        return Choice(NONE, {}, reason, CLEAN, noise)
+        return choose_least(noise, wishes, CLEAN, CLEAN)
     return _Search(mesh, wishes, noise, on_step).chosen()
 
 
@@ -99,12 +117,14 @@ class _Search:
     def __init__(
         self, mesh: Mesh, wishes: Wishes, noise: NoiseLevel, on_step: OnStep | None
     ) -> None:
+        self.levels: tuple[float, ...]
         self.mesh, self.wishes, self.noise = mesh, wishes, noise
         self._on_step = on_step
         self.is_impulsive = noise.is_impulsive
+        self.added = DEALT if self.is_impulsive else DRAWN
         edges = noise.rms_edges if self.is_impulsive else noise.mean_edges
         doubt = DOUBT + (GREAT_DOUBT - DOUBT) * max(self._width - WIDE, 0.0) / (1.0 - WIDE)
-        edges -= doubt * (noise.mean_edges - noise.low)
+        edges -= doubt * self._width * noise.mean_edges
         factor, self.slopes = _KEEP.get(wishes.keep or "", (1.0, _SLOPES[wishes.prefer]))
         if wishes.keep is not None and wishes.prefer != "balanced":
             self.slopes = _SLOPES[wishes.prefer]
@@ -114,70 +134,122 @@ class _Search:
         # In filters of the default run over one vertex.
         self.allowance = (wishes.budget - 1.0) * ((RUN + 1.0) * n + START) + n
         self._done = self._total = 0
+        self.model = build_model(mesh, noise).at_level(self.level)
+        self.relax = 0
+        if self.model.direction == ISOTROPIC and mesh.trust is None:
+            # Jagged triangles first, and what is left of the noise is along the normals.
+            self.relax = RELAX
+            self.mesh = even_out(mesh, RELAX)
+            self.model = self.model.along_normals()
+        # Of the mesh as the blend gets it, and without what is wished.
+        self.local, self.levels = np.empty(0), ()
+        if self.model.shares is not None and mesh.trust is None:
+            self.local = local_levels(mesh)
+            self.levels = spread_levels(self.local[mesh.links.has_ring])
+        self._whole: Trials | None = None
 
     def chosen(self) -> Choice:
         """The best blend, or single method, that the budget allows."""
         usable = [one for one in CANDIDATES if self._is_usable(one)]
         # A budget of one run leaves nothing for looking around.
         usable = usable or [min(CANDIDATES, key=lambda one: one.cost)]
-        at_first = [one for one in usable if not one.is_last_resort]
-        dear = [one for one in usable if one.is_last_resort]
-        part = representative(self.mesh, self._part_size(at_first))
-        look = self._by_rehearsals if self.is_impulsive else self._by_stein
-        members, risks, surface, tried = look(part, at_first, dear)
+        later = [one for one in usable if one is LEARNED]
+        last = [one for one in usable if one.is_last_resort]
+        at_first = [one for one in usable if one not in (*later, *last)] or usable
+        self._total = 2 * len(at_first) + 5 * (LONGER_LOOK + len(later + last)) + 1
+        if self._is_of_other_kind and LEARNED in later:
+            self._mirror_on_machined()
+        glance = self._trials(GLANCE)
+        risk = self._look(glance, at_first)
+        weights = self._best([risk])
+        surface = kind_of(glance.part.mesh.moved(glance.positions(at_first, weights)))
+        shortlist = self._shortlist(risk, weights, LONGER_LOOK)
+        members = [at_first[k] for k in shortlist]
+        weights = weights[shortlist]
+        tried = len(at_first)
+        is_sharp = self._may_be_sharp(surface)
+        later += last if is_sharp else []
+        later = [one for one in later if one not in members]
+        members += later
+        weights = np.concatenate([weights, np.zeros(len(later))])
+        tried += len(later)
+        study = self._trials(PART)
+        if self.added == MIRRORED:
+            first = study.positions([LEARNED], np.ones(1))
+        else:
+            first = study.positions(members, weights)
+        again = study.by_rehearsal(members, first)
+        weights = self._best([again.risk()])
+        # Only what is any good rehearses twice.
+        shortlist = self._shortlist(again.risk(), weights, SECOND_LOOK)
+        members, weights = [members[k] for k in shortlist], weights[shortlist]
+        judges: list[tuple[Stein | Rehearsal, float]] = []
+        if self._is_gaussian and self._doubt > 0.0 and not is_sharp:
+            judges.append((study.by_stein(members, first, PROBES), self._doubt))
+            both = [judges[0][0].risk().counted(self._doubt), again.risk().of(shortlist)]
+            weights = self._best(both)
+        first = study.positions(members, weights)
+        last_one = study.by_rehearsal(members, first)
+        judges.append((last_one, 1.0))
+        self.unit = last_one.level if self.added == MIRRORED else self.level
+        risks = _risks(judges)
         final = self._pruned(members, risks)
+        rows = self._by_level(study.part, judges, final)
         self._finish()
-        return self._choice(members, final, risks, surface, tried)
+        return self._choice(members, final, rows, risks, surface, tried)
 
-    def _by_stein(
-        self, part: Part, at_first: list[Candidate], dear: list[Candidate]
-    ) -> tuple[list[Candidate], list[Risk], str, int]:
-        """The shortlist, its risks by Stein's lemma and by a rehearsal, the kind of surface, and
-        how many candidates were looked at."""
-        once = len(at_first) + len(dear) + REHEARSING
-        self._total = (1 + PROBES) * once + 2 * REHEARSING + len(at_first)
-        first = part.mesh.vertices + self._run(SMOOTHER, part.mesh)(part.mesh)
-        looked, tried = at_first, len(at_first)
-        risk, moves = self._judged(part, first, looked)
-        weights = self._best([risk])
-        first = part.mesh.vertices + _blend(weights, moves)
-        surface = kind_of(part.mesh.moved(first))
-        is_sharp = bool(dear) and self._may_be_sharp(surface)
-        if is_sharp:
-            # Along better directions: under the noise in which edges are sharp they matter.
-            looked = [at_first[k] for k in self._shortlist(risk, weights)] + dear
-            tried += len(dear)
-            risk, moves = self._judged(part, first, looked)
-            weights = self._best([risk])
-            first = part.mesh.vertices + _blend(weights, moves)
-        shortlist = self._shortlist(risk, weights)
-        members = [looked[k] for k in shortlist]
-        risk = risk.of(shortlist)
-        again = self._rehearsed(part, first, members)
-        if not is_sharp:
-            better = part.mesh.vertices + _blend(self._best([risk, again]), moves[shortlist])
-            again = self._rehearsed(part, better, members)
-        return members, [risk.counted(self._doubt), again], surface, tried
+    def _look(self, glance: Trials, candidates: Sequence[Candidate]) -> Risk:
+        """The risk of all candidates, by Stein's lemma where it holds."""
+        if self._is_gaussian:
+            first = glance.positions([SMOOTHER], np.ones(1))
+            return glance.by_stein(candidates, first, 1).risk()
+        pilot = LEARNED if self.added == MIRRORED else ROBUST
+        first = glance.positions([pilot], np.ones(1))
+        return glance.by_rehearsal(candidates, first).risk()
 
-    def _by_rehearsals(
-        self, part: Part, at_first: list[Candidate], dear: list[Candidate]
-    ) -> tuple[list[Candidate], list[Risk], str, int]:
-        """The same for impulsive noise, of which Stein's lemma knows nothing: two rehearsals, the
-        second one on what the first has chosen."""
-        first = part.mesh.vertices + self._run(ROBUST, part.mesh)(part.mesh)
-        surface = kind_of(part.mesh.moved(first))
-        looked = at_first + dear if self._may_be_sharp(surface) else at_first
-        self._total = 2 * len(looked)
-        risk = self._rehearsed(part, first, looked)
-        weights = self._best([risk])
-        shortlist = self._shortlist(risk, weights)
-        members = [looked[k] for k in shortlist]
-        moves = np.zeros_like(first)
-        for weight, member in zip(weights[shortlist], members, strict=True):
-            if weight > 0.0:
-                moves += weight * self._run(member, part.mesh)(part.mesh)
-        again = self._rehearsed(part, part.mesh.vertices + moves, members)
-        return members, [again], surface, len(looked)
+    def _by_level(
+        self, part: Part, judges: Sequence[tuple[Stein | Rehearsal, float]], weights: Floats
+    ) -> Floats:
+        """Weights (levels, k) of the members that ``weights`` (k,) has, for places of each level
+        of local noise; one row where noise is the same everywhere."""
+        rows = np.tile(weights, (max(len(self.levels), 1), 1))
+        kept = np.flatnonzero(weights)
+        if not self.levels or not len(kept):
+            return rows
+        for row, judged in zip(rows, level_masks(part, self.local, self.levels), strict=True):
+            if judged.sum() >= FEWEST_JUDGED:
+                some = self._best([risk.of(kept.tolist()) for risk in _risks(judges, judged)])
+                row[kept] = np.where(some >= LEAST_WEIGHT, some, 0.0)
+        return rows
+
+    def _trials(self, size: int) -> Trials:
+        """Trials on a part of about so many vertices; on the same one where it is the whole."""
+        part = representative(self.mesh, size)
+        if self._whole is not None and part.numbers is None:
+            return self._whole
+        trials = Trials(part, self.model.on_part(part.numbers), self.added, self._step)
+        if part.numbers is None:
+            self._whole = trials
+        return trials
+
+    @property
+    def _is_gaussian(self) -> bool:
+        """Whether Stein's lemma holds for the noise."""
+        return self.added == DRAWN and self.model.is_gaussian
+
+    @property
+    def _is_of_other_kind(self) -> bool:
+        """Whether the noise is not surely white, and may differ from its model."""
+        character = self.noise.character
+        is_plain = character.kind in PLAIN_KINDS and character.confidence >= SURE_KIND
+        return not is_plain and not self.is_impulsive
+
+    def _mirror_on_machined(self) -> None:
+        """On a machined surface what the learned filter takes away is noise, of whatever kind."""
+        pilot = self._trials(GLANCE)
+        surface = kind_of(pilot.part.mesh.moved(pilot.positions([LEARNED], np.ones(1))))
+        if surface == MACHINED:
+            self.added, self._whole = MIRRORED, None
 
     @property
     def _doubt(self) -> float:
@@ -191,16 +263,16 @@ class _Search:
     @property
     def _width(self) -> float:
         """How far below its level the noise may be, in parts of the level."""
+        if self.noise.is_uneven:
+            # The interval reaches to the quietest region.
+            return UNEVEN_WIDTH
         level = self.noise.mean_edges
         return (level - self.noise.low) / level if level > 0.0 else 0.0
 
     def _may_be_sharp(self, surface: str) -> bool:
-        return surface == MACHINED or self._noise_edges(self.mesh) >= HEAVY
-
-    def _rehearsed(self, part: Part, first: Floats, members: Sequence[Candidate]) -> Risk:
-        """The risk of members on ``first`` (m, 3) with the mesh's noise put on it."""
-        runs = [self._run(member, part.mesh) for member in members]
-        return rehearsed(part, first, runs, self.level, self.is_impulsive, self._step)
+        return (
+            surface == MACHINED or self.added == MIRRORED or self._noise_edges(self.mesh) >= HEAVY
+        )
 
     def _is_usable(self, candidate: Candidate) -> bool:
         """Whether one may be chosen: its run over the mesh fits, and trust has an effect."""
@@ -210,36 +282,9 @@ class _Search:
             return method.has_data_term(method.settled(candidate.given))
         return candidate.cost * len(self.mesh.vertices) <= spare
 
-    def _part_size(self, candidates: Sequence[Candidate]) -> int:
-        """Vertices of the part on which all candidates together keep within the budget."""
-        cost = sum(candidate.cost for candidate in candidates) * (PROBES + 2)
-        size = SEARCH * self.allowance / max(cost, 1.0)
-        return int(min(max(size, LEAST_PART), MOST_PART))
-
-    def _run(self, candidate: Candidate, mesh: Mesh) -> Callable[[Mesh], Floats]:
-        """What the candidate moves a mesh like ``mesh`` by."""
-        method = methods.find(candidate.method)
-        settled = method.settled(candidate.settings(self._noise_edges(mesh)))
-
-        def run(other: Mesh) -> Floats:
-            moves: Floats = method.denoised(other, settled).vertices - other.vertices
-            return moves
-
-        return run
-
     def _noise_edges(self, mesh: Mesh) -> float:
         """The noise in mean edge lengths, with as many digits as are worth writing down."""
         return float(round(self.level / mesh.mean_edge_length, 4))
-
-    def _judged(
-        self, part: Part, first: Floats, candidates: Sequence[Candidate]
-    ) -> tuple[Risk, Floats]:
-        """Stein's risk of candidates, and what they move the part by (k, m, 3), with the noise
-        along the normals that the part has at ``first`` (m, 3)."""
-        judge = Stein(part, self.level, part.mesh.moved(first).vertex_normals("uniform"))
-        for candidate in candidates:
-            judge.add(self._run(candidate, part.mesh), self._step)
-        return judge.risk(), judge.moves
 
     def _best(self, risks: Sequence[Risk]) -> Floats:
         if self.mesh.trust is not None:
@@ -259,9 +304,9 @@ class _Search:
             score += risk.importance * ((1.0 - self.slopes) * places + self.slopes * tilts)
         return score
 
-    def _shortlist(self, risk: Risk, weights: Floats) -> list[int]:
-        """Who rehearses: the members of the first blend, and the best by themselves."""
-        best = np.argsort(self._scores([risk]), kind="stable")[:REHEARSING]
+    def _shortlist(self, risk: Risk, weights: Floats, count: int) -> list[int]:
+        """The members of a first blend, and so many of the best by themselves."""
+        best = np.argsort(self._scores([risk]), kind="stable")[:count]
         return sorted({*np.flatnonzero(weights >= 0.01).tolist(), *best.tolist()})
 
     def _pruned(self, members: Sequence[Candidate], risks: Sequence[Risk]) -> Floats:
@@ -290,30 +335,34 @@ class _Search:
         self,
         members: Sequence[Candidate],
         weights: Floats,
+        rows: Floats,
         risks: Sequence[Risk],
         surface: str,
         tried: int,
     ) -> Choice:
         edge = self.mesh.mean_edge_length
-        unit = self.level / edge
+        unit = self.unit / edge
         counted = [risk for risk in risks if risk.importance > 0.0]
         # Stein's estimate scatters about small errors, and may be below zero.
         alone = np.maximum(np.max([risk.positions.singles() for risk in counted], axis=0), 0.0)
         together = max(*(risk.positions.at(weights) for risk in counted), 0.0)
         order = np.argsort(self._scores(risks), kind="stable").tolist()
         beside = [k for k in order if weights[k] < 1.0][:3]
-        made = recipe(members, weights, self._noise_edges(self.mesh))
-        what = "impulsive noise" if self.is_impulsive else "noise"
-        level = self.noise.rms_edges if self.is_impulsive else self.noise.mean_edges
-        return Choice(
+        made = recipe(members, rows, self._noise_edges(self.mesh), self.levels, self.relax)
+        choice = Choice(
             made.method,
             made.parameters,
-            f"{what} {level:.2g} e; {surface}; {made.label}",
+            f"{describe_noise(self.noise)}; {surface}; {made.label}",
             surface,
             self.noise,
-            together**0.5 * unit,
-            tried,
-            tuple((members[k].label, float(alone[k]) ** 0.5 * unit) for k in beside),
+        )
+        if made.method == NONE:
+            choice = choose_least(self.noise, self.wishes, f"{surface}; {HARM}", surface, True)
+        return dataclasses.replace(
+            choice,
+            risk=together**0.5 * unit,
+            tried=tried,
+            runners_up=tuple((members[k].label, float(alone[k]) ** 0.5 * unit) for k in beside),
         )
 
     def _step(self) -> None:
@@ -326,7 +375,8 @@ class _Search:
             self._on_step(self._total, self._total)
 
 
-def _blend(weights: Floats, moves: Floats) -> Floats:
-    """Moves (m, 3) of a blend."""
-    moved: Floats = np.einsum("k,kij->ij", weights, moves)
-    return moved
+def _risks(
+    judges: Sequence[tuple[Stein | Rehearsal, float]], judged: Flags | None = None
+) -> list[Risk]:
+    """The risks by judges of some importance each, over the vertices (m,) that are ``judged``."""
+    return [judge.risk(judged).counted(importance) for judge, importance in judges]

@@ -190,7 +190,7 @@ def test_the_record_tells_what_was_run_and_why(scan, tmp_path, choose):
         "risk_edges": 0.0625,
         "tried": 7,
         "runners_up": [{"label": "AL, 3 sweeps", "risk_edges": 0.0724}],
-        "wishes": {"prefer": "balanced", "keep": "shape", "strength": 0.0, "budget": 10.0},
+        "wishes": {"prefer": "balanced", "keep": "shape", "strength": 0.0, "budget": 60.0},
         "repeat": ["--method", "msal", "--set", "iterations=3", "--set", "K=0.7"],
         "among": "all",
     }
@@ -414,7 +414,7 @@ def test_the_wishes_are_part_of_what_is_current(scan, tmp_path, choose):
     assert not is_current("--auto")
     assert is_current("--auto")
     assert is_current("--strength", "-0")
-    assert is_current("--method", "auto", "--auto-budget", "10")
+    assert is_current("--method", "auto", "--auto-budget", "60")
     assert not is_current("--strength", "0.5")
     assert not is_current("--strength", "0.5", "--prefer", "normals")
     assert not is_current("--strength", "0.5", "--keep", "texture")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -12,11 +13,21 @@ from hypothesis import strategies as st
 from msal_cli import methods, selection
 from msal_cli.errors import UsageError
 from msal_cli.mesh import prepared
-from msal_cli.methods.blend import KEPT_PER_FACE, MOST_MEMBERS, read, written
+from msal_cli.methods._triangles import even_out
+from msal_cli.methods.blend import (
+    KEPT_PER_FACE,
+    MOST_MEMBERS,
+    read,
+    read_levels,
+    written,
+    written_levels,
+)
+from msal_cli.metrics.surface import normal_statistics
+from msal_cli.noise import AddedNoise, add_noise
 from msal_cli.selection.candidates import CANDIDATES
 from msal_cli.tasks import Settings, method_bytes_per_face
 from tests.cli.scans import closed_scan, folder_of, msal
-from tests.shapes import noisy, torus
+from tests.shapes import grid, noisy, torus
 
 BLEND = methods.find("blend")
 
@@ -105,7 +116,7 @@ def test_an_interruption_passes_through(mesh):
 )
 def test_spaces_and_the_way_numbers_are_written_do_not_matter(text):
     one, other = (
-        [(member.weight, member.method.name, member.parameters) for member in read(each)]
+        [(member.weights[0], member.method.name, member.parameters) for member in read(each)]
         for each in (text, "0.6*al(iterations=3,mollify=2)+0.4*msal")
     )
     assert one == other
@@ -165,7 +176,7 @@ def test_any_text_is_read_or_refused(text):
         assert refusal.hint
     else:
         assert members
-        assert all(0.0 < member.weight <= 1.0 for member in members)
+        assert all(0.0 < weight <= 1.0 for member in members for weight in member.weights)
 
 
 def test_as_many_members_as_are_allowed():
@@ -190,23 +201,25 @@ def test_what_is_written_is_read_again(members):
     total = sum(weight for weight, _, _ in members)
     scale = 1.0 if total <= 1.0 else 0.999 / total
     given_members = [
-        (weight * scale, one.method, one.settings(noise)) for weight, one, noise in members
+        ([weight * scale], one.method, one.settings(noise)) for weight, one, noise in members
     ]
-    given_members = [one for one in given_members if one[0] > 0.0]
+    given_members = [one for one in given_members if one[0][0] > 0.0]
     if not given_members:
         return
     found = read(written(given_members))
-    assert [one.weight for one in found] == [weight for weight, _, _ in given_members]
+    assert [list(one.weights) for one in found] == [weights for weights, _, _ in given_members]
     for member, (_, name, values) in zip(found, given_members, strict=True):
         assert member.method.name == name
         assert member.parameters == methods.find(name).settled(values)
 
 
 def test_whole_hundredths_are_written_short():
-    assert written([(0.29, "al", {"iterations": 3}), (0.71, "msal", {})]) == (
+    assert written([([0.29], "al", {"iterations": 3}), ([0.71], "msal", {})]) == (
         "0.29*al(iterations=3)+0.71*msal"
     )
-    assert written([(1.0, "al", {})]) == "1*al"
+    assert written([([1.0], "al", {})]) == "1*al"
+    assert written([([0.0, 0.25], "al", {})]) == "0:0.25*al"
+    assert written_levels([0.02, 0.25]) == "0.02:0.25"
 
 
 def test_memory_is_that_of_the_hungriest_member_that_is_ever_chosen():
@@ -238,9 +251,100 @@ def test_from_the_command_line(tmp_path):
     made = msal(*words, "-o", tmp_path / "o.ply", "--set", f"members={members}")
     assert made.exit_code == 0, made.stderr
     (record,) = json.loads(made.stdout)["records"]
-    assert record["method"] == {"name": "blend", "parameters": {"members": members}}
+    assert record["method"] == {
+        "name": "blend",
+        "parameters": {"members": members, "levels": "", "relax": 0},
+    }
     assert (tmp_path / "o.ply").read_bytes() != scan.read_bytes()
     refused = msal(*words, "-o", tmp_path / "no.ply", "--set", "members=0.25*al+2*msal")
     assert refused.exit_code == 2
     assert "2 is not the weight of a member" in refused.stderr
     assert not (tmp_path / "no.ply").exists()
+
+
+# Weights by the local noise
+
+
+@pytest.fixture(scope="module")
+def half_noisy():
+    """A torus with noise on the upper half."""
+    true = prepared(*torus(120, 60)).mesh
+    noise = AddedNoise("half", 0.25, direction=(0.0, 1.0, 0.0))
+    return true.moved(add_noise(true, noise)), true
+
+
+def test_weights_follow_the_local_noise(half_noisy):
+    mesh, true = half_noisy
+    given = {"members": "0:1*al(iterations=3)", "levels": "0.05:0.15"}
+    made = BLEND.denoised(mesh, BLEND.settled(given)).vertices
+    quiet, loud = true.vertices[:, 1] < -1.5, true.vertices[:, 1] > 1.5
+    assert (made[quiet] == mesh.vertices[quiet]).all()
+    assert np.abs(made - alone(mesh, "al", iterations=3))[loud].max() < 1e-12
+
+
+def test_equal_weights_for_all_levels_are_those_weights(half_noisy):
+    mesh, _ = half_noisy
+    given = {"members": "0.4:0.4*al+0.3:0.3*taubin", "levels": "0.05:0.15"}
+    made = BLEND.denoised(mesh, BLEND.settled(given)).vertices
+    assert np.abs(made - blended(mesh, "0.4*al+0.3*taubin")).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("members", "levels", "what"),
+    [
+        ("0.5*al", "0.1:0.2", "0.5 is not 2 weights, as there are levels"),
+        ("0.5:0.5*al", "", "0.5:0.5 is not one weight"),
+        ("0.5:0.5*al", "0.2:0.1", "levels = 0.2:0.1 is not allowed"),
+        ("0.5:0.5*al", "0.2:nan", "levels = 0.2:nan is not allowed"),
+        ("0.5:0.5*al", "0.1:", "levels = 0.1: is not allowed"),
+        ("0.5*al", "inf", "levels = inf is not allowed"),
+        ("0.2:0.6*al+0.2:0.6*msal", "0.1:0.2", "add up to 1.2"),
+        ("0:0*al", "0.1:0.2", "0:0 is not the weight of a member"),
+    ],
+)
+def test_weights_that_do_not_fit_the_levels_are_refused(members, levels, what):
+    with pytest.raises(UsageError, match=re.escape(what)) as refused:
+        BLEND.settled({"members": members, "levels": levels})
+    assert refused.value.hint
+    assert read_levels("0.1:0.2") == (0.1, 0.2)
+
+
+# Triangles that are evened out before
+
+
+def test_jagged_triangles_are_evened_out_and_the_surface_stays():
+    true = prepared(*torus(90, 45)).mesh
+    mesh = true.moved(add_noise(true, AddedNoise("gaussian", 0.2)))
+    given = {"members": "1*bilateral_normal(similarity=0.45,iterations=10)"}
+
+    def angle(**more):
+        made = BLEND.denoised(mesh, BLEND.settled(given | more)).vertices
+        return normal_statistics(true, mesh.moved(made)).mean_angular_error_deg
+
+    assert angle(relax=2) < 0.5 * angle()
+    even = even_out(mesh, 2)
+    normals = mesh.vertex_normals("uniform", 3)
+    heights = np.einsum("ij,ij->i", even.vertices - mesh.vertices, normals)
+    assert np.abs(heights).max() < 1e-12
+    # The edges come nearer to one length.
+    assert spread_of_edges(even) < 0.9 * spread_of_edges(mesh)
+
+
+def spread_of_edges(mesh):
+    start, ring = mesh.links.ring_start, mesh.links.ring
+    first = np.repeat(np.arange(len(mesh.vertices)), np.diff(start))
+    lengths = np.linalg.norm(mesh.vertices[first] - mesh.vertices[ring], axis=1)
+    return float(lengths.std() / lengths.mean())
+
+
+def test_vertices_that_are_held_or_at_open_edges_are_not_evened_out():
+    mesh = prepared(*grid(9, 8)).mesh
+    draw = np.random.default_rng(0)
+    vertices = mesh.vertices + 0.2 * draw.standard_normal(mesh.vertices.shape)
+    held = np.arange(len(vertices)) % 5 == 0
+    rough = mesh.moved(vertices).constrained(held, None)
+    even = even_out(rough, 3)
+    still = held | mesh.links.boundary
+    assert (even.vertices[still] == vertices[still]).all()
+    assert (even.vertices[~still] != vertices[~still]).any(axis=1).all()
+    assert even_out(rough, 0) is rough

@@ -44,4 +44,7 @@ def test_labels_read_like_words():
     assert label("guided_normal", similarity=0.6, iterations=21) == (
         "guided normals (sigma_r 0.6, 21 iterations)"
     )
-    assert label("l0") == "L0"
+    assert label("learned") == "learned"
+    assert label("windowed_sinc", pass_band=0.1, iterations=20) == (
+        "windowed sinc (pass band 0.1, 20 steps)"
+    )

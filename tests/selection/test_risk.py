@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from msal_cli.mesh import Mesh, prepared
+from msal_cli.noise_model import AXIS, ISOTROPIC, NoiseModel
 from msal_cli.selection.patches import Part, representative
-from msal_cli.selection.risk import Quadratic, Stein, rehearsed
+from msal_cli.selection.risk import Quadratic, Rehearsal, Stein
 from msal_cli.selection.risk import _slopes as slopes_of
 from tests.shapes import grid, noisy, torus
 
@@ -61,8 +62,12 @@ def nothing():
     pass
 
 
+def rehearsed(*arguments):
+    return Rehearsal(*arguments).risk()
+
+
 def stein(part, noise, *runs):
-    judge = Stein(part, noise, part.mesh.vertex_normals("uniform", 1))
+    judge = Stein(part, NoiseModel(noise), part.mesh.vertex_normals("uniform", 1))
     for run in runs:
         judge.add(run, nothing)
     return judge.risk()
@@ -126,6 +131,65 @@ def test_it_is_the_true_error_on_the_mean_for_linear_filters(level):
         assert np.std(gap) < 0.2
 
 
+PROBES = 24
+"""Enough that their own scatter, alike in all draws, does not count."""
+
+MODELS = {
+    "shared": NoiseModel(0.1, rings=2),
+    "isotropic": NoiseModel(0.1, direction=ISOTROPIC),
+    "along an axis": NoiseModel(0.1, direction=AXIS, axis=(0.6, 0.0, 0.8)),
+    "by region": NoiseModel(0.1, shares=np.where(np.arange(480) < 240, 1.4, 0.1)),
+}
+
+
+def averaging(mesh):
+    """The umbrella filter, more along z than across it, and more at the last vertices."""
+    matrix = np.linspace(0.2, 1.2, len(mesh.vertices))[:, None] * smoothing(mesh)
+    return lambda other: (matrix @ other.vertices) * [0.2, 0.2, 1.0]
+
+
+@pytest.mark.parametrize("noise", MODELS.values(), ids=MODELS)
+def test_it_is_the_true_error_for_noise_of_any_colour_direction_and_level(noise):
+    part, _ = sheet()
+    flat = part.mesh
+    normals = upwards(flat)
+    once = averaging(flat)
+    tilt = slopes_of(flat, normals, part.judged, noise.direction == ISOTROPIC)
+    draws = np.random.default_rng(5)
+    tilted = mean_tilt(noise)
+    gaps, white_gaps, slope_gaps, errors = [], [], [], []
+    for _ in range(20):
+        added = noise.draw(flat, normals, draws)
+        mesh = flat.moved(flat.vertices + added)
+        left = added + once(mesh)
+        error = np.sum(left**2) / (480 * noise.variance(part.judged))
+        judges = (
+            Stein(Part(mesh, part.judged), noise, normals, PROBES),
+            Stein(Part(mesh, part.judged), NoiseModel(0.1), normals, PROBES),
+        )
+        for judge in judges:
+            judge.add(once, nothing)
+        risk = judges[0].risk()
+        gaps.append(risk.positions.singles()[0] - error)
+        white_gaps.append(judges[1].risk().positions.singles()[0] - error)
+        slope_gaps.append(risk.slopes.singles()[0] - np.sum(tilt(left) ** 2) / tilted)
+        errors.append(error)
+    for gap in (gaps, slope_gaps):
+        assert abs(np.mean(gap)) < 4.0 * np.std(gap) / np.sqrt(len(gap)) + 0.02
+    again = rehearsed(part, flat.vertices, [once], noise, "drawn", nothing)
+    # Noise that is taken for white along the normals is judged wrong.
+    assert abs(np.mean(white_gaps)) > 2.0 * abs(np.mean(gaps)) + 0.02
+    assert again.positions.singles()[0] == pytest.approx(np.mean(errors), rel=0.2)
+
+
+def mean_tilt(noise):
+    part, _ = sheet()
+    normals = upwards(part.mesh)
+    tilt = slopes_of(part.mesh, normals, part.judged, noise.direction == ISOTROPIC)
+    draws = np.random.default_rng(6)
+    return np.mean([np.sum(tilt(noise.draw(part.mesh, normals, draws)) ** 2) for _ in range(40)])
+
+
 def signs(count):
     draw = np.random.default_rng(0)
     return draw.choice([-1.0, 1.0], size=(40, count))
@@ -184,7 +248,7 @@ def test_what_is_not_judged_does_not_count(level):
     assert fair.positions.gram[0, 0] == pytest.approx(mean)
 
     again = [
-        rehearsed(part, part.mesh.vertices, [run], 0.1, False, nothing)
+        rehearsed(part, part.mesh.vertices, [run], NoiseModel(0.1), "drawn", nothing)
         for run in (along(once), astray)
     ]
     assert again[1].positions.gram == pytest.approx(again[0].positions.gram, rel=1e-12)
@@ -197,8 +261,10 @@ def test_with_nobody_to_judge_nothing_is_gained(level):
     part, _ = sheet(noise=0.1, judged=np.zeros(24 * 20, dtype=bool))
     for risk in (
         stein(part, 0.1, scaled(-1.0)),
-        rehearsed(part, part.mesh.vertices, [scaled(-1.0)], 0.1, False, nothing),
-        rehearsed(part, 2.0 * part.mesh.vertices, [scaled(-1.0)], 0.1, True, nothing),
+        rehearsed(part, part.mesh.vertices, [scaled(-1.0)], NoiseModel(0.1), "drawn", nothing),
+        rehearsed(
+            part, 2.0 * part.mesh.vertices, [scaled(-1.0)], NoiseModel(0.1), "dealt", nothing
+        ),
     ):
         assert risk.positions.gram.tolist() == [[0.0]]
         assert risk.positions.gain.tolist() == [0.0]
@@ -216,7 +282,9 @@ def test_a_rehearsal_measures_what_is_left(level):
         seen.append(mesh.vertices[:, 2].copy())
         return along(once)(mesh)
 
-    risk = rehearsed(flat, flat.mesh.vertices, [run, scaled(-1.0)], 0.1, False, nothing)
+    risk = rehearsed(
+        flat, flat.mesh.vertices, [run, scaled(-1.0)], NoiseModel(0.1), "drawn", nothing
+    )
     heights = seen[0]
     assert heights.std() == pytest.approx(0.1, rel=0.1)
     left = np.sum((heights + once @ heights) ** 2) / np.sum(heights**2)
@@ -232,6 +300,7 @@ def test_impulses_are_rehearsed_as_impulses(level):
     part, _ = sheet()
     spiky = part.mesh.vertices.copy()
     spiky[::48, 2] = 1.0
+    spiked = Part(part.mesh.moved(spiky), part.judged)
     seen = []
 
     def run(mesh):
@@ -239,12 +308,28 @@ def test_impulses_are_rehearsed_as_impulses(level):
         return np.zeros_like(mesh.vertices)
 
     flat = part.mesh.vertices
-    rehearsed(Part(part.mesh.moved(spiky), part.judged), flat, [run], 0.2, True, nothing)
+    rehearsed(spiked, flat, [run], NoiseModel(0.2), "dealt", nothing)
     heights = seen[0]
     assert np.unique(heights.round(12)).size == 2
     assert (heights > 0.5).sum() == 10
     assert heights.std() == pytest.approx(0.2)
     assert (heights[::48] > 0.5).sum() < 10
+
+
+def test_what_the_pilot_took_away_is_put_on_with_the_other_sign():
+    part, heights = sheet(noise=0.1)
+    pilot = part.mesh.vertices.copy()
+    pilot[:, 2] = 0.25 * heights
+    seen = []
+
+    def run(mesh):
+        seen.append(mesh.vertices.copy())
+        return pilot - mesh.vertices
+
+    rehearsal = Rehearsal(part, pilot, [run], NoiseModel(0.1), "mirrored", nothing)
+    assert seen[0] == pytest.approx(2.0 * pilot - part.mesh.vertices, abs=1e-12)
+    assert rehearsal.risk().positions.singles()[0] == pytest.approx(0.0, abs=1e-12)
+    assert rehearsal.level == pytest.approx(0.75 * np.sqrt(np.mean(heights**2)))
 
 
 def test_impulses_where_the_pilot_took_nothing_are_gaussian(level):
@@ -255,7 +340,7 @@ def test_impulses_where_the_pilot_took_nothing_are_gaussian(level):
         seen.append(mesh.vertices[:, 2].std())
         return np.zeros_like(mesh.vertices)
 
-    rehearsed(part, part.mesh.vertices, [run], 0.2, True, nothing)
+    rehearsed(part, part.mesh.vertices, [run], NoiseModel(0.2), "dealt", nothing)
     assert seen[0] == pytest.approx(0.2, rel=0.1)
 
 
@@ -271,7 +356,7 @@ def test_risks_are_free_of_scale(scale):
     for mesh, factor in ((one, 1.0), (other, scale)):
         part = representative(mesh, 10_000)
         risk = stein(part, 0.05 * factor, run)
-        again = rehearsed(part, mesh.vertices, [run], 0.05 * factor, False, nothing)
+        again = rehearsed(part, mesh.vertices, [run], NoiseModel(0.05 * factor), "drawn", nothing)
         found = [*risk.positions.singles(), *risk.slopes.singles(), *risk.drift]
         found += [*again.positions.singles(), *again.slopes.singles(), *again.drift]
         if factor == 1.0:
@@ -291,11 +376,12 @@ def test_risks_of_some_filters_are_those_among_all(level):
 def test_every_run_is_told_of(level):
     part, _ = sheet(noise=0.1)
     told = []
-    judge = Stein(part, 0.1, part.mesh.vertex_normals("uniform", 1))
+    judge = Stein(part, NoiseModel(0.1), part.mesh.vertex_normals("uniform", 1))
     judge.add(scaled(-0.5), lambda: told.append("stein"))
     assert told == ["stein"] * 3
+    runs = [scaled(-1.0)] * 2
     rehearsed(
-        part, part.mesh.vertices, [scaled(-1.0)] * 2, 0.1, False, lambda: told.append("again")
+        part, part.mesh.vertices, runs, NoiseModel(0.1), "drawn", lambda: told.append("again")
     )
     assert told[3:] == ["again"] * 2
 
@@ -304,7 +390,7 @@ def test_every_run_is_told_of(level):
 def test_without_noise_every_move_is_an_error(noise):
     part, _ = sheet(noise=0.1)
     risk = stein(part, noise, scaled(-0.5), lambda mesh: np.zeros_like(mesh.vertices))
-    again = rehearsed(part, part.mesh.vertices, [scaled(-0.5)], noise, False, nothing)
+    again = rehearsed(part, part.mesh.vertices, [scaled(-0.5)], NoiseModel(noise), "drawn", nothing)
     assert risk.positions.singles()[0] > 1e6
     assert risk.positions.singles()[1] == 1.0
     assert again.positions.singles()[0] > 1e6

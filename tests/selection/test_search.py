@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ from msal_cli.core import at_once, parallel
 from msal_cli.mesh import Mesh, prepared
 from msal_cli.methods.blend import read
 from msal_cli.metrics.surface import normal_statistics
-from msal_cli.selection import NONE, Wishes
+from msal_cli.noise_estimate import estimated
+from msal_cli.selection import NONE, Wishes, search
 from msal_cli.selection.candidates import CANDIDATES
 from msal_cli.selection.search import RUN, START
 from tests.shapes import grid, noisy, torus
@@ -80,7 +82,7 @@ def members_of(choice):
         parts = [(1.0, methods.find(choice.method), choice.parameters)]
     else:
         parts = [
-            (member.weight, member.method, member.parameters)
+            (member.weights[0], member.method, member.parameters)
             for member in read(choice.parameters["members"])
         ]
     return [
@@ -164,7 +166,7 @@ def test_keeping_texture_moves_less_and_keeping_shape_more():
 
 
 def test_what_is_preferred_comes_out_better():
-    true = prepared(*torus(30, 24)).mesh
+    true = prepared(*torus(60, 48)).mesh
     scan = true.moved(noise.noisy(true, "gaussian-normal", 0.4, 1))
     errors = {}
     for prefer in ("positions", "normals", "volume"):
@@ -286,6 +288,64 @@ def test_clean_meshes_stay_as_they_are():
         assert choice.method == NONE
         assert choice.parameters == {}
         assert choice.reason.endswith("left as it is")
+
+
+# Wishes where no filter seems to be worth its harm
+
+
+@pytest.mark.parametrize(
+    ("wishes", "level"),
+    [
+        ({"strength": 2.0, "keep": "shape"}, 0.05 * 1.2**2 * 1.25),
+        ({"strength": 1.0}, 0.05 * 1.2),
+        ({"keep": "shape"}, 0.05 * 1.25),
+    ],
+)
+def test_a_wish_for_smoothing_is_done_on_a_clean_mesh_too(wishes, level):
+    mesh = prepared(*torus(60, 30)).mesh
+    choice = chosen(mesh, **wishes)
+    assert (choice.method, choice.parameters["schedule"]) == ("al", "wiener")
+    assert choice.parameters["noise"] == pytest.approx(level, abs=1e-4)
+    assert "clean; smoothed as if it had 0.0" in choice.reason
+    assert 0.0 < moved_edges(mesh, made_by(choice, mesh)) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("wishes", "end"),
+    [
+        ({"prefer": "normals"}, "left as it is; --strength 1 smooths it all the same"),
+        ({"keep": "edges"}, "left as it is; --strength 1 smooths it all the same"),
+        ({"budget": 20.0}, "left as it is; --strength 1 smooths it all the same"),
+        ({"keep": "texture"}, "clean; left as it is"),
+        ({"strength": -1.0}, "clean; left as it is"),
+    ],
+)
+def test_a_wish_that_does_not_mean_smoothing_gets_a_reason(wishes, end):
+    choice = chosen(prepared(*torus(60, 30)).mesh, **wishes)
+    assert choice.method == NONE
+    assert choice.reason.endswith(end)
+
+
+def test_what_may_be_noise_is_filtered_for_any_wish_but_to_keep_it(monkeypatch):
+    mesh = scan(level=0.005)
+    doubtful = dataclasses.replace(
+        estimated(mesh), mean_edges=0.014, low=0.0, high=0.03, is_negligible=True
+    )
+    monkeypatch.setattr(search, "estimated", lambda mesh: doubtful)
+    choice = chosen(mesh, prefer="positions")
+    assert (choice.method, choice.parameters["noise"]) == ("al", 0.03)
+    assert chosen(mesh).method == NONE
+
+
+def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):
+    monkeypatch.setattr(
+        search, "best_weights", lambda risks, *others: np.zeros(len(risks[0].drift))
+    )
+    left = chosen(mesh, budget=1.05)
+    assert left.method == NONE and "add more error" in left.reason
+    choice = chosen(mesh, budget=1.05, strength=1.0)
+    assert choice.method == "al" and choice.tried == left.tried
+    assert choice.parameters["noise"] > 1.15 * estimated(mesh).mean_edges
 
 
 # On the way
