@@ -137,11 +137,40 @@ def test_terraces_of_voxels(smooth, scanner):
     assert not noise.is_negligible
 
 
+@pytest.mark.parametrize("scanner", ["voxels", "slices"])
+@pytest.mark.parametrize("shape", ["smooth", "part"])
+def test_terraces_that_are_turned(smooth, shape, scanner):
+    """Voxels seldom lie along the axes of the file."""
+    pytest.importorskip("skimage")
+    pytest.importorskip("scipy")
+    true = smooth if shape == "smooth" else prepared(*box(40, 30, 20)).mesh
+    scan = simulate_scan(true, ScannerSettings(scanner, cells=48, direction=SLANTED))
+    turn, _ = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))
+    mesh = prepared(scan.vertices @ turn.T, scan.faces).mesh
+    noise = estimated(mesh)
+    assert told(noise)[0] == "staircase"
+    height = scan.cell * (3 if scanner == "slices" else 1)
+    assert noise.character.step * mesh.mean_edge_length == pytest.approx(height, rel=1e-3)
+    assert noise.character.confidence > 0.9
+
+
+def test_terraces_of_a_part_on_a_grid_are_doubtful():
+    """A part may have such steps by design."""
+    rows, columns = np.mgrid[:60, :60].astype(float)
+    heights = np.round(4 * np.sin(columns / 9) + 3 * np.cos(rows / 7))
+    noise = estimated(prepared(*graph(columns, rows, heights)).mesh)
+    assert told(noise)[0] == "staircase"
+    assert noise.character.confidence <= 0.6
+
+
 @pytest.mark.parametrize("sizes", [(8, 8, 8), (20, 20, 20), (60, 6, 6), (40, 40, 2)])
 def test_a_block_that_is_meshed_on_a_grid_is_clean(sizes):
     """Its coordinates are in steps, and fits over its edges leave much: all of them are convex."""
-    noise = estimated(prepared(*box(*sizes)).mesh)
-    assert (told(noise)[0], noise.is_negligible) == ("none", True)
+    vertices, faces = box(*sizes)
+    turn, _ = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))
+    for positions in (vertices, vertices @ turn.T):
+        noise = estimated(prepared(positions, faces).mesh)
+        assert (told(noise)[0], noise.is_negligible) == ("none", True)
 
 
 def graph(x, y, z):

@@ -79,6 +79,9 @@ SURE_MARGIN = 0.06
 SHARP_WHITE = 0.72
 """Ratio of standard deviations at the flattest twentieth and fifth that white noise shows."""
 
+UNSURE_TERRACES = 0.6
+"""Confidence of terraces on a grid that a part with steps may lie on as well."""
+
 SHARED_ERROR, ALONG_ERROR, STEP_ERROR, TERRACE_ERROR = 0.25, 0.15, 0.2, 0.5
 """What the interval allows for, of noise that is shared, along an axis, in steps, and of
 terraces."""
@@ -304,7 +307,16 @@ def _stepped(white: WhiteEstimate, steps: Steps, axis: AxisEvidence | None) -> N
     level = steps.level
     if steps.axis is None:
         character = NoiseCharacter(
-            "staircase", 0, "normals", None, steps.step, 0.0, 0.95, "all vertices lie on a grid"
+            "staircase",
+            0,
+            "normals",
+            None,
+            steps.step,
+            0.0,
+            0.95 if steps.is_sure else UNSURE_TERRACES,
+            "all vertices lie on a grid, as those of voxels do"
+            if steps.is_sure
+            else "all vertices lie on a grid, as those of blocks do too",
         )
     else:
         if axis is not None and abs(float(axis.axis @ steps.axis)) > 0.9:

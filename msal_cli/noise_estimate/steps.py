@@ -7,7 +7,9 @@ too, and of a box on it no fit leaves anything.
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -53,6 +55,16 @@ LEAST_TURNS, BENT_SHARE = 0.1, 0.35
 these are terraces.  Blocks with flat sides have 0 to 0.05 and 0.05 to 0.24, scans by voxels and
 slices 0.2 to 0.5 and 0.19 to 0.7; of thin plates the latter only."""
 
+PARALLEL = 1e-6
+"""One less the cosine of the angle up to which edges have one direction."""
+
+MOST_CANDIDATES, MOST_DIRECTIONS, LEAST_PARALLEL = 512, 13, 0.01
+"""Edges whose direction may be an axis of a turned grid; of how many directions pairs are tried,
+which marching cubes have along axes and diagonals; and the share of all edges with such a one."""
+
+ACROSS = 2e-3
+"""Cosine between axes of a grid at most."""
+
 FACING = 0.6
 """Mean squared cosine to an axis with which a mesh faces it as a whole."""
 
@@ -75,27 +87,29 @@ class Steps:
     step : distance of the depths, or height of the terraces, mean edges.
     level : standard deviation of what is rounded, along the axis, or of the distance of terraces
         from the surface; mean edges.
+    is_sure : whether nothing but what is assumed would leave them.
     """
 
     axis: Floats | None
     step: float
     level: float
+    is_sure: bool
 
 
 def find_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> Steps | None:
-    """Steps along a coordinate axis of the file, or along all; None where there are none."""
+    """Steps along a coordinate axis of the file, or along all of a grid, which may be turned; None
+    where there are none."""
     differences = _edge_vectors(mesh, survey.vertices)
-    steps = [_step(np.abs(differences[:, axis])) for axis in range(3)]
-    if not any(steps):
-        return None
+    steps = _axis_steps(differences)
     if all(steps):
-        # Surfaces out of voxels have their vertices in the middle of the voxels' edges.
-        step = 2.0 * max(steps)
-        closest = (survey.normals**2).max(axis=1)
-        everywhere = np.ones(len(closest))
-        if _is_rough(survey, FOUR, closest, everywhere, 0.5 * step) and _turns_both_ways(survey):
-            is_even = max(steps) < SAME_HEIGHT * min(steps)
-            return Steps(None, step, (OF_VOXELS if is_even else OF_SLICES) * step)
+        is_sure = _has_voxel_edges(differences, steps)
+        return _find_terraces(survey, survey.normals, steps, is_sure)
+    if not any(steps):
+        for frame in _find_frames(differences):
+            turned = differences @ frame.T
+            steps = _axis_steps(turned)
+            if all(steps) and _has_voxel_edges(turned, steps):
+                return _find_terraces(survey, survey.normals @ frame.T, steps, is_sure=True)
         return None
     for axis in np.argsort(steps)[::-1]:
         squares = survey.normals[:, axis] ** 2
@@ -103,8 +117,66 @@ def find_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> Steps | Non
             continue
         direction = np.eye(3)[axis]
         if squares.mean() > FACING or (groups is not None and _is_along(groups, direction)):
-            return Steps(direction, steps[axis], steps[axis] / math.sqrt(12.0))
+            return Steps(direction, steps[axis], steps[axis] / math.sqrt(12.0), is_sure=True)
     return None
+
+
+def _find_terraces(
+    survey: Survey, normals: Floats, steps: list[float], is_sure: bool
+) -> Steps | None:
+    """Terraces on a grid; the normals (c, 3) are in its axes."""
+    # Surfaces out of voxels have their vertices in the middle of the voxels' edges.
+    step = 2.0 * max(steps)
+    closest = (normals**2).max(axis=1)
+    everywhere = np.ones(len(closest))
+    if not _is_rough(survey, FOUR, closest, everywhere, 0.5 * step):
+        return None
+    if not _turns_both_ways(survey):
+        return None
+    is_even = max(steps) < SAME_HEIGHT * min(steps)
+    return Steps(None, step, (OF_VOXELS if is_even else OF_SLICES) * step, is_sure)
+
+
+def _axis_steps(differences: Floats) -> list[float]:
+    """The step of edge vectors (d, 3) along each axis; 0 for none."""
+    return [_step(np.abs(differences[:, axis])) for axis in range(3)]
+
+
+def _has_voxel_edges(differences: Floats, steps: list[float]) -> bool:
+    """Whether edge vectors (d, 3) are those of marching cubes over binary voxels.
+
+    Each vertex is in the middle of an edge of the voxels, so one of its coordinates, in steps, is
+    odd and the others are even.  All edges have an even sum of steps then; those of a part that is
+    meshed on a grid have odd sums too.
+    """
+    counts = np.round(differences / np.array(steps)).sum(axis=1)
+    return bool((counts % 2.0 == 0.0).mean() > MOSTLY)
+
+
+def _find_frames(differences: Floats) -> Iterator[Floats]:
+    """Axes (3, 3), one a row, of turned grids that edge vectors (d, 3) may lie on: two directions
+    across one another that many edges have, and the third one."""
+    lengths = np.sqrt((differences * differences).sum(axis=1))
+    directions = differences[lengths > SAME] / lengths[lengths > SAME, None]
+    main = _main_directions(directions)
+    for first, second in itertools.combinations(main, 2):
+        if abs(float(first @ second)) < ACROSS:
+            third = np.cross(first, second)
+            third /= math.sqrt(float(third @ third))
+            yield np.stack([first, np.cross(third, first), third])
+
+
+def _main_directions(directions: Floats) -> Floats:
+    """Those (m, 3) of the directions (d, 3) that many have, the most frequent first."""
+    some = directions[:: max(-(-len(directions) // MOST_CANDIDATES), 1)]
+    shares = (np.abs(some @ directions.T) > 1.0 - PARALLEL).mean(axis=1)
+    main: list[Floats] = []
+    for candidate in np.argsort(-shares, kind="stable"):
+        if shares[candidate] < LEAST_PARALLEL or len(main) == MOST_DIRECTIONS:
+            break
+        if not main or (np.abs(np.array(main) @ some[candidate]) < 1.0 - SAME).all():
+            main.append(some[candidate])
+    return np.array(main).reshape(-1, 3)
 
 
 def _turns_both_ways(survey: Survey) -> bool:
