@@ -18,7 +18,7 @@ from msal_cli.noise_estimate.direction import (
     group_places,
     is_isotropic,
 )
-from msal_cli.noise_estimate.level import NoiseCharacter, NoiseLevel, to_clean_edges
+from msal_cli.noise_estimate.level import RING_COUNTS, NoiseCharacter, NoiseLevel, to_clean_edges
 from msal_cli.noise_estimate.spikes import Spikes, find_spikes
 from msal_cli.noise_estimate.steps import Steps, find_steps
 from msal_cli.noise_estimate.survey import TWO, Survey, take_survey
@@ -132,7 +132,7 @@ def characterize(mesh: Mesh, white: WhiteEstimate) -> Characterized:
             middles = mesh.vertices[survey.vertices[uneven.middles]]
             return Characterized(_uneven(white, uneven), middles, uneven.regions * white.edge)
         kind = "none" if white.level.is_negligible else "unknown"
-        return _by_region(white, _plain(white, kind, 0.3, UNLIKE))
+        return _by_region(white, _reach_up(_plain(white, kind, 0.3, UNLIKE), colour))
     return _by_region(white, _decide(white, survey, colour, is_shared))
 
 
@@ -157,18 +157,25 @@ def _decide(
     if white.level.is_negligible:
         return _plain(white, "none", 0.9, "nothing that noise would leave to fits over one ring")
     if colour.sharpness[1] < SHARP_WHITE or white.level.low == 0.0:
-        noise = _plain(white, "unknown", 0.3, UNLIKE)
-        most = max(noise.high, colour.level) if colour.is_floor else noise.high
-        return dataclasses.replace(noise, high=most)
+        return _reach_up(_plain(white, "unknown", 0.3, UNLIKE), colour)
     if colour.is_floor and _is_doubtful(white, colour):
-        noise = _plain(white, "white", 0.4, "on texture, or shared over one ring")
-        return dataclasses.replace(noise, high=max(noise.high, colour.level))
+        is_isotropic_too = is_isotropic(survey, white.level.mean_edges)
+        kind = "isotropic" if is_isotropic_too else "white"
+        basis = f"on texture, or shared over {RING_COUNTS[colour.rings]}"
+        return _reach_up(_plain(white, kind, 0.4, basis), colour)
     confidence = min(0.6 + colour.margin / SURE_MARGIN, 0.98) if colour.rings == 0 else 0.5
     if is_isotropic(survey, white.level.mean_edges):
         return _plain(
             white, "isotropic", confidence, "as much within the surface as along the normals"
         )
     return _plain(white, "white", confidence, "fits over one to six rings leave as much")
+
+
+def _reach_up(noise: NoiseLevel, colour: Colour | None) -> NoiseLevel:
+    """The level with an interval up to what it would be if neighbours shared it."""
+    if noise.is_negligible or colour is None or not colour.is_floor:
+        return noise
+    return dataclasses.replace(noise, high=max(noise.high, colour.level))
 
 
 def _explain_by_axis(
@@ -189,7 +196,12 @@ def _explain_by_axis(
 def _is_shared(white: WhiteEstimate, survey: Survey, colour: Colour) -> bool:
     """Whether neighbours share noise, and it is no texture."""
     is_shared = colour.rings > 0 and colour.is_floor and colour.misfit < WORST_FIT
-    if not is_shared or colour.level < LEAST_SHARED or _is_doubtful(white, colour):
+    if (
+        colour.is_relief
+        or not is_shared
+        or colour.level < LEAST_SHARED
+        or _is_doubtful(white, colour)
+    ):
         return False
     if colour.rings > 1 or white.level.low > 0.0 or white.level.is_negligible:
         return True
@@ -202,6 +214,8 @@ def _is_shared(white: WhiteEstimate, survey: Survey, colour: Colour) -> bool:
 def _is_doubtful(white: WhiteEstimate, colour: Colour) -> bool:
     """Whether white noise on a texture would leave the same."""
     is_weak = colour.level < LEAST_ONE_RING or colour.sharpness[TWO] < SHARP_ONE_RING
+    if colour.is_relief and white.level.low > 0.0:
+        return True
     return colour.rings == 1 and white.level.low > 0.0 and is_weak
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.noise_estimate.quantiles import chi_square_quantile
-from msal_cli.noise_estimate.survey import FOUR, TWO, Survey
+from msal_cli.noise_estimate.survey import FOUR, SIX, TWO, Survey
 
 Floats = NDArray[np.float64]
 
@@ -89,6 +89,10 @@ SHARP_LOUD = np.array([0.0, 0.58, 0.68, 0.665, 0.38])
 PATTERN = np.array([1.0, 1.0, 1.0, 0.92, 0.945])
 """Sharpness that shared noise does not reach, and shape that repeats does."""
 
+RELIEF_SHARP, RELIEF_GROWTH = 0.8, 1.22
+"""Sharpness of fits over six rings, and what they leave over those over four, compared with noise,
+from which a relief is everywhere."""
+
 EVEN = np.array([0.0, 0.74, 0.78, 0.78, 0.0])
 ALIKE = np.array([0.0, 0.66, 0.70, 0.70, 0.0])
 """The same for white noise, and for noise by the angle to an axis."""
@@ -108,6 +112,7 @@ class Colour:
     is_floor : whether what wide fits leave over is the same everywhere, as only noise is.
     is_even : whether what all fits over two to four rings leave is, as even white noise is.
     is_alike : the same, with more doubt.
+    is_relief : whether a smooth relief that is the same everywhere would leave that, too.
     by_scale : (5,) standard deviation that each fit leaves over, mean edges, taken for white.
     """
 
@@ -119,6 +124,7 @@ class Colour:
     is_floor: bool
     is_even: bool
     is_alike: bool
+    is_relief: bool
     by_scale: Floats
 
 
@@ -173,8 +179,19 @@ def find_colour(
         is_floor=_is_floor(sharpness, rings, level),
         is_even=bool((sharpness > EVEN)[1:4].all()),
         is_alike=bool((sharpness > ALIKE)[1:4].all()),
+        is_relief=rings > 0 and _is_relief(by_scale, sharpness, rings),
         by_scale=by_scale,
     )
+
+
+def _is_relief(by_scale: Floats, sharpness: Floats, rings: int) -> bool:
+    """Whether fits leave more than noise that is shared over so many rings would.
+
+    Creases add to wide fits too, but not everywhere.
+    """
+    expected = math.sqrt(LEFT[rings, SIX] / LEFT[rings, FOUR])
+    growth = float(by_scale[SIX] / by_scale[FOUR]) / expected
+    return bool(sharpness[SIX] > RELIEF_SHARP and growth > RELIEF_GROWTH)
 
 
 def _is_floor(sharpness: Floats, rings: int, level: float) -> bool:

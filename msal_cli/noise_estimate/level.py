@@ -44,7 +44,7 @@ KINDS = (
 )
 DIRECTIONS = ("normals", "isotropic", "axis")
 
-_COUNTS = ("no ring", "one ring", "two rings", "three rings", "four rings or more")
+RING_COUNTS = ("no ring", "one ring", "two rings", "three rings", "four rings or more")
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class NoiseCharacter:
             return "of a kind that cannot be determined" if self.kind == "unknown" else ""
         words = [self._kind_words()]
         if self.rings and self.kind not in ("correlated", "staircase"):
-            words.append(f"shared over {_COUNTS[self.rings]}")
+            words.append(f"shared over {RING_COUNTS[self.rings]}")
         if self.direction == "axis" and self.kind not in ("view", "quantised", "staircase"):
             words.append("along the view")
         if self.direction == "isotropic" and self.kind != "isotropic":
@@ -92,7 +92,7 @@ class NoiseCharacter:
         return {
             "white": "independent at each vertex, along the normals",
             "isotropic": "independent at each vertex, in all directions",
-            "correlated": f"shared over {_COUNTS[self.rings]}",
+            "correlated": f"shared over {RING_COUNTS[self.rings]}",
             "view": "along the view",
             "quantised": f"depths in steps of {self.step:.2g} e along the view",
             "uneven": "uneven over the surface",
