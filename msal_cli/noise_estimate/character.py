@@ -14,7 +14,9 @@ from msal_cli.noise_estimate.colour import Colour, find_colour
 from msal_cli.noise_estimate.direction import (
     CLEAR_CONTRAST,
     AxisEvidence,
+    Groups,
     find_axis,
+    find_linked_axis,
     group_places,
     is_isotropic,
 )
@@ -111,8 +113,7 @@ def characterize(mesh: Mesh, white: WhiteEstimate) -> Characterized:
     survey = take_survey(mesh, white.places)
     groups = group_places(survey)
     steps = find_steps(mesh, survey, groups)
-    axis = None if groups is None else find_axis(survey, groups)
-    axis, colour = _explain_by_axis(survey, axis)
+    axis, colour = _find_explaining_axis(white, survey, groups)
     if axis is None:
         colour = find_colour(survey, fine=white.level.mean_edges)
 
@@ -178,6 +179,23 @@ def _reach_up(noise: NoiseLevel, colour: Colour | None) -> NoiseLevel:
     return dataclasses.replace(noise, high=max(noise.high, colour.level))
 
 
+def _find_explaining_axis(
+    white: WhiteEstimate, survey: Survey, groups: Groups | None
+) -> tuple[AxisEvidence | None, Colour | None]:
+    """The axis that explains what is left over, and its colour then."""
+    if groups is None:
+        return None, None
+    linked = None if white.level.is_negligible else find_linked_axis(survey, groups)
+    if linked is not None:
+        return linked, _find_colour_along(survey, linked)
+    return _explain_by_axis(survey, find_axis(survey, groups))
+
+
+def _find_colour_along(survey: Survey, axis: AxisEvidence) -> Colour | None:
+    cosines = (survey.normals @ axis.axis) ** 2
+    return find_colour(survey, np.where(cosines > LEAST_COSINE, cosines, 0.0))
+
+
 def _explain_by_axis(
     survey: Survey, axis: AxisEvidence | None
 ) -> tuple[AxisEvidence | None, Colour | None]:
@@ -185,8 +203,7 @@ def _explain_by_axis(
     then."""
     if axis is None or not axis.is_sure or axis.level < LEAST_ALONG:
         return None, None
-    cosines = (survey.normals @ axis.axis) ** 2
-    colour = find_colour(survey, np.where(cosines > LEAST_COSINE, cosines, 0.0))
+    colour = _find_colour_along(survey, axis)
     is_alike = colour is not None and colour.is_alike
     # Rounded depths differ from place to place, and grazing noise grows; both slide.
     is_clear = axis.is_clear and axis.gain > CLEAR_GAIN and axis.contrast > CLEAR_CONTRAST
@@ -299,6 +316,7 @@ def _along(white: WhiteEstimate, axis: AxisEvidence, colour: Colour | None) -> N
         colour is not None
         and colour.rings > 0
         and colour.is_floor
+        and not colour.is_relief
         and colour.margin > (SHARED_MARGIN if colour.rings == 1 else FURTHER_MARGIN)
     )
     level = colour.level if is_shared and colour is not None else axis.best_level
