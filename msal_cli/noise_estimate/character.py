@@ -23,7 +23,7 @@ from msal_cli.noise_estimate.direction import (
 from msal_cli.noise_estimate.level import RING_COUNTS, NoiseCharacter, NoiseLevel, to_clean_edges
 from msal_cli.noise_estimate.spikes import Spikes, find_spikes
 from msal_cli.noise_estimate.steps import Steps, find_steps
-from msal_cli.noise_estimate.survey import TWO, Survey, take_survey
+from msal_cli.noise_estimate.survey import THREE, TWO, Survey, take_survey
 from msal_cli.noise_estimate.unevenness import Unevenness, find_differences, find_unevenness
 from msal_cli.noise_estimate.white import WhiteEstimate
 
@@ -49,9 +49,13 @@ LEAST_COSINE = 0.1
 CLEAR_GAIN = 0.3
 """By how much an axis explains what is left over better, where what it leaves is not alike."""
 
-SHARED_MARGIN, FURTHER_MARGIN = 0.02, 0.003
+SHARED_MARGIN, FURTHER_MARGIN = 0.03, 0.003
 """By how much other numbers of rings have to be worse for noise along an axis that is shared over
 one, and over more."""
+
+ALONG_GROWTH = 1.03
+"""What degree 3 over three rings leaves over degree 2 over two, at least, of noise along an axis
+that is shared: 1.06 to 1.16, where smooth relief leaves less."""
 
 MORE_THAN_STEP = 1.5
 """Level along the axis, in levels of the steps, from which there is more noise than the steps'."""
@@ -317,6 +321,7 @@ def _along(white: WhiteEstimate, axis: AxisEvidence, colour: Colour | None) -> N
         and colour.rings > 0
         and colour.is_floor
         and not colour.is_relief
+        and colour.by_scale[THREE] > ALONG_GROWTH * colour.by_scale[TWO]
         and colour.margin > (SHARED_MARGIN if colour.rings == 1 else FURTHER_MARGIN)
     )
     level = colour.level if is_shared and colour is not None else axis.best_level
@@ -329,10 +334,13 @@ def _along(white: WhiteEstimate, axis: AxisEvidence, colour: Colour | None) -> N
         0.0,
         0.0,
         axis.confidence,
-        "what fits leave falls with the angle to the axis; vertices slide along it",
+        "vertices slide along the axis as they are out of the surface along it"
+        if axis.is_linked
+        else "what fits leave falls with the angle to the axis; vertices slide along it",
     )
     error = SHARED_ERROR if rings else ALONG_ERROR
-    return _with(white, level, (1.0 - error) * level, (1.0 + error) * level, character)
+    noise = _with(white, level, (1.0 - error) * level, (1.0 + error) * level, character)
+    return noise if rings or colour is None or colour.rings == 0 else _reach_up(noise, colour)
 
 
 def _stepped(white: WhiteEstimate, steps: Steps, axis: AxisEvidence | None) -> NoiseLevel:
