@@ -217,6 +217,52 @@ def test_a_smooth_field_on_a_voxel_grid_has_none():
     assert noise.character.kind == "none"
 
 
+@pytest.fixture(scope="module")
+def bumpy(smooth):
+    """Round bumps of 1.6 edges all over, eleven edges wide."""
+    x, y, z = smooth.vertices.T
+    ring = np.hypot(x, y)
+    bumps = np.sin(16 * np.arctan2(y, x)) * np.sin(7 * np.arctan2(z, ring - ring.mean()))
+    normals = smooth.vertex_normals("uniform", 1)
+    heights = 1.6 * smooth.mean_edge_length * bumps
+    return smooth.moved(smooth.vertices + heights[:, None] * normals)
+
+
+def test_smooth_relief_is_not_taken_for_shared_noise(bumpy):
+    _, noise = with_noise(bumpy, "gaussian-normal", 0.2)
+    assert told(noise) == ("white", "normals", 0)
+    assert noise.file_units == pytest.approx(0.2 * bumpy.mean_edge_length, rel=0.15)
+    # But it may be shared, too.
+    assert noise.high > 0.3
+    assert noise.character.confidence < 0.5
+    for level in (0.05, 0.1):
+        _, quiet = with_noise(bumpy, "gaussian-normal", level)
+        assert told(quiet)[0] != "correlated"
+        assert quiet.mean_edges < 1.2 * level
+    assert estimated(bumpy).is_negligible
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), SLANTED])
+def test_noise_along_a_view_on_relief(bumpy, direction):
+    """No place is flat, but vertices slide along the view as they are out of the surface."""
+    _, noise = with_noise(bumpy, "view", direction=direction)
+    assert told(noise) == ("view", "axis", 0)
+    axis = np.array(direction) / np.linalg.norm(direction)
+    assert abs(np.array(noise.character.axis) @ axis) > np.cos(np.radians(10.0))
+    assert noise.file_units == pytest.approx(0.2 * bumpy.mean_edge_length, rel=0.15)
+
+
+def test_vertices_that_slide_alone_show_no_axis(smooth):
+    """Triangles may be uneven along one direction, and noise is along the normals all the same."""
+    normals = smooth.vertex_normals("uniform", 1)
+    axis = np.array(SLANTED) / np.linalg.norm(SLANTED)
+    within = axis - (normals @ axis)[:, None] * normals
+    ways = np.random.default_rng(3).normal(0.0, 0.2 * smooth.mean_edge_length, len(within))
+    uneven = smooth.moved(smooth.vertices + ways[:, None] * within)
+    _, noise = with_noise(uneven, "gaussian-normal", 0.2)
+    assert noise.character.axis is None
+
+
 def test_texture_that_differs_from_place_to_place_is_not_called_noise():
     vertices, faces = grid(120, 110)
     x, y = vertices[:, 0], vertices[:, 1]

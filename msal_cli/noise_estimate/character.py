@@ -137,7 +137,7 @@ def characterize(mesh: Mesh, white: WhiteEstimate) -> Characterized:
             middles = mesh.vertices[survey.vertices[uneven.middles]]
             return Characterized(_uneven(white, uneven), middles, uneven.regions * white.edge)
         kind = "none" if white.level.is_negligible else "unknown"
-        return _by_region(white, _reach_up(_plain(white, kind, 0.3, UNLIKE), colour))
+        return _by_region(white, _plain(white, kind, 0.3, UNLIKE))
     return _by_region(white, _decide(white, survey, colour, is_shared))
 
 

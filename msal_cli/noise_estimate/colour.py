@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.noise_estimate.quantiles import chi_square_quantile
-from msal_cli.noise_estimate.survey import FOUR, SIX, TWO, Survey
+from msal_cli.noise_estimate.survey import FOUR, SIX, THREE, TWO, Survey
 
 Floats = NDArray[np.float64]
 
@@ -92,6 +92,10 @@ PATTERN = np.array([1.0, 1.0, 1.0, 0.92, 0.945])
 RELIEF_SHARP, RELIEF_GROWTH = 0.8, 1.22
 """Sharpness of fits over six rings, and what they leave over those over four, compared with noise,
 from which a relief is everywhere."""
+
+SMOOTH_GROWTH = 0.97
+"""What degree 3 over three rings leaves over degree 2 over two, below which it is smooth relief:
+shared noise leaves 1 to 1.16 times as much."""
 
 EVEN = np.array([0.0, 0.74, 0.78, 0.78, 0.0])
 ALIKE = np.array([0.0, 0.66, 0.70, 0.70, 0.0])
@@ -191,7 +195,8 @@ def _is_relief(by_scale: Floats, sharpness: Floats, rings: int) -> bool:
     """
     expected = math.sqrt(LEFT[rings, SIX] / LEFT[rings, FOUR])
     growth = float(by_scale[SIX] / by_scale[FOUR]) / expected
-    return bool(sharpness[SIX] > RELIEF_SHARP and growth > RELIEF_GROWTH)
+    is_wide = sharpness[SIX] > RELIEF_SHARP and growth > RELIEF_GROWTH
+    return bool(is_wide or by_scale[THREE] < SMOOTH_GROWTH * by_scale[TWO])
 
 
 def _is_floor(sharpness: Floats, rings: int, level: float) -> bool:
