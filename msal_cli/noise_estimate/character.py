@@ -339,7 +339,8 @@ def _along(white: WhiteEstimate, axis: AxisEvidence, colour: Colour | None) -> N
         else "what fits leave falls with the angle to the axis; vertices slide along it",
     )
     error = SHARED_ERROR if rings else ALONG_ERROR
-    noise = _with(white, level, (1.0 - error) * level, (1.0 + error) * level, character)
+    least = level if rings else min(level, axis.level)
+    noise = _with(white, level, (1.0 - error) * least, (1.0 + error) * level, character)
     return noise if rings or colour is None or colour.rings == 0 else _reach_up(noise, colour)
 
 
