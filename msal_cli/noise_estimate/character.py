@@ -53,9 +53,9 @@ SHARED_MARGIN, FURTHER_MARGIN = 0.03, 0.003
 """By how much other numbers of rings have to be worse for noise along an axis that is shared over
 one, and over more."""
 
-ALONG_GROWTH = 1.03
+ALONG_GROWTH = 1.0
 """What degree 3 over three rings leaves over degree 2 over two, at least, of noise along an axis
-that is shared: 1.06 to 1.16, where smooth relief leaves less."""
+that is shared: 1.02 to 1.16, where smooth relief leaves less."""
 
 MORE_THAN_STEP = 1.5
 """Level along the axis, in levels of the steps, from which there is more noise than the steps'."""
