@@ -1,4 +1,4 @@
-"""The files of the learned filter's weights: what does not fit is refused before a kernel reads it."""
+"""The learned filter's weights: files that do not fit are refused before a kernel reads them."""
 
 from __future__ import annotations
 
