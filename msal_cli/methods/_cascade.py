@@ -19,7 +19,10 @@ from numpy.typing import NDArray
 
 from msal_cli.core.face_rings import face_centroids, face_rings
 from msal_cli.core.geometry import face_normals_and_areas
+from msal_cli.core.normal_descriptors import NUMBERS, VECTORS
 from msal_cli.core.normal_regression import (
+    EARLIER,
+    GLOBALS,
     Descriptors,
     Network,
     NormalDescriber,
@@ -105,6 +108,7 @@ def read_networks(header_path: Path) -> tuple[Network, ...]:
         raise InternalError(
             "the weights of the learned filter are damaged", hint="install msal again"
         )
+    _check_sizes(header["stages"], len(data) // 4)
     numbers = np.frombuffer(data, dtype="<f4").astype(np.float32)
     networks, at = [], 0
     for sizes in header["stages"]:
@@ -116,6 +120,27 @@ def read_networks(header_path: Path) -> tuple[Network, ...]:
             layers.append((bias, matrix))
         networks.append(Network(tuple(layers)))
     return tuple(networks)
+
+
+def _check_sizes(stages: list[list[int]], count: int) -> None:
+    """Refuse layers that do not fit the descriptors: the kernels do not check the sizes."""
+    expected = 0
+    for stage, sizes in enumerate(stages):
+        vectors = VECTORS + (EARLIER if stage else 0)
+        inputs = 3 * vectors + NUMBERS + GLOBALS
+        is_fit = len(sizes) == 4 and sizes[0] == inputs and sizes[3] == vectors
+        if not is_fit or sizes[1] != sizes[2]:
+            raise InternalError(
+                f"the weights of the learned filter have layers of {sizes} in stage {stage + 1}, "
+                f"and {inputs} inputs and {vectors} outputs are needed",
+                hint="train them again, or install msal again",
+            )
+        expected += sum(n_out * (1 + n_in) for n_in, n_out in itertools.pairwise(sizes))
+    if expected != count:
+        raise InternalError(
+            f"the weights of the learned filter are {count:,} numbers instead of {expected:,}",
+            hint="train them again, or install msal again",
+        )
 
 
 def write_networks(header_path: Path, networks: tuple[Network, ...], about: dict[str, str]) -> None:

@@ -59,6 +59,9 @@ SHORTEST_EDGE = 0.3
 """In mean edge lengths: shorter ones are taken for so long, or single slivers would count for
 all."""
 
+LEAST_SHARE = 1e-9
+"""Noise in parts of the moves, as squares: less is taken for so much where moves are judged."""
+
 LEAST_NOISE = 1e-6
 """In mean edge lengths: less noise is taken for so much, for errors are in parts of it."""
 
@@ -228,10 +231,9 @@ class Stein:
         seen = np.where(inside[None], moves, 0.0)
         tilted = np.stack([slopes(move) for move in moves])
         total = max(int(judged.sum()), 1) * self._noise.variance(judged)
-        # Where no noise is expected every move is an error.
-        total = max(total, np.finfo(float).tiny)
+        gram = _gram(seen)
         return Risk(
-            Quadratic(_gram(seen) / total, -places / pushed),
+            Quadratic(gram / _at_least_some(total, gram), -places / pushed),
             Quadratic(_gram(tilted) * (len(self._pushes) / turned), -turns / turned),
             _drift(mesh, seen, self._noise.level),
         )
@@ -307,8 +309,17 @@ def _known(rows: Floats, wanted: Floats) -> Quadratic:
     """The quadratic for rows (k, ...) that should be ``wanted`` (...)."""
     flat = rows.reshape(len(rows), -1)
     aim = wanted.reshape(-1)
-    scale = max(float(np.einsum("i,i->", aim, aim)), np.finfo(float).tiny)
-    return Quadratic(_gram(flat) / scale, np.einsum("ij,j->i", flat, aim) / scale)
+    gram = _gram(flat)
+    scale = _at_least_some(float(np.einsum("i,i->", aim, aim)), gram)
+    return Quadratic(gram / scale, np.einsum("ij,j->i", flat, aim) / scale)
+
+
+def _at_least_some(noise: float, gram: Floats) -> float:
+    """A sum of squares of noise to divide ``gram`` (k, k) by.
+
+    Where there is no noise every move is an error, and a great one, but a finite one.
+    """
+    return max(noise, LEAST_SHARE * float(np.diag(gram).max()), np.finfo(float).tiny)
 
 
 def _at_least(noise: NoiseModel, mesh: Mesh) -> NoiseModel:

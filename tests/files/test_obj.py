@@ -413,7 +413,7 @@ def _number(draw: st.DrawFn, count: int) -> bytes:
 
 
 @given(files(), st.integers(0, 99), st.sampled_from([0.0, 0.3, 1.0]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_only_the_numbers_of_what_moved_differ(data: bytes, seed: int, share: float) -> None:
     file = obj.read(data, "")
     plain = parsed(data)
@@ -460,7 +460,7 @@ def test_replacing_is_exact_to_the_last_decimal(data: bytes, seed: int) -> None:
 
 
 @given(files(), st.binary(max_size=3), st.integers(0, 10**9), st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_both_walks_read_the_same(data: bytes, noise: bytes, place: int, is_usual: bool) -> None:
     if is_usual:
         data = re.sub(rb"\\[\r\n]+|\x0c", b" ", data).replace(b"f -", b"f ")

@@ -66,7 +66,7 @@ def outcome(data: bytes, seed: int) -> list[Any]:
 
 
 @given(files(), st.binary(max_size=2), st.integers(0, 10**9), st.integers(0, 9))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 def test_both_walks_read_and_write_the_same(
     data: bytes, noise: bytes, place: int, seed: int
 ) -> None:

@@ -144,7 +144,7 @@ def normal_names(file: Ply) -> list[tuple[str, str]]:
     ]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(structures())
 def test_what_is_read_is_what_was_written(file):
     data = plain_ply.written(file)
@@ -163,7 +163,7 @@ def test_what_is_read_is_what_was_written(file):
     assert bytes(mesh.replaced(mesh.vertices.copy())) == data
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(structures(encodings=("binary_little_endian", "binary_big_endian")))
 def test_binary_differs_in_moved_coordinates_and_normals_only(file):
     mesh = ply.read(plain_ply.written(file), "random.ply")
@@ -178,7 +178,7 @@ def test_binary_differs_in_moved_coordinates_and_normals_only(file):
     assert output == plain_ply.written(expected)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(structures(encodings=("ascii",)))
 def test_ascii_differs_in_moved_tokens_only(file):
     data = plain_ply.written(file)
@@ -205,7 +205,7 @@ def test_ascii_differs_in_moved_tokens_only(file):
                     assert old[k] == new[k]
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     structures(),
     st.sampled_from(["same", "ascii", "binary"]),

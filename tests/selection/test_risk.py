@@ -399,6 +399,17 @@ def test_without_noise_every_move_is_an_error(noise):
         assert np.isfinite(found.drift).all()
 
 
+def test_places_without_noise_give_a_finite_risk():
+    part, _ = sheet(noise=0.1)
+    quiet = NoiseModel(0.1, shares=np.zeros(len(part.mesh.vertices)))
+    found = rehearsed(part, part.mesh.vertices, [scaled(-0.5)], quiet, "drawn", nothing)
+    runs = [lambda mesh: np.ones_like(mesh.vertices)]
+    moved = rehearsed(part, part.mesh.vertices, runs, quiet, "drawn", nothing)
+    for risk in (found, moved):
+        assert np.isfinite(risk.positions.gram).all() and np.isfinite(risk.slopes.gram).all()
+    assert moved.positions.singles()[0] > 1e6
+
+
 def test_on_a_curved_mesh_it_is_nearly_right():
     # Normals are those of the noisy mesh here, and the noise is along the true ones.
     vertices, faces = torus(80, 40)

@@ -395,7 +395,11 @@ def root_mean_square_edges(true, noisy_mesh, made):
 
 @pytest.mark.parametrize(
     ("name", "level"),
-    [("bear_clean.obj", 0.2), ("vase_clean.obj", 0.1), ("toadstool_clean.ply", 0.3)],
+    [
+        ("bear_clean.obj", 0.2),
+        pytest.param("vase_clean.obj", 0.1, marks=pytest.mark.slow),
+        pytest.param("toadstool_clean.ply", 0.3, marks=pytest.mark.slow),
+    ],
 )
 def test_it_is_better_than_the_default_and_than_the_scan(name, level):
     true = sample(name)
