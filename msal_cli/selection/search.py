@@ -101,7 +101,7 @@ PLAIN_KINDS, SURE_KIND = ("white", "isotropic"), 0.7
 believed."""
 
 STAIRCASE = "staircase"
-DOUBTFUL_KINDS = ("correlated", "view", "quantised", STAIRCASE, "unknown")
+DOUBTFUL_KINDS = ("correlated", "view", "quantised", STAIRCASE)
 """Those that a scanner's noise is taken for when it is like none; below ``SURE_KIND``, and on
 texture, which their levels include, no draw of the kind is like it.  Terraces cannot be drawn."""
 
