@@ -6,6 +6,7 @@ or as a member of a blend; settings that are never missed were left out.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +23,7 @@ class Candidate:
         one core: a fifth more than benchmarks/candidate_costs.py measures, since the vertices of
         scans are in worse order than those of its torus.
     takes_noise : it has a parameter ``noise``, in mean edge lengths, that it must be given.
+    times : how many times the noise it is given, to reach farther.
     is_last_resort : dear, and worth trying only where others that sharpen edges do well.
     """
 
@@ -30,18 +32,21 @@ class Candidate:
     cost: float
     takes_noise: bool = False
     is_last_resort: bool = False
+    times: float = 1.0
 
     def settings(self, noise_edges: float) -> dict[str, Any]:
         """The parameters for a mesh with that noise, mean edge lengths of the mesh."""
         if not self.takes_noise:
             return dict(self.given)
-        return {"noise": noise_edges, **self.given}
+        return {"noise": round(self.times * noise_edges, 4), **self.given}
 
     @property
     def label(self) -> str:
         """In words: ``guided normals (sigma_r 0.45, 5 iterations)``."""
         kind = _KINDS.get((self.method, self.given.get("schedule")), self.method)
         words = re.sub(r"\b1 (\w+)s\b", r"1 \1", _WORDS.get(kind, "").format(**self.given))
+        if self.times != 1.0:
+            words = f"noise times {self.times:g}"
         return NAMES[kind] + (f" ({words})" if words else "")
 
 
@@ -121,6 +126,10 @@ def _sinc(iterations: int, pass_band: float, cost: float) -> Candidate:
 
 LEARNED = Candidate("learned", dict(_SLIDING), 115.0, takes_noise=True)
 """Errs in another way than all others, and is always worth a longer look."""
+
+FARTHER = tuple(dataclasses.replace(LEARNED, times=times) for times in (2.0, 4.0))
+"""The same for noise that reaches farther than the estimate sees: neighbours share it, or a scanner
+has smoothed it."""
 
 CANDIDATES: tuple[Candidate, ...] = (
     _al(1, 1, 0.6),

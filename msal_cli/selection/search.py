@@ -29,13 +29,20 @@ from msal_cli.noise_estimate import NoiseLevel, estimated
 from msal_cli.noise_estimate.local import local_levels
 from msal_cli.noise_model import ISOTROPIC, build_model
 from msal_cli.selection import NONE, Choice, Wishes
-from msal_cli.selection.candidates import CANDIDATES, LEARNED, ROBUST, SMOOTHER, Candidate
+from msal_cli.selection.candidates import CANDIDATES, FARTHER, LEARNED, ROBUST, SMOOTHER, Candidate
 from msal_cli.selection.least import SHAPE, STRENGTH, choose_least
 from msal_cli.selection.levels import FEWEST_JUDGED, RELAX, level_masks, spread_levels
 from msal_cli.selection.patches import Part, representative
 from msal_cli.selection.recipe import recipe
 from msal_cli.selection.risk import DEALT, DRAWN, MIRRORED, PROBES, Rehearsal, Risk, Stein
-from msal_cli.selection.surface import CLEAN, MACHINED, kind_of
+from msal_cli.selection.surface import (
+    CLEAN,
+    MACHINED,
+    ORGANIC,
+    TEXTURED,
+    is_seen_from_one_side,
+    kind_of,
+)
 from msal_cli.selection.trials import Trials
 from msal_cli.selection.weighing import FLOOR, best_weights, rounded
 from msal_cli.selection.words import describe_noise
@@ -93,6 +100,17 @@ PLAIN_KINDS, SURE_KIND = ("white", "isotropic"), 0.7
 """Kinds whose noise is drawn on any surface, and the confidence of the estimate from which on it is
 believed."""
 
+STAIRCASE = "staircase"
+DOUBTFUL_KINDS = ("correlated", "view", "quantised", STAIRCASE)
+"""Those that a scanner's noise is taken for when it is like none; below ``SURE_KIND``, and on
+texture, which their levels include, no draw of the kind is like it.  Terraces cannot be drawn."""
+
+WEAK = 0.1
+"""White noise in mean edge lengths below which a range scan may have more that neighbours share."""
+
+STAIRS = 0.3
+"""Noise in mean edge lengths that terraces are taken for at least: learned filters flatten them."""
+
 HARM = "every filter would add more error than it takes away"
 
 _SLOPES = {"balanced": 0.5, "positions": 0.25, "normals": 0.75, "volume": 0.4}
@@ -129,11 +147,15 @@ class _Search:
         if wishes.keep is not None and wishes.prefer != "balanced":
             self.slopes = _SLOPES[wishes.prefer]
         self.drift = _DRIFT.get(wishes.prefer, 0.0)
-        self.level = edges * factor * STRENGTH**wishes.strength * mesh.mean_edge_length
+        if noise.character.kind == STAIRCASE:
+            edges = max(edges, STAIRS)
+        self.wished = factor * STRENGTH**wishes.strength
+        self.level = edges * self.wished * mesh.mean_edge_length
         n = len(mesh.vertices)
         # In filters of the default run over one vertex.
         self.allowance = (wishes.budget - 1.0) * ((RUN + 1.0) * n + START) + n
         self._done = self._total = 0
+        self.pilot, self._is_machined = LEARNED, False
         self.model = build_model(mesh, noise).at_level(self.level)
         self.relax = 0
         if self.model.direction == ISOTROPIC and mesh.trust is None:
@@ -156,9 +178,11 @@ class _Search:
         later = [one for one in usable if one is LEARNED]
         last = [one for one in usable if one.is_last_resort]
         at_first = [one for one in usable if one not in (*later, *last)] or usable
+        if LEARNED in later and (self._is_of_other_kind or self._is_range_scan):
+            family = self._mirror()
+            if family:
+                at_first, later, last = list(family), [], []
         self._total = 2 * len(at_first) + 5 * (LONGER_LOOK + len(later + last)) + 1
-        if self._is_of_other_kind and LEARNED in later:
-            self._mirror_on_machined()
         glance = self._trials(GLANCE)
         risk = self._look(glance, at_first)
         weights = self._best([risk])
@@ -175,7 +199,7 @@ class _Search:
         tried += len(later)
         study = self._trials(PART)
         if self.added == MIRRORED:
-            first = study.positions([LEARNED], np.ones(1))
+            first = study.positions([self.pilot], np.ones(1))
         else:
             first = study.positions(members, weights)
         again = study.by_rehearsal(members, first)
@@ -188,7 +212,8 @@ class _Search:
             judges.append((study.by_stein(members, first, PROBES), self._doubt))
             both = [judges[0][0].risk().counted(self._doubt), again.risk().of(shortlist)]
             weights = self._best(both)
-        first = study.positions(members, weights)
+        if self.added != MIRRORED:
+            first = study.positions(members, weights)
         last_one = study.by_rehearsal(members, first)
         judges.append((last_one, 1.0))
         self.unit = last_one.level if self.added == MIRRORED else self.level
@@ -203,7 +228,7 @@ class _Search:
         if self._is_gaussian:
             first = glance.positions([SMOOTHER], np.ones(1))
             return glance.by_stein(candidates, first, 1).risk()
-        pilot = LEARNED if self.added == MIRRORED else ROBUST
+        pilot = self.pilot if self.added == MIRRORED else ROBUST
         first = glance.positions([pilot], np.ones(1))
         return glance.by_rehearsal(candidates, first).risk()
 
@@ -244,12 +269,50 @@ class _Search:
         is_plain = character.kind in PLAIN_KINDS and character.confidence >= SURE_KIND
         return not is_plain and not self.is_impulsive
 
-    def _mirror_on_machined(self) -> None:
-        """On a machined surface what the learned filter takes away is noise, of whatever kind."""
-        pilot = self._trials(GLANCE)
-        surface = kind_of(pilot.part.mesh.moved(pilot.positions([LEARNED], np.ones(1))))
-        if surface == MACHINED:
-            self.added, self._whole = MIRRORED, None
+    @property
+    def _is_range_scan(self) -> bool:
+        """Whether weak white noise is but the part of a scanner's that neighbours do not share."""
+        noise = self.noise
+        is_weak = noise.mean_edges < WEAK and self._width > SURE and not self.is_impulsive
+        return is_weak and not noise.is_uneven and is_seen_from_one_side(self.mesh)
+
+    def _mirror(self) -> Sequence[Candidate]:
+        """Let rehearsals put on what the learned filter takes away, where that is noise.
+
+        On a machined surface it is, of whatever kind.  Elsewhere it is believed to be where no draw
+        of the noise is like it.  Smooth surfaces bear a farther reach, and what keeps more of the
+        scan only keeps noise: candidates are returned that are then the only ones, or none.
+        """
+        trials = self._trials(GLANCE)
+        moved = trials.positions([LEARNED], np.ones(1))
+        surface = kind_of(trials.part.mesh.moved(moved))
+        character, is_other = self.noise.character, self._is_of_other_kind
+        is_doubtful = (
+            is_other
+            and character.kind in DOUBTFUL_KINDS
+            and not self.noise.is_uneven
+            and (
+                character.confidence < SURE_KIND
+                or character.kind == STAIRCASE
+                or surface == TEXTURED
+            )
+        )
+        self._is_machined = is_other and surface == MACHINED
+        is_smooth = surface == ORGANIC and (is_doubtful or self._is_range_scan)
+        if not (self._is_machined or is_doubtful or is_smooth):
+            return ()
+        self.added, self._whole = MIRRORED, None
+        # What is put on is not drawn of the level: no doubt about texture lessens it.
+        edge = self.mesh.mean_edge_length
+        self.level = max(self.level, self.noise.mean_edges * self.wished * edge)
+        self.model = self.model.at_level(self.level)
+        if not is_smooth:
+            return ()
+        # The level along an axis is that of all the noise.
+        is_whole = character.kind in ("view", "quantised")
+        family = (LEARNED, FARTHER[0]) if is_whole else FARTHER
+        self.pilot = family[0]
+        return family
 
     @property
     def _doubt(self) -> float:
@@ -270,9 +333,7 @@ class _Search:
         return (level - self.noise.low) / level if level > 0.0 else 0.0
 
     def _may_be_sharp(self, surface: str) -> bool:
-        return (
-            surface == MACHINED or self.added == MIRRORED or self._noise_edges(self.mesh) >= HEAVY
-        )
+        return surface == MACHINED or self._is_machined or self._noise_edges(self.mesh) >= HEAVY
 
     def _is_usable(self, candidate: Candidate) -> bool:
         """Whether one may be chosen: its run over the mesh fits, and trust has an effect."""

@@ -19,6 +19,22 @@ blend: 9.3 and more on machined ones, 8.7 and less on others, 5 on most."""
 ROUGH_DEG = 10.0
 """The 90th percentile of the angles, in degrees, from which on a surface is called textured."""
 
+AWAY = 0.02
+"""Share of the area of a range scan that may face away from the scanner: by noise, at grazing
+angles.  Scans by one view have 0.015 and less."""
+
+
+def is_seen_from_one_side(mesh: Mesh) -> bool:
+    """Whether the mesh is open and hardly any of its area faces away: a scan from one view."""
+    from msal_cli.core.geometry import face_normals_and_areas
+
+    if not mesh.links.boundary.any():
+        return False
+    normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
+    axis = np.einsum("ij,i->j", normals, areas)
+    away = areas[np.einsum("ij,j->i", normals, axis) < 0.0]
+    return float(away.sum()) <= AWAY * float(areas.sum())
+
 
 def kind_of(mesh: Mesh) -> str:
     """``MACHINED``, ``TEXTURED`` or ``ORGANIC``, for a mesh without much noise."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -13,14 +14,17 @@ from msal_cli.mesh import prepared
 from msal_cli.methods.blend import read_levels
 from msal_cli.metrics.surface import normal_statistics
 from msal_cli.noise import AddedNoise, add_noise
-from msal_cli.noise_estimate import estimated
+from msal_cli.noise_estimate import NoiseCharacter, estimated
 from msal_cli.noise_estimate.local import local_levels
 from msal_cli.noise_model import build_model
 from msal_cli.selection import FAMILY, NONE, Wishes, adaptive
+from msal_cli.selection.candidates import FARTHER, LEARNED
 from msal_cli.selection.levels import level_masks, spread_levels
 from msal_cli.selection.patches import representative
+from msal_cli.selection.risk import DRAWN, MIRRORED
+from msal_cli.selection.search import _Search
 from msal_cli.selection.words import describe_noise
-from tests.shapes import torus
+from tests.shapes import grid, torus
 
 KINDS = {
     "shared": AddedNoise("correlated", 0.2, seed=1, rings=2),
@@ -125,6 +129,71 @@ def test_noise_of_another_kind_goes_from_a_machined_part():
     angles = [normal_statistics(true, one).mean_angular_error_deg for one in (mesh, made)]
     assert choice.surface == "machined"
     assert angles[1] < 0.3 * angles[0]
+
+
+def waves():
+    """An open patch with long waves, as one view sees it."""
+    vertices, faces = grid(70, 70)
+    vertices = np.asarray(vertices, dtype=float)
+    vertices[:, 2] += 2.0 * np.sin(0.15 * vertices[:, 0]) * np.sin(0.15 * vertices[:, 1])
+    return prepared(vertices, faces).mesh
+
+
+def test_a_weakly_noisy_range_scan_is_left_to_the_learned_filter():
+    """White noise that is seen is but a part: the rest is shared, and looks like shape."""
+    true = waves()
+    shared = true.moved(add_noise(true, AddedNoise("correlated", 0.08, seed=3, rings=3)))
+    mesh = shared.moved(add_noise(shared, AddedNoise("gaussian-normal", 0.05, seed=4)))
+    search = _Search(mesh, Wishes(), range_level(mesh, "white", 0.98), None)
+    choice = search.chosen()
+    made = result_of(mesh, choice)
+    angles = [normal_statistics(true, one).mean_angular_error_deg for one in (mesh, made)]
+    assert "learned (noise times" in choice.reason
+    assert angles[1] < 0.5 * angles[0]
+
+
+def weakly_shared():
+    """A torus with weak noise that neighbours share."""
+    true = pair("shared")[1]
+    return true.moved(add_noise(true, AddedNoise("correlated", 0.06, seed=1, rings=1)))
+
+
+@pytest.mark.parametrize("kind", ["correlated", "view", "quantised", "staircase"])
+def test_noise_like_no_draw_is_rehearsed_as_it_was_taken(kind):
+    mesh = weakly_shared()
+    search = _Search(
+        mesh, Wishes(), range_level(mesh, kind, 0.95 if kind == "staircase" else 0.6), None
+    )
+    family = search._mirror()
+    assert search.added == MIRRORED
+    assert family[0] == (LEARNED if kind in ("view", "quantised") else FARTHER[0])
+    if kind == "staircase":
+        assert search.level >= 0.29 * mesh.mean_edge_length
+
+
+@pytest.mark.parametrize(("kind", "confidence"), [("correlated", 0.9), ("unknown", 0.3)])
+def test_noise_of_a_sure_kind_or_that_may_be_texture_is_drawn(kind, confidence):
+    mesh = weakly_shared()
+    search = _Search(mesh, Wishes(), range_level(mesh, kind, confidence), None)
+    assert search._mirror() == ()
+    assert search.added == DRAWN
+
+
+def range_level(mesh, kind, confidence):
+    """Noise of 0.06 mean edge lengths with a wide interval."""
+    noise = estimated(mesh)
+    edge = mesh.mean_edge_length
+    axis = (0.0, 0.0, 1.0) if kind in ("view", "quantised") else None
+    direction = "axis" if axis else "normals"
+    character = NoiseCharacter(kind, 0, direction, axis, 0.0, 0.0, confidence, "a test")
+    return dataclasses.replace(
+        noise,
+        file_units=0.06 * edge,
+        mean_edges=0.06,
+        low=0.04,
+        high=0.08,
+        character=character,
+    )
 
 
 def test_local_levels_follow_the_noise():

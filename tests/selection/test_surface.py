@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli.mesh import Mesh, prepared
-from msal_cli.selection.surface import MACHINED, ORGANIC, TEXTURED, kind_of
+from msal_cli.selection.surface import MACHINED, ORGANIC, TEXTURED, is_seen_from_one_side, kind_of
 from tests.shapes import ball, cube, grid, torus
 
 
@@ -61,6 +61,12 @@ def test_flat_parts_between_sharp_edges_are_machined(mesh):
 @pytest.mark.parametrize("shape", [ball(96, 48), torus(96, 48), grid()])
 def test_smooth_ones_are_organic(shape):
     assert kind_of(Mesh(*shape)) == ORGANIC
+
+
+def test_a_scan_from_one_side_is_open_and_faces_one_way():
+    assert is_seen_from_one_side(Mesh(*grid()))
+    assert not is_seen_from_one_side(Mesh(*ball(96, 48)))
+    assert not is_seen_from_one_side(prism())
 
 
 def test_bumps_are_texture():
