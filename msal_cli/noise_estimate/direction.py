@@ -157,7 +157,7 @@ class AxisEvidence:
     @property
     def confidence(self) -> float:
         """How sure that is, from 0.5 to 0.99."""
-        linked = 0.5 + 0.5 * self.agreement if self.is_linked else 0.5
+        linked = 0.6 + 0.4 * self.agreement if self.is_linked else 0.5
         return min(max(0.5 + self.gain, linked), 0.99)
 
 
