@@ -206,6 +206,7 @@ class _Search:
         weights = self._best([again.risk()])
         # Only what is any good rehearses twice.
         shortlist = self._shortlist(again.risk(), weights, SECOND_LOOK)
+        rehearsed = len(members)
         members, weights = [members[k] for k in shortlist], weights[shortlist]
         judges: list[tuple[Stein | Rehearsal, float]] = []
         if self._is_gaussian and self._doubt > 0.0 and not is_sharp:
@@ -214,7 +215,9 @@ class _Search:
             weights = self._best(both)
         if self.added != MIRRORED:
             first = study.positions(members, weights)
-        last_one = study.by_rehearsal(members, first)
+        # The same members on the same mesh once more would tell the same.
+        is_known = self.added == MIRRORED and len(members) == rehearsed
+        last_one = again if is_known else study.by_rehearsal(members, first)
         judges.append((last_one, 1.0))
         self.unit = last_one.level if self.added == MIRRORED else self.level
         risks = _risks(judges)
