@@ -58,6 +58,9 @@ slices 0.2 to 0.5 and 0.19 to 0.7; of thin plates the latter only."""
 PARALLEL = 1e-6
 """One less the cosine of the angle up to which edges have one direction."""
 
+AT_ONCE = 32
+"""Directions that are compared with all at a time: more would take memory."""
+
 MOST_CANDIDATES, MOST_DIRECTIONS, LEAST_PARALLEL = 512, 13, 0.01
 """Edges whose direction may be an axis of a turned grid; of how many directions pairs are tried,
 which marching cubes have along axes and diagonals; and the share of all edges with such a one."""
@@ -169,7 +172,11 @@ def _find_frames(differences: Floats) -> Iterator[Floats]:
 def _main_directions(directions: Floats) -> Floats:
     """Those (m, 3) of the directions (d, 3) that many have, the most frequent first."""
     some = directions[:: max(-(-len(directions) // MOST_CANDIDATES), 1)]
-    shares = (np.abs(some @ directions.T) > 1.0 - PARALLEL).mean(axis=1)
+    shares = np.empty(len(some))
+    for start in range(0, len(some), AT_ONCE):
+        block = slice(start, start + AT_ONCE)
+        cosines = np.abs(np.einsum("ij,kj->ik", some[block], directions))
+        shares[block] = (cosines > 1.0 - PARALLEL).mean(axis=1)
     main: list[Floats] = []
     for candidate in np.argsort(-shares, kind="stable"):
         if shares[candidate] < LEAST_PARALLEL or len(main) == MOST_DIRECTIONS:
