@@ -172,7 +172,7 @@ def refuse_unknown_format(output: str) -> None:
 
 
 def refuse_oversized(told: Forecast, limits: Limits) -> None:
-    """Refuse a file that is foreseen to go beyond the limits: ResourceError or TooLargeError."""
+    """Refuse a file that is expected to exceed the limits: ResourceError or TooLargeError."""
     from msal_cli.errors import ResourceError
     from msal_cli.memory import megabytes
 

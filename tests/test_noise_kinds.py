@@ -32,7 +32,7 @@ def with_noise(mesh, kind, level=0.2, **settings):
     return moved, estimated(moved)
 
 
-def told(noise):
+def summarize(noise):
     """The character without its words."""
     return noise.character.kind, noise.character.direction, noise.character.rings
 
@@ -40,7 +40,7 @@ def told(noise):
 @pytest.mark.parametrize("level", [0.05, 0.2, 0.5])
 def test_white_noise(smooth, level):
     _, noise = with_noise(smooth, "gaussian-normal", level)
-    assert told(noise) == ("white", "normals", 0)
+    assert summarize(noise) == ("white", "normals", 0)
     assert noise.character.confidence > 0.9
     assert noise.character.axis is None
 
@@ -48,14 +48,14 @@ def test_white_noise(smooth, level):
 @pytest.mark.parametrize("level", [0.1, 0.3])
 def test_isotropic_noise(smooth, level):
     _, noise = with_noise(smooth, "gaussian", level)
-    assert told(noise) == ("isotropic", "isotropic", 0)
+    assert summarize(noise) == ("isotropic", "isotropic", 0)
     assert noise.file_units == pytest.approx(level * smooth.mean_edge_length, rel=0.1)
 
 
 @pytest.mark.parametrize("rings", [1, 2, 3])
 def test_noise_that_neighbours_share(smooth, rings):
     mesh, noise = with_noise(smooth, "correlated", rings=rings)
-    assert told(noise)[:2] == ("correlated", "normals")
+    assert summarize(noise)[:2] == ("correlated", "normals")
     assert abs(noise.character.rings - rings) <= (rings == 3)
     assert noise.file_units == pytest.approx(0.2 * smooth.mean_edge_length, rel=0.15)
     assert noise.low < 0.2 * smooth.mean_edge_length / mesh.mean_edge_length < noise.high
@@ -67,7 +67,7 @@ def test_noise_that_neighbours_share(smooth, rings):
 @pytest.mark.parametrize("rings", [0, 2])
 def test_noise_along_a_view(smooth, direction, rings):
     _, noise = with_noise(smooth, "view", direction=direction, rings=rings)
-    assert told(noise) == ("view", "axis", rings)
+    assert summarize(noise) == ("view", "axis", rings)
     axis = np.array(direction) / np.linalg.norm(direction)
     assert abs(np.array(noise.character.axis) @ axis) > np.cos(np.radians(10.0))
     assert np.linalg.norm(noise.character.axis) == pytest.approx(1.0)
@@ -78,7 +78,7 @@ def test_noise_along_a_view(smooth, direction, rings):
 def test_rounded_depths(smooth, axis):
     direction = tuple(np.eye(3)[axis])
     mesh, noise = with_noise(smooth, "quantised", 0.05, direction=direction, step=0.5)
-    assert told(noise) == ("quantised", "axis", 0)
+    assert summarize(noise) == ("quantised", "axis", 0)
     assert noise.character.axis == direction
     step = noise.character.step * mesh.mean_edge_length
     assert step == pytest.approx(0.5 * smooth.mean_edge_length, rel=1e-6)
@@ -88,7 +88,7 @@ def test_rounded_depths(smooth, axis):
 
 def test_noise_on_a_half(smooth):
     mesh, noise = with_noise(smooth, "half", direction=(1.0, 0.0, 0.0))
-    assert told(noise) == ("uneven", "normals", 0)
+    assert summarize(noise) == ("uneven", "normals", 0)
     assert noise.is_uneven
     assert noise.lowest < 0.01
     assert noise.highest * mesh.mean_edge_length == pytest.approx(
@@ -102,7 +102,7 @@ def test_noise_on_a_half(smooth):
 
 def test_noise_that_grows(smooth):
     _, noise = with_noise(smooth, "ramp", 0.4, direction=(1.0, 0.0, 0.0))
-    assert told(noise) == ("uneven", "normals", 0)
+    assert summarize(noise) == ("uneven", "normals", 0)
     assert noise.low < noise.mean_edges < noise.high
 
 
@@ -110,7 +110,7 @@ def test_noise_that_grows(smooth):
 @pytest.mark.parametrize("fraction", [0.02, 0.05, 0.1])
 def test_outliers(smooth, level, fraction):
     mesh, noise = with_noise(smooth, "outliers", level, fraction=fraction)
-    assert told(noise)[0] == "outliers"
+    assert summarize(noise)[0] == "outliers"
     assert noise.character.outliers == pytest.approx(fraction, rel=0.4)
     clean = level * smooth.mean_edge_length / mesh.mean_edge_length
     assert noise.mean_edges == pytest.approx(clean, rel=0.12, abs=0.03)
@@ -120,7 +120,7 @@ def test_outliers(smooth, level, fraction):
 @pytest.mark.parametrize(("level", "fraction"), [(0.5, 0.5), (0.4, 0.1)])
 def test_impulses(smooth, level, fraction):
     _, noise = with_noise(smooth, "impulsive", level, fraction=fraction)
-    assert told(noise)[0] == "impulsive"
+    assert summarize(noise)[0] == "impulsive"
     assert noise.character.outliers == 0.0
 
 
@@ -131,7 +131,7 @@ def test_terraces_of_voxels(smooth, scanner):
     scan = simulate_scan(smooth, ScannerSettings(scanner, cells=48))
     mesh = prepared(scan.vertices, scan.faces).mesh
     noise = estimated(mesh)
-    assert told(noise)[0] == "staircase"
+    assert summarize(noise)[0] == "staircase"
     height = scan.cell * (3 if scanner == "slices" else 1)
     assert noise.character.step * mesh.mean_edge_length == pytest.approx(height, rel=1e-6)
     assert not noise.is_negligible
@@ -148,7 +148,7 @@ def test_terraces_that_are_turned(smooth, shape, scanner):
     turn, _ = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))
     mesh = prepared(scan.vertices @ turn.T, scan.faces).mesh
     noise = estimated(mesh)
-    assert told(noise)[0] == "staircase"
+    assert summarize(noise)[0] == "staircase"
     height = scan.cell * (3 if scanner == "slices" else 1)
     assert noise.character.step * mesh.mean_edge_length == pytest.approx(height, rel=1e-3)
     assert noise.character.confidence > 0.9
@@ -159,7 +159,7 @@ def test_terraces_of_a_part_on_a_grid_are_doubtful():
     rows, columns = np.mgrid[:60, :60].astype(float)
     heights = np.round(4 * np.sin(columns / 9) + 3 * np.cos(rows / 7))
     noise = estimated(prepared(*graph(columns, rows, heights)).mesh)
-    assert told(noise)[0] == "staircase"
+    assert summarize(noise)[0] == "staircase"
     assert noise.character.confidence <= 0.6
 
 
@@ -170,7 +170,7 @@ def test_a_block_that_is_meshed_on_a_grid_is_clean(sizes):
     turn, _ = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))
     for positions in (vertices, vertices @ turn.T):
         noise = estimated(prepared(positions, faces).mesh)
-        assert (told(noise)[0], noise.is_negligible) == ("none", True)
+        assert (summarize(noise)[0], noise.is_negligible) == ("none", True)
 
 
 def graph(x, y, z):
@@ -230,14 +230,14 @@ def bumpy(smooth):
 
 def test_smooth_relief_is_not_taken_for_shared_noise(bumpy):
     _, noise = with_noise(bumpy, "gaussian-normal", 0.2)
-    assert told(noise) == ("white", "normals", 0)
+    assert summarize(noise) == ("white", "normals", 0)
     assert noise.file_units == pytest.approx(0.2 * bumpy.mean_edge_length, rel=0.15)
     # But it may be shared, too.
     assert noise.high > 0.3
     assert noise.character.confidence < 0.5
     for level in (0.05, 0.1):
         _, quiet = with_noise(bumpy, "gaussian-normal", level)
-        assert told(quiet)[0] != "correlated"
+        assert summarize(quiet)[0] != "correlated"
         assert quiet.mean_edges < 1.2 * level
     assert estimated(bumpy).is_negligible
 
@@ -246,7 +246,7 @@ def test_smooth_relief_is_not_taken_for_shared_noise(bumpy):
 def test_noise_along_a_view_on_relief(bumpy, direction):
     """No place is flat, but vertices slide along the view as they are out of the surface."""
     _, noise = with_noise(bumpy, "view", direction=direction)
-    assert told(noise) == ("view", "axis", 0)
+    assert summarize(noise) == ("view", "axis", 0)
     axis = np.array(direction) / np.linalg.norm(direction)
     assert abs(np.array(noise.character.axis) @ axis) > np.cos(np.radians(10.0))
     assert noise.file_units == pytest.approx(0.2 * bumpy.mean_edge_length, rel=0.15)
@@ -276,7 +276,7 @@ def test_texture_that_differs_from_place_to_place_is_not_called_noise():
 def test_place_and_size_do_not_matter(smooth, kind):
     mesh, here = with_noise(smooth, kind)
     there = estimated(prepared(8.0 * (mesh.vertices + [3.0, -2.0, 1.0]), mesh.faces).mesh)
-    assert told(there) == told(here)
+    assert summarize(there) == summarize(here)
     assert there.mean_edges == pytest.approx(here.mean_edges, rel=1e-6)
 
 
@@ -285,7 +285,7 @@ def test_turning_does_not_matter(smooth, kind):
     mesh, here = with_noise(smooth, kind)
     turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
     there = estimated(prepared(mesh.vertices @ turn.T, mesh.faces).mesh)
-    assert told(there) == told(here)
+    assert summarize(there) == summarize(here)
     assert there.mean_edges == pytest.approx(here.mean_edges, rel=0.02)
     if here.character.axis is not None:
         turned = turn @ np.array(here.character.axis)

@@ -32,7 +32,7 @@ def choose_least(
     noise: NoiseLevel, wishes: Wishes, why: str, surface: str, is_harm: bool = False
 ) -> Choice:
     """The choice for a mesh where ``why`` no filter is worth its harm, such as ``clean``; if
-    ``is_harm``, that is not for want of noise."""
+    ``is_harm``, that is not because noise is missing."""
     what = f"noise {noise.mean_edges:.2g} e; {why}"
     is_less = wishes.strength < 0.0 or wishes.keep == "texture"
     is_more = wishes.strength > 0.0 or wishes.keep == "shape"
