@@ -46,10 +46,10 @@ from msal_cli.methods._triangles import even_out
 from msal_cli.noise_estimate.local import local_levels
 
 BYTES_PER_FACE = 1180
-"""Memory with the member that needs most memory that is ever chosen, ``learned``; see ``Method``."""
+"""Memory with the hungriest member that is ever chosen, ``learned``; see ``Method``."""
 
 KEPT_PER_FACE = 30
-"""Memory per triangle that goes on top of the member that needs most memory's: the sum so far, and what a run
+"""Memory per triangle that goes on top of the hungriest member's: the sum so far, and what a run
 leaves scattered behind."""
 
 MOST_MEMBERS = 16
