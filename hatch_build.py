@@ -39,8 +39,8 @@ class KernelBuildHook(BuildHookInterface):  # type: ignore[misc, type-arg]
             product = build.build(name, compiler=linking.ZIG if wanted else None)
             suffix = TARGETS[name].suffix
             build_data["force_include"] |= {
-                str(product.library): f"msal_cli/core/_kernels{suffix}",
-                str(product.table): "msal_cli/core/_kernels.txt",
+                str(product.library): f"msal_cli/kernels/_kernels{suffix}",
+                str(product.table): "msal_cli/kernels/_kernels.txt",
             }
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{product.wheel_tag}"

@@ -19,7 +19,7 @@ from pathlib import Path
 from benchmarks import accuracy_tables, accuracy_trials, ground_truth
 from benchmarks.accuracy_grid import defaults, grid
 from benchmarks.accuracy_outcomes import AUTO, Outcome, Outcomes
-from msal_cli.selection import Wishes
+from msal_cli.auto import Wishes
 
 COMMON = {
     "machined": ("Fandisk0.3", "SharpSphere0.3"),

@@ -17,11 +17,11 @@ from typing import Any
 from benchmarks.accuracy_grid import Setting
 from benchmarks.ground_truth import Case
 from msal_cli import methods
+from msal_cli.analysis.correspondence import moved_statistics, vertex_error_percent
+from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.volume import area_and_volume
+from msal_cli.auto import NONE, Wishes, chosen
 from msal_cli.mesh import Mesh
-from msal_cli.metrics.comparison import moved_statistics, vertex_error_percent
-from msal_cli.metrics.surface import normal_statistics
-from msal_cli.metrics.volume import area_and_volume
-from msal_cli.selection import NONE, Wishes, chosen
 
 NOISY = "noisy"
 """In place of a setting: the mesh as it comes."""

@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks import ground_truth, scans
 from benchmarks.accuracy_outcomes import AUTO
 from benchmarks.ground_truth import Case
+from msal_cli.auto import Wishes
 from msal_cli.mesh import Mesh, prepared
-from msal_cli.selection import Wishes
 
 WISHES = {
     AUTO: Wishes(),

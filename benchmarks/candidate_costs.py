@@ -4,7 +4,7 @@
 
 The mesh is a torus of nearly equilateral triangles with Gaussian noise of 0.2 mean edge lengths,
 its vertices in the order of a grid.  Processor time on one core, the least of the repeats, with
-kernels compiled before, beside the cost in msal_cli/selection/candidates.py.
+kernels compiled before, beside the cost in msal_cli/auto/candidates.py.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from msal_cli import methods
+from msal_cli.analysis.added_noise import noisy
+from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.mesh import Mesh, prepared
-from msal_cli.noise import noisy
-from msal_cli.selection.candidates import CANDIDATES
 
 LEVEL = 0.2
 

@@ -132,7 +132,7 @@ def best_peer(rows: list[Row]) -> Row | None:
 
 def compared(source: Path, target: Path) -> str:
     """How an output compares with its input: counts that differ, and how far vertices moved."""
-    from msal_cli import files
+    from msal_cli import codecs as files
     from msal_cli.errors import MsalError
 
     before = files.open_mesh(source.read_bytes(), source.name)

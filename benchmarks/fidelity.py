@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from benchmarks import ground_truth, machine
 from msal_cli import methods
+from msal_cli.analysis.correspondence import moved_statistics, vertex_error_percent
+from msal_cli.analysis.surface import normal_statistics
 from msal_cli.mesh import Mesh
-from msal_cli.metrics.comparison import moved_statistics, vertex_error_percent
-from msal_cli.metrics.surface import normal_statistics
 
 CLASSES = ("texture 0.1", "texture 0.2", "organic")
 

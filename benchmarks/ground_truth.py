@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import machined_shapes
-from msal_cli import files
+from msal_cli import codecs as files
+from msal_cli.analysis.added_noise import noisy
 from msal_cli.mesh import Mesh, prepared
-from msal_cli.noise import noisy
 
 SAMPLES = Path(__file__).resolve().parents[1] / "sample_meshes"
 

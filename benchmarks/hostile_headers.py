@@ -193,7 +193,7 @@ def lies() -> Iterator[Lie]:
 CHILD = """
 import sys, time
 from msal_cli import files
-from msal_cli.core import obj_scan, ply_scan, stl_scan
+from msal_cli.kernels import obj_scan, ply_scan, stl_scan
 from msal_cli.errors import MsalError
 
 def resident():

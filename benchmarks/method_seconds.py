@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from msal_cli import files, methods
+from msal_cli import codecs as files
+from msal_cli import methods
 from msal_cli.mesh import Mesh, prepared
 
 CPP_SECONDS = {

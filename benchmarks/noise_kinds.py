@@ -19,10 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks import ground_truth, machine
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
+from msal_cli.analysis.noise_estimate import NoiseLevel, estimated
+from msal_cli.analysis.simulation import ScannerSettings, find_truth, simulate_scan
 from msal_cli.mesh import Mesh, prepared
-from msal_cli.noise import AddedNoise, add_noise
-from msal_cli.noise_estimate import NoiseLevel, estimated
-from msal_cli.simulation import ScannerSettings, find_truth, simulate_scan
 
 SHAPES = (
     "Fandisk",

@@ -17,9 +17,9 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks import ground_truth, machine
+from msal_cli.analysis.added_noise import noisy
+from msal_cli.analysis.noise_estimate import NoiseLevel, estimated
 from msal_cli.mesh import Mesh
-from msal_cli.noise import noisy
-from msal_cli.noise_estimate import NoiseLevel, estimated
 
 LEVELS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7)
 SEED = 7

@@ -19,14 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import ground_truth, machine
-from msal_cli import automatic
-from msal_cli.core.geometry import distances
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
+from msal_cli.analysis.correspondence import (
+    moved_statistics,
+    surface_distances,
+    vertex_error_percent,
+)
+from msal_cli.analysis.outliers import find_outliers
+from msal_cli.analysis.surface import surface_change
+from msal_cli.auto import Wishes
+from msal_cli.job import choice as automatic
+from msal_cli.kernels.geometry import distances
 from msal_cli.mesh import Mesh
-from msal_cli.metrics.comparison import moved_statistics, surface_distances, vertex_error_percent
-from msal_cli.metrics.surface import surface_change
-from msal_cli.noise import AddedNoise, add_noise
-from msal_cli.outliers import find_outliers
-from msal_cli.selection import Wishes
 
 SEED = 11
 LEVELS = (0.0, 0.1, 0.2, 0.3)

@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli import files, methods
+from msal_cli import codecs as files
+from msal_cli import methods
+from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.volume import area_and_volume
 from msal_cli.mesh import Mesh, Prepared, prepared
-from msal_cli.metrics.surface import normal_statistics
-from msal_cli.metrics.volume import area_and_volume
 
 SWEEPS = 3
 REPEATS = 5

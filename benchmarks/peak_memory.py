@@ -4,7 +4,7 @@
 
 The mesh is a noisy torus of AROUND * AROUND / 2 vertices and twice as many faces.  Every case
 runs in a fresh process, kernels compiled before; ``auto`` among the methods is --auto.  Printed are
-megabytes (10^6 bytes) of resident memory at the peak.  The figures in ``files/forecast.py`` come
+megabytes (10^6 bytes) of resident memory at the peak.  The figures in ``codecs/forecast.py`` come
 from this program: the rows ``empty`` give what a process needs before it reads anything.
 """
 
@@ -18,14 +18,15 @@ from pathlib import Path
 
 import numpy as np
 
-from msal_cli import files, methods
-from msal_cli.pipeline import AUTO, Settings, Task, forecast
+from msal_cli import codecs as files
+from msal_cli import methods
+from msal_cli.job.pipeline import AUTO, Settings, Task, forecast
 
 _CHILD = """
 import sys
 from dataclasses import asdict
 from msal_cli import methods, selection
-from msal_cli.pipeline import AUTO, Settings, Task, denoise_file
+from msal_cli.job.pipeline import AUTO, Settings, Task, denoise_file
 source, target, name = sys.argv[1:]
 given = asdict(selection.Wishes()) if name == AUTO else methods.find(name).settled({})
 record = denoise_file(Task(source, target, "x"), Settings(name, given))

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from benchmarks import ground_truth
 from benchmarks.accuracy_grid import Setting
 from benchmarks.accuracy_outcomes import Outcome, outcome_of, run_setting
+from msal_cli.auto import NONE, adaptive
 from msal_cli.mesh import Mesh
-from msal_cli.selection import NONE, adaptive
 
 Floats = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from typing import Any
 
 from benchmarks import ground_truth
 from msal_cli import methods
+from msal_cli.analysis.correspondence import moved_statistics, vertex_error_percent
+from msal_cli.analysis.surface import normal_statistics
 from msal_cli.mesh import Mesh
-from msal_cli.metrics.comparison import moved_statistics, vertex_error_percent
-from msal_cli.metrics.surface import normal_statistics
 
 PUBLISHED = (
     (

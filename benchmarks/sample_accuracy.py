@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli import files, methods
+from msal_cli import codecs as files
+from msal_cli import methods
+from msal_cli.analysis.surface import normal_statistics
 from msal_cli.mesh import Prepared, prepared
-from msal_cli.metrics.surface import normal_statistics
 
 SAMPLES = Path(__file__).resolve().parents[1] / "sample_meshes"
 

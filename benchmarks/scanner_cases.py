@@ -18,10 +18,10 @@ import numpy as np
 
 from benchmarks import ground_truth
 from benchmarks.true_surface import TrueSurface
-from msal_cli import files
+from msal_cli import codecs as files
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
+from msal_cli.analysis.simulation import ScannerSettings, simulate_scan
 from msal_cli.mesh import Mesh, prepared
-from msal_cli.noise import AddedNoise, add_noise
-from msal_cli.simulation import ScannerSettings, simulate_scan
 
 CLEAN = "clean"
 """The kind without noise: what moves there is harm."""

@@ -20,14 +20,15 @@ from numpy.typing import NDArray
 
 from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_settings import PeerSetting, run_peers
-from msal_cli import files, methods
+from msal_cli import codecs as files
+from msal_cli import methods
+from msal_cli.analysis.correspondence import moved_statistics, used_vertices, vertex_error_percent
+from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.surface_distance import distances_to_surface
+from msal_cli.auto import Wishes
+from msal_cli.job.pipeline import ADAPTIVE, AUTO, denoise_bytes
+from msal_cli.job.settings import Settings
 from msal_cli.mesh import Mesh
-from msal_cli.metrics.comparison import moved_statistics, used_vertices, vertex_error_percent
-from msal_cli.metrics.surface import normal_statistics
-from msal_cli.metrics.surface_distance import distances_to_surface
-from msal_cli.pipeline import ADAPTIVE, AUTO, denoise_bytes
-from msal_cli.selection import Wishes
-from msal_cli.tasks import Settings
 
 Floats = NDArray[np.float64]
 

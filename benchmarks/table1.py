@@ -17,8 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from msal_cli import files, methods
-from msal_cli.core.geometry import area_and_volume
+from msal_cli import codecs as files
+from msal_cli import methods
+from msal_cli.kernels.geometry import area_and_volume
 from msal_cli.mesh import Mesh, prepared
 
 SWEEPS = 3

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.core.geometry import face_normals, face_normals_and_areas
+from msal_cli.analysis.surface_distance import nearest_on_surface
+from msal_cli.kernels.geometry import face_normals, face_normals_and_areas
 from msal_cli.mesh import Mesh
-from msal_cli.metrics.surface_distance import nearest_on_surface
 
 Floats = NDArray[np.float64]
 

@@ -18,9 +18,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from make_pictures import DOCS, opened, panel, row, sample, write_png
 
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
+from msal_cli.analysis.simulation import ScannerSettings, simulate_scan
 from msal_cli.mesh import Prepared, prepared
-from msal_cli.noise import AddedNoise, add_noise
-from msal_cli.simulation import ScannerSettings, simulate_scan
 
 Array = NDArray[Any]
 

@@ -15,11 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli import files, methods, parameter_grid, pictures, render, selection
-from msal_cli.comparison import Surface
+from msal_cli import auto as selection
+from msal_cli import codecs as files
+from msal_cli import methods
+from msal_cli import view as render
+from msal_cli.auto import adaptive
+from msal_cli.job.comparison import Surface
 from msal_cli.mesh import prepared
-from msal_cli.render.camera import framing, turned
-from msal_cli.selection import adaptive
+from msal_cli.view import parameter_grid, pictures
+from msal_cli.view.camera import framing, turned
 
 Array = NDArray[Any]
 

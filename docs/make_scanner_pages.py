@@ -26,8 +26,8 @@ from scanner_examples import EXAMPLES, Example, true_mesh
 from benchmarks import scanner_cases, scanner_outcomes, scanner_tables, scanners
 from benchmarks.scanner_cases import Pair
 from benchmarks.scanner_outcomes import NOISY, Outcomes
-from msal_cli import render
-from msal_cli.render.camera import framing, turned
+from msal_cli import view as render
+from msal_cli.view.camera import framing, turned
 
 Image = NDArray[np.uint8]
 

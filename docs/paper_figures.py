@@ -29,11 +29,11 @@ from paper_models import (
     volume,
 )
 
-from msal_cli import colours
-from msal_cli.metrics.curvature import mean_curvature
-from msal_cli.noise_estimate import estimated
-from msal_cli.render import Legend, labelled_panels
-from msal_cli.render.camera import viewed
+from msal_cli.analysis import colour_maps as colours
+from msal_cli.analysis.curvature import mean_curvature
+from msal_cli.analysis.noise_estimate import estimated
+from msal_cli.view import Legend, labelled_panels
+from msal_cli.view.camera import viewed
 
 ANGEL = "scans/angel.obj"
 FACE = "scans/face000.ply"

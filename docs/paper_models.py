@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli import comparison, methods, noise
-from msal_cli.core.geometry import face_normals_and_areas, ring_means
+from msal_cli import methods
+from msal_cli.analysis import added_noise as noise
+from msal_cli.analysis.correspondence import moved_statistics, vertex_error_percent
+from msal_cli.analysis.surface import normal_statistics, surface_change
+from msal_cli.job import comparison
+from msal_cli.kernels.geometry import face_normals_and_areas, ring_means
 from msal_cli.mesh import Mesh, Prepared, prepared
-from msal_cli.metrics.comparison import moved_statistics, vertex_error_percent
-from msal_cli.metrics.surface import normal_statistics, surface_change
-from msal_cli.render.camera import Camera
-from msal_cli.render.shading import CREASE_DEG, shaded
+from msal_cli.view.camera import Camera
+from msal_cli.view.shading import CREASE_DEG, shaded
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from make_pictures import opened, sample
 
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
+from msal_cli.analysis.simulation import ScannerSettings, simulate_scan
 from msal_cli.mesh import Mesh, prepared
-from msal_cli.noise import AddedNoise, add_noise
-from msal_cli.simulation import ScannerSettings, simulate_scan
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
     python -m kernel_build
 
-``msal_cli.core.library`` asks the functions here whether a checkout's library is up to date.
+``msal_cli.kernels.library`` asks the functions here whether a checkout's library is up to date.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 from kernel_build.hashing import source_hash
 from kernel_build.signatures import listed
-from msal_cli.core.compiled import Kernel
+from msal_cli.kernels.compiled import Kernel
 
 __all__ = ["compile_now", "is_listed", "source_hash"]
 

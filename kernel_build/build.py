@@ -13,7 +13,7 @@ from kernel_build import linking
 from kernel_build.objects import CACHE, build_objects
 from kernel_build.signatures import listed
 from kernel_build.targets import TARGETS, native_target
-from msal_cli.core import library
+from msal_cli.kernels import library
 
 
 class Product(NamedTuple):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.core.compiled import Kernel
+from msal_cli.kernels.compiled import Kernel
 
 
 @functools.cache

@@ -7,7 +7,7 @@ import functools
 import types
 from typing import Any, cast
 
-from msal_cli.core.compiled import Kernel
+from msal_cli.kernels.compiled import Kernel
 
 
 def to_dispatcher(kernel: Kernel, **options: bool) -> Any:

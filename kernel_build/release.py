@@ -48,8 +48,8 @@ def check_wheel(wheel: Path, name: str) -> list[str]:
     target = TARGETS[name]
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
-        inner = f"msal_cli/core/_kernels{target.suffix}"
-        wanted = (inner, "msal_cli/core/_kernels.txt")
+        inner = f"msal_cli/kernels/_kernels{target.suffix}"
+        wanted = (inner, "msal_cli/kernels/_kernels.txt")
         wrong = [f"it has no {one}" for one in wanted if one not in names]
         wrong += [f"it has {one}" for one in names if one.startswith("kernel_build")]
         (about,) = [one for one in names if one.endswith(".dist-info/WHEEL")]

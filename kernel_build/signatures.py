@@ -11,7 +11,7 @@ import importlib
 from collections.abc import Iterable
 from pathlib import Path
 
-from msal_cli.core.compiled import Kernel
+from msal_cli.kernels.compiled import Kernel
 
 LIST = Path(__file__).with_name("signatures.txt")
 
@@ -31,7 +31,7 @@ def kernel_of(signature: str) -> Kernel:
     """The kernel that a line names."""
     module, _, function = signature.partition("(")[0].partition(".")
     try:
-        kernel = getattr(importlib.import_module(f"msal_cli.core.{module}"), function)
+        kernel = getattr(importlib.import_module(f"msal_cli.kernels.{module}"), function)
     except (ImportError, AttributeError):
         kernel = None
     if not isinstance(kernel, Kernel):

@@ -8,7 +8,7 @@ import inspect
 import textwrap
 from typing import Any
 
-from msal_cli.core.compiled import Kernel
+from msal_cli.kernels.compiled import Kernel
 
 _WRITING_METHODS = {"fill", "sort", "partition"}
 

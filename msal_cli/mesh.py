@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from msal_cli.errors import ContentError, TooLargeError
 
 if TYPE_CHECKING:
-    from msal_cli.core.connectivity import Connectivity
+    from msal_cli.kernels.connectivity import Connectivity
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -53,24 +53,24 @@ class Mesh:
     @functools.cached_property
     def links(self) -> Connectivity:
         """Neighbourhoods of vertices and counts of edges."""
-        from msal_cli.core.connectivity import connectivity
+        from msal_cli.kernels.connectivity import connectivity
 
         return connectivity(len(self.vertices), self.faces)
 
     @functools.cached_property
     def mean_edge_length(self) -> float:
         """Mean length of the unique edges, file units."""
-        from msal_cli.core.geometry import mean_edge_length
+        from msal_cli.kernels.geometry import mean_edge_length
 
         return mean_edge_length(self.vertices, self.links.ring_start, self.links.ring)
 
     def vertex_normals(self, weighting: str = "uniform", mollify: int = 0) -> Floats:
         """Unit normals (n, 3), ``mollify`` times mollified; zeros where there is none.
 
-        ``weighting`` is ``"uniform"`` or ``"area"``; see ``core.geometry.vertex_normals``.  They
+        ``weighting`` is ``"uniform"`` or ``"area"``; see ``kernels.geometry.vertex_normals``.  They
         are computed once and shared: do not write to them.
         """
-        from msal_cli.core.geometry import mollified
+        from msal_cli.kernels.geometry import mollified
 
         known = self._known_normals
         if (weighting, mollify) not in known:
@@ -86,7 +86,7 @@ class Mesh:
     def _plain_normals(self, weighting: str) -> Floats:
         """Normals (n, 3) that are not mollified; those that counting flat faces has left behind
         are not kept for a second time, for they take as much memory as the vertices."""
-        from msal_cli.core.geometry import vertex_normals
+        from msal_cli.kernels.geometry import vertex_normals
 
         left: Floats | None = None
         if weighting == "uniform":
@@ -103,7 +103,7 @@ class Mesh:
     @functools.cached_property
     def flat_faces(self) -> int:
         """How many faces have no normal."""
-        from msal_cli.core.geometry import normals_and_flat_faces
+        from msal_cli.kernels.geometry import normals_and_flat_faces
 
         # Nearly every method asks for these normals next, and all are measured along them.
         self.__dict__["_left_normals"], flat = normals_and_flat_faces(
@@ -194,7 +194,7 @@ class Prepared:
 
         A vertex whose mesh vertex did not move, or that has none, keeps ``original``'s very value.
         """
-        from msal_cli.core.scattering import scattered
+        from msal_cli.kernels.scatter import scattered
 
         mesh = self.mesh
         return scattered(
@@ -205,7 +205,7 @@ class Prepared:
         """Largest distance between file positions (n_file, 3) that were one point before."""
         if self.place is None:
             return 0.0
-        from msal_cli.core.scattering import widest_gap
+        from msal_cli.kernels.scatter import widest_gap
 
         return widest_gap(vertices, self.place, len(self.mesh.vertices))
 
@@ -226,8 +226,8 @@ def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Pr
     TooLargeError
         for more than ``MOST_FACES`` triangles.
     """
-    from msal_cli.core.at_once import at_once, is_worth_it
-    from msal_cli.core.connectivity import (
+    from msal_cli.kernels.concurrent import at_once, is_worth_it
+    from msal_cli.kernels.connectivity import (
         connectivity,
         count_components,
         duplicate_faces,

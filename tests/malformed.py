@@ -10,16 +10,16 @@ from __future__ import annotations
 import gzip
 from collections import Counter
 
-from tests.files import (
+from tests.codecs import (
     test_glb,
     test_gltf,
+    test_library_formats,
     test_obj_hostile,
-    test_other,
     test_ply_hostile,
     test_stl_hostile,
-    test_streams,
     test_threemf_hostile,
 )
+from tests.storage import test_gzip_streams
 
 TRIANGLE = "v {0} 0 0\nv 0 {0} 0\nv 0 0 {0}\nf 1 2 3\n"
 OTHER_FACES = "v 0 0 0\nv 1 0 0\nv 0 1 0\n{}\n"
@@ -54,8 +54,8 @@ def malformed() -> dict[str, tuple[bytes, str]]:
     found |= {f"{name}.glb": row for name, row in test_glb.DAMAGED.items()}
     found |= {f"{name}.gltf": row for name, row in test_gltf.DAMAGED.items()}
     found |= {f"{name}.3mf": row for name, row in test_threemf_hostile.DAMAGED.items()}
-    found |= {f"{name}.ply.gz": row for name, row in test_streams.DAMAGED.items()}
-    return found | test_other.DAMAGED
+    found |= {f"{name}.ply.gz": row for name, row in test_gzip_streams.DAMAGED.items()}
+    return found | test_library_formats.DAMAGED
 
 
 def counts() -> dict[str, Counter[str]]:

@@ -17,9 +17,9 @@ from benchmarks import (
 from benchmarks.accuracy_grid import Setting, defaults, grid
 from benchmarks.accuracy_outcomes import AUTO, NOISY, Outcome
 from msal_cli import methods
+from msal_cli.analysis.noise_estimate import estimated
+from msal_cli.auto import Choice
 from msal_cli.mesh import prepared
-from msal_cli.noise_estimate import estimated
-from msal_cli.selection import Choice
 from tests.shapes import torus
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "accuracy.md"

@@ -7,7 +7,7 @@ import os
 import pytest
 
 from msal_cli import cores
-from msal_cli.core import parallel
+from msal_cli.kernels import parallel
 
 
 def made(tmp_path, membership, **files):

@@ -16,9 +16,9 @@ import click
 import pytest
 from click.exceptions import Exit
 
-from msal_cli import records
 from msal_cli.cli import exit_codes
 from msal_cli.cli.main import program
+from msal_cli.job import records
 from msal_cli.report.document import Run, Totals
 from tests.refreshing import refresh
 

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msal_cli import files, pipeline
+from msal_cli import codecs as files
+from msal_cli.job import pipeline
 from msal_cli.mesh import prepared
-from tests.files import plain_ply
+from tests.codecs import plain_ply
 from tests.fuzz import mutants
+from tests.job.test_pipeline import WRITERS, settings
 from tests.shapes import noisy, torus
-from tests.test_pipeline import WRITERS, settings
 
 SAMPLES = Path(__file__).parents[1] / "sample_meshes"
 

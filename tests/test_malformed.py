@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from msal_cli import pipeline
+from msal_cli.job import pipeline
+from tests.job.test_pipeline import settings
 from tests.malformed import counts, malformed
-from tests.test_pipeline import settings
 
 MALFORMED = malformed()
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch.shards import COUNT_VARIABLE, settled
+from msal_cli.batch.shard import COUNT_VARIABLE, settled
 from tests.cli.scans import closed_scan, folder_of
 
 PAGE = (Path(__file__).parents[1] / "docs/many_machines.md").read_text("utf-8")

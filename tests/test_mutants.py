@@ -11,9 +11,10 @@ import random
 import numpy as np
 import pytest
 
-from msal_cli import files, pipeline
+from msal_cli import codecs as files
+from msal_cli.job import pipeline
+from tests.job.test_pipeline import WRITERS, settings
 from tests.shapes import noisy, torus
-from tests.test_pipeline import WRITERS, settings
 
 BYTES = [b"\0", b"\xff", b"\n", b" ", b"-", b"nan", b"1e999", b"9" * 30, b"#", b"\\\n", b"\x80\x3f"]
 

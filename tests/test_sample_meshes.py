@@ -214,8 +214,8 @@ def test_particulars(script: ModuleType) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_denoising_comes_nearer_to_the_truth(name: str, tmp_path: Path) -> None:
+    from msal_cli.job.pipeline import Settings, Task, denoise_file
     from msal_cli.methods import find
-    from msal_cli.pipeline import Settings, Task, denoise_file
 
     source = one(name, "noisy")
     result = tmp_path / source.name
@@ -235,8 +235,8 @@ def test_denoising_comes_nearer_to_the_truth(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_sweeps_give_the_file_back(name: str) -> None:
+    from msal_cli.job.pipeline import Settings, denoise_bytes
     from msal_cli.methods import find
-    from msal_cli.pipeline import Settings, denoise_bytes
 
     path = one(name, "noisy")
     data = path.read_bytes()

@@ -12,9 +12,9 @@ from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_outcomes import NOISY, Errors, Outcome
 from benchmarks.scanner_settings import PEER_SETTINGS
 from benchmarks.true_surface import TrueSurface, corner_normals
-from msal_cli.core.geometry import face_normals
+from msal_cli.analysis.surface_distance import distances_to_surface, nearest_on_surface
+from msal_cli.kernels.geometry import face_normals
 from msal_cli.mesh import Mesh, prepared
-from msal_cli.metrics.surface_distance import distances_to_surface, nearest_on_surface
 from tests.shapes import ball, cube, torus
 
 pytest.importorskip("fcpw")

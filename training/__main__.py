@@ -1,6 +1,6 @@
 """Train the filter ``learned``:
 
-    python -m training -o msal_cli/weights/learned.json
+    python -m training -o msal_cli/methods/weights/learned.json
 
 The same seed, settings and versions of numpy on the same kind of processor give the same bytes.
 """
@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from msal_cli import files
-from msal_cli.core.normal_descriptors import VECTORS, WIDE_FILTERED
-from msal_cli.core.normal_regression import Network
+from msal_cli import codecs as files
+from msal_cli.kernels.normal_descriptors import VECTORS, WIDE_FILTERED
+from msal_cli.kernels.normal_regression import Network
 from msal_cli.methods._cascade import write_networks
 from training.regression import Schedule, train_network
 from training.samples import NoisyMesh, Shape, collect_samples, draw_meshes

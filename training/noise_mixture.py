@@ -8,8 +8,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.mesh import Mesh
-from msal_cli.noise import AddedNoise, add_noise
 
 Floats = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ class Kind:
 
     Attributes
     ----------
-    name : of ``msal_cli.noise.KINDS``, or "none".
+    name : of ``msal_cli.analysis.added_noise.KINDS``, or "none".
     share : how often, relative to the others.
     low, high : levels, mean edge lengths; the logarithm is drawn evenly.
     rings : the most averages over one-rings.

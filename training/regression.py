@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.core.normal_regression import Network
+from msal_cli.kernels.normal_regression import Network
 
 Singles = NDArray[np.float32]
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from msal_cli.core.geometry import face_normals
-from msal_cli.core.normal_regression import Descriptors, Network
 from msal_cli.errors import ContentError
+from msal_cli.kernels.geometry import face_normals
+from msal_cli.kernels.normal_regression import Descriptors, Network
 from msal_cli.mesh import Mesh, prepared
 from msal_cli.methods._cascade import Cascade
 from msal_cli.methods.learned import STAGE_PASSES

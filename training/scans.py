@@ -8,9 +8,9 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from msal_cli.core.geometry import face_normals_and_areas
+from msal_cli.analysis.simulation import ScannerSettings, find_truth, simulate_scan
+from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.mesh import Mesh
-from msal_cli.simulation import ScannerSettings, find_truth, simulate_scan
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -11,15 +11,15 @@ from collections.abc import Callable
 from typing import Any
 
 from kernel_build import compile_now
-from msal_cli.core import library
-from msal_cli.core.compiled import Kernel
 from msal_cli.errors import InternalError
+from msal_cli.kernels import library
+from msal_cli.kernels.compiled import Kernel
 
 _load = library.load
 
 
 def _load_and_record(kernel: Kernel, arg_types: tuple[library.ArgType, ...]) -> Callable[..., Any]:
-    if not kernel.function.__module__.startswith("msal_cli.core."):
+    if not kernel.function.__module__.startswith("msal_cli.kernels."):
         return _load(kernel, arg_types)
     line = library.signature(kernel.name, arg_types)
     # One short write in append mode: lines of many processes do not mix.

@@ -24,15 +24,16 @@ from pathlib import Path
 from typing import Any
 
 from msal_cli import __version__
-from msal_cli.batch import homes, temporaries
+from msal_cli.batch import manifest_dirs as homes
+from msal_cli.batch import temporary_files as temporaries
 from msal_cli.batch.dask_cluster import Cluster, no_workers
 from msal_cli.batch.dask_worker import Answer, Order
 from msal_cli.batch.engine import Work
-from msal_cli.batch.messages import Again, Began, Lost, Message, Returned
-from msal_cli.batch.workers import Interrupt
+from msal_cli.batch.worker_messages import Again, Began, Lost, Message, Returned
+from msal_cli.batch.worker_pool import Interrupt
 from msal_cli.errors import MsalError, ResourceError, UsageError
-from msal_cli.files.urls import is_url
-from msal_cli.records import MeshRecord
+from msal_cli.job.records import MeshRecord
+from msal_cli.storage.urls import is_url
 
 _FIRST_FILES = 4
 _GROWTH = 4

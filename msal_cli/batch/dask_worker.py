@@ -21,12 +21,13 @@ from pathlib import Path
 from typing import Any
 
 from msal_cli import __version__
-from msal_cli.batch import homes, temporaries
-from msal_cli.batch.messages import Advanced, Lost, Message, Returned
+from msal_cli.batch import manifest_dirs as homes
+from msal_cli.batch import temporary_files as temporaries
 from msal_cli.batch.schedule import Schedule
-from msal_cli.batch.workers import Crew, Interrupt
+from msal_cli.batch.worker_messages import Advanced, Lost, Message, Returned
+from msal_cli.batch.worker_pool import Crew, Interrupt
 from msal_cli.errors import ResourceError
-from msal_cli.pipeline import Limits
+from msal_cli.job.pipeline import Limits
 
 TOPIC = "msal"
 """The topic of Dask's events under which workers tell what happens, file by file."""

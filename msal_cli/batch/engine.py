@@ -6,11 +6,11 @@ from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
-from msal_cli.pipeline import NO_LIMITS, Limits
+from msal_cli.job.pipeline import NO_LIMITS, Limits
 
 if TYPE_CHECKING:
-    from msal_cli.batch.messages import Message
-    from msal_cli.pipeline import Task
+    from msal_cli.batch.worker_messages import Message
+    from msal_cli.job.pipeline import Task
 
 
 class Engine(Protocol):
@@ -85,7 +85,7 @@ EngineFor = Callable[[Work], Engine]
 def crew_for(work: Work) -> Engine:
     """Supervised worker processes on this machine."""
     from msal_cli.batch.schedule import Schedule
-    from msal_cli.batch.workers import Crew
+    from msal_cli.batch.worker_pool import Crew
 
     return Crew(
         dict(work.tasks),

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msal_cli.batch.patterns import Patterns, has_magic
-from msal_cli.batch.temporaries import is_own
+from msal_cli.batch.temporary_files import is_own
 from msal_cli.errors import MsalError, UsageError
-from msal_cli.files.urls import is_url, name, settled
-from msal_cli.records import ObjectMark
+from msal_cli.job.records import ObjectMark
+from msal_cli.storage.urls import is_url, name, settled
 
 if TYPE_CHECKING:
     from msal_cli.batch.remote_inputs import Place
@@ -90,7 +90,7 @@ def found(
     NothingMatched : nothing is left.
     """
     if is_mesh_name is None:
-        from msal_cli.pipeline import is_mesh_name as known_suffix
+        from msal_cli.job.pipeline import is_mesh_name as known_suffix
 
         is_mesh_name = known_suffix
     included, excluded = Patterns(include), Patterns(exclude)

@@ -32,12 +32,12 @@ from pathlib import Path
 from typing import Any
 
 from msal_cli import __version__
-from msal_cli.batch.shards import Shard
-from msal_cli.batch.temporaries import temporary_name
+from msal_cli.batch.shard import Shard
+from msal_cli.batch.temporary_files import temporary_name
 from msal_cli.errors import OutputError
-from msal_cli.files.regular import is_regular, open_regular
-from msal_cli.pipeline import Settings
-from msal_cli.records import MeshRecord, ObjectMark, as_data, from_data
+from msal_cli.job.pipeline import Settings
+from msal_cli.job.records import MeshRecord, ObjectMark, as_data, from_data
+from msal_cli.storage.regular import is_regular, open_regular
 
 NAME = ".msal-manifest.jsonl"
 _ANY = re.compile(r"\.msal-manifest(?:-\d{1,9}-of-\d{1,9})?\.jsonl")

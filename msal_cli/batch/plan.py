@@ -8,18 +8,18 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
-from msal_cli.batch.homes import manifest_of, objects_at
 from msal_cli.batch.inputs import Found
 from msal_cli.batch.manifest import names_in
-from msal_cli.batch.shards import Shard
-from msal_cli.batch.temporaries import is_own
+from msal_cli.batch.manifest_dirs import manifest_of, objects_at
+from msal_cli.batch.shard import Shard
+from msal_cli.batch.temporary_files import is_own
 from msal_cli.errors import UsageError
-from msal_cli.files import urls
-from msal_cli.files.urls import is_url
-from msal_cli.pipeline import Task, refuse_unknown_format
-from msal_cli.pipeline import is_mesh_name as known_suffix
-from msal_cli.pipeline import output_name as with_suffix_of
-from msal_cli.records import ObjectMark
+from msal_cli.job.pipeline import Task, refuse_unknown_format
+from msal_cli.job.pipeline import is_mesh_name as known_suffix
+from msal_cli.job.pipeline import output_name as with_suffix_of
+from msal_cli.job.records import ObjectMark
+from msal_cli.storage import urls
+from msal_cli.storage.urls import is_url
 
 DEFAULT_BACKUP = ".orig"
 _OTHER_OUTPUT = "choose another output; only msal denoise --in-place replaces inputs"
@@ -62,7 +62,7 @@ class Plan:
         ]
         if not objects:
             return False
-        from msal_cli.files import remote
+        from msal_cli.storage import objects as remote
 
         return any(map(remote.is_in_process, objects))
 

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from msal_cli.batch.patterns import Patterns, has_magic
-from msal_cli.batch.temporaries import is_own
+from msal_cli.batch.temporary_files import is_own
 from msal_cli.errors import InputError, UsageError
-from msal_cli.files import remote, urls
-from msal_cli.records import ObjectMark
+from msal_cli.job.records import ObjectMark
+from msal_cli.storage import objects as remote
+from msal_cli.storage import urls
 
 T = TypeVar("T")
 

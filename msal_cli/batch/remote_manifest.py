@@ -21,9 +21,10 @@ from datetime import UTC, datetime
 from typing import Any
 
 from msal_cli.batch.manifest import RUN_KINDS, RUN_LINES_KEPT, Manifest, entry_of, kind_of, line_of
-from msal_cli.batch.shards import Shard
+from msal_cli.batch.shard import Shard
 from msal_cli.errors import InputError, MsalError, OutputError
-from msal_cli.files import remote, urls
+from msal_cli.storage import objects as remote
+from msal_cli.storage import urls
 
 FOLDER = ".msal-manifest"
 

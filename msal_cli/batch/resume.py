@@ -12,11 +12,11 @@ from pathlib import Path
 
 from msal_cli.batch.manifest import Entry, FileMark, Manifest, file_sha256
 from msal_cli.batch.plan import Plan
-from msal_cli.batch.temporaries import temporary_name
+from msal_cli.batch.temporary_files import temporary_name
 from msal_cli.errors import OutputError
-from msal_cli.files.urls import is_url
-from msal_cli.pipeline import Task, suffix
-from msal_cli.records import Failure, MeshRecord, MethodUsed, ObjectMark
+from msal_cli.job.pipeline import Task, suffix
+from msal_cli.job.records import Failure, MeshRecord, MethodUsed, ObjectMark
+from msal_cli.storage.urls import is_url
 
 # What a file brings on itself comes again with the same file, settings and version.  All other
 # failures (crashes, memory, time, disks, what is not installed) may go away by themselves.

@@ -11,16 +11,24 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
-from msal_cli.batch import homes, signals, temporaries
+from msal_cli.batch import (
+    interrupts as signals,
+)
+from msal_cli.batch import (
+    manifest_dirs as homes,
+)
+from msal_cli.batch import (
+    temporary_files as temporaries,
+)
 from msal_cli.batch.events import Finished, Progress, Started
-from msal_cli.batch.history import RunNote
 from msal_cli.batch.manifest import FileMark, Manifest, done, intent, settings_hash
+from msal_cli.batch.memory_budget import Weights, weighed
 from msal_cli.batch.plan import Plan
 from msal_cli.batch.resume import restore, standings, undone
-from msal_cli.batch.weights import Weights, weighed
+from msal_cli.batch.run_history import RunNote
 from msal_cli.cores import usable_cores
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.pipeline import (
+from msal_cli.job.pipeline import (
     FORECAST,
     NO_LIMITS,
     Limits,
@@ -29,12 +37,12 @@ from msal_cli.pipeline import (
     denoise_file,
     least_memory_bytes,
 )
-from msal_cli.records import Failure, MeshRecord, MethodUsed
+from msal_cli.job.records import Failure, MeshRecord, MethodUsed
 
 if TYPE_CHECKING:
     from msal_cli.batch.engine import EngineFor
     from msal_cli.batch.events import OnEvent
-    from msal_cli.batch.messages import Message
+    from msal_cli.batch.worker_messages import Message
 
     OnProgress = Callable[[str, int, int], None]
     Denoise = Callable[..., MeshRecord]
@@ -288,7 +296,7 @@ class _Run:
 
     def _work_elsewhere(self, todo: list[int], weights: Weights) -> None:
         from msal_cli.batch.engine import Work, crew_for
-        from msal_cli.batch.workers import Interrupt
+        from msal_cli.batch.worker_pool import Interrupt
 
         received: list[int] = []
         tasks = {index: self._plan.tasks[index] for index in todo}
@@ -326,7 +334,7 @@ class _Run:
                 signals.raise_for(received[0])
 
     def _hear(self, messages: list[Message]) -> None:
-        from msal_cli.batch.messages import Advanced, Again, Began, Lost, Returned
+        from msal_cli.batch.worker_messages import Advanced, Again, Began, Lost, Returned
 
         finished: list[tuple[int, MeshRecord]] = []
         for message in messages:

@@ -22,7 +22,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from msal_cli.batch.processes import memory_bytes
+from msal_cli.batch.process_status import memory_bytes
 
 _LENGTH = struct.Struct("<Q")
 

@@ -137,7 +137,7 @@ def wishes_of(request: Request) -> dict[str, Any]:
     """The fields of ``selection.Wishes``, as plain data."""
     from dataclasses import asdict
 
-    from msal_cli.selection import Wishes
+    from msal_cli.auto import Wishes
 
     given = {
         "prefer": request.prefer,

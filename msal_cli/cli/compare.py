@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import exit_codes, talk
+from msal_cli.cli import console as talk
+from msal_cli.cli import exit_codes
 from msal_cli.cli.file_options import CHECK, UNIT, file_options
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from msal_cli.batch.inputs import Found
-    from msal_cli.cli.measure import Measure
-    from msal_cli.records import ComparisonRecord, Failure
+    from msal_cli.cli.gates_check import Measure
+    from msal_cli.job.records import ComparisonRecord, Failure
 
 _PATH = click.Path(readable=False, allow_dash=False)
 
@@ -127,7 +128,7 @@ def command(**options: Any) -> int:
     baseline not met, else 3 if a file has no partner; 1 if no pair at all can be compared.
     """
     from msal_cli.cli import logs
-    from msal_cli.files import urls
+    from msal_cli.storage import urls
 
     request = Request(**urls.settled_in(options, "before", "after", "heatmap"))
     with logs.configured(request.verbose, None):
@@ -137,10 +138,11 @@ def command(**options: Any) -> int:
 def _compared(request: Request) -> int:
     from functools import partial
 
-    from msal_cli import comparison, files
+    from msal_cli import codecs as files
     from msal_cli.batch.inputs import found
-    from msal_cli.cli import words
-    from msal_cli.cli.measure import measure_of
+    from msal_cli.cli import option_types as words
+    from msal_cli.cli.gates_check import measure_of
+    from msal_cli.job import comparison
 
     measure = measure_of(request.fail_on, request.baseline, request.tolerance, request.unit)
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
@@ -221,7 +223,7 @@ def _place(folder: str, one: Found) -> str:
 
 def _lonely(one: Found, before: str, after: str, folder: str) -> ComparisonRecord:
     from msal_cli import __version__
-    from msal_cli.records import ComparisonRecord, Failure
+    from msal_cli.job.records import ComparisonRecord, Failure
 
     failure = Failure(_NO_PARTNER, f"there is no {one.relative!r} in {folder!r}")
     return ComparisonRecord(before, after, version=__version__, error=failure)
@@ -231,8 +233,9 @@ def _told_of_two(
     request: Request, compare: Callable[[str, str], ComparisonRecord], measure: Measure
 ) -> int:
     from msal_cli.errors import MsalError
-    from msal_cli.gates import is_any_broken
-    from msal_cli.report import as_json, comparison_text, document
+    from msal_cli.report import comparison_text, document
+    from msal_cli.report import json_report as as_json
+    from msal_cli.report.gates import is_any_broken
 
     record = measure.of_two(compare(request.before, request.after))
     failure: MsalError | None = None
@@ -259,7 +262,7 @@ def _refuse_target(request: Request, target: str) -> None:
     """Refuse a heat map that is no PLY, would replace an input, or has no folder to be in."""
     import os
 
-    from msal_cli.files import is_url
+    from msal_cli.codecs import is_url
 
     if not target.lower().endswith(".ply"):
         raise UsageError(
@@ -276,10 +279,11 @@ def _refuse_target(request: Request, target: str) -> None:
 
 
 def _write_heatmap(request: Request, target: str) -> None:
-    from msal_cli import comparison, files
-    from msal_cli.batch import signals
-    from msal_cli.cli import words
-    from msal_cli.report.as_text import file_name
+    from msal_cli import codecs as files
+    from msal_cli.batch import interrupts as signals
+    from msal_cli.cli import option_types as words
+    from msal_cli.job import comparison
+    from msal_cli.report.text import file_name
 
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
     before = comparison.opened(request.before, format)
@@ -291,10 +295,11 @@ def _write_heatmap(request: Request, target: str) -> None:
 
 def _told_of_many(request: Request, pairs: Mapping[str, ComparisonRecord], measure: Measure) -> int:
     from msal_cli import __version__
-    from msal_cli.gates import is_any_broken
-    from msal_cli.records import ComparisonRecord
-    from msal_cli.report import as_json, comparison_text, document
-    from msal_cli.report.as_text import file_name
+    from msal_cli.job.records import ComparisonRecord
+    from msal_cli.report import comparison_text, document
+    from msal_cli.report import json_report as as_json
+    from msal_cli.report.gates import is_any_broken
+    from msal_cli.report.text import file_name
 
     names = list(pairs)
     records = measure.of_many(list(pairs.values()), names)

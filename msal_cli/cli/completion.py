@@ -5,8 +5,9 @@ from __future__ import annotations
 import click
 from click.shell_completion import get_completion_class
 
-from msal_cli.cli import exit_codes, talk
-from msal_cli.cli.words import COMPLETE_VARIABLE
+from msal_cli.cli import console as talk
+from msal_cli.cli import exit_codes
+from msal_cli.cli.option_types import COMPLETE_VARIABLE
 
 
 @click.command(

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import denoise_request, exit_codes, talk, words
+from msal_cli.cli import console as talk
+from msal_cli.cli import denoise_request, exit_codes
+from msal_cli.cli import option_types as words
 from msal_cli.cli.denoise_options import PATH, Request, options
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
 
@@ -17,11 +19,11 @@ if TYPE_CHECKING:
     from msal_cli.batch.engine import EngineFor
     from msal_cli.batch.events import Event
     from msal_cli.batch.plan import Plan
-    from msal_cli.cli.pipe import Pipe
-    from msal_cli.gates import Gate
-    from msal_cli.pipeline import Settings
-    from msal_cli.records import MeshRecord
+    from msal_cli.cli.stream_denoise import Pipe
+    from msal_cli.job.pipeline import Settings
+    from msal_cli.job.records import MeshRecord
     from msal_cli.report.document import Run
+    from msal_cli.report.gates import Gate
 
 _log = logging.getLogger("msal.denoise")
 
@@ -43,7 +45,7 @@ def command(arguments: tuple[str, ...], /, **given: Any) -> int:
     done again.
     """
     from msal_cli.cli import logs
-    from msal_cli.files import urls
+    from msal_cli.storage import urls
 
     request = Request(**urls.settled_in(given, "inputs", "output", "reports", "reference"))
     if request.quiet and request.verbose:
@@ -56,7 +58,7 @@ class _Session:
     """One call of the command: what was asked, and what came of it."""
 
     def __init__(self, request: Request, arguments: tuple[str, ...]) -> None:
-        from msal_cli.cli.clock import Clock
+        from msal_cli.cli.stopwatch import Clock
 
         self._request = request
         self._arguments = arguments
@@ -68,7 +70,7 @@ class _Session:
     def done(self) -> int:
         """Check everything, then work; the exit status."""
         from msal_cli.cli import engines
-        from msal_cli.cli.pipe import pipe
+        from msal_cli.cli.stream_denoise import pipe
 
         request = self._request
         denoise_request.refuse_contradictions(request)
@@ -88,7 +90,9 @@ class _Session:
     def _piped(self, one: Pipe, settings: Settings) -> int:
         from dataclasses import replace
 
-        from msal_cli.cli import pipe, progress, reports
+        from msal_cli.cli import progress
+        from msal_cli.cli import report_files as reports
+        from msal_cli.cli import stream_denoise as pipe
 
         request = self._request
         denoise_request.refuse_for_streams(request, one)
@@ -108,10 +112,11 @@ class _Session:
     # Files
 
     def _run(self, plan: Plan, settings: Settings, engine: EngineFor | None) -> int:
-        from msal_cli.batch import signals
+        from msal_cli.batch import interrupts as signals
         from msal_cli.batch.events import Finished
         from msal_cli.batch.run import run
-        from msal_cli.cli import progress, reports
+        from msal_cli.cli import progress
+        from msal_cli.cli import report_files as reports
 
         request = self._request
         paths = [path for task in (plan.whole or plan).tasks for path in (task.input, task.output)]
@@ -156,7 +161,7 @@ class _Session:
 
         Nothing that goes wrong here hides why the run was ended.
         """
-        from msal_cli.records import MeshRecord
+        from msal_cli.job.records import MeshRecord
 
         records = [
             finished.get(index) or MeshRecord(task.input, "planned", task.output)
@@ -177,19 +182,20 @@ class _Session:
         self, settings: Settings, records: Sequence[MeshRecord], *, interrupted: bool = False
     ) -> int:
         """Tell, report, and give the exit status."""
-        from msal_cli.cli import github, reports
-        from msal_cli.report import as_json
+        from msal_cli.cli import github
+        from msal_cli.cli import report_files as reports
+        from msal_cli.report import json_report as as_json
 
         request = self._request
         is_given_up = not request.dry_run and any(one.status == "planned" for one in records)
         run = self._described(settings, interrupted or is_given_up)
         if self._references and not request.dry_run and not interrupted:
-            from msal_cli.comparison import with_references
+            from msal_cli.job.comparison import with_references
 
             records = with_references(records, self._references, settings.format)
         is_broken = False
         if self._gates and not request.dry_run:
-            from msal_cli.gates import is_any_broken, with_gates
+            from msal_cli.report.gates import is_any_broken, with_gates
 
             records = with_gates(self._gates, records)
             is_broken = is_any_broken(records)
@@ -224,7 +230,7 @@ class _Session:
         )
 
     def _tell(self, run: Run, records: Sequence[MeshRecord]) -> None:
-        from msal_cli.report import as_text
+        from msal_cli.report import text as as_text
 
         request = self._request
         is_listing = request.dry_run and not request.as_json
@@ -244,7 +250,7 @@ class _Session:
 
     def _command(self) -> tuple[str, ...]:
         """The command as it was given, for reports and manifests, without passwords."""
-        from msal_cli.files import urls
+        from msal_cli.storage import urls
 
         return ("msal", *map(urls.redacted, self._arguments))
 
@@ -252,7 +258,7 @@ class _Session:
         from dataclasses import asdict
 
         from msal_cli import __version__
-        from msal_cli.cli import machine
+        from msal_cli.cli import environment as machine
         from msal_cli.report.document import Run
 
         request = self._request

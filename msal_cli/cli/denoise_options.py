@@ -8,7 +8,8 @@ from typing import Any
 
 import click
 
-from msal_cli.cli import auto_options, words
+from msal_cli.cli import auto_options
+from msal_cli.cli import option_types as words
 from msal_cli.cli.file_options import CHECK, UNIT
 
 DEFAULT_BACKUP = ".orig"

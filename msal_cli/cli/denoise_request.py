@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.cli import auto_options, words
+from msal_cli.cli import auto_options
+from msal_cli.cli import option_types as words
 from msal_cli.cli.denoise_options import DEFAULT_BACKUP
-from msal_cli.cli.pipe import STREAM
+from msal_cli.cli.stream_denoise import STREAM
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -15,10 +16,10 @@ if TYPE_CHECKING:
 
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.denoise_options import Request
-    from msal_cli.cli.pipe import Pipe
-    from msal_cli.gates import Gate
+    from msal_cli.cli.stream_denoise import Pipe
+    from msal_cli.job.pipeline import Limits, Settings
     from msal_cli.methods import Method
-    from msal_cli.pipeline import Limits, Settings
+    from msal_cli.report.gates import Gate
 
 _DEFAULT_METHOD = "msal"
 
@@ -99,8 +100,8 @@ def gates_of(request: Request) -> tuple[Gate, ...]:
     """What each file's record is held against; UsageError for an expression that means nothing."""
     if not request.fail_on:
         return ()
-    from msal_cli import gates
-    from msal_cli.records import MeshRecord
+    from msal_cli.job.records import MeshRecord
+    from msal_cli.report import gates
 
     found = gates.parsed(request.fail_on, MeshRecord, request.unit)
     if request.reference is None:
@@ -117,7 +118,7 @@ def references_of(request: Request, names: Sequence[str]) -> tuple[str, ...]:
     UsageError
         if what --reference names is neither file nor folder, or a folder for a stream.
     """
-    from msal_cli.files import is_url
+    from msal_cli.codecs import is_url
 
     truth = request.reference
     if truth is None:
@@ -137,14 +138,15 @@ def references_of(request: Request, names: Sequence[str]) -> tuple[str, ...]:
 
 def limits_of(request: Request) -> Limits:
     """What one file may take."""
-    from msal_cli.pipeline import Limits
+    from msal_cli.job.pipeline import Limits
 
     return Limits(request.timeout, request.memory_limit, request.max_faces)
 
 
 def settings_of(request: Request) -> Settings:
     """What decides the bytes of the outputs; UsageError for what no method or format knows."""
-    from msal_cli import files, pipeline
+    from msal_cli import codecs as files
+    from msal_cli.job import pipeline
 
     method, parameters = _method_of(request)
     max_move, lock = _moves_of(request)
@@ -168,8 +170,9 @@ def settings_of(request: Request) -> Settings:
 
 def _method_of(request: Request) -> tuple[str, dict[str, Any]]:
     """The method's name and its settled parameters; with --auto, what is wished for."""
-    from msal_cli import methods, pipeline
-    from msal_cli.cli import parameters
+    from msal_cli import methods
+    from msal_cli.cli import method_parameters as parameters
+    from msal_cli.job import pipeline
 
     if auto_options.is_asked(request):
         return pipeline.AUTO, auto_options.wishes_of(request)
@@ -210,7 +213,7 @@ def _moves_of(request: Request) -> tuple[str | None, tuple[str, ...]]:
     """--max-move and --lock in one spelling each; UsageError for what means nothing."""
     if request.max_move is None and not request.lock:
         return None, ()
-    from msal_cli import constraints
+    from msal_cli.job import constraints
 
     max_move = None
     if request.max_move is not None:
@@ -222,23 +225,23 @@ def _moves_of(request: Request) -> tuple[str | None, tuple[str, ...]]:
 
 def _min_noise_of(request: Request) -> str | None:
     """--min-noise in one spelling; UsageError for what means nothing."""
-    from msal_cli import pipeline
+    from msal_cli.job import pipeline
 
     least = request.min_noise
     if least is None or least == pipeline.NEGLIGIBLE:
         return least
-    from msal_cli import constraints
+    from msal_cli.job import constraints
 
     return str(constraints.length(least, "--min-noise", request.unit))
 
 
 def _checks_of(request: Request) -> tuple[str, ...]:
     """What is counted for the options, or because a gate names it."""
-    from msal_cli import pipeline
+    from msal_cli.job import pipeline
 
     is_asked = pipeline.SELF_INTERSECTIONS in request.checks
     if request.fail_on and not is_asked:
-        from msal_cli import gates
+        from msal_cli.report import gates
 
         is_asked = gates.names_field(gates_of(request), "self_intersections")
     return (pipeline.SELF_INTERSECTIONS,) if is_asked else ()
@@ -247,7 +250,7 @@ def _checks_of(request: Request) -> tuple[str, ...]:
 def _fields_of(request: Request) -> tuple[str, ...]:
     if not request.fields:
         return ()
-    from msal_cli import fields
+    from msal_cli.job import fields
 
     return fields.checked(request.fields)
 
@@ -260,7 +263,7 @@ def _backup_suffix(request: Request) -> str | None:
 
 def _refuse_taken_names(plan: Plan) -> None:
     """Refuse files of fields that would replace each other, an input or an output; UsageError."""
-    from msal_cli.fields import path_beside
+    from msal_cli.job.fields import path_beside
 
     taken = {path for task in plan.tasks for path in (task.input, task.output)}
     for task in plan.tasks:
@@ -276,7 +279,8 @@ def _refuse_taken_names(plan: Plan) -> None:
 
 def plan_of(request: Request, settings: Settings) -> Plan:
     """The files and what becomes of each; UsageError for inputs or outputs that cannot be."""
-    from msal_cli.batch import inputs, plan, shards
+    from msal_cli.batch import inputs, plan
+    from msal_cli.batch import shard as shards
 
     output = request.output
     shard = None if request.shard is None else shards.settled(request.shard, os.environ)

@@ -58,5 +58,5 @@ def of_error(error: MsalError) -> int:
 
 
 def of_interrupt(interrupt: KeyboardInterrupt) -> int:
-    """The status after a signal: the one that ``batch.signals`` noted, or that of Ctrl-C."""
+    """The status after a signal: the one that ``batch.interrupts`` noted, or that of Ctrl-C."""
     return int(getattr(interrupt, "exit_status", INTERRUPTED))

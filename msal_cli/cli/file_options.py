@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from msal_cli.units import METRES
+from msal_cli.job.units import METRES
 
 UNIT = click.option(
     "--unit",

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msal_cli.cli import talk
+from msal_cli.cli import console as talk
 from msal_cli.errors import OutputError
 
 if TYPE_CHECKING:
-    from msal_cli.records import MeshRecord
+    from msal_cli.job.records import MeshRecord
 
 _SUMMARY = "GITHUB_STEP_SUMMARY"
 # A summary of more than 1 MiB is refused as a whole.
@@ -22,7 +22,7 @@ def annotate(records: Sequence[MeshRecord]) -> None:
     """Mark the worst files that failed or broke a gate, if this runs in GitHub Actions."""
     if os.environ.get("GITHUB_ACTIONS") != "true":
         return
-    from msal_cli.report import as_annotations
+    from msal_cli.report import github_annotations as as_annotations
 
     # The runner reads both streams; standard output is for data.
     for command in as_annotations.commands(records, _here()):

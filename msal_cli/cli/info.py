@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from msal_cli.cli import exit_codes, talk
+from msal_cli.cli import console as talk
+from msal_cli.cli import exit_codes
 from msal_cli.cli.file_options import CHECK, file_options
-from msal_cli.cli.pipe import STREAM
+from msal_cli.cli.stream_denoise import STREAM
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.records import InfoRecord
+    from msal_cli.job.records import InfoRecord
 
 _PATH = click.Path(readable=False, allow_dash=True)
 
@@ -48,9 +49,10 @@ def command(
     INPUT is a file, a folder (with all its subfolders), a pattern, a URL of one of these, or - for
     standard input. Lengths are in file units. Nothing is written.
     """
-    from msal_cli import files
-    from msal_cli.cli import logs, words
-    from msal_cli.files import urls
+    from msal_cli import codecs as files
+    from msal_cli.cli import logs
+    from msal_cli.cli import option_types as words
+    from msal_cli.storage import urls
 
     inputs = tuple(map(urls.settled, inputs))
     with logs.configured(verbose, None):
@@ -76,8 +78,8 @@ def _inspected(
 ) -> Iterator[InfoRecord]:
     from functools import partial
 
-    from msal_cli import inspection
     from msal_cli.cli.standard_input import read_stream
+    from msal_cli.job import inspection
 
     of_bytes = partial(inspection.inspect_bytes, with_intersections=with_intersections)
     of_file = partial(inspection.inspect_file, with_intersections=with_intersections)
@@ -109,8 +111,9 @@ def _print_text(records: Iterator[InfoRecord]) -> int:
 def _print_json(records: Iterator[InfoRecord]) -> int:
     """Print the document; the exit status."""
     from msal_cli import __version__
-    from msal_cli.records import InfoRecord
-    from msal_cli.report import as_json, document
+    from msal_cli.job.records import InfoRecord
+    from msal_cli.report import document
+    from msal_cli.report import json_report as as_json
 
     everything = list(records)
     data = {

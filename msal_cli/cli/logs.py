@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from msal_cli.cli import talk
+from msal_cli.cli import console as talk
 from msal_cli.errors import MsalError, UsageError
 
 logger = logging.getLogger("msal")
@@ -85,7 +85,7 @@ class _Harmless(logging.Formatter):
 
 
 def _harmless(text: str) -> str:
-    from msal_cli.report.names import shown
+    from msal_cli.job.display_names import shown
 
     # Traces, also those that workers send, are the only messages of several lines.
     lines = text.split("\n") if _TRACE in text else [text]

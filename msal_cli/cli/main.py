@@ -16,9 +16,10 @@ import click
 from click.exceptions import Exit
 
 from msal_cli import __version__
-from msal_cli.batch import signals
-from msal_cli.cli import exit_codes, talk
-from msal_cli.cli.words import COMPLETE_VARIABLE
+from msal_cli.batch import interrupts as signals
+from msal_cli.cli import console as talk
+from msal_cli.cli import exit_codes
+from msal_cli.cli.option_types import COMPLETE_VARIABLE
 from msal_cli.errors import MsalError, OutputError
 
 _COMMANDS = (
@@ -169,13 +170,13 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
 def _check_environment() -> None:
     """Refuse what no command could work with; UsageError."""
     if "MSAL_URL_SECRETS" in os.environ:
-        from msal_cli.files import urls
+        from msal_cli.storage import urls
 
         urls.check_secrets()
 
 
 def _say_usage(error: click.UsageError) -> None:
-    from msal_cli.report.names import shown
+    from msal_cli.job.display_names import shown
 
     command = error.ctx.command_path if error.ctx is not None else "msal"
     # Click lists choices one below the other.
@@ -185,7 +186,7 @@ def _say_usage(error: click.UsageError) -> None:
 
 
 def _internal_error(error: Exception) -> int:
-    from msal_cli.report.names import shown
+    from msal_cli.job.display_names import shown
 
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
         talk.say(f"msal: error: the output cannot be written: {error.strerror} (E_WRITE)", "bad")

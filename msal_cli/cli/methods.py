@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import exit_codes, talk, words
+from msal_cli.cli import console as talk
+from msal_cli.cli import exit_codes
+from msal_cli.cli import option_types as words
 
 if TYPE_CHECKING:
     from msal_cli.methods import Method, ParameterSpec
@@ -73,7 +75,8 @@ def _other_symbol(spec: ParameterSpec) -> str:
 
 def _print_json(chosen: list[Method]) -> None:
     from msal_cli import __version__
-    from msal_cli.report import as_json, document
+    from msal_cli.report import document
+    from msal_cli.report import json_report as as_json
 
     data = {
         "schema": SCHEMA,

@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import exit_codes, talk, words
+from msal_cli.cli import console as talk
+from msal_cli.cli import exit_codes
+from msal_cli.cli import option_types as words
 from msal_cli.cli.file_options import file_options
-from msal_cli.cli.pipe import STREAM
+from msal_cli.cli.stream_denoise import STREAM
 from msal_cli.errors import MsalError, UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.corruption import Corrupted
-    from msal_cli.noise import AddedNoise
+    from msal_cli.analysis.added_noise import AddedNoise
+    from msal_cli.job.noise_file import Corrupted
 
 _PATH = click.Path(readable=False, allow_dash=True)
 # Those of noise.KINDS, whose module takes numpy to import; a test holds them together.
@@ -179,7 +181,7 @@ def command(**options: Any) -> int:
     together, so seams do not open. The files keep their format.
     """
     from msal_cli.cli import logs
-    from msal_cli.files import urls
+    from msal_cli.storage import urls
 
     request = Request(**urls.settled_in(options, "inputs", "output"))
     with logs.configured(request.verbose, None):
@@ -187,10 +189,11 @@ def command(**options: Any) -> int:
 
 
 def _run(request: Request) -> int:
-    from msal_cli import files
-    from msal_cli.batch import inputs, plan, signals
-    from msal_cli.cli import pipe
-    from msal_cli.corruption import corrupt_file
+    from msal_cli import codecs as files
+    from msal_cli.batch import inputs, plan
+    from msal_cli.batch import interrupts as signals
+    from msal_cli.cli import stream_denoise as pipe
+    from msal_cli.job.noise_file import corrupt_file
 
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
     noise = _build_noise(request)
@@ -217,7 +220,7 @@ def _run(request: Request) -> int:
 
 def _build_noise(request: Request) -> AddedNoise:
     """What the command line describes; UsageError for a setting that the kind does not use."""
-    from msal_cli.noise import OPTIONS, AddedNoise
+    from msal_cli.analysis.added_noise import OPTIONS, AddedNoise
 
     given = {name: value for name in _SETTINGS if (value := getattr(request, name)) is not None}
     for name in given:
@@ -235,10 +238,11 @@ def _build_noise(request: Request) -> AddedNoise:
 
 
 def _piped(request: Request, one: Any, noise: AddedNoise, format: str | None) -> int:
-    from msal_cli import corruption, files
-    from msal_cli.batch import signals
+    from msal_cli import codecs as files
+    from msal_cli.batch import interrupts as signals
     from msal_cli.cli.standard_input import read_stream
-    from msal_cli.output import make_folder_of
+    from msal_cli.job import noise_file as corruption
+    from msal_cli.job.output import make_folder_of
 
     if request.include or request.exclude:
         raise UsageError("--include and --exclude are for files, not for standard input or output")
@@ -255,8 +259,8 @@ def _piped(request: Request, one: Any, noise: AddedNoise, format: str | None) ->
 
 
 def _tell(request: Request, name: str, noise: AddedNoise, told: Corrupted) -> None:
-    from msal_cli.report.as_text import file_name
-    from msal_cli.report.names import shown
+    from msal_cli.job.display_names import shown
+    from msal_cli.report.text import file_name
 
     if request.quiet:
         return

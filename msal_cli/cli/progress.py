@@ -9,12 +9,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.cli import talk
-from msal_cli.report.names import padded, shortened, shown
+from msal_cli.cli import console as talk
+from msal_cli.job.display_names import padded, shortened, shown
 
 if TYPE_CHECKING:
     from msal_cli.batch.events import Event
-    from msal_cli.pipeline import Task
+    from msal_cli.job.pipeline import Task
 
 _NAME_WIDTH = 32
 _FORMAT = "{desc} {percentage:3.0f} %|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"

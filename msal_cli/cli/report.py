@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import exit_codes, talk
+from msal_cli.cli import console as talk
+from msal_cli.cli import exit_codes
 from msal_cli.cli.file_options import UNIT
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.cli.earlier import Account
+    from msal_cli.cli.run_summary import Account
 
 _PATH = click.Path(readable=False, allow_dash=True)
 
@@ -68,7 +69,7 @@ def command(**options: Any) -> int:
     records of a file the newest counts. A file that a run set out to write and did not finish is
     planned.
     """
-    from msal_cli.files import urls
+    from msal_cli.storage import urls
 
     request = Request(**urls.settled_in(options, "runs", "outputs"))
     if request.quiet and request.verbose:
@@ -79,10 +80,13 @@ def command(**options: Any) -> int:
 def _reported(request: Request) -> int:
     from dataclasses import replace
 
-    from msal_cli.cli import earlier, github, reports
-    from msal_cli.gates import parsed, refuse_without_reference, with_gates
-    from msal_cli.records import MeshRecord
-    from msal_cli.report import as_json, as_text
+    from msal_cli.cli import github
+    from msal_cli.cli import report_files as reports
+    from msal_cli.cli import run_summary as earlier
+    from msal_cli.job.records import MeshRecord
+    from msal_cli.report import json_report as as_json
+    from msal_cli.report import text as as_text
+    from msal_cli.report.gates import parsed, refuse_without_reference, with_gates
 
     # What says nothing is cheaper to refuse before a large folder is read.
     reports.check(request.outputs, ())
@@ -115,7 +119,7 @@ def _reported(request: Request) -> int:
 
 def _status(account: Account) -> int:
     """The status of a run that left this behind; what is not finished counts as failed."""
-    from msal_cli.gates import is_any_broken
+    from msal_cli.report.gates import is_any_broken
 
     n_lost = sum(record.status in ("failed", "planned") for record in account.records)
     status = exit_codes.of_files(

@@ -8,17 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import exit_codes, scan_values, talk, words
+from msal_cli.cli import console as talk
+from msal_cli.cli import exit_codes, scan_values
+from msal_cli.cli import option_types as words
 from msal_cli.cli.file_options import file_options
-from msal_cli.cli.pipe import STREAM
+from msal_cli.cli.stream_denoise import STREAM
 from msal_cli.errors import MsalError, ResourceError, UnsupportedError, UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.cli.pipe import Pipe
-    from msal_cli.files import Buffer
-    from msal_cli.scanning import Scanned
-    from msal_cli.simulation import ScannerSettings
-    from msal_cli.simulation.volume_files import VolumeSettings
+    from msal_cli.analysis.simulation import ScannerSettings
+    from msal_cli.analysis.simulation.volume_files import VolumeSettings
+    from msal_cli.cli.stream_denoise import Pipe
+    from msal_cli.codecs import Buffer
+    from msal_cli.job.scan_file import Scanned
 
 _PATH = click.Path(readable=False, allow_dash=True)
 # Those of simulation.SCANNERS and volume_files.TYPES, whose modules take numpy to import; a test
@@ -202,7 +204,7 @@ def command(**options: Any) -> int:
     All scanners but depth, and volumes, need scikit-image (msal-cli[simulation]).
     """
     from msal_cli.cli import logs
-    from msal_cli.files import urls
+    from msal_cli.storage import urls
 
     request = Request(**urls.settled_in(options, "inputs", "output", "truth"))
     with logs.configured(request.verbose, None):
@@ -210,9 +212,10 @@ def command(**options: Any) -> int:
 
 
 def _run(request: Request) -> int:
-    from msal_cli import files
-    from msal_cli.batch import inputs, plan, signals
-    from msal_cli.cli import pipe
+    from msal_cli import codecs as files
+    from msal_cli.batch import inputs, plan
+    from msal_cli.batch import interrupts as signals
+    from msal_cli.cli import stream_denoise as pipe
 
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
     to = words.settled_format(request.to, files.writable_formats, "--to")
@@ -258,17 +261,17 @@ def _refuse_stream_as_truth(request: Request) -> None:
 
 def _place(path: str) -> str:
     """One name for all names of a file."""
-    from msal_cli.files import is_url
+    from msal_cli.codecs import is_url
 
     return path if is_url(path) else os.path.realpath(path)
 
 
 def _piped(request: Request, one: Pipe, to: str | None, format: str | None) -> int:
-    from msal_cli import files
-    from msal_cli.batch import signals
-    from msal_cli.cli import pipe
+    from msal_cli import codecs as files
+    from msal_cli.batch import interrupts as signals
+    from msal_cli.cli import stream_denoise as pipe
     from msal_cli.cli.standard_input import read_stream
-    from msal_cli.scanning import is_volume_content, output_format
+    from msal_cli.job.scan_file import is_volume_content, output_format
 
     if request.include or request.exclude:
         raise UsageError("--include and --exclude are for files, not for standard input or output")
@@ -312,8 +315,8 @@ def _scan_file(
     format: str | None,
 ) -> Scanned:
     """Read one file, scan it and write what comes of it, or raise what names the file."""
-    from msal_cli import files
-    from msal_cli.scanning import output_format
+    from msal_cli import codecs as files
+    from msal_cli.job.scan_file import output_format
 
     is_volume = _is_volume(request, source)
     try:
@@ -334,8 +337,8 @@ def _scan_file(
 
 
 def _write(path: str, content: Buffer) -> None:
-    from msal_cli import files
-    from msal_cli.output import make_folder_of
+    from msal_cli import codecs as files
+    from msal_cli.job.output import make_folder_of
 
     make_folder_of(path)
     is_compressed = path.lower().endswith(".gz")
@@ -352,8 +355,8 @@ def _scan(
     *,
     is_volume: bool,
 ) -> Scanned:
-    from msal_cli.files import format_of_name
-    from msal_cli.scanning import scan_mesh, scan_volume_file
+    from msal_cli.codecs import format_of_name
+    from msal_cli.job.scan_file import scan_mesh, scan_volume_file
 
     scanner, volume = settings
     if is_volume:
@@ -370,7 +373,7 @@ def _scan(
 
 
 def _is_volume(request: Request, source: str) -> bool:
-    from msal_cli.scanning import is_volume_name
+    from msal_cli.job.scan_file import is_volume_name
 
     return request.dims is not None or is_volume_name(source)
 
@@ -379,8 +382,8 @@ def _build_settings(
     request: Request, are_volumes: list[bool]
 ) -> tuple[ScannerSettings, VolumeSettings]:
     """The scanner and the way volumes are meshed; UsageError for an option that no input uses."""
-    from msal_cli.simulation import OPTIONS, ScannerSettings
-    from msal_cli.simulation.volume_files import VolumeSettings
+    from msal_cli.analysis.simulation import OPTIONS, ScannerSettings
+    from msal_cli.analysis.simulation.volume_files import VolumeSettings
 
     scanner = request.scanner or "voxels"
     for name in (*_MESH_OPTIONS, *_SETTINGS, "truth"):
@@ -418,8 +421,8 @@ def _build_settings(
 
 
 def _tell(request: Request, name: str, made: Scanned) -> None:
-    from msal_cli.report.as_text import file_name
-    from msal_cli.report.names import shown
+    from msal_cli.job.display_names import shown
+    from msal_cli.report.text import file_name
 
     if request.quiet:
         return

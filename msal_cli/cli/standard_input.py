@@ -14,7 +14,7 @@ from msal_cli.errors import InputError, MsalError, OutputError, ResourceError, T
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from msal_cli.files import Buffer
+    from msal_cli.codecs import Buffer
 
 _PIECE = 1 << 20
 
@@ -93,7 +93,7 @@ class _Most:
 
 def _most_bytes(memory_limit: int | None = None) -> _Most:
     from msal_cli.batch.memory import available_bytes
-    from msal_cli.files.streams import largest_bytes
+    from msal_cli.storage.gzip_streams import largest_bytes
 
     def beyond_limit(what: str) -> MsalError:
         return ResourceError(

@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import exit_codes, talk, words
-from msal_cli.cli.pipe import STREAM
+from msal_cli.cli import console as talk
+from msal_cli.cli import exit_codes
+from msal_cli.cli import option_types as words
+from msal_cli.cli.stream_denoise import STREAM
 from msal_cli.cli.view import view_of, view_options
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.parameter_grid import Cell, Grid
+    from msal_cli.view.parameter_grid import Cell, Grid
 
 _PATH = click.Path(readable=False, allow_dash=True)
 
@@ -113,7 +115,7 @@ def command(**options: Any) -> int:
     too. No mesh is written.
     """
     from msal_cli.cli import logs
-    from msal_cli.files import urls
+    from msal_cli.storage import urls
 
     request = Request(**urls.settled_in(options, "source", "output", "reference"))
     with logs.configured(request.verbose, None):
@@ -121,7 +123,11 @@ def command(**options: Any) -> int:
 
 
 def _swept(request: Request) -> int:
-    from msal_cli import comparison, files, methods, parameter_grid, render
+    from msal_cli import codecs as files
+    from msal_cli import methods
+    from msal_cli import view as render
+    from msal_cli.job import comparison
+    from msal_cli.view import parameter_grid
 
     if os.path.splitext(request.output)[1].lower() != ".png":
         raise UsageError(
@@ -153,7 +159,7 @@ def _swept(request: Request) -> int:
         if request.as_json:
             _print_json(request, wanted, [cell for cell, _ in done])
         if not request.quiet:
-            from msal_cli.report.names import shown
+            from msal_cli.job.display_names import shown
 
             talk.say(f"wrote {shown(request.output)}", "good")
     return exit_codes.SUCCESS
@@ -161,7 +167,7 @@ def _swept(request: Request) -> int:
 
 def _fixed(assignments: tuple[str, ...]) -> dict[str, str]:
     """Names and values of ``--set``; UsageError for one that is there twice."""
-    from msal_cli.cli.parameters import assignment
+    from msal_cli.cli.method_parameters import assignment
 
     values: dict[str, str] = {}
     for text in assignments:
@@ -173,7 +179,7 @@ def _fixed(assignments: tuple[str, ...]) -> dict[str, str]:
 
 
 def _told(cell: Cell) -> str:
-    from msal_cli.report.names import shown
+    from msal_cli.job.display_names import shown
 
     numbers = [f"moved {cell.mean_displacement_edges:.4g} e"]
     if cell.volume_change_percent is not None:
@@ -185,7 +191,8 @@ def _told(cell: Cell) -> str:
 
 def _print_json(request: Request, wanted: Grid, cells: list[Cell]) -> None:
     from msal_cli import __version__
-    from msal_cli.report import as_json, document
+    from msal_cli.report import document
+    from msal_cli.report import json_report as as_json
 
     data = {
         "schema": SCHEMA,

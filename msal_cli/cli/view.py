@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import exit_codes, talk
-from msal_cli.cli.pipe import STREAM
+from msal_cli.cli import console as talk
+from msal_cli.cli import exit_codes
+from msal_cli.cli.stream_denoise import STREAM
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.pictures import Scene, View
+    from msal_cli.view.pictures import Scene, View
 
 _PATH = click.Path(readable=False, allow_dash=True)
 
@@ -112,7 +113,7 @@ def view_options(size: int) -> Callable[[Any], Any]:
 
 def view_of(request: Any) -> View:
     """The view that the options of ``view_options`` ask for."""
-    from msal_cli.pictures import View
+    from msal_cli.view.pictures import View
 
     return View(
         view=request.view,
@@ -166,7 +167,7 @@ def command(**options: Any) -> int:
     a graphics card is needed.
     """
     from msal_cli.cli import logs
-    from msal_cli.files import urls
+    from msal_cli.storage import urls
 
     request = Request(**urls.settled_in(options, "before", "after", "output"))
     with logs.configured(request.verbose, None):
@@ -174,8 +175,11 @@ def command(**options: Any) -> int:
 
 
 def _shown(request: Request) -> int:
-    from msal_cli import comparison, files, pictures, render
-    from msal_cli.cli import words
+    from msal_cli import codecs as files
+    from msal_cli import view as render
+    from msal_cli.cli import option_types as words
+    from msal_cli.job import comparison
+    from msal_cli.view import pictures
 
     kind = _kind(request.output)
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
@@ -194,7 +198,7 @@ def _shown(request: Request) -> int:
         return exit_codes.SUCCESS
     files.write_whole(request.output, data)
     if not request.quiet:
-        from msal_cli.report.names import shown
+        from msal_cli.job.display_names import shown
 
         talk.say(f"wrote {shown(request.output)}", "good")
     return exit_codes.SUCCESS
@@ -216,7 +220,7 @@ def _kind(output: str) -> str:
 def _page(request: Request, scene: Scene, view: View) -> bytes:
     import shlex
 
-    from msal_cli import pages
+    from msal_cli.view import pages
 
     default = ("view", *scene.names, "-o", request.output)
     arguments = click.get_current_context().find_root().obj or default

@@ -1,6 +1,6 @@
 """The stages of a learned filter, and the weights of its networks.
 
-The weights are two files of ``msal_cli/weights``: ``learned.json``, which describes the other, and
+The weights are two files of ``methods/weights``: ``learned.json``, which describes the other, and
 ``learned.f32``, little-endian numbers of 32 bits.  For each stage there are three layers, and for
 each layer its biases (out,), then its matrix (out, in), row by row.
 """
@@ -17,10 +17,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.core.face_rings import face_centroids, face_rings
-from msal_cli.core.geometry import face_normals_and_areas
-from msal_cli.core.normal_descriptors import NUMBERS, VECTORS
-from msal_cli.core.normal_regression import (
+from msal_cli.errors import InternalError
+from msal_cli.kernels.face_rings import face_centroids, face_rings
+from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.normal_descriptors import NUMBERS, VECTORS
+from msal_cli.kernels.normal_regression import (
     EARLIER,
     GLOBALS,
     Descriptors,
@@ -28,15 +29,14 @@ from msal_cli.core.normal_regression import (
     NormalDescriber,
     measure_ripples,
 )
-from msal_cli.core.untangling import untangle
-from msal_cli.core.vertex_update import updated_vertices
-from msal_cli.errors import InternalError
+from msal_cli.kernels.untangling import untangle
+from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sweeps import free_vertices
 
 Floats = NDArray[np.float64]
 
-WEIGHTS = Path(__file__).parents[1] / "weights"
+WEIGHTS = Path(__file__).parent / "weights"
 """The folder of the trained weights."""
 
 FORMAT = 1

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.core.geometry import face_normals, ring_means
-from msal_cli.core.medians import median
-from msal_cli.core.vertex_update import updated_vertices
+from msal_cli.kernels.geometry import face_normals, ring_means
+from msal_cli.kernels.medians import median
+from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import free_vertices

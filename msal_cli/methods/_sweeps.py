@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.core.operators import AnisotropicLaplacian, Operator
-from msal_cli.core.schedules import Constant, Multiscale, Plain, Schedule, Wiener
-from msal_cli.core.sweeps import Swept, swept
+from msal_cli.kernels.operators import AnisotropicLaplacian, Operator
+from msal_cli.kernels.schedules import Constant, Multiscale, Plain, Schedule, Wiener
+from msal_cli.kernels.sweeps import Swept, swept
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 
@@ -253,7 +253,7 @@ def run(
 
 def told_or_estimated(mesh: Mesh, noise: float) -> float:
     """Noise in file units from the parameter ``noise`` in mean edge lengths, 0 for the estimate."""
-    from msal_cli.noise_estimate import estimated
+    from msal_cli.analysis.noise_estimate import estimated
 
     return noise * mesh.mean_edge_length if noise else estimated(mesh).file_units
 
@@ -263,7 +263,7 @@ def _restored(mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule
 
     What comes back comes along the mesh's normals.
     """
-    from msal_cli.core.restoration import given_back, restoration
+    from msal_cli.kernels.restoration import given_back, restoration
 
     noise = told_or_estimated(mesh, schedule.noise or 0.0)
     normals = mesh.vertex_normals(parameters.normals, parameters.mollify)

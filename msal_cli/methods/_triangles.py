@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.core.geometry import ring_means
+from msal_cli.kernels.geometry import ring_means
 from msal_cli.mesh import Mesh
 
 STEP = 0.5

@@ -39,11 +39,11 @@ from typing import Any
 
 import numpy as np
 
+from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import Method, OnSweep, Result, parameter
 from msal_cli.methods._triangles import even_out
-from msal_cli.noise_estimate.local import local_levels
 
 BYTES_PER_FACE = 1180
 """Memory with the hungriest member that is ever chosen, ``learned``; see ``Method``."""

@@ -48,12 +48,12 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from msal_cli.core.face_guides import patches
-from msal_cli.core.face_reach import faces_within
-from msal_cli.core.face_rings import face_centroids, mean_centroid_distance
-from msal_cli.core.geometry import face_normals_and_areas
-from msal_cli.core.joint_bilateral import joint_bilateral
-from msal_cli.core.vertex_update import updated_vertices
+from msal_cli.kernels.face_guides import patches
+from msal_cli.kernels.face_neighbourhoods import faces_within
+from msal_cli.kernels.face_rings import face_centroids, mean_centroid_distance
+from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.joint_bilateral import joint_bilateral
+from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sliding import settled, sliding_parameter

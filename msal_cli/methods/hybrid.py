@@ -50,13 +50,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.core.clusters import clusters
-from msal_cli.core.geometry import ring_means, vertex_normals
-from msal_cli.core.operators import Operator
-from msal_cli.core.schedules import Multiscale, Plain
-from msal_cli.core.sweeps import swept
-from msal_cli.core.tangent_planes import normal_spread, towards_planes
-from msal_cli.core.umbrellas import Umbrella
+from msal_cli.kernels.clusters import clusters
+from msal_cli.kernels.geometry import ring_means, vertex_normals
+from msal_cli.kernels.operators import Operator
+from msal_cli.kernels.schedules import Multiscale, Plain
+from msal_cli.kernels.sweeps import swept
+from msal_cli.kernels.tangent_planes import normal_spread, towards_planes
+from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import NormalParameters, anisotropic_laplacian, free_vertices

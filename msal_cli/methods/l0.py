@@ -39,9 +39,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from msal_cli.core.conjugate_gradient import conjugate_gradients
-from msal_cli.core.edge_sparsity import edge_sparsity
-from msal_cli.core.flaps import dihedral_angles, flaps
+from msal_cli.kernels.conjugate_gradient import conjugate_gradients
+from msal_cli.kernels.dihedral_flaps import dihedral_angles, flaps
+from msal_cli.kernels.edge_sparsity import edge_sparsity
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sliding import settled, sliding_parameter

@@ -127,7 +127,7 @@ def resolve_noise(mesh: Mesh, given: float) -> float | None:
     None where no level says what is wrong: on staircases, and where the estimate finds hardly any
     noise and does not say that there is none.
     """
-    from msal_cli.noise_estimate import estimated
+    from msal_cli.analysis.noise_estimate import estimated
 
     if given:
         return given

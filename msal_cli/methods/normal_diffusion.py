@@ -43,10 +43,10 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from msal_cli.core.face_rings import face_rings
-from msal_cli.core.geometry import face_normals
-from msal_cli.core.normal_diffusion import difference_width, diffused_normals
-from msal_cli.core.vertex_update import updated_vertices
+from msal_cli.kernels.face_rings import face_rings
+from msal_cli.kernels.geometry import face_normals
+from msal_cli.kernels.normal_diffusion import difference_width, diffused_normals
+from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sliding import settled, sliding_parameter

@@ -30,7 +30,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
-from msal_cli.core.umbrellas import ScaleDependentUmbrella
+from msal_cli.kernels.umbrellas import ScaleDependentUmbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._rings import ScheduledRingParameters, ring_of

@@ -28,10 +28,10 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from msal_cli.core.schedules import Alternating
-from msal_cli.core.sweeps import swept
-from msal_cli.core.umbrellas import Umbrella
 from msal_cli.errors import UsageError
+from msal_cli.kernels.schedules import Alternating
+from msal_cli.kernels.sweeps import swept
+from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of

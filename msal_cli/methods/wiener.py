@@ -47,13 +47,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.core.face_rings import face_centroids, face_rings, mean_centroid_distance
-from msal_cli.core.geometry import face_normals_and_areas
-from msal_cli.core.joint_bilateral import joint_bilateral
-from msal_cli.core.restoration import restoration
-from msal_cli.core.schedules import Plain
-from msal_cli.core.sweeps import swept
-from msal_cli.core.vertex_update import updated_vertices
+from msal_cli.kernels.face_rings import face_centroids, face_rings, mean_centroid_distance
+from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.joint_bilateral import joint_bilateral
+from msal_cli.kernels.restoration import restoration
+from msal_cli.kernels.schedules import Plain
+from msal_cli.kernels.sweeps import swept
+from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import (

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.records import MeshRecord
+    from msal_cli.job.records import MeshRecord
     from msal_cli.report.document import Run
 
     Writer = Callable[[Run, Sequence[MeshRecord]], bytes]
 
 _MODULES = {
-    ".json": "as_json",
-    ".jsonl": "as_jsonl",
-    ".csv": "as_csv",
-    ".md": "as_markdown",
-    ".xml": "as_junit",
-    ".html": "as_html",
+    ".json": "json_report",
+    ".jsonl": "jsonl",
+    ".csv": "csv_report",
+    ".md": "markdown",
+    ".xml": "junit",
+    ".html": "html",
 }
 
 

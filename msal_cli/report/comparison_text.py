@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from msal_cli.records import ComparisonRecord, Displacement, SurfaceDistance
-from msal_cli.report.as_text import (
+from msal_cli.job.display_names import padded, shortened, shown
+from msal_cli.job.records import ComparisonRecord, Displacement, SurfaceDistance
+from msal_cli.report.text import (
     Line,
     file_name,
     gate_text,
@@ -13,7 +14,6 @@ from msal_cli.report.as_text import (
     self_intersections_text,
     vertices_text,
 )
-from msal_cli.report.names import padded, shortened, shown
 
 _COLUMNS = ("angle", "vertex error", "max move", "volume", "area", "flipped", "Hausdorff")
 _NARROWEST_NAME = 16

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from msal_cli.records import SCHEMA, MeshRecord, as_data
-from msal_cli.report.names import portable
+from msal_cli.job.display_names import portable
+from msal_cli.job.records import SCHEMA, MeshRecord, as_data
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,10 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from msal_cli.records import MeshRecord
-from msal_cli.report.as_text import (
+from msal_cli.job.display_names import shown
+from msal_cli.job.records import MeshRecord
+from msal_cli.report.ranking import broken_gates, gate_words
+from msal_cli.report.text import (
     by_hand,
     defects_text,
     despiked_text,
@@ -16,8 +18,6 @@ from msal_cli.report.as_text import (
     runner_up_text,
     self_intersections_text,
 )
-from msal_cli.report.names import shown
-from msal_cli.report.worst import broken_gates, gate_words
 
 Column = dict[str, str]
 Row = dict[str, Any]

@@ -13,9 +13,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from msal_cli import records
-from msal_cli.report.as_json import json_bytes
+from msal_cli.job import records
 from msal_cli.report.document import Run, Totals
+from msal_cli.report.json_report import json_bytes
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _NULL_NOTE = (

@@ -16,9 +16,9 @@ import sys
 import time
 from pathlib import Path
 
-from msal_cli.batch.temporaries import temporary_name
-from msal_cli.pipeline import FORECAST
-from msal_cli.records import Failure, MeshRecord
+from msal_cli.batch.temporary_files import temporary_name
+from msal_cli.job.pipeline import FORECAST
+from msal_cli.job.records import Failure, MeshRecord
 
 DEATHS = {
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli import files
-from msal_cli.batch import weights
-from msal_cli.batch.weights import LARGE_BYTES, weighed
-from msal_cli.pipeline import FORECAST, NO_LIMITS, Limits, Settings, Task
+from msal_cli import codecs as files
+from msal_cli.batch import memory_budget as weights
+from msal_cli.batch.memory_budget import LARGE_BYTES, weighed
+from msal_cli.job.pipeline import FORECAST, NO_LIMITS, Limits, Settings, Task
 from tests.cli.scans import closed_scan, folder_of, msal
 
 PLY = (

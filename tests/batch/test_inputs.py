@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from msal_cli.batch.inputs import NothingMatched, found
-from msal_cli.batch.temporaries import temporary_name
+from msal_cli.batch.temporary_files import temporary_name
 from msal_cli.errors import UsageError
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")

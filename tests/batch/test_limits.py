@@ -12,18 +12,19 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch import worker_process, workers
+from msal_cli.batch import worker_pool as workers
+from msal_cli.batch import worker_process
 from msal_cli.batch.events import Started
 from msal_cli.batch.inputs import found
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.messages import Again, Began, Lost, Returned
 from msal_cli.batch.plan import built
 from msal_cli.batch.run import run
 from msal_cli.batch.schedule import Schedule
-from msal_cli.batch.workers import Crew
+from msal_cli.batch.worker_messages import Again, Began, Lost, Returned
+from msal_cli.batch.worker_pool import Crew
+from msal_cli.codecs.forecast import BASE_BYTES
 from msal_cli.errors import UsageError
-from msal_cli.files.forecast import BASE_BYTES
-from msal_cli.pipeline import Limits, Settings
+from msal_cli.job.pipeline import Limits, Settings
 from tests.batch import fakes
 from tests.batch.test_whole import children_of, obj
 
@@ -295,7 +296,7 @@ def test_the_command_holds_a_real_mesh_to_a_memory_limit(scans, monkeypatch):
     assert "the limit is 90 MB (E_MEMORY)" in made.stderr
     # A forecast that is far too low: now the system has to hold the worker to its limit.
     (scans / "sitecustomize.py").write_text(
-        "import msal_cli.files.forecast as f\nf._PER_BYTE = dict.fromkeys(f._PER_BYTE, 0.01)\n"
+        "import msal_cli.codecs.forecast as f\nf._PER_BYTE = dict.fromkeys(f._PER_BYTE, 0.01)\n"
     )
     env = os.environ | {"PYTHONPATH": f"{scans}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
     made = msal(scans, "--memory-limit", "90M", env=env)

@@ -12,7 +12,7 @@ import pytest
 
 from msal_cli.batch import lock
 from msal_cli.batch.lock import NAME, FolderLock, who_works
-from msal_cli.batch.shards import Shard
+from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError, UsageError
 
 HOLD = (
@@ -116,7 +116,7 @@ def test_a_link_in_the_place_of_the_lock_does_not_harm_its_target(tmp_path):
 
 HOLD_SHARD = (
     "import sys; from msal_cli.batch.lock import FolderLock; "
-    "from msal_cli.batch.shards import Shard; one = FolderLock(sys.argv[1], Shard(2, 4)); "
+    "from msal_cli.batch.shard import Shard; one = FolderLock(sys.argv[1], Shard(2, 4)); "
     "print('held', flush=True); sys.stdin.read()"
 )
 
@@ -235,7 +235,7 @@ def test_many_shards_that_start_and_end_at_once_are_not_refused(tmp_path):
     """Also not by the looking of the others, or by the last of them, who clears away."""
     code = (
         "import sys; from msal_cli.batch.lock import FolderLock; "
-        "from msal_cli.batch.shards import Shard\n"
+        "from msal_cli.batch.shard import Shard\n"
         "for _ in range(200): FolderLock(sys.argv[1], Shard(int(sys.argv[2]), 4)).release()"
     )
     processes = [

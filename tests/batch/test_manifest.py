@@ -23,10 +23,10 @@ from msal_cli.batch.manifest import (
     line_of,
     settings_hash,
 )
-from msal_cli.batch.shards import Shard
+from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError
-from msal_cli.pipeline import Settings
-from msal_cli.records import MeshRecord, ObjectMark, Volume
+from msal_cli.job.pipeline import Settings
+from msal_cli.job.records import MeshRecord, ObjectMark, Volume
 
 SETTINGS = Settings("msal", {"K": 0.5, "iterations": 4})
 

@@ -8,18 +8,29 @@ import threading
 import pytest
 
 from msal_cli import methods
-from msal_cli.batch import history, homes, remote_manifest, shards
+from msal_cli.batch import (
+    manifest_dirs as homes,
+)
+from msal_cli.batch import (
+    remote_manifest,
+)
+from msal_cli.batch import (
+    run_history as history,
+)
+from msal_cli.batch import (
+    shard as shards,
+)
 from msal_cli.batch.inputs import Found, NothingMatched, found
 from msal_cli.batch.manifest import Manifest, done, intent
 from msal_cli.batch.plan import built
 from msal_cli.batch.remote_manifest import FOLDER, RemoteManifest
 from msal_cli.batch.run import run
 from msal_cli.errors import InputError, OutputError, UsageError
-from msal_cli.files import remote
-from msal_cli.files.remote import listed, read_whole, write_whole
-from msal_cli.inspection import inspect_file
-from msal_cli.pipeline import Settings, denoise_bytes
-from msal_cli.records import MeshRecord, ObjectMark
+from msal_cli.job.inspection import inspect_file
+from msal_cli.job.pipeline import Settings, denoise_bytes
+from msal_cli.job.records import MeshRecord, ObjectMark
+from msal_cli.storage import objects as remote
+from msal_cli.storage.objects import listed, read_whole, write_whole
 from tests.batch.test_whole import obj
 
 pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")

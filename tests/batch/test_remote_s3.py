@@ -14,9 +14,9 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.errors import OutputError
-from msal_cli.files import remote
-from msal_cli.files.remote import listed, read_whole, write_whole
-from msal_cli.pipeline import Settings, denoise_bytes
+from msal_cli.job.pipeline import Settings, denoise_bytes
+from msal_cli.storage import objects as remote
+from msal_cli.storage.objects import listed, read_whole, write_whole
 from tests.batch.test_whole import obj
 from tests.cli.scans import MSAL, msal
 
@@ -240,7 +240,7 @@ def test_a_killed_run_leaves_whole_objects_and_the_next_does_the_rest(server, ex
 def test_an_upload_that_is_killed_halfway_leaves_no_object(server):
     server.hold_up("/out/half.ply")
     code = (
-        "from msal_cli.files.remote import write_whole; "
+        "from msal_cli.storage.objects import write_whole; "
         "write_whole('s3://out/half.ply', bytes(40 << 20))"
     )
     process = subprocess.Popen([sys.executable, "-c", code])

@@ -23,8 +23,8 @@ from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import built
 from msal_cli.batch.run import run
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.pipeline import Settings
-from msal_cli.records import SCHEMA
+from msal_cli.job.pipeline import Settings
+from msal_cli.job.records import SCHEMA
 from tests.batch import fakes
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
@@ -436,9 +436,9 @@ import sys
 from msal_cli.batch.inputs import found
 from msal_cli.batch.plan import built
 from msal_cli.batch.run import run
-from msal_cli.batch.signals import Terminated
+from msal_cli.batch.interrupts import Terminated
 from msal_cli.batch.events import Finished, Started
-from msal_cli.pipeline import Settings
+from msal_cli.job.pipeline import Settings
 from tests.batch import fakes
 
 def tell(event):
@@ -550,7 +550,7 @@ class TestInterrupts:
 
     def test_a_second_signal_does_not_wait(self):
         code = (
-            "import os, signal, time; from msal_cli.batch.signals import noticed\n"
+            "import os, signal, time; from msal_cli.batch.interrupts import noticed\n"
             "with noticed(lambda number: print(number, flush=True)):\n"
             "    os.kill(os.getpid(), signal.SIGINT)\n"
             "    try: os.kill(os.getpid(), signal.SIGTERM)\n"
@@ -580,7 +580,7 @@ class TestInterrupts:
         assert (tmp_path / "cleaned").exists()
 
     def test_a_block_that_is_left_in_time_goes_on(self):
-        from msal_cli.batch import signals
+        from msal_cli.batch import interrupts as signals
 
         seen, cleaned = [], []
         n_threads = threading.active_count()

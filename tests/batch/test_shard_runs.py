@@ -14,9 +14,9 @@ import pytest
 import msal_cli
 from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.shards import Shard, part, settled
+from msal_cli.batch.shard import Shard, part, settled
 from msal_cli.errors import UsageError
-from msal_cli.pipeline import Settings
+from msal_cli.job.pipeline import Settings
 from tests.batch import fakes
 from tests.batch.test_run import SETTINGS, fill, plan_of, ran, statuses, tree, tried
 

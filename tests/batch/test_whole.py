@@ -20,10 +20,10 @@ from msal_cli.batch.inputs import NothingMatched, found
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import built
 from msal_cli.batch.run import run
-from msal_cli.batch.workers import Crew
+from msal_cli.batch.worker_pool import Crew
+from msal_cli.codecs import open_mesh
 from msal_cli.errors import UsageError
-from msal_cli.files import open_mesh
-from msal_cli.pipeline import Settings, denoise_bytes
+from msal_cli.job.pipeline import Settings, denoise_bytes
 from tests.batch import fakes
 from tests.shapes import noisy, torus
 
@@ -160,7 +160,7 @@ def test_a_worker_killed_in_the_middle_costs_nothing(scans, monkeypatch):
         crews.append(Crew(*arguments, **options))
         return crews[0]
 
-    monkeypatch.setattr("msal_cli.batch.workers.Crew", watched)
+    monkeypatch.setattr("msal_cli.batch.worker_pool.Crew", watched)
     count, victims = 0, []
 
     def on_event(event):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from msal_cli.batch.manifest import NAME as MANIFEST
-from msal_cli.batch.temporaries import temporary_name
+from msal_cli.batch.temporary_files import temporary_name
 from tests.campaigns.runs import IS_LINUX, contents
 from tests.cli.scans import folder_of, msal, open_scan
 from tests.report.made import HOSTILE_NAMES
@@ -255,7 +255,7 @@ def test_a_backup_whose_name_is_too_long(tmp_path):
 
 
 def test_what_changes_while_a_run_goes_on(tmp_path, monkeypatch):
-    from msal_cli import files
+    from msal_cli import codecs as files
 
     scans = folder_of(tmp_path / "in", a=SCAN)
     read = files.read_input

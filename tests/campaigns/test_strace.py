@@ -14,7 +14,7 @@ import subprocess
 
 import pytest
 
-from msal_cli.batch.temporaries import is_own
+from msal_cli.batch.temporary_files import is_own
 from tests.campaigns.runs import IS_LINUX, Whole, contents, ended
 from tests.cli.scans import MSAL, closed_scan, folder_of
 

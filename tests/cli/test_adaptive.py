@@ -7,11 +7,12 @@ import shlex
 
 import pytest
 
-from msal_cli import methods, selection
+from msal_cli import auto as selection
+from msal_cli import methods
+from msal_cli.analysis.added_noise import noisy
+from msal_cli.analysis.noise_estimate import estimated
+from msal_cli.auto import adaptive
 from msal_cli.mesh import prepared
-from msal_cli.noise import noisy
-from msal_cli.noise_estimate import estimated
-from msal_cli.selection import adaptive
 from tests.cli.scans import closed_scan, folder_of, msal, msal_on, ply_text
 from tests.shapes import torus
 
@@ -125,7 +126,7 @@ def test_a_choice_that_damages_is_rejected(tmp_path, monkeypatch, word):
         return selection.Choice("umbrella", values, "collapse", None, estimated(mesh))
 
     monkeypatch.setattr(adaptive, "chosen", collapsing)
-    monkeypatch.setattr("msal_cli.automatic.chosen", collapsing)
+    monkeypatch.setattr("msal_cli.job.choice.chosen", collapsing)
     scan = tmp_path / "scan.ply"
     scan.write_bytes(closed_scan())
     words = [] if word is None else [word]

@@ -19,11 +19,12 @@ from pathlib import Path
 import pytest
 from jsonschema import Draft202012Validator
 
-from msal_cli import methods, selection
+from msal_cli import auto as selection
+from msal_cli import methods
+from msal_cli.analysis.noise_estimate import estimated
 from msal_cli.cli import auto_options
 from msal_cli.cli.denoise import command
-from msal_cli.noise_estimate import estimated
-from msal_cli.pipeline import AUTO
+from msal_cli.job.pipeline import AUTO
 from msal_cli.report.schema import report_schema
 from tests.cli.scans import (
     MSAL,
@@ -67,7 +68,7 @@ def choose(monkeypatch):
     """Lets a test say what is chosen."""
 
     def use(chosen):
-        monkeypatch.setattr("msal_cli.selection.search.chosen", chosen)
+        monkeypatch.setattr("msal_cli.auto.search.chosen", chosen)
         return chosen
 
     return use
@@ -503,7 +504,7 @@ def slow_to_choose(tmp_path):
     (patch / "sitecustomize.py").write_text(
         "import time\n"
         "from pathlib import Path\n"
-        "from msal_cli.selection import search\n"
+        "from msal_cli.auto import search\n"
         "def chosen(mesh, wishes, on_step=None):\n"
         f"    Path({str(begun)!r}).touch()\n"
         "    for at in range(600):\n"

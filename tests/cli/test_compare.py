@@ -7,7 +7,7 @@ import json
 import pytest
 from jsonschema import Draft202012Validator
 
-from msal_cli import files
+from msal_cli import codecs as files
 from msal_cli.report.schema import compare_schema
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
 

@@ -16,7 +16,7 @@ from jsonschema import Draft202012Validator
 from msal_cli import methods
 from msal_cli.batch import run as run_module
 from msal_cli.batch.events import Finished
-from msal_cli.batch.signals import Terminated
+from msal_cli.batch.interrupts import Terminated
 from msal_cli.cli.denoise import command
 from msal_cli.errors import OutputError
 from msal_cli.report.schema import report_schema
@@ -476,7 +476,7 @@ def test_an_interrupt_wins_over_a_report_that_cannot_be_written(mixed, tmp_path,
         raise OutputError("the disk is full")
 
     monkeypatch.setattr(run_module, "run", Ending(KeyboardInterrupt()))
-    monkeypatch.setattr("msal_cli.cli.reports.write", full)
+    monkeypatch.setattr("msal_cli.cli.report_files.write", full)
     made = msal("denoise", mixed, "-o", tmp_path / "out", "--report", tmp_path / "r.json")
     assert made.exit_code == 130
     assert "the disk is full" in made.stderr
@@ -486,7 +486,7 @@ def test_a_report_that_cannot_be_written_is_fatal_but_json_is_printed(scan, tmp_
     def full(*given, **named):
         raise OutputError("the disk is full")
 
-    monkeypatch.setattr("msal_cli.cli.reports.write", full)
+    monkeypatch.setattr("msal_cli.cli.report_files.write", full)
     made = msal("denoise", scan, "-o", tmp_path / "o.ply", "--json", "--report", tmp_path / "r.csv")
     assert made.exit_code == 1
     assert "the disk is full" in made.stderr

@@ -7,11 +7,13 @@ import json
 import numpy as np
 import pytest
 
-from msal_cli import files, methods, selection
+from msal_cli import auto as selection
+from msal_cli import codecs as files
+from msal_cli import methods
+from msal_cli.analysis.added_noise import noisy
+from msal_cli.analysis.noise_estimate import estimated
+from msal_cli.auto import adaptive
 from msal_cli.mesh import prepared
-from msal_cli.noise import noisy
-from msal_cli.noise_estimate import estimated
-from msal_cli.selection import adaptive
 from tests.cli.scans import folder_of, msal, ply_text
 from tests.shapes import torus
 

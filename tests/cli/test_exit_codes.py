@@ -8,7 +8,7 @@ import pytest
 
 from msal_cli import errors
 from msal_cli.batch.inputs import NothingMatched
-from msal_cli.batch.signals import Terminated
+from msal_cli.batch.interrupts import Terminated
 from msal_cli.cli import exit_codes
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from msal_cli import files
-from msal_cli.fields import KINDS
+from msal_cli import codecs as files
+from msal_cli.job.fields import KINDS
 from msal_cli.report.schema import report_schema
 from tests.cli.scans import closed_scan, folder_of, msal, msal_on, ply_text
 from tests.shapes import ball

@@ -112,7 +112,7 @@ def test_the_help_of_denoise_tells_the_real_defaults():
 
 
 def test_an_internal_error_is_one_line(monkeypatch, tmp_path):
-    monkeypatch.setattr("msal_cli.inspection.inspect_file", lambda *given, **named: 1 / 0)
+    monkeypatch.setattr("msal_cli.job.inspection.inspect_file", lambda *given, **named: 1 / 0)
     folder_of(tmp_path, a=closed_scan())
     made = msal("info", tmp_path)
     assert made.exit_code == 1
@@ -128,7 +128,7 @@ def test_memory_that_ran_out_is_said(monkeypatch, tmp_path):
     def ran_out(*given, **named):
         raise MemoryError
 
-    monkeypatch.setattr("msal_cli.inspection.inspect_file", ran_out)
+    monkeypatch.setattr("msal_cli.job.inspection.inspect_file", ran_out)
     folder_of(tmp_path, a=closed_scan())
     made = msal("info", tmp_path)
     assert (made.exit_code, made.stderr) == (1, "msal: error: not enough memory (E_MEMORY)\n")

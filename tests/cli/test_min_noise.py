@@ -8,9 +8,9 @@ import json
 import numpy as np
 import pytest
 
-from msal_cli import files
+from msal_cli import codecs as files
+from msal_cli.analysis.added_noise import noisy
 from msal_cli.mesh import prepared
-from msal_cli.noise import noisy
 from tests.cli.scans import folder_of, msal, msal_on, ply_text
 from tests.shapes import torus
 

@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from msal_cli import files
+from msal_cli import codecs as files
+from msal_cli.analysis.added_noise import KINDS
 from msal_cli.cli.noise import _KINDS
-from msal_cli.noise import KINDS
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on, ply_text
 from tests.shapes import torus
 

@@ -11,8 +11,9 @@ import sys
 import pytest
 
 from msal_cli.batch.events import Finished, Progress, Started
-from msal_cli.cli import progress, talk
-from msal_cli.pipeline import Task
+from msal_cli.cli import console as talk
+from msal_cli.cli import progress
+from msal_cli.job.pipeline import Task
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of
 from tests.report.made import failed, written
 

@@ -11,7 +11,7 @@ import pytest
 
 from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.shards import Shard
+from msal_cli.batch.shard import Shard
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
 
 

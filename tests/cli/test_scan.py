@@ -7,10 +7,10 @@ import gzip
 import numpy as np
 import pytest
 
-from msal_cli import files
+from msal_cli import codecs as files
+from msal_cli.analysis.simulation import SCANNERS
+from msal_cli.analysis.simulation.volume_files import TYPES
 from msal_cli.cli.scan import _SCANNERS, _TYPES
-from msal_cli.simulation import SCANNERS
-from msal_cli.simulation.volume_files import TYPES
 from tests.cli.scans import BAD_SCAN, folder_of, msal, msal_on, ply_text
 from tests.shapes import ball, cube
 

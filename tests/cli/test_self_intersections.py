@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from msal_cli import pipeline
 from msal_cli.cli import file_options
+from msal_cli.job import pipeline
 from tests.cli.scans import folder_of, msal, msal_on, ply_text
 from tests.shapes import torus
 

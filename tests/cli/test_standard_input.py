@@ -15,7 +15,7 @@ import pytest
 from msal_cli.batch import memory
 from msal_cli.cli.standard_input import copy_stream, read_stream
 from msal_cli.errors import InputError, OutputError, ResourceError, TooLargeError
-from msal_cli.files import streams
+from msal_cli.storage import gzip_streams as streams
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, msal_on
 
 SCAN = closed_scan()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from msal_cli.files import urls
+from msal_cli.storage import urls
 from tests.cli.scans import closed_scan, msal, msal_on
 
 pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
@@ -67,7 +67,7 @@ def test_reports_may_go_to_a_store(tmp_path):
 
 
 def test_pipes_may_come_from_a_store_and_go_to_one():
-    from msal_cli.files.remote import read_whole, write_whole
+    from msal_cli.storage.objects import read_whole, write_whole
 
     write_whole("memory://p/a.ply", closed_scan())
     told = msal("denoise", "memory://p/a.ply", "-o", "-")

@@ -159,6 +159,6 @@ def test_any_name_is_a_name(scans):
 
 
 def test_the_picture_is_not_what_denoise_pays_for():
-    code = "import sys, msal_cli.cli.denoise, msal_cli.pipeline; print('PIL' in sys.modules)"
+    code = "import sys, msal_cli.cli.denoise, msal_cli.job.pipeline; print('PIL' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout == "False\n"

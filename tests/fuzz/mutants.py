@@ -75,7 +75,7 @@ VALUES: list[Any] = [
 @functools.cache
 def seeds(format: str) -> tuple[bytes, ...]:
     """Small good files that between them use every path of a reader."""
-    from tests.files import (
+    from tests.codecs import (
         test_glb,
         test_gltf,
         test_obj_hostile,

@@ -85,22 +85,22 @@ def main(arguments: list[str]) -> None:
         os.environ["MSAL_INTERPRET_KERNELS"] = "1"
     elif not is_shipped:
         _call_by_numba()
-    seen = ["msal_cli.files"] + [f"msal_cli.core.{name}" for name in _SCANNERS * is_interpreted]
+    seen = ["msal_cli.codecs"] + [f"msal_cli.kernels.{name}" for name in _SCANNERS * is_interpreted]
     # What numba compiles must not be instrumented: it does not know the calls that are put in.
     with atheris.instrument_imports(include=seen):
-        import msal_cli.files.glb
-        import msal_cli.files.gltf
-        import msal_cli.files.obj
-        import msal_cli.files.ply
-        import msal_cli.files.stl
-        import msal_cli.files.threemf
+        import msal_cli.codecs.glb
+        import msal_cli.codecs.gltf
+        import msal_cli.codecs.obj
+        import msal_cli.codecs.ply
+        import msal_cli.codecs.stl
+        import msal_cli.codecs.threemf
 
         if is_interpreted:
-            import msal_cli.core.obj_patch
-            import msal_cli.core.obj_plain
-            import msal_cli.core.obj_scan
-            import msal_cli.core.ply_scan
-            import msal_cli.core.stl_scan  # noqa: F401
+            import msal_cli.kernels.obj_fast
+            import msal_cli.kernels.obj_patch
+            import msal_cli.kernels.obj_scan
+            import msal_cli.kernels.ply_scan
+            import msal_cli.kernels.stl_scan  # noqa: F401
     import numpy as np
 
     from tests.fuzz.survival import outcome
@@ -146,7 +146,7 @@ def _call_by_numba() -> None:
     from pathlib import Path
 
     from kernel_build.numba_kernels import to_dispatcher
-    from msal_cli.core import compiled
+    from msal_cli.kernels import compiled
 
     sources = sorted(Path(compiled.__file__).parent.glob("*.py"))
     key = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli import files
+from msal_cli import codecs as files
 from msal_cli.errors import InternalError, MsalError
 from msal_cli.mesh import prepared
 

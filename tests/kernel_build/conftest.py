@@ -12,8 +12,8 @@ import pytest
 from kernel_build import linking, objects
 from kernel_build.targets import TARGETS, native_target
 from kernel_build.written import written_arguments
-from msal_cli.core import library
-from msal_cli.core.compiled import arg_type
+from msal_cli.kernels import library
+from msal_cli.kernels.compiled import arg_type
 from tests.kernel_build import some_kernels as some
 
 ROWS, COLUMN = np.zeros((4, 2)), np.zeros(5)

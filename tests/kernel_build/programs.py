@@ -11,8 +11,8 @@ import numpy as np
 from kernel_build import linking, objects
 from kernel_build.signatures import kernel_of
 from kernel_build.targets import Target
-from msal_cli.core import library
-from msal_cli.core.compiled import arg_type
+from msal_cli.kernels import library
+from msal_cli.kernels.compiled import arg_type
 
 _C_TYPES = {"i8": "int64_t", "u8": "uint64_t", "f8": "double", "b1": "uint8_t"}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.core.compiled import compiled
+from msal_cli.kernels.compiled import compiled
 
 FACTOR = 3.0
 TABLE = np.array([2, 5], dtype=np.int64)

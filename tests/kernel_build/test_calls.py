@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from kernel_build import linking
-from msal_cli.core import library
-from msal_cli.core.compiled import arg_type
 from msal_cli.errors import InternalError
+from msal_cli.kernels import library
+from msal_cli.kernels.compiled import arg_type
 from tests.kernel_build import some_kernels as some
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from kernel_build import binaries, build, linking, objects, release
 from kernel_build.targets import TARGETS, native_target
-from msal_cli.core import library
+from msal_cli.kernels import library
 from tests.kernel_build.programs import build_program, native_output
 from tests.shapes import torus
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.core.plain_faces import neighbours, normals_and_areas, rim, unit, updated
+from tests.kernels.plain_faces import neighbours, normals_and_areas, rim, unit, updated
 
 
 def threshold_normals(n: np.ndarray, rows: list[list[int]], T: float, passes: int) -> np.ndarray:

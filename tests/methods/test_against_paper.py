@@ -69,7 +69,7 @@ def test_one_sweep_worked_by_hand():
     # g = e^(-1/18) three times and e^(-25/18), d = sum(g h) / sum(g).
     vertices, faces = fan([1.0, 1.0, 1.0, 5.0])
     ready = prepared(vertices, faces)
-    from msal_cli.core.operators import AnisotropicLaplacian
+    from msal_cli.kernels.operators import AnisotropicLaplacian
 
     links = ready.mesh.links
     up = np.tile([0.0, 0.0, 1.0], (5, 1))

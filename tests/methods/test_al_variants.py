@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msal_cli import files, methods
-from msal_cli.core.operators import AnisotropicLaplacian
-from msal_cli.core.robust_laplacian import DEVIATIONS, SCALINGS, WEIGHTS, RobustLaplacian
+from msal_cli import codecs as files
+from msal_cli import methods
+from msal_cli.analysis.surface import normal_statistics
+from msal_cli.kernels.operators import AnisotropicLaplacian
+from msal_cli.kernels.robust_laplacian import DEVIATIONS, SCALINGS, WEIGHTS, RobustLaplacian
 from msal_cli.mesh import prepared
-from msal_cli.metrics.surface import normal_statistics
 from tests import paper
 from tests.methods.pairs import all_errors, errors, opened
 from tests.shapes import fan, grid, noisy, torus

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.core.anisotropic_curvature import edge_curvatures
-from msal_cli.core.flaps import flaps
-from msal_cli.core.geometry import area_and_volume
+from msal_cli.kernels.anisotropic_curvature import edge_curvatures
+from msal_cli.kernels.dihedral_flaps import flaps
+from msal_cli.kernels.geometry import area_and_volume
 from msal_cli.mesh import prepared
 from tests.methods.pairs import PAIRS, all_errors, errors, opened
 from tests.shapes import grid, noisy, torus

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.core.projections import ProjectionAverage
+from msal_cli.kernels.projections import ProjectionAverage
 from msal_cli.mesh import prepared
 from tests import paper
 from tests.methods.pairs import all_errors

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli import methods
-from msal_cli.core.bilateral_normals import bilateral_averages
-from msal_cli.core.connectivity import connectivity
-from msal_cli.core.face_rings import face_centroids, face_rings
-from msal_cli.core.geometry import face_normals_and_areas
-from msal_cli.core.normal_system import normal_system
+from msal_cli.kernels.bilateral_normals import bilateral_averages
+from msal_cli.kernels.connectivity import connectivity
+from msal_cli.kernels.face_rings import face_centroids, face_rings
+from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.normal_system import normal_system
 from msal_cli.mesh import prepared
-from tests.core.plain_faces import neighbours
+from tests.kernels.plain_faces import neighbours
 from tests.methods import pairs
 from tests.methods.plain_normals import global_filter, global_matrix, local_filter
 from tests.shapes import grid, noisy, torus
@@ -201,7 +201,7 @@ def test_a_face_without_a_normal_stays_out_of_the_system(height):
 def test_global_threads_do_not_change_a_bit(monkeypatch):
     vertices, faces = torus(40, 20)
     vertices = noisy(vertices, 4, 0.1)
-    monkeypatch.setattr("msal_cli.core.parallel.SMALLEST_RANGE", 100)
+    monkeypatch.setattr("msal_cli.kernels.parallel.SMALLEST_RANGE", 100)
     results = []
     for count in ("1", "2", "5"):
         monkeypatch.setenv("MSAL_THREADS", count)

@@ -10,8 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli import methods, selection
+from msal_cli import auto as selection
+from msal_cli import methods
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
+from msal_cli.analysis.surface import normal_statistics
+from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.errors import UsageError
+from msal_cli.job.settings import Settings, method_bytes_per_face
 from msal_cli.mesh import prepared
 from msal_cli.methods._triangles import even_out
 from msal_cli.methods.blend import (
@@ -22,10 +27,6 @@ from msal_cli.methods.blend import (
     written,
     written_levels,
 )
-from msal_cli.metrics.surface import normal_statistics
-from msal_cli.noise import AddedNoise, add_noise
-from msal_cli.selection.candidates import CANDIDATES
-from msal_cli.tasks import Settings, method_bytes_per_face
 from tests.cli.scans import closed_scan, folder_of, msal
 from tests.shapes import grid, noisy, torus
 

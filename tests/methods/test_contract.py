@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.core import parallel
+from msal_cli.analysis.surface import normal_statistics
 from msal_cli.errors import UsageError
+from msal_cli.kernels import parallel
 from msal_cli.mesh import prepared
-from msal_cli.metrics.surface import normal_statistics
 from tests.shapes import grid, noisy, torus
 
 ALL = methods.names()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
+from msal_cli.analysis.volume import area_and_volume
 from msal_cli.mesh import prepared
-from msal_cli.metrics.volume import area_and_volume
 from tests.methods.pairs import all_errors
 from tests.methods.plain_rings import hc, rows
 from tests.shapes import fan, grid, noisy, torus

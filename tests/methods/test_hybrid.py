@@ -8,7 +8,7 @@ import pytest
 from msal_cli import methods
 from msal_cli.mesh import prepared
 from tests import paper
-from tests.core.test_tangent_planes import roof
+from tests.kernels.test_tangent_planes import roof
 from tests.methods.pairs import all_errors
 from tests.shapes import cube, grid, noisy, torus
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli import files, methods
-from msal_cli.core.connectivity import connectivity
-from msal_cli.core.flaps import dihedral_angles, flaps
+from msal_cli import codecs as files
+from msal_cli import methods
+from msal_cli.analysis.surface import normal_statistics
+from msal_cli.kernels.connectivity import connectivity
+from msal_cli.kernels.dihedral_flaps import dihedral_angles, flaps
 from msal_cli.mesh import prepared
 from msal_cli.methods import l0
-from msal_cli.metrics.surface import normal_statistics
 from tests.shapes import grid, noisy, torus
 
 METHOD = methods.find("l0")

@@ -9,14 +9,14 @@ import json
 import numpy as np
 import pytest
 
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
+from msal_cli.analysis.noise_estimate import estimated
+from msal_cli.analysis.surface import normal_statistics
 from msal_cli.errors import InternalError
 from msal_cli.mesh import prepared
 from msal_cli.methods import find
 from msal_cli.methods._cascade import WEIGHTS, load_networks, read_networks, write_networks
 from msal_cli.methods.learned import resolve_noise
-from msal_cli.metrics.surface import normal_statistics
-from msal_cli.noise import AddedNoise, add_noise
-from msal_cli.noise_estimate import estimated
 from tests.shapes import ball, grid, torus
 
 
@@ -136,7 +136,7 @@ def test_the_noise_is_estimated_but_on_staircases(monkeypatch):
     assert resolve_noise(noisy, 0.07) == 0.07
     stairs = dataclasses.replace(level.character, kind="staircase")
     monkeypatch.setattr(
-        "msal_cli.noise_estimate.estimated",
+        "msal_cli.analysis.noise_estimate.estimated",
         lambda mesh: dataclasses.replace(level, character=stairs),
     )
     assert resolve_noise(noisy, 0.0) is None

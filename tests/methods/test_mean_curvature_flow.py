@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli import files, methods
-from msal_cli.core.geometry import area_and_volume
-from msal_cli.core.rescaled import with_volume_of
+from msal_cli import codecs as files
+from msal_cli import methods
+from msal_cli.analysis.surface import normal_statistics
+from msal_cli.kernels.geometry import area_and_volume
+from msal_cli.kernels.volume_rescaling import with_volume_of
 from msal_cli.mesh import prepared
-from msal_cli.metrics.surface import normal_statistics
 from tests.shapes import cube, grid, noisy, torus
 
 METHOD = methods.find("mean_curvature_flow")

@@ -140,7 +140,7 @@ def test_wiener_is_what_its_definition_says(shape, noise, caution):
 
 
 def test_wiener_estimates_the_noise_unless_told():
-    from msal_cli.noise_estimate import estimated
+    from msal_cli.analysis.noise_estimate import estimated
 
     vertices, faces = SHAPES["torus"]
     told = estimated(prepared(vertices, faces).mesh).mean_edges

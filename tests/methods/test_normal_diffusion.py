@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.core.face_rings import face_rings
-from msal_cli.core.geometry import face_normals
-from msal_cli.core.normal_diffusion import difference_width
+from msal_cli.kernels.face_rings import face_rings
+from msal_cli.kernels.geometry import face_normals
+from msal_cli.kernels.normal_diffusion import difference_width
 from msal_cli.mesh import prepared
 from tests.methods.pairs import PAIRS, all_errors
 from tests.shapes import cube, grid, noisy, torus

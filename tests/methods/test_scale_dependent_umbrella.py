@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.core.umbrellas import ScaleDependentUmbrella
+from msal_cli.kernels.umbrellas import ScaleDependentUmbrella
 from msal_cli.mesh import prepared
 from tests.methods.plain_rings import rows, scale_dependent_umbrella
 from tests.shapes import fan, grid, noisy, torus

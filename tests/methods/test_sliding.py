@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
+from msal_cli.analysis.surface import normal_statistics
 from msal_cli.mesh import prepared
 from msal_cli.methods import _sliding
 from msal_cli.methods._sliding import SIDEWAYS, settled, sideways_share
-from msal_cli.metrics.surface import normal_statistics
 from tests.shapes import grid, torus
 
 SLIDING = [

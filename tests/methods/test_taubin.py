@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.core.schedules import Alternating
+from msal_cli.analysis.volume import area_and_volume
 from msal_cli.errors import UsageError
+from msal_cli.kernels.schedules import Alternating
 from msal_cli.mesh import prepared
-from msal_cli.metrics.volume import area_and_volume
 from tests.methods.pairs import all_errors
 from tests.methods.plain_rings import rows, umbrella
 from tests.shapes import grid, noisy, torus

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
+from msal_cli.analysis.surface import normal_statistics
 from msal_cli.mesh import prepared
-from msal_cli.metrics.surface import normal_statistics
 from tests.shapes import cube, grid, noisy, torus
 
 WIENER = methods.find("wiener")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.core.windowed_sinc import sinc_coefficients
+from msal_cli.analysis.volume import area_and_volume
+from msal_cli.kernels.windowed_sinc import sinc_coefficients
 from msal_cli.mesh import prepared
-from msal_cli.metrics.volume import area_and_volume
 from tests.shapes import grid, noisy, torus
 
 METHOD = methods.find("windowed_sinc")

@@ -8,7 +8,7 @@ import typing
 
 from hypothesis import strategies as st
 
-from msal_cli.records import (
+from msal_cli.job.records import (
     Displacement,
     Failure,
     GateResult,

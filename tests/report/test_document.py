@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from msal_cli.records import MeshRecord, Volume
+from msal_cli.job.records import MeshRecord, Volume
 from msal_cli.report.document import heading, plain, totals
 from tests.report.made import RUN, failed, written
 

@@ -9,9 +9,20 @@ import unicodedata
 
 import pytest
 
-from msal_cli.records import MeshRecord
-from msal_cli.report import as_csv, as_json, as_jsonl, as_text
-from msal_cli.report.names import restored
+from msal_cli.job.display_names import restored
+from msal_cli.job.records import MeshRecord
+from msal_cli.report import (
+    csv_report as as_csv,
+)
+from msal_cli.report import (
+    json_report as as_json,
+)
+from msal_cli.report import (
+    jsonl as as_jsonl,
+)
+from msal_cli.report import (
+    text as as_text,
+)
 from tests.report.made import HOSTILE_NAMES, RUN, failed, written
 
 RECORDS = tuple(make(name) for name in HOSTILE_NAMES for make in (written, failed))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from msal_cli.records import Failure, InfoRecord, NoiseEstimate
+from msal_cli.job.records import Failure, InfoRecord, NoiseEstimate
 from msal_cli.report import info_text
 
 

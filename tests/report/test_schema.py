@@ -11,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from msal_cli.records import ComparisonRecord, InfoRecord, MeshRecord
-from msal_cli.report import as_json, as_jsonl, schema
+from msal_cli.job.records import ComparisonRecord, InfoRecord, MeshRecord
+from msal_cli.report import json_report as as_json
+from msal_cli.report import jsonl as as_jsonl
+from msal_cli.report import schema
 from msal_cli.report.document import plain_record
 from tests.report.made import RUN, failed, of, written
 

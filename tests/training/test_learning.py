@@ -10,8 +10,8 @@ pytest.importorskip("skimage")
 pytest.importorskip("fast_simplification")
 pytest.importorskip("fcpw")
 
-from msal_cli.core.normal_descriptors import VECTORS, WIDE_FILTERED
-from msal_cli.core.normal_regression import GLOBALS, NUMBERS
+from msal_cli.kernels.normal_descriptors import VECTORS, WIDE_FILTERED
+from msal_cli.kernels.normal_regression import GLOBALS, NUMBERS
 from msal_cli.mesh import prepared
 from tests.shapes import torus
 from training import noise_mixture, regression

@@ -174,7 +174,7 @@ def test_cut_meshes_are_one_piece_with_a_border():
 
 
 def test_command_writes_ply_that_msal_reads(tmp_path: Path):
-    from msal_cli import files
+    from msal_cli import codecs as files
 
     mesh = build_shape(Recipe("metaballs", "marching_cubes"), np.random.default_rng(1), 0.2)
     path = tmp_path / "shape.ply"

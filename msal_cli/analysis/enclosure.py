@@ -1,0 +1,144 @@
+"""What a closed surface encloses, whichever side its normals point to.
+
+The signed volume is negative where a surface is inside out, and in a file of several parts one
+that is inside out counts against the others.  Here each part is taken with its normals outwards,
+but for cavities: a part within another one keeps its winding relative to that one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.analysis.surface import SurfaceChange
+from msal_cli.analysis.volume import area_and_volume, is_negative
+from msal_cli.mesh import Defects, Mesh, Prepared
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+MOST_PARTS = 1000
+"""Parts beyond which only the sum of all is looked at: each is compared with each other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Enclosure:
+    """Which faces of a closed surface have their normals inwards.
+
+    Attributes
+    ----------
+    inward : (m,) the faces of parts that are inside out; None if there are none.
+    n_turned, n_parts : how many parts are inside out, and how many there are.
+    """
+
+    inward: NDArray[np.bool_] | None
+    n_turned: int
+    n_parts: int
+
+    @property
+    def is_inside_out(self) -> bool:
+        """Whether the surface, or a part of it, is inside out."""
+        return self.inward is not None
+
+    @property
+    def words(self) -> str:
+        """Which parts are inside out, in words; empty if none is."""
+        if not self.is_inside_out:
+            return ""
+        if self.n_turned == self.n_parts:
+            return "the surface is inside out: its normals point inwards"
+        are = "is" if self.n_turned == 1 else "are"
+        return (
+            f"{self.n_turned:,} of {self.n_parts:,} parts {are} inside out: normals point inwards"
+        )
+
+    def volume(self, mesh: Mesh, signed: float) -> float:
+        """The volume that ``mesh``, with these faces and this ``signed`` volume, encloses."""
+        if self.inward is None:
+            return signed
+        if self.inward.all():
+            return -signed
+        faces = np.where(self.inward[:, None], mesh.faces[:, ::-1], mesh.faces)
+        return area_and_volume(Mesh(mesh.vertices, faces))[1]
+
+    def change(self, before: Mesh, after: Mesh, change: SurfaceChange) -> SurfaceChange:
+        """``change`` with the volumes that are enclosed in place of the signed ones."""
+        return replace(
+            change,
+            volume_before=self.volume(before, change.volume_before),
+            volume_after=self.volume(after, change.volume_after),
+        )
+
+    def outward_signs(self, mesh: Mesh) -> Floats | float:
+        """1 where normals point outwards and -1 where they point inwards, for each vertex (n,), or
+        one number for all."""
+        if self.inward is None or self.inward.all():
+            return 1.0 if self.inward is None else -1.0
+        signs = np.ones(len(mesh.vertices))
+        signs[mesh.faces[self.inward]] = -1.0
+        return signs
+
+
+def enclosure(ready: Prepared) -> Enclosure:
+    """What a surface encloses; one that has no volume has no inside."""
+    return enclosure_of(ready.mesh, ready.defects, *area_and_volume(ready.mesh))
+
+
+def enclosure_of(mesh: Mesh, defects: Defects, area: float, volume: float) -> Enclosure:
+    """The same for a mesh of which ``area`` and signed ``volume`` are known."""
+    n_parts = defects.components
+    if defects.volume_objection:
+        return Enclosure(None, 0, n_parts)
+    if 1 < n_parts <= MOST_PARTS:
+        return _of_parts(mesh)
+    if is_negative(volume, area):
+        return Enclosure(np.ones(len(mesh.faces), dtype=bool), n_parts, n_parts)
+    return Enclosure(None, 0, n_parts)
+
+
+def _of_parts(mesh: Mesh) -> Enclosure:
+    from msal_cli.kernels.connectivity import component_labels
+
+    labels = component_labels(len(mesh.vertices), mesh.faces)
+    numbers = np.unique(labels[mesh.faces[:, 0]])
+    # Vertices that no face uses are parts of their own; what they get here does not matter.
+    parts = np.searchsorted(numbers, labels).clip(max=len(numbers) - 1)
+    is_turned = _negative_parts(mesh, parts, len(numbers))
+    if is_turned.any():
+        is_turned = is_turned[_outermost(*_boxes(mesh, parts, len(numbers)))]
+    n_turned = int(np.count_nonzero(is_turned))
+    inward = is_turned[parts[mesh.faces[:, 0]]] if n_turned else None
+    return Enclosure(inward, n_turned, len(numbers))
+
+
+def _negative_parts(mesh: Mesh, parts: NDArray[np.intp], n_parts: int) -> NDArray[np.bool_]:
+    """Which parts (n_parts,) have a negative volume; ``parts`` (n,) is that of each vertex."""
+    from msal_cli.kernels.geometry import face_normals_and_areas
+
+    first = mesh.faces[:, 0]
+    normals, face_areas = face_normals_and_areas(mesh.vertices, mesh.faces)
+    # A face and the origin span a third of area times height.
+    heights = np.einsum("ij,ij->i", mesh.vertices[first], normals)
+    areas = np.bincount(parts[first], face_areas, n_parts)
+    volumes = np.bincount(parts[first], face_areas * heights, n_parts) / 3.0
+    return np.array([is_negative(*one) for one in zip(volumes, areas, strict=True)])
+
+
+def _boxes(mesh: Mesh, parts: NDArray[np.intp], n_parts: int) -> tuple[Floats, Floats]:
+    """Least and greatest coordinates (n_parts, 3) of the vertices that faces use, by part."""
+    used = np.flatnonzero(mesh.links.has_ring)
+    order = used[np.argsort(parts[used], kind="stable")]
+    starts = np.searchsorted(parts[order], np.arange(n_parts))
+    positions = mesh.vertices[order]
+    return np.minimum.reduceat(positions, starts), np.maximum.reduceat(positions, starts)
+
+
+def _outermost(low: Floats, high: Floats) -> NDArray[np.intp]:
+    """For each of several boxes (k, 3) the largest one that it lies in, itself if there is none."""
+    is_within = (low[:, None] > low[None]).all(axis=2) & (high[:, None] < high[None]).all(axis=2)
+    is_within |= np.eye(len(low), dtype=bool)
+    sizes = (high - low).prod(axis=1)
+    found: NDArray[np.intp] = np.where(is_within, sizes[None], -1.0).argmax(axis=1)
+    return found

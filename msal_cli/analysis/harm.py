@@ -1,0 +1,86 @@
+"""Changes so large that they are damage rather than denoising.
+
+Two rules.  The volume of a closed surface changed by more than half.  Or more faces flipped (turned
+by more than a right angle) than 2 % of all, and three for every two faces that were folded before:
+strong noise across the normals folds faces over, and unfolding them flips them.  On six models with
+Gaussian noise of 0.1 to 0.6 edges in each coordinate the true surface flips 0 to 30 % of the faces,
+at most 1.2 for each folded one; along the normals it flips 1.7 % at most.  CAD meshes have no
+folds, and where a filter collapses them half of the faces flip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from msal_cli.analysis.surface import SurfaceChange
+from msal_cli.analysis.volume import relative_volume_change
+from msal_cli.mesh import Mesh
+
+FLIPPED_SHARE = 0.02
+"""Share of the faces that may flip on a mesh without folds."""
+
+FLIPS_PER_FOLD = 1.5
+"""Faces more that may flip for each face that is folded before."""
+
+VOLUME_SHARE = 0.5
+"""Share of its volume that a closed surface may lose or gain."""
+
+MOST_SAMPLED = 65_536
+"""Faces that are looked at for folds."""
+
+FLIPPED, VOLUME = "W_FLIPPED_FACES", "W_VOLUME_CHANGE"
+
+
+@dataclass(frozen=True)
+class Harm:
+    """A harmful change: ``code`` is ``FLIPPED`` or ``VOLUME``, ``reason`` has the figures."""
+
+    code: str
+    reason: str
+
+
+def harmful_change(
+    before: Mesh, after: Mesh, change: SurfaceChange, *, has_volume: bool
+) -> Harm | None:
+    """The harm between two meshes with the same faces, None if there is none.
+
+    Parameters
+    ----------
+    change : ``surface_change(before, after)``, best with the volumes that are enclosed
+        (``Enclosure.change``): those of parts that are inside out would count against the others.
+    has_volume : whether the volume means anything (``Defects.volume_objection`` is empty).
+    """
+    if has_volume:
+        share = relative_volume_change(
+            change.volume_before, change.volume_after, change.area_before
+        )
+        if share is not None and abs(share) > VOLUME_SHARE:
+            return Harm(VOLUME, f"the volume changed by {100.0 * share:+.1f} %")
+    n_faces, n_flipped = len(before.faces), change.normals.flipped_faces
+    # Folds are looked for only where they can matter.
+    if n_flipped > FLIPPED_SHARE * n_faces:
+        allowed = FLIPPED_SHARE * n_faces + FLIPS_PER_FOLD * folded_faces(before)
+        if n_flipped > allowed:
+            share = n_flipped / n_faces
+            return Harm(
+                FLIPPED, f"{n_flipped:,} of {n_faces:,} faces flipped ({100.0 * share:.1f} %)"
+            )
+    return None
+
+
+def folded_faces(mesh: Mesh) -> int:
+    """How many faces face away from the mollified normals at their corners.
+
+    Beyond ``MOST_SAMPLED`` faces those are counted that stand at even distances, and stand for all.
+    """
+    from msal_cli.kernels.geometry import face_normals
+
+    step = max(len(mesh.faces) // MOST_SAMPLED, 1)
+    faces = np.ascontiguousarray(mesh.faces[::step])
+    # Most methods have computed these normals.
+    at_vertices = mesh.vertex_normals("uniform", 1)
+    around = at_vertices[faces].sum(axis=1)
+    alike = np.einsum("ij,ij->i", face_normals(mesh.vertices, faces), around)
+    return int(np.count_nonzero(alike < 0.0)) * step

@@ -1,0 +1,96 @@
+"""Single vertices that stand out: impulses along the normals, and outliers anywhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.analysis.noise_estimate.colour import Colour
+from msal_cli.analysis.noise_estimate.quantiles import quantile
+from msal_cli.analysis.noise_estimate.survey import Survey
+from msal_cli.analysis.noise_estimate.white import WhiteEstimate
+
+if TYPE_CHECKING:
+    from msal_cli.mesh import Mesh
+
+Floats = NDArray[np.float64]
+
+FEWEST_OUTLIERS = 0.004
+"""Share of the vertices from which they are outliers."""
+
+OUTLYING, TIMES_MOST, MOST = 0.9, 3.5, 0.7
+"""How far an outlier is off the middle of its ring at least: in mean edge lengths, and compared
+with what this share of the vertices does not exceed."""
+
+SLIDING = 0.3
+"""Mean edge lengths within the surface, as a median, that tells outliers, which lie anywhere, from
+impulses along the normals."""
+
+MIXED, MIXED_TAIL = 0.5, 0.014
+"""Sharpness of fits over one ring below which, with such a tail, a part of the vertices has noise
+and others have none."""
+
+
+@dataclass(frozen=True)
+class Spikes:
+    """Vertices that stand out.
+
+    Attributes
+    ----------
+    kind : ``"outliers"`` or ``"impulsive"``.
+    share : of the vertices that are outliers; 0 for impulses.
+    """
+
+    kind: str
+    share: float
+
+
+def find_spikes(
+    mesh: Mesh, white: WhiteEstimate, survey: Survey, colour: Colour | None
+) -> Spikes | None:
+    """Vertices that stand out, if there are enough."""
+    share = _outlying_share(mesh, white, survey)
+    if share > 0.0:
+        return Spikes("outliers", share)
+    if white.level.is_negligible:
+        return None
+    # Where half of the vertices have impulses, few stand out, but many one-rings have none.
+    is_mixed = colour is not None and colour.sharpness[0] < MIXED and colour.is_alike
+    if white.level.is_impulsive or (white.level.tail > MIXED_TAIL and is_mixed):
+        return Spikes("impulsive", 0.0)
+    return None
+
+
+def _outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> float:
+    """Share of the vertices that are outliers; 0 for too few."""
+    fewest = FEWEST_OUTLIERS * len(white.places)
+    far = white.places[white.far]
+    if len(far) <= fewest:
+        return 0.0
+    lengths = np.sqrt((survey.offsets * survey.offsets).sum(axis=1))
+    least = max(OUTLYING, TIMES_MOST * quantile(lengths, MOST))
+    offsets = _ring_offsets(mesh, far) / white.edge
+    squares = (offsets * offsets).sum(axis=1)
+    is_out = squares > least * least
+    if is_out.sum() <= fewest:
+        return 0.0
+    along = (offsets * mesh.vertex_normals("uniform", 1)[far]).sum(axis=1)
+    within = np.sqrt(np.maximum(squares - along * along, 0.0))
+    if float(np.median(within[is_out])) < SLIDING:
+        return 0.0
+    # Among many outliers some do not stand out, but they are as far off.
+    return max(float((lengths > least).mean()), float(is_out.sum()) / len(white.places))
+
+
+def _ring_offsets(mesh: Mesh, vertices: NDArray[np.int64]) -> Floats:
+    """From the middles of the one-rings of vertices (c,) to these, (c, 3), file units."""
+    starts, ring = mesh.links.ring_start, mesh.links.ring
+    return np.array(
+        [
+            mesh.vertices[vertex] - mesh.vertices[ring[starts[vertex] : starts[vertex + 1]]].mean(0)
+            for vertex in vertices
+        ]
+    ).reshape(-1, 3)

@@ -1,0 +1,200 @@
+"""Outlier vertices: found, and brought back to the surface that their neighbours make.
+
+Single vertices that a scanner puts one edge and more out of the surface, in any direction, also two
+to five neighbours together.  Nothing else moves.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.kernels import outliers
+from msal_cli.kernels.geometry import distances
+from msal_cli.kernels.medians import median
+
+if TYPE_CHECKING:
+    from msal_cli.analysis.noise_estimate import NoiseLevel
+    from msal_cli.mesh import Mesh
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Places = NDArray[np.int64]
+
+ROUGH = 0.85
+"""Agreement of a vertex's face normals below which it is looked at: spikes and folds have less, and
+so has strong noise; flat and smooth places have more."""
+
+BOUND = 1.3
+"""Score from which a vertex is an outlier where few others are."""
+
+USUAL, STEP, MOST_STEPS = 0.0005, 0.17, 0.8
+"""Where more than the ``USUAL`` share of vertices are outliers, a vertex is one more likely: the
+bound is less by ``STEP`` for each factor of e, up to ``MOST_STEPS``, unless they may be noise."""
+
+MOST_PASSES = 12
+"""Spikes hide one another: each pass takes the ones furthest out among their neighbours."""
+
+RETURNS = 2
+"""Passes that bring back all outliers at once, each among the places of the others."""
+
+MOST = 0.12
+"""Share of the vertices beyond which they are noise rather than outliers."""
+
+FEWEST = 0.002
+"""Share of the vertices from which outliers are brought back without being asked for."""
+
+CERTAIN = 3.0
+"""Score from which a single one is."""
+
+APART = 6.0
+"""Ways of the outliers, in the median, over the noise of all others, from which that is so: those
+of impulsive noise on many vertices are its tail, and a filter that knows of them does better."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outliers:
+    """The outliers of a mesh.
+
+    Attributes
+    ----------
+    flags : (n,) which vertices they are.
+    vertices : (n, 3) positions with them brought back, all others as they were.
+    are_clear : whether they are to be brought back without being asked for: there are many, or some
+        are certain, and they are no tail of the noise.
+    share : of the vertices, 0 to 1, that seemed to be outliers; beyond ``MOST`` none is flagged.
+    """
+
+    flags: Flags
+    vertices: Floats
+    are_clear: bool
+    share: float
+
+    @property
+    def are_too_many(self) -> bool:
+        """Whether so many seemed to be outliers that none is flagged."""
+        return self.share > MOST
+
+    @property
+    def count(self) -> int:
+        """How many they are."""
+        return int(np.count_nonzero(self.flags))
+
+
+def find_outliers(mesh: Mesh) -> Outliers:
+    """The outliers of a mesh, and their places on the surface.
+
+    A vertex is held against a robust fit of degree 2 to its two-ring without itself: how far it is
+    across and along the surface, how rough its faces make the surface, and how rough it would be
+    with the vertex in its place.  All is in units of the local edges, less what noise and texture
+    around it explain.  Corners, edges and tips that their faces around them go on are smooth that
+    way.  Held vertices, and those on open borders, are never outliers.  It costs about as much as
+    one sweep where there are none.
+    """
+    return _Search(mesh).run()
+
+
+class _Search:
+    """The state of one search: positions, scores of all vertices, and outliers found so far."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        n = len(mesh.vertices)
+        self.mesh = mesh
+        self.positions = mesh.vertices
+        self.agreements = np.ones(n)
+        self.may_move = mesh.links.has_ring.copy()
+        if mesh.held is not None:
+            self.may_move &= ~mesh.held
+        self.scores = np.full(n, outliers.NOT_JUDGED)
+        self.flags = np.zeros(n, dtype=np.bool_)
+
+    def run(self) -> Outliers:
+        """All passes."""
+        mesh = self.mesh
+        n_used = max(int(np.count_nonzero(mesh.links.has_ring)), 1)
+        self._score(np.ones(len(self.flags), dtype=np.bool_))
+        if not (self.scores > BOUND).any():
+            return Outliers(self.flags, mesh.vertices, False, 0.0)
+        are_certain = are_apart = False
+        bound = BOUND
+        self.positions = mesh.vertices.copy()
+        for _ in range(MOST_PASSES):
+            found = outliers.pick(self.scores, bound, mesh.links)
+            if len(found):
+                are_certain = are_certain or bool((self.scores[found] > CERTAIN).any())
+                self.flags[found] = True
+                self._bring_back(found)
+            share = int(np.count_nonzero(self.flags)) / n_used
+            if share > MOST:
+                return Outliers(np.zeros_like(self.flags), mesh.vertices, False, share)
+            # What is not found yet is among the spikes, so they do not count here.
+            are_apart = are_apart or (share > USUAL and self._are_beyond(self._noise().mean_edges))
+            before, bound = bound, BOUND - (_more_likely(share) if are_apart else 0.0)
+            if not len(found) and bound == before:
+                break
+        for _ in range(RETURNS):
+            self._bring_back(np.flatnonzero(self.flags))
+        self._let_go(bound)
+        share = int(np.count_nonzero(self.flags)) / n_used
+        are_clear = (are_certain or share >= FEWEST) and self._are_beyond(self._noise().rms_edges)
+        return Outliers(self.flags, self.positions, are_clear, share)
+
+    def _noise(self) -> NoiseLevel:
+        """The noise of all others."""
+        from msal_cli.analysis.noise_estimate import estimated
+
+        return estimated(self.mesh.moved(self.positions))
+
+    def _are_beyond(self, noise_edges: float) -> bool:
+        """Whether the outliers went much further than noise of so many mean edge lengths does."""
+        ways = distances(self.mesh.vertices, self.positions)[self.flags]
+        return len(ways) > 0 and median(ways) >= APART * noise_edges * self.mesh.mean_edge_length
+
+    def _score(self, changed: Flags) -> None:
+        """Set the scores of vertices whose surroundings have changed."""
+        mesh = self.mesh
+        outliers.measure_agreement(self.positions, mesh.faces, mesh.links, changed, self.agreements)
+        self.scores[changed] = outliers.NOT_JUDGED
+        chosen = np.flatnonzero(changed & self.may_move & ~self.flags & (self.agreements < ROUGH))
+        self.scores[chosen], _ = self._judge(chosen, is_known=False)
+
+    def _judge(self, chosen: Places, is_known: bool = True) -> tuple[Floats, Floats]:
+        """Scores (c,) of vertices where the file has them, and their places (c, 3) on the fit."""
+        mesh = self.mesh
+        return outliers.judge(
+            chosen,
+            mesh.vertices[chosen],
+            self.positions,
+            mesh.faces,
+            mesh.links,
+            self.agreements,
+            mesh.mean_edge_length,
+            is_known,
+        )
+
+    def _bring_back(self, found: Places) -> None:
+        """Move outliers to their places on the fits, and score their surroundings again."""
+        _, targets = self._judge(found)
+        self._move(found, targets)
+
+    def _let_go(self, bound: float) -> None:
+        """Put back what is no outlier any more now that its neighbours are in their places."""
+        found = np.flatnonzero(self.flags)
+        scores, _ = self._judge(found)
+        wrong = found[scores <= bound]
+        if len(wrong):
+            self.flags[wrong] = False
+            self._move(wrong, self.mesh.vertices[wrong])
+
+    def _move(self, which: Places, targets: Floats) -> None:
+        self.positions[which] = targets
+        self._score(outliers.mark_two_rings(which, self.mesh.links))
+
+
+def _more_likely(share: float) -> float:
+    """What the bound is less by where this share of the vertices are outliers."""
+    return min(STEP * math.log(max(share / USUAL, 1.0)), MOST_STEPS)

@@ -1,0 +1,158 @@
+"""Distances from points to a surface, for meshes whose vertices do not correspond.
+
+The nearest triangle is found by FCPW (Sawhney 2021: a bounding volume hierarchy, MIT licence),
+which computes in single precision; the distance to that triangle is then computed here in double.
+So a distance is exact but where two triangles are as near as single precision can tell: there it is
+too long by at most some 1e-6 of the larger mesh's extent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.errors import UnsupportedError
+from msal_cli.mesh import Mesh
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
+"""Distances below this share of the coordinates are taken for none."""
+
+AT_ONCE = 1 << 17
+"""Points that are looked up at a time: the library answers with an object for each."""
+
+
+@dataclass(frozen=True)
+class DistanceStatistics:
+    """Mean, root mean square, 95th percentile and maximum of distances, file units."""
+
+    mean: float
+    rms: float
+    p95: float
+    max: float
+
+
+def is_available() -> bool:
+    """Whether the library that finds the nearest triangle is installed."""
+    import importlib.util
+
+    return importlib.util.find_spec("fcpw") is not None
+
+
+def distances_to_surface(points: Floats, surface: Mesh) -> Floats:
+    """Distances (n,) from points (n, 3) to the nearest point of ``surface``, file units.
+
+    Raises
+    ------
+    UnsupportedError
+        with code ``E_NO_LIBRARY`` where FCPW is not installed.
+    """
+    return nearest_on_surface(points, surface)[1]
+
+
+def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
+    """The triangle of ``surface`` nearest to each of the points (n, 3), and its distance in file
+    units, both (n,).
+
+    Raises
+    ------
+    UnsupportedError
+        with code ``E_NO_LIBRARY`` where FCPW is not installed.
+    """
+    require_library()
+    import fcpw
+
+    vertices, faces = surface.vertices, surface.faces
+    # In single precision, coordinates of 1e25 would overflow when squared, and 1e-25 vanish.
+    scale = max(float(np.abs(points).max(initial=0.0)), float(np.abs(vertices).max()))
+    scene = build_scene(surface, scale)
+    triangles = np.empty(len(points), dtype=np.int32)
+    distances = np.empty(len(points))
+    for start in range(0, len(points), AT_ONCE):
+        some = points[start : start + AT_ONCE]
+        end = start + len(some)
+        found = fcpw.interaction_3D_list()
+        reach = np.full(len(some), np.inf, dtype=np.float32)
+        scene.find_closest_points(single(some, scale), reach, found)
+        nearest = np.fromiter((one.primitive_index for one in found), np.int32, len(some))
+        triangles[start:end] = nearest
+        distances[start:end] = distances_to_triangles(some, vertices[faces[nearest]])
+    # What lies on the surface is off by the last digits of its coordinates.
+    distances[distances < ROUNDING * scale] = 0.0
+    return triangles, distances
+
+
+def require_library() -> None:
+    """Raise UnsupportedError, ``E_NO_LIBRARY``, where FCPW is not installed."""
+    try:
+        import fcpw  # noqa: F401
+    except ImportError:
+        raise UnsupportedError(
+            "distances to a surface and rays need the package fcpw, which is not installed",
+            code="E_NO_LIBRARY",
+            hint="install it with pip install fcpw; where it has no wheel it must be built",
+        ) from None
+
+
+def build_scene(surface: Mesh, scale: float) -> Any:
+    """The library's search tree over a mesh, whose coordinates are divided by ``scale``."""
+    require_library()
+    import fcpw
+
+    scene = fcpw.scene_3D()
+    scene.set_object_count(1)
+    scene.set_object_vertices(single(surface.vertices, scale), 0)
+    scene.set_object_triangles(np.asfortranarray(surface.faces), 0)
+    scene.build(fcpw.aggregate_type.bvh_surface_area, True)
+    return scene
+
+
+def single(positions: Floats, scale: float) -> NDArray[np.float32]:
+    """Positions divided by ``scale``, as the library takes them."""
+    return np.asfortranarray(positions / scale, dtype=np.float32)
+
+
+def distances_to_triangles(points: Floats, corners: Floats) -> Floats:
+    """Distances (n,) from points (n, 3) each to its own triangle, (n, 3, 3).
+
+    The nearest point lies on one of the edges, or within where the foot of the point on the plane
+    does.  Triangles without area are their edges.
+    """
+    best = np.full(len(points), np.inf)
+    first, second, third = corners[:, 0], corners[:, 1], corners[:, 2]
+    normals = np.cross(second - first, third - first)
+    squared = _dotted(normals, normals)
+    within = squared > 0.0
+    for start, end in ((first, second), (second, third), (third, first)):
+        edge, offset = end - start, points - start
+        length = _dotted(edge, edge)
+        share = _dotted(offset, edge) / np.where(length > 0.0, length, 1.0)
+        rest = offset - np.clip(share, 0.0, 1.0)[:, None] * edge
+        np.minimum(best, _dotted(rest, rest), out=best)
+        within &= _dotted(np.cross(edge, offset), normals) >= 0.0
+    height = _dotted(points - first, normals)
+    flat = height * height / np.where(squared > 0.0, squared, 1.0)
+    return np.sqrt(np.where(within, np.minimum(flat, best), best))
+
+
+def _dotted(first: Floats, second: Floats) -> Floats:
+    products: Floats = np.einsum("ij,ij->i", first, second)
+    return products
+
+
+def distance_statistics(lengths: Floats) -> DistanceStatistics:
+    """Statistics of distances (n,), n >= 1."""
+    from msal_cli.kernels.medians import ranked
+
+    rank = min(len(lengths) - 1, int(np.ceil(0.95 * len(lengths))) - 1)
+    return DistanceStatistics(
+        mean=float(lengths.mean()),
+        rms=float(np.sqrt((lengths * lengths).mean())),
+        p95=ranked(lengths, rank)[0],
+        max=float(lengths.max()),
+    )

@@ -1,0 +1,163 @@
+"""Noise as a random field over a mesh, to draw from: what the estimate has found out.
+
+One draw is a field of heights along a direction, with a colour and a level by region:
+
+    noise_i = level_i h_i a_i
+
+    h  standard normal numbers, white or averaged over one-rings and scaled back
+    a  the vertex normals, or one axis; isotropic noise has three such fields, one per coordinate
+    level_i  one level, or that of the region
+
+Its covariance is what Stein's lemma and a rehearsal need, and both need only draws of it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.analysis.added_noise import share_over_rings
+from msal_cli.analysis.noise_estimate.local import local_levels
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from msal_cli.analysis.noise_estimate import NoiseLevel
+    from msal_cli.mesh import Mesh
+
+Floats = NDArray[np.float64]
+
+NORMALS, ISOTROPIC, AXIS = "normals", "isotropic", "axis"
+"""Directions of noise."""
+
+QUIETEST = 0.05
+"""Least level of a place over that of all: moves there are errors, but not beyond measure."""
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Noise to draw from.
+
+    Attributes
+    ----------
+    level : standard deviation of a displacement along its direction, file units; per coordinate
+        if it is isotropic.
+    rings : how many averages over one-rings its colour is like; 0 for white noise.
+    direction : ``NORMALS``, ``ISOTROPIC`` or ``AXIS``.
+    axis : unit vector (3,) of the last; None otherwise.
+    shares : (n,) level of each vertex over ``level``, for noise that is not the same everywhere;
+        None where it is.
+    step : of depths that are rounded, file units: along the axis or, without one, along the
+        coordinate axis that is nearest to the normal; 0 for none.
+    """
+
+    level: float
+    rings: int = 0
+    direction: str = NORMALS
+    axis: tuple[float, float, float] | None = None
+    shares: Floats | None = None
+    step: float = 0.0
+
+    @property
+    def is_gaussian(self) -> bool:
+        """Whether Stein's lemma holds for it."""
+        return not self.step
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is white, along the normals, and the same everywhere."""
+        return not self.rings and self.direction == NORMALS and self.shares is None
+
+    def along_normals(self) -> NoiseModel:
+        """The same noise, of which only the part along the normals counts."""
+        return dataclasses.replace(self, direction=NORMALS, axis=None)
+
+    def at_level(self, level: float) -> NoiseModel:
+        """The same noise, of another level in file units."""
+        return dataclasses.replace(self, level=level)
+
+    def on_part(self, numbers: NDArray[Any] | None) -> NoiseModel:
+        """The same noise on some vertices (m,) of the mesh, by their numbers; None for all."""
+        if self.shares is None or numbers is None:
+            return self
+        return dataclasses.replace(self, shares=self.shares[numbers])
+
+    def variance(self, judged: NDArray[np.bool_]) -> float:
+        """Mean of the squared displacement over the vertices that are ``judged``, file units."""
+        coordinates = 3.0 if self.direction == ISOTROPIC else 1.0
+        if self.shares is None or not judged.any():
+            return coordinates * self.level * self.level
+        some = self.shares[judged]
+        return coordinates * self.level * self.level * float((some * some).mean())
+
+    def height(self, judged: NDArray[np.bool_], normals: Floats | None = None) -> float:
+        """Root mean square of the displacement along the normals, file units, over the vertices
+        that are ``judged``; along an axis that is less than the level, by ``normals`` (n, 3)."""
+        coordinates = 3.0 if self.direction == ISOTROPIC else 1.0
+        height = math.sqrt(self.variance(judged) / coordinates)
+        if self.axis is None or normals is None:
+            return height
+        along = normals[judged] @ np.asarray(self.axis)
+        return height * math.sqrt(float((along * along).mean())) if len(along) else height
+
+    def draw(self, mesh: Mesh, normals: Floats, generator: np.random.Generator) -> Floats:
+        """One field of displacements (n, 3), file units; ``normals`` (n, 3) are those of the
+        surface without the noise."""
+        return self.displaced(mesh, normals, lambda: generator.standard_normal(len(mesh.vertices)))
+
+    def probe(self, mesh: Mesh, normals: Floats, generator: np.random.Generator) -> Floats:
+        """A field (n, 3) of the same covariance for measuring a divergence, which scatters less:
+        white noise has numbers of +1 and -1, whose squares are all alike."""
+
+        def signs() -> Floats:
+            return np.where(generator.random(len(mesh.vertices)) < 0.5, -1.0, 1.0)
+
+        return self.displaced(mesh, normals, signs)
+
+    def displaced(self, mesh: Mesh, normals: Floats, numbers: Callable[[], Floats]) -> Floats:
+        """Displacements (n, 3) made of ``numbers``, uncorrelated (n,) of variance 1 at each
+        call."""
+        count = 3 if self.direction == ISOTROPIC else 1
+        fields = [share_over_rings(mesh, numbers(), self.rings) for _ in range(count)]
+        if self.direction == ISOTROPIC:
+            moves = np.stack(fields, axis=1)
+        else:
+            along = normals if self.axis is None else np.asarray(self.axis)[None, :]
+            moves = fields[0][:, None] * along
+        scale = self.level if self.shares is None else self.level * self.shares[:, None]
+        return np.asarray(scale * moves)
+
+    def _rounded(self, mesh: Mesh, normals: Floats, offset: float) -> Floats:
+        """Displacements (n, 3) that round depths to steps; a layer begins at ``offset`` of one."""
+        if self.axis is None:
+            along = np.zeros_like(normals)
+            along[np.arange(len(normals)), np.abs(normals).argmax(axis=1)] = 1.0
+        else:
+            along = np.broadcast_to(np.asarray(self.axis), normals.shape)
+        depths = np.einsum("ij,ij->i", mesh.vertices, along) / self.step + offset
+        return np.asarray((self.step * (np.round(depths) - depths))[:, None] * along)
+
+
+def build_model(mesh: Mesh, noise: NoiseLevel) -> NoiseModel:
+    """The estimated noise of a mesh as a field to draw from."""
+    character = noise.character
+    level = (noise.rms_edges if noise.is_impulsive else noise.mean_edges) * mesh.mean_edge_length
+    shares = None
+    # Along an axis, regions differ by their slope.
+    if noise.is_uneven and not noise.is_impulsive and character.axis is None and level > 0.0:
+        local = np.maximum(local_levels(mesh) * (mesh.mean_edge_length / level), QUIETEST)
+        used = local[mesh.links.has_ring]
+        shares = local / math.sqrt(float((used * used).mean()))
+    return NoiseModel(
+        level,
+        character.rings,
+        character.direction,
+        character.axis,
+        shares,
+        character.step * mesh.mean_edge_length,
+    )

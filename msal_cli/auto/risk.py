@@ -1,0 +1,339 @@
+"""The error of any blend of filters, estimated without the truth.
+
+A blend with weights w moves the vertices by d = sum w_k d_k, d_k what filter k does.  Its squared
+error over the vertices is a quadratic in w,
+
+    |d - (t - y)|^2 = w'Mw - 2 w'b + c,   M_kl = <d_k, d_l>,  b_k = <d_k, t - y>,  c = |t - y|^2
+
+for noisy positions y = t + noise.  M can be seen; the truth t, and so b and c, cannot.  Two ways to
+know them, which err differently:
+
+``Stein`` takes the mesh as it is.  With Gaussian noise of covariance C the mean of <d_k, noise> is
+the trace of C times the derivative of d_k (Stein's lemma), and that is measured with probes u that
+are drawn from the same covariance: u . (d_k(y + e u) - d_k(y)) / e.  So any colour, direction and
+level by region will do.
+
+``Rehearsal`` takes a mesh whose truth is known: a first result stands for the truth, noise of the
+same kind is put on it, and every filter is run on that.  Of noise of an unknown kind that is what
+the first result took away, with the other sign: of the same colour, direction and level everywhere.
+
+Both are taken for the positions, and for the slopes, the differences along edges over their
+length, which the angles between face normals follow.  Where noise is in all directions the whole
+difference counts, not only its part across the surface: it also tells how jagged triangles are.
+Vertices that are not judged do not count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.auto.noise_model import ISOTROPIC
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from msal_cli.auto.noise_model import NoiseModel
+    from msal_cli.auto.sample_patch import Part
+    from msal_cli.mesh import Mesh
+
+    Run = Callable[[Mesh], "Floats"]
+    """Gives what a filter moves the vertices of a mesh by, (m, 3)."""
+
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+
+PROBES = 2
+"""Probes of a divergence: with two its scatter is that of the noise itself."""
+
+PROBE_STEP = 0.1
+"""How far a probe moves vertices, in standard deviations of the noise."""
+
+DRAWN, DEALT, MIRRORED = "drawn", "dealt", "mirrored"
+"""What a rehearsal puts on a first result."""
+
+SHORTEST_EDGE = 0.3
+"""In mean edge lengths: shorter ones are taken for so long, or single slivers would count for
+all."""
+
+LEAST_SHARE = 1e-9
+"""Noise in parts of the moves, as squares: less is taken for so much where moves are judged."""
+
+LEAST_NOISE = 1e-6
+"""In mean edge lengths: less noise is taken for so much, for errors are in parts of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """Squared error of a blend in parts of that of the input: 1 - 2 w'b + w'Mw.
+
+    Attributes
+    ----------
+    gram : (k, k), M over c.
+    gain : (k,), b over c.
+    """
+
+    gram: Floats
+    gain: Floats
+
+    def at(self, weights: Floats) -> float:
+        """The value for weights (k,); below zero only by errors of the estimate."""
+        # As in ``_gram``, no product of a library whose last digit depends on the machine.
+        gained = np.einsum("i,i->", weights, self.gain)
+        return float(1.0 - 2.0 * gained + np.einsum("i,ij,j->", weights, self.gram, weights))
+
+    def singles(self) -> Floats:
+        """The value (k,) of every filter by itself."""
+        value: Floats = 1.0 - 2.0 * self.gain + np.diag(self.gram)
+        return value
+
+    def of(self, members: Sequence[int]) -> Quadratic:
+        """The same for some of the filters."""
+        rows = np.array(members, dtype=np.int64)
+        return Quadratic(self.gram[np.ix_(rows, rows)], self.gain[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Risk:
+    """Errors of blends of the same filters, in positions and in slopes.
+
+    ``drift`` (k,) is what each filter moves the surface by as a whole, outwards on the mean: the
+    volume that it sweeps over the area, in standard deviations of the noise.  That of a blend is
+    nearly the sum of its members' drifts, by weight.  ``importance``, from 0, is by how much it
+    counts where there is more than one estimate.
+    """
+
+    positions: Quadratic
+    slopes: Quadratic
+    drift: Floats
+    importance: float = 1.0
+
+    def of(self, members: Sequence[int]) -> Risk:
+        """The same for some of the filters."""
+        rows = np.array(members, dtype=np.int64)
+        positions, slopes = self.positions.of(members), self.slopes.of(members)
+        return Risk(positions, slopes, self.drift[rows], self.importance)
+
+    def counted(self, importance: float) -> Risk:
+        """The same, of another importance beside other estimates of the same filters."""
+        return Risk(self.positions, self.slopes, self.drift, importance)
+
+
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Differences of moves along the judged edges of a mesh, over the edges' lengths: of heights
+    along ``directions`` (e, 3), or whole where these are numbers (e, 1)."""
+
+    first: NDArray[np.int32]
+    second: NDArray[np.int32]
+    directions: Floats
+
+    def __call__(self, moves: Floats) -> Floats:
+        difference = moves[self.first] - moves[self.second]
+        if self.directions.shape[1] == 1:
+            return np.asarray(difference * self.directions).reshape(-1)
+        slopes: Floats = np.einsum("ij,ij->i", difference, self.directions)
+        return slopes
+
+
+def _slopes(
+    mesh: Mesh, normals: Floats, judged: NDArray[np.bool_], is_isotropic: bool = False
+) -> _Slopes:
+    """Lengths are those along the surface: across it edges are as long as the noise makes them,
+    which would tie the slope to the very noise that is to be judged."""
+    links = mesh.links
+    counts = np.diff(links.ring_start)
+    first = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+    kept = (first < links.ring) & judged[first] & judged[links.ring]
+    first, second = first[kept], links.ring[kept]
+    across = normals[first] + normals[second]
+    length = np.sqrt(np.einsum("ij,ij->i", across, across))
+    across /= np.maximum(length, 1e-9)[:, None]
+    edges = mesh.vertices[first] - mesh.vertices[second]
+    edges -= np.einsum("ij,ij->i", edges, across)[:, None] * across
+    lengths = np.sqrt(np.einsum("ij,ij->i", edges, edges))
+    floor = SHORTEST_EDGE * float(lengths.mean()) if len(lengths) else 1.0
+    lengths = np.maximum(lengths, max(floor, np.finfo(float).tiny))[:, None]
+    return _Slopes(first, second, 1.0 / lengths if is_isotropic else across / lengths)
+
+
+def _gram(rows: Floats) -> Floats:
+    """All scalar products (k, k) of rows (k, ...), added up in one fixed order.
+
+    Not by a matrix product: that of a library may differ in the last digit with the number of its
+    threads.
+    """
+    flat = rows.reshape(len(rows), -1)
+    gram = np.empty((len(flat), len(flat)))
+    for k, row in enumerate(flat):
+        gram[k, k:] = np.einsum("ij,j->i", flat[k:], row)
+        gram[k:, k] = gram[k, k:]
+    return gram
+
+
+class Stein:
+    """The risk by Stein's lemma, for filters that are added one after the other.
+
+    ``normals`` (m, 3) are the directions that ``noise`` is along, if it is along normals: those of
+    a smoothed mesh, since strong noise turns its own by 30 degrees, and the gain of a filter would
+    seem a tenth too large.  More ``probes`` scatter less.
+    """
+
+    def __init__(
+        self, part: Part, noise: NoiseModel, normals: Floats, probes: int = PROBES
+    ) -> None:
+        mesh = part.mesh
+        self._part, self._noise, self._normals = part, _at_least(noise, mesh), normals
+        self._pushes, self._probes = [], []
+        for probe in range(probes):
+            generator = np.random.Generator(np.random.PCG64(probe + 1))
+            push = self._noise.probe(mesh, normals, generator)
+            self._pushes.append(push)
+            self._probes.append(mesh.moved(mesh.vertices + PROBE_STEP * push))
+        self._moves: list[Floats] = []
+        self._changes: list[list[Floats]] = []
+
+    def add(self, run: Run, on_run: Callable[[], object]) -> None:
+        """Run one more filter on the part, and on its probes."""
+        moves = run(self._part.mesh)
+        on_run()
+        changes = []
+        for probe in self._probes:
+            changes.append((run(probe) - moves) / PROBE_STEP)
+            on_run()
+        self._moves.append(moves)
+        self._changes.append(changes)
+
+    @property
+    def moves(self) -> Floats:
+        """(k, m, 3), what each filter moves the vertices of the part by."""
+        return np.stack(self._moves)
+
+    def risk(self, judged: Flags | None = None) -> Risk:
+        """The risk of blends of all that were added, over the vertices (m,) that are ``judged``;
+        None for those of the part."""
+        judged = self._part.judged if judged is None else judged
+        mesh, moves, inside = self._part.mesh, self.moves, judged[:, None]
+        slopes = _slopes(mesh, self._normals, judged, self._noise.direction == ISOTROPIC)
+        places, turns = np.zeros(len(moves)), np.zeros(len(moves))
+        # The probes' own squares: of coloured ones they scatter as the products do.
+        pushed = turned = np.finfo(float).tiny
+        for at, push in enumerate(self._pushes):
+            some, tilt = np.where(inside, push, 0.0), slopes(push)
+            pushed += _square(some)
+            turned += _square(tilt)
+            for k, changes in enumerate(self._changes):
+                places[k] += float(np.einsum("ij,ij->", some, changes[at]))
+                turns[k] += float(np.einsum("i,i->", tilt, slopes(changes[at])))
+        seen = np.where(inside[None], moves, 0.0)
+        tilted = np.stack([slopes(move) for move in moves])
+        total = max(int(judged.sum()), 1) * self._noise.variance(judged)
+        gram = _gram(seen)
+        return Risk(
+            Quadratic(gram / _at_least_some(total, gram), -places / pushed),
+            Quadratic(_gram(tilted) * (len(self._pushes) / turned), -turns / turned),
+            _drift(mesh, seen, self._noise.level),
+        )
+
+
+class Rehearsal:
+    """Filters on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with ``noise``.
+
+    ``added`` says what is put on it: noise that is ``DRAWN``; or ``DEALT``, with heights that the
+    pilot took from the part, dealt out anew over the vertices and scaled to the level; or
+    ``MIRRORED``, all that the pilot took, with the other sign.
+    """
+
+    def __init__(
+        self,
+        part: Part,
+        pilot: Floats,
+        runs: Sequence[Run],
+        noise: NoiseModel,
+        added: str,
+        on_run: Callable[[], object],
+    ) -> None:
+        self._part, self._noise = part, _at_least(noise, part.mesh)
+        truth = part.mesh.moved(pilot)
+        self._normals = truth.vertex_normals("uniform")
+        generator = np.random.Generator(np.random.PCG64(PROBES + 1))
+        taken = part.mesh.vertices - pilot
+        if added == MIRRORED:
+            moved = -taken
+        else:
+            heights = np.einsum("ij,ij->i", taken, self._normals)
+            heights -= np.median(heights)
+            spread = float(heights[part.judged].std()) if part.judged.any() else 0.0
+            if added == DEALT and spread > 0.0:
+                moved = self._noise.displaced(
+                    truth, self._normals, lambda: generator.permutation(heights) / spread
+                )
+            else:
+                moved = self._noise.draw(truth, self._normals, generator)
+        self._noisy = truth.moved(pilot + moved)
+        self._back = pilot - self._noisy.vertices
+        self._moves = np.empty((len(runs), *pilot.shape))
+        for k, run in enumerate(runs):
+            self._moves[k] = run(self._noisy)
+            on_run()
+
+    @property
+    def level(self) -> float:
+        """Root mean square of what was put on, file units, over the vertices that are judged."""
+        judged = self._part.judged
+        return float(np.sqrt(_square(self._back[judged]) / max(int(judged.sum()), 1)))
+
+    def risk(self, judged: Flags | None = None) -> Risk:
+        """The risk of blends of the filters, over the vertices (m,) that are ``judged``; None for
+        those of the part."""
+        judged = self._part.judged if judged is None else judged
+        slopes = _slopes(self._noisy, self._normals, judged, self._noise.direction == ISOTROPIC)
+        seen = np.where(judged[None, :, None], self._moves, 0.0)
+        return Risk(
+            _known(seen, np.where(judged[:, None], self._back, 0.0)),
+            _known(np.stack([slopes(move) for move in self._moves]), slopes(self._back)),
+            _drift(self._noisy, seen, self._noise.level),
+        )
+
+
+def _square(values: Floats) -> float:
+    """The sum of squares, in one fixed order."""
+    flat = values.reshape(-1)
+    return float(np.einsum("i,i->", flat, flat))
+
+
+def _known(rows: Floats, wanted: Floats) -> Quadratic:
+    """The quadratic for rows (k, ...) that should be ``wanted`` (...)."""
+    flat = rows.reshape(len(rows), -1)
+    aim = wanted.reshape(-1)
+    gram = _gram(flat)
+    scale = _at_least_some(float(np.einsum("i,i->", aim, aim)), gram)
+    return Quadratic(gram / scale, np.einsum("ij,j->i", flat, aim) / scale)
+
+
+def _at_least_some(noise: float, gram: Floats) -> float:
+    """A sum of squares of noise to divide ``gram`` (k, k) by.
+
+    Where there is no noise every move is an error, and a great one, but a finite one.
+    """
+    return max(noise, LEAST_SHARE * float(np.diag(gram).max()), np.finfo(float).tiny)
+
+
+def _at_least(noise: NoiseModel, mesh: Mesh) -> NoiseModel:
+    return noise.at_level(max(noise.level, LEAST_NOISE * mesh.mean_edge_length))
+
+
+def _drift(mesh: Mesh, seen: Floats, noise: float) -> Floats:
+    """Volume swept (k,) by moves (k, m, 3), over the area and the noise; outwards is positive.
+
+    Without what vertices at open edges sweep: there the volume depends on the origin.
+    """
+    from msal_cli.kernels.geometry import area_and_volume
+
+    area, volume = area_and_volume(mesh.vertices, mesh.faces)
+    inner = ~mesh.links.boundary[:, None]
+    swept = [area_and_volume(mesh.vertices + inner * move, mesh.faces)[1] - volume for move in seen]
+    return np.array(swept) / max(area * noise, np.finfo(float).tiny)

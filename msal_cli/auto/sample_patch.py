@@ -1,0 +1,135 @@
+"""A part of a large mesh that stands for the whole: some patches, spread over it evenly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.mesh import Mesh
+
+if TYPE_CHECKING:
+    from msal_cli.kernels.connectivity import Connectivity
+
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Ints = NDArray[Any]
+
+PATCH = 2_000
+"""Vertices of a patch, about: in smaller ones too much is near the cut."""
+
+MARGIN = 3
+"""Rings at the cut of a patch that are filtered with it, but not judged: what lies beyond is
+missing there."""
+
+CELLS = 1024
+"""Steps along each axis of the order in which vertices are told apart by place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What stands for a mesh.
+
+    Attributes
+    ----------
+    mesh : the patches as one mesh, or the whole.
+    judged : (m,) bool, vertices of it that count where results are compared.
+    numbers : (m,) which vertices of the whole these are; None for all of them.
+    """
+
+    mesh: Mesh
+    judged: Flags
+    numbers: Ints | None = None
+
+
+def representative(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
+    """Patches of about ``most`` vertices together; the whole mesh if it has hardly more.
+
+    Patches grow from any vertex, or from one of about ``seeds`` vertices evenly over their numbers:
+    to order a million of them by place takes longer than a short search can spend.
+
+    Vertices that the mesh holds are not judged, nor are those that no face has.  The part itself
+    neither holds nor trusts any.
+    """
+    links, n = mesh.links, len(mesh.vertices)
+    judged = links.has_ring if mesh.held is None else links.has_ring & ~mesh.held
+    if n <= most + most // 4:
+        whole = mesh if mesh.held is None and mesh.trust is None else mesh.constrained(None, None)
+        return Part(whole, judged)
+    # Where nobody is judged there is nothing to learn, and patches need not begin there.
+    places = np.flatnonzero(judged if judged.any() else links.has_ring)
+    if seeds is not None and len(places) > 2 * seeds:
+        places = places[:: len(places) // seeds]
+    order = places[_in_space(mesh.vertices[places])]
+    inside = np.zeros(n, dtype=np.bool_)
+    count = max(most // PATCH, 1)
+    for patch in range(count):
+        _grow(order, (2 * patch + 1) * len(order) // (2 * count), most // count, links, inside)
+    # Few faces have their first vertex inside, and only those are looked at.
+    chosen = np.flatnonzero(inside[mesh.faces[:, 0]])
+    chosen = chosen[inside[mesh.faces[chosen]].all(axis=1)]
+    if not len(chosen):
+        # A vertex with more neighbours than a patch has room for may leave no face whole.
+        chosen = np.flatnonzero(inside[mesh.faces].any(axis=1))[:most]
+    used, corners = np.unique(mesh.faces[chosen], return_inverse=True)
+    kept = judged[used] & ~_near_cut(used, links)[used]
+    part = Mesh(mesh.vertices[used], corners.reshape(-1, 3).astype(np.int32))
+    return Part(part, kept if kept.any() else judged[used], used)
+
+
+def _in_space(vertices: Floats) -> NDArray[np.int64]:
+    """An order of the vertices (n, 3) in which those that are near in space are near."""
+    low = vertices.min(axis=0)
+    extent = max(float((vertices.max(axis=0) - low).max()), np.finfo(float).tiny * CELLS)
+    # The bits of a step, three places apart; those of the axes go between one another.
+    steps = np.arange(CELLS, dtype=np.int32)
+    apart = np.zeros(CELLS, dtype=np.int32)
+    for bit in range(CELLS.bit_length() - 1):
+        apart |= ((steps >> bit) & 1) << (3 * bit)
+    key = np.zeros(len(vertices), dtype=np.int32)
+    for axis in range(3):
+        cell = np.minimum((vertices[:, axis] - low[axis]) * (CELLS / extent), CELLS - 1)
+        key |= apart[cell.astype(np.int32)] << axis
+    return np.argsort(key, kind="stable")
+
+
+def _grow(
+    order: NDArray[np.int64], start: int, size: int, links: Connectivity, inside: Flags
+) -> None:
+    """Mark ``size`` vertices that are not marked yet, the nearest along edges to the first such one
+    from place ``start`` of ``order`` on; where its component ends before, to the next such one."""
+    marked, place = 0, 0
+    while marked < size:
+        while place < len(order) and inside[order[(start + place) % len(order)]]:
+            place += 1
+        if place == len(order):
+            return
+        front = order[[(start + place) % len(order)]]
+        while len(front):
+            inside[front] = True
+            marked += len(front)
+            reached = np.unique(_rings_of(front, links))
+            front = reached[~inside[reached]][: size - marked]
+
+
+def _near_cut(used: Ints, links: Connectivity) -> Flags:
+    """Which vertices (n,) are within ``MARGIN`` rings of one that is not ``used``."""
+    near = np.ones(len(links.has_ring), dtype=np.bool_)
+    near[used] = False
+    ring = _rings_of(used, links)
+    owner = np.repeat(used, links.ring_start[used + 1] - links.ring_start[used])
+    for _ in range(MARGIN):
+        near[owner[near[ring]]] = True
+    return near
+
+
+def _rings_of(vertices: Ints, links: Connectivity) -> Ints:
+    """The neighbours of all ``vertices``, one ring after the other."""
+    start, stop = links.ring_start[vertices], links.ring_start[vertices + 1]
+    counts = (stop - start).astype(np.int64)
+    ends = np.cumsum(counts)
+    places = np.arange(counts.sum()) + np.repeat(start - (ends - counts), counts)
+    neighbours: Ints = links.ring[places]
+    return neighbours

@@ -1,0 +1,88 @@
+"""Candidates on one part of the mesh: what they move it by, and how well they are judged to do."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli import methods
+from msal_cli.auto.risk import Rehearsal, Stein
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from msal_cli.auto.candidates import Candidate
+    from msal_cli.auto.noise_model import NoiseModel
+    from msal_cli.auto.sample_patch import Part
+    from msal_cli.mesh import Mesh
+
+Floats = NDArray[np.float64]
+
+LEAST_SHARE = 0.01
+"""Members of a first result below this weight are left out of it."""
+
+
+class Trials:
+    """Runs of candidates on a part, each of which is made once.
+
+    Parameters
+    ----------
+    part : of the mesh.
+    noise : on it.
+    added : what rehearsals put on a first result, see ``Rehearsal``.
+    on_run : called after every run.
+    """
+
+    def __init__(
+        self, part: Part, noise: NoiseModel, added: str, on_run: Callable[[], object]
+    ) -> None:
+        self.part, self.noise = part, noise
+        self._added, self._on_run = added, on_run
+        self._edges = float(round(noise.height(part.judged) / part.mesh.mean_edge_length, 4))
+        self._known: dict[str, Floats] = {}
+
+    def moves(self, candidate: Candidate) -> Floats:
+        """What a candidate moves the vertices of the part by, (m, 3)."""
+        if candidate.label not in self._known:
+            self._known[candidate.label] = self._runner(candidate)(self.part.mesh)
+        return self._known[candidate.label]
+
+    def positions(self, candidates: Sequence[Candidate], weights: Floats) -> Floats:
+        """Vertices (m, 3) of the part as a blend of candidates by weights (k,) leaves them."""
+        positions = self.part.mesh.vertices.copy()
+        for weight, candidate in zip(weights, candidates, strict=True):
+            if weight >= LEAST_SHARE:
+                positions += weight * self.moves(candidate)
+        return positions
+
+    def by_stein(self, candidates: Sequence[Candidate], first: Floats, probes: int) -> Stein:
+        """Candidates judged by Stein's lemma, with normals that the part has at ``first``
+        (m, 3)."""
+        normals = self.part.mesh.moved(first).vertex_normals("uniform")
+        judge = Stein(self.part, self.noise, normals, probes)
+        for candidate in candidates:
+            judge.add(self._run_once(candidate), self._on_run)
+        return judge
+
+    def by_rehearsal(self, candidates: Sequence[Candidate], first: Floats) -> Rehearsal:
+        """Candidates judged on ``first`` (m, 3) with the noise put on it."""
+        runs = [self._runner(candidate) for candidate in candidates]
+        return Rehearsal(self.part, first, runs, self.noise, self._added, self._on_run)
+
+    def _run_once(self, candidate: Candidate) -> Callable[[Mesh], Floats]:
+        """The same as ``_runner``, that knows what becomes of the part itself."""
+        run = self._runner(candidate)
+        return lambda mesh: self.moves(candidate) if mesh is self.part.mesh else run(mesh)
+
+    def _runner(self, candidate: Candidate) -> Callable[[Mesh], Floats]:
+        """What the candidate moves a mesh like the part by."""
+        method = methods.find(candidate.method)
+        values = method.settled(candidate.settings(self._edges))
+
+        def run(mesh: Mesh) -> Floats:
+            moves: Floats = method.denoised(mesh, values).vertices - mesh.vertices
+            return moves
+
+        return run

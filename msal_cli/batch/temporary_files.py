@@ -1,0 +1,104 @@
+"""Temporary files: whose they are, and the removal of those that dead processes left unfinished.
+
+Every temporary file of msal is named ``.<anything>.msal-<process>-<machine><random>.tmp``, machine
+and random part being eight hexadecimal digits each.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import platform
+import re
+import time
+import zlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from msal_cli.batch.process_status import is_alive, started_at
+
+_OWN_FILES = ".msal-"
+_TEMPORARY = re.compile(
+    r"\..*\.msal-(?P<pid>\d{1,10})-(?P<machine>[0-9a-f]{8})[0-9a-f]{8}\.tmp", re.DOTALL
+)
+
+# A process id may have been given to somebody else meanwhile, and of another machine's processes
+# nothing is known here; but nothing is written for so long without the file's time changing.
+_SURELY_STALE_S = 24 * 3600.0
+
+# A process that began so much later than a file cannot have made it; clocks are set by less.
+_SURELY_LATER_S = 60.0
+
+
+def is_own(name: str) -> bool:
+    """Whether a file of this name is msal's own (manifest, lock, temporary), never an input."""
+    return name.startswith(_OWN_FILES) or _TEMPORARY.fullmatch(name) is not None
+
+
+def temporary_name(stem: str) -> str:
+    """A new name for a temporary file of this process; ``stem`` should be short."""
+    return f".{stem}.msal-{os.getpid()}-{_machine()}{os.urandom(4).hex()}.tmp"
+
+
+def sweep(folders: Iterable[str | Path]) -> int:
+    """Remove what dead processes left in these folders (not below them); how many files."""
+
+    def is_stale(match: re.Match[str], path: Path) -> bool:
+        written = path.lstat().st_mtime
+        is_ours = match["machine"] == _machine()
+        is_dead = is_ours and not _may_be_writing(int(match["pid"]), written)
+        return is_dead or time.time() - written > _SURELY_STALE_S
+
+    return sum(_swept(Path(folder), is_stale) for folder in folders)
+
+
+def sweep_after(pid: int, folder: str | Path) -> int:
+    """Remove what process ``pid``, which has ended, left in a folder; how many files."""
+
+    def is_its(match: re.Match[str], path: Path) -> bool:
+        return match["machine"] == _machine() and int(match["pid"]) == pid
+
+    return _swept(Path(folder), is_its)
+
+
+def _may_be_writing(pid: int, written: float) -> bool:
+    """Whether process ``pid`` lives and is old enough to have changed a file at that time."""
+    if not is_alive(pid):
+        return False
+    began = started_at(pid)
+    return began is None or began < written + _SURELY_LATER_S
+
+
+@functools.cache
+def _machine() -> str:
+    """Eight hexadecimal digits that tell machines that share a file system apart.
+
+    Containers may have one host name and yet not see each other's processes.
+    """
+    try:
+        processes = os.readlink("/proc/self/ns/pid")
+    except OSError:
+        processes = ""
+    return f"{zlib.crc32((platform.node() + processes).encode('utf-8', 'replace')):08x}"
+
+
+def _swept(folder: Path, is_to_go: Callable[[re.Match[str], Path], bool]) -> int:
+    count = 0
+    try:
+        with os.scandir(folder) as entries:
+            names = [entry.name for entry in entries if entry.name.startswith(".")]
+    except OSError:
+        return 0
+    for name in names:
+        match = _TEMPORARY.fullmatch(name)
+        if match is None:
+            continue
+        path = folder / name
+        try:
+            if is_to_go(match, path):
+                path.unlink()
+                count += 1
+        except OSError:
+            # Somebody else was faster, or may not be disturbed; it is only litter.
+            continue
+    return count

@@ -1,0 +1,197 @@
+"""What msal says: data to standard output, words to standard error, and never one in the other."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, TextIO
+
+import click
+
+from msal_cli.errors import MsalError, OutputError
+
+if TYPE_CHECKING:
+    from msal_cli.job.records import Failure
+    from msal_cli.report.text import Line
+
+_STYLES: dict[str, dict[str, object]] = {
+    "good": {"fg": "green"},
+    "bad": {"fg": "red"},
+    "faint": {"dim": True},
+}
+
+
+def say(text: str, tone: str = "plain") -> None:
+    """A line to standard error, above a progress bar if there is one."""
+    if sys.stderr is None:
+        return
+    if tone in _STYLES and _is_coloured(sys.stderr):
+        text = click.style(text, **_STYLES[tone])  # type: ignore[arg-type]
+    bars = sys.modules.get("tqdm")
+    if bars is None:
+        _write_words(text)
+        return
+    with bars.tqdm.external_write_mode(file=sys.stderr):
+        _write_words(text)
+
+
+def say_lines(lines: Iterable[Line]) -> None:
+    """Lines to standard error, coloured where that is wanted."""
+    for line in lines:
+        say(line.text, line.tone)
+
+
+def say_error(error: MsalError) -> None:
+    """An error in words: ``msal: error: scan.ply: vertex 17: ... (E_NONFINITE)`` and its hint."""
+    from msal_cli.report.text import file_name, reason
+
+    code = "" if error.code == "E_USAGE" else error.code
+    words = reason(error.where, error.message, code)
+    # Most messages about paths name the path themselves.
+    if error.path and repr(error.path) not in error.message:
+        words = f"{file_name(error.path)}: {words}"
+    _say_error_words(words, error.hint)
+
+
+def say_failure(name: str, failure: Failure) -> None:
+    """The failure of a single file, in the words of an error."""
+    from msal_cli.report.text import file_name, reason
+
+    why = reason(failure.where, failure.message, failure.code)
+    _say_error_words(f"{file_name(name)}: {why}", failure.hint)
+
+
+def _say_error_words(words: str, hint: str) -> None:
+    from msal_cli.job.display_names import shown
+
+    say(f"msal: error: {words}", "bad")
+    if hint:
+        say(f"hint: {shown(hint)}")
+
+
+def put(text: str) -> None:
+    """Text as data to standard output, with what its encoding lacks escaped.
+
+    Raises
+    ------
+    OutputError
+        if standard output is closed, or its disk is full.
+    BrokenPipeError
+        if nobody reads it.
+    """
+    stream = _standard_output()
+    encoding = stream.encoding or "ascii"
+    with _told_apart():
+        stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
+
+
+def put_lines(lines: Iterable[Line]) -> None:
+    """Lines as data to standard output, coloured if it is a terminal and that is wanted."""
+    is_coloured = sys.stdout is not None and _is_coloured(sys.stdout)
+    for line in lines:
+        styles = _STYLES.get(line.tone) if is_coloured else None
+        put((click.style(line.text, **styles) if styles else line.text) + "\n")  # type: ignore[arg-type]
+
+
+def put_bytes(data: bytes | bytearray | memoryview) -> None:
+    """Bytes as data to standard output, at once; the errors are those of ``put``."""
+    stream = _standard_output()
+    rest = memoryview(data).cast("B")
+    with _told_apart():
+        stream.flush()
+        while len(rest):
+            # With PYTHONUNBUFFERED this is the bare stream, which may take a part only: less than
+            # 2 GB at once, and what a pipe has room for when its reader goes.
+            taken = stream.buffer.write(rest)
+            rest = rest[taken:] if taken else _after_a_pause(rest)
+        stream.buffer.flush()
+
+
+def _after_a_pause(rest: memoryview) -> memoryview:
+    """For a stream that does not wait and has no room now."""
+    import time
+
+    time.sleep(0.01)
+    return rest
+
+
+def flush() -> None:
+    """Hand on what was put to standard output; the errors are those of ``put``."""
+    if sys.stdout is not None:
+        with _told_apart():
+            sys.stdout.flush()
+
+
+@contextmanager
+def work_goes_on() -> Iterator[None]:
+    """A block that is done to its end, although nothing may read standard output any more.
+
+    Raises
+    ------
+    BrokenPipeError
+        at the end of the block, if the reader has gone away within it.
+    """
+    _lost.append(None)
+    try:
+        yield
+    finally:
+        lost = _lost.pop()
+    if lost is not None:
+        raise lost
+
+
+# For each block of ``work_goes_on``, the innermost last, the loss of the reader.
+_lost: list[BrokenPipeError | None] = []
+
+
+@contextmanager
+def _told_apart() -> Iterator[None]:
+    """A reader that has gone away is no error to talk about; whatever else goes wrong is."""
+    try:
+        yield
+    except BrokenPipeError as error:
+        if not _lost:
+            raise
+        _lost[-1] = error
+    except OSError as error:
+        raise OutputError(f"standard output cannot be written: {error.strerror}") from None
+
+
+def width() -> int:
+    """Columns for a table on standard error; 140 where that is no terminal, as in a log."""
+    import shutil
+
+    if not is_terminal(sys.stderr):
+        return 140
+    return max(60, shutil.get_terminal_size((100, 24)).columns)
+
+
+def is_terminal(stream: TextIO | None) -> bool:
+    """Whether somebody is looking at ``stream``."""
+    try:
+        return stream is not None and stream.isatty()
+    except ValueError:
+        return False
+
+
+def _standard_output() -> TextIO:
+    if sys.stdout is None:
+        raise OutputError("standard output is closed", hint="redirect it, or name a file")
+    return sys.stdout
+
+
+def _write_words(text: str) -> None:
+    # Who talks to a terminal that is gone has nobody left to tell so.
+    try:
+        sys.stderr.write(text + "\n")
+        sys.stderr.flush()
+    except (OSError, ValueError):
+        return
+
+
+def _is_coloured(stream: TextIO) -> bool:
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return False
+    return is_terminal(stream)

@@ -1,0 +1,81 @@
+"""Files that belong to an output and hold its numbers: the buffers of a .gltf."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.errors import MsalError, OutputError
+from msal_cli.storage.atomic import write_whole
+from msal_cli.storage.gzip_streams import expanded, read_whole
+
+
+@dataclass(frozen=True, eq=False)
+class Companion:
+    """A file to be written: its path relative to the output's folder, with slashes."""
+
+    name: str
+    data: Buffer
+
+
+def write_companions(companions: Sequence[Companion], output_path: str) -> tuple[str, ...]:
+    """Write the files that belong to an output, before the output itself.
+
+    A file that is there is replaced only if an output of an earlier run, at ``output_path``, names
+    it as its own.  Returns what was done, one line for each file.
+
+    Raises
+    ------
+    OutputError
+        with code ``E_SIDECAR`` if another file has the place; ``E_WRITE`` if writing fails.
+    """
+    if not companions:
+        return ()
+    folder = Path(output_path).parent
+    earlier = _names_of_earlier(output_path)
+    return tuple(_write(one, folder, earlier) for one in companions)
+
+
+def _write(companion: Companion, folder: Path, earlier: Collection[str]) -> str:
+    target = folder / companion.name
+    try:
+        is_within = Path(os.path.realpath(target)).is_relative_to(os.path.realpath(folder))
+        if target.is_file() and is_within and read_whole(target) == companion.data:
+            return f"{companion.name} is in place already"
+        if os.path.lexists(target) and companion.name not in earlier:
+            raise OutputError(
+                f"there is another {companion.name} beside the output",
+                code="E_SIDECAR",
+                path=os.fspath(target),
+                hint="move it away, or choose another output folder",
+            )
+        if not is_within:
+            raise OutputError(
+                f"{companion.name} would be written outside the output folder",
+                path=os.fspath(target),
+                hint="choose another output folder",
+            )
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as failure:
+        raise OutputError(
+            f"{companion.name} cannot be written beside the output: {failure.strerror}",
+            path=os.fspath(target),
+            hint="check the permissions of the output folder",
+        ) from failure
+    write_whole(target, [companion.data])
+    return f"wrote {companion.name}"
+
+
+def _names_of_earlier(output_path: str) -> set[str]:
+    """The buffers of the .gltf that is at the output's place."""
+    from msal_cli.codecs.gltf import names_of_buffers
+
+    if not os.path.isfile(output_path):
+        return set()
+    try:
+        return names_of_buffers(expanded(read_whole(output_path), output_path)[0])
+    except MsalError:
+        return set()

@@ -1,0 +1,151 @@
+"""What the size of a file and its first 64 KB already tell: a lie is refused before it is loaded.
+
+A header may promise more than the disk holds, and a file may have a hole of a hundred gigabytes
+behind a header that is as it should be.  Whatever is refused here the codec would refuse as well,
+once all was read; only very large files with very much behind their mesh are refused here alone.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from typing import BinaryIO
+
+from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.errors import FormatError, TooLargeError, TruncatedError
+from msal_cli.storage.gzip_streams import (
+    GZIP_MAGIC,
+    largest_bytes,
+    read_in_large_pages,
+    read_whole,
+    too_large,
+)
+from msal_cli.storage.regular import open_regular
+
+LOOKED_AT = 1 << 16
+"""Bytes of the beginning that are read; a file no larger is left to its codec."""
+
+MOST_BEHIND = 256 << 20
+"""Bytes behind the mesh that are carried along whatever the mesh's own size."""
+
+LARGE_BYTES = 4 << 20
+"""Bytes from which on the system may give large pages of memory."""
+
+
+def read_input(
+    path: str | os.PathLike[str], format: str | None = None, size: int | None = None
+) -> Buffer:
+    """The bytes of an input file, unless its size and beginning show that it is no mesh.
+
+    ``format`` is the format's name, over the suffix; ``size`` is that of an object behind a URL
+    as far as it is known.
+
+    Raises
+    ------
+    InputError
+        with code ``E_READ`` if the system cannot read it.
+    FormatError, TruncatedError, TooLargeError, UnsupportedError
+        as ``open_mesh``, and TooLargeError for a file that can never fit into memory.
+    """
+    from msal_cli.codecs import OWN_FORMATS, format_of_name
+
+    is_large = False
+    try:
+        with open_regular(path) as file:
+            status = os.fstat(file.fileno())
+            is_large = status.st_size >= LARGE_BYTES
+            if status.st_size > LOOKED_AT:
+                _look(file, status.st_size, os.fspath(path), format)
+    except (OSError, ValueError):
+        pass  # reading it all says why
+    # A library would copy what is no ``bytes``.
+    if is_large and (format or format_of_name(os.fspath(path))) in OWN_FORMATS:
+        return read_in_large_pages(path)
+    return read_whole(path, size)
+
+
+def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
+    """Raise for a file of ``size`` bytes that cannot be what it says."""
+    from msal_cli.codecs import content_format, format_of_name
+
+    if size > largest_bytes():
+        raise too_large(size)
+    head = file.read(LOOKED_AT)
+    said = format.lower().removeprefix(".") if format else format_of_name(name)
+    seen = content_format(head, said)
+    wanted = said or seen
+    is_packed = head[:2] == GZIP_MAGIC
+    # Another format than the name says is the codec's to explain.
+    if not is_packed and seen not in ("", wanted):
+        return
+    if is_packed:
+        is_text = True
+    elif wanted == "ply":
+        from msal_cli.codecs import ply_header
+
+        header = ply_header.parsed(memoryview(head), is_whole=False)
+        is_text = header.encoding == "ascii"
+        _require_bytes(size, header.least_bytes())
+        _refuse_behind(size, size if is_text else header.most_bytes())
+    elif wanted == "stl":
+        from msal_cli.codecs import stl
+
+        is_text = stl.is_text(head, size)
+        if not is_text:
+            _refuse_behind(size, stl.wanted_bytes(head, size))
+    elif wanted == "glb":
+        from msal_cli.codecs import glb_chunks
+
+        is_text = False
+        _refuse_behind(size, glb_chunks.wanted_bytes(memoryview(head), size))
+    elif wanted == "obj":
+        from msal_cli.codecs import obj_parser as obj_content
+
+        is_text = True
+        obj_content.refuse_binary(head)
+    else:
+        return
+    # A text has no zero bytes, which a hole is made of, and compressed data have not many; some at
+    # the end may be carried along.
+    hole = _hole(file, size) if is_text else size
+    if size - hole > MOST_BEHIND:
+        raise FormatError(
+            f"a hole full of zeros begins {size - hole:,} bytes before the end",
+            where=f"byte {hole}",
+            hint="the file was not written to its end; copy or export it again",
+        )
+
+
+def _require_bytes(size: int, least: int) -> None:
+    """Raise TruncatedError for a file shorter than its header asks for."""
+    if size < least:
+        raise TruncatedError(
+            f"the header counts {least:,} bytes at the least, but the file has {size:,}",
+            where=f"byte {size}",
+            hint="the file was cut short or its header counts are wrong; copy or export it again",
+        )
+
+
+def _refuse_behind(size: int, most: int) -> None:
+    """Raise TooLargeError for a file much longer than its header asks for."""
+    if size > 2 * most + MOST_BEHIND:
+        raise TooLargeError(
+            f"the header counts {most:,} bytes at the most, but the file has {size:,}",
+            where=f"byte {most}",
+            hint="cut off what follows, or export the mesh again",
+        )
+
+
+def _hole(file: BinaryIO, size: int) -> int:
+    """The first byte of the first hole of a sparse file; ``size`` if it has none that is known."""
+    seek_hole = getattr(os, "SEEK_HOLE", None)
+    if seek_hole is None:
+        return size
+    try:
+        at = os.lseek(file.fileno(), 0, seek_hole)
+        # Believed only if the bytes there are what a hole reads as.
+        return at if at < size and os.pread(file.fileno(), 1, at) == b"\0" else size
+    except OSError as failure:
+        if failure.errno in (errno.EINVAL, errno.ENXIO, errno.ENOTSUP):
+            return size
+        raise

@@ -1,0 +1,512 @@
+"""What an OBJ file holds, read in one walk, or the error that says why it cannot be.
+
+Errors count vertices and faces as the file does, from one.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.codecs.slots import number_hint
+from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError, TruncatedError
+
+Bytes = NDArray[np.uint8]
+Offsets = NDArray[np.int64]
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+_T = TypeVar("_T", bound=np.generic)
+
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+
+_LOOKED_AT = 4096
+_ZEROS_LOOKED_AT = 1 << 16
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
+_BEGUN = re.compile(rb"[-+.\deE/\\]*")
+_WORD = re.compile(rb"(?:[ \t\v\f]|\\(?:\r\n?|\n))*+([^\s\\]*+(?:\\(?![\r\n])[^\s\\]*+)*+)")
+_NUMBER = rb"([-+]?(?:\d{1,25}(?:\.\d{0,25})?|\.\d{1,25})(?:[eE][-+]?\d{1,3})?)"
+_POSITION = re.compile(rb"v" + 3 * (rb"[ \t]++" + _NUMBER) + rb"[ \t]*+(?=[\r\n]|\Z)")
+_KEYWORD = re.compile(
+    rb"(?!(?:v|vt|vn|f|fo)[ \t\r\n])([^\x00-\x20\\#][^\x00-\x20\\]*+)"
+    rb"(?:[ \t][^\\\r\n]*+)?(?=[\r\n])"
+)
+_NEVER = 1 << 62
+
+_FIRST_REACH = 1 << 12
+"""Bytes that the walk for all statements takes over for when it is called first."""
+
+_MOST_READ = 5_000
+"""Statements that are read one by one: more take longer than the walk for all statements."""
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """One OBJ file, parsed.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64, file units; vertex_at : (n,) int64, where each statement begins;
+        decimals : (n,) uint8, the most decimals of its numbers.
+    normals, normal_at, normal_decimals : the same for the vn statements, (g, 3), (g,), (g,).
+    faces : (m, 3) int32, polygons cut into triangles.
+    face_normals : (m, 3) int32, the vn of each corner, -1 for none; None where no corner has one.
+    corners, sizes : (k,) and (p,) int32, the p polygons as they are in the file; ``corners`` and
+        ``faces`` share memory where all are triangles.
+    state : (N_STATE,) int64, the counts that ``kernels.obj_scan`` names.
+    keywords : every other keyword, how often it occurs, and where first.
+    libraries : (l,) int64, where the mtllib statements begin.
+    """
+
+    vertices: Floats
+    vertex_at: Offsets
+    decimals: Bytes
+    normals: Floats
+    normal_at: Offsets
+    normal_decimals: Bytes
+    faces: Ints
+    face_normals: Ints | None
+    corners: Ints
+    sizes: Ints
+    state: Offsets
+    keywords: dict[bytes, tuple[int, int]]
+    libraries: Offsets
+
+
+def line_of(data: Buffer, at: int) -> int:
+    """The line, from one, that byte ``at`` is in; it may end with LF, CR LF or CR."""
+    before = bytes(memoryview(data)[:at])
+    # A CR LF that is cut in two by ``at`` has been counted by its CR.
+    return 1 + before.count(b"\n") + before.count(b"\r") - before.count(b"\r\n")
+
+
+def content(data: Buffer) -> Content:
+    """Parse the bytes of an OBJ file.
+
+    Raises FormatError (binary data, a word that is no number or corner, a statement that is too
+    short), TruncatedError (the file is empty, or its last line breaks off), ContentError
+    (``E_NONFINITE``, ``E_INDEX``, ``E_NO_FACES``) and TooLargeError, each with the line.
+    """
+    from msal_cli.kernels.text import as_bytes
+
+    refuse_binary(data)
+    return _Reading(data, as_bytes(data)).content()
+
+
+def refuse_binary(data: Buffer) -> None:
+    """Raise unless the beginning of ``data`` can be the text of an OBJ file."""
+    if not len(data):
+        raise TruncatedError("the file is empty", hint="copy or export it again")
+    head = bytes(memoryview(data)[:_LOOKED_AT])
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise FormatError(
+            "the file is UTF-16 text, but OBJ is plain ASCII or UTF-8",
+            where="byte 0",
+            hint="save it again with the encoding UTF-8",
+        )
+    # Old systems end a text with this mark; it is kept as a line that is no statement.
+    control = _CONTROL.search(head.rstrip(b"\x1a\r\n") if len(data) <= _LOOKED_AT else head)
+    # Zeros are looked for farther on: the first pages of a file may be sound.
+    found = control.start() if control else bytes(memoryview(data)[:_ZEROS_LOOKED_AT]).find(0)
+    if found >= 0:
+        raise _binary(data, found)
+
+
+def _binary(data: Buffer, at: int) -> FormatError:
+    return FormatError(
+        f"byte {at} is a control character: this is binary data, not OBJ text",
+        where=f"byte {at}, line {line_of(data, at)}",
+        hint="pass --format if the suffix is wrong, or copy the file again",
+    )
+
+
+def _first_zero(data: Buffer) -> int:
+    """Where the first zero byte is; there is one."""
+    view = memoryview(data)
+    step = 1 << 22
+    for start in range(0, len(view), step):
+        at = bytes(view[start : start + step]).find(0)
+        if at >= 0:
+            return start + at
+    return -1
+
+
+class _Reading:
+    """The arrays that the walk fills, grown as it asks for it."""
+
+    def __init__(self, data: Buffer, buf: Bytes) -> None:
+        from msal_cli.kernels import obj_fast as obj_plain
+        from msal_cli.kernels import obj_scan
+
+        self._plain = obj_plain
+        self._scan = obj_scan
+        self._data = data
+        self._buf = buf
+        size = len(buf)
+        n_vertices, n_normals, n_faces, n_zeros = obj_plain.counted(buf)
+        if n_zeros:
+            raise _binary(data, _first_zero(data))
+        has_normals = n_normals > 1
+        # No statement is shorter than "v 0 0 0" and its line end: the counts cannot exceed this,
+        # whatever the bytes say.
+        most = (size + 1) // 8 + 1
+        n_vertices, n_normals = min(n_vertices, most), min(n_normals, most)
+        self._n_faces = min(n_faces, most)
+        if size > 2**33 or n_vertices >= 2**31:
+            raise TooLargeError(
+                f"{size:,} bytes are more than an OBJ file may have here",
+                hint="convert the mesh to binary PLY",
+            )
+        self.vertices = np.empty((n_vertices, 3))
+        self.vertex_at = np.empty(n_vertices, dtype=np.int64)
+        self.decimals = np.empty(n_vertices, dtype=np.uint8)
+        self.normals = np.empty((n_normals if has_normals else 0, 3))
+        self.normal_at = np.empty(len(self.normals), dtype=np.int64)
+        self.normal_decimals = np.empty(len(self.normals), dtype=np.uint8)
+        self.corners = np.empty(3 * self._n_faces, dtype=np.int32)
+        self.corner_normals = np.empty(len(self.corners) if has_normals else 0, dtype=np.int32)
+        self.sizes = np.empty(self._n_faces, dtype=np.int32)
+        self.undecided = np.empty((64, 2), dtype=np.int64)
+        self.keywords = np.empty((obj_scan.MOST_KEYWORDS, 4), dtype=np.int64)
+        self.libraries = np.empty(obj_scan.MOST_LIBRARIES, dtype=np.int64)
+        self._n_read = 0
+        self.state = self._begun()
+
+    def _begun(self) -> Offsets:
+        """The state of a walk that is about to start."""
+        scan = self._scan
+        state = np.zeros(scan.N_STATE, dtype=np.int64)
+        state[scan.LARGEST_VERTEX] = -1
+        if self._buf[:3].tobytes() == BYTE_ORDER_MARK:
+            state[scan.AT] = 3
+        return state
+
+    def content(self) -> Content:
+        """Walk, repair and check."""
+        scan, state = self._scan, self.state
+        reach = _FIRST_REACH
+        while True:
+            result = self._walked_plainly()
+            if result == self._plain.ODD and not self._read_statement():
+                # The slower walk takes over for longer and longer, so that a file of which much
+                # is not plain is hardly read in turns.
+                result = self._walked(state, int(state[scan.AT]) + reach, _NEVER)
+                reach *= 2
+            if result == scan.FULL:
+                self._grow()
+            elif result > scan.FULL or (result == scan.WHOLE and state[scan.AT] >= len(self._buf)):
+                break
+        if result != scan.WHOLE:
+            raise self._refusal(result)
+        n_vertices, n_normals = int(state[scan.VERTICES]), int(state[scan.NORMALS])
+        n_faces, n_corners = int(state[scan.FACES]), int(state[scan.CORNERS])
+        vertices, normals = self.vertices[:n_vertices], self.normals[:n_normals]
+        self._decide(vertices, normals)
+        # A normal that is none is as good as zero, which is kept and compares equal to itself.
+        normals[~np.isfinite(normals).all(axis=1)] = 0.0
+        self._require_faces(n_vertices, n_faces)
+        self._require_finite(vertices)
+        corners, sizes = self.corners[:n_corners], self.sizes[:n_faces]
+        if n_corners == 3 * n_faces and bool((sizes == 3).all()):
+            # One number instead of one for each face.
+            sizes = np.broadcast_to(np.int32(3), (n_faces,))
+            del self.sizes
+        self._require_vertices(corners, sizes, n_vertices)
+        face_normals = None
+        if n_normals and len(self.corner_normals):
+            corner_normals = self.corner_normals[:n_corners]
+            if state[scan.LARGEST_NORMAL] > n_normals:
+                corner_normals[corner_normals >= n_normals] = -1
+            if (corner_normals >= 0).any():
+                face_normals = self._triangles(corner_normals, sizes)
+        n_keywords = int(state[scan.KEYWORDS])
+        return Content(
+            vertices=vertices,
+            vertex_at=self.vertex_at[:n_vertices],
+            decimals=self.decimals[:n_vertices],
+            normals=normals,
+            normal_at=self.normal_at[:n_normals],
+            normal_decimals=self.normal_decimals[:n_normals],
+            faces=self._triangles(corners, sizes),
+            face_normals=face_normals,
+            corners=corners,
+            sizes=sizes,
+            state=state,
+            keywords={
+                self._buf[at : at + size].tobytes(): (int(count), int(at))
+                for _, count, at, size in self.keywords[:n_keywords]
+            },
+            libraries=self.libraries[: int(state[scan.LIBRARIES])],
+        )
+
+    def _walked_plainly(self) -> int:
+        """Go on as far as the file is plain; what ``obj_plain.walked`` returns."""
+        return int(
+            self._plain.walked(
+                self._buf,
+                self.state,
+                self.vertices,
+                self.vertex_at,
+                self.decimals,
+                self.normals,
+                self.normal_at,
+                self.normal_decimals,
+                self.corners,
+                self.corner_normals,
+                self.sizes,
+            )
+        )
+
+    def _walked(self, state: Offsets, until: int, n_faces: int) -> int:
+        """Go on to byte ``until``, or until ``n_faces`` faces are read; what ``scanned`` says."""
+        return int(
+            self._scan.scanned(
+                self._buf,
+                state,
+                until,
+                n_faces,
+                self.vertices,
+                self.vertex_at,
+                self.decimals,
+                self.normals,
+                self.normal_at,
+                self.normal_decimals,
+                self.corners,
+                self.corner_normals,
+                self.sizes,
+                self.undecided,
+                self.keywords,
+                self.libraries,
+            )
+        )
+
+    def _read_statement(self) -> bool:
+        """Read one statement that is not plain but usual; whether it is one.
+
+        Nearly every file has a few keywords beside v, vt, vn and f, and some programs write the
+        few numbers next to zero with an exponent.
+        """
+        scan, state = self._scan, self.state
+        at, row = int(state[scan.AT]), int(state[scan.VERTICES])
+        self._n_read += 1
+        if self._n_read > _MOST_READ:
+            return False
+        view = memoryview(self._data)
+        if statement := _KEYWORD.match(view, at):
+            self._note(statement[1], at)
+        elif (statement := _POSITION.match(view, at)) and row < len(self.vertices):
+            numbers = statement.groups()
+            self.vertices[row] = [float(number) for number in numbers]
+            self.vertex_at[row] = at
+            self.decimals[row] = min(max(_decimals(number) for number in numbers), 255)
+            state[scan.VERTICES] += 1
+        else:
+            return False
+        state[scan.AT] = statement.end()
+        return True
+
+    def _note(self, keyword: bytes, at: int) -> None:
+        """Count a keyword in its row, as ``obj_scan.note_keyword`` does."""
+        scan, state = self._scan, self.state
+        size, n_rows = len(keyword), int(state[scan.KEYWORDS])
+        word = int.from_bytes(keyword[:8], "big", signed=size >= 8)
+        rows = self.keywords[:n_rows]
+        same = np.flatnonzero((rows[:, 0] == word) & (rows[:, 3] == size))
+        row = int(same[0]) if len(same) else min(n_rows, scan.MOST_KEYWORDS - 1)
+        if row == n_rows:
+            self.keywords[row] = word, 0, at, size
+            state[scan.KEYWORDS] += 1
+        self.keywords[row, 1] += 1
+        if keyword == b"mtllib" and state[scan.LIBRARIES] < len(self.libraries):
+            self.libraries[state[scan.LIBRARIES]] = at
+            state[scan.LIBRARIES] += 1
+
+    def _grow(self) -> None:
+        """Make room in the arrays that are full."""
+        scan, state = self._scan, self.state
+        n_faces, n_corners = int(state[scan.FACES]), int(state[scan.CORNERS])
+        if state[scan.UNDECIDED_ROWS] == len(self.undecided):
+            self.undecided = _grown(self.undecided, 2 * len(self.undecided))
+        elif state[scan.VERTICES] == len(self.vertices):
+            self.vertices = _grown(self.vertices, 2 * len(self.vertices) + 1)
+            self.vertex_at = _grown(self.vertex_at, len(self.vertices))
+            self.decimals = _grown(self.decimals, len(self.vertices))
+        elif len(self.normals) and state[scan.NORMALS] == len(self.normals):
+            self.normals = _grown(self.normals, 2 * len(self.normals) + 1)
+            self.normal_at = _grown(self.normal_at, len(self.normals))
+            self.normal_decimals = _grown(self.normal_decimals, len(self.normals))
+        elif n_faces == len(self.sizes):
+            self.sizes = _grown(self.sizes, 2 * len(self.sizes))
+        else:
+            # As many for each face to come as the faces so far have.
+            alike = (n_corners // max(n_faces, 1) + 1) * self._n_faces
+            room = max(min(alike, len(self._buf) // 2), len(self.corners) * 3 // 2 + 1)
+            self.corners = _grown(self.corners, room)
+            if len(self.corner_normals):
+                self.corner_normals = _grown(self.corner_normals, room)
+
+    def _decide(self, vertices: Floats, normals: Floats) -> None:
+        """Read the statements with numbers that need Python's ``float``."""
+        view = memoryview(self._data)
+        for is_normal, row in self.undecided[: self.state[self._scan.UNDECIDED_ROWS]].tolist():
+            at = int(self.normal_at[row] + 2 if is_normal else self.vertex_at[row] + 1)
+            for axis in range(3):
+                word = _WORD.match(view, at)
+                assert word is not None  # the walk has seen three numbers here
+                at = word.end()
+                (normals if is_normal else vertices)[row, axis] = _number(word[1])
+
+    def _triangles(self, corners: Ints, sizes: Ints) -> Ints:
+        """(m, 3), the polygons cut into fans; a view where all are triangles."""
+        if len(corners) == 3 * len(sizes) and bool((sizes == 3).all()):
+            return corners.reshape(-1, 3)
+        triangles = np.empty((len(corners) - 2 * len(sizes), 3), dtype=np.int32)
+        self._scan.fans(corners, sizes, triangles)
+        return triangles
+
+    # What can be wrong
+
+    def _place(self, at: int) -> str:
+        return f"line {line_of(self._data, at)}"
+
+    def _refusal(self, result: int) -> InputError:
+        """The error for what the walk returned."""
+        scan, state = self._scan, self.state
+        at = int(state[scan.WORD])
+        place = self._place(at)
+        statement = bytes(self._buf[int(state[scan.AT]) : int(state[scan.AT]) + 2])
+        stop = int(scan.past_word(self._buf, at))
+        word = self._buf[at:stop].tobytes()
+        shown = word[:40].decode("ascii", "backslashreplace")
+        is_cut = self._is_last_line(at) and _BEGUN.fullmatch(word) is not None
+        if result == scan.BAD_INDEX:
+            face = int(state[scan.FACES]) + int(state[scan.SHORT]) + 1
+            return _bad_index(shown, f"{place}, face {face}", int(state[scan.VERTICES]))
+        if is_cut:
+            return TruncatedError(
+                "the last line breaks off", where=place, hint="copy or export the file again"
+            )
+        if result in (scan.BAD_NUMBER, scan.FEW_NUMBERS):
+            is_normal = statement == b"vn"
+            number = int(state[scan.NORMALS if is_normal else scan.VERTICES]) + 1
+            what = "normal" if is_normal else "vertex"
+            if result == scan.BAD_NUMBER:
+                message = f"{shown!r} is not a number"
+            else:
+                message = f"a {what} needs three numbers"
+            return FormatError(
+                message,
+                where=f"{place}, {what} {number}",
+                hint=number_hint(word, "correct the line, or export the file again"),
+            )
+        face = int(state[scan.FACES]) + int(state[scan.SHORT]) + 1
+        message = (
+            "a face has no corners"
+            if result == scan.NO_CORNERS
+            else f"{shown!r} is not a corner of a face: v, v/vt, v//vn or v/vt/vn in whole numbers"
+        )
+        return FormatError(
+            message,
+            where=f"{place}, face {face}",
+            hint="correct the line, or export the file again",
+        )
+
+    def _is_last_line(self, at: int) -> bool:
+        """Whether the file ends, without a line end, in the line of byte ``at``."""
+        rest = bytes(self._buf[at : at + (1 << 16)])
+        return at + len(rest) == len(self._buf) and not (b"\n" in rest or b"\r" in rest)
+
+    def _require_faces(self, n_vertices: int, n_faces: int) -> None:
+        scan, state = self._scan, self.state
+        last_short = int(state[scan.LAST_SHORT_AT])
+        if state[scan.SHORT] and self._is_last_line(last_short):
+            # A face that lost its last corners and its line end did not lose them on purpose.
+            raise TruncatedError(
+                "the last line breaks off: its face has fewer than three corners",
+                where=self._place(last_short),
+                hint="copy or export the file again",
+            )
+        if n_vertices and n_faces:
+            return
+        names = {
+            self._buf[at : at + size].tobytes()
+            for _, _, at, size in self.keywords[: int(state[scan.KEYWORDS])]
+        }
+        if names & {b"V", b"F"}:
+            hint = "the keywords V and F are in capitals; OBJ writes them small"
+        elif state[scan.SHORT]:
+            hint = "its faces have one or two corners; a face needs three"
+        elif n_vertices:
+            hint = "it was cut short, or is a point cloud: export it again, or make a mesh of it"
+        else:
+            hint = "check that this is an OBJ file"
+        raise ContentError(
+            f"the file has {'no faces' if n_vertices else 'no vertices'}",
+            hint=hint,
+            code="E_NO_FACES",
+        )
+
+    def _require_finite(self, vertices: Floats) -> None:
+        finite = np.isfinite(vertices)
+        if finite.all():
+            return
+        bad = int(np.argmin(finite.all(axis=1)))
+        raise ContentError(
+            f"the position {tuple(vertices[bad].tolist())} is not finite",
+            where=f"{self._place(int(self.vertex_at[bad]))}, vertex {bad + 1}",
+            hint="remove the vertex and its faces, or export the file again",
+            code="E_NONFINITE",
+        )
+
+    def _require_vertices(self, corners: Ints, sizes: Ints, n_vertices: int) -> None:
+        scan = self._scan
+        if self.state[scan.LARGEST_VERTEX] < n_vertices:
+            return
+        corner = int(np.argmax(corners >= n_vertices))
+        face = int(np.searchsorted(np.cumsum(sizes, dtype=np.int64), corner, side="right"))
+        number = int(corners[corner]) + 1
+        self.sizes = np.empty(len(sizes), dtype=np.int32)
+        # A second walk that ends behind this face says where it is, and so no other walk need
+        # keep the place of every face.
+        again = self._begun()
+        self._walked(again, _NEVER, face + 1)
+        number_of_face = face + 1 + int(again[scan.SHORT])
+        place = self._place(int(again[scan.LAST_FACE_AT]))
+        shown = "2147483648 or more" if number >= 2**31 else str(number)
+        raise _bad_index(shown, f"{place}, face {number_of_face}", n_vertices)
+
+
+def _decimals(number: bytes) -> int:
+    """Digits behind the point, the exponent counted in: ``1.5e-3`` has four."""
+    mantissa, _, exponent = number.lower().partition(b"e")
+    return max(len(mantissa.partition(b".")[2]) - int(exponent or b"0"), 0)
+
+
+def _number(word: bytes) -> float:
+    """A number of any length; NaN as old run-time libraries print it has no other form."""
+    try:
+        return float(word)
+    except ValueError:
+        return math.nan
+
+
+def _bad_index(number: str, where: str, n_vertices: int) -> ContentError:
+    return ContentError(
+        f"a face names vertex {number}, but there are {n_vertices} vertices",
+        where=where,
+        hint="the file is cut off or was put together wrongly; export it again",
+        code="E_INDEX",
+    )
+
+
+def _grown(array: NDArray[_T], rows: int) -> NDArray[_T]:
+    """A copy with room for ``rows`` rows."""
+    larger = np.empty((rows, *array.shape[1:]), dtype=array.dtype)
+    larger[: len(array)] = array
+    return larger

@@ -1,0 +1,76 @@
+"""Numbers at the vertices of a mesh as a PLY of their own: properties, colours, and what they mean.
+
+Such a file is for looking at and for computing with, not an output of denoising: it holds the
+positions, the polygons, the fields and colours, and nothing else of the file that they come from.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.codecs.mesh_file import Buffer, MeshFile
+from msal_cli.errors import InternalError
+
+Floats = NDArray[np.float64]
+
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
+_TAKEN = frozenset({"x", "y", "z", "red", "green", "blue"})
+_LONGEST_COMMENT = 1000
+
+
+def with_fields(
+    mesh_file: MeshFile,
+    vertices: Floats,
+    fields: Mapping[str, Floats],
+    colours: NDArray[np.uint8] | None = None,
+    comments: Sequence[str] = (),
+) -> Buffer:
+    """A binary PLY of the mesh with numbers, and colours, at its vertices.
+
+    Parameters
+    ----------
+    mesh_file : the file whose polygons, and whose precision of positions, are taken.
+    vertices : (n, 3) positions in file order, file units.
+    fields : (n,) numbers by the name of their property; stored as ``float``.
+    colours : (n, 3), stored as ``red``, ``green`` and ``blue``; None for none.
+    comments : lines of the header; what is no printable ASCII in them is escaped.
+    """
+    from msal_cli.codecs.conversion import polygon_bytes
+    from msal_cli.codecs.stl import as_float32
+
+    n = len(vertices)
+    is_single = mesh_file.precision == "float32"
+    real, word = ("<f4", "float") if is_single else ("<f8", "double")
+    columns: list[tuple[str, str, str, NDArray[np.generic]]] = []
+    positions: NDArray[Any] = as_float32(vertices) if is_single else vertices
+    columns += [(name, real, word, positions[:, k]) for k, name in enumerate("xyz")]
+    if colours is not None:
+        names = ("red", "green", "blue")
+        columns += [(name, "u1", "uchar", colours[:, k]) for k, name in enumerate(names)]
+    for name, values in fields.items():
+        if not _NAME.fullmatch(name) or name in _TAKEN or len(values) != n:
+            raise InternalError(f"{name!r} cannot be a field of {n} vertices")
+        # What is too large for the type becomes infinite, which readers know.
+        with np.errstate(over="ignore"):
+            columns.append((name, "<f4", "float", values.astype(np.float32)))
+    rows = np.empty(n, dtype=[(name, code) for name, code, _, _ in columns])
+    for name, _, _, column in columns:
+        rows[name] = column
+    faces, n_faces, count_word = polygon_bytes(mesh_file)
+    header = ["ply", "format binary_little_endian 1.0"]
+    header += [f"comment {_printable(one)}" for one in comments]
+    header += [f"element vertex {n}"]
+    header += [f"property {word} {name}" for name, _, word, _ in columns]
+    header += [f"element face {n_faces}", f"property list {count_word} int vertex_indices"]
+    return b"".join(("\n".join([*header, "end_header", ""]).encode(), rows.tobytes(), faces))
+
+
+def _printable(comment: str) -> str:
+    text = comment.encode("ascii", "backslashreplace").decode()
+    text = "".join(one if one.isprintable() else f"\\x{ord(one):02x}" for one in text)
+    return text[:_LONGEST_COMMENT]

@@ -1,0 +1,315 @@
+"""A PLY file written anew in another encoding or with other types of positions and normals.
+
+Every element, property and comment is kept, in its order; of the header only the format line and
+the types of ``x y z nx ny nz`` change.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.codecs.ply_ascii import Bytes, Flags, Floats, Lines, Longs
+from msal_cli.codecs.ply_header import Element, Header, Property, retyped
+from msal_cli.codecs.ply_sections import Section, section_at, stored
+from msal_cli.codecs.ply_stream import read_stream
+from msal_cli.errors import ContentError, UsageError
+
+_ENCODINGS = {"ascii": "ascii", "binary": "binary_little_endian"}
+_CODES = {"float32": "f4", "float64": "f8"}
+
+_CHUNK = 65_536
+"""Records turned into text at a time."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """The values of one property in native byte order: (count,), or for a list all items one
+    record behind another with the number of each record's items in ``lengths`` (count,)."""
+
+    property: Property
+    values: NDArray[Any]
+    lengths: Longs | None
+
+
+class Recoding:
+    """A change of encoding and number types, and what it makes of a file.
+
+    ``encoding`` is ``same``, ``ascii`` or ``binary`` (little endian); ``precision`` is ``same``,
+    ``float32`` or ``float64``; ``is_stream`` says that the file's ascii records do not stand one
+    to a line.  Raises UsageError for any other word.
+    """
+
+    def __init__(
+        self,
+        data: Bytes,
+        header: Header,
+        encoding: str,
+        precision: str,
+        retypable: Mapping[str, Sequence[str]],
+        is_stream: bool = False,
+    ) -> None:
+        if encoding not in ("same", *_ENCODINGS) or precision not in ("same", *_CODES):
+            raise UsageError(
+                f"a PLY file cannot be written with encoding '{encoding}' and precision "
+                f"'{precision}'",
+                hint="encodings are same, ascii, binary; precisions same, float32, float64",
+            )
+        self._data = data
+        self._header = header
+        self._is_stream = is_stream
+        self.encoding = _ENCODINGS.get(encoding, header.encoding)
+        self._codes: dict[int, str] = {}
+        if precision != "same":
+            self._codes = {
+                one.line: _CODES[precision]
+                for element in header.elements
+                for one in element.properties
+                if one.name in retypable.get(element.name, ()) and one.code != _CODES[precision]
+            }
+
+    @property
+    def is_same(self) -> bool:
+        """Whether nothing but values changes."""
+        return self.keeps_encoding and not self._codes
+
+    @property
+    def keeps_encoding(self) -> bool:
+        return self.encoding == self._header.encoding
+
+    def code(self, one: Property) -> str:
+        """The numpy code with which a property is written."""
+        return self._codes.get(one.line, one.code)
+
+    def header(self) -> bytes:
+        """The new header's bytes."""
+        text = self._data[: self._header.size].tobytes()
+        return retyped(self._header, text, self.encoding, self._codes)
+
+    def encoded(self, values: Mapping[tuple[str, str], Floats], end: int) -> bytearray:
+        """The whole file.  ``values`` holds, for (element, property), the (count,) numbers to be
+        written in place of the file's; ``end`` is the byte behind the last element."""
+        output = bytearray(self.header())
+        at = self._header.size
+        streamed: tuple[Mapping[str, Section], int] | None = None
+        if self._is_stream:
+            streamed = read_stream(self._data, self._header, _all_names)
+        for element in self._header.elements:
+            if streamed is not None:
+                section = streamed[0][element.name]
+            else:
+                section = section_at(self._data, self._header, element, at, _all_names(element))
+            at = section.stop
+            is_touched = any(
+                (element.name, one.name) in values or one.line in self._codes
+                for one in element.properties
+            )
+            if self.keeps_encoding and not is_touched:
+                output += self._data[section.start : section.stop].data
+                continue
+            columns = [
+                self._column(section, one, values.get((element.name, one.name)))
+                for one in element.properties
+            ]
+            if self.encoding == "ascii":
+                _append_text(output, columns, element.count, self._header.newline)
+            else:
+                order = ">" if self.encoding == "binary_big_endian" else "<"
+                _append_binary(output, columns, element.count, order)
+        if self.keeps_encoding:
+            output += self._data[end:].data
+        return output
+
+    def _column(self, section: Section, one: Property, values: Floats | None) -> Column:
+        dtype = np.dtype(self.code(one))
+        lengths: Longs | None = None
+        given: NDArray[Any]
+        if values is not None:
+            given = values
+        elif isinstance(section, Lines):
+            return _read_tokens(section, one, dtype)
+        elif one.is_list:
+            given, lengths = section.items(one.name)
+        else:
+            given = section.column(one.name)
+        if given.dtype.kind == "f" and dtype != given.dtype.newbyteorder("="):
+            column = stored(_as_float64(given), dtype)
+            if dtype.kind == "f":
+                _require_all(np.isfinite(column) | ~np.isfinite(given), section, one)
+            return Column(one, column, lengths)
+        return Column(one, given.astype(dtype), lengths)
+
+
+def _all_names(element: Element) -> Sequence[str]:
+    return [one.name for one in element.properties]
+
+
+def _require_all(
+    fits: Flags, section: Section, one: Property, lengths: Longs | None = None
+) -> None:
+    """Raise ContentError unless every value (count,), or item of a list, fits its type."""
+    if fits.all():
+        return
+    record = int(np.argmin(fits))
+    if lengths is not None:
+        record = int(np.searchsorted(np.cumsum(lengths), record, side="right"))
+    raise ContentError(
+        f"'{one.name}' of {section.element.name} {record} does not fit its number type",
+        where=section.where(record),
+        hint="keep the file's own encoding and precision, or choose --precision float64",
+        code="E_RANGE",
+    )
+
+
+def _read_tokens(section: Lines, one: Property, dtype: np.dtype[Any]) -> Column:
+    """A property of an ascii element as numbers of ``dtype``.
+
+    Raises FormatError for a token that is no number, ContentError (``E_RANGE``) for one that the
+    type cannot hold.
+    """
+    from msal_cli.kernels.text import numbers_at
+
+    lengths: Longs | None = None
+    if one.is_list:
+        starts, stops, lengths = section.item_spans(one.name)
+        _require_all(lengths <= np.iinfo(one.count_code).max, section, one)
+    else:
+        starts, stops = section.spans([one.name])
+    values, bad = numbers_at(section.data, starts, stops)
+    if bad >= 0:
+        raise section.not_a_number(int(starts[bad]), "a number")
+    column: NDArray[Any]
+    if dtype.kind == "f":
+        column = stored(values, dtype)
+        fits = np.isfinite(column) | ~np.isfinite(values)
+    elif dtype.itemsize == 8:
+        column, fits = _long_integers(section, starts, stops, dtype)
+    else:
+        limits = np.iinfo(dtype)
+        fits = (values >= limits.min) & (values <= limits.max) & (np.rint(values) == values)
+        column = np.where(fits, values, 0.0).astype(dtype)
+    _require_all(fits, section, one, lengths)
+    return Column(one, column, lengths)
+
+
+def _long_integers(
+    section: Lines, starts: Longs, stops: Longs, dtype: np.dtype[Any]
+) -> tuple[NDArray[Any], Flags]:
+    """64-bit integers, which a double cannot tell apart, and which of them fit."""
+    limits = np.iinfo(dtype)
+    column = np.zeros(len(starts), dtype=dtype)
+    fits = np.ones(len(starts), dtype=bool)
+    for k, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
+        token = section.data[start:stop].tobytes()
+        # Twenty digits and a sign: longer ones do not fit, and int() is slow on very long ones.
+        fits[k] = re.fullmatch(rb"[+-]?[0-9]{1,20}", token) and (
+            limits.min <= int(token) <= limits.max
+        )
+        if fits[k]:
+            column[k] = int(token)
+    return column, fits
+
+
+def _append_binary(output: bytearray, columns: Sequence[Column], count: int, order: str) -> None:
+    """Append ``count`` records of the columns."""
+    from msal_cli.kernels.ply_scan import scatter
+
+    fields: list[tuple[NDArray[Any], Longs]] = []
+    for one in columns:
+        if one.lengths is not None:
+            counts = one.lengths.astype(order + one.property.count_code)
+            fields.append((counts, np.full(count, counts.itemsize)))
+        values = one.values.astype(order + one.values.dtype.str[1:])
+        lengths = np.ones(count, dtype=np.int64) if one.lengths is None else one.lengths
+        fields.append((values, lengths * values.itemsize))
+    sizes = sum((size for _, size in fields), np.zeros(count, dtype=np.int64))
+    ends = np.cumsum(sizes)
+    packed = np.empty(int(ends[-1]) if count else 0, dtype=np.uint8)
+    at = ends - sizes
+    for values, size in fields:
+        scatter(packed, at, size, values.view(np.uint8))
+        at = at + size
+    output += packed.data
+
+
+def _append_text(output: bytearray, columns: Sequence[Column], count: int, newline: bytes) -> None:
+    """Append ``count`` lines of the columns."""
+    if not columns:
+        return
+    firsts = [
+        None if one.lengths is None else np.concatenate([[0], np.cumsum(one.lengths)])
+        for one in columns
+    ]
+    for begin in range(0, count, _CHUNK):
+        end = min(begin + _CHUNK, count)
+        part = [
+            Column(one.property, one.values[begin:end], None)
+            if one.lengths is None or first is None
+            else Column(
+                one.property,
+                one.values[first[begin] : first[end]],
+                one.lengths[begin:end],
+            )
+            for one, first in zip(columns, firsts, strict=True)
+        ]
+        output += _lines_of(part, end - begin, newline).data
+
+
+def _lines_of(columns: Sequence[Column], count: int, newline: bytes) -> Bytes:
+    """The lines of ``count`` records as one text."""
+    from msal_cli.kernels.ply_scan import gather
+
+    per_record = np.zeros(count, dtype=np.int64)
+    for one in columns:
+        per_record += 1 if one.lengths is None else one.lengths + 1
+    ends = np.cumsum(per_record)
+    slot = ends - per_record
+    # Tokens and the separators behind them alternate; the texts of both lie in one buffer.
+    starts = np.empty(2 * int(ends[-1]), dtype=np.int64)
+    sizes = np.empty_like(starts)
+    texts = [np.frombuffer(b" " + newline, dtype=np.uint8)]
+    size = len(texts[0])
+    for one in columns:
+        printings = [(one.values, slot)]
+        if one.lengths is not None:
+            items = np.repeat(slot + 1 - (np.cumsum(one.lengths) - one.lengths), one.lengths)
+            printings = [(one.lengths, slot), (one.values, items + np.arange(len(items)))]
+            slot = slot + one.lengths
+        slot = slot + 1
+        for values, slots in printings:
+            text, stops = _token_text(values)
+            sizes[2 * slots] = np.diff(stops, prepend=0)
+            starts[2 * slots] = size + stops - sizes[2 * slots]
+            texts.append(text)
+            size += len(text)
+    starts[1::2] = 0
+    sizes[1::2] = 1
+    starts[2 * ends - 1] = 1
+    sizes[2 * ends - 1] = len(newline)
+    packed = np.empty(int(sizes.sum()), dtype=np.uint8)
+    gather(np.concatenate(texts), starts, sizes, packed)
+    return packed
+
+
+def _as_float64(values: NDArray[Any]) -> NDArray[np.float64]:
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        return values.astype(np.float64)
+
+
+def _token_text(values: NDArray[Any]) -> tuple[Bytes, Longs]:
+    """The texts of numbers one behind another and the end of each: whole numbers plain, others
+    as the shortest text that reads back as the same value of their type."""
+    from msal_cli.kernels.text import printed, printed_shortest
+
+    if values.dtype.kind == "f":
+        return printed_shortest(_as_float64(values), values.itemsize == 4)
+    if values.itemsize < 8 or (np.abs(values.astype(np.float64)) < 2.0**53).all():
+        return printed(values.astype(np.float64), 0)
+    tokens = [b"%d" % one for one in values.tolist()]
+    stops = np.cumsum([len(one) for one in tokens], dtype=np.int64)
+    return np.frombuffer(b"".join(tokens), dtype=np.uint8), stops

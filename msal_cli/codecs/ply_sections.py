@@ -1,0 +1,363 @@
+"""Where the values of a PLY file stand, and how they are read and overwritten in place.
+
+Each element becomes a section: ``Fixed`` (binary records of one size, reached through strided
+views, nothing is copied), ``Varied`` (binary records that differ in size because of their lists)
+or ``Lines`` (ascii, in ``ply_ascii`` and ``ply_stream``).  No section is made before every byte
+that its counts promise is known to be there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.codecs.ply_ascii import (
+    CUT_HINT,
+    Bytes,
+    Flags,
+    Floats,
+    Lines,
+    Longs,
+    find_lines,
+    plain_lines,
+)
+from msal_cli.codecs.ply_header import Element, Header, Property
+from msal_cli.codecs.ply_stream import read_stream
+from msal_cli.errors import FormatError, TruncatedError
+
+Wanted = Callable[[Element], Sequence[str]]
+"""The properties of an element whose places are to be kept where that costs memory."""
+
+_RECORDS = 1 << 14
+"""Records of one size that are worked on at a time."""
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """Binary records of ``stride`` bytes each from byte ``start`` on.
+
+    ``places`` gives, for each property, the byte within the record where its value (of a list:
+    its first item) stands, and the number of items that every record has (1 for a scalar).
+    """
+
+    data: Bytes
+    element: Element
+    order: str
+    start: int
+    stop: int
+    stride: int
+    places: dict[str, tuple[int, int]]
+
+    def where(self, record: int) -> str:
+        """The record in words."""
+        return f"{self.element.name} {record}"
+
+    def column(self, name: str, within: Bytes | None = None) -> NDArray[np.generic]:
+        """The values of a scalar (count,) or of a list (count, k), as the file stores them.
+
+        A view into ``within``, the bytes of this section, or else into the file.
+        """
+        one = self.element.properties[self.element.index(name)]
+        dtype = np.dtype(self.order + one.code)
+        place, length = self.places[name]
+        shape: tuple[int, ...] = (self.element.count,)
+        strides: tuple[int, ...] = (self.stride,)
+        if one.is_list:
+            shape, strides = (*shape, length), (*strides, dtype.itemsize)
+        buffer = self.data[self.start : self.stop] if within is None else within
+        if not self.element.count or not length:
+            return np.empty(shape, dtype)
+        return np.ndarray(shape, dtype, buffer=buffer, offset=place, strides=strides)
+
+    def items(self, name: str) -> tuple[NDArray[np.generic], Longs]:
+        """All items of a list, one record behind another, and each record's number (count,)."""
+        column = self.column(name)
+        return column.reshape(-1), np.full(len(column), column.shape[1], dtype=np.int64)
+
+    def _packed(self, names: Sequence[str], within: Bytes | None) -> NDArray[np.generic] | None:
+        """The values of ``names`` (count, len(names)) as the file stores them, a view as in
+        ``column``, where the records hold nothing else; else nothing."""
+        columns = [self.column(name, within) for name in names]
+        size = columns[0].itemsize
+        if self.stride != len(names) * size or not columns[0].size:
+            return None
+        for k, (name, column) in enumerate(zip(names, columns, strict=True)):
+            if column.dtype != columns[0].dtype or self.places[name][0] != k * size:
+                return None
+        buffer = self.data[self.start : self.stop] if within is None else within
+        return np.ndarray((self.element.count, len(names)), columns[0].dtype, buffer)
+
+    def numbers(self, names: Sequence[str], within: Bytes | None = None) -> Floats:
+        """The scalars of ``names`` as (count, len(names)) float64."""
+        packed = self._packed(names, within)
+        # A signalling NaN is reported elsewhere, as what it is.
+        with np.errstate(invalid="ignore"):
+            if packed is not None:
+                # What is in one piece is read in one piece, which is much quicker.
+                return packed.astype(np.float64)
+            values = np.empty((self.element.count, len(names)))
+            for k, name in enumerate(names):
+                values[:, k] = self.column(name, within)
+        return values
+
+    def write(self, within: Bytes, names: Sequence[str], values: Floats, where: Flags) -> None:
+        """Store ``values`` (count, k) where ``where`` (count, k), into this section's bytes."""
+        packed = self._packed(names, within)
+        if packed is not None:
+            np.copyto(packed, stored(values, packed.dtype), where=where)
+            return
+        for k, name in enumerate(names):
+            column = self.column(name, within)
+            np.copyto(column, stored(values[:, k], column.dtype), where=where[:, k])
+
+    def restore(self, within: Bytes, names: Sequence[str], where: Flags) -> None:
+        """Store the file's own bytes where ``where`` (count, k), into a copy of this section."""
+        packed, own = self._packed(names, within), self._packed(names, None)
+        if packed is not None and own is not None:
+            np.copyto(packed, own, where=where)
+            return
+        for k, name in enumerate(names):
+            np.copyto(self.column(name, within), self.column(name), where=where[:, k])
+
+    def parts(self) -> Iterator[tuple[Fixed, slice]]:
+        """Sections of a few records each that make up this one, and which records they have:
+        what is done with one after the other stays in the processor's cache."""
+        for low in range(0, self.element.count, _RECORDS):
+            high = min(low + _RECORDS, self.element.count)
+            start, stop = self.start + low * self.stride, self.start + high * self.stride
+            element = replace(self.element, count=high - low)
+            yield replace(self, element=element, start=start, stop=stop), slice(low, high)
+
+
+@dataclass(frozen=True)
+class Varied:
+    """Binary records of differing size; ``starts`` (count, c) and ``lengths`` (count, c) say where
+    the values of the properties in ``columns`` begin and how many there are."""
+
+    data: Bytes
+    element: Element
+    order: str
+    start: int
+    stop: int
+    columns: dict[str, int]
+    starts: Longs
+    lengths: Longs
+
+    def where(self, record: int) -> str:
+        """The record in words."""
+        return f"{self.element.name} {record}"
+
+    def _pieces(self, name: str) -> tuple[np.dtype[np.generic], Longs, Longs]:
+        """Type, first bytes (count,) and sizes in bytes (count,) of a property's values."""
+        one = self.element.properties[self.element.index(name)]
+        dtype = np.dtype(self.order + one.code)
+        k = self.columns[name]
+        return (
+            dtype,
+            np.ascontiguousarray(self.starts[:, k]),
+            self.lengths[:, k] * dtype.itemsize,
+        )
+
+    def items(self, name: str) -> tuple[NDArray[np.generic], Longs]:
+        """All values of a property, one record behind another, and each record's number."""
+        from msal_cli.kernels.ply_scan import gather
+
+        dtype, starts, sizes = self._pieces(name)
+        packed = np.empty(int(sizes.sum()), dtype=np.uint8)
+        gather(self.data, starts, sizes, packed)
+        return packed.view(dtype), np.ascontiguousarray(self.lengths[:, self.columns[name]])
+
+    def column(self, name: str) -> NDArray[np.generic]:
+        """The values of a scalar (count,) as the file stores them, copied."""
+        return self.items(name)[0]
+
+    def numbers(self, names: Sequence[str], within: Bytes | None = None) -> Floats:
+        """The scalars of ``names`` as (count, len(names)) float64."""
+        from msal_cli.kernels.ply_scan import gather
+
+        values = np.empty((self.element.count, len(names)))
+        for k, name in enumerate(names):
+            dtype, starts, sizes = self._pieces(name)
+            packed = np.empty(self.element.count * dtype.itemsize, dtype=np.uint8)
+            if within is None:
+                gather(self.data, starts, sizes, packed)
+            else:
+                gather(within, starts - self.start, sizes, packed)
+            with np.errstate(invalid="ignore"):
+                values[:, k] = packed.view(dtype)
+        return values
+
+    def write(self, within: Bytes, names: Sequence[str], values: Floats, where: Flags) -> None:
+        """Store ``values`` (count, k) where ``where`` (count, k), into this section's bytes."""
+        from msal_cli.kernels.ply_scan import scatter
+
+        for k, name in enumerate(names):
+            dtype, starts, sizes = self._pieces(name)
+            chosen = where[:, k]
+            packed = stored(values[chosen, k], dtype).view(np.uint8)
+            scatter(within, starts[chosen] - self.start, sizes[chosen], packed)
+
+    def restore(self, within: Bytes, names: Sequence[str], where: Flags) -> None:
+        """Store the file's own bytes where ``where`` (count, k), into a copy of this section."""
+        from msal_cli.kernels.ply_scan import gather, scatter
+
+        for k, name in enumerate(names):
+            _, starts, sizes = self._pieces(name)
+            starts, sizes = starts[where[:, k]], sizes[where[:, k]]
+            packed = np.empty(int(sizes.sum()), dtype=np.uint8)
+            gather(self.data, starts, sizes, packed)
+            scatter(within, starts - self.start, sizes, packed)
+
+
+Section = Fixed | Varied | Lines
+
+
+def stored(values: Floats, dtype: np.dtype[np.generic]) -> NDArray[np.generic]:
+    """``values`` as a file of that number type stores them: rounded to the nearest.
+
+    A half goes to the even neighbour.  A value beyond the type's range becomes infinite (float)
+    or is wrapped (integer); callers must have excluded it, or must compare afterwards.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        if dtype.kind == "f":
+            return values.astype(dtype)
+        return np.rint(values).astype(dtype)
+
+
+def located(
+    data: Bytes, header: Header, wanted: Wanted, last: str = ""
+) -> tuple[dict[str, Section], int]:
+    """The sections of all elements by name, and the byte behind the last one.
+
+    With ``last``, the search ends behind the element of that name.
+    Ascii records that do not stand one to a line are read as a stream of words, if that leaves
+    nothing over.  Raises TruncatedError and FormatError with the element, record and, in ascii,
+    line.
+    """
+    try:
+        return _in_turn(data, header, wanted, last)
+    except (FormatError, TruncatedError):
+        found = read_stream(data, header, wanted) if header.encoding == "ascii" else None
+        if found is None:
+            raise
+        return dict(found[0]), found[1]
+
+
+def _in_turn(
+    data: Bytes, header: Header, wanted: Wanted, last: str
+) -> tuple[dict[str, Section], int]:
+    """What ``located`` returns for binary records, and for ascii ones that have lines."""
+    sections: dict[str, Section] = {}
+    at = header.size
+    for element in header.elements:
+        names = wanted(element)
+        plain = (
+            plain_lines(data, header, element, at, names) if header.encoding == "ascii" else None
+        )
+        sections[element.name] = plain or section_at(data, header, element, at, names)
+        at = sections[element.name].stop
+        if element.name == last:
+            break
+    return sections, at
+
+
+def section_at(
+    data: Bytes, header: Header, element: Element, at: int, names: Sequence[str]
+) -> Section:
+    """The section of one element that begins at byte ``at``; its ascii records have lines.
+
+    ``names`` are the properties whose places are to be kept where that costs memory.
+    Errors as in ``located``.
+    """
+    if header.encoding == "ascii":
+        return find_lines(data, header, element, at, names)
+    return _records(data, header, element, at, names)
+
+
+def _smallest(one: Property) -> int:
+    """Bytes that a property takes at the least in a binary record."""
+    return np.dtype(one.count_code or one.code).itemsize
+
+
+def _records(
+    data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
+) -> Section:
+    places: dict[str, tuple[int, int]] = {}
+    counts: list[tuple[int, int, str]] = []
+    stride = 0
+    for one in element.properties:
+        length = 1
+        if one.is_list:
+            dtype = np.dtype(header.byte_order + one.count_code)
+            field = data[at + stride : at + stride + dtype.itemsize]
+            # Without a first record there is nothing to measure the others by.
+            length = int(field.view(dtype)[0]) if len(field) == dtype.itemsize else 0
+            if length < 0 or not element.count:
+                length = 0
+            counts.append((stride, length, header.byte_order + one.count_code))
+            stride += dtype.itemsize
+        places[one.name] = (stride, length)
+        stride += length * np.dtype(one.code).itemsize
+    size = element.count * stride
+    if size <= len(data) - at:
+        fixed = Fixed(data, element, header.byte_order, at, at + size, stride, places)
+        if not element.count or all(
+            (np.ndarray((element.count,), code, data, at + place, (stride,)) == length).all()
+            for place, length, code in counts
+        ):
+            return fixed
+    elif not counts:
+        missing = size - (len(data) - at)
+        raise TruncatedError(
+            f"the file ends within element '{element.name}': {missing} bytes are missing",
+            where=f"{element.name} {(len(data) - at) // stride}",
+            hint=CUT_HINT,
+        )
+    return _varied(data, header, element, at, wanted)
+
+
+def _varied(
+    data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
+) -> Section:
+    from msal_cli.kernels.ply_scan import BAD_COUNT, CUT, walk_binary
+
+    listed = element.properties
+    least = sum(_smallest(one) for one in listed)
+    # When the count cannot be met the walk only finds where, and nothing is allocated for it.
+    fits = element.count <= (len(data) - at) // least
+    names = [one.name for one in listed if one.name in wanted] if fits else []
+    columns = {name: k for k, name in enumerate(names)}
+    shape = (element.count if names else 0, len(names))
+    starts = np.empty(shape, dtype=np.int64)
+    lengths = np.empty(shape, dtype=np.int64)
+    records, stop, status, which, items, size = walk_binary(
+        data,
+        at,
+        min(element.count, len(data) + 1),
+        np.array([np.dtype(one.code).itemsize for one in listed]),
+        np.array([np.dtype(one.count_code).itemsize if one.is_list else 0 for one in listed]),
+        np.array([one.count_code.startswith("i") for one in listed]),
+        header.byte_order == ">",
+        np.array([columns.get(one.name, -1) for one in listed]),
+        starts,
+        lengths,
+    )
+    place = f"{element.name} {records}"
+    if status == BAD_COUNT:
+        raise FormatError(
+            f"the list '{listed[which].name}' of {place} has a negative count",
+            where=place,
+            hint="the file is damaged, or an element before this one is not what the header says",
+        )
+    if status == CUT:
+        missing = int(items) * int(size) - (len(data) - int(stop))
+        raise TruncatedError(
+            f"the file ends within element '{element.name}': {place} of {element.count} needs at "
+            f"least {missing} more bytes",
+            where=place,
+            hint=CUT_HINT,
+        )
+    return Varied(data, element, header.byte_order, at, stop, columns, starts, lengths)

@@ -1,0 +1,416 @@
+"""Ascii STL: numbers replaced in the file's own text.
+
+Keywords may be in any case and apart by any white space; a solid's name is the rest of its line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.codecs.slots import number_hint
+from msal_cli.codecs.stl_checks import check_countable, check_not_empty, not_finite
+from msal_cli.errors import FormatError, InputError, InternalError, TooLargeError, TruncatedError
+
+Floats = NDArray[np.float64]
+
+SHORTEST_FACET = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
+"""Bytes of text that a facet takes at least."""
+
+_USUAL_FACET = 200
+_AT_ONCE = 1 << 14
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_NORMAL_DECIMALS = 6
+_NOISE = 1e-9
+"""Decimals of tiny numbers with an exponent count only down to this part of the extent."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Scan:
+    """Facets of a text: see ``kernels.stl_scan`` for what the arrays are.
+
+    ``n_bare`` counts facets without a normal.
+    """
+
+    facet_at: NDArray[np.int64]
+    offsets: NDArray[np.int32]
+    decimals: NDArray[np.int64]
+    names: tuple[str, ...]
+    n_solids: int
+    end: int
+    n_bare: int
+
+
+def read(data: Buffer, name: str) -> StlTextFile:
+    """Read an ascii STL file.
+
+    Raises
+    ------
+    TruncatedError
+        if the text ends within a solid.
+    FormatError
+        for a wrong word, with its line.
+    ContentError
+        ``E_NO_FACES`` or ``E_NONFINITE``.
+    """
+    from msal_cli.kernels.corner_welding import indexed
+
+    found, numbers = _numbers(data)
+    vertices, faces, _ = indexed(numbers[:, 3:])
+    normals = np.ascontiguousarray(numbers[:, :3])
+    return StlTextFile(data, found, vertices, normals, faces, _warnings(data, found, normals))
+
+
+def _numbers(data: Buffer) -> tuple[_Scan, Floats]:
+    """All facets of a text and their numbers (m, 12), positions finite; raises as ``read``."""
+    found, numbers = _scanned(data)
+    check_not_empty(len(numbers))
+    check_countable(len(numbers))
+    doubtful = np.argwhere(~np.isfinite(numbers[:, 3:]))
+    view = memoryview(data).cast("B")
+    for facet, token in doubtful:
+        start = int(found.facet_at[facet] + found.offsets[facet, token + 3])
+        value = _slow_number(view, start)
+        if not np.isfinite(value):
+            raise not_finite(int(facet), int(token) // 3, _line(data, start))
+        numbers[facet, token + 3] = value
+    for facet, token in np.argwhere(np.isinf(numbers[:, :3])):
+        start = int(found.facet_at[facet] + found.offsets[facet, token])
+        numbers[facet, token] = _slow_number(view, start)
+    return found, numbers
+
+
+def _slow_number(view: memoryview, start: int) -> float:
+    token = bytes(view[start : start + 4096]).split(None, 1)[0]
+    try:
+        return float(token)
+    except ValueError:
+        return float("nan")
+
+
+def _warnings(data: Buffer, found: _Scan, normals: Floats) -> tuple[str, ...]:
+    trailing = len(memoryview(data).cast("B")) - found.end
+    n_bad = 0
+    # A sum is finite only if all are, and quicker; it may overflow, too.
+    with np.errstate(over="ignore", invalid="ignore"):
+        is_odd = not np.isfinite(normals.sum())
+    if is_odd:
+        n_bad = int((~np.isfinite(normals).all(axis=1)).sum()) - found.n_bare
+    warnings: list[str] = []
+    if found.n_bare:
+        warnings.append(
+            f"{_counted(found.n_bare, 'facet has', 'facets have')} no normal, and none is added"
+        )
+    if n_bad:
+        warnings.append(
+            f"{_counted(n_bad, 'facet has', 'facets have')} a normal that is not three finite "
+            "numbers: it is kept, not recomputed"
+        )
+    if trailing:
+        warnings.append(f"{trailing} bytes behind the last solid are kept as they are")
+    return tuple(warnings)
+
+
+def _counted(number: int, one: str, many: str) -> str:
+    return f"{number} {one if number == 1 else many}"
+
+
+def _scanned(data: Buffer) -> tuple[_Scan, Floats]:
+    """All facets of a text and their numbers (m, 12), infinite where they are in doubt.
+
+    The arrays grow with what is found, never with what is claimed.
+    """
+    from msal_cli.kernels import stl_scan
+    from msal_cli.kernels.text import as_bytes
+
+    buf = as_bytes(data)
+    # Some editors end a text with a NUL or with the end-of-file mark of old systems.
+    end = len(bytes(buf[-4096:]).rstrip(b"\0\x1a")) - min(len(buf), 4096) + len(buf)
+    buf = buf[:end]
+    state = np.zeros(stl_scan.N_STATE, dtype=np.int64)
+    if bytes(buf[:3]) == _BYTE_ORDER_MARK:
+        state[stl_scan.AT] = len(_BYTE_ORDER_MARK)
+    room = min(len(buf) // _USUAL_FACET, len(buf) // SHORTEST_FACET) + 1
+    facet_at = np.empty(room, dtype=np.int64)
+    offsets = np.empty((room, 12), dtype=np.int32)
+    numbers = np.empty((room, 12))
+    solid_at = np.zeros(stl_scan.MOST_SOLIDS, dtype=np.int64)
+    decimals = np.zeros(4, dtype=np.int64)
+    while True:
+        status, at, word = stl_scan.scan(buf, state, facet_at, offsets, numbers, solid_at, decimals)
+        n = int(state[stl_scan.FACETS])
+        if status != stl_scan.FULL:
+            break
+        room = min(len(buf) // SHORTEST_FACET + 1, n + n // 2 + 16)
+        for array in (facet_at, offsets, numbers):
+            array.resize((room, *array.shape[1:]), refcheck=False)
+    if status != stl_scan.WHOLE:
+        raise _error(buf, status, int(at), int(word), n)
+    for array in (facet_at, offsets, numbers):
+        array.resize((n, *array.shape[1:]), refcheck=False)
+    names = tuple(
+        bytes(buf[at : at + 256]).splitlines()[0].decode("utf-8", "replace").strip()
+        if at < len(buf)
+        else ""
+        for at in (int(one) for one in solid_at[: state[stl_scan.SOLIDS]])
+    )
+    n_solids, n_bare = int(state[stl_scan.SOLIDS]), int(state[stl_scan.WITHOUT_NORMAL])
+    return _Scan(facet_at, offsets, decimals, names, n_solids, end, n_bare), numbers
+
+
+def _error(buf: NDArray[np.uint8], status: int, at: int, word: int, facet: int) -> InputError:
+    """The error for a text that ``stl_scan.scan`` does not accept."""
+    from msal_cli.kernels import stl_scan
+
+    token = (bytes(buf[at : at + 60]).split(None, 1) or [b""])[0]
+    touches_end = at + len(token) == len(buf)
+    where = f"facet {facet}, line {_line(buf, at)}"
+    wanted = stl_scan.WORDS[word]
+    others = {stl_scan.FACET: ("endsolid",), stl_scan.NORMAL: ("outer",)}
+    known = (wanted, *others.get(word, ()))
+    cut = status == stl_scan.CUT or (
+        touches_end
+        and (
+            status == stl_scan.BAD_NUMBER
+            or (
+                status == stl_scan.WRONG
+                and any(w.encode().startswith(token.lower()) for w in known)
+            )
+        )
+    )
+    if cut:
+        return TruncatedError(
+            f"the text ends within a solid, after {facet} whole facets",
+            where=where,
+            hint="the file was cut short; copy or export it again",
+        )
+    text = token.decode("ascii", "backslashreplace")
+    if status == stl_scan.OUTSIDE:
+        return FormatError(
+            f"expected 'solid', found {text!r}",
+            where=where,
+            hint="ascii STL is a list of solids; is this another format?",
+        )
+    if status == stl_scan.BAD_NUMBER:
+        return FormatError(
+            f"{text!r} is not a number",
+            where=where,
+            hint=number_hint(token),
+        )
+    if status == stl_scan.TOO_LONG:
+        return TooLargeError("a single facet takes more than 2 GiB of text", where=where)
+    hint = "the file is damaged; export it again"
+    if word == stl_scan.ENDLOOP and token.lower() == b"vertex":
+        hint = "a facet of STL has three corners; triangulate the mesh first"
+    return FormatError(f"expected '{wanted}', found {text!r}", where=where, hint=hint)
+
+
+def _line(buf: Buffer | NDArray[np.uint8], at: int) -> int:
+    """The line, counted from one, that byte ``at`` stands in."""
+    before = np.frombuffer(buf, dtype=np.uint8)[:at]
+    feeds = int(np.count_nonzero(before == 10))
+    return 1 + (feeds or int(np.count_nonzero(before == 13)))
+
+
+@dataclass(eq=False)
+class StlTextFile:
+    """An ascii STL file; see ``codecs.mesh_file.MeshFile``.
+
+    ``vertices`` are the different positions of corners, in order of appearance.
+    """
+
+    data: Buffer = field(repr=False)
+    found: _Scan = field(repr=False)
+    vertices: Floats
+    normals: Floats
+    faces: NDArray[np.int32]
+    warnings: tuple[str, ...]
+    format: str = "stl"
+    encoding: str = "ascii"
+    precision: str = "text"
+    references: tuple[str, ...] = ()
+    n_polygons: int = field(init=False)
+    merged_vertices: int = field(init=False)
+    properties: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.n_polygons = len(self.faces)
+        self.merged_vertices = self.faces.size - len(self.vertices)
+        named = tuple(f"solid {name!r}" for name in self.solids if name)
+        several = (f"{self.found.n_solids} solids",) if self.found.n_solids > 1 else ()
+        is_bare = self.found.n_bare == len(self.faces)
+        self.properties = (*(("facet normals",) * (not is_bare)), *several, *named)
+
+    @property
+    def solids(self) -> tuple[str, ...]:
+        """Names of the first solids."""
+        return self.found.names
+
+    def polygons(self) -> NDArray[np.int32]:
+        """The facets as an (m, 3) array."""
+        return self.faces
+
+    def _decimals(self) -> tuple[int, int]:
+        """Digits behind the point for normals and for corners: never fewer than the file has.
+
+        Tokens with an exponent can have any number (``1.5e-17``); theirs count as far as they
+        mean something beside the size of the mesh.
+        """
+        from msal_cli.kernels.digits import MOST_DECIMALS
+
+        plain_normal, plain, exponent_normal, exponent = (int(d) for d in self.found.decimals)
+        span = self.vertices.max(axis=0) - self.vertices.min(axis=0)
+        extent = max(float(np.sqrt((span * span).sum())), 1e-300)
+        needed = int(np.ceil(-np.log10(extent * 1e-7)))
+        meant = int(np.ceil(-np.log10(extent * _NOISE)))
+        normal = max(plain_normal, min(exponent_normal, 9), _NORMAL_DECIMALS)
+        corner = max(plain, min(exponent, meant), needed, 0)
+        return min(normal, MOST_DECIMALS), min(corner, MOST_DECIMALS)
+
+    def _changes(self, vertices: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+        """The new numbers (m, 12) and which of them are to be written."""
+        from msal_cli.kernels.facet_normals import renewed_facet_normals
+
+        m = len(self.faces)
+        numbers, replace = np.empty((m, 12)), np.empty((m, 12), dtype=bool)
+        numbers[:, :3], changed = renewed_facet_normals(
+            self.vertices, vertices, self.faces, self.normals
+        )
+        numbers[:, 3:] = vertices[self.faces].reshape(m, 9)
+        replace[:, :3] = changed[:, None]
+        replace[:, 3:] = (vertices != self.vertices)[self.faces].reshape(m, 9)
+        return numbers, replace
+
+    def forget_vertices(self) -> None:
+        """Do nothing: to read them again takes long."""
+
+    def replaced(self, vertices: Floats) -> Buffer:
+        """The file with other vertices (n, 3) and the normals of moved facets recomputed."""
+        if not (vertices != self.vertices).any():
+            return self.data
+        from msal_cli.kernels import stl_scan, text
+        from msal_cli.kernels.digits import FIXED_BELOW
+
+        numbers, replace = self._changes(vertices)
+        buf = text.as_bytes(self.data)
+        decimals = np.array(self._decimals(), dtype=np.int64)
+        found = self.found
+        parts = (slice(at, at + _AT_ONCE) for at in range(0, len(numbers), _AT_ONCE))
+        largest = max(
+            float(np.abs(numbers[part]).max(where=replace[part], initial=0.0)) for part in parts
+        )
+        if largest >= FIXED_BELOW:
+            starts = (found.facet_at[:, None] + found.offsets)[replace]
+            return self._replaced_slowly(starts, numbers[replace])
+        width = text.fixed_width(largest, int(decimals.max()))
+        out = np.empty(len(buf) + int(np.count_nonzero(replace)) * width, dtype=np.uint8)
+        length = stl_scan.patched(
+            buf, found.facet_at, found.offsets, replace, numbers, decimals, out
+        )
+        return out[:length].data
+
+    def _replaced_slowly(self, starts: NDArray[np.int64], numbers: Floats) -> bytes:
+        """The text with tokens replaced by the shortest text of numbers of any size."""
+        view = memoryview(self.data).cast("B")
+        pieces: list[bytes | memoryview] = []
+        copied = 0
+        for start, number in zip(starts.tolist(), numbers.tolist(), strict=True):
+            pieces += [view[copied:start], repr(number).encode()]
+            copied = start + len(bytes(view[start : start + 4096]).split(None, 1)[0])
+        return b"".join([*pieces, view[copied:]])
+
+    def check(self, output: Buffer, vertices: Floats) -> None:
+        """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
+        from msal_cli.kernels import stl_scan
+        from msal_cli.kernels.text import as_bytes
+
+        try:
+            other, there = _numbers(output)
+        except InputError as failure:
+            raise InternalError(
+                f"the STL text that was made cannot be read: {failure}", where=failure.where
+            ) from failure
+        if len(there) != len(self.faces):
+            raise InternalError("the number of facets changed")
+        _, replace = self._changes(vertices)
+        found = self.found
+        if not stl_scan.same_but_for(
+            as_bytes(self.data),
+            found.facet_at,
+            found.offsets,
+            as_bytes(output),
+            other.facet_at,
+            other.offsets,
+            replace,
+        ):
+            raise InternalError("text other than that of moved corners changed")
+        step = 10.0 ** -self._decimals()[1]
+        for first in range(0, len(there), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            corners = vertices[self.faces[part]].reshape(-1, 9)
+            self._check_part(there[part], corners, replace[part, 0], step, first)
+
+    def _check_part(
+        self, there: Floats, corners: Floats, is_new: NDArray[np.bool_], step: float, first: int
+    ) -> None:
+        """Compare numbers (k, 12) that were read again, from facet ``first`` on, with corners
+        (k, 9) within half a ``step``; normals where they ``is_new`` must have unit length."""
+        wrong = np.abs(there[:, 3:] - corners) > 0.5 * step + 4e-16 * np.abs(corners)
+        if wrong.any():
+            facet, at = (int(one) for one in np.argwhere(wrong)[0])
+            raise InternalError(
+                "a corner was not written right", where=f"facet {first + facet}, corner {at // 3}"
+            )
+        with np.errstate(over="ignore"):
+            length = np.linalg.norm(there[:, :3], axis=1)
+        wrong_normals = is_new & ~(np.abs(length - 1.0) < 1e-5)
+        if wrong_normals.any():
+            raise InternalError(
+                "a normal was not written right", where=f"facet {first + wrong_normals.argmax()}"
+            )
+
+    def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
+        """The file with ``vertices`` (n, 3) as ``encoding`` (same, ascii, binary).
+
+        Raises
+        ------
+        UnsupportedError
+            for a binary file of float64, which STL does not have.
+        """
+        from msal_cli.codecs import stl
+
+        if encoding in ("same", "ascii"):
+            if precision == "float32":
+                vertices = stl.as_float32(vertices).astype(np.float64)
+            return self.replaced(vertices)
+        stl.refuse_float64(precision)
+        numbers, _ = self._changes(vertices)
+        return stl.written(numbers[:, 3:], numbers[:, :3], self.solids[0])
+
+
+def written(corners: Floats, normals: Floats, name: str, *, single: bool) -> Buffer:
+    """An ascii STL file of corners (m, 9) and normals (m, 3), in the shortest exact digits.
+
+    ``single`` writes what float32 holds.
+    """
+    from msal_cli.kernels import stl_scan, text
+
+    numbers = np.concatenate([np.where(np.isfinite(normals), normals, 0.0), corners], axis=1)
+    numbers[:, :3] = numbers[:, :3].astype(np.float32)
+    digits, stops = text.printed_shortest(numbers.reshape(-1), single)
+    space = " "
+    corner = ["\n      vertex ", space, space]
+    pieces = ["  facet normal ", space, space, "\n    outer loop" + corner[0], space, space]
+    pieces += corner * 2 + ["\n    endloop\n  endfacet\n"]
+    fixed = np.frombuffer("".join(pieces).encode(), dtype=np.uint8)
+    fixed_stops = np.cumsum([len(piece) for piece in pieces], dtype=np.int64)
+    out = np.empty(len(digits) + len(corners) * len(fixed), dtype=np.uint8)
+    length = stl_scan.facets_as_text(
+        text.as_bytes(fixed), fixed_stops, text.as_bytes(digits), stops, out
+    )
+    line = " ".join(name.split())
+    head, tail = (f"{word} {line}".rstrip().encode() + b"\n" for word in ("solid", "endsolid"))
+    return b"".join([head, out[:length].data, tail])

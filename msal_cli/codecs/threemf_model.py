@@ -1,0 +1,428 @@
+"""One model part of a 3MF package: XML taken apart so that positions can be replaced in its text.
+
+The XML comes from strangers.  Expat reads it, which knows no files and no network; a document
+type, and with it every entity, is refused.  The long lists of vertices and triangles, where they
+have the plain form that nearly all programs write, are left out of what Expat gets, because they
+would take most of the time: a pattern holds them to that form, and Expat sees the elements around.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from array import array
+from bisect import bisect_right
+from dataclasses import dataclass, field
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.codecs.threemf_fast import plain_lists, quoted
+from msal_cli.errors import ContentError, FormatError, TooLargeError, UnsupportedError
+
+Floats = NDArray[np.float64]
+Offsets = NDArray[np.int64]
+
+_MICROSOFT = "http://schemas.microsoft.com/3dmanufacturing/"
+_CORES = (_MICROSOFT + "core/2015/02", _MICROSOFT + "2013/01")
+_PRODUCTION = _MICROSOFT + "production/2015/06"
+_UNDERSTOOD = (
+    *_CORES,
+    _PRODUCTION,
+    _MICROSOFT + "material/2015/02",
+    _MICROSOFT + "trianglesets/2021/07",
+)
+"""Extensions that a file may require, since none of them changes what a mesh is."""
+
+_STALE = {
+    _MICROSOFT + "beamlattice/2017/02": "a beam lattice",
+    _MICROSOFT + "slice/2015/07": "slices",
+}
+"""Extensions that describe the same surface a second time, so that it must not move alone."""
+
+_PAINT = "triangle attributes"
+"""Attributes of triangles beside their corners: colours, materials, what a slicer has painted."""
+
+_DEEPEST = 100
+MOST_USES = 100_000
+"""Components and items of a part; large assemblies have some thousands."""
+
+UNITS = ("micron", "millimeter", "centimeter", "inch", "foot", "meter")
+
+_DAMAGED = "the file is damaged; export it again"
+_ATTRIBUTE = re.compile(rb"\s+([^\s=<>\"'/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
+_TAG_NAME = re.compile(rb"<[^\s<>/]+")
+_DECIMAL = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
+_NO_NUMBER = re.compile(r"[-+]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
+_IDENTITY = np.eye(4)
+_CORNERS = ("v1", "v2", "v3")
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A mesh of a model part, in its own frame.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64, in the unit of the file.
+    starts, stops : (n, 3), first byte of each number in the part's text, and the byte behind it.
+    faces : (m, 3) int64, indices into ``vertices``.
+    """
+
+    vertices: Floats
+    starts: Offsets
+    stops: Offsets
+    faces: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Use:
+    """A component, or an item of the build: an object of a part, and where it is put.
+
+    ``path`` is empty for an object of the same part.  ``frame`` (4, 4) takes columns.  ``at`` is
+    where it stands in the text.
+    """
+
+    object_id: int
+    path: str
+    frame: Floats = field(repr=False)
+    at: int
+
+
+@dataclass(eq=False)
+class Model:
+    """A model part.
+
+    Attributes
+    ----------
+    text : its bytes.
+    unit : the word for it.
+    ids : the numbers of its objects.
+    surfaces : the meshes by their objects' numbers, in the order of the file.
+    components : what an object is put together from.
+    items : what is to be built.
+    words : what else is carried along, for reports.
+    stale : what would no longer fit the surface once it moved.
+    """
+
+    text: bytes = field(repr=False)
+    unit: str = "millimeter"
+    ids: set[int] = field(default_factory=set)
+    surfaces: dict[int, Surface] = field(default_factory=dict)
+    components: dict[int, list[Use]] = field(default_factory=dict)
+    items: list[Use] = field(default_factory=list)
+    words: dict[str, None] = field(default_factory=dict)
+    stale: dict[str, None] = field(default_factory=dict)
+
+
+def parsed(text: bytes, name: str) -> Model:
+    """Take a model part apart; ``name`` is for messages.
+
+    Raises
+    ------
+    FormatError, TruncatedError, UnsupportedError
+    ContentError
+        with code ``E_INDEX`` or ``E_NONFINITE``.
+    """
+    return _Reader(text, name).model
+
+
+def place_of(text: bytes, name: str, at: int) -> str:
+    """A byte of a part in words."""
+    line = text.count(b"\n", 0, at) + 1
+    return f"{name}, line {line}"
+
+
+def start_parser(text: bytes, name: str) -> expat.XMLParserType:
+    """An Expat parser for XML in UTF-8 that refuses every document type."""
+    if text[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in text[:4]:
+        raise UnsupportedError(
+            "XML in UTF-16 is not read", where=name, hint="save the file with another program"
+        )
+    parser = expat.ParserCreate(namespace_separator=" ")
+
+    def declare(version: str, encoding: str | None, standalone: int) -> None:
+        if encoding is not None and encoding.lower() not in ("utf-8", "utf8", "us-ascii", "ascii"):
+            raise UnsupportedError(
+                f"XML in {encoding[:40]} is not read",
+                where=name,
+                hint="save the file with another program",
+            )
+
+    def refuse(*_: object) -> None:
+        raise FormatError(
+            "the XML has a document type, which 3MF forbids", where=name, hint=_DAMAGED
+        )
+
+    parser.XmlDeclHandler = declare
+    parser.StartDoctypeDeclHandler = refuse
+    return parser
+
+
+class _Reader:
+    """Follows Expat through a part."""
+
+    def __init__(self, text: bytes, name: str) -> None:
+        self.model = Model(text)
+        self._text = text
+        self._name = name
+        self._fed: list[int] = []
+        """Bytes that Expat had got when a list was left out, and all bytes left out until then."""
+        self._left_out: list[int] = [0]
+        self._lists = dict(plain_lists(text))
+        self._prefixes: dict[str, str] = {}
+        self._path: list[str] = []
+        self._object = -1
+        self._n_uses = 0
+        self._vertices: tuple[Floats, Offsets, Offsets] | None = None
+        self._faces: NDArray[np.int64] | None = None
+        # What is gathered element by element, where the lists are not plain.
+        self._values, self._starts, self._stops = array("d"), array("q"), array("q")
+        self._corners = array("q")
+        self._parse()
+
+    def _parse(self) -> None:
+        self._parser = parser = start_parser(self._text, self._name)
+        parser.ordered_attributes = True
+        parser.StartElementHandler = self._start
+        parser.EndElementHandler = self._end
+        parser.StartNamespaceDeclHandler = self._note_prefix
+        view = memoryview(self._text)
+        done = fed = 0
+        try:
+            for begin, stop in self._lists.values():
+                parser.Parse(view[done:begin], False)
+                fed += begin - done
+                self._fed.append(fed)
+                self._left_out.append(self._left_out[-1] + stop - begin)
+                done = stop
+            parser.Parse(view[done:], True)
+        except expat.ExpatError as failure:
+            at = self._place(parser.ErrorByteIndex)
+            raise FormatError(
+                f"the XML is damaged: {expat.ErrorString(failure.code)}",
+                where=self._where(at),
+                hint="the file was cut short or is damaged; export it again",
+            ) from None
+
+    def _place(self, index: int) -> int:
+        """The byte of the text for a byte of what Expat got."""
+        return index + self._left_out[bisect_right(self._fed, index)]
+
+    def _here(self) -> int:
+        return self._place(self._parser.CurrentByteIndex)
+
+    def _where(self, at: int | None = None) -> str:
+        return place_of(self._text, self._name, self._here() if at is None else at)
+
+    def _note_prefix(self, prefix: str | None, uri: str | None) -> None:
+        self._prefixes[prefix or ""] = uri or ""
+
+    def _start(self, name: str, attributes: list[str]) -> None:
+        space, _, word = name.rpartition(" ")
+        is_core = space in _CORES
+        above = self._path[-1] if self._path else ""
+        self._path.append(word if is_core else name)
+        if len(self._path) > _DEEPEST:
+            raise TooLargeError(
+                f"elements lie in one another more than {_DEEPEST} deep",
+                where=self._where(),
+                hint=_DAMAGED,
+            )
+        if not above:
+            if word != "model" or not is_core:
+                raise FormatError(
+                    f"the root element is {word[:40]!r}, not a model of 3MF",
+                    where=self._where(),
+                    hint=_DAMAGED,
+                )
+            self._open_model(_pairs(attributes))
+        elif space in _STALE:
+            self.model.stale[_STALE[space]] = None
+        elif not is_core:
+            if space == _MICROSOFT + "material/2015/02":
+                self.model.words["materials"] = None
+        elif above == "vertices" and word == "vertex":
+            self._add_vertex(_pairs(attributes))
+        elif above == "triangles" and word == "triangle":
+            self._add_triangle(_pairs(attributes))
+        elif word in ("vertices", "triangles") and above == "mesh":
+            self._open_list(word)
+        elif word == "mesh" and above == "object":
+            if self._object in self.model.surfaces:
+                raise self._damaged("the object has two meshes")
+            self._vertices = self._faces = None
+        elif word == "object":
+            self._open_object(_pairs(attributes))
+        elif word in ("component", "item"):
+            use = self._use(_pairs(attributes))
+            self._n_uses += 1
+            if self._n_uses > MOST_USES:
+                raise TooLargeError(
+                    f"there are more than {MOST_USES:,} components and items",
+                    where=self._where(),
+                    hint="export the mesh alone",
+                )
+            if word == "item":
+                self.model.items.append(use)
+            else:
+                self.model.components.setdefault(self._object, []).append(use)
+        elif word in ("basematerials", "metadata"):
+            self.model.words["materials" if word == "basematerials" else word] = None
+
+    def _end(self, name: str) -> None:
+        word = self._path.pop()
+        if word == "vertices" and self._vertices is None:
+            shape = (-1, 3)
+            self._vertices = (
+                np.array(self._values, dtype=np.float64).reshape(shape),
+                np.array(self._starts, dtype=np.int64).reshape(shape),
+                np.array(self._stops, dtype=np.int64).reshape(shape),
+            )
+            self._values, self._starts, self._stops = array("d"), array("q"), array("q")
+        elif word == "triangles" and self._faces is None:
+            self._faces = np.array(self._corners, dtype=np.int64).reshape(-1, 3)
+            self._corners = array("q")
+        elif word == "mesh" and self._path[-1] == "object":
+            self._close_mesh()
+
+    def _damaged(self, message: str) -> FormatError:
+        return FormatError(message, where=self._where(), hint=_DAMAGED)
+
+    def _open_model(self, attributes: dict[str, str]) -> None:
+        self.model.unit = attributes.get("unit", "millimeter")
+        if self.model.unit not in UNITS:
+            raise self._damaged(f"the unit {self.model.unit[:40]!r} is not one of 3MF")
+        for prefix in attributes.get("requiredextensions", "").split():
+            uri = self._prefixes.get(prefix, "")
+            if uri not in _UNDERSTOOD:
+                raise UnsupportedError(
+                    f"the file requires the extension {uri or prefix!r}, which is not understood",
+                    where=self._where(),
+                    hint="export it as a plain mesh, without this extension",
+                )
+
+    def _open_object(self, attributes: dict[str, str]) -> None:
+        self._object = self._whole(attributes, "id")
+        if self._object in self.model.ids:
+            raise self._damaged(f"two objects have the number {self._object}")
+        self.model.ids.add(self._object)
+        for key in attributes:
+            if key.rpartition(" ")[0] in _STALE:
+                self.model.stale[_STALE[key.rpartition(" ")[0]]] = None
+
+    def _open_list(self, word: str) -> None:
+        if (self._vertices if word == "vertices" else self._faces) is not None:
+            raise self._damaged(f"the mesh has two lists of {word}")
+        start = self._here()
+        if start not in self._lists:
+            return
+        begin, stop = self._lists[start]
+        region = np.frombuffer(self._text, dtype=np.uint8)[begin:stop]
+        starts, stops = quoted(region, begin)
+        if word == "vertices":
+            self._vertices = self._numbers(starts, stops), starts, stops
+            finite = np.isfinite(self._vertices[0]).all(axis=1)
+            if not finite.all():
+                raise self._not_finite(int(np.argmin(finite)))
+        else:
+            if np.count_nonzero(region == ord('"')) > 2 * starts.size:
+                self.model.words[_PAINT] = None
+            # As float64, so that no index wraps round, however many digits it has.
+            corners = self._numbers(starts, stops)
+            self._faces = np.minimum(corners, 2.0**53).astype(np.int64)
+
+    def _numbers(self, starts: Offsets, stops: Offsets) -> Floats:
+        """The numbers (k, 3) at these bytes of the text."""
+        from msal_cli.kernels import text
+
+        buffer = text.as_bytes(self._text)
+        values, bad = text.numbers_at(buffer, starts.reshape(-1), stops.reshape(-1))
+        if bad >= 0:
+            at = int(starts.reshape(-1)[bad])
+            word = self._text[at : int(stops.reshape(-1)[bad])]
+            raise FormatError(
+                f"{word[:40].decode('ascii', 'replace')!r} is not a number",
+                where=self._where(at),
+                hint=_DAMAGED,
+            )
+        return values.reshape(-1, 3)
+
+    def _not_finite(self, row: int) -> ContentError:
+        return ContentError(
+            "a position is not finite",
+            code="E_NONFINITE",
+            where=f"{self._where()}, object {self._object}, vertex {row}",
+            hint="remove the vertex, or export the mesh again",
+        )
+
+    def _add_vertex(self, attributes: dict[str, str]) -> None:
+        at = self._here()
+        spans = self._spans(at)
+        for word in "xyz":
+            value = attributes.get(word, "").strip()
+            if not _DECIMAL.fullmatch(value):
+                if _NO_NUMBER.fullmatch(value):
+                    raise self._not_finite(len(self._starts) // 3)
+                raise self._damaged(f"{word} of a vertex is {value[:40]!r}, not a number")
+            number = float(value)
+            if math.isinf(number):
+                raise self._not_finite(len(self._starts) // 3)
+            self._values.append(number)
+            start, stop = spans[word]
+            self._starts.append(start)
+            self._stops.append(stop)
+
+    def _spans(self, at: int) -> dict[str, tuple[int, int]]:
+        """Where the values of a tag's attributes lie in the text."""
+        found = {}
+        begin = _TAG_NAME.match(self._text, at)
+        here = begin.end() if begin else at
+        while match := _ATTRIBUTE.match(self._text, here):
+            raw = match[2] if match[2] is not None else match[3]
+            start = match.end() - 1 - len(raw.lstrip())
+            found[match[1].decode("utf-8", "replace")] = start, start + len(raw.strip())
+            here = match.end()
+        return found
+
+    def _add_triangle(self, attributes: dict[str, str]) -> None:
+        self._corners.extend(self._whole(attributes, word) for word in _CORNERS)
+        if len(attributes) > len(_CORNERS):
+            self.model.words[_PAINT] = None
+
+    def _whole(self, attributes: dict[str, str], word: str) -> int:
+        value = attributes.get(word, "").strip()
+        if not re.fullmatch(r"\+?[0-9]+", value):
+            raise self._damaged(f"{word} is {value[:40]!r}, not a whole number")
+        return min(int(value[:25]), 1 << 53)
+
+    def _use(self, attributes: dict[str, str]) -> Use:
+        frame = _IDENTITY
+        if "transform" in attributes:
+            words = attributes["transform"].split()
+            if len(words) != 12 or not all(map(_DECIMAL.fullmatch, words)):
+                raise self._damaged("a transform has not twelve numbers")
+            frame = np.eye(4)
+            frame[:3] = np.array([float(word) for word in words]).reshape(4, 3).T
+        path = attributes.get(f"{_PRODUCTION} path", "")
+        return Use(self._whole(attributes, "objectid"), path, frame, self._here())
+
+    def _close_mesh(self) -> None:
+        if self._vertices is None or self._faces is None:
+            return
+        vertices, starts, stops = self._vertices
+        wrong = self._faces.max(axis=1, initial=0) >= len(vertices)
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise ContentError(
+                f"a triangle names vertex {int(self._faces[row].max())} of {len(vertices)}",
+                code="E_INDEX",
+                where=f"{self._where()}, object {self._object}, triangle {row}",
+                hint=_DAMAGED,
+            )
+        self.model.surfaces[self._object] = Surface(vertices, starts, stops, self._faces)
+
+
+def _pairs(attributes: list[str]) -> dict[str, str]:
+    return dict(zip(attributes[::2], attributes[1::2], strict=True))

@@ -1,0 +1,208 @@
+"""The words of a text file of numbers: where each begins and ends, and on which line it stands."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.codecs.slots import EXPORT_AGAIN, line_of, parse_floats
+from msal_cli.errors import ContentError, FormatError, TooLargeError, TruncatedError
+
+Bytes = NDArray[np.uint8]
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Longs = NDArray[np.int64]
+
+_MOST_KEYWORDS = 1_000_000
+_BLOCK = 1 << 22
+"""Bytes looked at in one step, so that the temporaries stay small."""
+
+
+class Words:
+    """The words of ``data[start:stop]``, comments left out.
+
+    Attributes
+    ----------
+    data : (size,) uint8, the whole file.
+    starts, stops : (q,) int64, offsets into the file.
+    lines : (q,) int64, ascending, equal for words of one line.
+    """
+
+    def __init__(
+        self,
+        data: Buffer | Bytes,
+        start: int = 0,
+        stop: int | None = None,
+        *,
+        comment: bytes = b"",
+        blanks: bytes = b"",
+    ) -> None:
+        from msal_cli.kernels.text import as_bytes
+
+        self.data = as_bytes(data)
+        stop = len(self.data) if stop is None else stop
+        table = np.zeros(256, dtype=bool)
+        table[list(b" \t\r\n\v\f" + blanks)] = True
+        pieces = list(_pieces(self.data, start, stop, table, comment))
+        self.starts: Longs = np.concatenate([piece[0] for piece in pieces] or [_NONE])
+        self.stops: Longs = np.concatenate([piece[1] for piece in pieces] or [_NONE])
+        ends: Longs = np.concatenate([piece[2] for piece in pieces] or [_NONE])
+        self.lines: Longs = np.searchsorted(ends, self.starts)
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    def word(self, i: int) -> bytes:
+        """The bytes of a word."""
+        return self.data[int(self.starts[i]) : int(self.stops[i])].tobytes()
+
+    def where(self, i: int) -> str:
+        """The line of a word, or of the end for one behind the last."""
+        at = int(self.starts[i]) if i < len(self) else len(self.data)
+        return line_of(self.data, at)
+
+    def require(self, stop: int, what: str) -> None:
+        """Raise TruncatedError unless there are ``stop`` words."""
+        if stop > len(self):
+            raise TruncatedError(
+                f"the file ends before all {what} are there",
+                where=self.where(len(self)),
+                hint="the file was cut short; copy or export it again",
+            )
+
+    def count(self, i: int, what: str) -> int:
+        """The word as a number of things, at least 0."""
+        self.require(i + 1, what)
+        word = self.word(i)
+        if not word.isdigit() or len(word) > 18:
+            shown = word[:40].decode("ascii", "backslashreplace")
+            raise FormatError(
+                f"{shown!r} is not the number of {what}", where=self.where(i), hint=EXPORT_AGAIN
+            )
+        return int(word)
+
+    def floats(self) -> Floats:
+        """The values (q,) of all words."""
+        return parse_floats(self.data, self.starts, self.stops)
+
+    def integers(self, chosen: slice | Longs) -> Longs:
+        """Whole numbers; FormatError for a word that is none."""
+        starts = self.starts[chosen]
+        values = parse_floats(self.data, starts, self.stops[chosen])
+        wrong = ~(np.abs(values) < 2.0**53) | (values != np.rint(values))
+        if wrong.any():
+            at = int(starts[int(np.argmax(wrong))])
+            raise FormatError(
+                "a whole number is expected", where=line_of(self.data, at), hint=EXPORT_AGAIN
+            )
+        return values.astype(np.int64)
+
+    def first_of_lines(self) -> Longs:
+        """The first word of each line that has one."""
+        first = np.ones(len(self), dtype=bool)
+        first[1:] = self.lines[1:] != self.lines[:-1]
+        return np.flatnonzero(first)
+
+    def keywords(self) -> list[int]:
+        """The words that begin with a letter, ``nan`` and ``inf`` being numbers.
+
+        Raises TooLargeError for more than any mesh has.
+        """
+        if not len(self):
+            return []
+        small = self.data[self.starts] | 32
+        flags: Flags = (small >= 97) & (small <= 122)
+        for i in np.flatnonzero(flags & ((small == ord("n")) | (small == ord("i")))).tolist():
+            flags[i] = self.word(i).lower() not in (b"nan", b"inf", b"infinity")
+        if np.count_nonzero(flags) > _MOST_KEYWORDS:
+            raise TooLargeError(
+                f"the file has more than {_MOST_KEYWORDS:,} words that are no numbers",
+                hint="check that it is what its name says",
+            )
+        return np.flatnonzero(flags).tolist()
+
+
+_NONE = np.zeros(0, dtype=np.int64)
+
+
+def _pieces(
+    data: Bytes, start: int, stop: int, table: Flags, comment: bytes
+) -> Iterator[tuple[Longs, Longs, Longs]]:
+    """Starts and stops of words and ends of lines, a block at a time.
+
+    A block ends with a line where it can, so that a word cut in two is a very long line's alone.
+    """
+    while start < stop:
+        end = min(stop, start + _BLOCK)
+        if end < stop:
+            breaks = np.flatnonzero(_is_break(data[start:end]))
+            while not len(breaks) and end < stop:
+                start_of_more, end = end, min(stop, end + _BLOCK)
+                breaks = np.flatnonzero(_is_break(data[start_of_more:end])) + start_of_more - start
+            if len(breaks) and end < stop:
+                end = start + int(breaks[-1]) + 1
+        part = data[start:end]
+        is_blank = table[part]
+        is_end = _is_break(part)
+        if comment:
+            is_blank |= _is_comment(part, is_end, comment)
+        edges = np.diff(is_blank.view(np.int8), prepend=np.int8(1), append=np.int8(1))
+        yield (
+            np.flatnonzero(edges == -1) + start,
+            np.flatnonzero(edges == 1) + start,
+            np.flatnonzero(is_end) + start,
+        )
+        start = end
+
+
+def _is_break(part: Bytes) -> Flags:
+    is_break: Flags = (part == 10) | (part == 13)
+    return is_break
+
+
+def _is_comment(part: Bytes, is_end: Flags, comment: bytes) -> Flags:
+    """Which bytes stand between a comment's first letter and the end of its line."""
+    is_first: Flags = part == comment[0]
+    if not is_first.any():
+        return is_first
+    place = np.arange(len(part))
+    last_end = np.maximum.accumulate(np.where(is_end, place, -1))
+    last_first = np.maximum.accumulate(np.where(is_first, place, -1))
+    is_inside: Flags = last_first > last_end
+    return is_inside
+
+
+def require_indices(indices: Longs, count: int, what: str = "face") -> None:
+    """Raise ContentError (``E_INDEX``) for an index that is not from 0 to ``count`` - 1."""
+    wrong = (indices < 0) | (indices >= count)
+    if wrong.any():
+        raise ContentError(
+            f"a {what} names a vertex that is not among the {count}",
+            code="E_INDEX",
+            where=f"corner {int(np.argmax(wrong))} of all {what}s",
+            hint=EXPORT_AGAIN,
+        )
+
+
+def indices_of(tags: Longs, wanted: Longs, what: str = "element") -> Longs:
+    """The places of ``wanted`` among the vertices' numbers ``tags`` (n,).
+
+    Raises ContentError (``E_INDEX``) for a number that no vertex has.
+    """
+    if len(tags) and int(tags[0]) == 1 and (np.diff(tags) == 1).all():
+        require_indices(wanted - 1, len(tags), what)
+        return wanted - 1
+    order = np.argsort(tags, kind="stable")
+    place = np.searchsorted(tags, wanted, sorter=order)
+    found = order[np.minimum(place, len(tags) - 1)] if len(tags) else np.zeros_like(wanted)
+    wrong = np.ones(len(wanted), dtype=bool) if not len(tags) else tags[found] != wanted
+    if wrong.any():
+        raise ContentError(
+            f"the vertex {int(wanted[int(np.argmax(wrong))])} that an {what} names is not there",
+            code="E_INDEX",
+            hint=EXPORT_AGAIN,
+        )
+    return found.astype(np.int64)

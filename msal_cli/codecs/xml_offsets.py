@@ -1,0 +1,153 @@
+"""The elements of an XML file, and the bytes between which the content of each stands."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from xml.parsers import expat
+
+from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.errors import FormatError, TooLargeError, UnsupportedError
+
+MOST_ELEMENTS = 1_000_000
+"""A file of more elements would take more memory as a tree than meshes take."""
+
+_MOST_DEPTH = 100
+_TAG = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>")
+_EXPORT = "the file is damaged; export it again"
+
+
+@dataclass(slots=True, eq=False)
+class Element:
+    """An element; ``name`` is without its namespace, ``start`` the first byte of its tag, and its
+    content is ``data[inside:stop]``."""
+
+    name: str
+    attributes: dict[str, str]
+    start: int
+    inside: int
+    stop: int
+    children: list[Element] = field(default_factory=list)
+
+    @property
+    def text_stop(self) -> int:
+        """The end of the text in front of the first element inside."""
+        return self.children[0].start if self.children else self.stop
+
+    def find(self, *names: str) -> Element | None:
+        """The first child of the first name, its first child of the second name, and so on."""
+        found = self
+        for name in names:
+            inner = next((one for one in found.children if one.name == name), None)
+            if inner is None:
+                return None
+            found = inner
+        return found
+
+    def all(self, name: str) -> Iterator[Element]:
+        """The children of this name."""
+        return (one for one in self.children if one.name == name)
+
+    def inner(self) -> Iterator[Element]:
+        """All elements inside, in the order of the file."""
+        left = self.children[::-1]
+        while left:
+            one = left.pop()
+            yield one
+            left.extend(one.children[::-1])
+
+    def attribute_place(self, data: Buffer, name: str) -> tuple[int, int] | None:
+        """Between which bytes the value of an attribute stands, or None."""
+        tag = bytes(memoryview(data)[self.start : self.inside])
+        found = re.search(rb"\s%s\s*=\s*(?:\"([^\"]*)\"|'([^']*)')" % re.escape(name.encode()), tag)
+        if not found:
+            return None
+        group = 1 if found[1] is not None else 2
+        return self.start + found.start(group), self.start + found.end(group)
+
+
+def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
+    """The root of an XML file, or of its beginning up to the byte ``stop``.
+
+    Entities are refused, so that nothing expands; no other file is opened, whatever is named.
+
+    Raises
+    ------
+    FormatError
+        if it is not well-formed XML.
+    UnsupportedError
+        for entities that the file declares, or letters of more than one byte as in UTF-16.
+    TooLargeError
+        for more than ``MOST_ELEMENTS`` elements.
+    """
+    builder = _Builder(data)
+    parser = expat.ParserCreate()
+    builder.parser = parser
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.EntityDeclHandler = _refuse_entity
+    view = memoryview(data).cast("B")
+    if bytes(view[:2]) in (b"\xfe\xff", b"\xff\xfe"):
+        raise UnsupportedError("the XML is UTF-16", hint="save it as UTF-8")
+    try:
+        parser.Parse(bytes(view[:stop]), stop is None)
+    except expat.ExpatError as failure:
+        raise FormatError(
+            f"it is not well-formed XML: {expat.errors.messages[failure.code]}",
+            where=f"line {failure.lineno}",
+            hint=_EXPORT,
+        ) from None
+    except (LookupError, ValueError) as failure:
+        raise UnsupportedError(
+            f"the XML is written in another way than UTF-8: {failure}", hint="save it as UTF-8"
+        ) from None
+    if builder.root is None:
+        raise FormatError(f"there is no {what} in the file", hint=_EXPORT)
+    return builder.root
+
+
+def _refuse_entity(*_: object) -> None:
+    raise UnsupportedError(
+        "the XML declares entities, which may expand to anything",
+        hint="remove the DOCTYPE, or export the mesh again",
+    )
+
+
+class _Builder:
+    """Builds the tree while expat reads."""
+
+    parser: expat.XMLParserType
+
+    def __init__(self, data: Buffer) -> None:
+        self.root: Element | None = None
+        self._data = data
+        self._open: list[Element] = []
+        self._count = 0
+
+    def start(self, name: str, attributes: dict[str, str]) -> None:
+        self._count += 1
+        if self._count > MOST_ELEMENTS or len(self._open) > _MOST_DEPTH:
+            raise TooLargeError(
+                f"the file has more than {MOST_ELEMENTS:,} elements"
+                if self._count > MOST_ELEMENTS
+                else f"elements lie more than {_MOST_DEPTH} deep in one another",
+                hint="convert it to PLY",
+            )
+        at = self.parser.CurrentByteIndex
+        tag = _TAG.match(self._data, at)
+        if tag is None:
+            raise FormatError("a tag does not end", where=f"byte {at}", hint=_EXPORT)
+        one = Element(name.rpartition(":")[2], attributes, at, tag.end(), tag.end())
+        if self._open:
+            self._open[-1].children.append(one)
+        elif self.root is None:
+            self.root = one
+        self._open.append(one)
+
+    def end(self, name: str) -> None:
+        one = self._open.pop()
+        # Of ``<a/>`` the end is reported where the tag begins.
+        one.stop = max(one.inside, self.parser.CurrentByteIndex)
+        if bytes(memoryview(self._data)[one.inside - 2 : one.inside]) == b"/>":
+            one.stop = one.inside

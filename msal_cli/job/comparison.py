@@ -1,0 +1,420 @@
+"""Two files, or two open meshes, against each other: the bracket behind ``msal compare``.
+
+Like ``pipeline`` it never raises for a file's fault: that becomes a record with an error.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
+
+from msal_cli import __version__
+from msal_cli.errors import InternalError, MsalError, ResourceError
+from msal_cli.job.records import (
+    Area,
+    ComparisonRecord,
+    Displacement,
+    Failure,
+    Reference,
+    SelfIntersections,
+    SurfaceDistance,
+    Volume,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from msal_cli.analysis.displacement import DisplacementStatistics
+    from msal_cli.analysis.enclosure import Enclosure
+    from msal_cli.analysis.surface_distance import DistanceStatistics
+    from msal_cli.codecs.mesh_file import Buffer, MeshFile
+    from msal_cli.job.records import MeshRecord
+    from msal_cli.mesh import Mesh, Prepared
+
+    Floats = NDArray[np.float64]
+    Ints = NDArray[np.int32]
+
+log = logging.getLogger("msal")
+
+_WITH_OUTPUT = ("written", "unchanged", "up-to-date")
+
+HEATMAP_QUANTILE = 0.99
+"""Share of the vertices that the range of a heat map's colours covers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What a file holds: vertices (n, 3) in file units, triangles (m, 3), and how many vertices the
+    file has more because they coincide (see ``codecs.mesh_file.MeshFile``)."""
+
+    vertices: Floats
+    faces: Ints
+    merged_vertices: int = 0
+
+    @property
+    def n_corners(self) -> int | None:
+        """Corners that the file stores where it has no vertices of its own (STL), else None."""
+        n_merged = self.merged_vertices
+        return len(self.vertices) + n_merged if n_merged else None
+
+
+def opened(path: str, format: str | None = None) -> MeshFile:
+    """The mesh file at ``path``; MsalError, which names the path, if it cannot be read."""
+    from msal_cli import codecs as files
+
+    try:
+        plain, _ = files.expanded(files.read_input(path, format), path)
+        return files.open_mesh(plain, path, format)
+    except MsalError as error:
+        error.path = error.path or path
+        raise
+
+
+def surface_of(mesh_file: MeshFile) -> Surface:
+    """The surface in an open file."""
+    return Surface(mesh_file.vertices, mesh_file.faces, mesh_file.merged_vertices)
+
+
+def compare_files(
+    before: str, after: str, format: str | None = None, *, with_intersections: bool = False
+) -> ComparisonRecord:
+    """A file against the reference ``before``; what cannot be read gives a record with an error.
+
+    ``with_intersections`` counts the faces of each that intersect each other.
+    """
+    try:
+        return compared(
+            surface_of(opened(before, format)),
+            surface_of(opened(after, format)),
+            before,
+            after,
+            with_intersections=with_intersections,
+        )
+    except Exception as error:
+        return failed(before, after, error)
+
+
+def with_references(
+    records: Sequence[MeshRecord], references: Sequence[str], format: str | None = None
+) -> list[MeshRecord]:
+    """The records with their outputs, as they were written, measured against ``references``.
+
+    There is a path for each record.  Records without an output stay as they are.
+    """
+    return [
+        replace(record, reference=_against(path, record.output, format))
+        if record.output is not None and record.status in _WITH_OUTPUT
+        else record
+        for record, path in zip(records, references, strict=True)
+    ]
+
+
+def _against(path: str, output: str, format: str | None) -> Reference:
+    told = compare_files(path, output, format)
+    shared = {one.name for one in fields(Reference)} - {"path"}
+    return Reference(path, **{name: getattr(told, name) for name in shared})
+
+
+def failed(before: str, after: str, error: Exception) -> ComparisonRecord:
+    """The record of two files that could not be compared."""
+    if isinstance(error, MemoryError):
+        error = ResourceError("not enough memory", code="E_MEMORY")
+    elif not isinstance(error, MsalError):
+        log.exception("internal error at %r and %r", before, after)
+        error = InternalError(f"{type(error).__name__}: {error}")
+    where = f"{error.path}: {error.where}" if error.path and error.where else error.path
+    failure = Failure(error.code, error.message, error.hint, where or error.where)
+    return ComparisonRecord(before, after, version=__version__, error=failure)
+
+
+def compared(
+    before: Surface,
+    after: Surface,
+    before_name: str,
+    after_name: str,
+    *,
+    to_surface: bool = True,
+    with_intersections: bool = False,
+) -> ComparisonRecord:
+    """What became of ``before``, the reference.
+
+    With ``to_surface`` the distances from surface to surface and the Hausdorff distance are
+    measured too, as far as the library for them is installed; ``with_intersections`` counts the
+    faces of each that intersect each other.
+
+    Raises
+    ------
+    ContentError
+        if one of them is no mesh to compute with.
+    """
+    from msal_cli.analysis import correspondence as metrics
+
+    first = _prepared(before, before_name)
+    second = _prepared(after, after_name)
+    is_same = metrics.correspond(before.vertices, before.faces, after.vertices, after.faces)
+    record = ComparisonRecord(
+        before=before_name,
+        after=after_name,
+        version=__version__,
+        correspondence="vertices" if is_same else "surface",
+        vertices_before=len(before.vertices),
+        vertices_after=len(after.vertices),
+        corners_before=before.n_corners,
+        corners_after=after.n_corners,
+        faces_before=len(before.faces),
+        faces_after=len(after.faces),
+        mean_edge_length=first.mesh.mean_edge_length,
+    )
+    reference = first.mesh
+    if is_same:
+        moved = metrics.at_other_positions(first, after.vertices)
+        record = _by_vertex(record, first, moved)
+        gap = first.seam_gap(after.vertices)
+        record = replace(record, seam_gap=gap)
+        if gap > 0.0:
+            record = _warned(
+                record,
+                f"vertices that coincide before are up to {gap:g} apart after; "
+                "the first of them counts",
+            )
+    else:
+        moved = second.mesh.moved(second.mesh.vertices + (second.origin - first.origin))
+        record = _by_surface(record, first, second)
+    if with_intersections:
+        record = replace(record, self_intersections=_self_intersections(reference, moved, is_same))
+    return _with_distances(record, reference, moved) if to_surface else record
+
+
+def deviations(before: Surface, after: Surface) -> Floats:
+    """How far each vertex of ``after`` (n,) is from ``before``: from the vertex that corresponds
+    to it or, where the faces are not the same, from the surface; file units.
+
+    A vertex that no face uses counts like any other.
+    """
+    from msal_cli.analysis import correspondence as metrics
+    from msal_cli.analysis.surface_distance import distances_to_surface
+
+    if metrics.correspond(before.vertices, before.faces, after.vertices, after.faces):
+        return metrics.vertex_distances(before.vertices, after.vertices)
+    reference = _prepared(before, "")
+    return distances_to_surface(after.vertices - reference.origin, reference.mesh)
+
+
+@dataclass(frozen=True)
+class Heatmap:
+    """A PLY with the deviation of every vertex, and the range of its colours in file units."""
+
+    data: Buffer
+    low: float
+    high: float
+
+
+def heatmap(before: MeshFile, after: MeshFile, before_name: str) -> Heatmap:
+    """``after`` as PLY with its deviations from ``before`` as property and colours.
+
+    The colours go from no deviation to the 99th percentile, so that a few outliers do not leave
+    all the rest in one colour.
+    """
+    import numpy as np
+
+    from msal_cli.analysis import colour_maps as colours
+    from msal_cli.codecs import ply_fields
+
+    values = deviations(surface_of(before), surface_of(after))
+    low, high = 0.0, float(np.quantile(values, HEATMAP_QUANTILE))
+    comments = (
+        f"msal {__version__}: deviation from {before_name}",
+        "deviation: distance to the reference, file units",
+        f"colours: map sequential, pale to dark for deviation {low:g} to {high:.6g} "
+        f"(quantile {HEATMAP_QUANTILE:g}; the largest is {float(values.max()):.6g})",
+    )
+    data = ply_fields.with_fields(
+        after,
+        after.vertices,
+        {"deviation": values},
+        colours.mapped(values, low, high, "sequential"),
+        comments,
+    )
+    return Heatmap(data, low, high)
+
+
+def _prepared(surface: Surface, name: str) -> Prepared:
+    from msal_cli.mesh import prepared
+
+    try:
+        return prepared(surface.vertices, surface.faces, are_distinct=surface.merged_vertices > 0)
+    except MsalError as error:
+        error.path = error.path or name
+        raise
+
+
+def _by_vertex(record: ComparisonRecord, first: Prepared, moved: Mesh) -> ComparisonRecord:
+    from msal_cli.analysis import correspondence as metrics
+    from msal_cli.analysis.enclosure import enclosure_of
+    from msal_cli.analysis.surface import surface_change
+
+    reference = first.mesh
+    change = surface_change(reference, moved)
+    own = enclosure_of(reference, first.defects, change.area_before, change.volume_before)
+    other = enclosure_of(moved, first.defects, change.area_after, change.volume_after)
+    record = _with_orientation(record, own, other)
+    change = own.change(reference, moved, change)
+    distances = metrics.moved_statistics(reference, moved)
+    volume = volume_changed(
+        change.volume_before,
+        change.volume_after,
+        change.area_before,
+        first.defects.volume_objection,
+    )
+    area = area_changed(change.area_before, change.area_after)
+    return replace(
+        record,
+        mean_angular_error_deg=change.normals.mean_angular_error_deg,
+        max_angular_error_deg=change.normals.max_angular_error_deg,
+        flipped_faces=change.normals.flipped_faces,
+        vertex_error_percent=metrics.vertex_error_percent(reference, distances),
+        displacement=displaced(distances, reference.mean_edge_length),
+        **_changes(volume, area),
+    )
+
+
+def _by_surface(record: ComparisonRecord, first: Prepared, second: Prepared) -> ComparisonRecord:
+    from msal_cli.analysis.enclosure import enclosure_of
+    from msal_cli.analysis.volume import area_and_volume
+
+    area_before, volume_before = area_and_volume(first.mesh)
+    area_after, volume_after = area_and_volume(second.mesh)
+    # Each has its own faces, and may have its own side outside.
+    own = enclosure_of(first.mesh, first.defects, area_before, volume_before)
+    other = enclosure_of(second.mesh, second.defects, area_after, volume_after)
+    objections = []
+    for word, ready in (("before", first), ("after", second)):
+        if ready.defects.volume_objection:
+            objections.append(f"{word}: {ready.defects.volume_objection}")
+    volume = volume_changed(
+        own.volume(first.mesh, volume_before),
+        other.volume(second.mesh, volume_after),
+        area_before,
+        "; ".join(objections),
+    )
+    record = _with_orientation(record, own, other)
+    return replace(record, **_changes(volume, area_changed(area_before, area_after)))
+
+
+def _with_orientation(
+    record: ComparisonRecord, before: Enclosure, after: Enclosure
+) -> ComparisonRecord:
+    """The record with which of the two surfaces is inside out."""
+    for word, one in (("before", before), ("after", after)):
+        if one.is_inside_out:
+            record = _warned(record, f"{word}: {one.words}")
+    return replace(
+        record, inside_out_before=before.is_inside_out, inside_out_after=after.is_inside_out
+    )
+
+
+def _self_intersections(before: Mesh, after: Mesh, is_same: bool) -> SelfIntersections:
+    """The counts of two meshes; what was created is known where their faces are the same."""
+    from msal_cli.analysis import self_intersections as metrics
+
+    if is_same:
+        change = metrics.self_intersection_change(before, after)
+        return SelfIntersections(change.before, change.after, change.created)
+    return SelfIntersections(
+        metrics.count_self_intersections(before), metrics.count_self_intersections(after), None
+    )
+
+
+def _changes(volume: Volume, area: Area) -> dict[str, Any]:
+    return {
+        "volume": volume,
+        "area": area,
+        "volume_change_percent": volume.change_percent,
+        "area_change_percent": area.change_percent,
+    }
+
+
+def _with_distances(record: ComparisonRecord, reference: Mesh, moved: Mesh) -> ComparisonRecord:
+    """The record with what is between the surfaces, or with a warning that tells why not."""
+    from msal_cli.analysis import correspondence as metrics
+    from msal_cli.analysis import surface_distance
+
+    if not surface_distance.is_available():
+        return _warned(
+            record,
+            "no Hausdorff distance and no distances to the surfaces: they need the package fcpw "
+            "(pip install fcpw)",
+        )
+    to_before, to_after, hausdorff = metrics.surface_distances(reference, moved)
+    edge = reference.mean_edge_length
+    record = replace(
+        record,
+        distance_to_before=_distance(to_before, edge),
+        distance_to_after=_distance(to_after, edge),
+        hausdorff=hausdorff,
+        hausdorff_edges=hausdorff / edge,
+    )
+    if record.correspondence == "surface":
+        record = replace(record, vertex_error_percent=100.0 * to_before.mean / edge)
+    return record
+
+
+def _warned(record: ComparisonRecord, warning: str) -> ComparisonRecord:
+    return replace(record, warnings=(*record.warnings, warning))
+
+
+def _distance(one: DistanceStatistics, edge: float) -> SurfaceDistance:
+    return SurfaceDistance(
+        one.mean,
+        one.rms,
+        one.p95,
+        one.max,
+        one.mean / edge,
+        one.rms / edge,
+        one.p95 / edge,
+        one.max / edge,
+    )
+
+
+def displaced(one: DisplacementStatistics, edge: float) -> Displacement:
+    """The record of how far vertices moved, ``edge`` being the mean edge length before."""
+    return Displacement(
+        mean=one.mean,
+        rms=one.rms,
+        p95=one.p95,
+        max=one.max,
+        mean_edges=one.mean / edge,
+        rms_edges=one.rms / edge,
+        p95_edges=one.p95 / edge,
+        max_edges=one.max / edge,
+        moved_vertices=one.moved_vertices,
+    )
+
+
+def volume_changed(before: float, after: float, area: float, objection: str) -> Volume:
+    """The record of an enclosed volume; ``area`` is the area before, and ``objection`` says why the
+    volume means nothing, empty if it does."""
+    from msal_cli.analysis.volume import relative_volume_change
+
+    share = relative_volume_change(before, after, area)
+    return Volume(
+        before=before,
+        after=after,
+        change=after - before,
+        change_percent=None if share is None else 100.0 * share,
+        valid=not objection,
+        reason=objection,
+    )
+
+
+def area_changed(before: float, after: float) -> Area:
+    """The record of an area."""
+    return Area(
+        before=before,
+        after=after,
+        change_percent=100.0 * (after - before) / before if before else None,
+    )

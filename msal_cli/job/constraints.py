@@ -1,0 +1,244 @@
+"""What keeps vertices near their place: --max-move, --lock and --weights.
+
+A limit and pins hold whatever the method does.  Methods that know of pins treat the pinned vertices
+as fixed during their sweeps, and trust goes into the data term of those that have one.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from msal_cli.errors import ContentError, UsageError
+from msal_cli.job.units import NAMES, in_file_units
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from msal_cli.codecs.mesh_file import MeshFile
+    from msal_cli.mesh import Mesh, Prepared
+
+    Floats = NDArray[np.float64]
+    Flags = NDArray[np.bool_]
+
+BOUNDARY = "boundary"
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_UNITS = "|".join(sorted(NAMES, key=len, reverse=True))
+_LENGTH = re.compile(rf"(?a)\s*({_NUMBER})\s*(e|{_UNITS})?\s*")
+_LOCK = re.compile(rf"(?a)\s*([^\s<>=!]+)\s*(<=|>=|==|!=|<|>)\s*({_NUMBER})\s*")
+_COMPARED: dict[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+}
+
+
+# Of a sum of coordinates, and of the distance between two points, relative to the largest of them.
+_ROUNDING = 2.0**-50
+
+
+@dataclass(frozen=True)
+class Length:
+    """A length above 0 in file units, or ``in_edges``: in mean edge lengths of the input."""
+
+    value: float
+    in_edges: bool
+
+    def __str__(self) -> str:
+        return f"{self.value!r}{'e' if self.in_edges else ''}"
+
+    def in_units(self, mean_edge_length: float) -> float:
+        """The length in file units."""
+        return self.value * mean_edge_length if self.in_edges else self.value
+
+
+@dataclass(frozen=True)
+class Lock:
+    """A vertex property compared with a value, such as ``confidence < 0.2``."""
+
+    name: str
+    comparison: str
+    value: float
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.comparison} {self.value!r}"
+
+    def of(self, values: Floats) -> Flags:
+        """For which of the property's values (n,) it is so.
+
+        A property in single precision is compared in single precision: what was stored as 0.2 is
+        0.2, and not a little more.
+        """
+        import numpy as np
+
+        value: Any = self.value
+        with np.errstate(over="ignore", invalid="ignore"):
+            single = np.float32(value)
+            if np.isfinite(single) and (values.astype(np.float32) == values).all():
+                value = float(single)
+        result: Flags = _COMPARED[self.comparison](values, value)
+        return result
+
+
+def length(text: str, option: str = "--max-move", unit: str | None = None) -> Length:
+    """``0.3e``, ``0.05``, or ``0.01mm`` where the files' ``unit`` is known; UsageError, which names
+    the option, for anything else."""
+    match = _LENGTH.fullmatch(text)
+    value = float(match[1]) if match else 0.0
+    if match is not None and 0.0 < value < math.inf and match[2] not in (None, "e"):
+        try:
+            value = in_file_units(match[1], match[2], unit)
+        except UsageError as error:
+            raise UsageError(f"{option} {error.message}", hint=error.hint) from None
+    if match is None or not 0.0 < value < math.inf:
+        raise UsageError(
+            f"{option} {text}: this is no length above 0",
+            hint="write 0.3e for mean edge lengths, or 0.05 for file units; with --unit mm, if "
+            "that is the unit of the files, also 0.01mm or 0.002in",
+        )
+    return Length(value, match[2] == "e")
+
+
+def lock(text: str) -> Lock | None:
+    """``confidence < 0.2``; None for the word ``boundary``; UsageError for anything else."""
+    if text.strip() == BOUNDARY:
+        return None
+    match = _LOCK.fullmatch(text)
+    if match is None or not math.isfinite(float(match[3])):
+        raise UsageError(
+            f"--lock {text}: this is neither 'boundary' nor a property compared with a number",
+            hint="as in --lock 'confidence < 0.2'; msal info lists a file's properties",
+        )
+    return Lock(match[1], match[2], float(match[3]))
+
+
+@dataclass(frozen=True, eq=False)
+class Constraints:
+    """What is asked of one mesh.
+
+    Attributes
+    ----------
+    mesh : to be denoised; it knows of the pins and the trust.
+    held : (n,) vertices that are pinned, or None.
+    limit : longest way of a vertex in file units, or None.
+    """
+
+    mesh: Mesh
+    held: Flags | None
+    limit: float | None
+
+    def applied(self, vertices: Floats) -> tuple[Floats, int]:
+        """A method's result (n, 3) with pinned vertices back in their place and the ways of others
+        cut to the limit, and how many were cut."""
+        import numpy as np
+
+        before = self.mesh.vertices
+        if self.held is not None:
+            vertices = np.where(self.held[:, None], before, vertices)
+        return (vertices, 0) if self.limit is None else clamped(before, vertices, self.limit)
+
+
+def found(
+    ready: Prepared,
+    mesh_file: MeshFile,
+    max_move: str | None,
+    locks: Sequence[str],
+    weights: str | None,
+) -> Constraints:
+    """The constraints of a file, for the words of the options.
+
+    Raises
+    ------
+    InputError
+        if the file has no such property (``E_PROPERTY``), or one that means nothing as trust.
+    """
+    mesh = ready.mesh
+    held = _held(ready, mesh_file, [lock(one) for one in locks]) if locks else None
+    trust = None if weights is None else _trust(ready, mesh_file, weights)
+    limit = None if max_move is None else length(max_move).in_units(mesh.mean_edge_length)
+    return Constraints(mesh.constrained(held, trust), held, limit)
+
+
+def clamped(before: Floats, after: Floats, limit: float) -> tuple[Floats, int]:
+    """Positions (n, 3) no further than ``limit`` from those ``before``, each in the direction in
+    which it went, and how many went further.
+
+    Not even by rounding, so that a gate at the limit holds: they stop a little before it.
+    """
+    import numpy as np
+
+    from msal_cli.kernels.geometry import distances
+
+    lengths = distances(before, after)
+    beyond = np.flatnonzero(lengths > limit)
+    if len(beyond):
+        after = after.copy()
+        start = before[beyond]
+        ways = after[beyond] - start
+        reached = max(0.0, limit - _ROUNDING * float(np.abs(start).max() + limit))
+        after[beyond] = start + ways * (reached / lengths[beyond])[:, None]
+    return after, len(beyond)
+
+
+def _held(ready: Prepared, mesh_file: MeshFile, locks: Sequence[Lock | None]) -> Flags:
+    """Which mesh vertices (n,) any lock pins: with one all that coincide with it."""
+    import numpy as np
+
+    from msal_cli import codecs as files
+
+    held: Flags = np.zeros(len(ready.mesh.vertices), dtype=np.bool_)
+    for one in locks:
+        if one is None:
+            held |= ready.mesh.links.boundary
+        else:
+            flags = one.of(files.vertex_property(mesh_file, one.name))
+            held |= _largest(ready, flags.astype(np.float64)) > 0.0
+    return held
+
+
+def _trust(ready: Prepared, mesh_file: MeshFile, name: str) -> Floats:
+    """Trust (n,) from 0 to 1: the property over its largest value; below 0 there is none.
+
+    Of vertices that coincide the most trusted counts.
+    """
+    import numpy as np
+
+    from msal_cli import codecs as files
+
+    values = files.vertex_property(mesh_file, name)
+    if not np.isfinite(values).all():
+        raise ContentError(
+            f"the property {name!r} is not finite",
+            code="E_NONFINITE",
+            where=f"vertex {int(np.argmin(np.isfinite(values)))}",
+            hint="mend it, or denoise without --weights",
+        )
+    largest = float(values.max(initial=0.0))
+    if largest <= 0.0:
+        raise ContentError(
+            f"the property {name!r} is nowhere above 0, so that no vertex is to be trusted",
+            hint="choose another property, or denoise without --weights",
+        )
+    return _largest(ready, np.clip(values / largest, 0.0, 1.0))
+
+
+def _largest(ready: Prepared, values: Floats) -> Floats:
+    """For values (n_file,) of at least 0 at the file's vertices, the largest at each of the mesh's
+    (n,)."""
+    import numpy as np
+
+    if ready.place is None:
+        return values
+    largest = np.zeros(len(ready.mesh.vertices))
+    stands = ready.place >= 0
+    np.maximum.at(largest, ready.place[stands], values[stands])
+    return largest

@@ -1,0 +1,177 @@
+"""Numbers at the vertices that show what denoising did, for ``msal denoise --fields``.
+
+Each has a name, and colours that a quantile of its values bounds, so that a few outliers do not
+leave all the rest in one colour.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from msal_cli import __version__
+from msal_cli.errors import OutputError, UsageError
+from msal_cli.job.records import FieldsFile
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from msal_cli.codecs.mesh_file import Buffer, MeshFile
+    from msal_cli.mesh import Prepared
+
+    Floats = NDArray[np.float64]
+
+SUFFIX = ".fields.ply"
+"""What takes the place of an output's suffix."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a field is, for people, and how it is coloured: the map, and the share of the vertices
+    whose values (without sign, for the diverging map) the range covers."""
+
+    meaning: str
+    map: str
+    quantile: float
+
+
+KINDS = {
+    "lambda": Kind(
+        "pull back to the input in the first sweep, eq. (7): sigma / max sigma", "sequential", 0.99
+    ),
+    "sigma": Kind("local scale of the input, eq. (4), file units", "sequential", 0.99),
+    "noise": Kind(
+        "noise of the input around the vertex, by region, file units", "sequential", 0.99
+    ),
+    "displacement": Kind("move along the normal, outward positive, file units", "diverging", 0.99),
+    "curvature": Kind(
+        "mean curvature of the output, bulges positive, 1 / file units; 0 at open edges",
+        "diverging",
+        0.95,
+    ),
+}
+"""The fields by name, as they are stored."""
+
+
+def checked(names: Sequence[str]) -> tuple[str, ...]:
+    """The names, each once, in order; UsageError for one that is no field."""
+    for name in names:
+        if name not in KINDS:
+            raise UsageError(
+                f"there is no field {name!r}", hint=f"the fields are: {', '.join(KINDS)}"
+            )
+    return tuple(dict.fromkeys(names))
+
+
+def path_beside(output: str) -> str:
+    """Where the fields of an output are written."""
+    folder, base = os.path.split(output)
+    stem = base[:-3] if base.lower().endswith(".gz") else base
+    return os.path.join(folder, os.path.splitext(stem)[0] + SUFFIX)
+
+
+def computed(
+    names: Sequence[str],
+    ready: Prepared,
+    moved: Floats,
+    fidelity: Floats | None,
+    parameters: Mapping[str, Any],
+) -> dict[str, Floats]:
+    """The fields of a mesh that was denoised to ``moved`` (n, 3), at the file's vertices (n_file,).
+
+    sigma, and the direction of a displacement, are measured along the normals that the method moves
+    along, where its ``parameters`` tell.  ``fidelity`` (n,) is lambda of the method's first sweep;
+    without one, or where it pulls nothing back, lambda is sigma / max sigma.  Vertices that no face
+    uses have 0.  Outward is away from the solid, also where its surface is inside out.
+    """
+    from msal_cli.analysis.curvature import mean_curvature
+    from msal_cli.analysis.enclosure import enclosure
+    from msal_cli.analysis.local_scale import local_scale
+    from msal_cli.analysis.noise_estimate import regional
+
+    mesh = ready.mesh
+    normals = mesh.vertex_normals(
+        parameters.get("normals", "uniform"), parameters.get("mollify", 1)
+    )
+    outwards = enclosure(ready).outward_signs(mesh)
+    values: dict[str, Floats] = {}
+    for name in names:
+        if name == "displacement":
+            field = outwards * ((moved - mesh.vertices) * normals).sum(axis=1)
+        elif name == "curvature":
+            field = outwards * mean_curvature(mesh.moved(moved))
+        elif name == "noise":
+            field = regional(mesh)
+        else:
+            field = local_scale(mesh, normals)
+            largest = float(field.max(initial=0.0))
+            if name == "lambda" and fidelity is not None and fidelity.any():
+                field = fidelity
+            elif name == "lambda" and largest > 0.0:
+                field = field / largest
+        values[name] = _at_file_vertices(field, ready)
+    return values
+
+
+def _at_file_vertices(field: Floats, ready: Prepared) -> Floats:
+    import numpy as np
+
+    known = np.where(ready.mesh.links.has_ring, field, 0.0)
+    if ready.place is None:
+        return known
+    return np.where(ready.place >= 0, known[ready.place], 0.0)
+
+
+def encoded(
+    mesh_file: MeshFile, vertices: Floats, values: Mapping[str, Floats], path: str
+) -> tuple[Buffer, FieldsFile]:
+    """A PLY of the output with its fields, the first one as colours, and what is told of it.
+
+    ``vertices`` (n, 3) are the new positions, ``values`` (n,) by name, one at least.
+    """
+    import numpy as np
+
+    from msal_cli.analysis import colour_maps as colours
+    from msal_cli.codecs import ply_fields
+
+    name, shown = next(iter(values.items()))
+    kind = KINDS[name]
+    is_signed = kind.map == "diverging"
+    high = float(np.quantile(np.abs(shown) if is_signed else shown, kind.quantile))
+    low = -high if is_signed else 0.0
+    comments = [f"msal {__version__}: fields of a denoised mesh"]
+    comments += [
+        f"{one}: {KINDS[one].meaning}; {field.min():.6g} to {field.max():.6g}"
+        for one, field in values.items()
+    ]
+    ends = "blue over pale to brown" if is_signed else "pale to dark"
+    comments += [
+        f"colours: map {kind.map}, {ends} for {name} {low:.6g} to {high:.6g} "
+        f"(quantile {kind.quantile:g})"
+    ]
+    data = ply_fields.with_fields(
+        mesh_file, vertices, values, colours.mapped(shown, low, high, kind.map), comments
+    )
+    return data, FieldsFile(path, tuple(values), name, kind.map, low, high)
+
+
+def refuse_foreign(path: str) -> None:
+    """Refuse to replace a file that is not one of fields; OutputError."""
+    from msal_cli.storage.regular import open_regular
+
+    try:
+        with open_regular(path) as there:
+            head = there.read(200)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise OutputError(f"the fields cannot be written: {error.strerror}", path=path) from None
+    if b"\ncomment msal " not in head or b": fields of a denoised mesh\n" not in head:
+        raise OutputError(
+            f"{path!r} exists, and no --fields wrote it",
+            hint="move it away, or choose another output folder",
+            path=path,
+        )

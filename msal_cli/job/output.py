@@ -1,0 +1,169 @@
+"""What becomes of a result: the bytes of the output file, checked, and what belongs around it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from msal_cli.errors import InternalError, LossError, MsalError, OutputError
+from msal_cli.job.settings import Settings, Task, is_mesh_name, suffix
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from msal_cli.codecs.companions import Companion
+    from msal_cli.codecs.mesh_file import Buffer, MeshFile
+
+    Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """An input file: its bytes as they came, its name, and whether they are gzip's."""
+
+    data: Buffer
+    name: str
+    is_compressed: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Output:
+    """An output file that is yet to be written.
+
+    Attributes
+    ----------
+    data : its bytes; those of the input itself where nothing has changed.
+    references : files that it names, as the input does; a conversion drops them.
+    companions : files that it names and that hold a part of it.
+    losses : what its format cannot hold, and normals that cannot fit, as warnings.
+    """
+
+    data: Buffer
+    references: tuple[str, ...] = ()
+    companions: tuple[Companion, ...] = ()
+    losses: tuple[str, ...] = ()
+
+
+def built(
+    mesh_file: MeshFile, vertices: Floats, settings: Settings, path: str | None, source: Source
+) -> Output:
+    """The output for positions (n, 3) of a file's vertices, read back where it was encoded anew.
+
+    ``path`` is where it is to be written; None for a pipe.
+
+    Raises
+    ------
+    LossError
+        where another format would lose something, and ``settings`` are strict.
+    InternalError
+        where the output does not hold what it should.
+    """
+    from msal_cli import codecs as files
+
+    compress = source.is_compressed if path is None else path.lower().endswith(".gz")
+    target = _target(mesh_file, path, settings)
+    if target != mesh_file.format:
+        output, losses = files.converted(
+            mesh_file, vertices, target, settings.encoding, settings.precision
+        )
+        if losses and settings.strict:
+            raise LossError(
+                f"{mesh_file.format} to {target} would lose {', '.join(losses)}",
+                hint="leave --strict away, or keep the format",
+            )
+        _check_reopened(output, target, mesh_file, vertices)
+        lost = tuple(f"lost in {target}: {loss}" for loss in losses)
+        # A scene that only changes its container still names its images.
+        references = mesh_file.references if {target, mesh_file.format} == files.SCENES else ()
+        return Output(files.compressed(output) if compress else output, references, losses=lost)
+    if settings.encoding != "same" or settings.precision != "same":
+        output = mesh_file.encoded(vertices, settings.encoding, settings.precision)
+        _check_reopened(output, target, mesh_file, vertices)
+    elif not _are_equal(vertices, mesh_file.vertices):
+        output = mesh_file.replaced(vertices)
+        mesh_file.check(output, vertices)
+    elif compress == source.is_compressed:
+        output, companions = files.with_companions(mesh_file, source.data, vertices, path)
+        return Output(output, mesh_file.references, companions)
+    else:
+        output = files.expanded(source.data, source.name)[0]
+    notes = files.normal_warnings(mesh_file, vertices)
+    output, companions = files.with_companions(mesh_file, output, vertices, path)
+    output = files.compressed(output) if compress else output
+    return Output(output, mesh_file.references, companions, notes)
+
+
+def _target(mesh_file: MeshFile, output_path: str | None, settings: Settings) -> str:
+    """The format to write: ``--to``, else the output name's, else the input's."""
+    if settings.to is not None:
+        return settings.to.lower().lstrip(".")
+    named = suffix(output_path or "").lstrip(".")
+    if named and output_path is not None and is_mesh_name(output_path):
+        return named
+    return mesh_file.format
+
+
+def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: Floats) -> None:
+    """Read a re-encoded or converted file back before it is trusted."""
+    import numpy as np
+
+    from msal_cli import codecs as files
+
+    if f".{target}" not in files.readable_suffixes():
+        return
+    try:
+        again = files.open_mesh(bytes(output), f"output.{target}", target)
+    except MsalError as error:
+        raise InternalError(f"the {target} output cannot be read back: {error}") from error
+    if len(again.faces) != len(mesh_file.faces):
+        raise InternalError(
+            f"the {target} output has {len(again.faces)} triangles, not {len(mesh_file.faces)}"
+        )
+    span = float(np.abs(vertices).max(initial=0.0))
+    corners = again.vertices[again.faces.reshape(-1)]
+    wanted = vertices[mesh_file.faces.reshape(-1)]
+    if float(np.abs(corners - wanted).max(initial=0.0)) > 1e-5 * span:
+        raise InternalError(f"the {target} output holds other positions than it should")
+
+
+def _are_equal(vertices: Floats, others: Floats) -> bool:
+    """Whether all positions (n, 3) are the same; it ends where two differ."""
+    step = 1 << 14
+    return all(
+        bool((vertices[at : at + step] == others[at : at + step]).all())
+        for at in range(0, len(vertices), step)
+    )
+
+
+def make_folder_of(path: str) -> None:
+    """Make the folder that a file is to be written to, if it is not there; stores have none."""
+    from msal_cli.codecs import is_url
+    from msal_cli.storage.atomic import make_folders
+
+    if is_url(path):
+        return
+    folder = os.path.dirname(path) or os.curdir
+    try:
+        make_folders(folder)
+    except OSError as error:
+        raise OutputError(
+            f"the folder {folder!r} cannot be made: {error.strerror}",
+            hint="choose another output, or mend the permissions",
+        ) from None
+
+
+def keep_backup(task: Task, data: Buffer) -> None:
+    """Write the original beside the file that is about to be replaced."""
+    from msal_cli import codecs as files
+
+    backup = task.input + str(task.backup)
+    if os.path.lexists(backup):
+        if os.path.isfile(backup) and files.read_whole(backup) == data:
+            return
+        raise OutputError(
+            f"the backup {backup!r} exists and is not this file",
+            hint="move it away or choose another --backup suffix",
+        )
+    files.write_whole(backup, [data], mode_like=task.input)

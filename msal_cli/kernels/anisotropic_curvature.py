@@ -1,0 +1,330 @@
+"""Mean curvature made of edges, in which an edge that is bent more than a threshold counts less.
+
+The curvature vector of an edge e between faces with unit normals m and n is H(e) = e x (n - m), of
+length 2 |e| sin(phi / 2) for the angle phi between m and n.  Half the sum of H(e) around a vertex
+is the gradient of the surface's area.  Symbols as in Hildebrandt and Polthier 2004.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.connectivity import Connectivity
+from msal_cli.kernels.geometry import DEGENERATE
+from msal_cli.kernels.medians import median
+from msal_cli.kernels.operators import Step
+from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.robust_laplacian import PER_MEDIAN
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Flags = NDArray[np.bool_]
+
+LONGEST = 0.5
+"""Share of the way to where H_A would vanish that a vertex may go in one step."""
+
+LEAST = 0.25
+"""Least slope: beyond a right angle a bent flap pulls, though a flat one would not begin to."""
+
+
+@compiled
+def _edge_curvatures(  # type: ignore[no-untyped-def]
+    start, stop, x, corners, threshold, falloff, curvatures, slopes, bent
+):
+    """w H(e), how fast its length grows as either end rises, and whether |H| > lambda.
+
+    H of a flat flap grows with p1 by the cotangents of the two angles at p3, and the other way
+    round.  Zeros beside a degenerate face.
+    """
+    for e in range(start, stop):
+        # Unsigned, so that no index is looked at for being negative.
+        p1, p2 = np.uint64(corners[e, 0]), np.uint64(corners[e, 1])
+        p3, p4 = np.uint64(corners[e, 2]), np.uint64(corners[e, 3])
+        ex, ey, ez = x[p3, 0] - x[p1, 0], x[p3, 1] - x[p1, 1], x[p3, 2] - x[p1, 2]
+        bx, by, bz = x[p2, 0] - x[p1, 0], x[p2, 1] - x[p1, 1], x[p2, 2] - x[p1, 2]
+        dx, dy, dz = x[p4, 0] - x[p1, 0], x[p4, 1] - x[p1, 1], x[p4, 2] - x[p1, 2]
+        mx, my, mz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
+        nx, ny, nz = ey * dz - ez * dy, ez * dx - ex * dz, ex * dy - ey * dx
+        m = np.sqrt(mx * mx + my * my + mz * mz)
+        n = np.sqrt(nx * nx + ny * ny + nz * nz)
+        ee = ex * ex + ey * ey + ez * ez
+        bb, be = bx * bx + by * by + bz * bz, bx * ex + by * ey + bz * ez
+        dd, de = dx * dx + dy * dy + dz * dz, dx * ex + dy * ey + dz * ez
+        hx = hy = hz = slope_1 = slope_3 = 0.0
+        if m > DEGENERATE * max(ee, bb) and n > DEGENERATE * max(ee, dd):
+            # Not by reciprocals: equal normals are to cancel without a rest.
+            qx, qy, qz = nx / n - mx / m, ny / n - my / m, nz / n - mz / m
+            hx, hy, hz = ey * qz - ez * qy, ez * qx - ex * qz, ex * qy - ey * qx
+            m, n = 1.0 / m, 1.0 / n
+            slope_1 = max(abs(ee - be) * m, LEAST) + max(abs(ee - de) * n, LEAST)
+            slope_3 = max(abs(be) * m, LEAST) + max(abs(de) * n, LEAST)
+        size = np.sqrt(hx * hx + hy * hy + hz * hz)
+        bent[e] = size > threshold
+        if bent[e]:
+            # w = lambda^2 / (r (lambda - |H|)^2 + lambda^2), without squares of lengths.
+            ratio = threshold / size
+            weight = ratio * ratio / (falloff * (1.0 - ratio) ** 2 + ratio * ratio)
+            hx, hy, hz = weight * hx, weight * hy, weight * hz
+            slope_1, slope_3 = weight * slope_1, weight * slope_3
+        curvatures[e, 0] = hx
+        curvatures[e, 1] = hy
+        curvatures[e, 2] = hz
+        slopes[e, 0] = slope_1
+        slopes[e, 1] = slope_3
+
+
+def edge_curvatures(vertices: Floats, corners: Ints) -> Floats:
+    """Curvature vectors H(e) (e, 3) of ``flaps`` (e, 4), in file units; they point out of a ridge.
+
+    Zero beside a face without area.
+    """
+    return _weighted_curvatures(vertices, corners, np.inf, 1.0)[0]
+
+
+def _weighted_curvatures(
+    vertices: Floats, corners: Ints, threshold: float, falloff: float
+) -> tuple[Floats, Floats, Flags]:
+    count = len(corners)
+    curvatures = np.empty((count, 3))
+    slopes, bent = np.empty((count, 2)), np.empty(count, dtype=bool)
+    over_ranges(
+        _edge_curvatures,
+        count,
+        vertices,
+        corners,
+        threshold,
+        falloff,
+        curvatures,
+        slopes,
+        bent,
+    )
+    return curvatures, slopes, bent
+
+
+def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> float:
+    """Median length of H(e) plus so many standard deviations of it, in file units.
+
+    The standard deviation is 1.4826 times the median absolute deviation.  Zero where there are no
+    ``flaps`` (e, 4).
+    """
+    if not len(corners):
+        return 0.0
+    lengths = np.sqrt((edge_curvatures(vertices, corners) ** 2).sum(axis=1))
+    middle = median(lengths)
+    return float(middle + deviations * PER_MEDIAN * median(np.abs(lengths - middle)))
+
+
+@compiled
+def _edge_rows(corners, edge_start, ends, beside):  # type: ignore[no-untyped-def]
+    """Rows of the flaps e whose edge ends at each vertex: 2 e where it is p1, 2 e + 1 for p3.
+
+    ``beside`` is the vertex at the other end.
+    """
+    for e in range(len(corners)):
+        edge_start[corners[e, 0] + 1] += 1
+        edge_start[corners[e, 2] + 1] += 1
+    for i in range(len(edge_start) - 1):
+        edge_start[i + 1] += edge_start[i]
+    # Filling advances each row's start to its end; the shift afterwards restores it.
+    for e in range(len(corners)):
+        for end in range(2):
+            i = corners[e, 2 * end]
+            ends[edge_start[i]] = 2 * e + end
+            beside[edge_start[i]] = corners[e, 2 - 2 * end]
+            edge_start[i] += 1
+    for i in range(len(edge_start) - 1, 0, -1):
+        edge_start[i] = edge_start[i - 1]
+    edge_start[0] = 0
+
+
+@compiled
+def _area_vectors(start, stop, x, faces, vectors):  # type: ignore[no-untyped-def]
+    """Normal of every face with its area for length, and the area, both times two."""
+    for f in range(start, stop):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ux, uy, uz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+        wx, wy, wz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+        nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+        vectors[f, 0] = nx
+        vectors[f, 1] = ny
+        vectors[f, 2] = nz
+        vectors[f, 3] = np.sqrt(nx * nx + ny * ny + nz * nz)
+
+
+@compiled
+def _gathered(  # type: ignore[no-untyped-def]
+    start,
+    stop,
+    curvatures,
+    slopes,
+    bent,
+    edge_start,
+    ends,
+    vectors,
+    face_start,
+    incident,
+    free,
+    time_step,
+    total,
+    outward,
+    rate,
+    feature,
+):
+    """H_A, the gradient of the volume, time step over mass, and whether an edge is bent."""
+    for i in range(start, stop):
+        hx = hy = hz = stiffness = 0.0
+        feature[i] = False
+        for at in range(edge_start[i], edge_start[i + 1]):
+            e, end = np.uint64(ends[at] >> 1), np.uint64(ends[at] & 1)
+            hx += curvatures[e, 0]
+            hy += curvatures[e, 1]
+            hz += curvatures[e, 2]
+            stiffness += slopes[e, end]
+            feature[i] |= bent[e]
+        total[i, 0] = 0.5 * hx
+        total[i, 1] = 0.5 * hy
+        total[i, 2] = 0.5 * hz
+        ax = ay = az = area = 0.0
+        for at in range(face_start[i], face_start[i + 1]):
+            f = np.uint64(incident[at])
+            ax += vectors[f, 0]
+            ay += vectors[f, 1]
+            az += vectors[f, 2]
+            area += vectors[f, 3]
+        outward[i, 0] = ax / 6.0
+        outward[i, 1] = ay / 6.0
+        outward[i, 2] = az / 6.0
+        # The mass is area / 6, the growth of H_A as the vertex rises is stiffness / 2.
+        rate[i] = 0.0
+        if free[i] and stiffness > 0.0:
+            rate[i] = 2.0 * LONGEST / stiffness
+            if 6.0 * time_step < rate[i] * area:
+                rate[i] = 6.0 * time_step / area
+
+
+@compiled
+def _directions(  # type: ignore[no-untyped-def]
+    start, stop, edge_start, beside, total, outward, feature, along, products
+):
+    """V_A of length |grad volume|, the product H_A . V_A / |V_A|, and |V_A|."""
+    for i in range(start, stop):
+        vx, vy, vz = outward[i, 0], outward[i, 1], outward[i, 2]
+        length = np.sqrt(vx * vx + vy * vy + vz * vz)
+        if feature[i]:
+            sx = sy = sz = 0.0
+            for at in range(edge_start[i], edge_start[i + 1]):
+                k = np.uint64(beside[at])
+                sx += total[k, 0]
+                sy += total[k, 1]
+                sz += total[k, 2]
+            m = edge_start[i + 1] - edge_start[i]
+            sx = total[i, 0] + sx / m
+            sy = total[i, 1] + sy / m
+            sz = total[i, 2] + sz / m
+            size = np.sqrt(sx * sx + sy * sy + sz * sz)
+            if size > 0.0:
+                scale = length / size
+                if sx * vx + sy * vy + sz * vz < 0.0:
+                    scale = -scale
+                vx, vy, vz = scale * sx, scale * sy, scale * sz
+        along[i, 0] = vx
+        along[i, 1] = vy
+        along[i, 2] = vz
+        product = total[i, 0] * vx + total[i, 1] * vy + total[i, 2] * vz
+        products[i, 0] = product / length if length > 0.0 else 0.0
+        products[i, 1] = length
+
+
+@compiled
+def _prescribed(start, stop, edge_start, beside, along, products, feature, total):  # type: ignore[no-untyped-def]
+    """Take f V_A from H_A."""
+    for i in range(start, stop):
+        product = length = 0.0
+        for at in range(edge_start[i], edge_start[i + 1]):
+            k = np.uint64(beside[at])
+            if feature[k] or not feature[i]:
+                product += products[k, 0]
+                length += products[k, 1]
+        f = product / length if length > 0.0 else 0.0
+        for axis in range(3):
+            total[i, axis] -= f * along[i, axis]
+
+
+@dataclass(frozen=True, eq=False)
+class AnisotropicCurvature:
+    """One step of anisotropic, or of prescribed, mean curvature flow: -tau / M (H_A - f V_A).
+
+    H_A is half the sum of w H(e) over the edges around a vertex, w = 1 where |H(e)| <= lambda and
+    lambda^2 / (r (lambda - |H|)^2 + lambda^2) beyond; M is a third of the area around it.
+
+    Without ``prescribed`` f is zero.  With it V_A is the gradient of the volume; at a feature, a
+    vertex with an edge beyond lambda, its length is kept and its direction is that of H_A plus the
+    mean H_A of the neighbours.  f = sum(H_A . V_A / |V_A|) / sum |V_A| over the neighbours, of a
+    feature over those that are features.
+
+    A vertex where tau / M is so long that it would overshoot takes a shorter step.
+
+    Attributes
+    ----------
+    faces : (m, 3), the faces that ``links`` were made from.
+    corners : (e, 4), their ``flaps``; other edges count not.
+    free : (n,) bool, False for vertices that must stay.
+    threshold : lambda, in file units.
+    falloff : r, above zero.
+    time_step : tau, in squared file units.
+    """
+
+    faces: Ints
+    links: Connectivity
+    corners: Ints
+    free: Flags
+    threshold: float
+    falloff: float
+    time_step: float
+    prescribed: bool
+    normals: None = None
+
+    @functools.cached_property
+    def _rows(self) -> tuple[Ints, Ints, Ints]:
+        """The flaps whose edge ends at each vertex, in compressed rows; see ``_edge_rows``."""
+        edge_start = np.zeros(len(self.free) + 1, dtype=np.int32)
+        ends = np.empty(2 * len(self.corners), dtype=np.int32)
+        beside = np.empty_like(ends)
+        _edge_rows(self.corners, edge_start, ends, beside)
+        return edge_start, ends, beside
+
+    def __call__(self, positions: Floats) -> Step:
+        """The moves (n, 3) at ``positions``, all from the same positions."""
+        n = len(positions)
+        edge_start, ends, beside = self._rows
+        vectors = np.empty((len(self.faces), 4))
+        over_ranges(_area_vectors, len(self.faces), positions, self.faces, vectors)
+        total, outward, rate = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+        feature = np.empty(n, dtype=bool)
+        over_ranges(
+            _gathered,
+            n,
+            *_weighted_curvatures(positions, self.corners, self.threshold, self.falloff),
+            edge_start,
+            ends,
+            vectors,
+            self.links.face_start,
+            self.links.incident_faces,
+            self.free,
+            self.time_step,
+            total,
+            outward,
+            rate,
+            feature,
+        )
+        if self.prescribed:
+            along, products = np.empty((n, 3)), np.empty((n, 2))
+            rows = edge_start, beside
+            over_ranges(_directions, n, *rows, total, outward, feature, along, products)
+            over_ranges(_prescribed, n, *rows, along, products, feature, total)
+        return Step(-rate[:, None] * total)

@@ -1,0 +1,474 @@
+"""Decimal digits to doubles and back, exactly: the kernels below ``text``.
+
+Nothing is approximate.  A number is read through the first of three ways that is sure of the last
+bit: mantissa and power of ten both exact in float64 (Clinger 1990), the 128-bit product of the
+mantissa with a truncated power of ten whose error is bounded (Lemire 2021), Python's ``float``.
+A number is printed from the integer that its 53 bits are.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.kernels.compiled import compiled
+
+EXACT, NOT_A_NUMBER, UNDECIDED = 0, 1, 2
+"""What became of a token: its value is exact; it is no number; ``float`` must decide."""
+
+MOST_DECIMALS = 17
+"""Decimals beyond which fixed-point text is not used."""
+
+FIXED_BELOW = 2.0**63
+"""Magnitude from which on fixed-point text is not used."""
+
+WIDEST_SHORTEST = 26
+"""Bytes that hold every ``repr`` of a float: ``-1.2345678901234567e-308`` has 24."""
+
+
+def _truncated_powers(lowest: int, highest: int) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+    """The leading 128 bits, cut off, of 10**q for ``lowest <= q <= highest``.
+
+    Returns (k, 2) the high and low words, and (k,) the exponent e such that
+    ``high:low * 2**e <= 10**q < (high:low + 1) * 2**e``.
+    """
+    words = np.empty((highest - lowest + 1, 2), dtype=np.uint64)
+    exponents = np.empty(highest - lowest + 1, dtype=np.int64)
+    for row, q in enumerate(range(lowest, highest + 1)):
+        numerator, denominator = (10**q, 1) if q >= 0 else (1, 10**-q)
+        shift = 128 - numerator.bit_length() + denominator.bit_length()
+        whole = (numerator << max(shift, 0)) // (denominator << max(-shift, 0))
+        while whole.bit_length() > 128:
+            whole >>= 1
+            shift -= 1
+        words[row] = whole >> 64, whole & (2**64 - 1)
+        exponents[row] = -shift
+    return words, exponents
+
+
+_REACH = 80
+"""Powers of ten up to this one, up and down, are in the table; ``float`` does the others."""
+
+_POWER_WORDS, _POWER_EXPONENTS = _truncated_powers(-_REACH, _REACH)
+_FLOAT_POWERS = np.array([float(f"1e{q}") for q in range(23)])
+_POWERS = np.array([10**q for q in range(20)], dtype=np.uint64)
+
+
+# Reading
+
+
+@compiled
+def _product(a, b):  # type: ignore[no-untyped-def]
+    """High and low word of the product of two uint64."""
+    low32 = np.uint64(0xFFFFFFFF)
+    by32 = np.uint64(32)
+    a0, a1 = a & low32, a >> by32
+    b0, b1 = b & low32, b >> by32
+    p00 = a0 * b0
+    p01 = a0 * b1
+    p10 = a1 * b0
+    middle = (p00 >> by32) + (p01 & low32) + (p10 & low32)
+    high = a1 * b1 + (p01 >> by32) + (p10 >> by32) + (middle >> by32)
+    return high, (middle << by32) | (p00 & low32)
+
+
+@compiled
+def _bit_length(word):  # type: ignore[no-untyped-def]
+    """Bits of a uint64 that is not zero."""
+    length = 1
+    for step in (32, 16, 8, 4, 2, 1):
+        if word >> np.uint64(step) != np.uint64(0):
+            word >>= np.uint64(step)
+            length += step
+    return length
+
+
+@compiled
+def _times_power(word, exponent):  # type: ignore[no-untyped-def]
+    """The leading 128 bits of word * 10**exponent, at most two units too small.
+
+    Returns high, low and e with value = high:low * 2**e; the top bit or the one below it is set.
+    The table is cut off by less than one unit of its low word, which the word, below 2**64, carries
+    into the third word of the product; the third word itself is cut off: two units in all.
+    """
+    left = 64 - _bit_length(word)
+    word <<= np.uint64(left)
+    row = exponent + _REACH
+    high, low = _product(word, _POWER_WORDS[row, 0])
+    carried, _ = _product(word, _POWER_WORDS[row, 1])
+    total = low + carried
+    if total < low:
+        high += np.uint64(1)
+    return high, total, _POWER_EXPONENTS[row] + 64 - left
+
+
+@compiled
+def _scaled(mantissa, exponent):  # type: ignore[no-untyped-def]
+    """mantissa * 10**exponent, correctly rounded, and EXACT or UNDECIDED; mantissa is uint64."""
+    if mantissa == np.uint64(0):
+        return 0.0, EXACT
+    if mantissa <= np.uint64(1 << 53):
+        value = np.float64(np.int64(mantissa))
+        if exponent == 0:
+            return value, EXACT
+        if -22 <= exponent < 0:
+            return value / _FLOAT_POWERS[-exponent], EXACT
+        if 0 < exponent <= 22:
+            return value * _FLOAT_POWERS[exponent], EXACT
+    if exponent < -_REACH or exponent > _REACH:
+        return 0.0, UNDECIDED
+    high, low, power = _times_power(mantissa, exponent)
+    cut = 10 if high >> np.uint64(63) != np.uint64(0) else 9
+    kept = high >> np.uint64(cut)
+    kept_bits = high >> np.uint64(cut + 1)
+    rest = high & np.uint64((1 << (cut + 1)) - 1)
+    half = np.uint64(1 << cut)
+    # The true product lies less than two units above: only there can the half be crossed.
+    if (rest == half and low == np.uint64(0)) or (
+        rest == half - np.uint64(1) and low >= np.uint64(0xFFFFFFFFFFFFFFFE)
+    ):
+        return 0.0, UNDECIDED
+    rounded = kept_bits + (kept & np.uint64(1))
+    return math.ldexp(np.float64(np.int64(rounded)), int(power + 64 + cut + 1)), EXACT
+
+
+@compiled
+def _letter(buf, at, stop):  # type: ignore[no-untyped-def]
+    """The byte at ``at`` in lower case, 0 beyond the end."""
+    if at >= stop:
+        return 0
+    c = np.int64(buf[at])
+    if 65 <= c <= 90:
+        c += 32
+    return c
+
+
+@compiled
+def _word(buf, at, stop):  # type: ignore[no-untyped-def]
+    """nan, nan(...), inf or infinity: value, status and end."""
+    if _letter(buf, at, stop) == 110:
+        if _letter(buf, at + 1, stop) != 97 or _letter(buf, at + 2, stop) != 110:
+            return 0.0, NOT_A_NUMBER, at
+        at += 3
+        if at < stop and buf[at] == 40:
+            closing = at + 1
+            while closing < stop and buf[closing] > 41:
+                closing += 1
+            if closing < stop and buf[closing] == 41:
+                at = closing + 1
+        return np.nan, EXACT, at
+    for k, c in enumerate((105, 110, 102, 105, 110, 105, 116, 121)):
+        if _letter(buf, at + k, stop) != c:
+            if k >= 3:
+                return np.inf, EXACT, at + 3
+            return 0.0, NOT_A_NUMBER, at
+    return np.inf, EXACT, at + 8
+
+
+@compiled
+def _long(buf, start, stop, decimals):  # type: ignore[no-untyped-def]
+    """Value and status of twenty digits and more, with a point among them, times 10**-decimals.
+
+    The first 19 significant digits bound it from below, the next number of 19 from above: where
+    both are read as the same double, so is everything between.
+    """
+    mantissa = np.uint64(0)
+    n_digits = 0
+    dropped = 0
+    for k in range(start, stop):
+        if buf[k] == 46:
+            continue
+        if n_digits == 19:
+            dropped += 1
+        else:
+            mantissa = mantissa * np.uint64(10) + np.uint64(buf[k] - 48)
+            n_digits += mantissa != np.uint64(0)
+    exponent = dropped - decimals
+    below, status = _scaled(mantissa, exponent)
+    if dropped == 0 or status != EXACT:
+        return below, status
+    above, status = _scaled(mantissa + np.uint64(1), exponent)
+    return below, EXACT if status == EXACT and below == above else UNDECIDED
+
+
+@compiled
+def _read_any(buf, start, stop):  # type: ignore[no-untyped-def]
+    """``read_number`` for every number."""
+    at = start
+    negative = False
+    if at < stop and (buf[at] == 45 or buf[at] == 43):
+        negative = buf[at] == 45
+        at += 1
+    first = at
+    mantissa = np.uint64(0)
+    while at < stop and 48 <= buf[at] <= 57:
+        mantissa = mantissa * np.uint64(10) + np.uint64(buf[at] - 48)
+        at += 1
+    n_digits = at - first
+    decimals = np.int64(0)
+    if at < stop and buf[at] == 46:
+        at += 1
+        point = at
+        while at < stop and 48 <= buf[at] <= 57:
+            mantissa = mantissa * np.uint64(10) + np.uint64(buf[at] - 48)
+            at += 1
+        decimals = at - point
+        n_digits += decimals
+    if n_digits == 0:
+        if at == first and at < stop and _letter(buf, at, stop) in (105, 110):
+            value, status, at = _word(buf, at, stop)
+            return -value if negative else value, status, at, 0
+        return 0.0, NOT_A_NUMBER, at, 0
+    last = at
+    if at < stop and (buf[at] == 101 or buf[at] == 69):
+        at += 1
+        exponent_negative = False
+        if at < stop and (buf[at] == 45 or buf[at] == 43):
+            exponent_negative = buf[at] == 45
+            at += 1
+        exponent = np.int64(0)
+        exponent_first = at
+        while at < stop and 48 <= buf[at] <= 57:
+            if exponent < 100_000:
+                exponent = exponent * 10 + np.int64(buf[at] - 48)
+            at += 1
+        if at == exponent_first:
+            return 0.0, NOT_A_NUMBER, at, 0
+        decimals -= -exponent if exponent_negative else exponent
+    if n_digits > 19:
+        value, status = _long(buf, first, last, decimals)
+    else:
+        value, status = _scaled(mantissa, -decimals)
+    return -value if negative else value, status, at, max(decimals, 0)
+
+
+@compiled
+def read_number(buf, start, stop):  # type: ignore[no-untyped-def]
+    """The number that begins at ``start``: value, status, end, decimals.
+
+    ``end`` is the first byte that does not belong to it; whether a token may end there is the
+    caller's to say.  ``decimals`` are the digits behind the point, the exponent counted in.
+    """
+    # Short and small, for the numbers that nearly all files consist of.
+    at = start
+    negative = at < stop and buf[at] == 45
+    if negative:
+        at += 1
+    first = at
+    mantissa = np.int64(0)
+    decimals = np.int64(0)
+    while at < stop:
+        digit = np.int64(buf[at]) - 48
+        if digit < 0 or digit > 9:
+            break
+        mantissa = mantissa * 10 + digit
+        at += 1
+    n_digits = at - first
+    if at < stop and buf[at] == 46:
+        at += 1
+        point = at
+        while at < stop:
+            digit = np.int64(buf[at]) - 48
+            if digit < 0 or digit > 9:
+                break
+            mantissa = mantissa * 10 + digit
+            at += 1
+        decimals = at - point
+        n_digits += decimals
+    # 18 digits cannot overflow, and a letter may be an exponent or the beginning of a word.
+    if 0 < n_digits <= 18 and mantissa <= 1 << 53 and (at >= stop or buf[at] < 65):
+        value = np.float64(mantissa) / _FLOAT_POWERS[decimals]
+        return -value if negative else value, EXACT, at, decimals
+    return _read_any(buf, start, stop)
+
+
+# Printing
+
+
+@compiled
+def _write_digits(word, n_digits, out, at):  # type: ignore[no-untyped-def]
+    """Write a uint64 with exactly ``n_digits`` digits; returns the end."""
+    ten = np.uint64(10)
+    for k in range(at + n_digits - 1, at - 1, -1):
+        rest = word // ten
+        out[k] = np.uint8(48 + np.int64(word - rest * ten))
+        word = rest
+    return at + n_digits
+
+
+@compiled
+def _n_digits(word):  # type: ignore[no-untyped-def]
+    """Decimal digits of a uint64, one for zero."""
+    n = 1
+    while n < 20 and word >= _POWERS[n]:
+        n += 1
+    return n
+
+
+@compiled
+def _parts(value):  # type: ignore[no-untyped-def]
+    """Integer mantissa (uint64) and exponent e of a finite |value| = mantissa * 2**e."""
+    bits = np.float64(value).view(np.uint64)
+    biased = np.int64((bits >> np.uint64(52)) & np.uint64(0x7FF))
+    mantissa = bits & np.uint64((1 << 52) - 1)
+    if biased == 0:
+        return mantissa, -1074
+    return mantissa | np.uint64(1 << 52), biased - 1075
+
+
+@compiled
+def write_fixed(value, decimals, out, at):  # type: ignore[no-untyped-def]
+    """Write ``value`` with ``decimals`` (at most 17) digits behind the point; returns the end.
+
+    Correctly rounded from the double, ties to the even digit; a result of zero has no sign.
+    Returns -1, with nothing written, for magnitudes of 2**63 and more and for NaN.
+    """
+    if not abs(value) < FIXED_BELOW:
+        return -1
+    mantissa, exponent = _parts(value)
+    zero, one = np.uint64(0), np.uint64(1)
+    fraction = zero
+    if exponent >= 0:
+        whole = mantissa << np.uint64(exponent)
+    else:
+        shift = -exponent
+        # below one: the part of the mantissa that is worth less than one, in units of 2**-shift
+        whole = mantissa >> np.uint64(shift) if shift < 64 else zero
+        below_one = mantissa - (whole << np.uint64(shift)) if shift < 64 else mantissa
+        high, low = _product(below_one, _POWERS[decimals])
+        rest_high = zero
+        half_high = zero
+        if shift < 64:
+            fraction = (high << np.uint64(64 - shift)) | (low >> np.uint64(shift))
+            rest_low = low & ((one << np.uint64(shift)) - one)
+            half_low = one << np.uint64(shift - 1)
+        elif shift < 128:
+            rest_low = low
+            half_low = zero
+            if shift == 64:
+                fraction = high
+                half_low = one << np.uint64(63)
+            else:
+                fraction = high >> np.uint64(shift - 64)
+                rest_high = high & ((one << np.uint64(shift - 64)) - one)
+                half_high = one << np.uint64(shift - 65)
+        else:
+            # The product has 110 bits at most: far below one half.
+            rest_low, half_low = zero, one
+        last = fraction if decimals > 0 else whole
+        above = rest_high > half_high or (rest_high == half_high and rest_low > half_low)
+        tied = rest_high == half_high and rest_low == half_low
+        if above or (tied and last & one == one):
+            fraction += one
+        if fraction >= _POWERS[decimals]:
+            fraction -= _POWERS[decimals]
+            whole += one
+    if value < 0.0 and (whole != zero or fraction != zero):
+        out[at] = 45
+        at += 1
+    at = _write_digits(whole, _n_digits(whole), out, at)
+    if decimals > 0:
+        out[at] = 46
+        at = _write_digits(fraction, decimals, out, at + 1)
+    return at
+
+
+@compiled
+def _rounded_to(value, n_digits, exponent):  # type: ignore[no-untyped-def]
+    """Nearest integer (up to a tie) to value * 10**(n_digits - 1 - exponent), value > 0."""
+    mantissa, power = _parts(value)
+    high, _, shift = _times_power(mantissa, n_digits - 1 - exponent)
+    # The result has 17 digits at most, so that it lies in the upper word.
+    right = np.uint64(-(shift + power) - 64 - 1)
+    doubled = high >> right
+    return (doubled + np.uint64(1)) >> np.uint64(1)
+
+
+@compiled
+def _reads_back(mantissa, exponent, value, single):  # type: ignore[no-untyped-def]
+    """Whether mantissa * 10**exponent is read as ``value``: 1, 0, or -1 where it is unsure."""
+    back, status = _scaled(mantissa, exponent)
+    if status != EXACT:
+        return -1
+    if not single:
+        return 1 if back == value else 0
+    # In the middle of two float32, or beside it, readers differ: one digit more is clear.
+    below = np.float64(np.float32(back * (1.0 - 2.0**-52)))
+    above = np.float64(np.float32(back * (1.0 + 2.0**-52)))
+    return 1 if below == value and above == value else 0
+
+
+@compiled
+def write_shortest(value, single, out, at):  # type: ignore[no-untyped-def]
+    """Write the shortest decimal that is read back as ``value``; returns the end.
+
+    15 digits (float32: 6) that read back are, without their last zeros, the shortest there is,
+    because every decimal of so few digits survives the way through the type.  Returns -1, with
+    nothing written, where ``repr`` must decide.
+    """
+    if value == 0.0:
+        if np.float64(value).view(np.uint64) != np.uint64(0):
+            out[at] = 45
+            at += 1
+        out[at] = 48
+        return at + 1
+    size = abs(value)
+    # float32 numbers below 1.2e-38 have fewer digits than the rest.
+    if not 1e-60 < size < 1e60 or (single and size < 1.2e-38):
+        return -1
+    ten = np.uint64(10)
+    # Low rather than high where the logarithm is unsure: too low shows, as one digit too many.
+    lowest = math.floor(math.log10(size) - 1e-12)
+    is_power_of_two = _parts(size)[0] == np.uint64(1 << 52)
+    exponent = lowest
+    mantissa = np.uint64(0)
+    n_digits = 6 if single else 15
+    most = 9 if single else 17
+    reads = 0
+    while n_digits <= most and reads == 0:
+        exponent = lowest
+        mantissa = _rounded_to(size, n_digits, exponent)
+        if mantissa >= _POWERS[n_digits]:
+            exponent += 1
+            mantissa = _rounded_to(size, n_digits, exponent)
+        reads = _reads_back(mantissa, exponent - n_digits + 1, size, single)
+        if reads == 0 and is_power_of_two:
+            # The doubles above are twice as far apart as those below: the farther side may do.
+            mantissa += np.uint64(1)
+            reads = _reads_back(mantissa, exponent - n_digits + 1, size, single)
+        n_digits += 1
+    if reads != 1:
+        return -1
+    n_digits = _n_digits(mantissa)
+    while mantissa % ten == np.uint64(0):
+        mantissa //= ten
+        n_digits -= 1
+    if value < 0.0:
+        out[at] = 45
+        at += 1
+    if -4 <= exponent < 0:
+        at = _write_digits(np.uint64(0), -exponent, out, at)
+        end = _write_digits(mantissa, n_digits, out, at + 1)
+        out[at] = out[at - 1]
+        out[at + exponent + 1] = 46
+        return end
+    if 0 <= exponent < 16:
+        if n_digits <= exponent + 1:
+            at = _write_digits(mantissa, n_digits, out, at)
+            return _write_digits(np.uint64(0), exponent + 1 - n_digits, out, at)
+        behind = n_digits - exponent - 1
+        whole = mantissa // _POWERS[behind]
+        at = _write_digits(whole, exponent + 1, out, at)
+        out[at] = 46
+        return _write_digits(mantissa - whole * _POWERS[behind], behind, out, at + 1)
+    first = mantissa // _POWERS[n_digits - 1]
+    at = _write_digits(first, 1, out, at)
+    if n_digits > 1:
+        out[at] = 46
+        rest = mantissa - first * _POWERS[n_digits - 1]
+        at = _write_digits(rest, n_digits - 1, out, at + 1)
+    out[at] = 101
+    out[at + 1] = 45 if exponent < 0 else 43
+    return _write_digits(np.uint64(abs(exponent)), 2, out, at + 2)

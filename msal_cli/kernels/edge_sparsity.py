@@ -1,0 +1,232 @@
+"""Minimise how many edges are bent: the parts of He and Schaefer's L0 minimisation.
+
+Over every flap, an edge (p1, p3) with its faces (p1, p2, p3) and (p1, p3, p4), there are two
+quantities that are linear in the positions once their coefficients are fixed:
+
+    D = c1 p1 + c2 p2 + c3 p3 + c4 p4      zero where the flap is flat
+    R = p1 - p2 + p3 - p4                  zero where it is a parallelogram
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.conjugate_gradient import RowMatrix
+from msal_cli.kernels.parallel import over_ranges
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+LARGEST = 100.0
+"""Coefficients beyond it, of a flap on a needle, are scaled down: they would rule all others."""
+
+
+@compiled
+def _bends(start, stop, x, corners, threshold, coefficients, deltas):  # type: ignore[no-untyped-def]
+    """c by areas as in He & Schaefer, section 3.2; S134 times 2 is s_one, S123 times 2 is s_two."""
+    for e in range(start, stop):
+        p1, p2, p3, p4 = corners[e, 0], corners[e, 1], corners[e, 2], corners[e, 3]
+        ex, ey, ez = x[p3, 0] - x[p1, 0], x[p3, 1] - x[p1, 1], x[p3, 2] - x[p1, 2]
+        bx, by, bz = x[p2, 0] - x[p1, 0], x[p2, 1] - x[p1, 1], x[p2, 2] - x[p1, 2]
+        dx, dy, dz = x[p4, 0] - x[p1, 0], x[p4, 1] - x[p1, 1], x[p4, 2] - x[p1, 2]
+        mx, my, mz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
+        nx, ny, nz = ey * dz - ez * dy, ez * dx - ex * dz, ex * dy - ey * dx
+        s_two = np.sqrt(mx * mx + my * my + mz * mz)
+        s_one = np.sqrt(nx * nx + ny * ny + nz * nz)
+        square = ex * ex + ey * ey + ez * ez
+        both = s_one + s_two
+        deltas[e, 0] = deltas[e, 1] = deltas[e, 2] = 0.0
+        if both == 0.0 or square == 0.0:
+            coefficients[e, 0] = coefficients[e, 1] = coefficients[e, 2] = coefficients[e, 3] = 0.0
+            continue
+        # How far along the edge the two opposite vertices stand, from 0 at p1 to 1 at p3.
+        at_two = (bx * ex + by * ey + bz * ez) / square
+        at_four = (dx * ex + dy * ey + dz * ez) / square
+        c2 = s_one / both
+        c4 = s_two / both
+        c3 = -(c2 * at_two + c4 * at_four)
+        c1 = -1.0 - c3
+        largest = max(abs(c1), abs(c3))
+        if largest > LARGEST:
+            scale = LARGEST / largest
+            c1 *= scale
+            c2 *= scale
+            c3 *= scale
+            c4 *= scale
+        coefficients[e, 0] = c1
+        coefficients[e, 1] = c2
+        coefficients[e, 2] = c3
+        coefficients[e, 3] = c4
+        # With p1 as origin the sum is as exact as the edges are.
+        vx = c3 * ex + c2 * bx + c4 * dx
+        vy = c3 * ey + c2 * by + c4 * dy
+        vz = c3 * ez + c2 * bz + c4 * dz
+        if vx * vx + vy * vy + vz * vz >= threshold:
+            deltas[e, 0] = vx
+            deltas[e, 1] = vy
+            deltas[e, 2] = vz
+
+
+@compiled
+def _incidences(corners, start, incident):  # type: ignore[no-untyped-def]
+    for e in range(len(corners)):
+        for place in range(4):
+            start[corners[e, place] + 1] += 1
+    for i in range(len(start) - 1):
+        start[i + 1] += start[i]
+    for e in range(len(corners)):
+        for place in range(4):
+            i = corners[e, place]
+            incident[start[i]] = 4 * e + place
+            start[i] += 1
+    for i in range(len(start) - 1, 0, -1):
+        start[i] = start[i - 1]
+    start[0] = 0
+
+
+@compiled
+def _pattern(corners, start, incident, row_start, columns, slots):  # type: ignore[no-untyped-def]
+    """Columns of every row, and the place in it of each corner of each incident flap."""
+    n = len(start) - 1
+    slot = np.full(n, -1, dtype=np.int32)
+    total = 0
+    for i in range(n):
+        row = total
+        for at in range(start[i], start[i + 1]):
+            e = incident[at] // 4
+            for place in range(4):
+                k = corners[e, place]
+                if k == i:
+                    slots[at, place] = -1
+                    continue
+                if slot[k] < row:
+                    slot[k] = total
+                    columns[total] = k
+                    total += 1
+                slots[at, place] = slot[k]
+        row_start[i + 1] = total
+    return total
+
+
+@compiled
+def _assembled(  # type: ignore[no-untyped-def]
+    start,
+    stop,
+    coefficients,
+    deltas,
+    alpha,
+    beta,
+    flap_start,
+    incident,
+    slots,
+    row_start,
+    diagonal,
+    values,
+    pulls,
+):
+    for i in range(start, stop):
+        for at in range(row_start[i], row_start[i + 1]):
+            values[at] = 0.0
+        own = 1.0
+        px = py = pz = 0.0
+        for at in range(flap_start[i], flap_start[i + 1]):
+            e = incident[at] // 4
+            place = incident[at] % 4
+            scaled = beta * coefficients[e, place]
+            for other in range(4):
+                sign = alpha if (place + other) % 2 == 0 else -alpha
+                value = scaled * coefficients[e, other] + sign
+                s = slots[at, other]
+                if s < 0:
+                    own += value
+                else:
+                    values[s] += value
+            px += scaled * deltas[e, 0]
+            py += scaled * deltas[e, 1]
+            pz += scaled * deltas[e, 2]
+        diagonal[i] = own
+        pulls[i, 0] = px
+        pulls[i, 1] = py
+        pulls[i, 2] = pz
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeSparsity:
+    """The quadratic part |p - p*|^2 + alpha |R|^2 + beta |D - delta|^2 over the flaps of a mesh.
+
+    Attributes
+    ----------
+    corners : (e, 4), p1 to p4 of every flap.
+    flap_start, incident : rows of the flaps around each vertex, (n + 1,) and (4 e,), as 4 times
+        the number of the flap plus the place of the vertex in it.
+    row_start, columns : pattern of the matrix, (n + 1,) and (k,).
+    slots : (4 e, 4), for each entry of ``incident`` where the four corners of the flap stand in
+        ``columns``; -1 for the vertex itself.
+    """
+
+    corners: Ints
+    flap_start: Ints
+    incident: Ints
+    row_start: Ints
+    columns: Ints
+    slots: Ints
+
+    def bent(self, positions: Floats, threshold: float) -> tuple[Floats, Floats]:
+        """Coefficients c (e, 4) at ``positions`` (n, 3), and delta (e, 3).
+
+        delta = D where |D|^2 is at least ``threshold``, in squared units, and zero elsewhere.  The
+        coefficients of a flap without area or whose edge has no length are zero.
+        """
+        coefficients = np.empty((len(self.corners), 4))
+        deltas = np.empty((len(self.corners), 3))
+        over_ranges(
+            _bends,
+            len(self.corners),
+            positions,
+            self.corners,
+            threshold,
+            coefficients,
+            deltas,
+        )
+        return coefficients, deltas
+
+    def system(
+        self, coefficients: Floats, deltas: Floats, alpha: float, beta: float
+    ) -> tuple[RowMatrix, Floats]:
+        """The matrix I + alpha R'R + beta D'D, and beta D' delta (n, 3)."""
+        n = len(self.flap_start) - 1
+        diagonal = np.empty(n)
+        values = np.empty(len(self.columns))
+        pulls = np.empty((n, 3))
+        over_ranges(
+            _assembled,
+            n,
+            coefficients,
+            deltas,
+            alpha,
+            beta,
+            self.flap_start,
+            self.incident,
+            self.slots,
+            self.row_start,
+            diagonal,
+            values,
+            pulls,
+        )
+        return RowMatrix(diagonal, self.row_start, self.columns, values), pulls
+
+
+def edge_sparsity(n_vertices: int, corners: Ints) -> EdgeSparsity:
+    """Prepare for ``corners`` (e, 4), the flaps of a mesh with that many vertices."""
+    flap_start = np.zeros(n_vertices + 1, dtype=np.int32)
+    incident = np.empty(4 * len(corners), dtype=np.int32)
+    _incidences(corners, flap_start, incident)
+    row_start = np.zeros(n_vertices + 1, dtype=np.int32)
+    columns = np.empty(12 * len(corners), dtype=np.int32)
+    slots = np.empty((4 * len(corners), 4), dtype=np.int32)
+    total = _pattern(corners, flap_start, incident, row_start, columns, slots)
+    return EdgeSparsity(corners, flap_start, incident, row_start, columns[:total].copy(), slots)

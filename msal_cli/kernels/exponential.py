@@ -1,0 +1,91 @@
+"""The exponential of many numbers at once, by arithmetic that compilers turn into vectors.
+
+The library's exponential is called once per number; written as loops over a block that stays in
+the first-level cache it takes a third of the time, and gives the same bits on every machine.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from msal_cli.kernels.compiled import compiled
+
+_PER_LN2 = 1.4426950408889634  # 1 / ln 2
+# ln 2 in two parts (Cody and Waite): the first has few enough bits for exact products.
+_LN2_HIGH = 6.93145751953125e-1
+_LN2_LOW = 1.42860682030941723212e-6
+# Added to a number it leaves the nearest integer in the lowest bits of the sum.
+_ROUND = 6755399441055744.0  # 1.5 * 2^52
+
+SMALLEST_ARGUMENT = -700.0
+"""Arguments below are taken as this: exp(-700) is 1e-304, nothing beside a weight of 1."""
+
+
+BLOCK = 1024
+"""Numbers to give at a time: three arrays of them fit a first-level cache of 32 KiB."""
+
+
+@compiled
+def exponentials(values, scratch, scratch_bits, count):  # type: ignore[no-untyped-def]
+    """Replace ``values[:count]``, none above zero, by their exponentials, within 1 ulp or so.
+
+    ``scratch`` (>= count,) float64 and ``scratch_bits``, the same memory as int64, are overwritten.
+    """
+    bits = values.view(np.int64)
+    for at in range(count):
+        value = values[at] if values[at] > SMALLEST_ARGUMENT else SMALLEST_ARGUMENT
+        values[at] = value
+        scratch[at] = value * _PER_LN2 + _ROUND
+    for at in range(count):
+        power = scratch[at] - _ROUND
+        r = (values[at] - power * _LN2_HIGH) - power * _LN2_LOW
+        # Taylor series to r^12; |r| <= ln 2 / 2, so that the rest is below 2^-57.
+        p = 1.0 / 479001600.0
+        p = p * r + 1.0 / 39916800.0
+        p = p * r + 1.0 / 3628800.0
+        p = p * r + 1.0 / 362880.0
+        p = p * r + 1.0 / 40320.0
+        p = p * r + 1.0 / 5040.0
+        p = p * r + 1.0 / 720.0
+        p = p * r + 1.0 / 120.0
+        p = p * r + 1.0 / 24.0
+        p = p * r + 1.0 / 6.0
+        p = p * r + 0.5
+        p = p * r + 1.0
+        values[at] = p * r + 1.0
+    for at in range(count):
+        bits[at] += scratch_bits[at] << 52
+
+
+# Coefficients of r ... r^11 in 2^r - 1: the polynomial through zero and the function's values at
+# Chebyshev's points of |r| <= 1/2.  It leaves 2^r a relative error of 2e-17.
+_P1, _P2, _P3 = 0.6931471805599453, 0.24022650695910097, 0.0555041086648216
+_P4, _P5, _P6 = 0.009618129107606888, 0.0013333558146416936, 0.0001540353044173605
+_P7, _P8, _P9 = 1.525273382983612e-05, 1.321544258792169e-06, 1.0178062445845774e-07
+_P10, _P11 = 7.072585949269223e-09, 4.4549605981865186e-10
+
+LOG2_E = 1.4426950408889634
+SMALLEST_POWER = -1010.0
+"""Exponents below are taken as this: 2^-1010 is 1e-304."""
+
+_TO_EXPONENT = np.int64(52)
+
+
+@compiled
+def power_of_two(exponent):  # type: ignore[no-untyped-def]
+    """2 to an exponent not above 1, within 1 ulp or so.
+
+    For use inside loops over contiguous numbers, which then become vector code.  There is nothing
+    to reduce by a rounded ln 2: whoever needs exp puts ``LOG2_E`` into a factor that is there.
+    """
+    t = exponent if exponent > SMALLEST_POWER else SMALLEST_POWER
+    rounded = t + _ROUND
+    r = t - (rounded - _ROUND)
+    # Four short sums beside each other: one long chain would have every step wait for the last.
+    q = r * r
+    q2 = q * q
+    p = (r * _P11 + _P10) * q + (r * _P9 + _P8)
+    p = p * q2 + ((r * _P7 + _P6) * q + (r * _P5 + _P4))
+    p = p * q2 + ((r * _P3 + _P2) * q + r * _P1)
+    bits = np.float64(p + 1.0).view(np.int64)
+    return np.int64(bits + (np.float64(rounded).view(np.int64) << _TO_EXPONENT)).view(np.float64)

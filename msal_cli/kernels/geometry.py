@@ -1,0 +1,424 @@
+"""Normals, areas and volumes of triangle meshes.
+
+Throughout: ``vertices`` (n, 3) float64 and ``faces`` (m, 3) int32, counter-clockwise from outside.
+A face whose doubled area is at most 1e-12 of its longest edge squared is *degenerate*: it has no
+normal, and a zero vector stands in its place.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.parallel import SMALLEST_RANGE, over_ranges, threads
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+MOST_PARTS = 8
+"""Parts of the vertices whose normals are added up at the same time."""
+
+BLOCK_VERTICES = 1024
+"""Vertices whose edges make one partial sum, so that a sum does not depend on threads."""
+
+DEGENERATE = 1e-12
+"""Doubled area over longest edge squared, at and below which a face has no usable normal."""
+
+VANISHED = 1e-10
+"""A sum of k unit vectors shorter than this times k has no direction."""
+
+BLOCK_FACES = 512
+"""Faces that are worked on at a time, so that what is known of them stays in the nearest cache."""
+
+
+@compiled
+def _doubled_area_normal(vertices, a, b, c):  # type: ignore[no-untyped-def]
+    """Unit normal (zeros if degenerate) and doubled area of one triangle."""
+    ux = vertices[b, 0] - vertices[a, 0]
+    uy = vertices[b, 1] - vertices[a, 1]
+    uz = vertices[b, 2] - vertices[a, 2]
+    wx = vertices[c, 0] - vertices[a, 0]
+    wy = vertices[c, 1] - vertices[a, 1]
+    wz = vertices[c, 2] - vertices[a, 2]
+    nx = uy * wz - uz * wy
+    ny = uz * wx - ux * wz
+    nz = ux * wy - uy * wx
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    vx = wx - ux
+    vy = wy - uy
+    vz = wz - uz
+    longest = max(
+        ux * ux + uy * uy + uz * uz, wx * wx + wy * wy + wz * wz, vx * vx + vy * vy + vz * vz
+    )
+    if length <= DEGENERATE * longest:
+        return 0.0, 0.0, 0.0, length
+    return nx / length, ny / length, nz / length, length
+
+
+@compiled
+def _face_normals(start, stop, vertices, faces, normals, doubled_areas):  # type: ignore[no-untyped-def]
+    for f in range(start, stop):
+        nx, ny, nz, doubled = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
+        normals[f, 0] = nx
+        normals[f, 1] = ny
+        normals[f, 2] = nz
+        doubled_areas[f] = doubled
+
+
+def face_normals_and_areas(vertices: Floats, faces: Ints) -> tuple[Floats, Floats]:
+    """Unit face normals (m, 3), zeros for degenerate faces, and areas (m,) in squared units."""
+    normals = np.empty((len(faces), 3))
+    doubled_areas = np.empty(len(faces))
+    over_ranges(_face_normals, len(faces), vertices, faces, normals, doubled_areas)
+    doubled_areas *= 0.5
+    return normals, doubled_areas
+
+
+@compiled
+def _usable_areas(start, stop, normals, areas, result):  # type: ignore[no-untyped-def]
+    for f in range(np.uint64(start), np.uint64(stop)):
+        has_normal = (normals[f, 0] != 0.0) | (normals[f, 1] != 0.0) | (normals[f, 2] != 0.0)
+        result[f] = areas[f] if has_normal else 0.0
+
+
+def usable_areas(normals: Floats, areas: Floats) -> Floats:
+    """Areas (m,), zero for faces whose normal, of ``normals`` (m, 3), is zero."""
+    result = np.empty(len(areas))
+    over_ranges(_usable_areas, len(areas), normals, areas, result)
+    return result
+
+
+def face_normals(vertices: Floats, faces: Ints) -> Floats:
+    """Unit face normals (m, 3), zeros for degenerate faces."""
+    return face_normals_and_areas(vertices, faces)[0]
+
+
+@compiled
+def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, flat):  # type: ignore[no-untyped-def]
+    """Add every face's normal, and its weight, to its corners; count the faces that have none.
+
+    Part k of ``parts`` writes to its share of the vertices only, and looks at all faces for that:
+    each vertex adds up its faces in their order, whatever the number of parts.  Faces are taken in
+    blocks, so that roots and quotients become vector code.
+    """
+    n = len(vertices)
+    chosen = np.empty(BLOCK_FACES, dtype=np.int64)
+    x, y, z = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
+    longest, weight = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
+    for part in range(start, stop):
+        low, high = n * part // parts, n * (part + 1) // parts
+        lowest, highest = np.uint64(low), np.uint64(high)
+        without = 0
+        for first in range(0, len(faces), BLOCK_FACES):
+            count = 0
+            for f in range(first, min(first + BLOCK_FACES, len(faces))):
+                chosen[count] = f
+                count += (
+                    low <= faces[f, 0] < high
+                    or low <= faces[f, 1] < high
+                    or low <= faces[f, 2] < high
+                )
+            for at in range(count):
+                f = chosen[at]
+                a, b, c = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
+                ux = vertices[b, 0] - vertices[a, 0]
+                uy = vertices[b, 1] - vertices[a, 1]
+                uz = vertices[b, 2] - vertices[a, 2]
+                wx = vertices[c, 0] - vertices[a, 0]
+                wy = vertices[c, 1] - vertices[a, 1]
+                wz = vertices[c, 2] - vertices[a, 2]
+                x[at] = uy * wz - uz * wy
+                y[at] = uz * wx - ux * wz
+                z[at] = ux * wy - uy * wx
+                vx, vy, vz = wx - ux, wy - uy, wz - uz
+                longest[at] = max(
+                    ux * ux + uy * uy + uz * uz,
+                    wx * wx + wy * wy + wz * wz,
+                    vx * vx + vy * vy + vz * vz,
+                )
+            for at in range(count):
+                length = np.sqrt(x[at] * x[at] + y[at] * y[at] + z[at] * z[at])
+                has_normal = length > DEGENERATE * longest[at]
+                scale = 1.0 if by_area else length
+                scale = scale if has_normal else np.inf
+                x[at] /= scale
+                y[at] /= scale
+                z[at] /= scale
+                weight[at] = (length if by_area else 1.0) if has_normal else 0.0
+            for at in range(count):
+                f = chosen[at]
+                for corner in range(3):
+                    i = np.uint64(faces[f, corner])
+                    if lowest <= i < highest:
+                        sums[i, 0] += x[at]
+                        sums[i, 1] += y[at]
+                        sums[i, 2] += z[at]
+                        weights[i] += weight[at]
+                without += weight[at] == 0.0 and low <= faces[f, 0] < high
+        flat[part] = without
+
+
+@compiled
+def _unit_sums(start, stop, sums, weights):  # type: ignore[no-untyped-def]
+    """Make unit vectors of sums; where one vanishes it becomes zero, and its weight negative."""
+    for i in range(start, stop):
+        x, y, z = sums[i, 0], sums[i, 1], sums[i, 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        if length > VANISHED * weights[i]:
+            sums[i, 0] = x / length
+            sums[i, 1] = y / length
+            sums[i, 2] = z / length
+        else:
+            sums[i, 0] = sums[i, 1] = sums[i, 2] = 0.0
+            weights[i] = -weights[i]
+
+
+def normals_and_flat_faces(vertices: Floats, faces: Ints, weighting: str) -> tuple[Floats, int]:
+    """Unit vertex normals (n, 3), see ``vertex_normals``, and how many faces have no normal."""
+    n = len(vertices)
+    sums, weights = np.zeros((n, 3)), np.zeros(n)
+    # Every part looks at all faces.
+    parts = max(1, min(threads(), n // SMALLEST_RANGE, MOST_PARTS))
+    flat = np.zeros(parts, dtype=np.int64)
+    over_ranges(
+        _normal_sums,
+        parts,
+        parts,
+        vertices,
+        faces,
+        weighting == "area",
+        sums,
+        weights,
+        flat,
+        smallest=1,
+    )
+    over_ranges(_unit_sums, n, sums, weights)
+    if weighting != "area":
+        vanished = weights < 0.0
+        if vanished.any():
+            sums[vanished] = vertex_normals(vertices, faces, "area")[vanished]
+    return sums, int(flat.sum())
+
+
+def vertex_normals(vertices: Floats, faces: Ints, weighting: str) -> Floats:
+    """Unit vertex normals (n, 3): the normalised sum of the adjacent face normals.
+
+    ``weighting`` is ``"uniform"`` (unit face normals count alike, section 2.3 of Huang and
+    Ascher) or ``"area"``.  Degenerate faces are left out.  Where the sum vanishes (opposed
+    normals) the area-weighted sum is taken; where that vanishes too, or there is no face, the
+    normal is zero, and a filter that moves along normals leaves the vertex in place.
+    """
+    return normals_and_flat_faces(vertices, faces, weighting)[0]
+
+
+@compiled
+def _mollified(start, stop, normals, ring_start, ring, result):  # type: ignore[no-untyped-def]
+    for i in range(start, stop):
+        sx = sy = sz = 0.0
+        for at in range(ring_start[i], ring_start[i + 1]):
+            k = ring[at]
+            sx += normals[k, 0]
+            sy += normals[k, 1]
+            sz += normals[k, 2]
+        length = np.sqrt(sx * sx + sy * sy + sz * sz)
+        if length <= VANISHED * (ring_start[i + 1] - ring_start[i]):
+            result[i, 0] = normals[i, 0]
+            result[i, 1] = normals[i, 1]
+            result[i, 2] = normals[i, 2]
+        else:
+            result[i, 0] = sx / length
+            result[i, 1] = sy / length
+            result[i, 2] = sz / length
+
+
+def mollified(normals: Floats, ring_start: Ints, ring: Ints, passes: int) -> Floats:
+    """Vertex normals (n, 3) after ``passes`` passes of the umbrella operator on the normal field.
+
+    Each pass replaces a normal by the normalised sum of its one-ring's normals, its own left out
+    (section 2.3 of Huang and Ascher); where that sum vanishes the normal is kept.
+    """
+    for _ in range(passes):
+        result = np.empty_like(normals)
+        over_ranges(_mollified, len(normals), normals, ring_start, ring, result)
+        normals = result
+    return normals
+
+
+@compiled
+def _area_and_volume(vertices, faces):  # type: ignore[no-untyped-def]
+    doubled_area = 0.0
+    sixfold_volume = 0.0
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+        ux, uy, uz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
+        wx, wy, wz = vertices[c, 0] - ax, vertices[c, 1] - ay, vertices[c, 2] - az
+        nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+        doubled_area += np.sqrt(nx * nx + ny * ny + nz * nz)
+        sixfold_volume += ax * nx + ay * ny + az * nz
+    return doubled_area / 2.0, sixfold_volume / 6.0
+
+
+def area_and_volume(vertices: Floats, faces: Ints) -> tuple[float, float]:
+    """Surface area and signed volume, the sum of x1 . (x2 x x3) / 6 over the faces.
+
+    Desbrun, Meyer, Schroeder and Barr 1999, the paper's Table 1.  The volume of a surface that is
+    not closed depends on where the origin lies.
+    """
+    area, volume = _area_and_volume(vertices, faces)
+    return float(area), float(volume)
+
+
+@compiled
+def _distances(start, stop, before, after, lengths):  # type: ignore[no-untyped-def]
+    for i in range(start, stop):
+        dx = after[i, 0] - before[i, 0]
+        dy = after[i, 1] - before[i, 1]
+        dz = after[i, 2] - before[i, 2]
+        lengths[i] = np.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+def distances(before: Floats, after: Floats) -> Floats:
+    """Distances (n,) between positions (n, 3)."""
+    lengths = np.empty(len(before))
+    over_ranges(_distances, len(before), before, after, lengths)
+    return lengths
+
+
+@compiled
+def _edge_length_sums(start, stop, vertices, ring_start, ring, sums, counts):  # type: ignore[no-untyped-def]
+    n = len(vertices)
+    for block in range(start, stop):
+        total = 0.0
+        count = 0
+        for i in range(block * BLOCK_VERTICES, min((block + 1) * BLOCK_VERTICES, n)):
+            for at in range(ring_start[i], ring_start[i + 1]):
+                k = ring[at]
+                if k > i:
+                    dx = vertices[k, 0] - vertices[i, 0]
+                    dy = vertices[k, 1] - vertices[i, 1]
+                    dz = vertices[k, 2] - vertices[i, 2]
+                    total += np.sqrt(dx * dx + dy * dy + dz * dz)
+                    count += 1
+        sums[block] = total
+        counts[block] = count
+
+
+def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
+    """Mean length of the unique edges, in file units; zero without edges."""
+    n_blocks = -(-len(vertices) // BLOCK_VERTICES)
+    sums, counts = np.empty(n_blocks), np.empty(n_blocks, dtype=np.int64)
+    over_ranges(_edge_length_sums, n_blocks, vertices, ring_start, ring, sums, counts, smallest=32)
+    count = int(counts.sum())
+    return float(sums.sum() / count) if count else 0.0
+
+
+@compiled
+def _ring_means(start, stop, values, ring_start, ring, result):  # type: ignore[no-untyped-def]
+    for i in range(start, stop):
+        m = ring_start[i + 1] - ring_start[i]
+        total = 0.0
+        for at in range(ring_start[i], ring_start[i + 1]):
+            total += values[ring[at]]
+        result[i] = total / m if m else values[i]
+
+
+def ring_means(values: Floats, ring_start: Ints, ring: Ints) -> Floats:
+    """Mean of vertex values (n,) over each one-ring; a vertex's own value where it is empty."""
+    result = np.empty_like(values)
+    over_ranges(_ring_means, len(values), values, ring_start, ring, result)
+    return result
+
+
+@compiled
+def _entry_sums(  # type: ignore[no-untyped-def]
+    old_unit, new_unit, faces, moved, group, old_sums, new_sums, touched
+):
+    for f in range(len(faces)):
+        face_moved = moved[faces[f, 0]] or moved[faces[f, 1]] or moved[faces[f, 2]]
+        for corner in range(3):
+            g = group[f, corner]
+            if face_moved:
+                touched[g] = True
+            for axis in range(3):
+                old_sums[g, axis] += old_unit[f, axis]
+                new_sums[g, axis] += new_unit[f, axis]
+
+
+def regrouped_normals(
+    old_vertices: Floats,
+    new_vertices: Floats,
+    faces: Ints,
+    corner_entry: NDArray[np.integer],
+    old_normals: Floats,
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Recompute a file's stored normals for moved vertices.
+
+    Parameters
+    ----------
+    old_vertices, new_vertices : (n, 3), before and after.
+    faces : (m, 3), the triangles.
+    corner_entry : (m, 3), which normal entry each face corner uses; negative for none.
+    old_normals : (g, 3), the entries as the file stores them, of any length.
+
+    Returns
+    -------
+    normals : (g, 3).  An entry becomes the normalised sum of the unit normals of the face corners
+        that use it; corners at coincident vertices whose stored normals are equal share one sum,
+        so that a UV seam does not become a crease.  The sense of the old normal relative to the
+        old faces is kept.  A zero or non-finite entry, one without faces, and one whose sum
+        vanishes are returned as they were.
+    changed : (g,) bool, False where no face of the entry moved: keep the bytes of those.
+    """
+    from msal_cli.kernels.connectivity import first_alike, numbered, welded
+
+    n_entries = len(old_normals)
+    result = old_normals.copy()
+    changed = np.zeros(n_entries, dtype=bool)
+    moved = (old_vertices != new_vertices).any(axis=1)
+    if not n_entries or not moved.any():
+        return result, changed
+    entries = np.ascontiguousarray(corner_entry, dtype=np.int32).reshape(-1)
+    usable = np.isfinite(old_normals).all(axis=1) & (old_normals != 0.0).any(axis=1)
+    place = welded(old_vertices, faces)
+    if np.array_equal(entries, faces.reshape(-1)) and (place == np.arange(len(place))).all():
+        # One normal per vertex and no seam: the entry is the group.
+        group, n_groups = entries, n_entries
+        pair_entry = pair_group = np.arange(n_entries, dtype=np.int32)
+    else:
+        like, _ = first_alike(np.where(usable[:, None], old_normals, 0.0), usable)
+        alike = np.where(entries < 0, -1, like[entries]).astype(np.int32)
+        group, first_corner = numbered(place[faces.reshape(-1)], alike)
+        n_groups = len(first_corner)
+        # One entry may serve many places (a flat region that shares one normal): its groups add
+        # up, each once however many corners bring it.
+        _, first_corner = numbered(entries, group)
+        first_corner = first_corner[entries[first_corner] >= 0]
+        pair_entry, pair_group = entries[first_corner], group[first_corner]
+    old_sums = np.zeros((n_groups, 3))
+    new_sums = np.zeros((n_groups, 3))
+    touched = np.zeros(n_groups, dtype=bool)
+    _entry_sums(
+        face_normals(old_vertices, faces),
+        face_normals(new_vertices, faces),
+        faces,
+        moved,
+        group.reshape(-1, 3),
+        old_sums,
+        new_sums,
+        touched,
+    )
+    old_total = np.zeros((n_entries, 3))
+    new_total = np.zeros((n_entries, 3))
+    np.add.at(old_total, pair_entry, old_sums[pair_group])
+    np.add.at(new_total, pair_entry, new_sums[pair_group])
+    np.logical_or.at(changed, pair_entry, touched[pair_group])
+    length = np.sqrt((new_total * new_total).sum(axis=1))
+    changed &= usable & (length > VANISHED)
+    # A stored normal may be as long as a double can be.
+    with np.errstate(over="ignore", invalid="ignore"):
+        opposed = (old_total * np.where(usable[:, None], old_normals, 0.0)).sum(axis=1) < 0.0
+    sense = np.where(opposed, -1.0, 1.0) / np.where(length > 0.0, length, 1.0)
+    result[changed] = new_total[changed] * sense[changed, None]
+    return result, changed

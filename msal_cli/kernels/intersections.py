@@ -1,0 +1,312 @@
+"""Which faces of a mesh intersect each other.
+
+Boxes that overlap give candidates; an axis that separates two triangles by more than rounding
+rules most of them out; the rest is decided by signs that are exact (``orientation``).  Two faces
+intersect if they have a point in common that is not on a vertex or an edge that they share:
+
+- without a common vertex, if any edge of one meets the other (this holds for faces in one plane
+  too, since a triangle within another has edges that meet it);
+- with one, if the edge opposite to it of either meets the other: a segment from the vertex to
+  another common point, prolonged, leaves one of the two triangles through that edge;
+- with two, if they are folded onto each other: in one plane, on one side of their edge.
+
+Triangles are closed, so touching counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.kernels.box_pairs import near_pairs
+from msal_cli.kernels.orientation import plane_signs, space_signs
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+LongInts = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+# x, y and z of many vectors, the three corners of many triangles, and axes with their power of a
+# length.
+Vectors = tuple[Floats, Floats, Floats]
+Triangle = list[Vectors]
+Axes = Iterator[tuple[Vectors, int]]
+
+AT_ONCE = 1 << 16
+"""Pairs that are looked at together, so that what is known of them stays in the cache."""
+
+# Of the largest product that a projection is a sum of: far more than its rounding error.
+_MARGIN = 1e-13
+# Below this, products may have vanished.
+_TINY = 1e-290
+
+
+def intersecting_pairs(vertices: Floats, faces: Ints) -> LongInts:
+    """Pairs (k, 2) of faces that intersect, the lower index first, in order.
+
+    Parameters
+    ----------
+    vertices : (n, 3), no two of them at one position.
+    faces : (m, 3), each with three different vertices and with an area.
+    """
+    found = [np.empty((0, 2), dtype=np.int64)]
+    for i, j in near_pairs(vertices[faces]):
+        for start in range(0, len(i), AT_ONCE):
+            pairs = np.stack((i[start : start + AT_ONCE], j[start : start + AT_ONCE]), axis=1)
+            found += (pairs[chosen] for chosen in _intersecting(vertices, faces, pairs))
+    pairs = np.sort(np.concatenate(found), axis=1)
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+
+def _intersecting(vertices: Floats, faces: Ints, pairs: LongInts) -> Iterator[LongInts]:
+    """Places in ``pairs`` (k, 2) of those that intersect."""
+    first, second = faces[pairs[:, 0]], faces[pairs[:, 1]]
+    # Which corner of one is which of the other: (k, 3), and flags for those of the second.
+    in_second = np.zeros(first.shape, dtype=np.bool_)
+    in_first = np.zeros(first.shape, dtype=np.bool_)
+    for a in range(3):
+        for b in range(3):
+            same = first[:, a] == second[:, b]
+            in_second[:, a] |= same
+            in_first[:, b] |= same
+    shared = in_second.sum(axis=1)
+    for count, decide in ((0, _apart), (1, _at_a_vertex), (2, _at_an_edge)):
+        which = np.flatnonzero(shared == count)
+        if not len(which):
+            continue
+        one = _turned(first[which], in_second[which], count)
+        other = _turned(second[which], in_first[which], count)
+        yield which[decide(vertices, one, other)]
+    # Faces with three common vertices lie on each other.
+    yield np.flatnonzero(shared == 3)
+
+
+def _turned(corners: Ints, is_shared: Flags, count: int) -> Ints:
+    """Triangles (k, 3) turned so that a single shared corner is the first, or the only corner that
+    is not shared the last."""
+    if count == 0:
+        return corners
+    start = np.argmax(is_shared, axis=1) if count == 1 else np.argmin(is_shared, axis=1) + 1
+    return np.take_along_axis(corners, (start[:, None] + np.arange(3)) % 3, axis=1)
+
+
+def _apart(vertices: Floats, first: Ints, second: Ints) -> LongInts:
+    """Which triangles without a common vertex meet."""
+    kept = np.arange(len(first))
+    for axes in (_normals, _normals_of_edges, _normals_of_both):
+        kept = kept[~_separated(axes, vertices, first[kept], second[kept])]
+    a, b = _points(vertices, first[kept]), _points(vertices, second[kept])
+    meets = np.zeros(len(kept), dtype=np.bool_)
+    for one, other in ((a, b), (b, a)):
+        for k in range(3):
+            rest = np.flatnonzero(~meets)
+            triangle = [corner[rest] for corner in other]
+            meets[rest] = _segments_meet(one[k][rest], one[(k + 1) % 3][rest], triangle)
+    return kept[meets]
+
+
+def _at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> LongInts:
+    """Which triangles whose first corner is the same meet elsewhere too."""
+    kept = np.flatnonzero(~_separated_at_a_vertex(vertices, first, second))
+    a, b = _points(vertices, first[kept]), _points(vertices, second[kept])
+    meets = _segments_meet(a[1], a[2], b)
+    rest = np.flatnonzero(~meets)
+    meets[rest] = _segments_meet(b[1][rest], b[2][rest], [corner[rest] for corner in a])
+    return kept[meets]
+
+
+def _at_an_edge(vertices: Floats, first: Ints, second: Ints) -> LongInts:
+    """Which triangles that share their first two corners, in any order, are folded onto each
+    other."""
+    p, q, a = _points(vertices, first)
+    b = vertices[second[:, 2]]
+    # Nearly all open by more than a right angle; whether the others do is found exactly.
+    edge, to_a, to_b = q - p, a - p, b - p
+    square = _dots(edge, edge)
+    opening = _dots(to_a, to_b) * square - _dots(to_a, edge) * _dots(to_b, edge)
+    size = np.maximum(np.abs(to_a).max(axis=1), np.abs(to_b).max(axis=1))
+    size = np.maximum(size, np.abs(edge).max(axis=1))
+    kept = np.flatnonzero(~(opening < -_MARGIN * size**4))
+    kept = kept[space_signs(p[kept], q[kept], a[kept], b[kept]) == 0]
+    p, q, a, b = (_flattened(one[kept], _dropped(p, q, a, kept)) for one in (p, q, a, b))
+    folded: LongInts = kept[plane_signs(p, q, a) == plane_signs(p, q, b)]
+    return folded
+
+
+def _segments_meet(p: Floats, q: Floats, triangle: list[Floats]) -> Flags:
+    """Which segments pq, points (n, 3), have a point in common with their triangle."""
+    a, b, c = triangle
+    at_p, at_q = space_signs(a, b, c, p), space_signs(a, b, c, q)
+    meets = np.zeros(len(p), dtype=np.bool_)
+    is_within = (at_p == 0) & (at_q == 0)
+    through = np.flatnonzero((at_p * at_q <= 0) & ~is_within)
+    if len(through):
+        line = p[through], q[through]
+        sides = [space_signs(*line, s[through], e[through]) for s, e in ((a, b), (b, c), (c, a))]
+        meets[through] = _have_one_sign(sides)
+    within = np.flatnonzero(is_within)
+    if len(within):
+        axes = _dropped(a, b, c, within)
+        flat = [_flattened(one[within], axes) for one in (p, q, a, b, c)]
+        meets[within] = _flat_segments_meet(flat[0], flat[1], flat[2:])
+    return meets
+
+
+def _flat_segments_meet(p: Floats, q: Floats, triangle: list[Floats]) -> Flags:
+    """The same in one plane, points (n, 2): p is inside, or the segment meets an edge."""
+    edges = [(triangle[k], triangle[(k + 1) % 3]) for k in range(3)]
+    meets = _have_one_sign([plane_signs(a, b, p) for a, b in edges])
+    for a, b in edges:
+        sides = (plane_signs(p, q, a) * plane_signs(p, q, b)) <= 0
+        ends = (plane_signs(a, b, p) * plane_signs(a, b, q)) <= 0
+        # On one line both are so; there the boxes tell.
+        low = np.maximum(np.minimum(p, q), np.minimum(a, b))
+        high = np.minimum(np.maximum(p, q), np.maximum(a, b))
+        meets |= sides & ends & (low <= high).all(axis=1)
+    return meets
+
+
+def _have_one_sign(signs: list[NDArray[np.int8]]) -> Flags:
+    """Where no two are of opposite sign."""
+    least, most = np.minimum.reduce(signs), np.maximum.reduce(signs)
+    have_one: Flags = (least >= 0) | (most <= 0)
+    return have_one
+
+
+def _dropped(a: Floats, b: Floats, c: Floats, which: LongInts) -> LongInts:
+    """The axis along which a triangle's plane is seen largest, so that it is not seen edge on."""
+    normals = np.cross(b[which] - a[which], c[which] - a[which])
+    axes: LongInts = np.argmax(np.abs(normals), axis=1)
+    return axes
+
+
+def _flattened(points: Floats, axes: LongInts) -> Floats:
+    """Points (n, 3) without the coordinate of each one's axis."""
+    kept = (axes[:, None] + np.array([1, 2])) % 3
+    return np.take_along_axis(points, kept, axis=1)
+
+
+def _points(vertices: Floats, corners: Ints) -> list[Floats]:
+    return [vertices[corners[:, k]] for k in range(3)]
+
+
+# Separating axes, in double precision: what they separate is apart, whatever the rounding.
+
+
+def _vectors(points: Floats) -> Vectors:
+    x, y, z = np.ascontiguousarray(points.T)
+    return x, y, z
+
+
+def _dots(u: Floats, v: Floats) -> Floats:
+    products: Floats = np.einsum("ij,ij->i", u, v)
+    return products
+
+
+def _dot(u: Vectors, v: Vectors) -> Floats:
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+def _cross(u: Vectors, v: Vectors) -> Vectors:
+    return (
+        u[1] * v[2] - u[2] * v[1],
+        u[2] * v[0] - u[0] * v[2],
+        u[0] * v[1] - u[1] * v[0],
+    )
+
+
+def _minus(u: Vectors, v: Vectors) -> Vectors:
+    return u[0] - v[0], u[1] - v[1], u[2] - v[2]
+
+
+def _normals(one: Triangle, other: Triangle) -> Axes:
+    """Along the normals, which have the square of a length."""
+    yield _normal(one), 2
+    yield _normal(other), 2
+
+
+def _normals_of_edges(one: Triangle, other: Triangle) -> Axes:
+    """In the planes, across the edges."""
+    for triangle in (one, other):
+        normal = _normal(triangle)
+        for edge in _edges(triangle):
+            yield _cross(normal, edge), 3
+
+
+def _normals_of_both(one: Triangle, other: Triangle) -> Axes:
+    """Across an edge of each."""
+    for edge in _edges(one):
+        for across in _edges(other):
+            yield _cross(edge, across), 2
+
+
+def _normal(triangle: Triangle) -> Vectors:
+    return _cross(_minus(triangle[1], triangle[0]), _minus(triangle[2], triangle[0]))
+
+
+def _edges(triangle: Triangle) -> list[Vectors]:
+    return [_minus(triangle[(k + 1) % 3], triangle[k]) for k in range(3)]
+
+
+def _separated(
+    axes: Callable[[Triangle, Triangle], Axes], vertices: Floats, first: Ints, second: Ints
+) -> Flags:
+    """Which triangles any of the axes separates for sure."""
+    one, other, size = _from_a_corner(vertices, first, second)
+    apart = np.zeros(len(first), dtype=np.bool_)
+    for axis, power in axes(one, other):
+        margin = _margin(size, power + 1)
+        low, high = _extent(axis, one)
+        least, most = _extent(axis, other)
+        apart |= (least - high > margin) | (low - most > margin)
+    return apart
+
+
+def _separated_at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> Flags:
+    """Of triangles whose first corner is the same, which have nothing else in common for sure.
+
+    A plane through the corner either has one triangle on one side and the other in it, or holds an
+    edge of one, or of both, and has all else of the two on its two sides.
+    """
+    (_, *one), (_, *other), size = _from_a_corner(vertices, first, second)
+    apart = np.zeros(len(first), dtype=np.bool_)
+    for (u, v), (s, t) in ((one, other), (other, one)):
+        normal = _cross(u, v)
+        margin = _margin(size, 3)
+        low, high = np.sort((_dot(normal, s), _dot(normal, t)), axis=0)
+        apart |= (low > margin) | (high < -margin)
+        margin = _margin(size, 4)
+        for axis, sign in ((_cross(normal, u), 1.0), (_cross(normal, v), -1.0)):
+            # The triangle itself is where sign times the projection is not negative.
+            apart |= (sign * _dot(axis, s) < -margin) & (sign * _dot(axis, t) < -margin)
+    margin = _margin(size, 3)
+    for u, v in (one, one[::-1]):
+        for s, t in (other, other[::-1]):
+            axis = _cross(u, s)
+            here, there = _dot(axis, v), _dot(axis, t)
+            apart |= (here > margin) & (there < -margin) | (here < -margin) & (there > margin)
+    return apart
+
+
+def _from_a_corner(
+    vertices: Floats, first: Ints, second: Ints
+) -> tuple[Triangle, Triangle, Floats]:
+    """Triangles as seen from the first corner of the first, and their largest coordinate (n,)."""
+    origin = _vectors(vertices[first[:, 0]])
+    one, other = (
+        [_minus(_vectors(points), origin) for points in _points(vertices, corners)]
+        for corners in (first, second)
+    )
+    size = np.maximum.reduce([np.abs(part) for vector in (*one, *other) for part in vector])
+    return one, other, size
+
+
+def _extent(axis: Vectors, triangle: Triangle) -> tuple[Floats, Floats]:
+    along = [_dot(axis, corner) for corner in triangle]
+    return np.minimum.reduce(along), np.maximum.reduce(along)
+
+
+def _margin(size: Floats, power: int) -> Floats:
+    return _MARGIN * size**power + _TINY

@@ -1,0 +1,404 @@
+"""Face normals by regression: descriptors of every face, and the network that reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.connectivity import Connectivity
+from msal_cli.kernels.face_neighbourhoods import faces_within
+from msal_cli.kernels.geometry import ring_means
+from msal_cli.kernels.medians import median
+from msal_cli.kernels.near_blocks import RECORD, WIDE
+from msal_cli.kernels.normal_descriptors import (
+    GUIDE,
+    GUIDED,
+    NARROW_MEAN,
+    NORMAL,
+    NUMBERS,
+    REFINED,
+    TWICE,
+    VECTORS,
+    WIDE_FILTERED,
+    WIDE_MEAN,
+    WIDER,
+    describe,
+    filter_jointly,
+    pick_guides,
+)
+from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.regression_network import STEP, collect_inputs, predict_normals
+from msal_cli.kernels.ring_blocks import ONE, THREE, TWO
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Ints = NDArray[np.int32]
+LongInts = NDArray[np.int64]
+
+MOST_NEAR = 63
+"""Faces near one at most, beside itself."""
+
+EARLIER = 4
+"""Vectors that a later stage has in addition: the scanned normal, that of the stage before, and
+the first filtered by the second, with two ranges."""
+
+ROOT_3 = 3.0**0.5
+"""The edge of equilateral triangles over the distance of their centroids."""
+
+EXCHANGED = 6
+"""Vectors that faces read of those near: the normal, the wide filtered one, the wide mean, the
+guide, the scanned normal, that of the stage before."""
+
+SAMPLED = 1 << 15
+"""Faces from which the medians of a mesh are taken, or up to twice as many, evenly spread."""
+
+GLOBALS = 10
+"""Inputs that are the same for all faces of a mesh."""
+
+_FIVE, _SIX, _SEVEN = np.uint64(5), np.uint64(6), np.uint64(7)
+_FOUR = np.uint64(4)
+
+
+@compiled
+def _measure_distances(start, stop, c, ring_start, ring, distances):  # type: ignore[no-untyped-def]
+    """Mean distances of the centroids c, flat, to those of the row of each face; zero for none."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        own = THREE * f
+        x, y, z = c[own], c[own + ONE], c[own + TWO]
+        total = 0.0
+        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
+        for entry in range(row, end):
+            k = THREE * ring[entry]
+            dx, dy, dz = c[k] - x, c[k + ONE] - y, c[k + TWO] - z
+            total += np.sqrt(dx * dx + dy * dy + dz * dz)
+        distances[f] = total / np.float64(max(end - row, ONE))
+
+
+@compiled
+def _average_units(start, stop, distances, ring_start, ring, units):  # type: ignore[no-untyped-def]
+    """The mean of a face's distance and those of its row, times root 3."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        total = distances[f]
+        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
+        for entry in range(row, end):
+            total += distances[ring[entry]]
+        units[f] = ROOT_3 * total / np.float64(end - row + ONE)
+
+
+@compiled
+def _fill_records(start, stop, c, normals, areas, per_unit, per_area, records):  # type: ignore[no-untyped-def]
+    """Centroid, normal and area of each face in one row; lengths in the unit, areas in the mean."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        own, to = THREE * f, RECORD * f
+        nx, ny, nz = normals[own], normals[own + ONE], normals[own + TWO]
+        records[to] = c[own] * per_unit
+        records[to + ONE] = c[own + ONE] * per_unit
+        records[to + TWO] = c[own + TWO] * per_unit
+        records[to + THREE] = nx
+        records[to + _FOUR] = ny
+        records[to + _FIVE] = nz
+        has_normal = (nx != 0.0) | (ny != 0.0) | (nz != 0.0)
+        records[to + _SIX] = areas[f] * per_area if has_normal else 0.0
+        records[to + _SEVEN] = 0.0
+
+
+@compiled
+def _fill_missing(start, stop, ring_start, ring, normals, records):  # type: ignore[no-untyped-def]
+    """Give faces without a normal the mean of those around, weighted by area."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        own = THREE * f
+        if normals[own] != 0.0 or normals[own + ONE] != 0.0 or normals[own + TWO] != 0.0:
+            continue
+        x = y = z = 0.0
+        for entry in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
+            k = THREE * ring[entry]
+            area = records[RECORD * ring[entry] + _SIX]
+            x += area * normals[k]
+            y += area * normals[k + ONE]
+            z += area * normals[k + TWO]
+        length = np.sqrt(x * x + y * y + z * z)
+        if length > 0.0:
+            to = RECORD * f
+            records[to + THREE] = x / length
+            records[to + _FOUR] = y / length
+            records[to + _FIVE] = z / length
+
+
+@compiled
+def _gather_ripples(start, stop, faces, heights, units, scatter, ripples):  # type: ignore[no-untyped-def]
+    """Five numbers of each face: its scatter, and means of its corners' ``heights`` (n, 4) in its
+    unit."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        a, b, c = faces[THREE * f], faces[THREE * f + ONE], faces[THREE * f + TWO]
+        per_unit = 1.0 / (3.0 * units[f]) if units[f] > 0.0 else 0.0
+        ripples[_FIVE * f] = scatter[f]
+        for k in range(_FOUR):
+            total = heights[_FOUR * a + k] + heights[_FOUR * b + k] + heights[_FOUR * c + k]
+            value = total * per_unit
+            # Bounded, so that a single spike does not decide a mean.
+            ripples[_FIVE * f + ONE + k] = np.float32(value / (1.0 + value))
+
+
+def measure_ripples(vertices: Floats, normals: Floats, links: Connectivity) -> Floats:
+    """How rough the surface is at each vertex, (n, 4), in the unit of ``vertices`` (n, 3).
+
+    The distances along the ``normals`` (n, 3) that are left of the positions when the umbrella is
+    applied once, twice and three times: ever finer ripples.  The last is what is left sideways of
+    the second.  Boundary vertices have none.
+    """
+    rows = links.ring_start, links.ring
+    inner = links.has_ring & ~links.boundary
+    left = [np.ascontiguousarray(vertices[:, axis]) for axis in range(3)]
+    ripples = np.empty((len(vertices), 4))
+    for time in range(3):
+        left = [np.where(inner, ring_means(one, *rows) - one, 0.0) for one in left]
+        along = left[0] * normals[:, 0] + left[1] * normals[:, 1] + left[2] * normals[:, 2]
+        ripples[:, time] = np.abs(along)
+        if time == 1:
+            square = left[0] ** 2 + left[1] ** 2 + left[2] ** 2 - along**2
+            ripples[:, 3] = np.sqrt(np.maximum(square, 0.0))
+    return ripples
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbourhoods:
+    """Which faces are near each face, the same for all stages.
+
+    Attributes
+    ----------
+    ring_start, ring : rows of the faces that share an edge with each face.
+    near_start, near : rows of the faces within ``WIDE`` local units, the nearest first.
+    """
+
+    ring_start: Ints
+    ring: Ints
+    near_start: LongInts
+    near: Ints
+
+
+def find_neighbourhoods(centroids: Floats, ring_start: Ints, ring: Ints) -> Neighbourhoods:
+    """The neighbourhoods of faces with ``centroids`` (m, 3); rows as ``face_rings`` has them."""
+    reach = WIDE * _find_units(centroids, ring_start, ring)
+    near_start, near = faces_within(centroids, ring_start, ring, reach, MOST_NEAR)
+    return Neighbourhoods(ring_start, ring, near_start, near)
+
+
+def _find_units(centroids: Floats, ring_start: Ints, ring: Ints) -> Floats:
+    m = len(centroids)
+    distances, units = np.empty(m), np.empty(m)
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    over_ranges(_measure_distances, m, centroids.reshape(-1), *rows, distances)
+    over_ranges(_average_units, m, distances, *rows, units)
+    return units
+
+
+@dataclass(frozen=True, eq=False)
+class Descriptors:
+    """What is known of every face.
+
+    Attributes
+    ----------
+    vectors : (m, k, 3) candidates for its normal, VECTORS of them or EARLIER more.
+    numbers : (m, NUMBERS).
+    axes : (m, 3, 3) the axes that the vectors are seen along.
+    globals : (GLOBALS,) the same for all faces.
+    """
+
+    vectors: Singles
+    numbers: Singles
+    axes: Singles
+    globals: Singles
+
+    def inputs(self) -> Singles:
+        """What the network sees of each face, (m, 3 k + NUMBERS + GLOBALS)."""
+        m, width = self.vectors.shape[:2]
+        own = np.empty((m, 3 * width + NUMBERS), dtype=np.float32)
+        over_ranges(collect_inputs, m, *self._flat(), own)
+        return np.concatenate([own, np.broadcast_to(self.globals, (m, GLOBALS))], axis=1)
+
+    def _flat(self) -> tuple[int, Singles, int, Singles, Singles]:
+        width = self.vectors.shape[1]
+        flat = self.vectors.reshape(-1), self.numbers.reshape(-1), self.axes.reshape(-1)
+        return width, flat[0], NUMBERS, flat[1], flat[2]
+
+    def predict(self, network: Network) -> Floats:
+        """The unit normals (m, 3) that the network gives."""
+        m = len(self.vectors)
+        normals = np.empty((m, 3))
+        weights = network.bound(self.globals)
+        sizes = network.n_in, network.n_hidden, network.n_out
+        over_ranges(predict_normals, m, *self._flat(), *sizes, weights, normals.reshape(-1))
+        return normals
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """Two hidden layers; see ``regression_network``.
+
+    Attributes
+    ----------
+    layers : (bias (out,), matrix (out, in)) of each of the three.
+    """
+
+    layers: tuple[tuple[Singles, Singles], ...]
+
+    @property
+    def n_in(self) -> int:
+        """Inputs of a face, filled up."""
+        return _filled(self.layers[0][1].shape[1] - GLOBALS)
+
+    @property
+    def n_hidden(self) -> int:
+        """Numbers in each hidden layer."""
+        return len(self.layers[1][0])
+
+    @property
+    def n_out(self) -> int:
+        """Coefficients, filled up."""
+        return _filled(len(self.layers[2][0]))
+
+    def bound(self, values: Singles) -> Singles:
+        """All layers one behind another as the kernel reads them, for these global inputs."""
+        parts = []
+        for at, (bias, matrix) in enumerate(self.layers):
+            if at == 0:
+                bias = bias.copy()
+                for column, value in enumerate(values, start=-GLOBALS):
+                    bias += matrix[:, column] * value
+                matrix = matrix[:, :-GLOBALS]
+            rows, columns = _filled(len(bias)), _filled(matrix.shape[1])
+            whole = np.zeros((rows, columns), dtype=np.float32)
+            whole[: len(bias), : matrix.shape[1]] = matrix
+            parts += [np.pad(bias, (0, rows - len(bias))), whole.reshape(-1)]
+        return np.concatenate(parts)
+
+
+def _filled(count: int) -> int:
+    return -(-count // int(STEP)) * int(STEP)
+
+
+class NormalDescriber:
+    """Makes the descriptors of the faces of one mesh, stage by stage.
+
+    What it gives is overwritten by the next: memory that is new costs as much as the arithmetic.
+
+    Parameters
+    ----------
+    faces : (m, 3).
+    centroids : (m, 3) of the scan, file units, from which the faces near each are found.
+    ring_start, ring : rows of the faces that share an edge with each face.
+    noise : its standard deviation, mean edge lengths; None where it is not known.
+    """
+
+    def __init__(
+        self,
+        faces: Ints,
+        centroids: Floats,
+        ring_start: Ints,
+        ring: Ints,
+        noise: float | None,
+    ) -> None:
+        m = len(faces)
+        self.around = find_neighbourhoods(centroids, ring_start, ring)
+        self.noise = noise
+        self._corners = faces.reshape(-1).view(np.uint32)
+        self._records = np.empty(m * int(RECORD))
+        self._table = np.empty(m * 3 * (VECTORS + EARLIER), dtype=np.float32)
+        self._numbers = np.empty((m, NUMBERS), dtype=np.float32)
+        self._axes = np.empty((m, 3, 3), dtype=np.float32)
+        self._ripples = np.empty((m, 5), dtype=np.float32)
+        self._exchange = np.empty((m, EXCHANGED, 3), dtype=np.float32)
+
+    def describe(
+        self,
+        normals: Floats,
+        areas: Floats,
+        centroids: Floats,
+        heights: Floats,
+        earlier: tuple[Floats, Floats] | None = None,
+    ) -> Descriptors:
+        """The descriptors for one stage.
+
+        Parameters
+        ----------
+        normals, areas, centroids : (m, 3), (m,), (m, 3); zero normals where there is none.
+        heights : (n, 4) of the vertices, ``measure_ripples``.
+        earlier : the scanned normals and those of the stage before, (m, 3) each, for a later
+            stage.
+        """
+        m = len(normals)
+        width = VECTORS + (EARLIER if earlier else 0)
+        table = self._table[: 3 * m * width].reshape(m, width, 3)
+        numbers, ripples, around = self._numbers, self._ripples, self.around
+        units = self._record(normals, areas, centroids)
+        unit = float(units.mean()) or 1.0
+        per_reach = unit / (WIDE * np.where(units > 0.0, units, unit))
+        near = around.near_start.view(np.uint64), around.near.view(np.uint32)
+        of = self._records, per_reach, *near
+        to = width, table.reshape(-1), numbers.reshape(-1)
+        over_ranges(describe, m, *of, *to, self._axes.reshape(-1))
+        numbers[:, 17] = units / (units + unit)
+        scatter = np.ascontiguousarray(numbers[:, 14])
+        flat = ripples.reshape(-1)
+        over_ranges(_gather_ripples, m, self._corners, heights.reshape(-1), units, scatter, flat)
+        over_ranges(pick_guides, m, self._records, *near, flat, *to)
+        self._filter_jointly(of, table, earlier)
+        values = _find_globals(table, numbers, ripples, self.noise)
+        return Descriptors(table, numbers, self._axes, values)
+
+    def _record(self, normals: Floats, areas: Floats, centroids: Floats) -> Floats:
+        """Fill the table that neighbours are read from; the local units (m,) of the faces."""
+        m, around = len(normals), self.around
+        units = _find_units(centroids, around.ring_start, around.ring)
+        per_unit = 1.0 / (float(units.mean()) or 1.0)
+        per_area = 1.0 / (float(areas.mean()) or 1.0)
+        flat = normals.reshape(-1), areas
+        over_ranges(
+            _fill_records, m, centroids.reshape(-1), *flat, per_unit, per_area, self._records
+        )
+        if not normals.any(axis=1).all():
+            rows = around.ring_start.view(np.uint32), around.ring.view(np.uint32)
+            over_ranges(_fill_missing, m, *rows, flat[0], self._records)
+        return units
+
+    def _filter_jointly(
+        self,
+        of: tuple[Floats, Floats, NDArray[np.uint64], NDArray[np.uint32]],
+        table: Singles,
+        earlier: tuple[Floats, Floats] | None,
+    ) -> None:
+        """Fill the vectors that are filtered by others."""
+        exchange = self._exchange
+        for place, slot in enumerate((NORMAL, WIDE_FILTERED, WIDE_MEAN, GUIDE)):
+            exchange[:, place] = table[:, slot]
+        tasks = [(3, 0, GUIDED), (1, 0, REFINED), (1, 1, TWICE), (2, 2, WIDER)]
+        ranges = [(0.3, 0.6), (0.25, 0.5), (0.25, 0.5), (0.25, 0.7)]
+        if earlier is not None:
+            for place, one in enumerate(earlier):
+                exchange[:, 4 + place] = one
+                table[:, VECTORS + place] = one
+            tasks.append((5, 4, VECTORS + 2))
+            ranges.append((0.3, 0.6))
+        per_range = (1.0 / np.array(ranges) ** 2).astype(np.float32)
+        width, flat = table.shape[1], (exchange.reshape(-1), table.reshape(-1))
+        over_ranges(
+            filter_jointly, len(table), *of, np.array(tasks), per_range, EXCHANGED, width, *flat
+        )
+
+
+def _find_globals(
+    table: Singles, numbers: Singles, ripples: Singles, noise: float | None
+) -> Singles:
+    """What the whole mesh is like: medians of differences between means, of the deviation from
+    planes, of scatter and ripples; whether the noise is known, and its level."""
+    step = max(len(table) // SAMPLED, 1)
+    table, numbers, ripples = table[::step], numbers[::step], ripples[::step]
+    own, narrow, wide = table[:, NORMAL], table[:, NARROW_MEAN], table[:, WIDE_MEAN]
+    of = [np.sqrt(((a - b) ** 2).sum(axis=1)) for a, b in ((own, wide), (narrow, wide))]
+    of += [numbers[:, 9], *ripples.T]
+    values = [median(one.astype(np.float64)) for one in of] + [noise or 0.0]
+    bounded = [value / (value + 0.1) for value in values]
+    return np.array([*bounded, float(noise is not None)], dtype=np.float32)

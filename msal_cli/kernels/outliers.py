@@ -1,0 +1,443 @@
+"""Single vertices far out of the surface that their neighbours make.
+
+A vertex is held against a fit to its two-ring without itself, and its faces against those around
+them.  Everything is local, and in units of local edges that the vertex itself has no part in.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.connectivity import Connectivity
+from msal_cli.kernels.local_fits import _patch
+from msal_cli.kernels.parallel import over_ranges
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Places = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+MOST_FACES = 24
+"""Faces of a vertex beyond which it is not judged: the poles of a net are no outliers."""
+
+MOST_VERTICES = 40
+"""Vertices of a patch at most; those further out are left out."""
+
+FEWEST_VERTICES = 10
+"""Vertices of a patch, without its middle one, from which a surface of degree 2 can be fitted."""
+
+FITS = 4
+"""Fits, each weighted by what the one before leaves over."""
+
+TERMS = 6
+"""Monomials in two variables up to degree 2."""
+
+STIFFNESS = 0.5
+"""Weight of vertices for which curvature has to pay: so that few of them do not bend the fit."""
+
+WIDTH = 2.0
+"""Of the weights, in medians of what a fit leaves over."""
+
+SMALLEST_WIDTH = 1e-3
+"""Of the weights, local edges: where all others are on one plane."""
+
+KEPT_WAY = 0.35
+"""Local edges from the middle of its neighbours up to which a vertex keeps its place along the
+surface; one further out has gone there with the outlier."""
+
+QUIET = 0.7
+"""Share of the patch, from the roughest on, whose corners are rougher than what counts as its
+noise: creases and other outliers are rough, and noise is everywhere."""
+
+FEWEST_PER_THREAD = 256
+"""Vertices to be judged for which a thread of its own is worth starting."""
+
+LEAST_WAY = 0.75
+"""Local edges from its place on the fit from which a vertex can be an outlier."""
+
+NEAR = 0.5
+"""Local edges from the middle of its neighbours up to which it is none, and no fit is made."""
+
+LEAST_EDGES = 0.65
+"""The same in mean edges of the mesh: folds of tiny faces are none."""
+
+LEAST_GAIN = 0.05
+"""Difference of normals, on average, by which its place on the fit has to be smoother."""
+
+ALONG, ROUGH, SMOOTH, NOISE, TEXTURE = 1.2, 0.8, 1.4, 1.0, 2.2
+"""Weights of a score: of the way along the surface, the roughness at the vertex and at its place on
+the fit, what the fit leaves over at the others, and the roughness of the corners around it; the way
+across the surface has 1.  By logistic regression over outliers, noise and clean meshes; a score of
+1 more is about 300 times the odds."""
+
+NOT_JUDGED = -np.inf
+"""The score of a vertex that is no outlier whatever the bound."""
+
+
+@compiled
+def _normal(ax, ay, az, x, b, c, normal):  # type: ignore[no-untyped-def]
+    """The unit normal of the face of a point and the vertices b and c; zeros if it is flat."""
+    ux, uy, uz = x[b, 0] - ax, x[b, 1] - ay, x[b, 2] - az
+    vx, vy, vz = x[c, 0] - ax, x[c, 1] - ay, x[c, 2] - az
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    scale = 1.0 / length if length > 0.0 else 0.0
+    normal[0], normal[1], normal[2] = nx * scale, ny * scale, nz * scale
+
+
+@compiled
+def _agreements(start, stop, x, faces, face_start, incident, chosen, agreements):  # type: ignore[no-untyped-def]
+    normal = np.empty(3)
+    for i in range(start, stop):
+        if not chosen[i]:
+            continue
+        sx = sy = sz = 0.0
+        for at in range(face_start[i], face_start[i + 1]):
+            f = incident[at]
+            a = faces[f, 0]
+            _normal(x[a, 0], x[a, 1], x[a, 2], x, faces[f, 1], faces[f, 2], normal)
+            sx += normal[0]
+            sy += normal[1]
+            sz += normal[2]
+        count = face_start[i + 1] - face_start[i]
+        agreements[i] = np.sqrt(sx * sx + sy * sy + sz * sz) / count if count else 1.0
+
+
+@compiled
+def _around(i, faces, face_start, incident, after, before):  # type: ignore[no-untyped-def]
+    """The vertices that follow vertex i in its faces, and those that go before it."""
+    for k in range(face_start[i + 1] - face_start[i]):
+        f = incident[face_start[i] + k]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        after[k] = b if a == i else (c if b == i else a)
+        before[k] = c if a == i else (a if b == i else b)
+
+
+@compiled
+def _circle(i, n, faces, face_start, incident, after, before, following, outer):  # type: ignore[no-untyped-def]
+    """For each of the n faces around vertex i the place of the next one, and the face across the
+    edge opposite i, or -1.  Whether they close."""
+    for k in range(n):
+        following[k] = -1
+        for other in range(n):
+            if after[other] == before[k]:
+                following[k] = other
+        if following[k] < 0:
+            return False
+        outer[k] = -1
+        for at in range(face_start[after[k]], face_start[after[k] + 1]):
+            f = incident[at]
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            has_edge = a == before[k] or b == before[k] or c == before[k]
+            if has_edge and a != i and b != i and c != i:
+                outer[k] = f
+    return True
+
+
+@compiled
+def _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals):  # type: ignore[no-untyped-def]
+    """Mean length of the differences between the normals on both sides of the edges in and around
+    the faces that a vertex would have at a point."""
+    for k in range(n):
+        _normal(px, py, pz, x, after[k], after[following[k]], normals[k])
+    total, count = 0.0, 0
+    for k in range(n):
+        j = following[k]
+        dx = normals[k, 0] - normals[j, 0]
+        dy = normals[k, 1] - normals[j, 1]
+        dz = normals[k, 2] - normals[j, 2]
+        total += np.sqrt(dx * dx + dy * dy + dz * dz)
+        count += 1
+        if outer[k] >= 0:
+            dx = normals[k, 0] - outer_normals[k, 0]
+            dy = normals[k, 1] - outer_normals[k, 1]
+            dz = normals[k, 2] - outer_normals[k, 2]
+            total += np.sqrt(dx * dx + dy * dy + dz * dz)
+            count += 1
+    return total / count
+
+
+@compiled
+def _solved(matrix, right):  # type: ignore[no-untyped-def]
+    """Solve the normal equations in place; what they do not tell apart becomes small."""
+    for pivot in range(TERMS):
+        scale = 1.0 / max(matrix[pivot, pivot], 1e-9)
+        for row in range(pivot + 1, TERMS):
+            factor = matrix[row, pivot] * scale
+            for column in range(pivot, TERMS):
+                matrix[row, column] -= factor * matrix[pivot, column]
+            right[row] -= factor * right[pivot]
+    for pivot in range(TERMS - 1, -1, -1):
+        rest = right[pivot]
+        for column in range(pivot + 1, TERMS):
+            rest -= matrix[pivot, column] * right[column]
+        right[pivot] = rest / max(matrix[pivot, pivot], 1e-9)
+
+
+@compiled
+def _ranked(values, count, share, ranking):  # type: ignore[no-untyped-def]
+    """The value that ``share`` of values[1:count] are below; ``ranking`` is for sorting them."""
+    for at in range(1, count):
+        value = values[at]
+        place = at - 1
+        while place > 0 and ranking[place - 1] > value:
+            ranking[place] = ranking[place - 1]
+            place -= 1
+        ranking[place] = value
+    return ranking[np.int64(share * (count - 1))]
+
+
+@compiled
+def _fit(count, local, weights, rests, ranking, matrix, coefficients):  # type: ignore[no-untyped-def]
+    """Fit degree 2 to the points ``local``[1:count] (u, w, height) by weights that get less for
+    those far from it; the median of what is left over."""
+    terms = np.empty(TERMS)
+    median = 0.0
+    for _ in range(FITS):
+        for row in range(TERMS):
+            coefficients[row] = 0.0
+            for column in range(TERMS):
+                matrix[row, column] = 0.0
+        for at in range(1, count):
+            u, w = local[at, 0], local[at, 1]
+            terms[0], terms[1], terms[2] = 1.0, u, w
+            terms[3], terms[4], terms[5] = u * u, u * w, w * w
+            for row in range(TERMS):
+                weighted = weights[at] * terms[row]
+                coefficients[row] += weighted * local[at, 2]
+                for column in range(TERMS):
+                    matrix[row, column] += weighted * terms[column]
+        for row in range(3, TERMS):
+            matrix[row, row] += STIFFNESS
+        _solved(matrix, coefficients)
+        for at in range(1, count):
+            rests[at] = abs(local[at, 2] - _height(local[at, 0], local[at, 1], coefficients))
+        median = _ranked(rests, count, 0.5, ranking)
+        width = WIDTH * median + SMALLEST_WIDTH
+        for at in range(1, count):
+            share = width * width / (width * width + rests[at] * rests[at])
+            weights[at] = share * share
+    return median
+
+
+@compiled
+def _height(u, w, c):  # type: ignore[no-untyped-def]
+    return c[0] + c[1] * u + c[2] * w + c[3] * u * u + c[4] * u * w + c[5] * w * w
+
+
+@compiled
+def _judged(  # type: ignore[no-untyped-def]
+    start,
+    stop,
+    chosen,
+    places,
+    x,
+    faces,
+    face_start,
+    incident,
+    ring_start,
+    ring,
+    agreements,
+    edge,
+    is_known,
+    scores,
+    targets,
+):
+    found = np.empty(MOST_VERTICES, dtype=np.int64)
+    after, before = np.empty(MOST_FACES, dtype=np.int64), np.empty(MOST_FACES, dtype=np.int64)
+    following, outer = np.empty(MOST_FACES, dtype=np.int64), np.empty(MOST_FACES, dtype=np.int64)
+    normals, outer_normals = np.empty((MOST_FACES, 3)), np.empty((MOST_FACES, 3))
+    normal, local = np.empty(3), np.empty((MOST_VERTICES, 3))
+    weights, rests = np.empty(MOST_VERTICES), np.empty(MOST_VERTICES)
+    ranking = np.empty(MOST_VERTICES)
+    matrix, coefficients = np.empty((TERMS, TERMS)), np.empty(TERMS)
+    for at in range(start, stop):
+        i = chosen[at]
+        scores[at] = NOT_JUDGED
+        for axis in range(3):
+            targets[at, axis] = places[at, axis]
+        n = face_start[i + 1] - face_start[i]
+        if n < 3 or n > MOST_FACES:
+            continue
+        _around(i, faces, face_start, incident, after, before)
+        # The local edge, and the middle of the neighbours; those that stick out count little.
+        size = cx = cy = cz = total = 0.0
+        for k in range(n):
+            a, b = after[k], before[k]
+            dx, dy, dz = x[a, 0] - x[b, 0], x[a, 1] - x[b, 1], x[a, 2] - x[b, 2]
+            size += np.sqrt(dx * dx + dy * dy + dz * dz)
+            weight = agreements[a] ** 4 + 1e-6
+            cx += weight * x[a, 0]
+            cy += weight * x[a, 1]
+            cz += weight * x[a, 2]
+            total += weight
+        size /= n
+        if size <= 0.0:
+            continue
+        scale = 1.0 / size
+        cx, cy, cz = cx / total, cy / total, cz / total
+        px, py, pz = places[at, 0], places[at, 1], places[at, 2]
+        dx, dy, dz = (px - cx) * scale, (py - cy) * scale, (pz - cz) * scale
+        if dx * dx + dy * dy + dz * dz < NEAR * NEAR and not is_known:
+            continue
+        if not _circle(i, n, faces, face_start, incident, after, before, following, outer):
+            continue
+        count = _patch(i, 2, ring_start, ring, found)
+        if count <= FEWEST_VERTICES:
+            continue
+        # The direction of the neighbours' other faces.
+        nx = ny = nz = 0.0
+        for k in range(n):
+            a = after[k]
+            weight = agreements[a] ** 4
+            for place in range(face_start[a], face_start[a + 1]):
+                f = incident[place]
+                p, q, r = faces[f, 0], faces[f, 1], faces[f, 2]
+                if p != i and q != i and r != i:
+                    _normal(x[p, 0], x[p, 1], x[p, 2], x, q, r, normal)
+                    nx += weight * normal[0]
+                    ny += weight * normal[1]
+                    nz += weight * normal[2]
+            f = outer[k]
+            if f >= 0:
+                p = faces[f, 0]
+                _normal(x[p, 0], x[p, 1], x[p, 2], x, faces[f, 1], faces[f, 2], outer_normals[k])
+        length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        if length <= 1e-10:
+            continue
+        nx, ny, nz = nx / length, ny / length, nz / length
+        # Two directions across it, from the axis that it leans to least.
+        if abs(nx) <= abs(ny) and abs(nx) <= abs(nz):
+            ux, uy, uz = 0.0, nz, -ny
+        elif abs(ny) <= abs(nz):
+            ux, uy, uz = -nz, 0.0, nx
+        else:
+            ux, uy, uz = ny, -nx, 0.0
+        length = np.sqrt(ux * ux + uy * uy + uz * uz)
+        ux, uy, uz = ux / length, uy / length, uz / length
+        wx, wy, wz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+        for near in range(count):
+            k = found[near]
+            dx, dy, dz = (x[k, 0] - cx) * scale, (x[k, 1] - cy) * scale, (x[k, 2] - cz) * scale
+            local[near, 0] = dx * ux + dy * uy + dz * uz
+            local[near, 1] = dx * wx + dy * wy + dz * wz
+            local[near, 2] = dx * nx + dy * ny + dz * nz
+            weights[near] = agreements[k] ** 4
+        noise = _fit(count, local, weights, rests, ranking, matrix, coefficients)
+        dx, dy, dz = (px - cx) * scale, (py - cy) * scale, (pz - cz) * scale
+        u, w = dx * ux + dy * uy + dz * uz, dx * wx + dy * wy + dz * wz
+        along = np.sqrt(u * u + w * w)
+        across = abs(dx * nx + dy * ny + dz * nz - coefficients[0])
+        if along > KEPT_WAY:
+            u = w = 0.0
+        height = _height(u, w, coefficients)
+        tx = cx + size * (u * ux + w * wx + height * nx)
+        ty = cy + size * (u * uy + w * wy + height * ny)
+        tz = cz + size * (u * uz + w * wz + height * nz)
+        targets[at, 0], targets[at, 1], targets[at, 2] = tx, ty, tz
+        way = np.sqrt(across * across + along * along)
+        if way < LEAST_WAY or way * size < LEAST_EDGES * edge:
+            continue
+        now = _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals)
+        then = _roughness(tx, ty, tz, n, x, after, following, outer, outer_normals, normals)
+        if now - then < LEAST_GAIN:
+            continue
+        for near in range(1, count):
+            rests[near] = agreements[found[near]]
+        quiet = _ranked(rests, count, QUIET, ranking)
+        texture = np.sqrt(max(1.0 - quiet, 0.0))
+        scores[at] = (
+            across + ALONG * along + ROUGH * now - SMOOTH * then - NOISE * noise - TEXTURE * texture
+        )
+
+
+@compiled
+def _picked(start, stop, chosen, scores, ring_start, ring, picked):  # type: ignore[no-untyped-def]
+    for at in range(start, stop):
+        i = chosen[at]
+        is_most = True
+        for place in range(ring_start[i], ring_start[i + 1]):
+            k = ring[place]
+            if scores[k] > scores[i] or (scores[k] == scores[i] and k < i):
+                is_most = False
+        picked[at] = is_most
+
+
+@compiled
+def _marked_around(chosen, ring_start, ring, marks):  # type: ignore[no-untyped-def]
+    for at in range(len(chosen)):
+        i = chosen[at]
+        marks[i] = True
+        for near in range(ring_start[i], ring_start[i + 1]):
+            j = ring[near]
+            marks[j] = True
+            for far in range(ring_start[j], ring_start[j + 1]):
+                marks[ring[far]] = True
+
+
+def measure_agreement(
+    x: Floats, faces: Ints, links: Connectivity, chosen: Flags, agreements: Floats
+) -> None:
+    """Set ``agreements`` (n,) of the ``chosen`` (n,) vertices: the length of the mean of their
+    faces' unit normals, 1 where these are the same and 0 where they are all ways."""
+    around = (links.face_start, links.incident_faces)
+    over_ranges(_agreements, len(x), x, faces, *around, chosen, agreements)
+
+
+def judge(
+    chosen: Places,
+    places: Floats,
+    x: Floats,
+    faces: Ints,
+    links: Connectivity,
+    agreements: Floats,
+    edge: float,
+    is_known: bool,
+) -> tuple[Floats, Floats]:
+    """How far out the vertices ``chosen`` (c,) are at ``places`` (c, 3) among all others at ``x``.
+
+    Those in the middle of their neighbours are passed over unless ``is_known``.
+
+    Returns
+    -------
+    scores : (c,), greater is further out; ``NOT_JUDGED`` where a vertex cannot be an outlier: on an
+        open border, with too few others around it, or too near to its place on the fit.
+    targets : (c, 3), their places on the fit.
+    """
+    scores, targets = np.empty(len(chosen)), np.empty((len(chosen), 3))
+    over_ranges(
+        _judged,
+        len(chosen),
+        chosen,
+        places,
+        x,
+        faces,
+        links.face_start,
+        links.incident_faces,
+        links.ring_start,
+        links.ring,
+        agreements,
+        edge,
+        is_known,
+        scores,
+        targets,
+        smallest=FEWEST_PER_THREAD,
+    )
+    return scores, targets
+
+
+def pick(scores: Floats, bound: float, links: Connectivity) -> Places:
+    """The vertices whose score (n,) is above ``bound`` and above those of all their neighbours."""
+    chosen = np.flatnonzero(scores > bound)
+    picked = np.empty(len(chosen), dtype=np.bool_)
+    over_ranges(_picked, len(chosen), chosen, scores, links.ring_start, links.ring, picked)
+    return chosen[picked]
+
+
+def mark_two_rings(chosen: Places, links: Connectivity) -> Flags:
+    """The vertices ``chosen`` (c,) and those at most two edges away from one, (n,)."""
+    marks = np.zeros(len(links.has_ring), dtype=np.bool_)
+    _marked_around(chosen, links.ring_start, links.ring, marks)
+    return marks

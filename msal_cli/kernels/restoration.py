@@ -1,0 +1,206 @@
+"""What smoothing has taken from a surface, and which part of it is more than noise.
+
+The residual t of a filter, how far it moved each vertex along its normal, is the noise that it
+removed, turned round, and the shape that it lost.  Noise is as strong everywhere and at every
+scale as white noise is; lost shape is strong in places, and smooth.  So the residual is cut into
+bands, from fine to coarse, and of each band every vertex gets back a share by how far its power
+around there is beyond what noise alone would give: a Wiener filter, with the powers of the place.
+The powers of the lost shape are those of a first guess, which is made in the same way.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.parallel import over_ranges
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+NOISE_SHARES = (
+    0.8571428571428571,
+    0.0349854227405248,
+    0.0049469183758468,
+    0.0016309322732910,
+    0.0381402584408378,
+)
+"""Variance of unit white noise in each band, the last with all that is coarser.
+
+On the lattice of valence 6: with s the weights, 1/7 each, of the mean over a vertex and its ring,
+it is the sum of squares of s^b - s^(b + 1), as convolutions; of s^4 for the last band.
+"""
+
+PLACE, SECOND_PLACE = 6, 3
+"""Passes by which a power is averaged around a vertex, for the first look and for the second."""
+
+CAUTION, SECOND_CAUTION = 1.4, 0.4
+"""Multiples of the noise's power that gains are reckoned with; chosen on noisy meshes whose true
+shape is known.  The first look has to tell shape from the scatter of averaged noise."""
+
+
+@compiled
+def _mean(start, stop, ring_start, ring, values, low):  # type: ignore[no-untyped-def]
+    """The next coarser level: the mean over each vertex and its one-ring."""
+    for i in range(start, stop):
+        total = values[i]
+        for at in range(ring_start[i], ring_start[i + 1]):
+            total += values[np.uint64(ring[at])]
+        low[i] = total / (ring_start[i + 1] - ring_start[i] + 1)
+
+
+@compiled
+def _squares(start, stop, levels, powers):  # type: ignore[no-untyped-def]
+    """Squares of the bands: the differences of neighbouring levels, and the coarsest level."""
+    last = len(levels) - 1
+    for i in range(start, stop):
+        for band in range(last):
+            powers[i, band] = (levels[band, i] - levels[band + 1, i]) ** 2
+        powers[i, last] = levels[last, i] ** 2
+
+
+@compiled
+def _averaged(start, stop, ring_start, ring, powers, averages):  # type: ignore[no-untyped-def]
+    """Means over the one-rings of the five powers of each vertex, which stand one after the other.
+
+    Five sums by name stay in registers, where a loop over the bands would go through memory, and
+    unsigned places need no check for counting from the end.
+    """
+    one, two, three, four = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
+    five = np.uint64(5)
+    for i in range(start, stop):
+        at = np.uint64(i) * five
+        a, b, c = powers[at], powers[at + one], powers[at + two]
+        d, e = powers[at + three], powers[at + four]
+        for place in range(ring_start[i], ring_start[i + 1]):
+            k = np.uint64(ring[place]) * five
+            a += powers[k]
+            b += powers[k + one]
+            c += powers[k + two]
+            d += powers[k + three]
+            e += powers[k + four]
+        weight = 1.0 / (ring_start[i + 1] - ring_start[i] + 1)
+        averages[at] = a * weight
+        averages[at + one] = b * weight
+        averages[at + two] = c * weight
+        averages[at + three] = d * weight
+        averages[at + four] = e * weight
+
+
+@compiled
+def _first_look(start, stop, levels, powers, noise, guess):  # type: ignore[no-untyped-def]
+    bands = len(noise)
+    for i in range(start, stop):
+        total = 0.0
+        for band in range(bands):
+            value = levels[band, i]
+            if band + 1 < bands:
+                value -= levels[band + 1, i]
+            around = powers[i, band]
+            if around > noise[band]:
+                total += (1.0 - noise[band] / around) * value
+        guess[i] = total
+
+
+@compiled
+def _second_look(start, stop, levels, powers, noise, returned, share):  # type: ignore[no-untyped-def]
+    bands = len(noise)
+    for i in range(start, stop):
+        total = given = power = 0.0
+        for band in range(bands):
+            value = levels[band, i]
+            if band + 1 < bands:
+                value -= levels[band + 1, i]
+            around = powers[i, band]
+            gain = around / (around + noise[band]) if around > 0.0 else 0.0
+            power += value * value
+            given += gain * value * value
+            total += gain * value
+        # What did not move has nothing to get back, though its neighbours may have.
+        returned[i] = total if levels[0, i] != 0.0 else 0.0
+        share[i] = given / power if power > 0.0 else 0.0
+
+
+@compiled
+def _given_back(start, stop, normals, pulls, x):  # type: ignore[no-untyped-def]
+    for i in range(start, stop):
+        for axis in range(3):
+            x[i, axis] -= pulls[i] * normals[i, axis]
+
+
+def given_back(positions: Floats, normals: Floats, pulls: Floats) -> Floats:
+    """``positions`` (n, 3), in their own memory, moved back along ``normals`` by ``pulls`` (n,)."""
+    over_ranges(_given_back, len(positions), normals, pulls, positions)
+    return positions
+
+
+@dataclass(frozen=True, eq=False)
+class Restoration:
+    """What a residual holds beside noise.
+
+    Attributes
+    ----------
+    returned : (n,) the part of the residual that is to be taken back, its unit; 0 where it is 0.
+    share : (n,) from 0 to 1, the share of the residual's power at each vertex that this is.
+    """
+
+    returned: Floats
+    share: Floats
+
+
+def restoration(
+    residual: Floats, ring_start: Ints, ring: Ints, noise: float, caution: float = 1.0
+) -> Restoration:
+    """The part of ``residual`` (n,) that is more than noise.
+
+    With S the mean over a vertex and its one-ring, bands are S^b t - S^(b + 1) t, and S^4 t.  With
+    P = S^6 of a band's squares, c its ``NOISE_SHARES`` and s the noise, the first look takes
+
+        max(0, 1 - 1.4 caution c s^2 / P) of the band,
+
+    and the sum r over the bands is near the shape that was lost.  The second look knows its power:
+    with Q = S^3 of the squares of that band of r, it takes
+
+        Q / (Q + 0.4 caution c s^2) of the band of t.
+
+    Parameters
+    ----------
+    ring_start, ring : the one-rings.
+    noise : standard deviation of the noise, in the unit of the residual.
+    caution : greater gives back less.
+    """
+    n, bands = len(residual), len(NOISE_SHARES)
+    levels = np.empty((bands, n))
+    powers, averages = np.empty((n, bands)), np.empty((n, bands))
+
+    def averaged(passes: int) -> None:
+        nonlocal powers, averages
+        for _ in range(passes):
+            flat = powers.reshape(-1), averages.reshape(-1)
+            over_ranges(_averaged, n, ring_start, ring, *flat)
+            powers, averages = averages, powers
+
+    def alone(caution: float) -> Floats:
+        return caution * noise * noise * np.array(NOISE_SHARES)
+
+    def cut(levels: Floats) -> None:
+        """From the finest of the levels (5, n) all others, and the powers of the bands."""
+        for finer, coarser in itertools.pairwise(levels):
+            over_ranges(_mean, n, ring_start, ring, finer, coarser)
+        over_ranges(_squares, n, levels, powers)
+
+    levels[0] = residual
+    cut(levels)
+    averaged(PLACE)
+    # Nothing needs the averages until the next pass: their memory holds the levels of the guess.
+    guess = averages.reshape(bands, n)
+    over_ranges(_first_look, n, levels, powers, alone(CAUTION * caution), guess[0])
+    cut(guess)
+    averaged(SECOND_PLACE)
+    returned, share = np.empty(n), np.empty(n)
+    over_ranges(_second_look, n, levels, powers, alone(SECOND_CAUTION * caution), returned, share)
+    return Restoration(returned, share)

@@ -1,0 +1,280 @@
+"""Decimal text to numbers and back, exactly, for the text forms of mesh files.
+
+A *token* is a run of bytes ``buf[start:stop]``; lists of tokens are two (k,) int64 arrays,
+ascending and disjoint.  ``buf`` is a (size,) uint8 array; ``as_bytes`` makes one that every kernel
+here takes without being compiled a second time.  Every value is exact: see ``digits``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.digits import (
+    EXACT,
+    FIXED_BELOW,
+    NOT_A_NUMBER,
+    UNDECIDED,
+    WIDEST_SHORTEST,
+    read_number,
+    write_fixed,
+    write_shortest,
+)
+
+Bytes = NDArray[np.uint8]
+Offsets = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+def as_bytes(buffer: bytes | bytearray | memoryview | Bytes) -> Bytes:
+    """A read-only (size,) uint8 view of a buffer, not a copy."""
+    if isinstance(buffer, np.ndarray):
+        view = buffer.view()
+    else:
+        view = np.frombuffer(buffer, dtype=np.uint8)
+    view.flags.writeable = False
+    return view
+
+
+# Reading
+
+
+@compiled
+def parse_number(buf, start, stop):  # type: ignore[no-untyped-def]
+    """The value of a whole token and its status.
+
+    Sign, digits, point, exponent (e or E), ``nan`` and ``inf`` in any case.  UNDECIDED has more
+    than 19 digits, a large exponent, or lies too near the middle of two doubles.
+    """
+    value, status, end, _ = read_number(buf, start, stop)
+    if end != stop:
+        return 0.0, NOT_A_NUMBER
+    return value, status
+
+
+@compiled
+def parse_integer(buf, start, stop):  # type: ignore[no-untyped-def]
+    """The int64 value of a whole token and its status; UNDECIDED where it does not fit."""
+    at = start
+    negative = False
+    if at < stop and (buf[at] == 45 or buf[at] == 43):
+        negative = buf[at] == 45
+        at += 1
+    if at == stop:
+        return np.int64(0), NOT_A_NUMBER
+    value = np.int64(0)
+    status = EXACT
+    while at < stop:
+        digit = np.int64(buf[at]) - 48
+        if digit < 0 or digit > 9:
+            return np.int64(0), NOT_A_NUMBER
+        if value > 922_337_203_685_477_579:
+            status = UNDECIDED
+        else:
+            value = value * 10 + digit
+        at += 1
+    return -value if negative else value, status
+
+
+@compiled
+def _numbers_at(buf, starts, stops, values, undecided):  # type: ignore[no-untyped-def]
+    n_undecided = 0
+    for i in range(len(starts)):
+        value, status = parse_number(buf, starts[i], stops[i])
+        if status == NOT_A_NUMBER:
+            return i, n_undecided
+        values[i] = value
+        undecided[i] = status == UNDECIDED
+        n_undecided += undecided[i]
+    return -1, n_undecided
+
+
+def numbers_at(buf: Bytes, starts: Offsets, stops: Offsets) -> tuple[Floats, int]:
+    """The values (k,) of k tokens, correctly rounded, and the first that is no number, or -1.
+
+    Behind such a token the values are undefined.
+    """
+    values = np.empty(len(starts))
+    undecided = np.zeros(len(starts), dtype=np.bool_)
+    starts, stops = np.ascontiguousarray(starts), np.ascontiguousarray(stops)
+    bad, n_undecided = _numbers_at(as_bytes(buf), starts, stops, values, undecided)
+    if n_undecided:
+        for i in np.flatnonzero(undecided):
+            values[i] = float(buf[starts[i] : stops[i]].tobytes())
+    return values, int(bad)
+
+
+@compiled
+def _decimals_used(buf, starts, stops, decimals):  # type: ignore[no-untyped-def]
+    for i in range(len(starts)):
+        _, _, _, used = read_number(buf, starts[i], stops[i])
+        decimals[i] = min(used, 255)
+
+
+def decimals_used(buf: Bytes, starts: Offsets, stops: Offsets) -> Bytes:
+    """Decimals behind the point of each of these tokens, exponents counted in, at most 255.
+
+    ``1.5e-3`` has four.
+    """
+    starts, stops = np.ascontiguousarray(starts), np.ascontiguousarray(stops)
+    decimals = np.empty(len(starts), dtype=np.uint8)
+    _decimals_used(as_bytes(buf), starts, stops, decimals)
+    return decimals
+
+
+# Printing
+
+
+@compiled
+def _printed(values, first, decimals, out, at, stops):  # type: ignore[no-untyped-def]
+    for i in range(first, len(values)):
+        end = write_fixed(values[i], decimals, out, at)
+        if end < 0:
+            return i, at
+        stops[i] = at = end
+    return len(values), at
+
+
+def fixed_width(largest: float, decimals: int) -> int:
+    """Most bytes that any number up to ``largest`` takes in ``printed``, its fallback included."""
+    whole = len(str(int(largest))) if largest < FIXED_BELOW else 19
+    return max(whole + decimals + 3, WIDEST_SHORTEST)
+
+
+def printed(values: Floats, decimals: int) -> tuple[Bytes, Offsets]:
+    """Fixed-point text of k numbers with ``decimals`` (0 to 17) digits behind the point.
+
+    Returns the texts one behind the other, (size,) uint8, and where each ends, (k,) int64.
+    Correctly rounded from the double, so the same on every machine; ``-0.000`` is printed
+    ``0.000``.  A number of magnitude 2**63 or more, or one that is not finite, is printed as
+    Python's ``repr`` does.
+    """
+    values = np.ascontiguousarray(values, dtype=np.float64)
+    stops = np.empty(len(values), dtype=np.int64)
+    largest = float(np.abs(values).max(initial=0.0))
+    out = np.empty(len(values) * fixed_width(largest, decimals), dtype=np.uint8)
+    done, at = _printed(values, 0, decimals, out, 0, stops)
+    while done < len(values):
+        at = stops[done] = _put(out, at, repr(float(values[done])))
+        done, at = _printed(values, done + 1, decimals, out, at, stops)
+    return out[:at], stops
+
+
+def _put(out: Bytes, at: int, text: str) -> int:
+    """Write ``text`` to ``out`` at ``at``; returns the end."""
+    end = at + len(text)
+    out[at:end] = np.frombuffer(text.encode(), dtype=np.uint8)
+    return end
+
+
+@compiled
+def _printed_shortest(values, first, single, out, at, stops):  # type: ignore[no-untyped-def]
+    for i in range(first, len(values)):
+        end = write_shortest(values[i], single, out, at)
+        if end < 0:
+            return i, at
+        stops[i] = at = end
+    return len(values), at
+
+
+def shortest(value: float, single: bool) -> str:
+    """The shortest decimal that is read back as the same float64 (or float32)."""
+    return str(np.float32(value)) if single else repr(float(value))
+
+
+def printed_shortest(values: Floats, single: bool) -> tuple[Bytes, Offsets]:
+    """Shortest text of k numbers that is read back as the same float64, or float32 if ``single``.
+
+    Returns the texts one behind the other, (size,) uint8, and where each ends, (k,) int64.
+    For ``single`` the values are rounded to float32 first.
+    """
+    if single:
+        with np.errstate(over="ignore"):
+            values = np.asarray(values).astype(np.float32)
+    values = np.ascontiguousarray(values, dtype=np.float64)
+    stops = np.empty(len(values), dtype=np.int64)
+    out = np.empty(len(values) * WIDEST_SHORTEST, dtype=np.uint8)
+    done, at = _printed_shortest(values, 0, single, out, 0, stops)
+    while done < len(values):
+        at = stops[done] = _put(out, at, shortest(values[done], single))
+        done, at = _printed_shortest(values, done + 1, single, out, at, stops)
+    return out[:at], stops
+
+
+# Tokens replaced inside a text
+
+
+@compiled
+def _copied(source, start, stop, target, at):  # type: ignore[no-untyped-def]
+    """Copy source[start:stop] to target at ``at``; returns the end."""
+    for k in range(stop - start):
+        target[at + k] = source[start + k]
+    return at + stop - start
+
+
+@compiled
+def _spliced(buf, starts, stops, text, text_stops, out):  # type: ignore[no-untyped-def]
+    done = at = text_start = 0
+    for i in range(len(starts)):
+        at = _copied(buf, done, starts[i], out, at)
+        at = _copied(text, text_start, text_stops[i], out, at)
+        text_start = text_stops[i]
+        done = stops[i]
+    _copied(buf, done, len(buf), out, at)
+
+
+def spliced(buf: Bytes, starts: Offsets, stops: Offsets, text: Bytes, text_stops: Offsets) -> Bytes:
+    """``buf`` with k tokens replaced by k texts that lie one behind the other in ``text``."""
+    starts, stops = np.ascontiguousarray(starts), np.ascontiguousarray(stops)
+    size = len(buf) - int((stops - starts).sum()) + (int(text_stops[-1]) if len(text_stops) else 0)
+    out = np.empty(size, dtype=np.uint8)
+    _spliced(as_bytes(buf), starts, stops, as_bytes(text), text_stops, out)
+    return out
+
+
+@compiled
+def is_same(a, a_start, b, b_start, count):  # type: ignore[no-untyped-def]
+    """Whether ``count`` bytes of a and b are equal."""
+    done = 0
+    while done < count:
+        # Slices and a plain sum without a branch in the block, so that it becomes vector code.
+        size = min(4096, count - done)
+        a_block = a[a_start + done : a_start + done + size]
+        b_block = b[b_start + done : b_start + done + size]
+        different = 0
+        for k in range(size):
+            different += a_block[k] != b_block[k]
+        if different:
+            return False
+        done += size
+    return True
+
+
+@compiled
+def _same_outside(a, a_starts, a_stops, b, b_starts, b_stops):  # type: ignore[no-untyped-def]
+    a_done = b_done = 0
+    for i in range(len(a_starts)):
+        count = a_starts[i] - a_done
+        if (
+            count < 0
+            or b_starts[i] - b_done != count
+            or a_starts[i] > len(a)
+            or b_starts[i] > len(b)
+            or not is_same(a, a_done, b, b_done, count)
+        ):
+            return False
+        a_done, b_done = a_stops[i], b_stops[i]
+    count = len(a) - a_done
+    return count >= 0 and len(b) - b_done == count and is_same(a, a_done, b, b_done, count)
+
+
+def same_outside(
+    a: Bytes, a_starts: Offsets, a_stops: Offsets, b: Bytes, b_starts: Offsets, b_stops: Offsets
+) -> bool:
+    """Whether two texts are equal byte for byte outside their k tokens."""
+    if len(a_starts) != len(b_starts):
+        return False
+    a_starts, a_stops = np.ascontiguousarray(a_starts), np.ascontiguousarray(a_stops)
+    b_starts, b_stops = np.ascontiguousarray(b_starts), np.ascontiguousarray(b_stops)
+    return bool(_same_outside(as_bytes(a), a_starts, a_stops, as_bytes(b), b_starts, b_stops))

@@ -1,1 +1,0 @@
-"""Meshes as a page: one HTML file that draws them and asks the network for nothing."""

@@ -1,0 +1,300 @@
+"""Pictures and scenes for the HTML report: the bracket that reads inputs and outputs once more.
+
+Only what the records tell of is shown: a file that is gone, or that is no longer the one that was
+denoised, is left out without a word.  Time, the size of files and the number of faces are bounded,
+the worst files come first, and what the bounds cost is said on the page.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from msal_cli.job.records import MeshRecord
+from msal_cli.report.ranking import worst_first
+from msal_cli.view.illustrations import Gallery, Pictures, Scale
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from msal_cli.job.comparison import Surface
+    from msal_cli.view import Camera
+    from msal_cli.view.pictures import Scene
+
+    Floats = NDArray[np.float64]
+    Image = NDArray[np.uint8]
+
+log = logging.getLogger("msal")
+
+BACKUP = ".orig"
+"""What is added to the name of an original that was replaced, unless a run said otherwise."""
+
+_DONE = ("written", "unchanged", "up-to-date")
+_SIZE = 240, 180
+_POSTER = 480, 320
+_SHADES = 24
+_STANDARD_RANGE = 0.5
+# Below this, in mean edge lengths, nothing moved but the last digits.
+_ROUNDING_EDGES = 1e-9
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What pictures may cost.
+
+    ``seconds`` in all, begun pictures are finished; ``file_bytes`` and ``faces`` of one mesh;
+    ``scenes`` are the worst files that can be turned, with at most ``scene_faces`` each;
+    ``picture_bytes`` in all.
+    """
+
+    seconds: float = 60.0
+    file_bytes: int = 200_000_000
+    faces: int = 1_000_000
+    scenes: int = 5
+    scene_faces: int = 100_000
+    picture_bytes: int = 18_000_000
+
+
+def made(
+    records: Sequence[MeshRecord],
+    *,
+    backup: str = BACKUP,
+    bounds: Bounds | None = None,
+    on_file: Callable[[int, int], None] | None = None,
+) -> Gallery:
+    """Pictures of as many files as the bounds allow, and scenes of the worst.
+
+    Never raises for a file's fault.  ``backup`` is the suffix of the originals of files that were
+    denoised in place.  ``on_file`` is told after each file how many of how many are dealt with.
+    """
+    bounds = bounds or Bounds()
+    numbers = {id(record): at for at, record in enumerate(records)}
+    reach = _reach(records)
+    end = time.monotonic() + bounds.seconds
+    pictures: dict[int, Pictures] = {}
+    scenes: dict[int, str] = {}
+    n_late = n_large = n_bytes = n_decimated = 0
+    candidates = [record for record in worst_first(records) if _is_shown(record)]
+    for done, record in enumerate(candidates):
+        if on_file is not None:
+            on_file(done, len(candidates))
+        if time.monotonic() > end or n_bytes > bounds.picture_bytes:
+            n_late += 1
+            continue
+        if _is_too_large(record, bounds):
+            n_large += 1
+            continue
+        at = numbers[id(record)]
+        try:
+            scene = _scene(record, backup, bounds)
+            if scene is None:
+                continue
+            shown, camera = _pictures(scene, reach)
+            if len(scenes) < bounds.scenes:
+                scenes[at] = _embedded(
+                    record, scene, camera, reach, bounds.scene_faces, f"scene{at}"
+                )
+                n_decimated += len(scene.before.faces) > bounds.scene_faces
+        except Exception:
+            # A picture is an extra: whatever keeps it from being made keeps back no report.
+            log.info("%s: no picture", record.input, exc_info=True)
+            continue
+        pictures[at] = shown
+        n_bytes += len(shown.before) + len(shown.after) + len(shown.deviation or b"")
+    return Gallery(
+        pictures=pictures,
+        scenes=scenes,
+        scale=_scale(reach),
+        script=_viewer_script() if scenes else "",
+        style=_viewer_style() if scenes else "",
+        remarks=tuple(_remarks(len(pictures), n_late, n_large, n_decimated, bounds)),
+    )
+
+
+# Which files, and what of them
+
+
+def _is_shown(record: MeshRecord) -> bool:
+    """Whether both meshes may be found again on this machine's disks."""
+    names = (record.input, record.output or "-")
+    return record.status in _DONE and not any(one == "-" or "://" in one for one in names)
+
+
+def _is_too_large(record: MeshRecord, bounds: Bounds) -> bool:
+    if (record.triangles or record.faces or 0) > bounds.faces:
+        return True
+    try:
+        return os.path.getsize(str(record.output)) > bounds.file_bytes
+    except OSError:
+        return False
+
+
+def _scene(record: MeshRecord, backup: str, bounds: Bounds) -> Scene | None:
+    """Both meshes, if they are still those of the record and can be drawn."""
+    from msal_cli.view import pictures
+
+    output = str(record.output)
+    is_in_place = os.path.realpath(record.input) == os.path.realpath(output)
+    source = record.input + backup if is_in_place else record.input
+    before = _surface(source, record.input_sha256, record.format, bounds)
+    after = _surface(output, record.output_sha256, None, bounds)
+    if before is None or after is None:
+        return None
+    return pictures.scene_of(before, after, (source, output), to_surface=False)
+
+
+def _surface(path: str, sha256: str | None, format: str | None, bounds: Bounds) -> Surface | None:
+    """What the file at ``path`` holds; None if it is not there, or has another SHA-256."""
+    from msal_cli import codecs as files
+    from msal_cli.job import comparison
+
+    if not os.path.isfile(path) or os.path.getsize(path) > bounds.file_bytes:
+        return None
+    data = files.read_input(path, format)
+    if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
+        return None
+    plain, _ = files.expanded(data, path)
+    mesh_file = files.open_mesh(plain, path, format)
+    return comparison.surface_of(mesh_file) if len(mesh_file.faces) <= bounds.faces else None
+
+
+# Pictures
+
+
+def _pictures(scene: Scene, reach: float) -> tuple[Pictures, Camera]:
+    """Three pictures from one place; colours reach to ``reach`` mean edge lengths."""
+    from msal_cli.analysis import colour_maps as colours
+    from msal_cli.view import pictures
+    from msal_cli.view.jpeg import jpeg_bytes
+
+    camera = pictures.camera_of(scene, pictures.View())
+    after = scene.after or scene.before
+    deviation = None
+    if scene.deviation is not None and scene.is_signed:
+        moved = scene.deviation / scene.before.mean_edge_length
+        painted = colours.mapped(moved, -reach, reach, "diverging")
+        deviation = jpeg_bytes(_image(after.vertices, after.faces, camera, _SIZE, painted))
+    return (
+        Pictures(
+            jpeg_bytes(_image(scene.before.vertices, scene.before.faces, camera, _SIZE)),
+            jpeg_bytes(_image(after.vertices, after.faces, camera, _SIZE)),
+            deviation,
+        ),
+        camera,
+    )
+
+
+def _image(
+    vertices: Floats,
+    faces: NDArray[np.int32],
+    camera: Camera,
+    size: tuple[int, int],
+    painted: Image | None = None,
+) -> Image:
+    from msal_cli import view as render
+
+    style = render.Style(background=(236, 238, 241))
+    return render.shaded(vertices, faces, camera, *size, painted, style=style)
+
+
+def _reach(records: Sequence[MeshRecord]) -> float:
+    """Mean edge lengths at the ends of the colours, for all files alike: what 95 % of the vertices
+    of a middling file stay below, doubled and rounded up, so that a bad file stands out."""
+    import math
+    import statistics
+
+    sizes = [
+        record.displacement.p95_edges
+        for record in records
+        if record.displacement is not None
+        and record.status in _DONE
+        and math.isfinite(record.displacement.p95_edges)
+        and record.displacement.p95_edges > _ROUNDING_EDGES
+    ]
+    if not sizes:
+        return _STANDARD_RANGE
+    wanted = 2.0 * statistics.median(sizes)
+    power = 10.0 ** math.floor(math.log10(wanted))
+    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= wanted * 0.999)
+
+
+def _scale(reach: float) -> Scale:
+    from msal_cli.analysis import colour_maps as colours
+
+    table = colours.table("diverging")
+    rows = [table[round(at * (len(table) - 1) / (_SHADES - 1))] for at in range(_SHADES)]
+    return Scale(
+        title="Deviation, along the normals, the same scale for all files:",
+        low=f"−{reach:g} (inwards)",
+        high=f"+{reach:g} mean edge lengths (outwards)",
+        colours=tuple("#" + "".join(f"{int(part):02x}" for part in row) for row in rows),
+    )
+
+
+# Scenes
+
+
+def _embedded(
+    record: MeshRecord, scene: Scene, camera: Camera, reach: float, most_faces: int, key: str
+) -> str:
+    from msal_cli.view import png_bytes, viewer
+    from msal_cli.view import scene as scenes
+
+    after = scene.after or scene.before
+    end = reach * scene.before.mean_edge_length
+    drawn = scenes.encoded(
+        scene.before,
+        scene.after,
+        scene.deviation,
+        ends=(-end, end) if scene.is_signed else None,
+        view=camera.axes,
+        most_faces=most_faces,
+    )
+    poster = png_bytes(_image(after.vertices, after.faces, camera, _POSTER))
+    return viewer.embedded_scene(
+        key, drawn, picture=poster, description=f"{record.input}, after", starts="click"
+    )
+
+
+def _viewer_script() -> str:
+    from msal_cli.view import viewer
+
+    return viewer.script()
+
+
+def _viewer_style() -> str:
+    from msal_cli.view import viewer
+
+    return viewer.style()
+
+
+def _remarks(
+    n_shown: int, n_late: int, n_large: int, n_decimated: int, bounds: Bounds
+) -> list[str]:
+    remarks = []
+    if n_late:
+        remarks.append(
+            f"Pictures are of the worst {_counted(n_shown)}: the other {n_late:,} would have "
+            f"taken more than {bounds.seconds:.0f} seconds or {bounds.picture_bytes / 1e6:.0f} MB."
+        )
+    if n_large:
+        remarks.append(
+            f"{_counted(n_large)} of more than {bounds.faces:,} faces or "
+            f"{bounds.file_bytes / 1e6:.0f} MB without pictures here; `msal view` makes them."
+        )
+    if n_decimated:
+        remarks.append(
+            f"In 3D, meshes of more than {bounds.scene_faces:,} faces are decimated, before and "
+            "after alike; the figures are those of the full meshes."
+        )
+    return remarks
+
+
+def _counted(count: int) -> str:
+    return "1 file" if count == 1 else f"{count:,} files"

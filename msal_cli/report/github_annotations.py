@@ -1,0 +1,66 @@
+"""Annotations for GitHub: what failed, as commands that its runner reads from the log.
+
+A command is one line, ``::error file=NAME,title=TITLE::MESSAGE``.  In the message per cent signs
+and line ends are escaped, in the properties colons and commas too: nothing that a name or a reason
+holds can end the line, add a property or begin a command of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from msal_cli.job.display_names import shown
+from msal_cli.job.records import MeshRecord
+from msal_cli.report.ranking import broken_gates, worst_first
+from msal_cli.report.text import file_name, reason
+
+MOST = 10
+"""Annotations of a run: GitHub shows no more errors of one step."""
+
+
+def commands(records: Sequence[MeshRecord], folder: str = "") -> list[str]:
+    """The commands for the worst files that failed or broke a gate, at most ``MOST``.
+
+    ``folder`` is where relative names begin, as a path from the root of the repository; empty if
+    that is where the program runs.
+    """
+    told = [
+        (record, title, message)
+        for record in worst_first(records)
+        for title, message in _messages(record)
+    ]
+    return [
+        f"::error {_properties(record.input, folder, title)}::{_message(message)}"
+        for record, title, message in told[:MOST]
+    ]
+
+
+def _messages(record: MeshRecord) -> Iterator[tuple[str, str]]:
+    """The title and the message of a file, if there is anything to tell."""
+    name = file_name(record.input)
+    if record.error is not None:
+        failure = record.error
+        hint = f"\nhint: {shown(failure.hint)}" if failure.hint else ""
+        why = reason(failure.where, failure.message, failure.code)
+        yield "msal: failed", f"{name}: {why}{hint}"
+    elif gates := broken_gates(record):
+        title = "msal: broken gate" if len(gates) == 1 else f"msal: {len(gates)} broken gates"
+        yield title, "\n".join([f"{name}:", *map(shown, gates)])
+
+
+def _properties(name: str, folder: str, title: str) -> str:
+    properties = f"title={_property(title)}"
+    if name == "-" or "://" in name:
+        return properties
+    if folder and not name.startswith("/"):
+        name = f"{folder.rstrip('/')}/{name}"
+    # Marks that a terminal obeys are escaped: better a name that leads nowhere.
+    return f"file={_property(shown(name))},{properties}"
+
+
+def _message(text: str) -> str:
+    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _property(text: str) -> str:
+    return _message(text).replace(":", "%3A").replace(",", "%2C")

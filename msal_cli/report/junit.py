@@ -1,0 +1,172 @@
+"""The JUnit report: XML that build services show as tests.
+
+A suite is a folder, a case is a file, a broken gate is a failure, a file that failed is an error,
+and one that was not dealt with is skipped.  The document keeps to the schemas of Ant and of Jenkins
+alike: every attribute that either demands is there, and none that either does not know.
+
+XML 1.0 has no way to write most control characters.  In names and reasons they stand as ``\\xNN``
+or ``\\uNNNN``, as on a terminal.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+from msal_cli.job.display_names import shown
+from msal_cli.job.records import MeshRecord
+from msal_cli.report.document import Run
+from msal_cli.report.ranking import broken_gates
+from msal_cli.report.text import defects_text, despiked_text, percent_text, reason, vertices_text
+
+# Half of a pair, and two code points that are no characters: all that is left for XML to refuse.
+_NO_CHARACTER = re.compile("[\ud800-\udfff\ufffe\uffff]")
+
+_TOP = "."
+_STREAM = "standard input"
+
+
+def encoded(run: Run, records: Sequence[MeshRecord]) -> bytes:
+    """The records as JUnit XML in UTF-8; folders in the order in which the inputs name them."""
+    folders: dict[str, list[MeshRecord]] = {}
+    for record in records:
+        folders.setdefault(_folder(record.input), []).append(record)
+    root = Xml.Element("testsuites")
+    for at, (folder, inside) in enumerate(folders.items()):
+        root.append(_suite(run, at, folder, inside))
+    Xml.indent(root)
+    text = Xml.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
+
+
+def _suite(run: Run, at: int, folder: str, records: Sequence[MeshRecord]) -> Xml.Element:
+    cases = [_case(folder, record) for record in records]
+    suite = _element(
+        "testsuite",
+        id=str(at),
+        package="msal",
+        name=folder,
+        # Ant's schema knows neither fractions nor time zones.
+        timestamp=_moment(run.started),
+        hostname="localhost",
+        tests=str(len(cases)),
+        failures=_count(cases, "failure"),
+        errors=_count(cases, "error"),
+        skipped=_count(cases, "skipped"),
+        time=_seconds(sum(_duration(record) for record in records)),
+    )
+    properties = Xml.SubElement(suite, "properties")
+    for name, value in _properties(run):
+        properties.append(_element("property", name=name, value=value))
+    suite.extend(cases)
+    Xml.SubElement(suite, "system-out").text = _characters(
+        "\n".join(line for record in records for line in _figures(record))
+    )
+    Xml.SubElement(suite, "system-err").text = _characters(
+        "\n".join(
+            f"{_name(record)}: {shown(warning)}"
+            for record in records
+            for warning in record.warnings
+        )
+    )
+    return suite
+
+
+def _case(folder: str, record: MeshRecord) -> Xml.Element:
+    case = _element(
+        "testcase", name=_name(record), classname=folder, time=_seconds(_duration(record))
+    )
+    broken = broken_gates(record)
+    if record.error is not None:
+        failure = record.error
+        told = _element(
+            "error", type=failure.code, message=reason(failure.where, failure.message, "")
+        )
+        lines = [reason(failure.where, failure.message, failure.code)]
+        lines += [f"hint: {shown(failure.hint)}"] if failure.hint else []
+        told.text = _characters("\n".join([f"{shown(record.input)}: {lines[0]}", *lines[1:]]))
+        case.append(told)
+    elif broken:
+        # Ant's schema has room for one failure in a case.
+        told = _element("failure", type="gate", message="; ".join(map(shown, broken)))
+        told.text = _characters("\n".join([f"{shown(record.input)}:", *map(shown, broken)]))
+        case.append(told)
+    elif record.status == "planned":
+        case.append(_element("skipped"))
+    return case
+
+
+def _properties(run: Run) -> Iterator[tuple[str, str]]:
+    yield "msal.version", run.version
+    yield "msal.command", " ".join(run.command)
+    yield from _flat("msal.settings", run.settings)
+
+
+def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _flat(f"{name}.{key}", inner)
+    elif value is not None:
+        yield name, str(value)
+
+
+def _figures(record: MeshRecord) -> Iterator[str]:
+    """One line with the figures of a file; none if there are none."""
+    parts = []
+    if record.vertices is not None:
+        parts.append(vertices_text(record.vertices, record.corners))
+    if record.displacement is not None:
+        moved = record.displacement
+        parts.append(f"moved {moved.mean_edges:.3g} (most {moved.max_edges:.3g}) mean edge lengths")
+    if record.volume is not None and record.volume.valid:
+        parts.append(f"volume {percent_text(record.volume.change_percent)}")
+    if record.despiked:
+        parts.append(despiked_text(record.despiked))
+    if record.choice is not None:
+        parts.append(f"chosen: {shown(record.choice.reason)}")
+    if defects := defects_text(record):
+        parts.append(defects)
+    if parts:
+        yield f"{_name(record)}: {record.status}, {', '.join(parts)}"
+
+
+def _folder(name: str) -> str:
+    if name == "-":
+        return _STREAM
+    return shown(os.path.dirname(name)) or _TOP
+
+
+def _name(record: MeshRecord) -> str:
+    name = record.input
+    return _STREAM if name == "-" else shown(os.path.basename(name)) or _TOP
+
+
+def _element(tag: str, **attributes: str) -> Xml.Element:
+    return Xml.Element(tag, {name: _characters(shown(v)) for name, v in attributes.items()})
+
+
+def _characters(text: str) -> str:
+    """``text`` without what XML 1.0 has no place for."""
+    return _NO_CHARACTER.sub(lambda one: f"\\u{ord(one[0]):04x}", text)
+
+
+def _count(cases: Sequence[Xml.Element], tag: str) -> str:
+    return str(sum(case.find(tag) is not None for case in cases))
+
+
+def _duration(record: MeshRecord) -> float:
+    seconds = record.seconds.total if record.seconds is not None else 0.0
+    return seconds if record.status in ("written", "unchanged") and seconds > 0.0 else 0.0
+
+
+def _seconds(seconds: float) -> str:
+    return f"{min(seconds, 1e9):.3f}"
+
+
+def _moment(text: str) -> str:
+    """A time to the second; a report that does not know when it was made gives the beginning."""
+    found = re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d", text)
+    return found[0] if found else "1970-01-01T00:00:00"

@@ -1,0 +1,60 @@
+"""Which files to look at first, in every report that puts some files before others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from msal_cli.job.records import GateResult, MeshRecord
+
+WORDS = (
+    "Worst first: what failed, then what broke a gate (the most gates first), then what was not "
+    "finished, then the largest displacement in mean edge lengths, then the largest change of "
+    "volume."
+)
+"""The order, for the reader of a report."""
+
+
+def worst_first(records: Sequence[MeshRecord]) -> list[MeshRecord]:
+    """The records in the order that ``WORDS`` tells; equals stay in the order of the inputs.
+
+    A figure that is not finite counts as the largest, one that is not known as the smallest.
+    """
+    return sorted(records, key=_rank)
+
+
+def broken_gates(record: MeshRecord) -> tuple[str, ...]:
+    """The gates that a file did not pass, in words; none if all were passed."""
+    return tuple(gate_words(one) for one in record.gates if one.broken)
+
+
+def gate_words(gate: GateResult) -> str:
+    """A gate with the values that it was decided by, or why it could not be decided."""
+    words = f"{gate.expression} ({gate.reason})"
+    return words if gate.decided else f"not decided: {words}"
+
+
+def needs_attention(record: MeshRecord) -> bool:
+    """Whether a file failed or broke a gate."""
+    return record.status == "failed" or bool(broken_gates(record))
+
+
+def _rank(record: MeshRecord) -> tuple[int, int, float, float]:
+    moved, volume = record.displacement, record.volume
+    change = volume.change_percent if volume is not None else None
+    broken = len(broken_gates(record))
+    group = (
+        0 if record.status == "failed" else 1 if broken else 2 if record.status == "planned" else 3
+    )
+    return (
+        group,
+        -broken,
+        -_size(moved.max_edges if moved is not None else None),
+        -_size(change),
+    )
+
+
+def _size(figure: float | None) -> float:
+    if figure is None:
+        return -1.0
+    return abs(figure) if math.isfinite(figure) else math.inf

@@ -1,0 +1,228 @@
+"""Whole files in and out of memory: reading, and gzip with a bound on what it may expand to."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from typing import BinaryIO
+
+from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.errors import FormatError, InputError, TooLargeError, TruncatedError
+from msal_cli.storage.regular import NotRegularError, open_regular
+from msal_cli.storage.urls import is_url
+
+GZIP_SUFFIX = ".gz"
+GZIP_MAGIC = b"\x1f\x8b"
+
+ALWAYS_EXPANDED = 32 << 20
+"""Bytes that a compressed file may always expand to."""
+
+LARGEST_RATIO = 200
+"""Expanded bytes per compressed byte beyond that.  Meshes reach 3 to 30, the most repetitive
+text files about 100; deflate itself ends at 1032, which only a file made to do harm comes near."""
+
+_FIRST_PIECE = 1 << 10
+_LARGEST_PIECE = 1 << 20
+
+
+def memory_bytes() -> int:
+    """Physical memory of this machine; more than any machine has where it is not known."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 1 << 62
+
+
+def largest_bytes() -> int:
+    """The most bytes that a file may have to be held in memory: half of the machine's."""
+    return memory_bytes() // 2
+
+
+def too_large(size: int) -> TooLargeError:
+    """The error for a file of ``size`` bytes that is beyond ``largest_bytes``."""
+    return TooLargeError(
+        f"the file has {size:,} bytes, and more than {largest_bytes():,} cannot be held in the "
+        "memory of this machine",
+        hint="cut the mesh into parts, or use a machine with more memory",
+    )
+
+
+def read_whole(path: str | os.PathLike[str], size: int | None = None) -> bytes:
+    """The bytes of a regular file, or of an object behind a URL, which has ``size`` as far as is
+    known.
+
+    Raises
+    ------
+    InputError
+        with code ``E_READ`` if the system cannot read it, or it is a pipe, a socket or a device.
+    TooLargeError
+        if it has more than half of the machine's memory, or grows to that while it is read.
+    """
+    if isinstance(path, str) and is_url(path):
+        from msal_cli.storage import objects as remote
+
+        return remote.read_whole(path, size)
+    try:
+        with open_regular(path, buffering=0) as file:
+            return _read_to_end(file)
+    except (OSError, ValueError) as failure:
+        reason = getattr(failure, "strerror", None) or str(failure)
+        raise InputError(
+            f"the file cannot be read: {reason}",
+            path=os.fspath(path),
+            code="E_READ",
+            hint="write what comes through it to a file first"
+            if isinstance(failure, NotRegularError)
+            else "check that it exists and that you may read it",
+        ) from failure
+
+
+def _read_to_end(file: BinaryIO) -> bytes:
+    """All bytes of an open file, which may have more than its size says, but not without end."""
+    expected = os.fstat(file.fileno()).st_size
+    if expected > largest_bytes():
+        raise too_large(expected)
+    # One byte more than there should be, so that the next piece is the empty one at the end.
+    pieces, size, room = [], 0, expected + 1
+    while piece := file.read(room):
+        pieces.append(piece)
+        size += len(piece)
+        if size > largest_bytes():
+            raise too_large(size)
+        room = max(expected + 1 - size, _LARGEST_PIECE)
+    return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+
+def read_in_large_pages(path: str | os.PathLike[str]) -> Buffer:
+    """The bytes of a file, to be read only; for large ones quicker than ``read_whole``.
+
+    An array of numpy's comes in large pages where the system has such, and to clear thousands of
+    small ones takes longer than to copy what the file holds.  Errors as in ``read_whole``.
+    """
+    import numpy as np
+
+    try:
+        with open_regular(path, buffering=0) as file:
+            expected = os.fstat(file.fileno()).st_size
+            room = np.empty(expected + 1, dtype=np.uint8).data
+            size = 0
+            while size <= expected:
+                got = file.readinto(room[size:])  # type: ignore[attr-defined]
+                if not got:
+                    return room[:size].toreadonly()
+                size += got
+    except (OSError, ValueError):
+        pass  # read as any other, for the reason
+    return read_whole(path)
+
+
+def is_gzip_name(name: str) -> bool:
+    """Whether a file name ends in ``.gz``, in any case."""
+    return name.lower().endswith(GZIP_SUFFIX)
+
+
+def expanded(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer, bool]:
+    """The content of a file that may be compressed with gzip, and whether it was.
+
+    A file counts as compressed if its name ends in ``.gz`` or its bytes begin like gzip's; all
+    members of a file with several are joined.  Nothing beyond ``limit`` bytes is ever expanded.
+
+    Parameters
+    ----------
+    data : the file's bytes; returned as they are where they are not compressed.
+    name : the file's name.
+    limit : the most bytes to expand to; by default ``ALWAYS_EXPANDED`` or ``LARGEST_RATIO`` times
+        the compressed bytes read so far, whichever is more, and half of the machine's memory.
+
+    Raises
+    ------
+    FormatError
+        if a ``.gz`` file is not gzip, or is damaged.
+    TruncatedError
+        if it ends early.
+    TooLargeError
+        if it would expand beyond the limit.
+    """
+    view = memoryview(data).cast("B")
+    if bytes(view[:2]) != GZIP_MAGIC:
+        if not is_gzip_name(name):
+            return data, False
+        if not len(view):
+            raise TruncatedError("the file is empty", hint="copy or export it again")
+        raise FormatError(
+            "the name ends in .gz but the content is not gzip",
+            where="byte 0",
+            hint="rename the file, or compress it",
+        )
+    largest = largest_bytes() if limit is None else limit
+    pieces: list[bytes] = []
+    size = 0
+    position = 0
+    while position < len(view):
+        # Zero bytes behind the last member are padding (tape blocks), as for gzip itself.
+        if pieces and view[position] == 0 and _is_zero(view[position:]):
+            break
+        if pieces and bytes(view[position : position + 2]) not in (GZIP_MAGIC, GZIP_MAGIC[:1]):
+            raise FormatError(
+                f"{len(view) - position} bytes behind the compressed data are not gzip",
+                where=f"byte {position}",
+                hint="the file is damaged, or two files were joined; compress it again",
+            )
+        member = zlib.decompressobj(wbits=31)
+        # Pieces begin small, so that a file of very many tiny members is not copied over and
+        # over by ``unused_data``.
+        piece = _FIRST_PIECE
+        while not member.eof:
+            if position == len(view):
+                raise TruncatedError(
+                    f"the compressed data end after {position} bytes, in the middle",
+                    where=f"byte {position}",
+                    hint="the file was cut short; copy it again",
+                )
+            part = view[position : position + piece]
+            allowed = largest
+            if limit is None:
+                # A bomb is known by its first pieces.
+                read = position + len(part)
+                allowed = min(largest, max(ALWAYS_EXPANDED, LARGEST_RATIO * read))
+            try:
+                pieces.append(member.decompress(part, max(allowed - size, 0) + 1))
+            except zlib.error as failure:
+                raise FormatError(
+                    f"the compressed data are damaged ({failure})",
+                    where=f"bytes {position} to {position + len(part)}",
+                    hint="the file is damaged; copy it again",
+                ) from failure
+            size += len(pieces[-1])
+            if size > allowed:
+                raise TooLargeError(
+                    f"{position + len(part)} of {len(view)} compressed bytes expand to more than "
+                    f"{allowed}",
+                    where=f"byte {position}",
+                    hint="no mesh compresses so well; if you trust the file, expand it with gunzip",
+                )
+            position += len(part) - len(member.unused_data)
+            piece = min(2 * piece, _LARGEST_PIECE)
+    return b"".join(pieces), True
+
+
+def _is_zero(view: memoryview) -> bool:
+    """Whether all bytes are zero; a piece at a time, since there may be gigabytes."""
+    pieces = (view[at : at + _LARGEST_PIECE] for at in range(0, len(view), _LARGEST_PIECE))
+    return not any(bytes(piece).strip(b"\0") for piece in pieces)
+
+
+def compressed(data: Buffer) -> bytes:
+    """``data`` as gzip; the same bytes on every run: no time, no name, no operating system."""
+    view = memoryview(data).cast("B")
+    deflate = zlib.compressobj(6, zlib.DEFLATED, -15)
+    checksum = zlib.crc32(view) & 0xFFFFFFFF
+    return b"".join(
+        (
+            GZIP_MAGIC + b"\x08\x00" + bytes(4) + b"\x00\xff",
+            deflate.compress(view),
+            deflate.flush(),
+            checksum.to_bytes(4, "little"),
+            (len(view) & 0xFFFFFFFF).to_bytes(4, "little"),
+        )
+    )

@@ -1,0 +1,461 @@
+"""Objects behind URLs, through fsspec: read whole, write whole, size and tag, listing.
+
+An object appears whole or not at all.  Object stores promise that of one put, and of an upload in
+parts that is completed; on servers that hold files (SFTP, SMB, ...) the object is written under
+another name and moved.  Nothing is ever opened for writing and left to a destructor to finish.
+
+Nothing is cached between calls: each asks the store.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import os
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
+from typing import Any, NamedTuple
+
+from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.errors import InputError, MsalError, OutputError, UsageError
+from msal_cli.extras import install_hint
+from msal_cli.storage import urls
+from msal_cli.storage.gzip_streams import largest_bytes, too_large
+from msal_cli.storage.urls import is_url
+
+__all__ = [
+    "Mark",
+    "beginning",
+    "is_in_process",
+    "is_url",
+    "listed",
+    "mark",
+    "read_many",
+    "read_whole",
+    "removed",
+    "write_whole",
+]
+
+_EXTRA = "cloud"
+
+# Stores whose put is whole or nothing; of all others that is not known.
+_OBJECT_STORES = (
+    "s3",
+    "s3a",
+    "gs",
+    "gcs",
+    "az",
+    "abfs",
+    "abfss",
+    "adl",
+    "oss",
+    "memory",
+    "http",
+    "https",
+)
+
+# s3fs tries again what botocore has tried again, and both around each other: without a bound
+# a store that cannot be reached costs minutes a file.
+_TRIES_AROUND_BOTOCORE = 2
+
+_WEB = ("http", "https")
+
+_PIECE = 1 << 20
+_AT_THE_SAME_TIME = 16
+_MOST_IN_ONE_REMOVAL = 1000
+
+_TAGS = ("ETag", "etag", "md5Hash", "content_md5", "md5", "checksum", "generation")
+_TIMES = ("LastModified", "last_modified", "mtime", "modified", "updated", "created")
+
+_lock = threading.Lock()
+_file_systems: dict[tuple[str, str], Any] = {}
+
+
+class Mark(NamedTuple):
+    """Size in bytes and entity tag of an object.
+
+    Where a store has no entity tags, the time of change stands in; empty where there is neither.
+    """
+
+    size: int
+    tag: str
+
+
+def is_in_process(url: str) -> bool:
+    """Whether the objects live in this process alone, out of reach of workers."""
+    return urls.split(url)[0] == "memory"
+
+
+def read_whole(url: str, size: int | None = None) -> bytes:
+    """The bytes of an object; ``size`` is what a listing has just said that it has of them.
+
+    Raises InputError (``E_READ``) if there is none, or the store does not give it; TooLargeError
+    if it has more than half of the machine's memory; UsageError if a package is missing.
+    """
+    try:
+        system, path = _opened(url)
+        if urls.split(url)[0] in _WEB:
+            return _read_from_web(system, path)
+        if size is None or size < 0:
+            there = _mark(system, path)
+            size = there.size if there is not None else 0
+        if size > largest_bytes():
+            raise too_large(size)
+        data: bytes = system.cat_file(path, **_in_one_request(system))
+    except (MsalError, MemoryError):
+        raise
+    except Exception as failure:
+        reason, hint = _told(failure)
+        raise InputError(
+            f"the object cannot be read: {reason}", path=url, code="E_READ", hint=hint
+        ) from None
+    return data
+
+
+def _read_from_web(system: Any, path: str) -> bytes:
+    """What a web server sends, in one request.
+
+    It is counted as it comes: a server may send another size than it says, without end, or
+    compressed so that a little becomes very much.
+    """
+    pieces, size = [], 0
+    # Without blocks it is one stream.
+    with system.open(path, "rb", block_size=0) as stream:
+        while piece := stream.read(_PIECE):
+            pieces.append(piece)
+            size += len(piece)
+            if size > largest_bytes():
+                raise too_large(size)
+    return b"".join(pieces)
+
+
+def beginning(url: str, length: int) -> tuple[bytes, int]:
+    """At most ``length`` bytes of an object's beginning, and its size; two requests.
+
+    Raises InputError (``E_READ``) if there is none; UsageError if a package is missing.
+    """
+    there = mark(url)
+    if there is None:
+        raise InputError("there is no such object", path=url, code="E_READ")
+    data: bytes
+    try:
+        system, path = _opened(url)
+        if urls.split(url)[0] in _WEB:
+            # A server may send all of it, whatever range is asked for, and in small pieces.
+            data = b""
+            with system.open(path, "rb", block_size=0) as stream:
+                while len(data) < length and (piece := stream.read(length - len(data))):
+                    data += piece
+        else:
+            # A range of nothing is an error to some stores.
+            data = system.cat_file(path, start=0, end=length) if there.size else b""
+    except (MsalError, MemoryError):
+        raise
+    except Exception as failure:
+        reason, hint = _told(failure)
+        raise InputError(
+            f"the object cannot be read: {reason}", path=url, code="E_READ", hint=hint
+        ) from None
+    return data, max(there.size, len(data))
+
+
+def read_many(some: Mapping[str, Mark]) -> list[bytes]:
+    """The bytes of several objects, with the marks of a listing, some at the same time.
+
+    The errors are those of ``read_whole``; all together may have half of the machine's memory.
+    """
+    if not some:
+        return []
+    from concurrent.futures import ThreadPoolExecutor
+
+    sizes = [one.size for one in some.values()]
+    together = sum(max(size, 0) for size in sizes)
+    if together > largest_bytes():
+        raise too_large(together)
+    with ThreadPoolExecutor(min(_AT_THE_SAME_TIME, len(some))) as pool:
+        return list(pool.map(read_whole, some, sizes))
+
+
+def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> Mark:
+    """Write an object so that it is seen whole or not at all, and give its mark.
+
+    Size and tag are asked of the store afterwards.
+
+    Raises OutputError if the store does not take it; UsageError if a package is missing.
+    """
+    if isinstance(buffers, bytes | bytearray | memoryview):
+        buffers = (buffers,)
+    data = b"".join(buffers)
+    try:
+        system, path = _opened(url)
+        if urls.split(url)[0] in _OBJECT_STORES:
+            system.pipe_file(path, data)
+        else:
+            _moved_into_place(system, path, data)
+        there = _mark(system, path)
+    except (MsalError, MemoryError):
+        raise
+    except Exception as failure:
+        if isinstance(failure, FileNotFoundError):
+            reason, hint = "there is no such bucket or folder", "check the output's name"
+        else:
+            reason, hint = _told(failure)
+        raise OutputError(f"the object cannot be written: {reason}", path=url, hint=hint) from None
+    if there is None or there.size != len(data):
+        size = "none" if there is None else str(there.size)
+        raise OutputError(
+            f"the object cannot be written: {size} of {len(data)} bytes arrived",
+            path=url,
+            hint="run again; look whether somebody else writes there",
+        )
+    return there
+
+
+def _moved_into_place(system: Any, path: str, data: bytes) -> None:
+    parent, _, name = path.rpartition("/")
+    if parent:
+        system.makedirs(parent, exist_ok=True)
+    temporary = f"{parent}/.msal-{os.getpid()}-{os.urandom(8).hex()}.tmp"
+    try:
+        system.pipe_file(temporary, data)
+        there = _mark(system, temporary)
+        if there is None or there.size != len(data):
+            raise OSError("not all bytes arrived")
+        system.mv(temporary, f"{parent}/{name}")
+    except BaseException:
+        with contextlib.suppress(Exception):
+            system.rm_file(temporary)
+        raise
+
+
+def mark(url: str) -> Mark | None:
+    """Size and tag of an object; None if there is none (a folder is none).
+
+    Raises InputError (``E_READ``) if the store does not answer; UsageError if a package is missing.
+    """
+    try:
+        return _mark(*_opened(url))
+    except (MsalError, MemoryError):
+        raise
+    except Exception as failure:
+        reason, hint = _told(failure)
+        raise InputError(
+            f"the object cannot be looked at: {reason}", path=url, code="E_READ", hint=hint
+        ) from None
+
+
+def listed(url: str, depth: int | None = None) -> dict[str, Mark]:
+    """Every object below a folder by its name there, written with ``/``; empty if there is none.
+
+    On object stores that is one request for a thousand objects, however deep they lie.
+
+    Parameters
+    ----------
+    depth : only names of at most so many parts; None for all.
+
+    Raises
+    ------
+    InputError
+        with code ``E_READ`` if the store does not answer.
+    UsageError
+        if a package is missing.
+    """
+    try:
+        system, path = _opened(url)
+        system.invalidate_cache()
+        limit = {} if depth is None else {"maxdepth": depth}
+        found: dict[str, dict[str, Any]] = system.find(path, detail=True, **limit)
+    except (MsalError, MemoryError):
+        raise
+    except FileNotFoundError:
+        return {}
+    except Exception as failure:
+        reason, hint = _told(failure)
+        raise InputError(
+            f"the folder cannot be listed: {reason}", path=url, code="E_READ", hint=hint
+        ) from None
+    start = path.rstrip("/") + "/"
+    return {
+        full[len(start) :]: _mark_of(info)
+        for full, info in found.items()
+        if full.startswith(start) and len(full) > len(start) and info.get("type") != "directory"
+    }
+
+
+def removed(some: Sequence[str]) -> None:
+    """Remove objects of one store, as far as it lets us; what stays is no error."""
+    if not some:
+        return
+    with contextlib.suppress(Exception):
+        opened = [_opened(url) for url in some]
+        system = opened[0][0]
+        paths = [path for _, path in opened]
+        if hasattr(system, "bulk_delete"):
+            for start in range(0, len(paths), _MOST_IN_ONE_REMOVAL):
+                system.bulk_delete(paths[start : start + _MOST_IN_ONE_REMOVAL])
+            return
+        for path in paths:
+            system.rm_file(path)
+
+
+def _opened(url: str) -> tuple[Any, str]:
+    """The file system of a URL and the path in it."""
+    protocol = urls.split(url)[0]
+    kind = _kind(protocol)
+    full = urls.opened_as(url)
+    is_s3 = protocol in ("s3", "s3a")
+    if is_s3 and "?versionId=" in url:
+        # s3fs would cut the name there, and read or replace another object.
+        raise ValueError("a name with ?versionId= in it cannot be told from a version")
+    options = {} if is_s3 else dict(kind._get_kwargs_from_urls(full))
+    path: str = kind._strip_protocol(full)
+    if full != url and protocol in _OBJECT_STORES and not protocol.startswith("http"):
+        raise UsageError(
+            f"{url!r}: {protocol} URLs take no password",
+            hint="give credentials by the environment or the store's own configuration",
+        )
+    # An instance is shared by all threads: of several, each would have its own connections.
+    key = (protocol, repr(sorted(options.items())))
+    with _lock:
+        if key not in _file_systems:
+            _file_systems[key] = _connected(protocol, options)
+        return _file_systems[key], path
+
+
+def _connected(protocol: str, options: dict[str, Any]) -> Any:
+    import fsspec
+
+    try:
+        system = fsspec.filesystem(protocol, **options)
+    except (ImportError, TypeError, ValueError) as failure:
+        raise UsageError(
+            f"{protocol}:// cannot be used: {urls.redacted(_one_line(failure))}",
+            hint="chained URLs and archives are not supported",
+        ) from None
+    if isinstance(getattr(system, "retries", None), int):
+        system.retries = min(system.retries, _TRIES_AROUND_BOTOCORE)
+    return system
+
+
+def _kind(protocol: str) -> Any:
+    """The class of file systems of a protocol; UsageError tells what to install."""
+    try:
+        import fsspec
+        from fsspec.registry import known_implementations
+    except ImportError:
+        raise UsageError(
+            f"{protocol}:// needs the package fsspec, which is not installed",
+            hint=install_hint(_EXTRA),
+        ) from None
+    try:
+        return fsspec.get_filesystem_class(protocol)
+    except ImportError as failure:
+        advice = known_implementations.get(protocol, {}).get("err") or _one_line(failure)
+        hint = install_hint(_EXTRA) if protocol in ("s3", "s3a", "gs", "gcs") else ""
+        raise UsageError(f"{protocol}:// cannot be used: {advice}", hint=hint) from None
+    except ValueError:
+        raise UsageError(
+            f"the protocol of {protocol}:// is not known",
+            hint="URLs are those of fsspec, such as s3://bucket/scans",
+        ) from None
+
+
+def _in_one_request(system: Any) -> dict[str, int]:
+    # Parts that are fetched at the same time may be of two versions of the object.
+    asynchronous = getattr(system, "_cat_file", None)
+    if asynchronous is None or "max_concurrency" not in inspect.signature(asynchronous).parameters:
+        return {}
+    return {"max_concurrency": 1}
+
+
+def _mark(system: Any, path: str) -> Mark | None:
+    system.invalidate_cache()
+    try:
+        info: dict[str, Any] = system.info(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    return None if info.get("type") == "directory" else _mark_of(info)
+
+
+def _mark_of(info: dict[str, Any]) -> Mark:
+    size = info.get("size")
+    return Mark(-1 if size is None else int(size), _tag(info))
+
+
+def _tag(info: dict[str, Any]) -> str:
+    for key in _TAGS:
+        if isinstance(info.get(key), str | int | bytes) and info[key]:
+            value = info[key]
+            text = value.hex() if isinstance(value, bytes) else str(value)
+            return text[1:-1] if text[:1] == text[-1:] == '"' else text
+    for key in _TIMES:
+        moment = info.get(key)
+        if isinstance(moment, datetime):
+            moment = moment.timestamp()
+        if isinstance(moment, int | float):
+            return f"{key} {moment:.6f}"
+        if isinstance(moment, str) and moment:
+            return f"{key} {moment}"
+    return ""
+
+
+_UNREACHABLE = {
+    "ClientConnectionError",
+    "ConnectTimeoutError",
+    "ConnectionClosedError",
+    "ConnectionError",
+    "EndpointConnectionError",
+    "FSTimeoutError",
+    "HTTPClientError",
+    "ReadTimeoutError",
+    "TimeoutError",
+    "gaierror",
+}
+_WITHOUT_CREDENTIALS = {
+    "CredentialRetrievalError",
+    "DefaultCredentialsError",
+    "NoCredentialsError",
+    "PartialCredentialsError",
+    "ProfileNotFound",
+    "RefreshError",
+    "TokenRetrievalError",
+}
+
+
+def _told(failure: BaseException) -> tuple[str, str]:
+    """The reason of a failure in words, and a hint, for any file system."""
+    kinds = {
+        kind.__name__
+        for one in (failure, failure.__cause__)
+        if one is not None
+        for kind in type(one).__mro__
+    }
+    said = urls.redacted(_one_line(failure))
+    if "FileNotFoundError" in kinds:
+        if "bucket" in said.lower():
+            return "there is no such bucket", "check the bucket's name"
+        return "there is no such object", "it may have been removed meanwhile; check the name"
+    if kinds & _WITHOUT_CREDENTIALS:
+        return (
+            f"there are no credentials ({said})",
+            "set AWS_PROFILE, AWS_ACCESS_KEY_ID or the store's own variables; "
+            "FSSPEC_S3_ANON=true for public buckets",
+        )
+    if "PermissionError" in kinds:
+        return f"access is denied ({said})", "check the credentials and what they may do there"
+    if kinds & _UNREACHABLE:
+        return (
+            f"the store cannot be reached ({said})",
+            "check the network and, where it is set, AWS_ENDPOINT_URL; then run again",
+        )
+    if "NotImplementedError" in kinds:
+        return "its file system cannot do that", "name another place"
+    if "UnicodeError" in kinds:
+        return "its name is not valid Unicode", "rename it"
+    return said, "run again; look whether the store is well"
+
+
+def _one_line(failure: BaseException) -> str:
+    words = " ".join(str(failure).split()) or type(failure).__name__
+    return words if len(words) <= 300 else words[:297] + "..."

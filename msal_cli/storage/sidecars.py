@@ -1,0 +1,257 @@
+"""Materials and textures: what the input names must be found from the output's folder too.
+
+A file is copied to the same relative place; nothing is ever overwritten.  Several worker processes
+may carry the same file at once, because meshes of one folder share their materials.
+"""
+
+from __future__ import annotations
+
+import filecmp
+import os
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+from msal_cli.errors import OutputError
+from msal_cli.storage.atomic import make_folders, write_new
+from msal_cli.storage.regular import open_regular
+from msal_cli.storage.urls import is_url
+
+LARGEST_MATERIAL = 16 << 20
+"""Bytes of a material library that is searched for textures; real ones have a few thousand."""
+
+MOST_REFERENCES = 10_000
+"""Files that one mesh may name."""
+
+MOST_BYTES = 4 << 30
+"""Bytes of all files together that are carried for one mesh; a sparse file may say any size."""
+
+_PIECE = 8 << 20
+_TEXTURE_KEYS = (b"bump", b"disp", b"decal", b"refl", b"norm")
+_NUMBER = rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$"
+# What stands behind the options of a texture line: a fixed number of words, or up to three numbers.
+_ONE_WORD = frozenset(
+    b"-blendu -blendv -cc -clamp -boost -texres -bm -imfchan -type -colorspace".split()
+)
+_NUMBERS = (b"-o", b"-s", b"-t")
+
+
+def carried(
+    references: Sequence[str],
+    input_path: str | os.PathLike[str],
+    output_path: str | os.PathLike[str],
+) -> tuple[str, ...]:
+    """Make sure that the files an input names are found from the output's folder.
+
+    Each is copied to the same place relative to the output as it has relative to the input, byte
+    for byte; textures that a copied ``.mtl`` names come along.  A file that is there already with
+    the same content is left alone.  An absolute reference needs nothing; one that leaves the
+    output folder, one whose file is missing or no regular file, and one that leads out of the
+    input's folder, as a link may, is only reported: a scan of another person must not carry
+    files of this machine along.  To and from URLs nothing is copied.
+
+    Parameters
+    ----------
+    references : the names, as written in the input.
+    input_path, output_path : the mesh files; the output's folder is made where it is missing.
+
+    Returns
+    -------
+    What was done, one line for each file; lines that need attention begin with ``warning:``.
+
+    Raises
+    ------
+    OutputError
+        with code ``E_SIDECAR`` if another file has the place; with ``E_WRITE`` if copying fails.
+    """
+    if any(isinstance(path, str) and is_url(path) for path in (input_path, output_path)):
+        return _left_behind(references)
+    source_folder = Path(input_path).parent
+    target_folder = Path(output_path).parent
+    notes: list[str] = []
+    done: set[str] = set()
+    budget = _Budget(MOST_BYTES)
+    waiting = list(references)
+    while waiting:
+        reference = waiting.pop(0)
+        if reference in done:
+            continue
+        if len(done) == MOST_REFERENCES:
+            notes.append(f"warning: only the first {MOST_REFERENCES} references are followed")
+            break
+        done.add(reference)
+        notes.append(_carried(reference, source_folder, target_folder, budget))
+        relative = _relative(reference, source_folder)
+        if not reference.lower().endswith(".mtl") or relative is None:
+            continue
+        library = source_folder / relative
+        if _is_within(library, source_folder):
+            waiting.extend(_from(reference, name) for name in _textures(library))
+    return tuple(note for note in notes if note)
+
+
+def _left_behind(references: Sequence[str]) -> tuple[str, ...]:
+    """Between stores nothing is carried: who comes second could not tell whose a place is."""
+    names = [name for name in dict.fromkeys(references) if not _is_absolute(name)]
+    if not names:
+        return ()
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    said = f"{', '.join(names[:3])}{more}"
+    return (f"warning: not copied to or from an object store: {said}",)
+
+
+def _from(library: str, name: str) -> str:
+    """A texture's name relative to the mesh; in the library it is relative to the library."""
+    folder = library.replace("\\", "/").rpartition("/")[0]
+    return name if folder in ("", ".") or _is_absolute(name) else f"{folder}/{name}"
+
+
+def _is_absolute(reference: str) -> bool:
+    return (
+        PurePosixPath(reference).is_absolute()
+        or PureWindowsPath(reference).is_absolute()
+        or bool(PureWindowsPath(reference).drive)
+    )
+
+
+def _relative(reference: str, folder: Path) -> Path | None:
+    """The reference as a path from ``folder``, backslashes read as such only where they must be."""
+    if not reference.strip() or "\0" in reference or _is_absolute(reference):
+        return None
+    literal = Path(reference)
+    if "\\" in reference and not _is_file(folder / literal):
+        return Path(*PureWindowsPath(reference).parts)
+    return literal
+
+
+class _Budget:
+    """Bytes that may still be carried."""
+
+    def __init__(self, left: int) -> None:
+        self._left = left
+
+    def take(self, size: int) -> bool:
+        """Take ``size`` bytes, if so many are left."""
+        if size > self._left:
+            return False
+        self._left -= size
+        return True
+
+
+def _carried(reference: str, source_folder: Path, target_folder: Path, budget: _Budget) -> str:
+    """Carry one file; what was done, empty if nothing had to be."""
+    relative = _relative(reference, source_folder)
+    if relative is None:
+        if _is_absolute(reference):
+            return f"{reference} is an absolute path and stays as it is"
+        return "warning: a reference without a usable name is left alone"
+    source, target = source_folder / relative, target_folder / relative
+    if not _is_file(source):
+        if source.exists():
+            return f"warning: {reference} is not a regular file and is not copied"
+        return f"warning: {reference} is missing beside the input"
+    if not os.access(source, os.R_OK):
+        return f"warning: {reference} may not be read"
+    try:
+        if target.exists() and target.samefile(source):
+            return ""
+        if not budget.take(source.stat().st_size):
+            return (
+                f"warning: {reference} is not copied: more than {MOST_BYTES:,} bytes belong to "
+                "one mesh"
+            )
+        if target.exists() and _is_same(source, target):
+            return f"{reference} is in place already"
+    except OSError as failure:
+        return f"warning: {reference} cannot be compared: {failure.strerror}"
+    if not _is_within(target.parent, target_folder):
+        return f"warning: {reference} lies outside the output folder and is not found from there"
+    if not _is_within(source, source_folder):
+        return f"warning: {reference} leads out of the input's folder and is not copied"
+    _copy(source, target)
+    return f"copied {reference}"
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _is_same(source: Path, target: Path) -> bool:
+    return target.is_file() and filecmp.cmp(source, target, shallow=False)
+
+
+def _is_within(path: Path, folder: Path) -> bool:
+    """Whether ``path`` lies in ``folder`` once ``..`` and links are followed."""
+    try:
+        place = Path(os.path.realpath(path))
+        return place.is_relative_to(os.path.realpath(folder))
+    except (OSError, ValueError):
+        return False
+
+
+def _copy(source: Path, target: Path) -> None:
+    """Copy a file to a place that is free; whoever comes second finds it taken and compares."""
+    try:
+        make_folders(target.parent)
+        if not write_new(target, _pieces(source), mode_like=source) and not _is_same(
+            source, target
+        ):
+            raise _taken(source, target)
+    except OSError as failure:
+        raise OutputError(
+            f"{source.name} cannot be copied beside the output: {failure.strerror}",
+            path=os.fspath(target),
+            hint="check the permissions of the output folder, and of the file",
+        ) from failure
+
+
+def _taken(source: Path, target: Path) -> OutputError:
+    return OutputError(
+        f"there is another {target.name} beside the output than {source}, which the input names",
+        code="E_SIDECAR",
+        path=os.fspath(target),
+        hint="write meshes with different materials to separate output folders",
+    )
+
+
+def _pieces(source: Path) -> Iterator[bytes]:
+    with open_regular(source) as stream:
+        while piece := stream.read(_PIECE):
+            yield piece
+
+
+def _textures(library: Path) -> list[str]:
+    """Files that a material library names, in order; none if it cannot be read."""
+    try:
+        with open_regular(library) as stream:
+            text = stream.read(LARGEST_MATERIAL)
+    except OSError:
+        return []
+    lines = re.sub(rb"\\\r?\n", b" ", text).splitlines()
+    return [name for line in lines if (name := _texture(line))]
+
+
+def _texture(line: bytes) -> str:
+    """The file that a line of a material library names, or nothing."""
+    key, _, rest = line.strip().replace(b"\t", b" ").partition(b" ")
+    key = key.lower()
+    if not key.startswith(b"map_") and key not in _TEXTURE_KEYS:
+        return ""
+    while (rest := rest.strip()).startswith(b"-"):
+        words = rest.split()
+        option = words[0].lower()
+        if option in _NUMBERS:
+            count = 1
+            while count < min(4, len(words)) and re.match(_NUMBER, words[count]):
+                count += 1
+        elif option == b"-mm":
+            count = 3
+        elif option in _ONE_WORD:
+            count = 2
+        else:
+            break  # a name may begin with a hyphen
+        rest = b" ".join(rest.split(None, count)[count:])
+    return rest.strip(b' "').decode("utf-8", "surrogateescape")

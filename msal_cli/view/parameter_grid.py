@@ -1,0 +1,299 @@
+"""One mesh denoised with every pair of values of two parameters: numbers and pictures.
+
+The bracket behind ``msal sweep``.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from msal_cli.errors import ContentError, UsageError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from msal_cli.job.comparison import Surface
+    from msal_cli.mesh import Mesh, Prepared
+    from msal_cli.methods import Method
+    from msal_cli.view.camera import Camera
+    from msal_cli.view.panels import Panel
+    from msal_cli.view.pictures import View
+
+    Image = NDArray[np.uint8]
+
+MOST_CELLS = 100
+
+USUAL = ("iterations=1,2,4,8", "K=0.25,0.5,0.75,1")
+"""What varies along rows and columns where nothing else is asked for, as in Fig. 6 of the paper;
+a parameter that the method does not have is left out."""
+
+_SHORT_OPTIONS = {"iterations": "-n", "K": "-K"}
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A parameter's name and the values that it takes along the rows or the columns."""
+
+    name: str
+    values: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The numbers of one denoised mesh.
+
+    Attributes
+    ----------
+    parameters : what differs from cell to cell.
+    command : the command line that makes the mesh.
+    mean_displacement, mean_displacement_edges : in file units and in mean edge lengths.
+    volume_change_percent : None where the mesh has no volume.
+    mean_angular_error_deg : against the reference; None without one.
+    """
+
+    parameters: dict[str, Any]
+    command: str
+    mean_displacement: float
+    mean_displacement_edges: float
+    volume_change_percent: float | None
+    mean_angular_error_deg: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """What is to be tried on a mesh.
+
+    Attributes
+    ----------
+    method : of ``methods``.
+    fixed : parameters that are the same in all cells.
+    rows, columns : what varies; ``rows`` is None where only one parameter does.
+    """
+
+    method: Method
+    fixed: Mapping[str, object]
+    rows: Axis | None
+    columns: Axis
+
+    def settings(self) -> Iterator[dict[str, Any]]:
+        """What varies, for each cell, row by row."""
+        for down in self.rows.values if self.rows else (None,):
+            for across in self.columns.values:
+                chosen = {} if self.rows is None else {self.rows.name: down}
+                yield {**chosen, self.columns.name: across}
+
+
+def axis(method: Method, text: str, option: str) -> Axis:
+    """The parameter and the values in ``NAME=VALUE,VALUE,...``.
+
+    Raises
+    ------
+    UsageError
+        for another form, an unknown parameter, or a value that is not allowed or is there twice.
+    """
+    name, sign, listed = text.partition("=")
+    words = [word.strip() for word in listed.split(",")]
+    if not sign or not all(words):
+        raise UsageError(
+            f"{option} {text}: not of the form NAME=VALUE,VALUE,...",
+            hint=f"for example {option} iterations=1,2,4,8",
+        )
+    spec = method.spec(name.strip())
+    values = tuple(spec.settled(word) for word in words)
+    if len(set(values)) < len(values):
+        raise UsageError(f"{option} {text}: a value is there twice", hint="give each value once")
+    return Axis(spec.name, values)
+
+
+def grid(
+    method: Method, rows: str | None, columns: str | None, fixed: Mapping[str, object]
+) -> Grid:
+    """What the words of a command line ask for; ``USUAL`` where nothing is said of either axis.
+
+    Raises
+    ------
+    UsageError
+        for what is wrong in them, for one parameter in two places, and for too many cells.
+    """
+    if rows is None and columns is None:
+        known = {spec.name for spec in method.parameters}
+        rows, columns = (one if one.partition("=")[0] in known else None for one in USUAL)
+        if rows is None and columns is None:
+            raise UsageError(
+                f"{method.name} has neither iterations nor K, which vary by default",
+                hint=f"say what does with --columns; see `msal methods {method.name}`",
+            )
+    if columns is None:
+        rows, columns = None, rows
+    assert columns is not None
+    across = axis(method, columns, "--columns" if rows is not None else "the values")
+    down = None if rows is None else axis(method, rows, "--rows")
+    taken = [across.name, *([down.name] if down else []), *(method.spec(one).name for one in fixed)]
+    for name in taken:
+        if taken.count(name) > 1:
+            raise UsageError(f"{name} is set in two places", hint="let it vary or set it, not both")
+    if len(across.values) * len(down.values if down else (0,)) > MOST_CELLS:
+        raise UsageError(f"that makes more than {MOST_CELLS} cells", hint="try fewer values")
+    wanted = Grid(method, fixed, down, across)
+    for one in wanted.settings():
+        method.settled({**fixed, **one})
+    return wanted
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """The mesh that is denoised, the reference in its place if there is one, and one camera."""
+
+    name: str
+    ready: Prepared
+    reference: Mesh | None
+    camera: Camera
+
+
+def subject(
+    surface: Surface, name: str, reference: Surface | None, reference_name: str, view: View
+) -> Subject:
+    """Make a mesh ready to be denoised and drawn.
+
+    Raises
+    ------
+    ContentError
+        for a file without a surface, or a reference with other faces.
+    """
+    from msal_cli.analysis import correspondence as metrics
+    from msal_cli.view import pictures
+
+    ready = pictures.ready_surface(surface, name)
+    truth = None
+    if reference is not None:
+        if not metrics.correspond(
+            surface.vertices, surface.faces, reference.vertices, reference.faces
+        ):
+            raise ContentError(
+                "the reference has not the same vertices and faces",
+                path=reference_name,
+                hint="give the mesh from which the noisy one was made",
+            )
+        pictures.ready_surface(reference, reference_name)
+        truth = metrics.at_other_positions(ready, reference.vertices)
+    camera = pictures.camera_of(pictures.Scene((name,), ready.mesh), view)
+    return Subject(name, ready, truth, camera)
+
+
+def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
+    """The numbers and the mesh of each cell, row by row, one after the other."""
+    from msal_cli.analysis import correspondence as metrics
+    from msal_cli.analysis.enclosure import enclosure
+    from msal_cli.analysis.surface import normal_statistics, surface_change
+    from msal_cli.job.comparison import volume_changed
+
+    mesh, objection = on.ready.mesh, on.ready.defects.volume_objection
+    enclosed = enclosure(on.ready)
+    for chosen in wanted.settings():
+        parameters = wanted.method.settled({**wanted.fixed, **chosen})
+        moved = mesh.moved(wanted.method.denoised(mesh, parameters).vertices)
+        change = enclosed.change(mesh, moved, surface_change(mesh, moved))
+        mean = metrics.moved_statistics(mesh, moved).mean
+        volume = volume_changed(
+            change.volume_before, change.volume_after, change.area_before, objection
+        )
+        error = None
+        if on.reference is not None:
+            error = normal_statistics(on.reference, moved).mean_angular_error_deg
+        cell = Cell(
+            parameters=chosen,
+            command=command(wanted, on.name, chosen),
+            mean_displacement=mean,
+            mean_displacement_edges=mean / mesh.mean_edge_length,
+            volume_change_percent=volume.change_percent,
+            mean_angular_error_deg=error,
+        )
+        yield cell, moved
+
+
+def command(wanted: Grid, name: str, chosen: Mapping[str, object]) -> str:
+    """The command line that makes a cell's mesh; OUT stands for the file to write."""
+    words = ["msal", "denoise", name if not name.startswith("-") else f"./{name}", "-o", "OUT"]
+    if wanted.method.name != "msal":
+        words += ["--method", wanted.method.name]
+    for key, value in (*wanted.fixed.items(), *chosen.items()):
+        short = _SHORT_OPTIONS.get(wanted.method.spec(key).name)
+        words += [short, _plain(value)] if short else ["--set", f"{key}={_plain(value)}"]
+    return shlex.join(words)
+
+
+def drawn(on: Subject, mesh: Mesh, view: View) -> Image:
+    """(h, w, 3) uint8: one mesh of the grid, or the input, seen by the one camera."""
+    from msal_cli.view import pictures
+
+    return pictures.panel(mesh, on.camera, view)
+
+
+def sheet(
+    on: Subject,
+    wanted: Grid,
+    done: Sequence[tuple[Cell, Image]],
+    view: View,
+) -> Image:
+    """(H, W, 3) uint8: at the left the input and the reference, then the grid with its numbers."""
+    import numpy as np
+
+    from msal_cli import view as render
+    from msal_cli.view import pictures
+
+    sides = [(drawn(on, on.ready.mesh, view), pictures.titles_of((on.name,))[0], ["input"])]
+    if on.reference is not None:
+        sides.append((drawn(on, on.reference, view), "reference", [_against_truth(on)]))
+    style = pictures.style_of(view)
+    empty = np.full_like(sides[0][0], style.background)
+    width = len(wanted.columns.values)
+    rows = [list(done[k : k + width]) for k in range(0, len(done), width)]
+    errors = [cell.mean_angular_error_deg for cell, _ in done]
+    least = min((error for error in errors if error is not None), default=None)
+    panels: list[Panel] = []
+    for at in range(max(len(rows), len(sides))):
+        panels.append(sides[at] if at < len(sides) else (empty, "", []))
+        row = rows[at] if at < len(rows) else []
+        panels += [(image, _title(cell, least), _lines(cell)) for cell, image in row]
+        panels += [(empty, "", [])] * (width - len(row))
+    footer = [
+        f"Each cell: msal denoise {sides[0][1]} -o OUT, and the options below it.",
+        "e: mean edge lengths of the input.",
+    ]
+    if least is not None:
+        footer[1] += " Normals: mean angle between face normals and those of the reference."
+    return render.labelled_panels(panels, style=style, columns=width + 1, footer=footer)
+
+
+def _against_truth(on: Subject) -> str:
+    from msal_cli.analysis.surface import normal_statistics
+
+    assert on.reference is not None
+    error = normal_statistics(on.reference, on.ready.mesh).mean_angular_error_deg
+    return f"normals of the input {error:.2f}\N{DEGREE SIGN}"
+
+
+def _plain(value: object) -> str:
+    """A value as people write it: 1, not 1.0."""
+    return str(value).removesuffix(".0")
+
+
+def _title(cell: Cell, least: float | None) -> str:
+    words = ", ".join(f"{name} = {_plain(value)}" for name, value in cell.parameters.items())
+    is_best = least is not None and cell.mean_angular_error_deg == least
+    return words + (" (least error)" if is_best else "")
+
+
+def _lines(cell: Cell) -> list[str]:
+    words = [f"moved {cell.mean_displacement_edges:.3g} e"]
+    if cell.volume_change_percent is not None:
+        words.append(f"volume {cell.volume_change_percent:+.2g} %")
+    if cell.mean_angular_error_deg is not None:
+        words.append(f"normals {cell.mean_angular_error_deg:.2f}\N{DEGREE SIGN}")
+    # What comes after OUT; the rest is the same for all and stands below.
+    options = cell.command.partition(" -o OUT ")[2]
+    return [", ".join(words), options.replace(" -", "  -")]

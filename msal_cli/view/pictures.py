@@ -1,0 +1,284 @@
+"""One mesh, or two of one object, as a picture with numbers: the bracket behind ``msal view``."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from msal_cli.errors import MsalError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from msal_cli.job.comparison import Surface
+    from msal_cli.job.records import ComparisonRecord
+    from msal_cli.mesh import Mesh, Prepared
+    from msal_cli.view.camera import Camera
+    from msal_cli.view.deviation import Scale
+    from msal_cli.view.panels import Panel
+    from msal_cli.view.shading import Style
+
+    Floats = NDArray[np.float64]
+    Image = NDArray[np.uint8]
+
+SIGNED = "Displacement along the normal"
+DISTANCE = "Distance to the surface before"
+
+NOTHING_MOVED = "Nothing moved"
+
+_FLATTEST, _TALLEST = 0.6, 1.4
+
+# Of the largest coordinate: what a position is off after a few operations on it.
+_ROUNDING = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One mesh, or two in one coordinate system, ready to be drawn.
+
+    Attributes
+    ----------
+    names : of the files, one for each mesh.
+    before, after : welded and wound one way; ``after`` is None where there is one mesh.
+    deviation : (n,) one number in file units for each vertex of ``after``; None where unknown.
+    is_signed : whether it is the displacement along the normals of ``before``, outwards positive,
+        also where they point inwards because the surface is inside out; else it is the distance
+        to the surface of ``before``.
+    record : the numbers; None for one mesh.
+    """
+
+    names: tuple[str, ...]
+    before: Mesh
+    after: Mesh | None = None
+    deviation: Floats | None = None
+    is_signed: bool = True
+    record: ComparisonRecord | None = None
+
+
+@dataclass(frozen=True)
+class View:
+    """Where a picture is taken from and how large it is; see ``view.camera.viewed``.
+
+    ``size`` is the width of each panel in pixels.
+    """
+
+    view: str = "auto"
+    turn_deg: float | None = None
+    tilt_deg: float | None = None
+    up: str = "auto"
+    size: int = 640
+    style: str = "light"
+    shading: str = "smooth"
+
+
+def scene_of(
+    before: Surface, after: Surface | None, names: tuple[str, ...], *, to_surface: bool = True
+) -> Scene:
+    """Two surfaces, or one, made ready and measured against each other.
+
+    Where the faces are not the same, the distance to the surface is measured if ``to_surface`` and
+    if the library for that is installed.
+
+    Raises
+    ------
+    ContentError
+        for a file without a surface to draw; it names the file.
+    """
+    from msal_cli.analysis import correspondence as metrics
+    from msal_cli.analysis import surface_distance
+    from msal_cli.analysis.enclosure import enclosure
+    from msal_cli.job import comparison
+
+    first = ready_surface(before, names[0])
+    if after is None:
+        return Scene(names, first.mesh)
+    if metrics.correspond(before.vertices, before.faces, after.vertices, after.faces):
+        record = comparison.compared(before, after, *names, to_surface=False)
+        moved = metrics.at_other_positions(first, after.vertices)
+        step = moved.vertices - first.mesh.vertices
+        along = (step * first.mesh.vertex_normals()).sum(axis=1)
+        along *= enclosure(first).outward_signs(first.mesh)
+        return Scene(names, first.mesh, moved, along, True, record)
+    to_surface = to_surface and surface_distance.is_available()
+    record = comparison.compared(before, after, *names, to_surface=to_surface)
+    second = ready_surface(after, names[1])
+    there = second.mesh.moved(second.mesh.vertices + (second.origin - first.origin))
+    distances = None
+    if to_surface:
+        distances = surface_distance.distances_to_surface(there.vertices, first.mesh)
+    return Scene(names, first.mesh, there, distances, False, record)
+
+
+def ready_surface(surface: Surface, name: str) -> Prepared:
+    """A surface made ready to be drawn; an error names its file."""
+    from msal_cli.mesh import prepared
+
+    try:
+        return prepared(surface.vertices, surface.faces, are_distinct=surface.merged_vertices > 0)
+    except MsalError as error:
+        error.path = error.path or name
+        raise
+
+
+def camera_of(scene: Scene, view: View) -> Camera:
+    """The one camera that shows all meshes of a scene."""
+    from msal_cli.view.camera import viewed
+
+    # Noise must not tilt the view: the smoother of two meshes tells how the thing stands.
+    chosen = scene.after or scene.before
+    return viewed(
+        chosen.vertices,
+        chosen.faces,
+        view.view,
+        turn_deg=view.turn_deg,
+        tilt_deg=view.tilt_deg,
+        up=view.up,
+        also=None if scene.after is None else scene.before.vertices[_used(scene.before)],
+    )
+
+
+def drawn(scene: Scene, view: View) -> Image:
+    """(H, W, 3) uint8: the meshes side by side, what is between them, and the numbers."""
+    from msal_cli import view as render
+
+    style, camera = style_of(view), camera_of(scene, view)
+
+    def image(mesh: Mesh, colours: Image | None = None) -> Image:
+        return panel(mesh, camera, view, colours)
+
+    titles = titles_of(scene.names)
+    record = scene.record
+    panels: list[Panel] = [(image(scene.before), titles[0], [_counts(scene.before)])]
+    if scene.after is None or record is None:
+        return render.labelled_panels(panels, style=style)
+    lines = [_counts(scene.after), *_changes(record)]
+    if scene.deviation is None:
+        lines.append("Other faces: no deviation without the package fcpw")
+    panels.append((image(scene.after), titles[1], lines))
+    scale = scale_of_scene(scene)
+    if scene.deviation is None or scale is None:
+        return render.labelled_panels(panels, style=style)
+    edge = scene.before.mean_edge_length
+    beyond = float((abs(scene.deviation) > scale.high).mean())
+    ends = f"Its ends: 99th percentile, rounded up ({100.0 * beyond:.2g} % lie beyond)"
+    if not has_moved(scene):
+        ends = f"{NOTHING_MOVED}: its ends are the mean edge length"
+    legend = scale.legend(
+        ("Above the scale: file units; below: mean edge lengths (e)", ends),
+        edge,
+    )
+    picture = image(scene.after, scale.painted(scene.deviation))
+    lines = [_moved(scene, edge), *(["Blue: inwards, orange: outwards"] if scene.is_signed else [])]
+    panels.append((picture, deviation_name(scene), lines))
+    return render.labelled_panels(panels, legend, style=style)
+
+
+def scale_of_scene(scene: Scene) -> Scale | None:
+    """What the colours of a deviation stand for; None where there is none.
+
+    Of a mesh that did not move the scale goes to one mean edge length: all is in the middle of it.
+    """
+    from msal_cli.view.deviation import scale_of
+
+    if scene.deviation is None:
+        return None
+    return scale_of(
+        scene.deviation,
+        is_signed=scene.is_signed,
+        rounding=_rounding(scene),
+        if_none=scene.before.mean_edge_length,
+    )
+
+
+def has_moved(scene: Scene) -> bool:
+    """Whether any vertex deviates by more than rounding, along the normals or across them."""
+    record = scene.record
+    sizes = [] if scene.deviation is None else [float(abs(scene.deviation).max(initial=0.0))]
+    if record is not None and record.displacement is not None:
+        sizes.append(record.displacement.max)
+    return not sizes or max(sizes) > _rounding(scene)
+
+
+def _rounding(scene: Scene) -> float:
+    return _ROUNDING * float(abs(scene.before.vertices).max())
+
+
+def deviation_name(scene: Scene) -> str:
+    """What the numbers of a deviation are."""
+    return SIGNED if scene.is_signed else DISTANCE
+
+
+def style_of(view: View) -> Style:
+    """The colours that a view asks for."""
+    from msal_cli import view as render
+
+    return render.DARK if view.style == "dark" else render.LIGHT
+
+
+def panel(mesh: Mesh, camera: Camera, view: View, colours: Image | None = None) -> Image:
+    """(h, w, 3) uint8: one mesh, its vertices in ``colours`` (n, 3) uint8 or all of clay."""
+    from msal_cli import view as render
+    from msal_cli.view.shading import CREASE_DEG
+
+    return render.shaded(
+        mesh.vertices,
+        mesh.faces,
+        camera,
+        view.size,
+        panel_height(camera, view.size),
+        colours,
+        style=style_of(view),
+        crease_deg=0.0 if view.shading == "flat" else CREASE_DEG,
+    )
+
+
+def titles_of(names: tuple[str, ...]) -> tuple[str, ...]:
+    """The files' names without their folders, unless that makes them one."""
+    bare = tuple(os.path.basename(name) or name for name in names)
+    return names if len(set(bare)) < len(bare) else bare
+
+
+def panel_height(camera: Camera, width: int) -> int:
+    """Pixels that suit what the camera shows, for panels ``width`` wide."""
+    return round(width * min(_TALLEST, max(_FLATTEST, 1.0 / camera.aspect)))
+
+
+def _used(mesh: Mesh) -> Any:
+    return mesh.links.has_ring
+
+
+def count_of_vertices(mesh: Mesh) -> int:
+    """How many vertices the faces use."""
+    return int(_used(mesh).sum())
+
+
+def _counts(mesh: Mesh) -> str:
+    return f"{len(mesh.faces):,} triangles, {count_of_vertices(mesh):,} vertices"
+
+
+def _changes(record: ComparisonRecord) -> list[str]:
+    lines = []
+    if record.volume_change_percent is not None:
+        lines.append(f"Volume {record.volume_change_percent:+.3g} %")
+    elif record.volume is not None and record.volume.reason:
+        lines.append(f"No volume: {record.volume.reason}")
+    if record.inside_out_before and record.inside_out_after:
+        lines.append("Inside out")
+    elif record.inside_out_before or record.inside_out_after:
+        lines.append(f"Inside out {'before' if record.inside_out_before else 'after'} only")
+    if record.mean_angular_error_deg is not None:
+        lines.append(f"Normals turned by {record.mean_angular_error_deg:.3g}\N{DEGREE SIGN} (mean)")
+    return lines
+
+
+def _moved(scene: Scene, edge: float) -> str:
+    record = scene.record
+    if not has_moved(scene):
+        return NOTHING_MOVED
+    if record is not None and record.displacement is not None:
+        moved = record.displacement
+        return f"Moved by {moved.mean_edges:.3g} e (mean), {moved.max_edges:.3g} e (max)"
+    sizes = abs(scene.deviation) / edge if scene.deviation is not None else None
+    return "" if sizes is None else f"{sizes.mean():.3g} e (mean), {sizes.max():.3g} e (max)"

@@ -1,0 +1,184 @@
+"""Clay under a lamp: a mesh as an image that shows its texture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.view.camera import Camera
+from msal_cli.view.raster import rasterised
+
+Array = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Ints = NDArray[np.int32]
+Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Style:
+    """Colours of a picture, (red, green, blue) in 0 to 255.
+
+    ``clay`` is the side of a surface that looks outwards, ``inside`` the other one, which open
+    scans show; ``text`` and ``faint`` are for titles and for the lines below.
+    """
+
+    background: Colour = (255, 255, 255)
+    clay: Colour = (196, 190, 182)
+    inside: Colour = (122, 138, 160)
+    text: Colour = (28, 30, 34)
+    faint: Colour = (96, 100, 108)
+
+
+LIGHT = Style()
+DARK = Style(
+    background=(24, 26, 30),
+    clay=(200, 194, 186),
+    inside=(104, 122, 148),
+    text=(236, 238, 242),
+    faint=(158, 164, 174),
+)
+
+# Ambient light, light at edges, gloss, its sharpness; then the lamps, each with the direction
+# towards it (right, up, towards the eye), its strength and how far it reaches round.
+_SURFACE = (0.12, 0.14, 0.08, 24.0)
+_LAMPS = (
+    ((-0.56, 0.60, 0.57), 1.00, 0.20),
+    ((0.85, -0.05, 0.45), 0.26, 0.40),
+    ((0.10, -0.90, 0.30), 0.14, 0.50),
+)
+# Colours that mean numbers keep their tone: more light from everywhere, no gloss.
+_SURFACE_OF_MAPS = (0.56, 0.0, 0.0, 1.0)
+_LAMPS_OF_MAPS = (((-0.55, 0.58, 0.60), 0.58, 0.30),)
+
+CREASE_DEG = 80.0
+SAMPLES = 2
+
+_HOLLOWS = ((0.008, 0.32), (0.022, 0.45), (0.055, 0.45))
+"""How far round to look for what hides the sky, in picture sides, and how much that darkens."""
+
+_UNNOTICED = 0.03
+"""Share of that reach by which what is around does not count: facets of a round wall are so far."""
+
+_DIRECTIONS = 8
+"""Lines through a pixel on which to look."""
+
+
+def shaded(
+    vertices: Array,
+    faces: Ints,
+    camera: Camera,
+    width: int,
+    height: int,
+    colours: Image | None = None,
+    *,
+    style: Style = LIGHT,
+    crease_deg: float = CREASE_DEG,
+) -> Image:
+    """(height, width, 3) uint8: the mesh as the camera sees it.
+
+    Parameters
+    ----------
+    vertices : (n, 3) in any unit; ``faces`` : (m, 3) integers, counter-clockwise from outside.
+    camera : where from; it shows all that it was made for at any ``width`` and ``height``.
+    colours : (n, 3) uint8, one for each vertex; None for clay, with the insides in another tone.
+    crease_deg : edges that turn by more stay sharp, by less than half of it are round; 0 shows
+        each face flat.
+    """
+    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+    faces = np.ascontiguousarray(faces, dtype=np.int32)
+    clay, inside = (np.array(one, dtype=np.float32) for one in (style.clay, style.inside))
+    if colours is None:
+        if _is_inside_out(vertices, faces):
+            clay, inside = inside, clay
+        paint, lights = clay[None, :], _lights(_SURFACE, _LAMPS)
+    else:
+        paint = np.ascontiguousarray(colours, dtype=np.float32)
+        lights = _lights(_SURFACE_OF_MAPS, _LAMPS_OF_MAPS)
+    lit = rasterised(
+        vertices,
+        faces,
+        camera,
+        (width, height),
+        paint=paint,
+        back=inside,
+        lights=lights,
+        crease=float(np.radians(crease_deg)),
+        side=SAMPLES,
+    )
+    open_sky = _open_sky(lit.depth, lit.covered)
+    if colours is not None:
+        open_sky = 0.5 + 0.5 * open_sky
+    behind = np.array(style.background, dtype=np.float32) * (1.0 - lit.covered[..., None])
+    image = np.rint(lit.colours * open_sky[..., None] + behind)
+    result: Image = image.clip(0, 255).astype(np.uint8)
+    return result
+
+
+def _lights(
+    surface: tuple[float, ...], lamps: tuple[tuple[tuple[float, ...], float, float], ...]
+) -> Array:
+    rows = [(*surface, 0.0)]
+    for direction, strength, reach in lamps:
+        unit = np.array(direction) / np.linalg.norm(direction)
+        rows.append((*unit, strength, reach))
+    return np.array(rows)
+
+
+def _is_inside_out(vertices: Array, faces: Ints) -> bool:
+    """Whether a closed surface is wound so that all of its normals look inwards."""
+    from msal_cli.kernels.geometry import area_and_volume, face_normals_and_areas
+
+    normals, areas = face_normals_and_areas(vertices, faces)
+    total = float(areas.sum())
+    # Over a closed surface the normals, weighted by area, add up to nothing.
+    if np.linalg.norm(areas @ normals) > 0.01 * total:
+        return False
+    return area_and_volume(vertices - vertices.mean(axis=0), faces)[1] < 0.0
+
+
+def _open_sky(depth: Floats32, covered: Floats32) -> Floats32:
+    """(h, w) 0 to 1: how little of what is around each pixel stands before it.
+
+    Looks at the mean of two points on opposite sides of each pixel, which is before it in a hollow
+    and beside a wall, but not on a plane, however it is tilted.  Where one of them shows nothing
+    there is sky.
+    """
+    open_sky = np.ones(depth.shape, dtype=np.float32)
+    height, width = depth.shape
+    inside = (covered > 0.0).astype(np.float32)
+    for reach, strength in _HOLLOWS:
+        radius = max(2, round(reach * min(height, width)))
+        around = np.pad(depth, radius)
+        is_there = np.pad(covered > 0.0, radius)
+        hidden: Floats32 = np.zeros(depth.shape, dtype=np.float32)
+        for k in range(_DIRECTIONS):
+            angle = np.pi * k / _DIRECTIONS
+            across, down = round(radius * np.cos(angle)), round(radius * np.sin(angle))
+            one, other = (
+                (slice(radius + y, radius + y + height), slice(radius + x, radius + x + width))
+                for y, x in ((down, across), (-down, -across))
+            )
+            before: Floats32 = np.float32(0.5) * (around[one] + around[other]) - depth
+            counted = np.clip(before - np.float32(_UNNOTICED * radius), 0.0, radius)
+            hidden += counted * (is_there[one] & is_there[other])
+        # A few lines alone would leave copies of every outline.
+        soft = max(1, radius // 4)
+        seen = np.maximum(_blurred(inside, soft), np.float32(1e-6))
+        share = _blurred(hidden, soft) * inside / seen
+        share *= np.float32(1.0 / (_DIRECTIONS * radius))
+        open_sky *= np.float32(1.0) - np.float32(strength) * share ** np.float32(0.75)
+    return open_sky
+
+
+def _blurred(image: Floats32, radius: int) -> Floats32:
+    """Mean over squares of ``2 radius + 1`` pixels; beyond the border there are zeros."""
+    side = 2 * radius + 1
+    height, width = image.shape
+    sums = np.cumsum(np.pad(image, ((radius + 1, radius), (0, 0))), axis=0, dtype=np.float64)
+    rows = sums[side:] - sums[:height]
+    sums = np.cumsum(np.pad(rows, ((0, 0), (radius + 1, radius))), axis=1)
+    blurred: Floats32 = ((sums[:, side:] - sums[:, :width]) / side**2).astype(np.float32)
+    return blurred

@@ -1,0 +1,270 @@
+"""Noise that is added to meshes."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from msal_cli.analysis.added_noise import (
+    GRAZING_CAP,
+    KINDS,
+    OPTIONS,
+    AddedNoise,
+    add_noise,
+    grazing_growth,
+    noisy,
+    share_over_rings,
+)
+from msal_cli.errors import ContentError, UsageError
+from msal_cli.mesh import prepared
+from tests.shapes import grid, torus
+
+FIRST_KINDS = ("gaussian-normal", "gaussian", "mixed", "impulsive")
+KINDS_MOVED = {"impulsive": 0.1, "half": 0.5}
+
+
+def added(mesh, kind, level=0.2, seed=7, **settings):
+    weights = np.ones(len(mesh.vertices)) if kind == "property" else None
+    if weights is not None:
+        settings["property"] = "quality"
+    return add_noise(mesh, AddedNoise(kind, level, seed, **settings), weights)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_noise_is_the_same_for_the_same_seed_only(kind):
+    mesh = prepared(*torus()).mesh
+    first = added(mesh, kind)
+    assert np.array_equal(first, added(mesh, kind))
+    assert not np.array_equal(first, added(mesh, kind, seed=8))
+
+
+@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"quantised", "outliers"}))
+def test_a_level_of_nothing_moves_nothing(kind):
+    mesh = prepared(*torus()).mesh
+    assert np.array_equal(added(mesh, kind, 0.0), mesh.vertices)
+
+
+@pytest.mark.parametrize("kind", FIRST_KINDS)
+def test_the_short_form_adds_the_same(kind):
+    mesh = prepared(*torus()).mesh
+    short = noisy(mesh, kind, 0.2, 7, 0.3)
+    assert np.array_equal(short, added(mesh, kind, fraction=0.3))
+
+
+@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"quantised", "ramp"}))
+def test_how_many_vertices_move(kind):
+    mesh = prepared(*torus(40, 21)).mesh
+    direction = (1.0, 0.1, 0.3)
+    moved = (added(mesh, kind, direction=direction) != mesh.vertices).any(axis=1)
+    assert moved.mean() == pytest.approx(KINDS_MOVED.get(kind, 1.0), abs=0.001)
+
+
+@pytest.mark.parametrize(
+    ("kind", "along", "across"),
+    [("gaussian-normal", 1.0, 0.0), ("gaussian", 1.0, np.sqrt(2.0)), ("mixed", 1.0, 1.0)],
+)
+def test_how_far_vertices_move_along_their_normals_and_across(kind, along, across):
+    mesh = prepared(*torus(160, 80)).mesh
+    steps = (noisy(mesh, kind, 0.2, 1) - mesh.vertices) / (0.2 * mesh.mean_edge_length)
+    heights = (steps * mesh.vertex_normals()).sum(axis=1)
+    rest = np.linalg.norm(steps - heights[:, None] * mesh.vertex_normals(), axis=1)
+    assert heights.std() == pytest.approx(along, rel=0.03)
+    assert heights.mean() == pytest.approx(0.0, abs=0.03)
+    assert np.sqrt((rest**2).mean()) == pytest.approx(across, rel=0.03, abs=1e-12)
+
+
+def test_mixed_noise_goes_every_way_across_the_normal():
+    vertices, faces = grid(60, 60)
+    mesh = prepared(vertices, faces).mesh
+    steps = noisy(mesh, "mixed", 0.2, 1) - mesh.vertices
+    assert steps.mean(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=0.02)
+    assert steps[:, 0].std() == pytest.approx(steps[:, 1].std(), rel=0.06)
+
+
+def test_an_unknown_kind():
+    with pytest.raises(UsageError, match="salt"):
+        noisy(prepared(*grid()).mesh, "salt", 0.1, 0)
+
+
+def steps_of(mesh, kind, level=0.2, seed=1, **settings):
+    """Displacements (n, 3) in mean edge lengths."""
+    return (added(mesh, kind, level, seed, **settings) - mesh.vertices) / mesh.mean_edge_length
+
+
+@pytest.mark.parametrize(
+    ("kind", "digest"),
+    [
+        ("gaussian-normal", "882d8199d2304793"),
+        ("gaussian", "3a83fa990e5e7604"),
+        ("mixed", "567f65a136f11cb8"),
+        ("impulsive", "fe13669f930b0894"),
+    ],
+)
+def test_the_first_kinds_keep_their_bytes(kind, digest):
+    made = noisy(prepared(*torus()).mesh, kind, 0.2, 7, 0.3)
+    assert hashlib.sha256(made.tobytes()).hexdigest()[:16] == digest
+
+
+def test_every_kind_names_settings_that_exist():
+    assert set(OPTIONS) == set(KINDS)
+    fields = AddedNoise.__dataclass_fields__
+    assert all(name in fields for names in OPTIONS.values() for name in names)
+
+
+def test_one_average_spreads_a_single_height_evenly_over_its_closed_ring():
+    mesh = prepared(*torus()).mesh
+    heights = np.zeros(len(mesh.vertices))
+    heights[100] = 5.0
+    shared = share_over_rings(mesh, heights, 1)
+    links = mesh.links
+    ring = links.ring[links.ring_start[100] : links.ring_start[101]]
+    assert set(np.flatnonzero(shared)) == {100, *ring}
+    assert shared[[100, *ring]] == pytest.approx(np.sqrt(len(shared) / 7.0))
+
+
+def pair_correlation(heights, mesh):
+    start = np.repeat(np.arange(len(heights)), np.diff(mesh.links.ring_start))
+    return (heights[start] * heights[mesh.links.ring]).mean() / (heights**2).mean()
+
+
+@pytest.mark.parametrize(("rings", "expected"), [(0, 0.0), (1, 4 / 7), (2, 136 / 175)])
+def test_neighbours_share_noise_as_calculated_for_valence_six(rings, expected):
+    # Closed one-rings of two neighbours have 4 of 7 vertices in common.  Taken twice, the weights
+    # of an average are 7 once, 4 six times, 1 six and 2 six times: 175 is their sum of squares,
+    # and 136 that of their products with those of a neighbour.
+    mesh = prepared(*torus(200, 100)).mesh
+    steps = steps_of(mesh, "correlated", rings=rings)
+    heights = (steps * mesh.vertex_normals()).sum(axis=1)
+    assert pair_correlation(heights, mesh) == pytest.approx(expected, abs=0.015)
+    assert heights.std() == pytest.approx(0.2, rel=0.02)
+
+
+def test_correlated_noise_is_shared_over_two_rings_by_default():
+    mesh = prepared(*torus()).mesh
+    assert np.array_equal(added(mesh, "correlated"), added(mesh, "correlated", rings=2))
+    assert np.array_equal(added(mesh, "view"), added(mesh, "view", rings=0))
+    assert not np.array_equal(added(mesh, "view"), added(mesh, "view", rings=1))
+
+
+def test_noise_that_all_vertices_share_keeps_its_level():
+    tetrahedron = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], dtype=np.int32)
+    mesh = prepared(tetrahedron, faces).mesh
+    assert np.linalg.norm(steps_of(mesh, "correlated"), axis=1) == pytest.approx(0.2)
+
+
+def test_noise_along_the_view_has_that_direction_and_level():
+    mesh = prepared(*torus(80, 40)).mesh
+    steps = steps_of(mesh, "view", direction=(0.0, 3.0, -4.0))
+    along = steps @ [0.0, 0.6, -0.8]
+    assert along.std() == pytest.approx(0.2, rel=0.04)
+    assert steps == pytest.approx(along[:, None] * [0.0, 0.6, -0.8], abs=1e-12)
+
+
+def test_quantised_depths_are_multiples_of_the_step():
+    mesh = prepared(*torus()).mesh
+    axis = np.array([0.6, 0.0, 0.8])
+    made = added(mesh, "quantised", direction=tuple(2.0 * axis), step=0.5)
+    depths = made @ axis / (0.5 * mesh.mean_edge_length)
+    assert depths == pytest.approx(np.round(depths), abs=1e-9)
+    across = np.cross(made - mesh.vertices, axis)
+    assert np.abs(across).max() < 1e-12
+    before = mesh.vertices @ axis / (0.5 * mesh.mean_edge_length)
+    assert np.abs(before - np.round(before)).max() > 0.3
+    # Without noise, no depth moves by more than half a step.
+    quiet = steps_of(mesh, "quantised", 0.0, direction=tuple(axis))
+    assert 0.2 < np.abs(quiet @ axis).max() <= 0.25 + 1e-12
+
+
+def test_grazing_noise_grows_with_the_angle_of_incidence():
+    normals = np.array([[0, 0, 1], [0, 0, -1], [0, 0.8, 0.6], [1, 0, 0], [0, 0, 0]], dtype=float)
+    growth = grazing_growth(normals, np.array([0.0, 0.0, 1.0]))
+    assert growth == pytest.approx([1.0, 1.0, 1 / 0.6, GRAZING_CAP, GRAZING_CAP])
+    mesh = prepared(*torus(160, 80)).mesh
+    cosines = np.abs(mesh.vertex_normals()[:, 2])
+    along = steps_of(mesh, "grazing")[:, 2]
+    assert along[cosines > 0.95].std() == pytest.approx(0.2, rel=0.06)
+    middle = (cosines > 0.45) & (cosines < 0.55)
+    assert along[middle].std() == pytest.approx(0.4, rel=0.08)
+    assert along[cosines < 0.2].std() == pytest.approx(1.0, rel=0.06)
+
+
+@pytest.mark.parametrize("border", [0.0, 0.2])
+def test_half_leaves_the_other_half_as_it_is(border):
+    mesh = prepared(*torus(80, 40)).mesh
+    steps = steps_of(mesh, "half", direction=(1.0, 0.0, 0.0), border=border)
+    heights = (steps * mesh.vertex_normals()).sum(axis=1)
+    shares = (mesh.vertices[:, 0] + 4.0) / 8.0
+    assert not steps[shares < 0.5 - border / 2 - 1e-9].any()
+    assert heights[shares > 0.5 + border / 2].std() == pytest.approx(0.2, rel=0.05)
+    between = np.abs(shares - 0.5) < border / 4
+    if border:
+        assert 0.05 < heights[between].std() < 0.15
+
+
+def test_a_ramp_grows_from_nothing_to_the_level():
+    mesh = prepared(*torus(160, 80)).mesh
+    steps = steps_of(mesh, "ramp", direction=(0.0, -2.0, 0.0))
+    heights = (steps * mesh.vertex_normals()).sum(axis=1)
+    shares = (4.0 - mesh.vertices[:, 1]) / 8.0
+    plain = (steps_of(mesh, "gaussian-normal") * mesh.vertex_normals()).sum(axis=1)
+    assert heights == pytest.approx(shares * plain, abs=1e-12)
+
+
+def test_noise_by_a_property_is_multiplied_with_it():
+    mesh = prepared(*torus()).mesh
+    weights = np.linspace(-1.0, 2.0, len(mesh.vertices))
+    noise = AddedNoise("property", 0.2, 1, property="quality")
+    steps = add_noise(mesh, noise, weights) - mesh.vertices
+    plain = noisy(mesh, "gaussian-normal", 0.2, 1) - mesh.vertices
+    assert steps == pytest.approx(weights[:, None] * plain, abs=1e-12)
+    with pytest.raises(UsageError, match="every vertex"):
+        add_noise(mesh, noise)
+    weights[3] = np.nan
+    with pytest.raises(ContentError, match="not finite"):
+        add_noise(mesh, noise, weights)
+
+
+def test_outliers_lie_one_to_three_edges_off_in_any_direction():
+    mesh = prepared(*torus(160, 80)).mesh
+    steps = steps_of(mesh, "outliers", 0.0, fraction=0.05)
+    lengths = np.linalg.norm(steps, axis=1)
+    moved = lengths > 0.0
+    assert moved.sum() == round(0.05 * len(moved))
+    assert 1.0 <= lengths[moved].min() < 1.1 < 2.9 < lengths[moved].max() <= 3.0
+    assert (steps[moved] / lengths[moved, None]).mean(axis=0) == pytest.approx(0.0, abs=0.1)
+    rest = steps_of(mesh, "outliers", 0.2, fraction=0.05)[~moved]
+    assert np.linalg.norm(rest, axis=1).std() > 0.1
+    assert np.sqrt((rest**2).sum(axis=1).mean()) == pytest.approx(0.2, rel=0.03)
+
+
+def test_vertices_without_faces_stay_out_of_the_noise():
+    vertices, faces = torus()
+    alone = prepared(np.concatenate([vertices, [[50.0, 0.0, 0.0]]]), faces)
+    with_stray = added(alone.mesh, "half", direction=(1.0, 0.0, 0.0))
+    moved = (with_stray != alone.mesh.vertices).any(axis=1)
+    assert 0.4 < moved.mean() < 0.55
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"level": -0.1}, "level"),
+        ({"level": np.nan}, "level"),
+        ({"seed": -1}, "seed"),
+        ({"fraction": 1.5}, "fraction"),
+        ({"rings": -1}, "rings"),
+        ({"rings": 1000}, "rings"),
+        ({"direction": (0.0, 0.0, 0.0)}, "direction"),
+        ({"direction": (np.inf, 0.0, 0.0)}, "direction"),
+        ({"step": 0.0}, "step"),
+        ({"border": 2.0}, "border"),
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(settings, named):
+    with pytest.raises(UsageError, match=named):
+        AddedNoise("quantised", **settings)
+    with pytest.raises(UsageError, match="property"):
+        AddedNoise("property")

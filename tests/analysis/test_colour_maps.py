@@ -1,0 +1,60 @@
+"""Colour maps: ends, order of lightness, and values that are beyond them or no numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli.analysis import colour_maps as colours
+
+
+def luminance(table):
+    part = table / 255.0
+    linear = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
+    return linear @ [0.2126, 0.7152, 0.0722]
+
+
+def test_sequential_gets_darker_at_every_step():
+    steps = np.diff(luminance(colours.table("sequential")))
+    assert (steps < 0.004).all()
+    assert (np.diff(luminance(colours.table("sequential"))[::4]) < 0.0).all()
+
+
+def test_diverging_is_palest_and_grey_in_the_middle_and_as_dark_at_both_ends():
+    table = colours.table("diverging")
+    light = luminance(table)
+    middle = colours.SHADES // 2
+    assert (np.diff(light[:middle:4]) > 0.0).all()
+    assert (np.diff(light[middle::4]) < 0.0).all()
+    assert np.ptp(table[middle].astype(int)) <= 4
+    assert light[0] == pytest.approx(light[-1], abs=0.03)
+
+
+@pytest.mark.parametrize("name", colours.map_names())
+def test_neighbouring_colours_are_near_and_no_two_far_ones_are_alike(name):
+    table = colours.table(name).astype(int)
+    assert np.abs(np.diff(table, axis=0)).max() <= 8
+    assert len(np.unique(table[::8], axis=0)) == len(table[::8])
+
+
+@pytest.mark.parametrize("name", colours.map_names())
+def test_ends_beyond_and_not_a_number(name):
+    table = colours.table(name)
+    got = colours.mapped(np.array([-9.0, 1.0, 3.0, np.inf, -np.inf, np.nan]), 1.0, 3.0, name)
+    assert got.dtype == np.uint8
+    expected = [table[0], table[0], table[-1], table[-1], table[0], colours.UNKNOWN]
+    assert np.array_equal(got, expected)
+
+
+def test_a_value_in_the_middle_gets_the_middle():
+    assert np.array_equal(
+        colours.mapped(np.array([0.0]), -1.0, 1.0, "diverging")[0],
+        colours.table("diverging")[colours.SHADES // 2],
+    )
+
+
+@pytest.mark.parametrize(("name", "place"), [("sequential", 0), ("diverging", 128)])
+def test_a_range_of_no_width(name, place):
+    got = colours.mapped(np.array([0.0, 0.0, 1.0]), 0.0, 0.0, name)
+    table = colours.table(name)
+    assert np.array_equal(got, [table[place], table[place], table[-1]])

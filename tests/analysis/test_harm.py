@@ -1,0 +1,78 @@
+"""What counts as damage: lost volume, and flipped faces that no fold of the input explains."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli.analysis import added_noise as noise
+from msal_cli.analysis.harm import FLIPPED, VOLUME, folded_faces, harmful_change
+from msal_cli.analysis.surface import surface_change
+from msal_cli.analysis.volume import is_negative, relative_volume_change
+from msal_cli.mesh import prepared
+from tests.shapes import ball, cube, grid, torus
+
+
+def harm_of(before, after, has_volume=True):
+    return harmful_change(before, after, surface_change(before, after), has_volume=has_volume)
+
+
+@pytest.mark.parametrize(
+    ("scale", "is_harm"), [(0.8, False), (0.79, True), (1.14, False), (1.15, True), (-1.0, True)]
+)
+@pytest.mark.parametrize("order", [1, -1])
+def test_half_of_the_volume_is_harm_whichever_side_is_out(scale, is_harm, order):
+    vertices, faces = torus()
+    mesh = prepared(vertices, faces[:, ::order]).mesh
+    found = harm_of(mesh, mesh.moved(mesh.vertices * scale))
+    assert (found is not None) == is_harm
+    assert found is None or found.code == VOLUME
+    if scale == 0.79:
+        assert found.reason == "the volume changed by -50.7 %"
+
+
+def test_an_open_mesh_has_no_volume_to_lose():
+    mesh = prepared(*grid()).mesh
+    assert harm_of(mesh, mesh.moved(mesh.vertices * 0.1), has_volume=False) is None
+
+
+def test_flips_on_a_smooth_mesh_are_harm():
+    mesh = prepared(*grid(20, 20)).mesh
+    vertices = mesh.vertices.copy()
+    inner = np.flatnonzero(~mesh.links.boundary)
+    for one in inner[::25]:
+        vertices[one, :2] += [5.0, 5.0]
+    after = mesh.moved(vertices)
+    n_flipped = surface_change(mesh, after).normals.flipped_faces
+    assert n_flipped > 0.02 * len(mesh.faces)
+    found = harm_of(mesh, after, has_volume=False)
+    assert found is not None
+    assert found.code == FLIPPED
+    assert found.reason.startswith(f"{n_flipped} of {len(mesh.faces)} faces flipped (")
+
+
+@pytest.mark.parametrize("level", [0.2, 0.4, 0.6])
+def test_unfolding_what_noise_folded_is_no_harm(level):
+    clean = prepared(*ball()).mesh
+    noisy = clean.moved(noise.noisy(clean, "gaussian", level, seed=3))
+    assert surface_change(noisy, clean).normals.flipped_faces > 0.02 * len(clean.faces)
+    assert folded_faces(noisy) > 0
+    assert harm_of(noisy, clean) is None
+
+
+@pytest.mark.parametrize("shape", [cube, ball, torus, grid])
+def test_clean_shapes_have_no_folds(shape):
+    assert folded_faces(prepared(*shape()).mesh) == 0
+
+
+def test_a_sheet_with_two_sides_encloses_nothing():
+    vertices, faces = cube()
+    flat = prepared(vertices * [1.0, 1.0, 1e-13], faces).mesh
+    change = surface_change(flat, flat.moved(flat.vertices * [1.0, 1.0, -5.0]))
+    assert (
+        relative_volume_change(change.volume_before, change.volume_after, change.area_before)
+        is None
+    )
+    assert not is_negative(-abs(change.volume_before), change.area_before)
+    assert is_negative(-1.0, 6.0)
+    assert not is_negative(1.0, 6.0)

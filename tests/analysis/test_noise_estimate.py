@@ -1,0 +1,246 @@
+"""The noise estimate against noise that was put in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from msal_cli.analysis.added_noise import noisy
+from msal_cli.analysis.noise_estimate import estimated, regional
+from msal_cli.mesh import prepared
+from tests.shapes import ball, cube, grid, torus
+
+
+def with_noise(shape, level, kind="gaussian-normal", seed=0, fraction=0.1):
+    """A mesh with noise of ``level`` mean edge lengths, and its amount in file units."""
+    mesh = prepared(*shape).mesh
+    moved = mesh.moved(noisy(mesh, kind, level, seed, fraction=fraction))
+    return moved, level * mesh.mean_edge_length
+
+
+def turned(vertices, seed=5):
+    """The same positions turned about some axis."""
+    turn, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return vertices @ (turn * np.sign(np.linalg.det(turn))).T
+
+
+def uneven_torus():
+    """A torus whose sampling varies, by a sine, from half to twice as dense."""
+    vertices, faces = torus(200, 60)
+    angle = np.arctan2(vertices[:, 1], vertices[:, 0])
+    radius = np.hypot(vertices[:, 0], vertices[:, 1])
+    angle = angle + 0.6 * np.sin(angle)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), vertices[:, 2]], 1), faces
+
+
+SHAPES = {"torus": torus(160, 80), "open plane": grid(90, 80), "uneven": uneven_torus()}
+
+
+@pytest.mark.parametrize("level", [0.02, 0.05, 0.1, 0.2, 0.3, 0.5])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_gaussian_noise_is_told(shape, level):
+    mesh, amount = with_noise(SHAPES[shape], level)
+    noise = estimated(mesh)
+    assert noise.file_units == pytest.approx(amount, rel=0.06)
+    assert noise.file_units == pytest.approx(noise.mean_edges * mesh.mean_edge_length)
+    assert noise.low * mesh.mean_edge_length < amount < noise.high * mesh.mean_edge_length
+    assert noise.low < noise.mean_edges < noise.high
+    assert not noise.is_negligible
+    assert not noise.is_uneven
+    assert noise.tail < 0.018
+    assert noise.rms_edges == pytest.approx(noise.mean_edges, rel=0.05)
+
+
+def test_noise_in_all_directions_is_told_by_its_part_along_the_normals():
+    mesh, amount = with_noise(torus(160, 80), 0.2, "gaussian")
+    assert estimated(mesh).file_units == pytest.approx(amount, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", ["uniform", "laplace"])
+def test_the_distribution_hardly_matters(kind):
+    mesh = prepared(*torus(160, 80)).mesh
+    draw = np.random.default_rng(4)
+    amount = 0.1 * mesh.mean_edge_length
+    heights = {
+        "uniform": draw.uniform(-(3**0.5), 3**0.5, len(mesh.vertices)),
+        "laplace": draw.laplace(0.0, 0.5**0.5, len(mesh.vertices)),
+    }[kind]
+    moved = mesh.moved(mesh.vertices + amount * heights[:, None] * mesh.vertex_normals())
+    assert estimated(moved).file_units == pytest.approx(amount, rel=0.13)
+
+
+def test_draws_of_one_noise_read_alike():
+    levels = [
+        estimated(with_noise(torus(100, 50), 0.1, seed=seed)[0]).mean_edges for seed in range(8)
+    ]
+    assert np.std(levels) < 0.04 * np.mean(levels)
+    assert np.mean(levels) == pytest.approx(0.1, rel=0.04)
+
+
+def test_the_level_in_clean_edges():
+    mesh, _ = with_noise(grid(120, 100), 0.5)
+    noise = estimated(mesh)
+    # Noise has made the edges longer.
+    assert noise.mean_edges < 0.45
+    assert noise.clean_edges == pytest.approx(0.5, rel=0.08)
+
+
+@pytest.mark.parametrize("shape", [torus(160, 80), grid(40, 40), ball(), cube(), grid(3, 3)])
+def test_a_smooth_or_flat_mesh_has_none(shape):
+    noise = estimated(prepared(*shape).mesh)
+    assert noise.mean_edges < 0.002
+    assert noise.low == 0.0 or noise.low < 0.002
+    assert noise.is_negligible
+
+
+def folded():
+    """A plane folded like a roof again and again: flat but for sharp creases."""
+    vertices, faces = grid(80, 96)
+    vertices[:, 2] = np.abs((vertices[:, 0] + 12.0) % 24.0 - 12.0)
+    return vertices, faces
+
+
+def test_creases_do_not_pass_for_noise():
+    assert estimated(prepared(*folded()).mesh).is_negligible
+    mesh, amount = with_noise(folded(), 0.1)
+    assert estimated(mesh).file_units == pytest.approx(amount, rel=0.08)
+
+
+def test_texture_on_a_part_does_not_pass_for_noise():
+    vertices, faces = grid(100, 90)
+    bumps = 0.15 * np.sin(2.1 * vertices[:, 0]) * np.sin(1.7 * vertices[:, 1])
+    vertices[:, 2] = np.where(vertices[:, 1] > 40, bumps, 0.0)
+    assert estimated(prepared(vertices, faces).mesh).low == 0.0
+    draw = np.random.default_rng(1)
+    vertices[:, 2] += 0.05 * draw.standard_normal(len(vertices))
+    noise = estimated(prepared(vertices, faces).mesh)
+    assert noise.low < 0.05 < noise.high * 1.05
+    assert noise.file_units < 0.09
+
+
+def test_texture_everywhere_widens_the_interval_to_nothing():
+    vertices, faces = grid(100, 90)
+    vertices[:, 2] = 0.1 * np.sin(1.1 * vertices[:, 0]) * np.sin(1.0 * vertices[:, 1])
+    assert estimated(prepared(vertices, faces).mesh).low == 0.0
+
+
+@pytest.mark.parametrize("split", ["by place", "by a slanted plane"])
+def test_two_halves_with_noise_of_their_own(split):
+    mesh = prepared(*torus(160, 80)).mesh
+    side = mesh.vertices @ ([1.0, 0.0, 0.0] if split == "by place" else [0.5, 0.7, -0.3])
+    quiet, loud = noisy(mesh, "gaussian-normal", 0.05, 1), noisy(mesh, "gaussian-normal", 0.2, 2)
+    noise = estimated(mesh.moved(np.where((side < 0.0)[:, None], quiet, loud)))
+    assert noise.is_uneven
+    assert noise.lowest == pytest.approx(0.05, rel=0.25)
+    assert noise.highest == pytest.approx(0.2, rel=0.25)
+    assert noise.lowest < noise.mean_edges < noise.highest
+    assert noise.low <= noise.lowest
+    assert noise.highest <= noise.high
+
+
+def test_the_field_of_two_halves():
+    mesh = prepared(*torus(160, 80)).mesh
+    side = mesh.vertices[:, 0] < 0.0
+    quiet, loud = noisy(mesh, "gaussian-normal", 0.05, 1), noisy(mesh, "gaussian-normal", 0.2, 2)
+    edge = mesh.mean_edge_length
+    field = regional(mesh.moved(np.where(side[:, None], quiet, loud))) / edge
+    assert np.median(field[side]) == pytest.approx(0.05, rel=0.2)
+    assert np.median(field[~side]) == pytest.approx(0.2, rel=0.2)
+
+
+def test_a_vertex_without_faces_has_no_noise_in_the_field():
+    vertices, faces = grid(20, 20)
+    vertices[:, 2] = 0.1 * np.random.default_rng(0).standard_normal(len(vertices))
+    field = regional(prepared(np.vstack([vertices, [[9, 9, 9.0]]]), faces).mesh)
+    assert field[-1] == 0.0
+    assert (field[:-1] > 0.0).all()
+
+
+@pytest.mark.parametrize(("level", "fraction"), [(0.5, 0.5), (0.4, 0.1)])
+def test_impulses_are_told_by_their_tail(level, fraction):
+    mesh, amount = with_noise(torus(160, 80), level, "impulsive", fraction=fraction)
+    noise = estimated(mesh)
+    assert noise.tail > 0.02
+    rms = amount * np.sqrt(fraction) / mesh.mean_edge_length
+    assert noise.rms_edges == pytest.approx(rms, rel=0.2)
+    assert noise.mean_edges < noise.rms_edges
+    assert noise.low < rms < noise.high
+    assert not noise.is_negligible
+
+
+def test_single_spikes_are_no_level_but_are_something_to_speak_of():
+    mesh = prepared(*torus(160, 80)).mesh
+    spikes = np.zeros((len(mesh.vertices), 1))
+    spikes[::97] = 1.5 * mesh.mean_edge_length
+    noise = estimated(mesh.moved(mesh.vertices + spikes * mesh.vertex_normals()))
+    assert noise.mean_edges < 0.01
+    assert noise.rms_edges == pytest.approx(1.5 / 97**0.5, rel=0.3)
+    assert not noise.is_negligible
+
+
+def test_outliers_far_away_do_not_pass_for_noise():
+    vertices, faces = torus(160, 80)
+    vertices[::97] *= 1.2
+    assert estimated(prepared(vertices, faces).mesh).mean_edges < 0.01
+
+
+def test_the_tip_of_a_cone_is_no_spike():
+    vertices, faces = grid(41, 41)
+    vertices[:, 2] = -1.5 * np.hypot(vertices[:, 0] - 20.0, vertices[:, 1] - 20.0)
+    assert estimated(prepared(vertices, faces).mesh).is_negligible
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(-60, 60), st.floats(-100.0, 100.0), st.sampled_from([0.0, 0.05, 0.4]))
+def test_size_and_place_do_not_matter(power, shift, level):
+    vertices = with_noise(torus(30, 16), level)[0].vertices
+    faces = torus(30, 16)[1]
+    here = estimated(prepared(vertices, faces).mesh)
+    there = estimated(prepared((vertices + shift) * 2.0**power, faces).mesh)
+    assert there.mean_edges == pytest.approx(here.mean_edges, rel=1e-6, abs=1e-9)
+    assert there.tail == here.tail
+    doubled = estimated(prepared(vertices * 2.0**power, faces).mesh)
+    assert doubled.mean_edges == here.mean_edges
+    assert doubled.file_units == here.file_units * 2.0**power
+
+
+@pytest.mark.parametrize("level", [0.05, 0.3])
+def test_turning_does_not_matter(level):
+    mesh, _ = with_noise(torus(100, 60), level)
+    first = estimated(mesh)
+    second = estimated(prepared(turned(mesh.vertices), mesh.faces).mesh)
+    for name in ("mean_edges", "low", "high", "clean_edges", "rms_edges", "tail", "lowest"):
+        assert getattr(second, name) == pytest.approx(getattr(first, name), rel=1e-9)
+
+
+def test_the_order_of_the_vertices_hardly_matters():
+    mesh, _ = with_noise(torus(160, 80), 0.1)
+    order = np.random.default_rng(2).permutation(len(mesh.vertices))
+    number = np.argsort(order)
+    other = prepared(mesh.vertices[order], number[mesh.faces].astype(np.int32)).mesh
+    assert estimated(other).mean_edges == pytest.approx(estimated(mesh).mean_edges, rel=0.03)
+
+
+def test_threads_do_not_matter(monkeypatch):
+    mesh, _ = with_noise(torus(160, 80), 0.1)
+    results = []
+    for threads in ("1", "2", "5"):
+        monkeypatch.setenv("MSAL_THREADS", threads)
+        results.append(estimated(mesh))
+    assert results[0] == results[1] == results[2]
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(3, 7), st.integers(3, 7), st.floats(0.0, 3.0))
+def test_any_small_mesh_has_an_estimate(seed, rows, columns, level):
+    vertices, faces = grid(rows, columns)
+    draw = np.random.default_rng(seed)
+    vertices = vertices + level * draw.standard_normal(vertices.shape)
+    noise = estimated(prepared(vertices, faces[draw.random(len(faces)) < 0.9]).mesh)
+    assert 0.0 <= noise.low <= noise.mean_edges <= noise.high < np.inf
+    assert 0.0 <= noise.lowest <= noise.highest < np.inf
+    assert 0.0 <= noise.tail <= 1.0
+    assert noise.mean_edges <= noise.rms_edges < np.inf
+    assert noise.clean_edges >= 0.0

@@ -1,0 +1,344 @@
+"""The kind of noise that the estimate gives, on surfaces with noise of a known kind."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from benchmarks.noise_kinds import KINDS, SHAPES, corrupt, outcomes, write_tables
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
+from msal_cli.analysis.noise_estimate import estimated, regional
+from msal_cli.analysis.noise_estimate.level import DIRECTIONS
+from msal_cli.analysis.noise_estimate.level import KINDS as CHARACTERS
+from msal_cli.analysis.simulation import ScannerSettings, simulate_scan
+from msal_cli.mesh import prepared
+from tests.analysis.test_outliers import box
+from tests.shapes import ball, cube, grid, torus
+
+SLANTED = (1.0, 2.0, -3.0)
+
+
+@pytest.fixture(scope="module")
+def smooth():
+    """A closed surface whose normals look everywhere."""
+    return prepared(*torus(180, 90)).mesh
+
+
+def with_noise(mesh, kind, level=0.2, **settings):
+    """A mesh with noise, and its estimate."""
+    moved = mesh.moved(add_noise(mesh, AddedNoise(kind, level, 4, **settings)))
+    return moved, estimated(moved)
+
+
+def summarize(noise):
+    """The character without its words."""
+    return noise.character.kind, noise.character.direction, noise.character.rings
+
+
+@pytest.mark.parametrize("level", [0.05, 0.2, 0.5])
+def test_white_noise(smooth, level):
+    _, noise = with_noise(smooth, "gaussian-normal", level)
+    assert summarize(noise) == ("white", "normals", 0)
+    assert noise.character.confidence > 0.9
+    assert noise.character.axis is None
+
+
+@pytest.mark.parametrize("level", [0.1, 0.3])
+def test_isotropic_noise(smooth, level):
+    _, noise = with_noise(smooth, "gaussian", level)
+    assert summarize(noise) == ("isotropic", "isotropic", 0)
+    assert noise.file_units == pytest.approx(level * smooth.mean_edge_length, rel=0.1)
+
+
+@pytest.mark.parametrize("rings", [1, 2, 3])
+def test_noise_that_neighbours_share(smooth, rings):
+    mesh, noise = with_noise(smooth, "correlated", rings=rings)
+    assert summarize(noise)[:2] == ("correlated", "normals")
+    assert abs(noise.character.rings - rings) <= (rings == 3)
+    assert noise.file_units == pytest.approx(0.2 * smooth.mean_edge_length, rel=0.15)
+    assert noise.low < 0.2 * smooth.mean_edge_length / mesh.mean_edge_length < noise.high
+    assert not noise.is_negligible
+    assert not noise.is_uneven
+
+
+@pytest.mark.parametrize("direction", [(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), SLANTED])
+@pytest.mark.parametrize("rings", [0, 2])
+def test_noise_along_a_view(smooth, direction, rings):
+    _, noise = with_noise(smooth, "view", direction=direction, rings=rings)
+    assert summarize(noise) == ("view", "axis", rings)
+    axis = np.array(direction) / np.linalg.norm(direction)
+    assert abs(np.array(noise.character.axis) @ axis) > np.cos(np.radians(10.0))
+    assert np.linalg.norm(noise.character.axis) == pytest.approx(1.0)
+    assert noise.file_units == pytest.approx(0.2 * smooth.mean_edge_length, rel=0.15)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_rounded_depths(smooth, axis):
+    direction = tuple(np.eye(3)[axis])
+    mesh, noise = with_noise(smooth, "quantised", 0.05, direction=direction, step=0.5)
+    assert summarize(noise) == ("quantised", "axis", 0)
+    assert noise.character.axis == direction
+    step = noise.character.step * mesh.mean_edge_length
+    assert step == pytest.approx(0.5 * smooth.mean_edge_length, rel=1e-6)
+    true = np.sqrt(((mesh.vertices - smooth.vertices) ** 2).sum(axis=1).mean())
+    assert noise.file_units == pytest.approx(true, rel=0.15)
+
+
+def test_noise_on_a_half(smooth):
+    mesh, noise = with_noise(smooth, "half", direction=(1.0, 0.0, 0.0))
+    assert summarize(noise) == ("uneven", "normals", 0)
+    assert noise.is_uneven
+    assert noise.lowest < 0.01
+    assert noise.highest * mesh.mean_edge_length == pytest.approx(
+        0.2 * smooth.mean_edge_length, rel=0.15
+    )
+    field = regional(mesh) / smooth.mean_edge_length
+    loud = smooth.vertices[:, 0] > 0.0
+    assert np.median(field[loud]) == pytest.approx(0.2, rel=0.15)
+    assert np.median(field[~loud]) < 0.02
+
+
+def test_noise_that_grows(smooth):
+    _, noise = with_noise(smooth, "ramp", 0.4, direction=(1.0, 0.0, 0.0))
+    assert summarize(noise) == ("uneven", "normals", 0)
+    assert noise.low < noise.mean_edges < noise.high
+
+
+@pytest.mark.parametrize("level", [0.0, 0.1])
+@pytest.mark.parametrize("fraction", [0.02, 0.05, 0.1])
+def test_outliers(smooth, level, fraction):
+    mesh, noise = with_noise(smooth, "outliers", level, fraction=fraction)
+    assert summarize(noise)[0] == "outliers"
+    assert noise.character.outliers == pytest.approx(fraction, rel=0.4)
+    clean = level * smooth.mean_edge_length / mesh.mean_edge_length
+    assert noise.mean_edges == pytest.approx(clean, rel=0.12, abs=0.03)
+    assert not noise.is_negligible
+
+
+@pytest.mark.parametrize(("level", "fraction"), [(0.5, 0.5), (0.4, 0.1)])
+def test_impulses(smooth, level, fraction):
+    _, noise = with_noise(smooth, "impulsive", level, fraction=fraction)
+    assert summarize(noise)[0] == "impulsive"
+    assert noise.character.outliers == 0.0
+
+
+@pytest.mark.parametrize("scanner", ["voxels", "slices"])
+def test_terraces_of_voxels(smooth, scanner):
+    pytest.importorskip("skimage")
+    pytest.importorskip("scipy")
+    scan = simulate_scan(smooth, ScannerSettings(scanner, cells=48))
+    mesh = prepared(scan.vertices, scan.faces).mesh
+    noise = estimated(mesh)
+    assert summarize(noise)[0] == "staircase"
+    height = scan.cell * (3 if scanner == "slices" else 1)
+    assert noise.character.step * mesh.mean_edge_length == pytest.approx(height, rel=1e-6)
+    assert not noise.is_negligible
+
+
+@pytest.mark.parametrize("scanner", ["voxels", "slices"])
+@pytest.mark.parametrize("shape", ["smooth", "part"])
+def test_terraces_that_are_turned(smooth, shape, scanner):
+    """Voxels seldom lie along the axes of the file."""
+    pytest.importorskip("skimage")
+    pytest.importorskip("scipy")
+    true = smooth if shape == "smooth" else prepared(*box(40, 30, 20)).mesh
+    scan = simulate_scan(true, ScannerSettings(scanner, cells=48, direction=SLANTED))
+    turn, _ = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))
+    mesh = prepared(scan.vertices @ turn.T, scan.faces).mesh
+    noise = estimated(mesh)
+    assert summarize(noise)[0] == "staircase"
+    height = scan.cell * (3 if scanner == "slices" else 1)
+    assert noise.character.step * mesh.mean_edge_length == pytest.approx(height, rel=1e-3)
+    assert noise.character.confidence > 0.9
+
+
+def test_terraces_of_a_part_on_a_grid_are_doubtful():
+    """A part may have such steps by design."""
+    rows, columns = np.mgrid[:60, :60].astype(float)
+    heights = np.round(4 * np.sin(columns / 9) + 3 * np.cos(rows / 7))
+    noise = estimated(prepared(*graph(columns, rows, heights)).mesh)
+    assert summarize(noise)[0] == "staircase"
+    assert noise.character.confidence <= 0.6
+
+
+@pytest.mark.parametrize("sizes", [(8, 8, 8), (20, 20, 20), (60, 6, 6), (40, 40, 2)])
+def test_a_block_that_is_meshed_on_a_grid_is_clean(sizes):
+    """Its coordinates are in steps, and fits over its edges leave much: all of them are convex."""
+    vertices, faces = box(*sizes)
+    turn, _ = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))
+    for positions in (vertices, vertices @ turn.T):
+        noise = estimated(prepared(positions, faces).mesh)
+        assert (summarize(noise)[0], noise.is_negligible) == ("none", True)
+
+
+def graph(x, y, z):
+    """A grid of the given positions (rows, columns)."""
+    _, faces = grid(*x.shape)
+    return np.stack([x, y, z], axis=-1).reshape(-1, 3), faces
+
+
+def clean_shapes():
+    """Noise-free meshes of several triangulations."""
+    rows, columns = np.mgrid[:70, :60].astype(float)
+    yield "range grid", (graph(columns, rows, 4 * np.sin(columns / 9) + 3 * np.cos(rows / 7)))
+    yield "stretched grid", (graph(3 * columns, rows, 4 * np.sin(columns / 9)))
+    draw = np.random.default_rng(0)
+    jitter = draw.uniform(-0.35, 0.35, (2, 70, 60))
+    x, y = columns + jitter[0], rows + jitter[1]
+    yield "jagged", graph(x, y, 4 * np.sin(x / 9) + 3 * np.cos(y / 7))
+    yield "torus", torus(120, 60)
+    yield "ball with poles", ball(120, 60)
+    yield "cube", cube()
+    vertices, faces = grid(50, 50)
+    vertices[:, 2] = np.floor(vertices[:, 0] / 25)
+    yield "a step", (vertices, faces)
+
+
+CLEAN = dict(clean_shapes())
+
+
+@pytest.mark.parametrize("name", CLEAN)
+def test_clean_shapes_of_any_triangulation_have_none(name):
+    noise = estimated(prepared(*CLEAN[name]).mesh)
+    assert noise.is_negligible
+    assert noise.character.kind == "none"
+    assert noise.character.words == ""
+
+
+def test_a_smooth_field_on_a_voxel_grid_has_none():
+    measure = pytest.importorskip("skimage.measure")
+    x, y, z = np.mgrid[-1:1:40j, -1:1:40j, -1:1:40j]
+    field = x * x + 0.8 * y * y + 1.2 * z * z + 0.2 * np.sin(4 * x)
+    vertices, faces, _, _ = measure.marching_cubes(field, 0.5)
+    noise = estimated(prepared(vertices.astype(float), faces).mesh)
+    assert noise.is_negligible
+    assert noise.character.kind == "none"
+
+
+@pytest.fixture(scope="module")
+def bumpy(smooth):
+    """Round bumps of 1.6 edges all over, eleven edges wide."""
+    x, y, z = smooth.vertices.T
+    ring = np.hypot(x, y)
+    bumps = np.sin(16 * np.arctan2(y, x)) * np.sin(7 * np.arctan2(z, ring - ring.mean()))
+    normals = smooth.vertex_normals("uniform", 1)
+    heights = 1.6 * smooth.mean_edge_length * bumps
+    return smooth.moved(smooth.vertices + heights[:, None] * normals)
+
+
+def test_smooth_relief_is_not_taken_for_shared_noise(bumpy):
+    _, noise = with_noise(bumpy, "gaussian-normal", 0.2)
+    assert summarize(noise) == ("white", "normals", 0)
+    assert noise.file_units == pytest.approx(0.2 * bumpy.mean_edge_length, rel=0.15)
+    # But it may be shared, too.
+    assert noise.high > 0.3
+    assert noise.character.confidence < 0.5
+    for level in (0.05, 0.1):
+        _, quiet = with_noise(bumpy, "gaussian-normal", level)
+        assert summarize(quiet)[0] != "correlated"
+        assert quiet.mean_edges < 1.2 * level
+    assert estimated(bumpy).is_negligible
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), SLANTED])
+def test_noise_along_a_view_on_relief(bumpy, direction):
+    """No place is flat, but vertices slide along the view as they are out of the surface."""
+    _, noise = with_noise(bumpy, "view", direction=direction)
+    assert summarize(noise) == ("view", "axis", 0)
+    axis = np.array(direction) / np.linalg.norm(direction)
+    assert abs(np.array(noise.character.axis) @ axis) > np.cos(np.radians(10.0))
+    assert noise.file_units == pytest.approx(0.2 * bumpy.mean_edge_length, rel=0.15)
+
+
+def test_vertices_that_slide_alone_show_no_axis(smooth):
+    """Triangles may be uneven along one direction, and noise is along the normals all the same."""
+    normals = smooth.vertex_normals("uniform", 1)
+    axis = np.array(SLANTED) / np.linalg.norm(SLANTED)
+    within = axis - (normals @ axis)[:, None] * normals
+    ways = np.random.default_rng(3).normal(0.0, 0.2 * smooth.mean_edge_length, len(within))
+    uneven = smooth.moved(smooth.vertices + ways[:, None] * within)
+    _, noise = with_noise(uneven, "gaussian-normal", 0.2)
+    assert noise.character.axis is None
+
+
+def test_texture_that_differs_from_place_to_place_is_not_called_noise():
+    vertices, faces = grid(120, 110)
+    x, y = vertices[:, 0], vertices[:, 1]
+    strength = 0.3 * np.exp(-(((x - 40) / 25) ** 2) - ((y - 60) / 25) ** 2)
+    vertices[:, 2] = strength * np.sin(1.3 * x) * np.sin(1.1 * y)
+    noise = estimated(prepared(vertices, faces).mesh)
+    assert noise.character.kind in ("none", "unknown")
+
+
+@pytest.mark.parametrize("kind", ["correlated", "view", "half", "outliers"])
+def test_place_and_size_do_not_matter(smooth, kind):
+    mesh, here = with_noise(smooth, kind)
+    there = estimated(prepared(8.0 * (mesh.vertices + [3.0, -2.0, 1.0]), mesh.faces).mesh)
+    assert summarize(there) == summarize(here)
+    assert there.mean_edges == pytest.approx(here.mean_edges, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["gaussian", "correlated", "view", "half", "impulsive"])
+def test_turning_does_not_matter(smooth, kind):
+    mesh, here = with_noise(smooth, kind)
+    turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
+    there = estimated(prepared(mesh.vertices @ turn.T, mesh.faces).mesh)
+    assert summarize(there) == summarize(here)
+    assert there.mean_edges == pytest.approx(here.mean_edges, rel=0.02)
+    if here.character.axis is not None:
+        turned = turn @ np.array(here.character.axis)
+        assert abs(turned @ np.array(there.character.axis)) > 0.99
+
+
+def test_threads_do_not_matter(smooth, monkeypatch):
+    mesh, _ = with_noise(smooth, "view", direction=SLANTED)
+    results = []
+    for threads in ("1", "2", "5"):
+        monkeypatch.setenv("MSAL_THREADS", threads)
+        results.append(estimated(mesh))
+    assert results[0] == results[1] == results[2]
+
+
+def test_every_character_is_described(smooth):
+    _, noise = with_noise(smooth, "correlated", rings=2)
+    assert noise.character.words == "shared over two rings"
+    along = dataclasses.replace(noise.character, kind="view", direction="axis", axis=(0, 0, 1))
+    assert along.words == "along the view; shared over two rings"
+    assert noise.character.direction in DIRECTIONS
+    for kind in CHARACTERS:
+        words = dataclasses.replace(noise.character, kind=kind).words
+        assert bool(words) == (kind != "none")
+
+
+MACHINED = ["star_prism", "chipped_cube"]
+
+
+@pytest.mark.parametrize("shape", MACHINED)
+def test_machined_shapes(shape):
+    """A part of the benchmark: parts with creases in nearly every wide patch."""
+    found = list(outcomes([shape], [kind for kind in KINDS if kind != "shared, 3 rings"]))
+    wrong = [(one.kind, one.noise.character.kind) for one in found if not one.is_right]
+    assert len(wrong) <= 1, wrong
+    far = [(one.kind, one.error) for one in found if abs(one.error) > 0.2]
+    assert len(far) <= 1, far
+
+
+def test_the_benchmark_counts(monkeypatch):
+    found = list(outcomes(["chipped_cube"], ["clean", "white 0.2", "outliers 5 %"]))
+    text = write_tables(found)
+    assert "| white 0.2 | +" in text or "| white 0.2 | -" in text
+    assert "1 of 1" in text
+    wrong = dataclasses.replace(found[1], kind="view")
+    assert not wrong.is_right
+    assert "0 of 1" in write_tables([wrong])
+    assert set(SHAPES) >= set(MACHINED)
+
+
+def test_the_benchmark_knows_the_level():
+    mesh = prepared(*torus(40, 20)).mesh
+    for name, true in (("view", 0.2), ("isotropic 0.2", 0.2), ("shared, 2 rings", 0.2)):
+        moved, level = corrupt(mesh, KINDS[name].noise)
+        edges = level * moved.mean_edge_length / mesh.mean_edge_length
+        assert edges == pytest.approx(true, rel=0.06)

@@ -1,0 +1,200 @@
+"""Outliers planted on known shapes are found and brought back, and what belongs stays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import ground_truth, machined_shapes
+from msal_cli.analysis.added_noise import AddedNoise, add_noise, noisy
+from msal_cli.analysis.outliers import MOST, find_outliers
+from msal_cli.mesh import prepared
+from tests.shapes import ball, cube, grid, torus
+
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
+
+
+def torus_mesh():
+    return prepared(*torus(96, 48)).mesh
+
+
+def box(*sizes):
+    """A closed box with so many edges of length 1 along each axis."""
+    parts, faces, count = [], [], 0
+    for axis in range(3):
+        across, up = (axis + 1) % 3, (axis + 2) % 3
+        for side in (0, 1):
+            flat, triangles = grid(sizes[up] + 1, sizes[across] + 1)
+            part = np.zeros_like(flat)
+            part[:, across], part[:, up], part[:, axis] = flat[:, 0], flat[:, 1], side * sizes[axis]
+            parts.append(part)
+            faces.append((triangles if side else triangles[:, ::-1]) + count)
+            count += len(part)
+    return np.concatenate(parts), np.concatenate(faces).astype(np.int32)
+
+
+def cone(height, rings=12, around=24):
+    """An open cone of base radius 1, its tip up."""
+    turns = 2 * np.pi * np.arange(around) / around
+    circles = [
+        np.stack([r * np.cos(turns), r * np.sin(turns), np.full(around, height * (1 - r))], axis=1)
+        for r in np.arange(1, rings + 1) / rings
+    ]
+    vertices = np.concatenate([[(0.0, 0.0, height)], *circles])
+    j = np.arange(around)
+    after = (j + 1) % around
+    faces = [np.stack([0 * j, 1 + j, 1 + after], axis=1)]
+    for k in range(rings - 1):
+        inner, outer = 1 + k * around, 1 + (k + 1) * around
+        faces.append(np.stack([inner + j, outer + j, outer + after], axis=1))
+        faces.append(np.stack([inner + j, outer + after, inner + after], axis=1))
+    return vertices, np.concatenate(faces).astype(np.int32)
+
+
+def with_outliers(mesh, level, share, seed=1):
+    """The mesh with noise, and a share of its vertices 1 to 3 edges off in random directions."""
+    kind = AddedNoise("outliers", level=level, seed=seed, fraction=share)
+    vertices = add_noise(mesh, kind)
+    ways = np.linalg.norm(vertices - mesh.vertices, axis=1)
+    return mesh.moved(vertices), ways > 0.99 * mesh.mean_edge_length
+
+
+CLEAN = {
+    "cube": cube,
+    "fine cube": lambda: box(12, 12, 12),
+    "plate one edge thick": lambda: box(16, 16, 1),
+    "bar one edge thick": lambda: box(20, 1, 1),
+    "cone": lambda: cone(1.0),
+    "needle": lambda: cone(12.0),
+    "needle of few sides": lambda: cone(6.0, around=5),
+    "ball with poles": ball,
+    "torus": torus,
+    "star_prism": machined_shapes.star_prism,
+    "stepped_cylinder": machined_shapes.stepped_cylinder,
+    "chipped_cube": machined_shapes.chipped_cube,
+}
+
+
+@pytest.mark.parametrize("name", CLEAN)
+def test_clean_shapes_have_no_outliers(name):
+    mesh = prepared(*CLEAN[name]()).mesh
+    found = find_outliers(mesh)
+    assert found.count == 0
+    assert not found.are_clear
+    assert found.vertices is mesh.vertices
+
+
+def test_clean_samples_have_no_outliers():
+    paths = [one for one in sorted(SAMPLES.glob("*_clean.*")) if one.suffix != ".mtl"]
+    assert len(paths) == 8
+    assert {path.name: find_outliers(ground_truth.opened(path)).count for path in paths} == {
+        path.name: 0 for path in paths
+    }
+
+
+@pytest.mark.parametrize("name", ["Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2"])
+def test_clean_published_models_have_no_outliers(real_data, name):
+    mesh = ground_truth.opened(real_data / "pairs" / name / "Original.obj")
+    assert find_outliers(mesh).count == 0
+
+
+@pytest.mark.parametrize("share", [0.005, 0.05, 0.1])
+@pytest.mark.parametrize("level", [0.0, 0.1, 0.2])
+@pytest.mark.parametrize("shape", [torus_mesh, lambda: prepared(*box(20, 20, 20)).mesh])
+def test_outliers_are_found_and_brought_back(shape, level, share):
+    true = shape()
+    mesh, planted = with_outliers(true, level, share)
+    found = find_outliers(mesh)
+    hits = found.flags & planted
+    assert hits.sum() >= 0.95 * planted.sum()
+    assert (found.flags & ~planted).sum() <= 0.005 * len(planted)
+    assert found.are_clear
+    assert (found.vertices[~found.flags] == mesh.vertices[~found.flags]).all()
+    errors = np.linalg.norm(found.vertices - true.vertices, axis=1) / true.mean_edge_length
+    assert errors[hits].mean() < 0.25 + level
+
+
+@pytest.mark.parametrize("kind", ["gaussian-normal", "gaussian"])
+@pytest.mark.parametrize("level", [0.1, 0.3])
+def test_noise_alone_has_hardly_any(kind, level):
+    mesh = torus_mesh()
+    found = find_outliers(mesh.moved(noisy(mesh, kind, level, 3)))
+    assert found.count <= 0.002 * len(mesh.vertices)
+    assert not found.are_clear
+
+
+def test_noise_on_one_half_has_hardly_any():
+    mesh = torus_mesh()
+    rough = noisy(mesh, "gaussian-normal", 0.3, 3)
+    half = np.where(mesh.vertices[:, :1] > 0.0, rough, mesh.vertices)
+    assert find_outliers(mesh.moved(half)).count <= 0.002 * len(mesh.vertices)
+
+
+@pytest.mark.parametrize("level", [0.5, 1.0])
+def test_impulses_on_half_of_the_vertices_are_noise(level):
+    mesh = torus_mesh()
+    assert not find_outliers(mesh.moved(noisy(mesh, "impulsive", level, 3, 0.5))).are_clear
+
+
+def test_too_many_are_noise():
+    mesh, _ = with_outliers(torus_mesh(), 0.0, 0.3)
+    found = find_outliers(mesh)
+    assert found.are_too_many
+    assert found.share > MOST
+    assert not found.flags.any()
+    assert found.vertices is mesh.vertices
+
+
+@pytest.mark.parametrize("size", [2, 3, 5])
+def test_neighbours_that_are_outliers_together_are_found(size):
+    true = torus_mesh()
+    draw = np.random.default_rng(size)
+    planted = np.zeros(len(true.vertices), dtype=bool)
+    vertices = true.vertices.copy()
+    for start in range(100, len(vertices), 300):
+        together = [start]
+        while len(together) < size:
+            near = together[draw.integers(len(together))]
+            row = slice(true.links.ring_start[near], true.links.ring_start[near + 1])
+            together = sorted({*together, int(draw.choice(true.links.ring[row]))})
+        ways = draw.standard_normal((size, 3))
+        ways /= np.linalg.norm(ways, axis=1)[:, None]
+        vertices[together] += ways * draw.uniform(1, 3, (size, 1)) * true.mean_edge_length
+        planted[together] = True
+    found = find_outliers(true.moved(vertices))
+    assert (found.flags & planted).sum() >= 0.9 * planted.sum()
+    assert not (found.flags & ~planted).any()
+
+
+def test_held_vertices_are_no_outliers():
+    mesh, planted = with_outliers(torus_mesh(), 0.0, 0.02)
+    held = np.zeros(len(planted), dtype=bool)
+    held[np.flatnonzero(planted)[::2]] = True
+    found = find_outliers(mesh.constrained(held, None))
+    assert not (found.flags & held).any()
+    assert (found.vertices[held] == mesh.vertices[held]).all()
+    assert (found.flags & planted).sum() >= 0.95 * (planted & ~held).sum()
+
+
+def test_place_size_and_direction_make_no_difference():
+    mesh, _ = with_outliers(torus_mesh(), 0.1, 0.03)
+    turn, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    other = prepared(1000.0 * mesh.vertices @ turn.T + 5.0, mesh.faces).mesh
+    assert (find_outliers(other).flags == find_outliers(mesh).flags).all()
+
+
+def test_threads_make_no_difference(monkeypatch):
+    mesh, _ = with_outliers(prepared(*torus(400, 200)).mesh, 0.1, 0.01)
+    results = []
+    for threads in ("1", "2"):
+        monkeypatch.setenv("MSAL_THREADS", threads)
+        results.append(find_outliers(mesh).vertices.tobytes())
+    assert results[0] == results[1]
+
+
+def test_meshes_far_too_small_to_judge():
+    mesh = prepared(*grid(2, 2)).mesh
+    assert find_outliers(mesh).count == 0

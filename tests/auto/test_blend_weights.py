@@ -1,0 +1,174 @@
+"""Weights of blends: the least of a quadratic, by hand and by the conditions that it must meet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from msal_cli.auto.blend_weights import best_weights, least_over_simplex, rounded
+from msal_cli.auto.risk import Quadratic, Risk
+
+
+def value(gram, gain, weights):
+    return float(weights @ gram @ weights - 2.0 * weights @ gain)
+
+
+def problem(seed, count):
+    """What filters of scattered moves give: M = D D', b = D a, M not far from singular."""
+    draw = np.random.default_rng(seed)
+    moves = draw.normal(size=(count, count + 3)) + 2.0 * draw.normal(size=count + 3)
+    aim = draw.normal(size=count + 3) * draw.choice([0.1, 1.0, 3.0])
+    return moves @ moves.T + 1e-4 * np.eye(count), moves @ aim
+
+
+def risk(places, slopes=None, drift=None):
+    drift = np.zeros(len(places.gain)) if drift is None else np.array(drift)
+    return Risk(places, places if slopes is None else slopes, drift)
+
+
+def quadratic(gram, gain):
+    return Quadratic(np.array(gram, dtype=float), np.array(gain, dtype=float))
+
+
+@pytest.mark.parametrize(
+    ("gram", "gain", "weights"),
+    [
+        # One filter: b / M, but no more than 1 and no less than 0.
+        ([[2.0]], [1.0], [0.5]),
+        ([[1.0]], [3.0], [1.0]),
+        ([[1.0]], [-0.5], [0.0]),
+        # Independent ones, each on its own.
+        ([[4.0, 0.0], [0.0, 2.0]], [1.0, 1.0], [0.25, 0.5]),
+        # The sum binds: both derivatives are alike, 2 w - 2 b.
+        ([[1.0, 0.0], [0.0, 1.0]], [1.0, 0.6], [0.7, 0.3]),
+        ([[1.0, 0.0], [0.0, 1.0]], [3.0, 1.0], [1.0, 0.0]),
+        # One that moves the wrong way helps nothing.
+        ([[1.0, -0.2], [-0.2, 1.0]], [0.5, -1.0], [0.5, 0.0]),
+        # The second would be wanted by itself, but the first does the same and more.
+        ([[1.0, 0.9], [0.9, 1.0]], [0.8, 0.5], [0.8, 0.0]),
+        # All overshoot threefold: a third of it in all, not 1.
+        ([[9.0, 0.0], [0.0, 1.0]], [3.0, 0.0], [1 / 3, 0.0]),
+    ],
+)
+def test_cases_by_hand(gram, gain, weights):
+    found = least_over_simplex(np.array(gram), np.array(gain))
+    assert found == pytest.approx(weights, abs=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 12))
+def test_the_conditions_of_a_least_hold(seed, count):
+    gram, gain = problem(seed, count)
+    weights = least_over_simplex(gram, gain)
+    assert (weights >= 0.0).all() and weights.sum() <= 1.0 + 1e-9
+    slope = gram @ weights - gain
+    # What a little more of the sum would be worth; nothing where it does not bind.
+    worth = -float(slope[weights > 1e-9].mean()) if weights.sum() > 1.0 - 1e-9 else 0.0
+    scale = np.abs(gain).max()
+    assert worth >= -1e-7 * scale
+    assert (slope + worth >= -1e-6 * scale).all()
+    assert np.abs((slope + worth)[weights > 1e-9]).max(initial=0.0) <= 1e-6 * scale
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_scipy_finds_nothing_better(seed):
+    from scipy.optimize import minimize
+
+    gram, gain = problem(seed, 6)
+    ours = least_over_simplex(gram, gain)
+    theirs = minimize(
+        lambda w: value(gram, gain, w),
+        np.full(6, 0.1),
+        jac=lambda w: 2.0 * (gram @ w - gain),
+        bounds=[(0.0, 1.0)] * 6,
+        constraints={"type": "ineq", "fun": lambda w: 1.0 - w.sum()},
+        method="SLSQP",
+        options={"maxiter": 500, "ftol": 1e-14},
+    )
+    assert value(gram, gain, ours) <= theirs.fun + 1e-9 * (1.0 + abs(theirs.fun))
+
+
+def test_a_perfect_filter_gets_everything_and_useless_ones_nothing():
+    # The aim is the first filter's move; the second does nothing, the third goes astray.
+    moves = np.array([[1.0, 2.0, -1.0], [0.0, 0.0, 0.0], [2.0, -1.0, 0.0]])
+    scale = float(moves[0] @ moves[0])
+    perfect = quadratic(moves @ moves.T / scale, moves @ moves[0] / scale)
+    assert perfect.at(np.array([1.0, 0.0, 0.0])) == pytest.approx(0.0, abs=1e-15)
+    weights = best_weights([risk(perfect)], 0.5)
+    assert weights == pytest.approx([1.0, 0.0, 0.0], abs=0.01)
+
+
+def test_equal_filters_share_alike():
+    alone = best_weights([risk(quadratic([[1.0]], [0.8]))], 0.5)
+    pair = best_weights([risk(quadratic([[1.0, 1.0], [1.0, 1.0]], [0.8, 0.8]))], 0.5)
+    assert pair[0] == pytest.approx(pair[1], abs=1e-9)
+    assert pair.sum() == pytest.approx(alone[0], abs=1e-3)
+
+
+def test_where_errors_cancel_the_mean_of_two_is_better_than_both():
+    moves = np.array([[1.0, 1.0], [1.0, -1.0]])
+    aim = np.array([1.0, 0.0])
+    both = quadratic(moves @ moves.T, moves @ aim)
+    assert both.singles() == pytest.approx([1.0, 1.0])
+    weights = best_weights([risk(both)], 0.5)
+    assert weights == pytest.approx([0.5, 0.5], abs=1e-3)
+    assert both.at(weights) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_slopes_count_by_their_share():
+    # For places the first filter is right, for slopes the second.
+    places = quadratic(np.eye(2), [0.9, 0.0])
+    slopes = quadratic(np.eye(2), [0.0, 0.9])
+    first = [best_weights([risk(places, slopes)], share)[0] for share in (0.0, 0.25, 0.75, 1.0)]
+    assert first[0] == pytest.approx(0.9, abs=0.01)
+    assert first == sorted(first, reverse=True)
+    assert first[-1] == pytest.approx(0.0, abs=0.01)
+
+
+def test_what_two_estimates_say_lies_between_them():
+    one, other = (risk(quadratic([[1.0]], [gain])) for gain in (0.2, 0.6))
+    low, high = best_weights([one], 0.5)[0], best_weights([other], 0.5)[0]
+    assert low == pytest.approx(0.2, abs=1e-3)
+    assert high == pytest.approx(0.6, abs=1e-3)
+    assert low < best_weights([one, other], 0.5)[0] < high
+
+
+def test_drift_is_avoided_by_what_drifts_the_other_way():
+    places = quadratic(np.eye(2), [0.5, 0.3])
+    shrinking = risk(places, drift=[-0.5, 0.5])
+    free = best_weights([shrinking], 0.4)
+    bound = best_weights([shrinking], 0.4, drift=1e4)
+    assert free == pytest.approx([0.5, 0.3], abs=1e-3)
+    assert bound @ shrinking.drift == pytest.approx(0.0, abs=1e-3)
+    assert bound[0] == pytest.approx(0.4, abs=1e-2)
+
+
+def test_no_gain_anywhere_means_no_weights():
+    assert (best_weights([risk(quadratic(np.eye(3), [-1.0, 0.0, -0.1]))], 0.5) == 0.0).all()
+    nothing = quadratic(np.zeros((2, 2)), [0.0, 0.0])
+    assert (best_weights([risk(nothing)], 0.5) == 0.0).all()
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=20))
+def test_rounding_keeps_the_sum_and_moves_no_weight_by_a_step(parts):
+    weights = np.array(parts)
+    if weights.sum() > 1.0:
+        weights /= weights.sum()
+    short = rounded(weights)
+    assert short.sum() == pytest.approx(round(float(weights.sum()), 2), abs=1e-6) or (
+        # Half-way between two hundredths either will do.
+        abs(short.sum() - weights.sum()) <= 0.005 + 1e-9
+    )
+    assert short.sum() <= 1.0 + 1e-12
+    assert (np.abs(short - weights) < 0.01 + 1e-6).all()
+    assert all(float(f"{one:.2f}") == one for one in short)
+
+
+def test_what_rounds_alike_is_settled_by_order_not_by_last_digits():
+    third = np.full(3, 1.0 / 3.0)
+    shaken = third + np.array([-1e-13, 0.0, 1e-13])
+    assert rounded(third).tolist() == [0.34, 0.33, 0.33]
+    assert rounded(shaken).tolist() == [0.34, 0.33, 0.33]
+    assert rounded(np.array([0.29 - 1e-13, 0.71])).tolist() == [0.29, 0.71]

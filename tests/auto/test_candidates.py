@@ -1,0 +1,56 @@
+"""The table of what is tried."""
+
+from __future__ import annotations
+
+import pytest
+
+from msal_cli import methods
+from msal_cli.auto import candidates
+from msal_cli.auto.candidates import CANDIDATES, NAMES
+
+
+def label(method, **given):
+    return candidates.Candidate(method, given, 1.0).label
+
+
+@pytest.mark.parametrize("one", CANDIDATES, ids=lambda one: one.label)
+def test_settings_are_allowed(one):
+    method = methods.find(one.method)
+    settings = one.settings(0.125)
+    values = method.settled(settings)
+    assert ("noise" in settings) == one.takes_noise
+    if one.takes_noise:
+        assert values["noise"] == 0.125
+    assert one.cost > 0.0
+    assert {spec.name for spec in method.parameters} >= set(settings)
+
+
+def test_all_differ_in_what_they_are_and_in_what_they_are_called():
+    assert len({one.label for one in CANDIDATES}) == len(CANDIDATES)
+    made = {repr((one.method, sorted(one.settings(0.1).items()))) for one in CANDIDATES}
+    assert len(made) == len(CANDIDATES)
+
+
+def test_a_farther_reach_is_a_multiple_of_the_noise():
+    settings = [one.settings(0.125)["noise"] for one in (candidates.LEARNED, *candidates.FARTHER)]
+    assert settings == [0.125, 0.25, 0.5]
+    assert candidates.FARTHER[0].label == "learned (noise times 2)"
+
+
+def test_every_name_is_in_use():
+    used = {one.method for one in CANDIDATES}
+    # The others are schedules that the plain command chooses.
+    assert set(NAMES) == used | set(candidates._KINDS.values())
+    assert set(candidates._WORDS) <= set(NAMES)
+
+
+def test_labels_read_like_words():
+    assert label("al", iterations=1, mollify=2) == "AL (1 sweep, 2 mollifications)"
+    assert label("msal", K=0.25, mollify=1) == "MSAL (K = 0.25, 1 mollification)"
+    assert label("guided_normal", similarity=0.6, iterations=21) == (
+        "guided normals (sigma_r 0.6, 21 iterations)"
+    )
+    assert label("learned") == "learned"
+    assert label("windowed_sinc", pass_band=0.1, iterations=20) == (
+        "windowed sinc (pass band 0.1, 20 steps)"
+    )

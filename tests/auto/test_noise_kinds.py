@@ -1,0 +1,240 @@
+"""What is chosen for noise that is not white along the normals, and that it pays."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+
+from benchmarks import machined_shapes
+from msal_cli import auto as selection
+from msal_cli import methods
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
+from msal_cli.analysis.noise_estimate import NoiseCharacter, estimated
+from msal_cli.analysis.noise_estimate.local import local_levels
+from msal_cli.analysis.surface import normal_statistics
+from msal_cli.auto import FAMILY, NONE, Wishes, adaptive
+from msal_cli.auto.candidates import FARTHER, LEARNED
+from msal_cli.auto.evidence_words import describe_noise
+from msal_cli.auto.levels import level_masks, spread_levels
+from msal_cli.auto.noise_model import build_model
+from msal_cli.auto.risk import DRAWN, MIRRORED
+from msal_cli.auto.sample_patch import representative
+from msal_cli.auto.search import _Search
+from msal_cli.mesh import prepared
+from msal_cli.methods.blend import read_levels
+from tests.shapes import grid, torus
+
+KINDS = {
+    "shared": AddedNoise("correlated", 0.2, seed=1, rings=2),
+    "isotropic": AddedNoise("gaussian", 0.2, seed=1),
+    "half": AddedNoise("half", 0.25, seed=1, direction=(0.0, 1.0, 0.0)),
+}
+WORDS = {
+    "shared": "shared over two rings",
+    "isotropic": "in all directions",
+    "half": "uneven over the surface",
+}
+
+
+@functools.lru_cache
+def pair(kind):
+    """A torus with noise, and without."""
+    true = prepared(*torus(100, 50)).mesh
+    return true.moved(add_noise(true, KINDS[kind])), true
+
+
+@functools.lru_cache
+def choose_auto(mesh):
+    return selection.chosen(mesh, Wishes())
+
+
+def result_of(mesh, choice):
+    if choice.method == NONE:
+        return mesh
+    return mesh.moved(methods.find(choice.method).denoised(mesh, choice.parameters).vertices)
+
+
+def errors(kind, made):
+    true = pair(kind)[1]
+    distance = np.linalg.norm(made.vertices - true.vertices, axis=1)
+    return normal_statistics(true, made).mean_angular_error_deg, float(distance.mean())
+
+
+def taken_for_white(mesh):
+    """The plain command's filter for that noise if it were white, whatever it is."""
+    al = methods.find("al")
+    noise = float(round(estimated(mesh).mean_edges, 4))
+    given = {"schedule": "wiener", "iterations": 6, "noise": noise}
+    return mesh.moved(al.denoised(mesh, al.settled(given)).vertices)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_auto_takes_most_of_it_away(kind):
+    mesh, _ = pair(kind)
+    choice = choose_auto(mesh)
+    assert WORDS[kind] in choice.reason.split(";")[0]
+    angle, _ = errors(kind, result_of(mesh, choice))
+    assert angle < 0.3 * errors(kind, mesh)[0]
+    assert angle < 0.8 * errors(kind, taken_for_white(mesh))[0]
+
+
+@pytest.mark.parametrize("kind", ["isotropic", "half"])
+def test_the_plain_command_knows_direction_and_place(kind):
+    mesh, _ = pair(kind)
+    choice = adaptive.chosen(mesh)
+    assert (choice.method, choice.among) == ("blend", FAMILY)
+    assert WORDS[kind] in choice.reason
+    assert errors(kind, result_of(mesh, choice))[0] < 0.9 * errors(kind, taken_for_white(mesh))[0]
+
+
+def test_the_plain_command_sweeps_longer_where_noise_is_shared():
+    choice = adaptive.chosen(pair("shared")[0])
+    assert (choice.method, choice.parameters["iterations"]) == ("al", 10)
+
+
+@pytest.mark.parametrize("choose", [adaptive.chosen, choose_auto])
+def test_triangles_are_evened_out_where_noise_is_in_all_directions(choose):
+    mesh, _ = pair("isotropic")
+    choice = choose(mesh)
+    assert choice.parameters["relax"] == 2
+    assert choice.reason.endswith("after triangles were evened out")
+
+
+def test_nothing_is_evened_out_for_a_method_with_trust():
+    mesh, _ = pair("isotropic")
+    trusted = mesh.constrained(None, np.full(len(mesh.vertices), 0.5))
+    for choice in (adaptive.chosen(trusted), choose_auto(trusted)):
+        assert choice.method in ("al", "msal")
+
+
+@pytest.mark.parametrize("choose", [adaptive.chosen, choose_auto])
+def test_quiet_places_hardly_move(choose):
+    mesh, true = pair("half")
+    choice = choose(mesh)
+    assert len(read_levels(choice.parameters["levels"])) > 1
+    moved = np.linalg.norm(result_of(mesh, choice).vertices - mesh.vertices, axis=1)
+    quiet, loud = true.vertices[:, 1] < -1.5, true.vertices[:, 1] > 1.5
+    assert moved[quiet].mean() < 0.1 * moved[loud].mean()
+
+
+def test_noise_of_another_kind_goes_from_a_machined_part():
+    """Noise that grows with the angle to the view fits no model of it, and is all taken away."""
+    true = prepared(*machined_shapes.chipped_cube()).mesh
+    noise = AddedNoise("grazing", 0.1, seed=2, direction=(0.3, 0.5, 0.8))
+    mesh = true.moved(add_noise(true, noise))
+    choice = choose_auto(mesh)
+    made = result_of(mesh, choice)
+    angles = [normal_statistics(true, one).mean_angular_error_deg for one in (mesh, made)]
+    assert choice.surface == "machined"
+    assert angles[1] < 0.3 * angles[0]
+
+
+def waves():
+    """An open patch with long waves, as one view sees it."""
+    vertices, faces = grid(70, 70)
+    vertices = np.asarray(vertices, dtype=float)
+    vertices[:, 2] += 2.0 * np.sin(0.15 * vertices[:, 0]) * np.sin(0.15 * vertices[:, 1])
+    return prepared(vertices, faces).mesh
+
+
+def test_a_weakly_noisy_range_scan_is_left_to_the_learned_filter():
+    """White noise that is seen is but a part: the rest is shared, and looks like shape."""
+    true = waves()
+    shared = true.moved(add_noise(true, AddedNoise("correlated", 0.08, seed=3, rings=3)))
+    mesh = shared.moved(add_noise(shared, AddedNoise("gaussian-normal", 0.05, seed=4)))
+    search = _Search(mesh, Wishes(), range_level(mesh, "white", 0.98), None)
+    choice = search.chosen()
+    made = result_of(mesh, choice)
+    angles = [normal_statistics(true, one).mean_angular_error_deg for one in (mesh, made)]
+    assert "learned (noise times" in choice.reason
+    assert angles[1] < 0.5 * angles[0]
+
+
+def weakly_shared():
+    """A torus with weak noise that neighbours share."""
+    true = pair("shared")[1]
+    return true.moved(add_noise(true, AddedNoise("correlated", 0.06, seed=1, rings=1)))
+
+
+@pytest.mark.parametrize("kind", ["correlated", "view", "quantised", "staircase"])
+def test_noise_like_no_draw_is_rehearsed_as_it_was_taken(kind):
+    mesh = weakly_shared()
+    search = _Search(
+        mesh, Wishes(), range_level(mesh, kind, 0.95 if kind == "staircase" else 0.6), None
+    )
+    family = search._mirror()
+    assert search.added == MIRRORED
+    assert family[0] == (LEARNED if kind in ("view", "quantised") else FARTHER[0])
+    if kind == "staircase":
+        assert search.level >= 0.29 * mesh.mean_edge_length
+
+
+@pytest.mark.parametrize(("kind", "confidence"), [("correlated", 0.9), ("unknown", 0.3)])
+def test_noise_of_a_sure_kind_or_that_may_be_texture_is_drawn(kind, confidence):
+    mesh = weakly_shared()
+    search = _Search(mesh, Wishes(), range_level(mesh, kind, confidence), None)
+    assert search._mirror() == ()
+    assert search.added == DRAWN
+
+
+def range_level(mesh, kind, confidence):
+    """Noise of 0.06 mean edge lengths with a wide interval."""
+    noise = estimated(mesh)
+    edge = mesh.mean_edge_length
+    axis = (0.0, 0.0, 1.0) if kind in ("view", "quantised") else None
+    direction = "axis" if axis else "normals"
+    character = NoiseCharacter(kind, 0, direction, axis, 0.0, 0.0, confidence, "a test")
+    return dataclasses.replace(
+        noise,
+        file_units=0.06 * edge,
+        mean_edges=0.06,
+        low=0.04,
+        high=0.08,
+        character=character,
+    )
+
+
+def test_local_levels_follow_the_noise():
+    mesh, true = pair("half")
+    levels = local_levels(mesh)
+    edge = true.mean_edge_length / mesh.mean_edge_length
+    quiet, loud = true.vertices[:, 1] < -1.0, true.vertices[:, 1] > 1.0
+    assert levels[loud].mean() == pytest.approx(0.25 * edge, rel=0.2)
+    assert levels[quiet].mean() < 0.02
+    assert local_levels(mesh) is levels
+    larger = mesh.moved(3.0 * mesh.vertices)
+    assert local_levels(larger) == pytest.approx(levels, rel=1e-6, abs=1e-9)
+
+
+def test_the_model_is_what_was_estimated():
+    meshes = [pair(kind)[0] for kind in ("half", "shared", "isotropic")]
+    half, shared, isotropic = (build_model(mesh, estimated(mesh)) for mesh in meshes)
+    assert half.shares is not None
+    assert np.mean(half.shares**2) == pytest.approx(1.0)
+    assert (shared.rings, shared.direction, shared.shares) == (2, "normals", None)
+    assert (isotropic.rings, isotropic.direction) == (0, "isotropic")
+    assert shared.level == pytest.approx(0.2 * pair("shared")[1].mean_edge_length, rel=0.15)
+
+
+def test_levels_stand_for_quiet_usual_and_loud_places():
+    assert spread_levels(np.linspace(0.0, 0.4, 1001)) == (0.04, 0.2, 0.36)
+    assert spread_levels(np.full(100, 0.2)) == ()
+    assert spread_levels(np.linspace(0.19, 0.21, 101)) == ()
+    mesh, _ = pair("half")
+    part = representative(mesh, 2_000)
+    local = np.where(mesh.vertices[:, 1] > 0.0, 0.25, 0.0)
+    quiet, loud = level_masks(part, local, (0.02, 0.2))
+    assert (quiet | loud == part.judged).all()
+    assert not (quiet & loud).any()
+    assert (part.mesh.vertices[loud, 1] > 0.0).all()
+
+
+def test_words():
+    assert describe_noise(estimated(pair("shared")[0])).startswith("noise 0.")
+    assert describe_noise(estimated(pair("shared")[0])).endswith(" e, shared over two rings")
+    white = prepared(*torus(100, 50)).mesh
+    white = white.moved(add_noise(white, AddedNoise("gaussian-normal", 0.2)))
+    assert describe_noise(estimated(white)) == f"noise {estimated(white).mean_edges:.2g} e"

@@ -1,0 +1,437 @@
+"""Estimated errors of blends, against the errors themselves where the truth is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli.auto.noise_model import AXIS, ISOTROPIC, NoiseModel
+from msal_cli.auto.risk import Quadratic, Rehearsal, Stein
+from msal_cli.auto.risk import _slopes as slopes_of
+from msal_cli.auto.sample_patch import Part, representative
+from msal_cli.mesh import Mesh, prepared
+from tests.shapes import grid, noisy, torus
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def sheet(rows=24, columns=20, noise=0.0, seed=0, judged=None):
+    """A flat part with Gaussian noise along z, and the noise (n,)."""
+    vertices, faces = grid(rows, columns)
+    heights = noise * np.random.default_rng(seed).standard_normal(len(vertices))
+    mesh = Mesh(vertices + heights[:, None] * UP, faces)
+    inside = np.ones(len(vertices), dtype=bool) if judged is None else judged
+    return Part(mesh, inside), heights
+
+
+def upwards(mesh):
+    return np.tile(UP, (len(mesh.vertices), 1))
+
+
+@pytest.fixture
+def level(monkeypatch):
+    """Normals that noise does not turn: what Stein's lemma supposes."""
+    monkeypatch.setattr(Mesh, "vertex_normals", lambda mesh, *ignored: upwards(mesh))
+
+
+def along(matrix):
+    """The filter that moves heights h by ``matrix`` h along z."""
+
+    def run(mesh):
+        return (matrix @ mesh.vertices[:, 2])[:, None] * UP
+
+    return run
+
+
+def scaled(factor):
+    """The filter that moves heights h by ``factor`` h."""
+    return lambda mesh: factor * mesh.vertices[:, 2:] * UP
+
+
+def smoothing(mesh):
+    """Heights that become the mean of their rings: a matrix (n, n)."""
+    n = len(mesh.vertices)
+    matrix = -np.eye(n)
+    for i in range(n):
+        ring = mesh.links.ring[mesh.links.ring_start[i] : mesh.links.ring_start[i + 1]]
+        matrix[i, ring] = 1.0 / len(ring)
+    return matrix
+
+
+def nothing():
+    pass
+
+
+def rehearsed(*arguments):
+    return Rehearsal(*arguments).risk()
+
+
+def stein(part, noise, *runs):
+    judge = Stein(part, NoiseModel(noise), part.mesh.vertex_normals("uniform", 1))
+    for run in runs:
+        judge.add(run, nothing)
+    return judge.risk()
+
+
+def test_a_quadratic_by_hand():
+    one = Quadratic(np.array([[4.0, 1.0], [1.0, 2.0]]), np.array([1.0, 0.5]))
+    assert one.singles().tolist() == [3.0, 2.0]
+    assert one.at(np.array([0.0, 0.0])) == 1.0
+    assert one.at(np.array([1.0, 0.0])) == 3.0
+    # 1 - 2 (0.5 + 0.25) + (1 + 0.5 + 0.5)
+    assert one.at(np.array([0.5, 0.5])) == pytest.approx(1.5)
+    other = one.of([1])
+    assert other.gram.tolist() == [[2.0]]
+    assert other.gain.tolist() == [0.5]
+    assert one.of([1, 0]).at(np.array([0.25, 0.5])) == pytest.approx(one.at(np.array([0.5, 0.25])))
+
+
+@pytest.mark.parametrize("factor", [-1.0, -0.5, 0.0, 0.25])
+def test_heights_times_a_constant_exactly(level, factor):
+    # d = a h has the divergence a; its risk is a^2 mean(h^2) / s^2 + 1 + 2 a.
+    part, heights = sheet(noise=0.1)
+    risk = stein(part, 0.1, scaled(factor))
+    expected = factor**2 * float(np.mean(heights**2)) / 0.01 + 1.0 + 2.0 * factor
+    assert risk.positions.singles()[0] == pytest.approx(expected, rel=1e-9)
+    assert -risk.positions.gain[0] == pytest.approx(factor, abs=1e-9)
+    assert -risk.slopes.gain[0] == pytest.approx(factor, abs=1e-9)
+    # A height over a flat sheet sweeps a third of the area of the faces around.
+    mesh = part.mesh
+    around = np.bincount(mesh.faces.reshape(-1), minlength=len(heights)) / (3 * len(mesh.faces))
+    around[mesh.links.boundary] = 0.0
+    # The area is that of the noisy sheet, which is a little larger.
+    assert risk.drift[0] == pytest.approx(factor * float(around @ heights) / 0.1, rel=0.05)
+
+
+def test_filters_that_do_nothing_leave_the_error_as_it_is(level):
+    part, _ = sheet(noise=0.1)
+    risk = stein(part, 0.1, lambda mesh: np.zeros_like(mesh.vertices), scaled(-1.0))
+    assert risk.positions.singles()[0] == 1.0
+    assert risk.slopes.singles()[0] == 1.0
+    assert risk.positions.gram[0].tolist() == [0.0, 0.0]
+
+
+def test_it_is_the_true_error_on_the_mean_for_linear_filters(level):
+    # Over many draws of the noise both the estimate and the error scatter; their means agree.
+    once = smoothing(sheet()[0].mesh)
+    twice = (np.eye(len(once)) + once) @ (np.eye(len(once)) + once) - np.eye(len(once))
+    weights = np.array([0.3, 0.5])
+    gaps, slope_gaps = [], []
+    for seed in range(30):
+        part, heights = sheet(noise=0.1, seed=seed)
+        risk = stein(part, 0.1, along(once), along(twice))
+        blend = 0.3 * once @ heights + 0.5 * twice @ heights
+        gaps.append(risk.positions.at(weights) - np.mean((heights + blend) ** 2) / 0.01)
+        tilt = slopes_of(part.mesh, upwards(part.mesh), part.judged)
+        left = tilt((heights + blend)[:, None] * UP)
+        before = np.mean([np.sum(tilt(0.1 * sign[:, None] * UP) ** 2) for sign in signs(len(once))])
+        slope_gaps.append(risk.slopes.at(weights) - np.sum(left**2) / before)
+    for gap in (gaps, slope_gaps):
+        assert abs(np.mean(gap)) < 4.0 * np.std(gap) / np.sqrt(len(gap)) + 1e-3
+        assert np.std(gap) < 0.2
+
+
+PROBES = 24
+"""Enough that their own scatter, alike in all draws, does not count."""
+
+MODELS = {
+    "shared": NoiseModel(0.1, rings=2),
+    "isotropic": NoiseModel(0.1, direction=ISOTROPIC),
+    "along an axis": NoiseModel(0.1, direction=AXIS, axis=(0.6, 0.0, 0.8)),
+    "by region": NoiseModel(0.1, shares=np.where(np.arange(480) < 240, 1.4, 0.1)),
+}
+
+
+def averaging(mesh):
+    """The umbrella filter, more along z than across it, and more at the last vertices."""
+    matrix = np.linspace(0.2, 1.2, len(mesh.vertices))[:, None] * smoothing(mesh)
+    return lambda other: (matrix @ other.vertices) * [0.2, 0.2, 1.0]
+
+
+@pytest.mark.parametrize("noise", MODELS.values(), ids=MODELS)
+def test_it_is_the_true_error_for_noise_of_any_colour_direction_and_level(noise):
+    part, _ = sheet()
+    flat = part.mesh
+    normals = upwards(flat)
+    once = averaging(flat)
+    tilt = slopes_of(flat, normals, part.judged, noise.direction == ISOTROPIC)
+    draws = np.random.default_rng(5)
+    tilted = mean_tilt(noise)
+    gaps, white_gaps, slope_gaps, errors = [], [], [], []
+    for _ in range(20):
+        added = noise.draw(flat, normals, draws)
+        mesh = flat.moved(flat.vertices + added)
+        left = added + once(mesh)
+        error = np.sum(left**2) / (480 * noise.variance(part.judged))
+        judges = (
+            Stein(Part(mesh, part.judged), noise, normals, PROBES),
+            Stein(Part(mesh, part.judged), NoiseModel(0.1), normals, PROBES),
+        )
+        for judge in judges:
+            judge.add(once, nothing)
+        risk = judges[0].risk()
+        gaps.append(risk.positions.singles()[0] - error)
+        white_gaps.append(judges[1].risk().positions.singles()[0] - error)
+        slope_gaps.append(risk.slopes.singles()[0] - np.sum(tilt(left) ** 2) / tilted)
+        errors.append(error)
+    for gap in (gaps, slope_gaps):
+        assert abs(np.mean(gap)) < 4.0 * np.std(gap) / np.sqrt(len(gap)) + 0.02
+    again = rehearsed(part, flat.vertices, [once], noise, "drawn", nothing)
+    # Noise that is taken for white along the normals is judged wrong.
+    assert abs(np.mean(white_gaps)) > 2.0 * abs(np.mean(gaps)) + 0.02
+    assert again.positions.singles()[0] == pytest.approx(np.mean(errors), rel=0.2)
+
+
+def mean_tilt(noise):
+    part, _ = sheet()
+    normals = upwards(part.mesh)
+    tilt = slopes_of(part.mesh, normals, part.judged, noise.direction == ISOTROPIC)
+    draws = np.random.default_rng(6)
+    return np.mean([np.sum(tilt(noise.draw(part.mesh, normals, draws)) ** 2) for _ in range(40)])
+
+
+def signs(count):
+    draw = np.random.default_rng(0)
+    return draw.choice([-1.0, 1.0], size=(40, count))
+
+
+def test_slopes_of_a_tilted_plane_are_exact():
+    vertices, faces = grid(7, 6)
+    mesh = Mesh(vertices, faces)
+    everywhere = np.ones(len(vertices), dtype=bool)
+    slopes = slopes_of(mesh, upwards(mesh), everywhere)
+    # z = 0.3 x + 0.4 y, over edges along x, y and the diagonal.
+    lifted = (0.3 * vertices[:, 0] + 0.4 * vertices[:, 1])[:, None] * UP
+    edges = vertices[slopes.first] - vertices[slopes.second]
+    lengths = np.linalg.norm(edges, axis=1)
+    assert slopes(lifted) == pytest.approx(edges @ [0.3, 0.4, 0.0] / lengths, abs=1e-14)
+    n_edges = 6 * 6 + 7 * 5 + 6 * 5
+    assert len(lengths) == n_edges
+    # Along the surface nothing tilts, and a shift tilts nothing.
+    assert np.abs(slopes(np.tile([0.2, -0.1, 5.0], (len(vertices), 1)))).max() < 1e-14
+
+
+def test_slopes_are_over_lengths_along_the_surface():
+    vertices, faces = grid(5, 5)
+    bent = vertices.copy()
+    bent[12, 2] = 3.0
+    both = [Mesh(one, faces) for one in (vertices, bent)]
+    everywhere = np.ones(len(vertices), dtype=bool)
+    one, other = (slopes_of(mesh, upwards(mesh), everywhere) for mesh in both)
+    assert other.directions == pytest.approx(one.directions)
+
+
+def test_slivers_do_not_count_for_all():
+    vertices, faces = grid(9, 9)
+    vertices[40] = vertices[41] + [1e-9, 0.0, 0.0]
+    mesh = Mesh(vertices, faces)
+    slopes = slopes_of(mesh, upwards(mesh), np.ones(81, dtype=bool))
+    assert np.abs(slopes.directions).max() < 4.0
+
+
+def test_what_is_not_judged_does_not_count(level):
+    inner = np.zeros(24 * 20, dtype=bool)
+    inner[100:300] = True
+    part, heights = sheet(noise=0.1, judged=inner)
+    once = smoothing(part.mesh)
+
+    def astray(mesh):
+        moves = along(once)(mesh)
+        moves[~inner] += 1e3 * mesh.vertices[~inner]
+        return moves
+
+    fair, odd = (stein(part, 0.1, run) for run in (along(once), astray))
+    assert odd.positions.singles() == pytest.approx(fair.positions.singles(), rel=1e-12)
+    assert odd.slopes.singles() == pytest.approx(fair.slopes.singles(), rel=1e-12)
+    assert odd.drift == pytest.approx(fair.drift)
+    mean = float(np.mean((once @ heights)[inner] ** 2)) / 0.01
+    assert fair.positions.gram[0, 0] == pytest.approx(mean)
+
+    again = [
+        rehearsed(part, part.mesh.vertices, [run], NoiseModel(0.1), "drawn", nothing)
+        for run in (along(once), astray)
+    ]
+    assert again[1].positions.gram == pytest.approx(again[0].positions.gram, rel=1e-12)
+    assert again[1].positions.gain == pytest.approx(again[0].positions.gain, rel=1e-12)
+    assert again[1].slopes.gain == pytest.approx(again[0].slopes.gain, rel=1e-12)
+
+
+@pytest.mark.filterwarnings("error")
+def test_with_nobody_to_judge_nothing_is_gained(level):
+    part, _ = sheet(noise=0.1, judged=np.zeros(24 * 20, dtype=bool))
+    for risk in (
+        stein(part, 0.1, scaled(-1.0)),
+        rehearsed(part, part.mesh.vertices, [scaled(-1.0)], NoiseModel(0.1), "drawn", nothing),
+        rehearsed(
+            part, 2.0 * part.mesh.vertices, [scaled(-1.0)], NoiseModel(0.1), "dealt", nothing
+        ),
+    ):
+        assert risk.positions.gram.tolist() == [[0.0]]
+        assert risk.positions.gain.tolist() == [0.0]
+        assert risk.slopes.gain.tolist() == [0.0]
+        assert risk.drift.tolist() == [0.0]
+
+
+def test_a_rehearsal_measures_what_is_left(level):
+    # The pilot is flat, so what the filter makes of the noise is all that is left of it.
+    flat, _ = sheet()
+    once = smoothing(flat.mesh)
+    seen = []
+
+    def run(mesh):
+        seen.append(mesh.vertices[:, 2].copy())
+        return along(once)(mesh)
+
+    risk = rehearsed(
+        flat, flat.mesh.vertices, [run, scaled(-1.0)], NoiseModel(0.1), "drawn", nothing
+    )
+    heights = seen[0]
+    assert heights.std() == pytest.approx(0.1, rel=0.1)
+    left = np.sum((heights + once @ heights) ** 2) / np.sum(heights**2)
+    assert risk.positions.singles() == pytest.approx([left, 0.0], abs=1e-12)
+    tilt = slopes_of(flat.mesh, upwards(flat.mesh), flat.judged)
+    rest = tilt((heights + once @ heights)[:, None] * UP)
+    whole = tilt(heights[:, None] * UP)
+    assert risk.slopes.singles()[0] == pytest.approx(np.sum(rest**2) / np.sum(whole**2))
+    assert risk.slopes.singles()[1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_impulses_are_rehearsed_as_impulses(level):
+    part, _ = sheet()
+    spiky = part.mesh.vertices.copy()
+    spiky[::48, 2] = 1.0
+    spiked = Part(part.mesh.moved(spiky), part.judged)
+    seen = []
+
+    def run(mesh):
+        seen.append(mesh.vertices[:, 2].copy())
+        return np.zeros_like(mesh.vertices)
+
+    flat = part.mesh.vertices
+    rehearsed(spiked, flat, [run], NoiseModel(0.2), "dealt", nothing)
+    heights = seen[0]
+    assert np.unique(heights.round(12)).size == 2
+    assert (heights > 0.5).sum() == 10
+    assert heights.std() == pytest.approx(0.2)
+    assert (heights[::48] > 0.5).sum() < 10
+
+
+def test_what_the_pilot_took_away_is_put_on_with_the_other_sign():
+    part, heights = sheet(noise=0.1)
+    pilot = part.mesh.vertices.copy()
+    pilot[:, 2] = 0.25 * heights
+    seen = []
+
+    def run(mesh):
+        seen.append(mesh.vertices.copy())
+        return pilot - mesh.vertices
+
+    rehearsal = Rehearsal(part, pilot, [run], NoiseModel(0.1), "mirrored", nothing)
+    assert seen[0] == pytest.approx(2.0 * pilot - part.mesh.vertices, abs=1e-12)
+    assert rehearsal.risk().positions.singles()[0] == pytest.approx(0.0, abs=1e-12)
+    assert rehearsal.level == pytest.approx(0.75 * np.sqrt(np.mean(heights**2)))
+
+
+def test_impulses_where_the_pilot_took_nothing_are_gaussian(level):
+    part, _ = sheet()
+    seen = []
+
+    def run(mesh):
+        seen.append(mesh.vertices[:, 2].std())
+        return np.zeros_like(mesh.vertices)
+
+    rehearsed(part, part.mesh.vertices, [run], NoiseModel(0.2), "dealt", nothing)
+    assert seen[0] == pytest.approx(0.2, rel=0.1)
+
+
+@pytest.mark.parametrize("scale", [2.0**-40, 2.0**60])
+def test_risks_are_free_of_scale(scale):
+    vertices, faces = torus()
+    one = prepared(noisy(vertices, 0, 0.05), faces).mesh
+    other = Mesh(one.vertices * scale, one.faces)
+
+    def run(mesh):
+        return 0.3 * (mesh.vertices[mesh.faces[:, 0]].mean(axis=0) - mesh.vertices)
+
+    for mesh, factor in ((one, 1.0), (other, scale)):
+        part = representative(mesh, 10_000)
+        risk = stein(part, 0.05 * factor, run)
+        again = rehearsed(part, mesh.vertices, [run], NoiseModel(0.05 * factor), "drawn", nothing)
+        found = [*risk.positions.singles(), *risk.slopes.singles(), *risk.drift]
+        found += [*again.positions.singles(), *again.slopes.singles(), *again.drift]
+        if factor == 1.0:
+            expected = found
+    assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_risks_of_some_filters_are_those_among_all(level):
+    part, _ = sheet(noise=0.1)
+    risk = stein(part, 0.1, scaled(-0.2), scaled(-0.9), scaled(-0.5))
+    some = risk.of([2, 0])
+    assert some.positions.singles().tolist() == risk.positions.singles()[[2, 0]].tolist()
+    assert some.slopes.gram[0, 1] == risk.slopes.gram[2, 0]
+    assert some.drift.tolist() == risk.drift[[2, 0]].tolist()
+
+
+def test_every_run_is_told_of(level):
+    part, _ = sheet(noise=0.1)
+    told = []
+    judge = Stein(part, NoiseModel(0.1), part.mesh.vertex_normals("uniform", 1))
+    judge.add(scaled(-0.5), lambda: told.append("stein"))
+    assert told == ["stein"] * 3
+    runs = [scaled(-1.0)] * 2
+    rehearsed(
+        part, part.mesh.vertices, runs, NoiseModel(0.1), "drawn", lambda: told.append("again")
+    )
+    assert told[3:] == ["again"] * 2
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-300])
+def test_without_noise_every_move_is_an_error(noise):
+    part, _ = sheet(noise=0.1)
+    risk = stein(part, noise, scaled(-0.5), lambda mesh: np.zeros_like(mesh.vertices))
+    again = rehearsed(part, part.mesh.vertices, [scaled(-0.5)], NoiseModel(noise), "drawn", nothing)
+    assert risk.positions.singles()[0] > 1e6
+    assert risk.positions.singles()[1] == 1.0
+    assert again.positions.singles()[0] > 1e6
+    for found in (risk, again):
+        assert np.isfinite(found.slopes.gram).all()
+        assert np.isfinite(found.drift).all()
+
+
+def test_places_without_noise_give_a_finite_risk():
+    part, _ = sheet(noise=0.1)
+    quiet = NoiseModel(0.1, shares=np.zeros(len(part.mesh.vertices)))
+    found = rehearsed(part, part.mesh.vertices, [scaled(-0.5)], quiet, "drawn", nothing)
+    runs = [lambda mesh: np.ones_like(mesh.vertices)]
+    moved = rehearsed(part, part.mesh.vertices, runs, quiet, "drawn", nothing)
+    for risk in (found, moved):
+        assert np.isfinite(risk.positions.gram).all() and np.isfinite(risk.slopes.gram).all()
+    assert moved.positions.singles()[0] > 1e6
+
+
+def test_on_a_curved_mesh_it_is_nearly_right():
+    # Normals are those of the noisy mesh here, and the noise is along the true ones.
+    vertices, faces = torus(80, 40)
+    clean = prepared(vertices, faces).mesh
+    sigma = 0.1 * clean.mean_edge_length
+    for factor in (0.3, 0.8):
+
+        def run(mesh, factor=factor):
+            return factor * (ring_means(mesh) - mesh.vertices)
+
+        estimates, errors = [], []
+        for seed in range(8):
+            heights = sigma * np.random.default_rng(seed).standard_normal(len(clean.vertices))
+            noise = heights[:, None] * clean.vertex_normals("uniform", 0)
+            mesh = clean.moved(clean.vertices + noise)
+            part = representative(mesh, 10_000)
+            estimates.append(stein(part, sigma, run).positions.singles()[0])
+            errors.append(float(np.sum((noise + run(mesh)) ** 2) / np.sum(noise**2)))
+        assert np.mean(estimates) == pytest.approx(np.mean(errors), rel=0.15)
+
+
+def ring_means(mesh):
+    start, ring = mesh.links.ring_start, mesh.links.ring
+    sums = np.add.reduceat(mesh.vertices[ring], start[:-1], axis=0)
+    return sums / np.diff(start)[:, None]

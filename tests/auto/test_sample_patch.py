@@ -1,0 +1,184 @@
+"""The part of a mesh that stands for the whole."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli.auto.sample_patch import MARGIN, PATCH, _in_space, representative
+from msal_cli.mesh import Mesh, prepared
+from tests.shapes import fan, noisy, torus
+
+
+@pytest.fixture(scope="module")
+def large():
+    vertices, faces = torus(250, 120)
+    return Mesh(noisy(vertices, 0, 0.01), faces)
+
+
+def confetti(count):
+    """Separate triangles in space, of one size."""
+    draw = np.random.default_rng(0)
+    corners = draw.uniform(0.0, 100.0, (count, 1, 3)) + draw.normal(size=(count, 3, 3))
+    return Mesh(corners.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
+
+
+def places_of(part, mesh):
+    """Which vertices of ``mesh`` the part's are."""
+    number = {tuple(vertex): at for at, vertex in enumerate(mesh.vertices.tolist())}
+    return np.array([number[tuple(vertex)] for vertex in part.mesh.vertices.tolist()])
+
+
+def rings(mesh, inside, count):
+    """Vertices ``inside`` that are more than ``count`` rings from all others."""
+    far = inside.copy()
+    for _ in range(count):
+        start, ring = mesh.links.ring_start, mesh.links.ring
+        far &= np.array(
+            [far[ring[start[i] : start[i + 1]]].all() for i in range(len(mesh.vertices))]
+        )
+    return far
+
+
+def test_a_small_mesh_stands_for_itself():
+    vertices, faces = torus()
+    mesh = Mesh(vertices, faces)
+    part = representative(mesh, 10_000)
+    assert part.mesh is mesh
+    assert part.judged.all()
+    assert representative(mesh, 240).mesh is mesh
+    assert len(representative(mesh, 220).mesh.vertices) < 288
+
+
+def test_patches_of_a_large_mesh(large):
+    part = representative(large, 10_000)
+    # Those at the cut that no whole face has are left out.
+    assert 0.9 * 10_000 < len(part.mesh.vertices) <= 10_000
+    used = np.zeros(len(large.vertices), dtype=bool)
+    at = places_of(part, large)
+    used[at] = True
+    assert (part.judged == rings(large, used, MARGIN)[at]).all()
+    assert 0.6 < part.judged.mean() < 0.95
+    # Faces are those of the mesh, wound as they were, all that lie inside.
+    ours = {tuple(face) for face in at[part.mesh.faces].tolist()}
+    theirs = {tuple(face) for face in large.faces.tolist()}
+    assert ours <= theirs
+    assert len(ours) == len(part.mesh.faces)
+
+
+def test_patches_lie_all_over_the_mesh(large):
+    part = representative(large, 4 * PATCH)
+    x, y, _ = part.mesh.vertices.T
+    quadrants = {(a > 0, b > 0) for a, b in zip(x.tolist(), y.tolist(), strict=True)}
+    assert len(quadrants) == 4
+
+
+def test_it_is_the_same_every_time_and_with_any_number_of_threads(large, monkeypatch):
+    first = representative(large, 10_000)
+    for threads in ("1", "2"):
+        monkeypatch.setenv("MSAL_THREADS", threads)
+        again = representative(Mesh(large.vertices.copy(), large.faces.copy()), 10_000)
+        assert (again.mesh.vertices == first.mesh.vertices).all()
+        assert (again.mesh.faces == first.mesh.faces).all()
+        assert (again.judged == first.judged).all()
+
+
+def test_patches_are_the_same_at_another_scale_and_place(large):
+    first = representative(large, 10_000)
+    other = representative(Mesh(large.vertices * 2.0**30, large.faces), 10_000)
+    assert (other.mesh.vertices == first.mesh.vertices * 2.0**30).all()
+    assert (other.judged == first.judged).all()
+
+
+def test_confetti_has_parts_of_full_size():
+    mesh = confetti(10_000)
+    part = representative(mesh, 10_000)
+    assert 0.99 * 10_000 <= len(part.mesh.vertices) <= 10_000
+    assert len(part.mesh.faces) == len(part.mesh.vertices) // 3
+    assert part.judged.all()
+
+
+def test_small_components_beside_large_ones_are_part_of_it(large):
+    crumbs = confetti(400)
+    mesh = Mesh(
+        np.concatenate([large.vertices, crumbs.vertices]),
+        np.concatenate([large.faces, crumbs.faces + len(large.vertices)]),
+    )
+    part = representative(mesh, 10_000)
+    assert 0.9 * 10_000 < len(part.mesh.vertices) <= 10_000
+    assert part.judged.sum() > 6_000
+
+
+def test_held_vertices_are_neither_judged_nor_held(large):
+    held = np.zeros(len(large.vertices), dtype=bool)
+    held[::3] = True
+    for mesh in (large, Mesh(*torus(40, 30))):
+        some = held[: len(mesh.vertices)]
+        part = representative(mesh.constrained(some, np.ones(len(some))), 10_000)
+        assert part.mesh.held is None
+        assert part.mesh.trust is None
+        assert not (part.judged & some[places_of(part, mesh)]).any()
+        assert part.judged.any()
+
+
+def test_patches_begin_where_somebody_is_judged(large):
+    # All but one end is locked.
+    held = large.vertices[:, 0] < 3.0
+    part = representative(large.constrained(held, None), 10_000)
+    free = int((~held).sum())
+    assert part.judged.sum() > 0.5 * min(free, 10_000)
+    nobody = representative(large.constrained(np.ones_like(held), None), 10_000)
+    assert not nobody.judged.any()
+    assert len(nobody.mesh.faces)
+
+
+def test_vertices_without_faces_are_no_part_of_it(large):
+    stray = np.random.default_rng(0).uniform(-1e6, 1e6, (20_000, 3))
+    mesh = Mesh(np.concatenate([stray, large.vertices]), large.faces + len(stray))
+    part = representative(mesh, 10_000)
+    plain = representative(large, 10_000)
+    assert (part.mesh.vertices == plain.mesh.vertices).all()
+    assert (part.judged == plain.judged).all()
+    few = Mesh(np.concatenate([stray, torus()[0]]), torus()[1] + len(stray))
+    assert len(representative(few, 10_000).mesh.vertices) == 288
+
+
+def test_a_vertex_with_more_neighbours_than_a_patch_has_room_for(monkeypatch):
+    count = 4_000
+    vertices, faces = fan(np.sin(np.arange(count)))
+    # Every other vertex of the rim first: the first ones have no edge between them.
+    old = np.concatenate([[0], 1 + np.arange(0, count, 2), 2 + np.arange(0, count, 2)])
+    new = np.argsort(old)
+    mesh = prepared(vertices[old], new[faces]).mesh
+    plain = representative(mesh, 1_000)
+    assert len(plain.mesh.faces)
+    assert plain.judged.any()
+    # The patch begins with the middle of the fan.
+    monkeypatch.setattr(
+        "msal_cli.auto.sample_patch._in_space",
+        lambda vertices: np.roll(np.arange(len(vertices)), len(vertices) // 2),
+    )
+    part = representative(mesh, 1_000)
+    assert len(part.mesh.faces) > 0
+    assert part.judged.any()
+    assert len(part.mesh.faces) <= 1_000
+
+
+def test_vertices_that_coincide_keep_their_numbers(large):
+    # Taking the middle away can bring vertices together that the file tells apart.
+    vertices = large.vertices.copy()
+    vertices[1] = vertices[0]
+    part = representative(Mesh(vertices, large.faces), 20_000)
+    assert len(part.judged) == len(part.mesh.vertices)
+
+
+def test_the_order_in_space_halves_the_box_again_and_again():
+    steps = np.arange(4.0)
+    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    draw = np.random.default_rng(0).permutation(len(grid))
+    order = grid[draw][_in_space(grid[draw])].astype(int)
+    # z decides between halves first, then y, then x; then the same within a half's halves.
+    octants = [tuple(one) for one in order[::8] // 2]
+    assert octants == [(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
+    for first in range(0, len(order), 8):
+        assert [tuple(one) for one in order[first : first + 8] % 2] == octants

@@ -1,0 +1,438 @@
+"""The choice for whole meshes: what it promises, and that it pays."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msal_cli import auto as selection
+from msal_cli import codecs as files
+from msal_cli import methods
+from msal_cli.analysis import added_noise as noise
+from msal_cli.analysis.noise_estimate import estimated
+from msal_cli.analysis.surface import normal_statistics
+from msal_cli.auto import NONE, Wishes, search
+from msal_cli.auto.candidates import CANDIDATES
+from msal_cli.auto.search import RUN, START
+from msal_cli.kernels import concurrent as at_once
+from msal_cli.kernels import parallel
+from msal_cli.mesh import Mesh, prepared
+from msal_cli.methods.blend import read
+from tests.shapes import grid, noisy, torus
+
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
+
+
+def scan(around=40, across=20, level=0.05, seed=0):
+    vertices, faces = torus(around, across)
+    return prepared(noisy(vertices, seed, level), faces).mesh
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return scan()
+
+
+@pytest.fixture(scope="module")
+def spiky():
+    """A scan with noise at one vertex in ten, and none at the others."""
+    true = prepared(*torus(40, 20)).mesh
+    return true.moved(noise.noisy(true, "impulsive", 0.5, 3, fraction=0.1))
+
+
+@pytest.fixture(scope="module")
+def large():
+    return scan(250, 120, 0.01)
+
+
+def chosen(mesh, **wishes):
+    return selection.chosen(mesh, Wishes(**wishes))
+
+
+def told(choice):
+    """All of a choice that can be compared."""
+    return (choice.method, choice.parameters, choice.reason, choice.risk, choice.runners_up)
+
+
+def denoised(mesh, **wishes):
+    """The mesh as its choice makes it."""
+    return made_by(chosen(mesh, **wishes), mesh)
+
+
+def made_by(choice, mesh):
+    if choice.method == NONE:
+        return mesh
+    return mesh.moved(methods.find(choice.method).denoised(mesh, choice.parameters).vertices)
+
+
+def moved_edges(before, after):
+    """Mean displacement in mean edge lengths."""
+    lengths = np.linalg.norm(after.vertices - before.vertices, axis=1)
+    return float(lengths.mean()) / before.mean_edge_length
+
+
+def angle(true, other):
+    return normal_statistics(true, other).mean_angular_error_deg
+
+
+def members_of(choice):
+    """The candidates that a choice is made of, and their weights."""
+    if choice.method == NONE:
+        return []
+    if choice.method != "blend":
+        parts = [(1.0, methods.find(choice.method), choice.parameters)]
+    else:
+        parts = [
+            (member.weights[0], member.method, member.parameters)
+            for member in read(choice.parameters["members"])
+        ]
+    return [
+        (weight, one)
+        for weight, method, values in parts
+        for one in CANDIDATES
+        if one.method == method.name
+        and method.settled(one.settings(values.get("noise", 0.0))) == values
+    ]
+
+
+# What it depends on
+
+
+def test_it_is_the_same_with_any_number_of_threads(mesh, monkeypatch):
+    # Small meshes are not shared between threads, unless they are made to be.
+    monkeypatch.setattr(parallel, "SMALLEST_RANGE", 100)
+    monkeypatch.setattr(at_once, "SMALLEST", 100)
+    made = []
+    for threads in ("1", "2"):
+        monkeypatch.setenv("MSAL_THREADS", threads)
+        again = Mesh(mesh.vertices.copy(), mesh.faces.copy())
+        # Room for a dozen candidates: threads take longer to start than such a mesh takes.
+        made.append(told(chosen(again, budget=1.01)))
+    assert made[0] == made[1]
+
+
+def test_it_is_the_same_whatever_was_chosen_before(mesh):
+    other = scan(30, 24, 0.08, seed=3)
+    first = told(chosen(mesh, budget=1.1))
+    chosen(other, budget=1.1)
+    assert told(chosen(mesh, budget=1.1)) == first
+
+
+def test_it_is_free_of_scale_and_place():
+    vertices, faces = torus(40, 20)
+    # Digits to spare, so that moving loses none.
+    vertices = np.round(noisy(vertices, 0, 0.05) * 2.0**20) / 2.0**20
+    here = told(chosen(prepared(vertices, faces).mesh))
+    for place, scale in (([512.0, -1024.0, 4096.0], 1.0), ([0.0] * 3, 25.4)):
+        other = chosen(prepared((vertices + place) * scale, faces).mesh)
+        assert (other.method, other.parameters, other.reason) == here[:3]
+        assert other.risk == pytest.approx(here[3], rel=1e-6)
+
+
+def test_it_is_free_of_the_axes():
+    # Not of mirrors: winding and probes are those of the numbers.
+    vertices, faces = torus(40, 20)
+    mesh = prepared(noisy(vertices, 0, 0.05), faces).mesh
+    turned = prepared(mesh.vertices[:, [1, 2, 0]], faces).mesh
+    one, other = chosen(mesh), chosen(turned)
+    assert one.reason == other.reason
+    assert one.risk == pytest.approx(other.risk, rel=1e-6)
+
+
+def test_noise_at_few_vertices_is_called_impulsive(mesh, spiky):
+    assert chosen(spiky, budget=1.0).reason.startswith("impulsive noise 0.")
+    assert chosen(mesh, budget=1.0).reason.startswith("noise 0.")
+
+
+# Wishes
+
+
+def test_more_strength_moves_more(mesh):
+    moved = [moved_edges(mesh, denoised(mesh, strength=x)) for x in (-2.0, 0.0, 2.0)]
+    assert moved == sorted(moved)
+    assert moved[0] < moved[-1]
+
+
+def test_keeping_texture_moves_less_and_keeping_shape_more():
+    # Bumps of two edges' length on a torus, and noise beneath them.
+    vertices, faces = torus(60, 30)
+    bumps = 0.02 * np.sin(9.0 * vertices[:, 0]) * np.sin(9.0 * vertices[:, 1])
+    vertices[:, 2] += bumps
+    mesh = prepared(noisy(vertices, 0, 0.04), faces).mesh
+    texture, plain, shape = (
+        moved_edges(mesh, denoised(mesh, **wish))
+        for wish in ({"keep": "texture"}, {}, {"keep": "shape"})
+    )
+    assert texture < plain < shape
+
+
+def test_what_is_preferred_comes_out_better():
+    true = prepared(*torus(60, 48)).mesh
+    scan = true.moved(noise.noisy(true, "gaussian-normal", 0.4, 1))
+    errors = {}
+    for prefer in ("positions", "normals", "volume"):
+        made = denoised(scan, prefer=prefer)
+        errors[prefer] = (
+            moved_edges(true, made),
+            angle(true, made),
+            abs(volume(made) / volume(scan) - 1.0),
+        )
+    # Within what an estimate may err.
+    assert errors["positions"][0] <= 1.02 * errors["normals"][0]
+    assert errors["normals"][1] <= 1.02 * errors["positions"][1]
+    assert errors["volume"][2] < 0.5 * errors["normals"][2]
+
+
+def volume(mesh):
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
+
+
+@pytest.mark.parametrize("budget", [1.0, 1.2, 2.0])
+def test_the_choice_keeps_within_the_budget(large, budget):
+    choice = chosen(large, budget=budget)
+    n = len(large.vertices)
+    assert choice.method != NONE
+    cost = sum(candidate.cost for _, candidate in members_of(choice)) * n
+    assert cost <= (budget - 1.0) * ((RUN + 1.0) * n + START) + n
+    if budget == 1.0:
+        assert choice.tried == 1
+        assert cost <= n
+        # What was chosen is not among the next best.
+        assert choice.runners_up == ()
+
+
+def test_weights_are_whole_hundredths_of_methods_that_were_tried(mesh):
+    choice = chosen(mesh)
+    members = members_of(choice)
+    assert len(members) == choice.parameters["members"].count("*") > 1
+    assert sum(weight for weight, _ in members) <= 1.0 + 1e-9
+    assert all(round(weight, 2) == weight > 0.0 for weight, _ in members)
+
+
+# Vertices that are held or trusted
+
+
+def test_with_trust_the_method_has_a_data_term(mesh):
+    trust = np.linspace(0.0, 1.0, len(mesh.vertices))
+    for wish in ({}, {"budget": 1.0}, {"strength": 2.0}):
+        choice = chosen(mesh.constrained(None, trust), **wish)
+        assert methods.find(choice.method).has_data_term(choice.parameters)
+
+
+@pytest.mark.filterwarnings("error")
+def test_where_all_vertices_are_held_nothing_is_done(mesh, spiky):
+    for one in (mesh, spiky):
+        held = np.ones(len(one.vertices), dtype=bool)
+        choice = chosen(one.constrained(held, None))
+        assert choice.method == NONE
+        assert np.isfinite(choice.risk)
+
+
+def test_held_vertices_stay_and_are_not_learned_from(mesh):
+    held = mesh.vertices[:, 0] < 0.0
+    wild = mesh.vertices.copy()
+    wild[held] += np.random.default_rng(0).normal(0.0, 0.001, (int(held.sum()), 3))
+    constrained = mesh.moved(wild).constrained(held, None)
+    choice = chosen(constrained)
+    made = made_by(choice, constrained)
+    assert (made.vertices[held] == constrained.vertices[held]).all()
+    assert (made.vertices[~held] != constrained.vertices[~held]).any()
+
+
+# Odd meshes
+
+
+def odd_meshes():
+    draw = np.random.default_rng(0)
+    vertices, faces = torus(40, 20)
+    rough = noisy(vertices, 0, 0.05)
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    line = np.column_stack([draw.random(50), np.zeros(50), np.zeros(50)])
+    yield "tetrahedron", noisy(corners, 0, 0.3), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    yield "triangle", np.eye(3), [[0, 1, 2]]
+    yield "two triangles", noisy(corners, 1, 0.5), [[0, 1, 2], [2, 1, 3]]
+    yield "ten vertices", draw.normal(size=(10, 3)), draw.integers(0, 10, (16, 3))
+    yield "no area", line, draw.integers(0, 50, (90, 3))
+    part = np.concatenate([faces, 800 + draw.integers(0, 50, (900, 3))])
+    yield "half of it without area", np.concatenate([rough, line]), part
+    crowded = np.column_stack([faces[:80, 0], faces[:80, 1], np.roll(faces[:80, 2], 5)])
+    yield "non-manifold", rough, np.concatenate([faces, crowded])
+    for factor in (10.0, 1e6):
+        spiked = rough.copy()
+        spiked[::97] *= factor
+        yield f"spikes of {factor:g}", spiked, faces
+    flat, sheet = grid(30, 30)
+    flat[draw.random(900) < 0.02, 2] = 2.0
+    yield "spikes on a plane", flat, sheet
+    apart = draw.normal(size=(300, 1, 3)) * 50.0 + draw.normal(size=(300, 3, 3))
+    yield "confetti", apart.reshape(-1, 3), np.arange(900).reshape(-1, 3)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("vertices", "faces"),
+    [pytest.param(vertices, faces, id=name) for name, vertices, faces in odd_meshes()],
+)
+def test_odd_meshes_are_chosen_for(vertices, faces):
+    mesh = prepared(np.asarray(vertices, dtype=float), np.array(faces, dtype=np.int32)).mesh
+    choice = chosen(mesh)
+    assert np.isfinite(made_by(choice, mesh).vertices).all()
+    assert choice.risk is None or np.isfinite(choice.risk)
+    assert all(np.isfinite(risk) for _, risk in choice.runners_up)
+    assert len(choice.runners_up) <= 3
+
+
+def test_clean_meshes_stay_as_they_are():
+    for shape in (torus(60, 30), grid(20, 20)):
+        choice = chosen(prepared(*shape).mesh)
+        assert choice.method == NONE
+        assert choice.parameters == {}
+        assert choice.reason.endswith("left as it is")
+
+
+# Wishes where no filter seems to be worth its harm
+
+
+@pytest.mark.parametrize(
+    ("wishes", "level"),
+    [
+        ({"strength": 2.0, "keep": "shape"}, 0.05 * 1.2**2 * 1.25),
+        ({"strength": 1.0}, 0.05 * 1.2),
+        ({"keep": "shape"}, 0.05 * 1.25),
+    ],
+)
+def test_a_wish_for_smoothing_is_done_on_a_clean_mesh_too(wishes, level):
+    mesh = prepared(*torus(60, 30)).mesh
+    choice = chosen(mesh, **wishes)
+    assert (choice.method, choice.parameters["schedule"]) == ("al", "wiener")
+    assert choice.parameters["noise"] == pytest.approx(level, abs=1e-4)
+    assert "clean; smoothed as if it had 0.0" in choice.reason
+    assert 0.0 < moved_edges(mesh, made_by(choice, mesh)) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("wishes", "end"),
+    [
+        ({"prefer": "normals"}, "left as it is; --strength 1 smooths it all the same"),
+        ({"keep": "edges"}, "left as it is; --strength 1 smooths it all the same"),
+        ({"budget": 20.0}, "left as it is; --strength 1 smooths it all the same"),
+        ({"keep": "texture"}, "clean; left as it is"),
+        ({"strength": -1.0}, "clean; left as it is"),
+    ],
+)
+def test_a_wish_that_does_not_mean_smoothing_gets_a_reason(wishes, end):
+    choice = chosen(prepared(*torus(60, 30)).mesh, **wishes)
+    assert choice.method == NONE
+    assert choice.reason.endswith(end)
+
+
+def test_what_may_be_noise_is_filtered_for_any_wish_but_to_keep_it(monkeypatch):
+    mesh = scan(level=0.005)
+    doubtful = dataclasses.replace(
+        estimated(mesh), mean_edges=0.014, low=0.0, high=0.03, is_negligible=True
+    )
+    monkeypatch.setattr(search, "estimated", lambda mesh: doubtful)
+    choice = chosen(mesh, prefer="positions")
+    assert (choice.method, choice.parameters["noise"]) == ("al", 0.03)
+    assert chosen(mesh).method == NONE
+
+
+def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):
+    monkeypatch.setattr(
+        search, "best_weights", lambda risks, *others: np.zeros(len(risks[0].drift))
+    )
+    left = chosen(mesh, budget=1.05)
+    assert left.method == NONE and "add more error" in left.reason
+    choice = chosen(mesh, budget=1.05, strength=1.0)
+    assert choice.method == "al" and choice.tried == left.tried
+    assert choice.parameters["noise"] > 1.15 * estimated(mesh).mean_edges
+
+
+# On the way
+
+
+def test_progress_goes_up_and_ends_at_the_total(mesh, spiky):
+    for one, wishes in (
+        (mesh, Wishes()),
+        (mesh, Wishes(budget=1.0)),
+        (spiky, Wishes()),
+        (spiky, Wishes(budget=1.0)),
+    ):
+        steps = []
+        selection.chosen(one, wishes, lambda *step, steps=steps: steps.append(step))
+        (total,) = {total for _, total in steps}
+        done = [one for one, _ in steps]
+        assert done == sorted(done)
+        assert done[-1] == total
+        assert done.count(total) == 1
+    steps = []
+    selection.chosen(prepared(*grid()).mesh, Wishes(), lambda *step: steps.append(step))
+    assert steps == [(1, 1)]
+
+
+def test_an_interruption_passes_through(mesh):
+    def stop(done, total):
+        if done == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        selection.chosen(mesh, Wishes(), stop)
+
+
+# It pays
+
+
+def sample(name):
+    data, _ = files.expanded((SAMPLES / name).read_bytes(), name)
+    mesh_file = files.open_mesh(data, name)
+    return prepared(mesh_file.vertices, mesh_file.faces).mesh
+
+
+def root_mean_square_edges(true, noisy_mesh, made):
+    squares = ((made.vertices - true.vertices) ** 2).sum(axis=1)
+    return float(np.sqrt(squares.mean())) / noisy_mesh.mean_edge_length
+
+
+@pytest.mark.parametrize(
+    ("name", "level"),
+    [
+        ("bear_clean.obj", 0.2),
+        pytest.param("vase_clean.obj", 0.1, marks=pytest.mark.slow),
+        pytest.param("toadstool_clean.ply", 0.3, marks=pytest.mark.slow),
+    ],
+)
+def test_it_is_better_than_the_default_and_than_the_scan(name, level):
+    true = sample(name)
+    rough = true.moved(noise.noisy(true, "gaussian-normal", level, 7))
+    default = methods.find("msal")
+    plain = rough.moved(default.denoised(rough, default.settled({})).vertices)
+    choice = chosen(rough)
+    made = made_by(choice, rough)
+    assert angle(true, made) < 0.9 * min(angle(true, plain), angle(true, rough))
+    assert moved_edges(true, made) < 0.9 * min(moved_edges(true, plain), moved_edges(true, rough))
+    # And it knows how near it came.
+    assert choice.risk == pytest.approx(root_mean_square_edges(true, rough, made), rel=0.25)
+
+
+@pytest.mark.parametrize("name", ["bear_clean.obj", "bracket_clean.ply", "knot_clean.stl"])
+def test_clean_samples_hardly_move(name):
+    true = sample(name)
+    assert moved_edges(true, denoised(true)) < 0.015
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("level", [0.05, 0.1, 0.3, 0.5])
+@pytest.mark.parametrize("path", sorted(SAMPLES.glob("*_clean.*")), ids=lambda path: path.name)
+def test_every_sample_comes_nearer_to_the_truth(path, level):
+    true = sample(path.name)
+    rough = true.moved(noise.noisy(true, "gaussian-normal", level, 5))
+    choice = chosen(rough)
+    made = made_by(choice, rough)
+    assert angle(true, made) < angle(true, rough)
+    # Where texture is as strong as the noise little can be won.
+    assert moved_edges(true, made) < 1.05 * moved_edges(true, rough)
+    assert choice.risk == pytest.approx(root_mean_square_edges(true, rough, made), rel=0.5)

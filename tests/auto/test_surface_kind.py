@@ -1,0 +1,89 @@
+"""What kind of surface a mesh is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli.auto.surface_kind import MACHINED, ORGANIC, TEXTURED, is_seen_from_one_side, kind_of
+from msal_cli.mesh import Mesh, prepared
+from tests.shapes import ball, cube, grid, torus
+
+
+def box(steps=8, height=1.0):
+    """A closed box with ``steps`` squares along every edge."""
+    flat, faces = grid(steps + 1, steps + 1)
+    flat = flat / steps - 0.5
+    flat[:, 2] = 0.5
+    sides = []
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            side = np.roll(flat, axis, axis=1)
+            sides.append(side if sign > 0 else -side)
+    numbers = [faces + at * len(flat) for at in range(6)]
+    vertices = np.concatenate(sides).round(12)
+    vertices[:, 2] *= height
+    return prepared(vertices, np.concatenate(numbers)).mesh
+
+
+def prism(sides=6, rows=12):
+    """An open six-sided prism with many rows."""
+    angle = 2 * np.pi * np.arange(sides * 8) / (sides * 8)
+    corner = np.pi / sides
+    radius = np.cos(corner) / np.cos(angle % (2 * corner) - corner)
+    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    count = len(ring)
+    vertices = np.concatenate(
+        [np.column_stack([ring, np.full(count, 0.2 * row)]) for row in range(rows)]
+    )
+    k = np.arange(count)
+    faces = []
+    for row in range(rows - 1):
+        a, b = row * count + k, row * count + (k + 1) % count
+        faces += [np.column_stack([a, b, b + count]), np.column_stack([a, b + count, a + count])]
+    return Mesh(vertices, np.concatenate(faces).astype(np.int32))
+
+
+def bumpy(height):
+    """A sphere with waves as fine as its mesh."""
+    vertices, faces = ball(96, 48)
+    waves = np.sin(25.0 * vertices[:, :1]) * np.sin(25.0 * vertices[:, 1:2])
+    return Mesh(vertices * (1.0 + height * waves), faces)
+
+
+@pytest.mark.parametrize(
+    "mesh", [box(), box(16, 0.2), prism(), prism(4)], ids=["cube", "slab", "hexagon", "square"]
+)
+def test_flat_parts_between_sharp_edges_are_machined(mesh):
+    assert kind_of(mesh) == MACHINED
+
+
+@pytest.mark.parametrize("shape", [ball(96, 48), torus(96, 48), grid()])
+def test_smooth_ones_are_organic(shape):
+    assert kind_of(Mesh(*shape)) == ORGANIC
+
+
+def test_a_scan_from_one_side_is_open_and_faces_one_way():
+    assert is_seen_from_one_side(Mesh(*grid()))
+    assert not is_seen_from_one_side(Mesh(*ball(96, 48)))
+    assert not is_seen_from_one_side(prism())
+
+
+def test_bumps_are_texture():
+    assert kind_of(bumpy(0.02)) == TEXTURED
+    assert kind_of(bumpy(0.0005)) == ORGANIC
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e9])
+def test_it_is_free_of_scale(scale):
+    for mesh in (box(), bumpy(0.02), Mesh(*ball())):
+        assert kind_of(mesh.moved(mesh.vertices * scale)) == kind_of(mesh)
+
+
+def test_few_or_no_edges_between_faces():
+    one = Mesh(np.eye(3), np.array([[0, 1, 2]], dtype=np.int32))
+    assert kind_of(one) == ORGANIC
+    flat = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]]), one.faces)
+    assert kind_of(flat) == ORGANIC
+    # Every edge of a coarse cube is an edge: nothing smooth lies between.
+    assert kind_of(Mesh(*cube())) == TEXTURED

@@ -1,0 +1,43 @@
+"""What every codec that patches promises, checked on a file: for the tests of such codecs."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from msal_cli.codecs import open_mesh
+from tests.shapes import noisy
+
+NUMBER = re.compile(rb"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?(?![\w.])")
+
+
+def read(data: bytes, name: str):
+    return open_mesh(data, name)
+
+
+def patched(data: bytes, name: str, moved=None):
+    """The file read, its new positions (all but the last moved), and the bytes with them."""
+    file = open_mesh(data, name)
+    assert file.replaced(file.vertices.copy()) is data
+    if moved is None:
+        moved = noisy(file.vertices, 3)
+        moved[-1] = file.vertices[-1]
+    output = bytes(file.replaced(moved))
+    file.check(output, moved)
+    again = open_mesh(output, name)
+    assert np.abs(again.vertices - moved).max() <= 2e-7 * np.abs(moved).max()
+    assert np.array_equal(again.vertices[-1], file.vertices[-1])
+    assert np.array_equal(again.faces, file.faces)
+    return file, moved, output
+
+
+def texts_between_numbers(data: bytes) -> list[bytes]:
+    """A text without its numbers: blanks, comments, words."""
+    return NUMBER.split(data)
+
+
+def changed_lines(before: bytes, after: bytes) -> list[int]:
+    """Numbers of the lines that differ; there are as many lines."""
+    pairs = list(zip(before.splitlines(), after.splitlines(), strict=True))
+    return [k for k, (a, b) in enumerate(pairs) if a != b]

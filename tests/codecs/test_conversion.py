@@ -1,0 +1,340 @@
+"""Conversion between formats: what goes across and what is named as lost."""
+
+from __future__ import annotations
+
+import io
+
+import meshio
+import numpy as np
+import pytest
+import trimesh
+
+from msal_cli.codecs import converted, encode_mesh, open_mesh, readable_suffixes, writable_formats
+from msal_cli.errors import UnsupportedError
+from tests.codecs import plain_stl
+from tests.shapes import cube, noisy, torus
+
+QUADS = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+
+
+def obj(vertices, polygons, extra: str = "", colours=None) -> bytes:
+    lines = []
+    for k, row in enumerate(vertices):
+        more = "" if colours is None else " " + " ".join(f"{c / 255:.6f}" for c in colours[k])
+        lines.append("v " + " ".join(map(repr, map(float, row))) + more)
+    lines.append(extra)
+    lines += ["f " + " ".join(str(i + 1) for i in row) for row in polygons]
+    return "\n".join(lines).encode() + b"\n"
+
+
+def reopened(data, to):
+    return open_mesh(bytes(data), f"output.{to}")
+
+
+def corners(file) -> np.ndarray:
+    return file.vertices[file.faces.reshape(-1)]
+
+
+@pytest.mark.parametrize("to", writable_formats())
+def test_every_target_holds_the_same_triangles(to):
+    vertices, faces = torus(12, 8)
+    source = open_mesh(obj(vertices, faces), "a.obj")
+    moved = noisy(vertices)
+    data, losses = converted(source, moved, to)
+    again = reopened(data, to)
+    tolerance = 1e-6 if to in ("stl", "glb", "gltf") else 1e-11
+    assert np.allclose(corners(again), moved[faces.reshape(-1)], rtol=0, atol=tolerance)
+    assert len(again.vertices) == len(vertices)
+    assert again.merged_vertices == (3 * len(faces) - len(vertices) if to == "stl" else 0)
+    assert losses == (("vertex identity (STL stores corners)",) if to == "stl" else ())
+
+
+@pytest.mark.parametrize("to", writable_formats())
+def test_the_same_bytes_on_every_run(to):
+    source = open_mesh(obj(*cube()), "a.obj")
+    assert bytes(converted(source, source.vertices, to)[0]) == bytes(
+        converted(source, source.vertices, to)[0]
+    )
+
+
+def test_readers_of_other_people(tmp_path):
+    vertices, faces = torus(12, 8)
+    source = open_mesh(obj(vertices, faces), "a.obj")
+    for to in ("ply", "stl", "off", "obj", "glb"):
+        data = bytes(converted(source, vertices, to)[0])
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=to, process=False)
+        (mesh,) = scene.geometry.values()
+        assert np.allclose(mesh.triangles.reshape(-1, 3), vertices[faces.reshape(-1)], atol=1e-6)
+    for to in ("ply", "off", "vtk", "vtu"):
+        path = tmp_path / f"a.{to}"
+        path.write_bytes(converted(source, vertices, to)[0])
+        mesh = meshio.read(path)
+        assert np.allclose(mesh.points, vertices, atol=1e-12)
+        assert np.array_equal(mesh.cells[0].data, faces)
+
+
+@pytest.mark.parametrize(("to", "encoding"), [("ply", "same"), ("ply", "ascii"), ("obj", "same")])
+def test_polygons_stay_where_the_target_has_them(to, encoding):
+    vertices, _ = cube()
+    mixed = [*QUADS[:3], QUADS[3][:3], (QUADS[3][0], *QUADS[3][2:]), *QUADS[4:]]
+    for polygons in (QUADS, mixed, [tuple(range(8))]):
+        source = open_mesh(obj(vertices, polygons), "a.obj")
+        data, losses = converted(source, vertices, to, encoding)
+        assert losses == ()
+        again = reopened(data, to)
+        assert [tuple(row) for row in again.polygons()] == polygons
+        assert np.array_equal(again.faces, source.faces)
+        assert np.array_equal(again.vertices, vertices)
+
+
+def test_polygons_with_more_corners_than_a_byte_counts():
+    angle = np.linspace(0, 2 * np.pi, 300, endpoint=False)
+    vertices = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    source = open_mesh(obj(vertices, [tuple(range(300)), (0, 1, 2)]), "a.obj")
+    again = reopened(converted(source, vertices, "ply")[0], "ply")
+    assert [len(row) for row in again.polygons()] == [300, 3]
+
+
+@pytest.mark.parametrize("to", ["stl", "off", "glb", "vtk", "msh"])
+def test_polygons_that_are_triangulated_are_named(to):
+    source = open_mesh(obj(cube()[0], QUADS), "a.obj")
+    data, losses = converted(source, source.vertices, to)
+    assert "polygons (triangulated)" in losses
+    again = reopened(data, to)
+    assert np.allclose(corners(again), corners(source))
+
+
+def test_soup_becomes_an_indexed_mesh():
+    vertices, faces = cube()
+    data = plain_stl.binary(vertices[faces].reshape(-1, 9), header=b"part 7")
+    source = open_mesh(data, "a.stl")
+    moved = source.vertices * 1.5 - 0.25
+    for to in ("ply", "obj", "off", "glb", "vtk"):
+        output, losses = converted(source, moved, to)
+        again = reopened(output, to)
+        assert len(again.vertices) == 8
+        assert np.array_equal(corners(again), moved[source.faces].reshape(-1, 3))
+        assert losses == ("header text",)
+
+
+COLOURS = np.arange(24).reshape(8, 3) * 10
+
+
+def ply(properties: str, rows: list[str], faces) -> bytes:
+    head = f"ply\nformat ascii 1.0\ncomment made\nelement vertex {len(rows)}\n{properties}"
+    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    body = "\n".join([*rows, *("3 " + " ".join(map(str, row)) for row in faces)])
+    return (head + body + "\n").encode()
+
+
+XYZ = "property float x\nproperty float y\nproperty float z\n"
+RGB = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+
+
+def coloured(alpha: bool = False) -> bytes:
+    vertices, faces = cube()
+    rows = [
+        " ".join(map(str, (*v, *c, *((k,) if alpha else ()))))
+        for k, (v, c) in enumerate(zip(vertices, COLOURS, strict=True))
+    ]
+    more = "property uchar alpha\n" if alpha else ""
+    return ply(XYZ + RGB + more, rows, faces)
+
+
+def test_vertex_colours_go_across_and_back():
+    source = open_mesh(coloured(), "a.ply")
+    to_obj, losses = converted(source, source.vertices, "obj")
+    assert losses == ()
+    middle = reopened(to_obj, "obj")
+    assert "vertex colours" in middle.properties
+    back, losses = converted(middle, middle.vertices, "ply")
+    assert losses == ()
+    mesh = trimesh.load_mesh(io.BytesIO(bytes(back)), file_type="ply", process=False)
+    assert np.array_equal(mesh.visual.vertex_colors[:, :3], COLOURS)
+    glb, losses = converted(source, source.vertices, "glb")
+    assert losses == ()
+    (part,) = trimesh.load_scene(io.BytesIO(glb), file_type="glb").geometry.values()
+    assert np.array_equal(np.unique(part.visual.vertex_colors[:, :3], axis=0), COLOURS)
+
+
+def test_colours_as_numbers_up_to_one():
+    vertices, faces = cube()
+    rows = [" ".join(map(str, (*v, *(c / 255)))) for v, c in zip(vertices, COLOURS, strict=True)]
+    source = open_mesh(ply(XYZ + RGB.replace("uchar", "float"), rows, faces), "a.ply")
+    again = reopened(converted(source, source.vertices, "obj")[0], "obj")
+    data = converted(again, again.vertices, "ply")[0]
+    mesh = trimesh.load_mesh(io.BytesIO(bytes(data)), file_type="ply", process=False)
+    assert np.array_equal(mesh.visual.vertex_colors[:, :3], COLOURS)
+
+
+def test_alpha_is_kept_in_glb():
+    source = open_mesh(coloured(alpha=True), "a.ply")
+    data, losses = converted(source, source.vertices, "glb")
+    assert losses == ()
+    assert "vertex.COLOR_0" in reopened(data, "glb").properties
+
+
+@pytest.mark.parametrize("to", ["stl", "off", "vtk"])
+def test_colours_that_are_lost_are_named(to):
+    _, losses = converted(open_mesh(coloured(), "a.ply"), cube()[0], to)
+    assert {"vertex.red uchar", "vertex.green uchar", "vertex.blue uchar"} <= set(losses)
+
+
+def test_vertex_normals_go_across():
+    vertices, faces = torus(12, 8)
+    text = obj(vertices, [], "\n".join(["vn 0 0 1"] * 96))
+    text += "".join(
+        "f " + " ".join(f"{i + 1}//{i + 1}" for i in row) + "\n" for row in faces
+    ).encode()
+    source = open_mesh(text, "a.obj")
+    data, losses = converted(source, vertices, "ply")
+    assert losses == ()
+    head = bytes(data)[:400]
+    assert b"property float nx" in head
+    mesh = trimesh.load_mesh(io.BytesIO(bytes(data)), file_type="ply", process=False)
+    ring = vertices * [1, 1, 0]
+    outward = vertices - 3 * ring / np.linalg.norm(ring, axis=1, keepdims=True)
+    assert (np.einsum("ij,ij->i", mesh.vertex_normals, outward) > 0.95).all()
+    middle = reopened(data, "ply")
+    back, losses = converted(middle, middle.vertices, "obj")
+    assert losses == ()
+    assert b"vn " in bytes(back)
+    assert b"f 1//1 " in bytes(back)
+    assert np.array_equal(reopened(back, "obj").faces, faces)
+    assert converted(middle, middle.vertices, "stl")[1] == (
+        "vertex identity (STL stores corners)",
+        *(converted(middle, middle.vertices, "stl")[1][1:]),
+    )
+    assert "vertex.nx float" in converted(middle, middle.vertices, "vtk")[1]
+
+
+def test_everything_else_is_named():
+    text = obj(*cube(), "mtllib a.mtl\nvt 0 0\nusemtl skin\ng part\ns 1")
+    text = text.replace(b"f 1 3 4", b"f 1/1 3/1 4/1")
+    source = open_mesh(text, "a.obj")
+    _, losses = converted(source, source.vertices, "ply")
+    assert set(losses) == set(source.properties)
+    assert {"texture coordinates", "materials", "groups"} <= set(losses)
+
+
+def test_unused_vertices_are_lost_in_stl():
+    vertices, faces = cube()
+    source = open_mesh(obj(np.concatenate([vertices, vertices + 5]), faces), "a.obj")
+    assert "8 vertices that no face uses" in converted(source, source.vertices, "stl")[1]
+    assert converted(source, source.vertices, "ply")[1] == ()
+    assert len(reopened(converted(source, source.vertices, "ply")[0], "ply").vertices) == 16
+
+
+def test_number_types_follow_the_source():
+    vertices, faces = cube()
+    text = open_mesh(obj(vertices, faces), "a.obj")
+    single = open_mesh(plain_stl.binary(vertices[faces].reshape(-1, 9)), "a.stl")
+    assert reopened(converted(text, vertices, "ply")[0], "ply").precision == "float64"
+    assert reopened(converted(single, single.vertices, "ply")[0], "ply").precision == "float32"
+    chosen = converted(text, vertices, "ply", precision="float32")[0]
+    assert reopened(chosen, "ply").precision == "float32"
+    chosen = converted(single, single.vertices, "ply", precision="float64")[0]
+    assert reopened(chosen, "ply").precision == "float64"
+    file = open_mesh(chosen, "a.ply")
+    assert b" 0.33333334 " in bytes(converted(file, file.vertices / 3, "obj", "same", "float32")[0])
+    assert b" 0.3333333333333333 " in bytes(converted(file, file.vertices / 3, "obj")[0])
+
+
+def test_digits_that_float32_ruins_are_named():
+    vertices, faces = cube()
+    far = open_mesh(obj(vertices + [4_650_000.123, 0, 0], faces), "a.obj")
+    (_, lost) = converted(far, far.vertices, "stl")[1]
+    assert "0.5 units" in lost
+    near = open_mesh(obj(vertices, faces), "a.obj")
+    assert len(converted(near, near.vertices, "stl")[1]) == 1
+    assert converted(far, far.vertices, "stl", "ascii")[1] == converted(near, vertices, "stl")[1]
+
+
+@pytest.mark.parametrize(
+    ("to", "encoding", "precision"),
+    [
+        ("obj", "binary", "same"),
+        ("off", "binary", "same"),
+        ("glb", "ascii", "same"),
+        ("glb", "same", "float64"),
+        ("stl", "binary", "float64"),
+        ("mesh", "binary", "same"),
+        ("meshb", "ascii", "same"),
+        ("fbx", "same", "same"),
+        ("", "same", "same"),
+    ],
+)
+def test_what_no_format_has_is_refused(to, encoding, precision):
+    source = open_mesh(obj(*cube()), "a.ply", "obj")
+    if to == "obj":
+        source = open_mesh(coloured(), "a.ply")
+    with pytest.raises(UnsupportedError) as caught:
+        converted(source, source.vertices, to, encoding, precision)
+    assert caught.value.hint
+
+
+@pytest.mark.parametrize(("to", "encoding"), [("ply", "ascii"), ("stl", "ascii"), ("vtk", "ascii")])
+def test_text_can_be_asked_for(to, encoding):
+    source = open_mesh(obj(*cube()), "a.obj")
+    data = bytes(converted(source, source.vertices, to, encoding)[0])
+    assert data.isascii()
+    assert reopened(data, to).encoding == "ascii"
+
+
+def test_stl_text_has_unit_normals():
+    source = open_mesh(obj(*cube()), "a.obj")
+    file = reopened(converted(source, source.vertices, "stl", "ascii")[0], "stl")
+    normals = plain_stl.right_hand_normals(corners(file))
+    assert np.allclose(file.normals, normals)
+
+
+def test_the_same_format_is_re_encoded():
+    source = open_mesh(plain_stl.binary(plain_stl.tetrahedron()), "a.stl")
+    data, losses = converted(source, source.vertices, "STL", "ascii")
+    assert losses == ()
+    assert reopened(data, "stl").encoding == "ascii"
+
+
+def test_formats_are_listed_once():
+    assert len(set(writable_formats())) == len(writable_formats())
+    assert len(set(readable_suffixes())) == len(readable_suffixes())
+    assert {f".{name}" for name in writable_formats()} <= set(readable_suffixes())
+
+
+def test_ninety_degrees_of_real_scans(real_data):
+    for name in ("textured/colored_airplane.ply", "clean/fandisk.obj", "clean/igea.ply"):
+        path = real_data / name
+        source = open_mesh(path.read_bytes(), path.name)
+        for to in ("ply", "obj", "stl", "glb"):
+            again = reopened(converted(source, source.vertices, to)[0], to)
+            assert len(again.faces) == len(source.faces)
+            assert np.allclose(corners(again), corners(source), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("to", writable_formats())
+def test_a_single_precision_mesh_goes_into_every_format(to):
+    vertices, faces = torus(12, 8)
+    ply = open_mesh(encode_mesh(vertices, faces, "ply"), "a.ply")
+    assert ply.precision == "float32"
+    made = reopened(converted(ply, ply.vertices, to)[0], to)
+    assert corners(made) == pytest.approx(corners(ply), abs=1e-6)
+
+
+def test_a_new_mesh_is_single_where_that_rounds_nothing_away():
+    vertices, faces = torus(12, 8)
+    assert open_mesh(encode_mesh(vertices, faces, "ply"), "a.ply").precision == "float32"
+    for scale in (1e50, 1e-50):
+        extreme = open_mesh(encode_mesh(scale * vertices, faces, "ply"), "a.ply")
+        assert np.array_equal(extreme.vertices, scale * vertices)
+    far = open_mesh(encode_mesh(vertices + 1e5, faces, "ply"), "a.ply")
+    assert far.precision == "float64"
+    assert np.array_equal(far.vertices, vertices + 1e5)
+    assert np.array_equal(far.faces, faces)
+
+
+def test_med_has_no_single_precision():
+    pytest.importorskip("h5py")
+    vertices, faces = torus(12, 8)
+    ply = open_mesh(encode_mesh(vertices, faces, "ply"), "a.ply")
+    with pytest.raises(UnsupportedError, match="float32"):
+        converted(ply, ply.vertices, "med", precision="float32")

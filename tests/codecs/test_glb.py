@@ -1,0 +1,543 @@
+"""GLB: positions and normals replaced in place, all else kept."""
+
+from __future__ import annotations
+
+import copy
+import io
+import json
+import random
+import struct
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from msal_cli.codecs import glb, open_mesh
+from msal_cli.codecs import gltf_frames as scene_frames
+from msal_cli.errors import InternalError, MsalError, UnsupportedError
+from tests.codecs.plain_glb import Scene, content_of
+from tests.shapes import cube, grid, noisy, torus
+
+
+def simple(normals: bool = True, stride: int = 0, code: str = "<u2") -> Scene:
+    vertices, faces = cube()
+    scene = Scene()
+    attributes = {"POSITION": scene.positions(vertices, stride)}
+    if normals:
+        unit = (vertices - 0.5) / np.linalg.norm(vertices - 0.5, axis=1, keepdims=True)
+        attributes["NORMAL"] = scene.accessor(unit, "<f4", "VEC3", stride)
+    attributes["TEXCOORD_0"] = scene.accessor(vertices[:, :2], "<f4", "VEC2")
+    indices = scene.accessor(faces.reshape(-1), code, "SCALAR")
+    scene.mesh({"attributes": attributes, "indices": indices, "material": 0})
+    scene.content["materials"] = [{"name": "skin", "extras": {"a": 1}}]
+    return scene
+
+
+@pytest.mark.parametrize("stride", [0, 12, 16, 40])
+@pytest.mark.parametrize("code", ["<u1", "<u2", "<u4"])
+def test_positions_and_faces_are_read(stride, code):
+    vertices, faces = cube()
+    file = glb.read(simple(stride=stride, code=code).data(), "a.glb")
+    assert np.array_equal(file.vertices, vertices)
+    assert np.array_equal(file.faces, faces)
+    assert file.faces.dtype == np.int32
+    assert file.n_polygons == 12
+    assert "vertex.TEXCOORD_0" in file.properties
+    assert "materials" in file.properties
+    assert file.warnings == ()
+
+
+def test_nothing_moved_gives_back_the_very_bytes():
+    data = simple().data()
+    file = glb.read(data, "a.glb")
+    assert file.replaced(file.vertices.copy()) is data
+    file.check(data, file.vertices)
+
+
+@pytest.mark.parametrize("stride", [0, 20])
+def test_only_positions_normals_and_bounds_change(stride):
+    data = simple(stride=stride).data()
+    file = glb.read(data, "a.glb")
+    vertices = file.vertices.copy()
+    vertices[7] = [3.0, 2.0, 1.5]
+    output = file.replaced(vertices)
+    file.check(output, vertices)
+    (before, old), (after, new) = content_of(data), content_of(output)
+    assert after["accessors"][0]["max"] == [3.0, 2.0, 1.5]
+    expected = copy.deepcopy(before)
+    expected["accessors"][0]["max"] = [3.0, 2.0, 1.5]
+    assert after == expected
+    assert len(old) == len(new)
+    step = stride or 12
+    starts = [before["bufferViews"][k]["byteOffset"] for k in (0, 1)]
+    changed = {at for at in range(len(old)) if old[at] != new[at]}
+    allowed = {start + step * row + k for start in starts for row in range(8) for k in range(12)}
+    assert changed <= allowed
+    assert any(at >= starts[1] for at in changed), "normals"
+    again = glb.read(output, "a.glb")
+    assert np.array_equal(again.vertices, vertices)
+    assert np.array_equal(again.faces, file.faces)
+    # Vertex 0 is in no face that moved.
+    first = slice(starts[1], starts[1] + 12)
+    assert old[first] == new[first]
+
+
+def test_normals_are_those_of_the_new_faces():
+    vertices, faces = grid()
+    scene = Scene()
+    unit = np.tile([0.0, 0.0, -1.0], (len(vertices), 1))  # against the winding, and kept so
+    attributes = {
+        "POSITION": scene.positions(vertices),
+        "NORMAL": scene.accessor(unit, "<f4", "VEC3"),
+    }
+    scene.mesh(
+        {"attributes": attributes, "indices": scene.accessor(faces.reshape(-1), "<u4", "SCALAR")}
+    )
+    file = glb.read(scene.data(), "a.glb")
+    tilted = vertices[:, [2, 1, 0]]  # into the plane x = 0, which turns the normal to -x
+    output = file.replaced(tilted)
+    file.check(output, tilted)
+    (_, binary) = content_of(output)
+    start = scene.content["bufferViews"][1]["byteOffset"]
+    normals = np.frombuffer(binary, "<f4", 3 * len(vertices), start).reshape(-1, 3)
+    assert np.allclose(normals, [1.0, 0.0, 0.0])
+
+
+def test_strips_fans_and_faces_without_indices():
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 0]], dtype=float)
+    expected = {
+        5: [[0, 1, 2], [2, 1, 3], [2, 3, 4]],
+        6: [[0, 1, 2], [0, 2, 3], [0, 3, 4]],
+        4: [[0, 1, 2]],
+    }
+    for mode, faces in expected.items():
+        scene = Scene()
+        scene.mesh({"attributes": {"POSITION": scene.positions(corners)}, "mode": mode})
+        assert glb.read(scene.data(), "").faces.tolist() == faces
+
+
+def test_lines_and_points_are_kept():
+    scene = simple()
+    for mode in (0, 1, 3):
+        scene.mesh({"attributes": {"POSITION": scene.positions(np.eye(3))}, "mode": mode})
+    file = glb.read(scene.data(), "")
+    assert len(file.vertices) == 8
+    assert any("points and lines" in one for one in file.warnings)
+
+
+def two_parts(**second) -> Scene:
+    scene = Scene()
+    for more in ({}, second):
+        vertices, faces = torus(8, 6)
+        scene.mesh(
+            {
+                "attributes": {"POSITION": scene.positions(vertices)},
+                "indices": scene.accessor(faces.reshape(-1), "<u2", "SCALAR"),
+            },
+            **more,
+        )
+    return scene
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        {"translation": [10, 0, 0]},
+        {"rotation": [0, 0, 0.6, 0.8], "translation": [10, 0, 0]},
+        {"rotation": [0.1, 0.7, 0.1, 0.7], "scale": [0.3, 0.3, 0.3], "translation": [1e5, 0, 9]},
+        {"scale": [2, 3, 0.5], "translation": [0, 20, 0]},
+        {"scale": [-1, 1, 1], "translation": [0, 20, 0]},
+        {"matrix": [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 50, 60, 70, 1]},
+    ],
+)
+def test_parts_stand_where_the_scene_puts_them(frame):
+    import trimesh
+
+    data = two_parts(**frame).data()
+    file = glb.read(data, "a.glb")
+    assert len(file.vertices) == 96
+    assert file.faces.max() == 95
+    scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
+    expected = np.asarray(scene.to_geometry().vertices)
+    for axis in range(3):
+        assert np.allclose(np.sort(file.vertices[:, axis]), np.sort(expected[:, axis]), atol=1e-5)
+    assert file.replaced(file.vertices) is data
+    vertices = noisy(file.vertices, 1)
+    vertices[40:90] = file.vertices[40:90]
+    output = file.replaced(vertices)
+    file.check(output, vertices)
+    again = glb.read(output, "a.glb")
+    assert np.allclose(again.vertices, vertices, atol=1e-4)
+    # Through the frame and back costs a bit: unmoved rows must not go that way.
+    second, rows = file.parts[1].positions, slice(0, 42)
+    shift = again.document.binary_at - file.document.binary_at
+    assert second.shifted(shift).stored(output)[rows].tobytes() == (
+        second.stored(data)[rows].tobytes()
+    )
+
+
+def test_frames_of_parents_count():
+    scene = two_parts(translation=[1, 0, 0])
+    parent = {"children": [1], "translation": [0, 100, 0], "scale": [2, 2, 2]}
+    scene.content["nodes"].append(parent)
+    file = glb.read(scene.data(), "")
+    own = file.vertices[:48]
+    assert np.allclose(file.vertices[48:], 2 * (own + [1, 0, 0]) + [0, 100, 0])
+
+
+def test_the_frame_of_a_node_is_found_once(monkeypatch):
+    count = 150
+    scene = Scene()
+    corners = np.random.default_rng(0).random((count, 3, 3))
+    for k in range(count):
+        below = {"children": [k + 1]} if k + 1 < count else {}
+        at = scene.positions(corners[k])
+        scene.mesh({"attributes": {"POSITION": at}}, translation=[1, 0, 0], **below)
+    calls = []
+    transform = scene_frames._transform
+    monkeypatch.setattr(scene_frames, "_transform", lambda node: calls.append(1) or transform(node))
+    file = glb.read(scene.data(), "")
+    assert len(calls) == count
+    shift = np.array([1, 0, 0]) * np.arange(1, count + 1)[:, None, None]
+    assert np.allclose(file.vertices.reshape(count, 3, 3), corners + shift, atol=1e-5)
+    # Entries are not copied, however often they are named.
+    document = file.document
+    assert document.entry("accessors", 0) is document.content["accessors"][0]
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        {"scale": [0, 1, 1]},
+        {"matrix": [1, 2, 3]},
+        {"matrix": "identity"},
+        {"rotation": [0, 0, None, 1]},
+        {"scale": [1e300, 1e300, 1e300], "matrix": [float("nan")] * 16},
+        {"translation": [0, 1e40, 0]},
+        {"scale": [1.5e308, 1.5e308, 1.5e308]},
+        {"children": [1]},
+    ],
+)
+def test_frames_that_cannot_be_undone_are_left_out(frame):
+    file = glb.read(two_parts(**frame).data(), "")
+    vertices = noisy(file.vertices)
+    file.check(file.replaced(vertices), vertices)
+
+
+def test_primitives_that_share_positions_are_one_part():
+    vertices, faces = cube()
+    scene = Scene()
+    at = scene.positions(vertices)
+    primitives = [
+        {
+            "attributes": {"POSITION": at},
+            "indices": scene.accessor(half.reshape(-1), "<u2", "SCALAR"),
+        }
+        for half in (faces[:6], faces[6:])
+    ]
+    scene.mesh(*primitives)
+    file = glb.read(scene.data(), "")
+    assert len(file.vertices) == 8
+    assert np.array_equal(file.faces, faces)
+
+
+def test_a_mesh_in_two_places_counts_once():
+    scene = simple()
+    (primitive,) = scene.content["meshes"][0]["primitives"]
+    scene.content["nodes"].append({"mesh": 0, "translation": [5, 0, 0]})
+    # As some exporters do it: another mesh of the same lists, with another material.
+    scene.mesh({**primitive, "material": 1}, translation=[9, 0, 0])
+    file = glb.read(scene.data(), "")
+    assert (len(file.vertices), len(file.faces), file.n_polygons) == (8, 12, 12)
+    assert "instances" in file.properties
+    vertices = noisy(file.vertices)
+    file.check(file.replaced(vertices), vertices)
+    assert "instances" not in glb.read(simple().data(), "").properties
+
+
+def test_the_text_of_the_description_is_kept_but_for_bounds():
+    scene = simple()
+    data = scene.data()
+    (size,) = struct.unpack_from("<I", data, 12)
+    text = json.dumps(scene.content, indent=3).replace('"keep"', '"keep" : NaN, "k\\u00e9"')
+    text = text.replace("1.0", "1.000e0").encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + data[20 + size :]
+    data = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    file = glb.read(data, "")
+    vertices = file.vertices.copy()
+    vertices[7] = [3.0, 1.0, 0.5]
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    (size,) = struct.unpack_from("<I", output, 12)
+    # Of three numbers that are 1 the first one changed, and the others keep their form.
+    assert output[20 : 20 + size].rstrip() == text.rstrip().replace(b"1.000e0", b"3.0", 1)
+
+
+def test_textures_animations_and_extras_survive():
+    scene = simple()
+    scene.content["images"] = [{"uri": "data:image/png;base64,AAAA"}]
+    scene.content["animations"] = [{"channels": [], "samplers": []}]
+    file = glb.read(scene.data(), "")
+    vertices = noisy(file.vertices)
+    after, _ = content_of(file.replaced(vertices))
+    for word in ("images", "animations", "extras", "materials", "asset"):
+        assert after[word] == scene.content[word]
+
+
+def test_trimesh_reads_what_is_written():
+    import trimesh
+
+    file = glb.read(simple().data(), "")
+    vertices = noisy(file.vertices)
+    scene = trimesh.load_scene(io.BytesIO(file.replaced(vertices)), file_type="glb", process=False)
+    (part,) = scene.geometry.values()
+    assert np.allclose(part.vertices, vertices, atol=1e-7)
+    assert np.array_equal(part.faces, file.faces)
+
+
+def test_normals_that_are_no_numbers_do_no_harm():
+    scene = two_parts(rotation=[0.1, 0.7, 0.1, 0.7])
+    for mesh in scene.content["meshes"]:
+        normals = np.tile([np.nan, np.inf, 3e38], (48, 1))
+        mesh["primitives"][0]["attributes"]["NORMAL"] = scene.accessor(normals, "<f4", "VEC3")
+    file = glb.read(scene.data(), "")
+    vertices = noisy(file.vertices)
+    file.check(file.replaced(vertices), vertices)
+
+
+def test_encodings():
+    file = glb.read(simple().data(), "")
+    assert file.encoded(file.vertices, "binary", "float32") is file.data
+    for encoding, precision in (("ascii", "same"), ("same", "float64")):
+        with pytest.raises(UnsupportedError):
+            file.encoded(file.vertices, encoding, precision)
+
+
+def test_check_notices_every_changed_byte():
+    file = glb.read(simple().data(), "")
+    vertices = noisy(file.vertices)
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    text_end = 20 + struct.unpack_from("<I", output, 12)[0]
+    missed = []
+    for at in [*range(20, text_end, 7), *range(text_end, len(output))]:
+        wrong = bytearray(output)
+        wrong[at] ^= 0x01
+        try:
+            file.check(wrong, vertices)
+        except InternalError:
+            continue
+        # The last of seventeen digits need not matter.
+        if content_of(wrong) != content_of(output):
+            missed.append(at)
+    assert missed == []
+    with pytest.raises(InternalError):
+        file.check(output, file.vertices)
+
+
+def edited(change) -> bytes:
+    """The simple scene with something changed in its description."""
+    scene = simple()
+    change(scene.content)
+    return scene.data()
+
+
+def setting(*path, value):
+    def change(content):
+        entry = content
+        for key in path[:-1]:
+            entry = entry[key]
+        if value is None:
+            del entry[path[-1]]
+        else:
+            entry[path[-1]] = value
+
+    return change
+
+
+WHOLE = simple().data()
+PRIMITIVE = ("meshes", 0, "primitives", 0)
+
+DAMAGED = {
+    "empty": (b"", "E_TRUNCATED"),
+    "only a magic": (b"glTF", "E_TRUNCATED"),
+    "version 1": (WHOLE[:4] + b"\x01" + WHOLE[5:], "E_UNSUPPORTED"),
+    "not JSON first": (WHOLE[:16] + b"XXXX" + WHOLE[20:], "E_FORMAT"),
+    "broken JSON": (WHOLE[:20] + b"[" + WHOLE[21:], "E_FORMAT"),
+    "cut": (WHOLE[:-1], "E_TRUNCATED"),
+    "JSON beyond the end": (WHOLE[:12] + b"\xff\xff\xff\x7f" + WHOLE[16:], "E_TRUNCATED"),
+    "no meshes": (edited(setting("meshes", value=None)), "E_NO_FACES"),
+    "meshes are a word": (edited(setting("meshes", value="none")), "E_NO_FACES"),
+    "mesh is a number": (edited(setting("meshes", 0, value=3)), "E_FORMAT"),
+    "accessor out of range": (
+        edited(setting(*PRIMITIVE, "attributes", "POSITION", value=99)),
+        "E_FORMAT",
+    ),
+    "accessor is negative": (
+        edited(setting(*PRIMITIVE, "attributes", "POSITION", value=-1)),
+        "E_FORMAT",
+    ),
+    "accessor is true": (
+        edited(setting(*PRIMITIVE, "attributes", "POSITION", value=True)),
+        "E_FORMAT",
+    ),
+    "huge count": (edited(setting("accessors", 0, "count", value=10**9)), "E_TRUNCATED"),
+    "count beyond all": (edited(setting("accessors", 0, "count", value=10**30)), "E_FORMAT"),
+    "negative count": (edited(setting("accessors", 0, "count", value=-1)), "E_FORMAT"),
+    "fractional count": (edited(setting("accessors", 0, "count", value=1.5)), "E_FORMAT"),
+    "offset beyond": (edited(setting("bufferViews", 0, "byteOffset", value=10**6)), "E_TRUNCATED"),
+    "stride too small": (edited(setting("bufferViews", 0, "byteStride", value=4)), "E_TRUNCATED"),
+    "no view": (edited(setting("accessors", 0, "bufferView", value=None)), "E_FORMAT"),
+    "other buffer": (edited(setting("bufferViews", 0, "buffer", value=1)), "E_FORMAT"),
+    "sparse": (edited(setting("accessors", 0, "sparse", value={"count": 1})), "E_UNSUPPORTED"),
+    "quantised": (edited(setting("accessors", 0, "componentType", value=5122)), "E_UNSUPPORTED"),
+    "Draco": (
+        edited(setting(*PRIMITIVE, "extensions", value={"KHR_draco_mesh_compression": {}})),
+        "E_UNSUPPORTED",
+    ),
+    "meshopt": (
+        edited(setting("bufferViews", 0, "extensions", value={"EXT_meshopt_compression": {}})),
+        "E_UNSUPPORTED",
+    ),
+    "indices are floats": (
+        edited(setting("accessors", 3, "componentType", value=5126)),
+        "E_FORMAT",
+    ),
+    "index type is a list": (
+        edited(setting("accessors", 3, "componentType", value=[5123])),
+        "E_FORMAT",
+    ),
+    "index type is a word": (
+        edited(setting("accessors", 3, "componentType", value="u2")),
+        "E_FORMAT",
+    ),
+    "the same faces very often": (
+        edited(
+            lambda content: content["meshes"][0]["primitives"].extend(
+                content["meshes"][0]["primitives"] * 6_000
+            )
+        ),
+        "E_TOO_LARGE",
+    ),
+    "index out of range": (
+        edited(setting("accessors", 0, "count", value=7)),
+        "E_INDEX",
+    ),
+    "overlapping lists": (
+        edited(setting("bufferViews", 1, "byteOffset", value=4)),
+        "E_UNSUPPORTED",
+    ),
+    "lines only": (edited(setting(*PRIMITIVE, "mode", value=1)), "E_NO_FACES"),
+    "nested deeply": (
+        WHOLE[:12] + struct.pack("<I4s", 200_000, b"JSON") + b"[" * 200_000 + WHOLE[20:],
+        "E_TRUNCATED",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damaged_files_and_their_errors(name):
+    data, code = DAMAGED[name]
+    with pytest.raises(MsalError) as caught:
+        open_mesh(data, "a.glb")
+    assert caught.value.code == code
+
+
+def test_half_a_surrogate_pair_survives_new_bounds():
+    scene = simple()
+    scene.content["extras"] = {"name": "\ud800"}
+    file = glb.read(scene.data(), "")
+    vertices = file.vertices * 0.5
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    assert content_of(output)[0]["extras"] == {"name": "\ud800"}
+
+
+def test_very_many_lists_over_the_same_bytes_are_refused_at_once():
+    scene = simple()
+    rows = 20_000
+    first = scene.positions(np.zeros((rows, 3)))
+    view = scene.content["accessors"][first]
+    scene.content["accessors"] += [dict(view, count=rows) for _ in range(1_000)]
+    index = scene.content["meshes"][0]["primitives"][0]["indices"]
+    scene.mesh(
+        *({"attributes": {"POSITION": first + k}, "indices": index} for k in range(1, 1_001))
+    )
+    data = scene.data()
+    with pytest.raises(MsalError, match="overlap"):
+        glb.read(data, "")
+    tracemalloc.start()
+    with pytest.raises(MsalError, match="overlap"):
+        glb.read(data, "")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # One number for each row of each list would be 160 MB.
+    assert peak < 40_000_000
+
+
+def test_json_that_is_nested_too_deeply():
+    text = b'{"a":' + b"[" * 100_000 + b"]" * 100_000 + b"} "
+    text += b" " * (-len(text) % 4)
+    data = struct.pack("<4sII", b"glTF", 2, 20 + len(text)) + struct.pack(
+        "<I4s", len(text), b"JSON"
+    )
+    with pytest.raises(MsalError) as caught:
+        glb.read(data + text, "")
+    assert caught.value.code == "E_FORMAT"
+
+
+def test_a_position_that_is_not_finite():
+    scene = simple()
+    data = bytearray(scene.data())
+    file = glb.read(bytes(data), "")
+    at = file.parts[0].positions.at + 12 * 3 + 4
+    struct.pack_into("<f", data, at, float("nan"))
+    with pytest.raises(MsalError) as caught:
+        glb.read(bytes(data), "")
+    assert caught.value.code == "E_NONFINITE"
+    assert caught.value.where == "accessor 0, vertex 3"
+
+
+def campaign(count: int, seed: int) -> None:
+    rng = random.Random(seed)
+    results = 0
+    for _ in range(count):
+        data = bytearray(WHOLE)
+        for _ in range(rng.choice((1, 2, 4))):
+            at = rng.randrange(len(data))
+            kind = rng.randrange(4)
+            if kind == 0:
+                data[at] ^= 1 << rng.randrange(8)
+            elif kind == 1:
+                data[at] = rng.choice(b'0123456789-.,:{}[]"e ')
+            elif kind == 2:
+                del data[at : at + rng.randrange(1, 20)]
+            else:
+                data[at:at] = data[at : at + rng.randrange(1, 20)]
+        try:
+            file = open_mesh(bytes(data), "a.glb", "glb")
+        except MsalError:
+            continue
+        results += 1
+        vertices = file.vertices * 0.5
+        try:
+            file.check(file.replaced(vertices), vertices)
+        except MsalError as error:
+            assert error.code == "E_RANGE"
+    assert 0.02 * count < results < 0.9 * count
+
+
+def test_mutants():
+    campaign(1000, 1)
+
+
+@pytest.mark.slow
+def test_many_mutants():
+    campaign(12_000, 2)
+
+
+def test_every_prefix():
+    for k in range(len(WHOLE)):
+        with pytest.raises(MsalError):
+            open_mesh(WHOLE[:k], "a.glb")

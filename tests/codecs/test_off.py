@@ -1,0 +1,182 @@
+"""OFF files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli.codecs import open_mesh
+from msal_cli.errors import InternalError, MsalError
+from tests.codecs.patching import changed_lines, patched, texts_between_numbers
+from tests.shapes import noisy
+
+POINTS = ["0 0 0", "1 0 0", "0.0 1.0 0.0", "0 0 1"]
+FACES = ["3 0 2 1", "3 0 1 3", "3 1 2 3", "3 2 0 3"]
+
+
+def off(head="OFF\n4 4 6", points=POINTS, faces=FACES, end="\n") -> bytes:
+    return end.join([head, *points, *faces, ""]).encode("latin-1")
+
+
+HEADS = [
+    "OFF\n4 4 6",
+    "OFF\n4 4",
+    "OFF 4 4 6",
+    "OFF # made by hand\n\n# caf\xe9\n4 4 6 # counts\n",
+    "# a comment\n\n  OFF\n\n4 4 6\n\n",
+    "\n\nOFF\n4\n4 6",
+]
+
+
+@pytest.mark.parametrize("head", HEADS)
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_comments_and_blank_lines_stay(head, end):
+    data = off(head.replace("\n", end), end=end)
+    file, _, output = patched(data, "a.off")
+    assert file.warnings == ()
+    assert texts_between_numbers(output) == texts_between_numbers(data)
+    assert output.startswith(head.replace("\n", end).encode("latin-1"))
+    assert output.endswith(end.join([POINTS[3], *FACES, ""]).encode())
+
+
+def test_a_file_without_a_suffix_is_known_by_its_comments_too():
+    assert open_mesh(off("# a\n\n# b\nOFF\n4 4 6"), "a").format == "off"
+
+
+@pytest.mark.parametrize(
+    ("kind", "tail", "words"),
+    [
+        ("COFF", " 255 0 0 255", {"vertex colours"}),
+        ("COFF", " 0.5 0.25 0", {"vertex colours"}),
+        ("STOFF", " 0.5 0.25", {"texture coordinates"}),
+        ("NOFF", " 0 0 2", {"point.normals"}),
+        ("STCNOFF", " 0 0 2 1 1 1 1 .5 .5", {"point.normals", "vertex colours"}),
+    ],
+)
+def test_variants(kind, tail, words):
+    data = off(f"{kind}\n4 4 6", [point + tail for point in POINTS])
+    file, moved, output = patched(data, "a.off")
+    assert words <= set(file.properties)
+    assert file.warnings == ()
+    rows = [line.split() for line in output.splitlines()[2:6]]
+    assert np.abs(np.array(rows, dtype=float)[:, :3] - moved).max() < 1e-6
+    own = tail.split()
+    if "N" in kind:
+        normals = np.array(rows, dtype=float)[:, 3:6]
+        assert np.abs(np.linalg.norm(normals, axis=1) - 1).max() < 1e-5
+        assert [row[6:] for row in rows] == [[word.encode() for word in own[3:]]] * 4
+    else:
+        assert [row[3:] for row in rows] == [[word.encode() for word in own]] * 4
+
+
+def test_colours_behind_plain_positions_are_kept_and_told_of():
+    file, _, output = patched(off(points=[point + " 9 8 7" for point in POINTS]), "a.off")
+    assert file.warnings == ("3 numbers behind each position are kept as they are",)
+    assert all(line.endswith(b" 9 8 7") for line in output.splitlines()[2:6])
+
+
+def test_faces_keep_their_colours_and_corners():
+    faces = ["3 0 2 1 255 0 0", "4 0 1 3 2  0.1 0.2 0.3 1", "3 2 0 3"]
+    file, _, output = patched(off("OFF\n4 3 0", faces=faces), "a.off")
+    assert [len(one) for one in file.polygons()] == [3, 4, 3]
+    assert len(file.faces) == 4
+    assert "face colours" in file.properties
+    assert output.splitlines()[-3:] == [face.encode() for face in faces]
+
+
+def test_collinear_and_repeated_corners_are_read():
+    points = ["0 0 0", "1 0 0", "2 1e-12 0", "0 1 0"]
+    data = off("OFF\n4 3 0", points, ["3 0 1 2", "3 0 2 3", "3 1 1 3"])
+    file, _, output = patched(data, "a.off")
+    assert len(file.faces) == 3
+    assert changed_lines(data, output) == [2, 3, 4]
+
+
+def test_faces_of_two_corners_are_left_out_with_a_warning():
+    file, _, _ = patched(off("OFF\n4 5 0", faces=["2 0 1", *FACES]), "a.off")
+    assert len(file.faces) == 4
+    assert "1 faces of fewer than three corners" in file.warnings[0]
+
+
+def test_lines_behind_the_faces_stay_with_a_warning():
+    file, _, output = patched(off() + b"5 1 2\nmore\n", "a.off")
+    assert file.warnings == ("2 lines behind the last face are kept",)
+    assert output.endswith(b"5 1 2\nmore\n")
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "4 4 6 0 0 0 1 0 0\n0 1 0 0 0 1 3 0 2 1 3 0 1 3\n3 1 2 3 3 2 0 3\n",
+        "4 4 6\n0 0 0 1 0 0 0 1 0 0 0 1\n3 0 2 1 3 0 1 3 3 1 2 3 3 2 0 3\n",
+        "4 4 6\n0 0\n0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0\n1 3\n3 1 2 3\n3 2 0 3\n",
+    ],
+)
+def test_words_may_stand_on_any_line(body):
+    file, _, _ = patched(b"OFF\n" + body.encode(), "a.off")
+    usual = open_mesh(off(), "a.off")
+    assert np.array_equal(file.vertices, usual.vertices)
+    assert np.array_equal(file.faces, usual.faces)
+
+
+def test_colours_on_lines_of_their_own_are_no_vertices():
+    points = [part for point in POINTS for part in (point, "255 0 0 255")]
+    file, _, output = patched(off("COFF\n4 4 0", points), "a.off")
+    assert np.array_equal(file.vertices, open_mesh(off(), "a.off").vertices)
+    assert output.count(b"255 0 0 255\n") == 4
+
+
+def test_new_numbers_have_the_usual_decimals():
+    points = ["0.123 10.500 3.250", "100.123 0.1 0.500", "0.000 90.000 7.125", "0.5 0.5 80.000"]
+    _, _, output = patched(off(points=points), "a.off")
+    first = output.splitlines()[2].split()[0]
+    # 1e-7 of an extent of 157 is finer than the file is.
+    assert len(first.split(b".")[1]) == 5
+
+
+def test_fortran_exponents():
+    points = ["0.0D+00 0 0", "1.0d+0 0 0", "0 1.D0 0", "0 0 1"]
+    assert np.array_equal(open_mesh(off(points=points), "a.off").vertices[:3].max(), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("data", "code", "where"),
+    [
+        (off(points=[*POINTS[:3], "0 0 x"]), "E_FORMAT", "line 6"),
+        (off(faces=[*FACES[:3], "3 2 0"]), "E_FORMAT", "line 10"),
+        (off(faces=[*FACES[:3], "3 2 0 4"]), "E_INDEX", ""),
+        (off(faces=[*FACES[:3], "3 2 0 -1"]), "E_INDEX", ""),
+        (off(faces=[*FACES[:3], "3 2 0 1.5"]), "E_FORMAT", "line 10"),
+        (off("OFF\n4 5 0"), "E_TRUNCATED", "line 11"),
+        (off("OFF\n4 x 0"), "E_FORMAT", "line 2"),
+        (off("4OFF\n4 4 0"), "E_UNSUPPORTED", ""),
+        (off("OFF BINARY\n4 4 0"), "E_UNSUPPORTED", ""),
+        (off("NOFF\n4 4 0"), "E_FORMAT", ""),
+        (off("OFF\n4 4 0", points=["0 0 1e999", *POINTS[1:]]), "E_NONFINITE", ""),
+    ],
+)
+def test_damage_is_placed(data, code, where):
+    with pytest.raises(MsalError) as caught:
+        open_mesh(data, "a.off", "off")
+    assert (caught.value.code, where in caught.value.where) == (code, True), caught.value.where
+
+
+def test_check_notices_a_changed_byte_anywhere():
+    data = off("COFF\n4 4 6 # c", [point + " 1 2 3 4" for point in POINTS])
+    file = open_mesh(data, "a.off")
+    moved = noisy(file.vertices)
+    output = bytearray(file.replaced(moved))
+    for at in range(len(output)):
+        wrong = bytes(output[:at]) + bytes([output[at] ^ 1]) + bytes(output[at + 1 :])
+        try:
+            file.check(wrong, moved)
+        except InternalError:
+            continue
+        # Below the last decimal that counts, a digit may differ by one.
+        assert np.abs(open_mesh(wrong, "a.off").vertices - moved).max() <= 1e-7
+
+
+@pytest.mark.parametrize("head", [b"#" * 5000 + b"\nX", b"# # " * 5000, b"#\n" * 50_000])
+def test_comments_take_no_time(head):
+    with pytest.raises(MsalError, match="does not begin with OFF"):
+        open_mesh(head, "a.off")

@@ -1,0 +1,154 @@
+"""Which codec a file gets: by its name, the option, or its content."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from msal_cli.codecs import content_format, converted, format_of_name, open_mesh, writable_formats
+from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from tests.codecs import plain_stl
+from tests.codecs.plain_stl import tetrahedron
+
+CORNERS = tetrahedron()
+STL = plain_stl.binary(CORNERS)
+STL_TEXT = plain_stl.text(CORNERS).encode()
+PLY = (
+    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+    b"property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+)
+OBJ = b"# a comment\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+OFF = b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+GLB = bytes(converted(open_mesh(OBJ, "a.obj"), np.eye(3), "glb")[0])
+FILES = {"ply": PLY, "obj": OBJ, "stl": STL, "off": OFF, "glb": GLB}
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_suffixes_in_any_case_and_before_gz(kind):
+    for name in (f"a.{kind}", f"A.{kind.upper()}", f"x/y.z/a.b.{kind}", f"a.{kind}.gz"):
+        assert format_of_name(name) == kind
+        assert open_mesh(FILES[kind], name).format == kind
+
+
+@pytest.mark.parametrize(
+    "name", ["", "-", "a", ".ply", "a.txt", "a.gz", "ply", "a.ply/b", "a.ply."]
+)
+def test_names_without_a_format(name):
+    assert format_of_name(name) == ("ply" if name == ".ply" else "")
+
+
+@pytest.mark.parametrize("kind", [*FILES, "ascii stl"])
+def test_a_stream_is_known_by_its_content(kind):
+    data = STL_TEXT if kind == "ascii stl" else FILES[kind]
+    for name in ("-", "", "scan", "folder.d/scan"):
+        assert open_mesh(data, name).format == kind.split()[-1]
+
+
+def test_what_libraries_write_is_known_by_its_content():
+    source = open_mesh(OBJ, "a.obj")
+    for to in writable_formats():
+        data = bytes(converted(source, source.vertices, to)[0])
+        assert content_format(data) in (to, ""), to
+
+
+@pytest.mark.parametrize("wrong", FILES)
+@pytest.mark.parametrize("kind", FILES)
+def test_a_wrong_suffix_is_named(kind, wrong):
+    if kind == wrong:
+        return
+    with pytest.raises(FormatError) as caught:
+        open_mesh(FILES[kind], f"scan.{wrong}")
+    if (kind, wrong) != ("obj", "off"):  # an OBJ file is known less surely
+        assert kind.upper() in str(caught.value)
+        assert f"--format {kind}" in caught.value.hint
+
+
+def test_the_option_overrules_the_name_but_not_the_content():
+    assert open_mesh(PLY, "scan.stl", "ply").format == "ply"
+    assert open_mesh(PLY, "scan.txt", ".PLY").format == "ply"
+    with pytest.raises(FormatError, match="--format says STL"):
+        open_mesh(PLY, "scan.ply", "stl")
+
+
+def test_a_binary_stl_that_begins_like_other_formats_is_stl():
+    for header in (b"ply\nformat", b"solid facet", b"OFF", b"v 1 2 3", b"glTF", b"PK\x03\x04"):
+        data = plain_stl.binary(CORNERS, header=header)
+        assert open_mesh(data, "a.stl").format == "stl"
+        assert open_mesh(data, "-").format == "stl"
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.stl", "a.glb", "a.off", "a.vtk", "-", "a"])
+def test_empty_files(name):
+    with pytest.raises(TruncatedError, match="empty"):
+        open_mesh(b"", name)
+
+
+def test_content_that_no_one_knows():
+    for data in (b"hello world", b"\0" * 100, b"v one two three\n", b"# only a comment\n"):
+        with pytest.raises(FormatError, match="neither") as caught:
+            open_mesh(data, "-")
+        assert "--format" in caught.value.hint
+
+
+def test_suffixes_that_are_not_read():
+    with pytest.raises(UnsupportedError, match=r"\.txt") as caught:
+        open_mesh(PLY, "scan.txt")
+    assert "--format ply" in caught.value.hint
+    with pytest.raises(UnsupportedError) as caught:
+        open_mesh(b"Kaydara FBX Binary", "scan.fbx")
+    assert "known are" in caught.value.hint
+    with pytest.raises(UnsupportedError, match="not known"):
+        open_mesh(PLY, "scan.ply", "fbx")
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"o part\nv 0 0 0\n",
+        b"\xef\xbb\xbfv 0 0 0\n",
+        b"mtllib a.mtl\r\nv -1.5e-3 .5 +2\r\n",
+        b"v\t0\t0\t0\nf 1 \\\n1 1\n",
+        b"v 0 0 0\n" * 20_000,
+    ],
+)
+def test_obj_by_its_lines(data):
+    assert content_format(data) == "obj"
+
+
+@pytest.mark.parametrize(("root", "name"), [(b"<COLLADA xmlns='x'>", "dae"), (b"<Xdmf>", "xdmf")])
+@pytest.mark.parametrize(
+    "before",
+    [
+        b"",
+        b'<?xml version="1.0" encoding="UTF-8" standalone="no" ?>\r\n',
+        b"\xef\xbb\xbf<?xml version='1.0'?>\n<!-- <VTKFile> -->\n<!---->\n",
+        b"<?xml version='1.0'?><!DOCTYPE Xdmf SYSTEM 'Xdmf.dtd' []>\n",
+    ],
+)
+def test_xml_by_its_root(before, root, name):
+    assert content_format(before + root) == name
+    assert content_format(before + b"<html>" + root) == ""
+
+
+@pytest.mark.parametrize("data", [b"value 1 2 3\n", b"v 1 2\n", b"v 0 0 0\nhello\n", b"f 1 2 3\n"])
+def test_text_that_is_no_obj(data):
+    assert content_format(data) == ""
+
+
+def test_a_number_without_end_takes_linear_time():
+    # Two ways to read every digit would make two billion of this.
+    assert content_format(b"v " + b"1" * 60_000 + b"\n") == ""
+
+
+def test_importing_costs_only_numpy():
+    code = (
+        "import sys, msal_cli.codecs\n"
+        "heavy = {'numba', 'trimesh', 'meshio', 'scipy', 'multiprocessing'} & set(sys.modules)\n"
+        "sys.exit(str(heavy) if heavy else 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()

@@ -1,0 +1,714 @@
+"""PLY by hand-worked cases, real scans and other readers; random structures and damage are in
+``test_ply_structures`` and ``test_ply_hostile``."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from msal_cli.codecs import ply
+from msal_cli.errors import ContentError, InternalError, UsageError
+from tests.codecs import plain_ply
+from tests.codecs.plain_ply import Element, Ply
+from tests.shapes import grid, torus
+
+LE, BE = "binary_little_endian", "binary_big_endian"
+ENCODINGS = ("ascii", LE, BE)
+XYZ = [("x", "float", ""), ("y", "float", ""), ("z", "float", "")]
+NORMALS = [("nx", "float", ""), ("ny", "float", ""), ("nz", "float", "")]
+LIST = [("vertex_indices", "int", "uchar")]
+
+
+def read(file: Ply) -> ply.PlyFile:
+    return ply.read(plain_ply.written(file), "file.ply")
+
+
+def mesh_file(encoding: str, vertices, faces, normals=None, face_normals=None) -> Ply:
+    rows = [list(map(float, row)) for row in vertices]
+    if normals is not None:
+        rows = [row + list(map(float, normal)) for row, normal in zip(rows, normals, strict=True)]
+    cells = [[list(map(int, face))] for face in faces]
+    if face_normals is not None:
+        cells = [
+            cell + list(map(float, normal))
+            for cell, normal in zip(cells, face_normals, strict=True)
+        ]
+    return Ply(
+        encoding,
+        [
+            Element("vertex", XYZ + (NORMALS if normals is not None else []), rows),
+            Element("face", LIST + (NORMALS if face_normals is not None else []), cells),
+        ],
+    )
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_a_cube_with_a_camera_edges_and_colours(encoding):
+    file = plain_ply.cube(encoding)
+    mesh = read(file)
+    assert mesh.format == "ply"
+    assert mesh.encoding == encoding
+    assert mesh.precision == ("text" if encoding == "ascii" else "float32")
+    assert mesh.vertices.shape == (8, 3) and mesh.vertices.dtype == np.float64
+    assert mesh.faces.shape == (12, 3)
+    assert mesh.n_polygons == 6
+    assert mesh.properties == ("element camera (1)", "vertex.red uchar", "element edge (4)")[:2] + (
+        "element edge (2)",
+    )
+    assert mesh.references == () and mesh.warnings == ()
+    assert mesh.polygons().tolist() == [row[0] for row in file.element("face").rows]
+
+
+def test_double_coordinates_are_kept_to_the_last_bit():
+    mesh = read(plain_ply.cube(LE, "double"))
+    assert mesh.precision == "float64"
+    vertices = mesh.vertices + np.pi * 1e-9
+    assert np.array_equal(ply.read(mesh.replaced(vertices), "o.ply").vertices, vertices)
+
+
+def test_float_coordinates_are_rounded_to_the_nearest():
+    mesh = read(plain_ply.cube(LE))
+    vertices = mesh.vertices.copy()
+    halfway = 1.0 + 2.0**-24
+    vertices[0] = [halfway, np.nextafter(halfway, 2.0), 0.1]
+    stored = ply.read(mesh.replaced(vertices), "o.ply").vertices[0]
+    assert stored.tolist() == [1.0, 1.0 + 2.0**-23, float(np.float32(0.1))]
+
+
+def test_the_precision_is_that_of_the_coarsest_coordinate():
+    file = plain_ply.cube(LE, "double")
+    file.element("vertex").properties[1] = ("y", "float32", "")
+    assert read(file).precision == "float32"
+
+
+def test_minus_zero_and_equal_values_keep_their_bytes():
+    file = mesh_file(LE, [[-0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    mesh = read(file)
+    vertices = mesh.vertices + 0.0
+    assert not np.signbit(vertices).any()
+    assert bytes(mesh.replaced(vertices)) == plain_ply.written(file)
+    vertices[1, 2] = 0.5
+    assert bytes(mesh.replaced(vertices)) == plain_ply.written(
+        file.with_columns("vertex", {"z": [0.0, 0.5, 0.0]})
+    )
+
+
+def test_odd_tokens_of_unmoved_vertices_are_kept():
+    data = (
+        b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
+        b"property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        b"+1.50e0\t-0  .5 \n\n  1E2 007 3.\n0.10 0.20 0.30\n1 2 3\n3 0 1 2 \n"
+    )
+    mesh = ply.read(data, "odd.ply")
+    assert mesh.vertices.tolist() == [[1.5, 0, 0.5], [100, 7, 3], [0.1, 0.2, 0.3], [1, 2, 3]]
+    vertices = mesh.vertices.copy()
+    vertices[2, 1] = 0.25
+    vertices[1, 1] = -2.0 / 3.0
+    output = bytes(mesh.replaced(vertices))
+    mesh.check(output, vertices)
+    # The extent is 100: five decimals tell 1e-7 of it apart.
+    assert output == data.replace(b"0.20", b"0.25000").replace(b"007", b"-0.66667")
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_line_ends_of_header_and_body(newline, encoding):
+    file = replace(plain_ply.cube(encoding), newline=newline)
+    mesh = read(file)
+    vertices = mesh.vertices + 0.5
+    assert np.array_equal(ply.read(mesh.replaced(vertices), "o.ply").vertices, vertices)
+
+
+def test_a_body_that_begins_with_the_byte_of_a_line_end():
+    file = plain_ply.cube(LE)
+    file.elements[0].rows[0][0] = struct.unpack("<f", b"\n\r\n?")[0]
+    for newline in ("\n", "\r\n", "\r"):
+        assert np.array_equal(read(replace(file, newline=newline)).vertices, read(file).vertices)
+
+
+def test_textures_named_in_comments_are_references():
+    comments = ["comment TextureFile my scan.png", "comment texturefile b.jpg", "comment c.png"]
+    assert read(replace(plain_ply.cube(), comments=comments)).references == ("my scan.png", "b.jpg")
+
+
+def test_trailing_bytes_are_kept_and_told():
+    mesh = read(replace(plain_ply.cube(), trailing=b"signature"))
+    assert "9 bytes" in mesh.warnings[0]
+    vertices = mesh.vertices + 1.0
+    output = mesh.replaced(vertices)
+    mesh.check(output, vertices)
+    assert bytes(output).endswith(b"signature")
+    assert not read(replace(plain_ply.cube("ascii"), trailing=b"\n \n")).warnings
+    assert (
+        "12 bytes" in read(replace(plain_ply.cube("ascii"), trailing=b"3 more words")).warnings[0]
+    )
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_whole_number_coordinates_are_rounded_with_a_warning(encoding):
+    kinds = [("x", "short", ""), ("y", "int", ""), ("z", "uchar", "")]
+    file = Ply(
+        encoding,
+        [
+            Element("vertex", kinds, [[0, 0, 0], [10, 0, 1], [0, 10, 2]]),
+            Element("face", LIST, [[[0, 1, 2]]]),
+        ],
+    )
+    mesh = read(file)
+    assert mesh.precision == ("text" if encoding == "ascii" else "integer")
+    assert "rounded" in mesh.warnings[0]
+    vertices = mesh.vertices + [[0.4, 0.5, 1.5], [-0.6, 0.3, 0.2], [0, 0, 0]]
+    output = mesh.replaced(vertices)
+    mesh.check(output, vertices)
+    assert bytes(output) == plain_ply.written(
+        file.with_columns("vertex", {"x": [0, 9, 0], "y": [0, 0, 10], "z": [2, 1, 2]})
+    )
+    for far in (-1.0, 256.0):
+        vertices[2, 2] = far
+        with pytest.raises(ContentError, match="new z of vertex 2"):
+            mesh.replaced(vertices)
+    wide = plain_ply.read(bytes(mesh.encoded(vertices, "same", "float64")))
+    assert wide.element("vertex").properties[2] == ("z", "double", "")
+    assert [row[2] for row in wide.element("vertex").rows] == [1.5, 1.2, 256.0]
+
+
+def test_whole_number_tokens_that_round_to_themselves_are_kept():
+    file = Ply(
+        "ascii",
+        [
+            Element("vertex", [(axis, "int", "") for axis in "xyz"], [["+5", "007", "-0"]] * 3),
+            Element("face", LIST, [[[0, 1, 2]]]),
+        ],
+    )
+    mesh = read(file)
+    assert bytes(mesh.replaced(mesh.vertices + 0.4)) == plain_ply.written(file)
+
+
+def test_positions_beyond_float32_are_refused():
+    mesh = read(plain_ply.cube())
+    vertices = mesh.vertices.copy()
+    for far in (1e39, np.nan, np.inf):
+        vertices[5, 1] = far
+        with pytest.raises(ContentError) as caught:
+            mesh.replaced(vertices)
+        assert caught.value.code == "E_RANGE" and caught.value.where == "vertex 5"
+
+
+def test_wrong_shapes_are_our_own_fault():
+    mesh = read(plain_ply.cube())
+    with pytest.raises(InternalError):
+        mesh.replaced(mesh.vertices[:-1])
+    with pytest.raises(InternalError):
+        mesh.replaced(mesh.vertices.astype(np.float32))
+
+
+# Faces
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_polygons_are_fanned_and_small_faces_carried(encoding):
+    corners = [[0, 0, 0], [1, 0, 0], [2, 1, 0], [1, 2, 0], [0, 1, 0]]
+    mesh = read(
+        mesh_file(encoding, corners, [[0, 1, 2, 3, 4], [0, 1], [2, 1, 0], [], [3, 2, 1, 0]])
+    )
+    assert mesh.faces.tolist() == [
+        [0, 1, 2],
+        [0, 2, 3],
+        [0, 3, 4],
+        [2, 1, 0],
+        [3, 2, 1],
+        [3, 1, 0],
+    ]
+    assert mesh.n_polygons == 5
+    assert "2 faces have fewer than three corners" in mesh.warnings[0]
+    assert [one.tolist() for one in mesh.polygons()] == [[0, 1, 2, 3, 4], [2, 1, 0], [3, 2, 1, 0]]
+
+
+@pytest.mark.parametrize("count", ["char", "uchar", "short", "ushort", "int", "uint", "int64"])
+@pytest.mark.parametrize(
+    "index", ["char", "uchar", "short", "ushort", "int", "uint", "uint64", "float"]
+)
+def test_every_count_and_index_type(count, index):
+    faces = [[0, 1, 2], [0, 2, 3], [0, 1, 2, 3]]
+    for encoding in ENCODINGS:
+        for few in (2, 3):
+            file = mesh_file(encoding, [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], faces[:few])
+            file.elements[1].properties = [("vertex_index", index, count)]
+            assert read(file).faces.tolist() == plain_ply.triangles(file)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_strips_restart_alternate_and_drop_degenerate_triangles(encoding):
+    corners = [[k % 3, k // 3, 0] for k in range(9)]
+    file = mesh_file(encoding, corners, [[0, 1, 2]])
+    strips = [[[0, 3, 1, 4, 2, 5, -1, 3, 6, 4, 4, 7, -1, -1, 8, 7]], [[5, 8, 4]]]
+    file.elements.append(Element("tristrips", [("vertex_indices", "int", "int")], strips))
+    mesh = read(file)
+    assert mesh.faces.tolist() == [
+        [0, 1, 2],
+        [0, 3, 1],
+        [1, 3, 4],
+        [1, 4, 2],
+        [2, 4, 5],
+        [3, 6, 4],
+        [5, 8, 4],
+    ]
+    assert mesh.n_polygons == 7
+    assert mesh.polygons().tolist() == mesh.faces.tolist()
+
+
+def test_an_unsigned_strip_restarts_at_all_ones():
+    file = Ply(
+        LE,
+        [
+            Element("vertex", XYZ, [[k, k * k, 0] for k in range(6)]),
+            Element(
+                "tristrips", [("vertex_indices", "uint", "uint")], [[[0, 1, 2, 2**32 - 1, 3, 4, 5]]]
+            ),
+        ],
+    )
+    assert read(file).faces.tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
+def test_quads_mixed_with_strips_are_one_list():
+    file = plain_ply.cube()
+    file.elements.append(Element("tristrips", [("vertex_indices", "int", "int")], [[[0, 1, 2]]]))
+    polygons = read(file).polygons()
+    assert [len(one) for one in polygons] == [4] * 6 + [3]
+
+
+# Normals
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_vertex_normals_follow_the_surface_and_keep_their_sense(encoding):
+    vertices, faces = grid(6, 5)
+    inward = np.tile([0.0, 0.0, -1.0], (len(vertices), 1))
+    file = mesh_file(encoding, vertices, faces, normals=inward)
+    mesh = read(file)
+    # The plane z = x / 2 instead of z = 0 for the columns from 2 on.
+    tilted = vertices.copy()
+    tilted[:, 2] = np.maximum(vertices[:, 0] - 2.0, 0.0) / 2.0
+    output = mesh.replaced(tilted)
+    mesh.check(output, tilted)
+    rows = plain_ply.read(bytes(output)).element("vertex").rows
+    steep = np.array([0.5, 0.0, -1.0]) / np.sqrt(1.25)
+    for x, _, _, *normal in rows:
+        if x < 2:
+            assert normal == [0.0, 0.0, -1.0]
+        elif x > 2:
+            assert np.allclose(normal, steep, atol=2e-6)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_face_normals_of_polygons_are_recomputed(encoding):
+    corners = [[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [9, 9, 9], [8, 9, 9], [9, 8, 9]]
+    faces = [[0, 1, 2, 3], [2, 1, 0], [4, 5, 6], [0, 1], [0, 1, 2]]
+    stored = [[0, 0, 1], [0, 0, 1], [0.5, 0.25, 0], [1, 0, 0], [0, 0, 0]]
+    mesh = read(mesh_file(encoding, corners, faces, face_normals=stored))
+    vertices = mesh.vertices.copy()
+    vertices[[1, 2], 2] = 2.0
+    output = mesh.replaced(vertices)
+    mesh.check(output, vertices)
+    normals = [row[1:] for row in plain_ply.read(bytes(output)).element("face").rows]
+    half = 0.5**0.5
+    # The second face was wound against its normal: it stays so.  No corner of the third moved,
+    # the fourth has no area, the fifth had no normal.
+    assert np.allclose(normals[0], [-half, 0, half], atol=1e-6)
+    assert np.allclose(normals[1], [-half, 0, half], atol=1e-6)
+    assert normals[2:] == [[0.5, 0.25, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_normals_that_are_not_three_floats_are_kept_with_a_warning(encoding):
+    file = plain_ply.cube(encoding)
+    vertex = file.element("vertex")
+    vertex.properties += [("nx", "char", ""), ("ny", "char", ""), ("nz", "char", "")]
+    vertex.rows = [[*row, 0, 0, 127] for row in vertex.rows]
+    mesh = read(file)
+    assert "kept, not recomputed" in mesh.warnings[0]
+    output = plain_ply.read(bytes(mesh.replaced(mesh.vertices + np.arange(24.0).reshape(8, 3))))
+    assert [row[4:] for row in output.element("vertex").rows] == [[0, 0, 127]] * 8
+
+
+def test_normals_belong_to_the_positions_given_last():
+    vertices, faces = grid(4, 4)
+    file = mesh_file(LE, vertices, faces, normals=np.tile([0.0, 0.0, 1.0], (len(vertices), 1)))
+    mesh = read(file)
+    first, second = vertices + np.sin(vertices), vertices + np.cos(3 * vertices)
+    before = bytes(mesh.replaced(first))
+    assert bytes(mesh.replaced(second)) == bytes(read(file).replaced(second)) != before
+    with pytest.raises(InternalError):
+        mesh.check(before, second)
+
+
+def test_a_nan_among_the_normals_stays_and_passes_the_check():
+    vertices, faces = grid(3, 3)
+    normals = np.tile([0.0, 0.0, 1.0], (len(vertices), 1))
+    normals[0] = np.nan
+    mesh = read(mesh_file(LE, vertices, faces, normals=normals))
+    moved = vertices + np.sin(vertices)
+    output = mesh.replaced(moved)
+    mesh.check(output, moved)
+    rows = plain_ply.read(bytes(output)).element("vertex").rows
+    assert np.isnan(rows[0][3:]).all() and np.isfinite(rows[1][3:]).all()
+
+
+# The check of the output
+
+
+def tampered(output: bytes, at: int) -> bytes:
+    result = bytearray(output)
+    result[at] = (result[at] + 1) % 256 if result[at] != ord("9") else ord("8")
+    return bytes(result)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("mixed", [False, True])
+def test_the_check_sees_every_single_wrong_byte(encoding, mixed):
+    vertices, faces = grid(3, 3)
+    faces = [list(face) for face in faces] + ([[0, 1, 4, 3]] if mixed else [])
+    normals = np.tile([0.0, 0.0, 1.0], (len(vertices), 1))
+    file = mesh_file(encoding, vertices, faces, normals, np.tile([0.0, 0.0, 1.0], (len(faces), 1)))
+    file.elements[0].properties.append(("neighbours", "short", "uchar"))
+    file.elements[0].rows = [
+        [*row, [k] * (k % 3 if mixed else 2)] for k, row in enumerate(file.elements[0].rows)
+    ]
+    file.trailing = b"1\n"
+    mesh = read(file)
+    moved = mesh.vertices.copy()
+    moved[0] += [0.25, 0.125, 0.5]
+    output = bytes(mesh.replaced(moved))
+    mesh.check(output, moved)
+    for at in range(len(output)):
+        if encoding == "ascii" and output[at] in b" \n":
+            continue
+        with pytest.raises(InternalError):
+            mesh.check(tampered(output, at), moved)
+    for wrong in (output[:-1], output + b"0", output[: len(output) // 2], output[:400], b""):
+        with pytest.raises(InternalError):
+            mesh.check(wrong, moved)
+    with pytest.raises(InternalError):
+        mesh.check(output, mesh.vertices)
+    with pytest.raises(InternalError):
+        mesh.check(plain_ply.written(file), moved)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_the_check_wants_the_positions_it_is_given(encoding):
+    mesh = read(plain_ply.cube(encoding))
+    moved = mesh.vertices + 0.25
+    output = mesh.replaced(moved)
+    for wrong in (mesh.vertices, moved + [0, 0, 1e-3], np.roll(moved, 1, axis=0)):
+        with pytest.raises(InternalError):
+            mesh.check(output, wrong)
+
+
+# Conversion
+
+
+def test_a_signalling_nan_in_a_property_makes_no_noise():
+    corner = struct.pack("<3f", 0, 0, 1) + bytes.fromhex("010080ff")
+    data = (
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\n"
+        b"property float y\nproperty float z\nproperty float q\nelement face 1\n"
+        b"property list uchar int vertex_indices\nend_header\n"
+        + corner
+        + struct.pack("<4f", 1, 0, 0, 0)
+        + struct.pack("<4f", 0, 1, 0, 0)
+        + struct.pack("<B3i", 3, 0, 1, 2)
+    )
+    mesh = ply.read(data, "a.ply")
+    assert b"0 0 1 nan" in bytes(mesh.encoded(mesh.vertices, "ascii", "same"))
+    assert len(mesh.encoded(mesh.vertices, "binary", "float64"))
+
+
+def test_text_is_the_same_in_chunks_of_any_size(monkeypatch):
+    file = mesh_file(LE, *grid(4, 3))
+    file.elements[1].rows[3][0] = [0, 1, 4, 3]
+    mesh = read(file)
+    whole = bytes(mesh.encoded(mesh.vertices, "ascii", "same"))
+    for size in (1, 5, 12):
+        monkeypatch.setattr("msal_cli.codecs.ply_recode._CHUNK", size)
+        assert bytes(mesh.encoded(mesh.vertices, "ascii", "same")) == whole
+    assert plain_ply.read(whole).elements == file.elements
+
+
+def test_a_list_longer_than_its_count_type_does_not_become_binary():
+    file = mesh_file("ascii", *grid(3, 3))
+    file.elements[1].properties = [("vertex_indices", "int", "char")]
+    file.elements[1].rows[2][0] = [0, 1, 4] * 43
+    mesh = read(file)
+    with pytest.raises(ContentError, match="face 2"):
+        mesh.encoded(mesh.vertices, "binary", "same")
+
+
+def test_text_has_no_more_digits_than_the_type_tells_apart():
+    file = plain_ply.cube()
+    file.element("camera").rows[0] = [0.1, 0.1]
+    mesh = read(file)
+    output = bytes(mesh.encoded(mesh.vertices + 0.7, "ascii", "same")).split(b"end_header\n")[1]
+    assert output.split(b"\n")[:2] == [b"0.1 0.1", b"0.7 0.7 0.7 0"]
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
+def test_text_has_the_line_ends_of_the_header(newline):
+    file = replace(plain_ply.cube(), newline=newline)
+    mesh = read(file)
+    output = bytes(mesh.encoded(mesh.vertices, "ascii", "same"))
+    assert plain_ply.read(output) == replace(file, encoding="ascii")
+    assert output.count(newline.encode()) == len(output.splitlines())
+
+
+def test_long_integers_are_exact_there_and_back():
+    file = plain_ply.cube()
+    camera = file.element("camera")
+    camera.properties = [("id", "uint64", ""), ("sums", "int64", "uchar")]
+    camera.rows = [[2**64 - 1, [2**53 + 1, -(2**63), 2**63 - 1, 0]]]
+    mesh = read(file)
+    output = bytes(mesh.encoded(mesh.vertices, "ascii", "same"))
+    assert b"\n18446744073709551615 4 9007199254740993 -9223372036854775808 " in output
+    again = ply.read(output, "again.ply")
+    assert bytes(again.encoded(again.vertices, "binary", "same")) == plain_ply.written(file)
+
+
+def test_unknown_words_for_encoding_and_precision_are_wrong_use():
+    mesh = read(plain_ply.cube())
+    for words in (("little", "same"), ("same", "float16")):
+        with pytest.raises(UsageError):
+            mesh.encoded(mesh.vertices, *words)
+
+
+def test_the_same_encoding_and_precision_is_a_replacement():
+    file = plain_ply.cube()
+    mesh = read(file)
+    for words in (("same", "same"), ("binary", "float32"), ("same", "float32")):
+        assert bytes(mesh.encoded(mesh.vertices.copy(), *words)) == plain_ply.written(file)
+
+
+def test_the_header_changes_in_the_format_line_and_the_types_only():
+    file = replace(plain_ply.cube(), comments=["comment property float x", "obj_info  a  b "])
+    data = plain_ply.written(file).replace(b"property float y", b"property\tfloat32   y ")
+    output = bytes(
+        ply.read(data, "a.ply").encoded(ply.read(data, "a.ply").vertices, "ascii", "float64")
+    )
+    expected = data[: data.index(b"end_header") + 11].replace(LE.encode(), b"ascii")
+    for old, new in (
+        (b"\nproperty float x", b"\nproperty double x"),
+        (b"\tfloat32   y ", b"\tfloat64   y "),
+        (b"\nproperty float z", b"\nproperty double z"),
+    ):
+        expected = expected.replace(old, new)
+    assert output.startswith(expected)
+    assert b"property float focal" in output
+
+
+@pytest.mark.parametrize(
+    ("kind", "token"),
+    [
+        ("uchar", "300"),
+        ("char", "-129"),
+        ("uint", "-1"),
+        ("int", "1.5"),
+        ("uint64", "-1"),
+        ("int64", "9" * 30),
+        ("float", "1e40"),
+    ],
+)
+def test_ascii_values_that_their_type_cannot_hold_do_not_become_binary(kind, token):
+    file = plain_ply.cube("ascii")
+    vertex = file.element("vertex")
+    vertex.properties[3] = ("red", kind, "")
+    vertex.rows[6][3] = token
+    mesh = read(file)
+    with pytest.raises(ContentError) as caught:
+        mesh.encoded(mesh.vertices, "binary", "same")
+    assert caught.value.code == "E_RANGE" and "vertex 6, line " in caught.value.where
+    assert np.array_equal(
+        ply.read(mesh.encoded(mesh.vertices, "same", "float64"), "o").vertices, mesh.vertices
+    )
+
+
+def test_doubles_beyond_float32_do_not_become_float32():
+    file = plain_ply.cube(LE, "double")
+    file.element("vertex").rows[3][2] = 1e200
+    mesh = read(file)
+    with pytest.raises(ContentError, match="vertex 3"):
+        mesh.encoded(mesh.vertices, "same", "float32")
+
+
+# Other readers
+
+
+def shapes():
+    vertices, faces = torus()
+    quads = faces.reshape(-1, 2, 3)
+    return {
+        "triangles": (vertices, faces),
+        "quads": (vertices, np.column_stack([quads[:, 0], quads[:, 1, 2]])),
+    }
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("shape", ["triangles", "quads"])
+def test_trimesh_and_meshio_read_what_is_written(encoding, shape, tmp_path):
+    import meshio
+    import trimesh
+
+    vertices, faces = shapes()[shape]
+    mesh = read(mesh_file(encoding, vertices, faces))
+    moved = mesh.vertices * 1.5
+    moved[::2] += 0.01
+    path = tmp_path / "out.ply"
+    for output in (
+        mesh.replaced(moved),
+        mesh.encoded(moved, "binary", "float64"),
+        mesh.encoded(moved, "ascii", "float64"),
+    ):
+        path.write_bytes(output)
+        theirs = meshio.read(path)
+        assert np.allclose(theirs.points, moved, atol=1e-6)
+        assert np.array_equal(theirs.cells[0].data, faces)
+        if shape == "triangles":
+            other = trimesh.load(path, process=False)
+            assert np.allclose(other.vertices, moved, atol=1e-6)
+            assert np.array_equal(other.faces, mesh.faces)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_files_of_trimesh_and_meshio_are_read(binary, tmp_path):
+    import meshio
+    import trimesh
+
+    vertices, faces = torus()
+    theirs = trimesh.Trimesh(vertices, faces, process=False)
+    theirs.visual.vertex_colors = np.arange(len(vertices) * 4).reshape(-1, 4) % 255
+    data = theirs.export(
+        file_type="ply", encoding="binary" if binary else "ascii", vertex_normal=True
+    )
+    mesh = ply.read(data, "trimesh.ply")
+    assert np.allclose(mesh.vertices, vertices, atol=1e-6) and np.array_equal(mesh.faces, faces)
+    assert "vertex.red uchar" in mesh.properties and "vertex.nx float" in mesh.properties
+    cells = [("triangle", faces[:7]), ("quad", np.array([[0, 1, 2, 3], [4, 5, 6, 7]]))]
+    meshio.Mesh(vertices, cells, point_data={"quality": np.arange(len(vertices)) / 7}).write(
+        tmp_path / "meshio.ply", binary=binary
+    )
+    mesh = ply.read((tmp_path / "meshio.ply").read_bytes(), "meshio.ply")
+    assert np.array_equal(mesh.vertices, vertices)
+    assert len(mesh.faces) == 11 and mesh.n_polygons == 9
+
+
+# Real scans
+
+REAL = {
+    "scans/face000.ply": (85_849, 166_259, "float32"),
+    "scans/dragon_vrip_res2.ply.gz": (100_250, 202_520, "text"),
+    "clean/igea.ply": (134_345, 268_686, "float32"),
+    "textured/colored_airplane.ply": (7_017, 10_796, "float64"),
+}
+
+
+def real(folder, name: str) -> bytes:
+    data = (folder / name).read_bytes()
+    return gzip.decompress(data) if name.endswith(".gz") else data
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_scans_change_in_their_coordinates_only(real_data, name):
+    data = real(real_data, name)
+    mesh = ply.read(data, name)
+    n, m, precision = REAL[name]
+    assert (mesh.vertices.shape, mesh.faces.shape, mesh.precision) == ((n, 3), (m, 3), precision)
+    assert bytes(mesh.replaced(mesh.vertices.copy())) == data
+    moved = mesh.vertices.copy()
+    moved[::7] += 0.01 * np.ptp(moved, axis=0)
+    output = bytes(mesh.replaced(moved))
+    mesh.check(output, moved)
+    again = ply.read(output, name)
+    assert np.array_equal(again.faces, mesh.faces)
+    assert np.abs(again.vertices - moved).max() <= 1e-7 * np.abs(moved).max()
+    kept = np.ones(n, dtype=bool)
+    kept[::7] = False
+    assert np.array_equal(again.vertices[kept], mesh.vertices[kept])
+    # Everything else is the same: the bytes outside the moved records, or the lines.
+    end = data.index(b"end_header\n") + 11
+    if precision == "text":
+        old, new = data.split(b"\n"), output.split(b"\n")
+        first = data[:end].count(b"\n")
+        assert [k for k, (a, b) in enumerate(zip(old, new, strict=True)) if a != b] == list(
+            range(first, first + n, 7)
+        )
+    else:
+        assert len(output) == len(data)
+        size = {"float32": 4, "float64": 8}[precision]
+        start = end + (92 if "face000" in name else 0)
+        stride = {"face000": 20, "igea": 12, "airplane": 36}[
+            next(k for k in ("face000", "igea", "airplane") if k in name)
+        ]
+        differs = np.frombuffer(data, np.uint8) != np.frombuffer(output, np.uint8)
+        at = np.flatnonzero(differs) - start
+        assert len(at) and at.min() >= 0 and at.max() < n * stride
+        assert ((at // stride) % 7 == 0).all() and (at % stride < 3 * size).all()
+
+
+def test_the_strips_of_a_real_scan_are_a_closed_consistent_surface(real_data):
+    from msal_cli.kernels.geometry import area_and_volume
+
+    mesh = ply.read(real(real_data, "clean/igea.ply"), "igea.ply")
+    edges = mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
+    forward = edges[:, 0] * len(mesh.vertices) + edges[:, 1]
+    backward = edges[:, 1] * len(mesh.vertices) + edges[:, 0]
+    assert len(np.unique(forward)) == len(forward)
+    assert np.array_equal(np.sort(forward), np.sort(backward))
+    # An orientable closed surface of genus 0, counter-clockwise from outside.
+    assert len(mesh.vertices) - len(forward) // 2 + len(mesh.faces) == 2
+    area, volume = area_and_volume(mesh.vertices, mesh.faces)
+    sphere = area**1.5 / (6.0 * np.sqrt(np.pi))
+    assert 0.3 * sphere < volume < sphere
+
+
+def test_trimesh_agrees_on_a_real_scan(real_data):
+    import trimesh
+
+    data = real(real_data, "scans/face000.ply")
+    mesh = ply.read(data, "face000.ply")
+    theirs = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
+    assert np.array_equal(mesh.vertices, theirs.vertices)
+    assert np.array_equal(mesh.faces, theirs.faces)
+
+
+@pytest.mark.parametrize("extra", ["", "q"])
+@pytest.mark.parametrize("code", ["<f4", ">f8", "<i2"])
+def test_records_of_positions_alone_are_as_any_others(code, extra):
+    # More records than are worked on at a time.
+    n = 40_000
+    rng = np.random.default_rng(5)
+    kind = np.dtype([(name, code) for name in ("x", "y", "z", *extra)])
+    records = np.zeros(n, dtype=kind)
+    for name in kind.names:
+        records[name] = rng.integers(-3000, 3000, n)
+    word = {"f4": "float", "f8": "double", "i2": "short"}[code[1:]]
+    order = "little" if code[0] == "<" else "big"
+    head = f"ply\nformat binary_{order}_endian 1.0\nelement vertex {n}\n"
+    head += "".join(f"property {word} {name}\n" for name in kind.names)
+    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    face = np.array([3], np.uint8).tobytes() + np.array([0, 1, 2], code[0] + "i4").tobytes()
+    data = head.encode() + records.tobytes() + face
+    file = ply.read(data, "a.ply")
+    assert (file.vertices == np.stack([records[k] for k in "xyz"], axis=1)).all()
+    moved = file.vertices.copy()
+    moved[20_000:, 1] += 7.0
+    output = bytes(file.replaced(moved))
+    file.check(output, moved)
+    records["y"][20_000:] += 7
+    assert output == head.encode() + records.tobytes() + face
+    for at in (len(head) + 3, len(head) + 30_000 * kind.itemsize, len(output) - 1):
+        wrong = bytearray(output)
+        wrong[at] ^= 1
+        with pytest.raises(InternalError):
+            file.check(bytes(wrong), moved)

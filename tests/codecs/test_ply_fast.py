@@ -1,0 +1,122 @@
+"""Ascii PLY in one walk: the same as the walk that keeps the place of every word."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from msal_cli.codecs import ply
+from msal_cli.codecs import ply_fast as ply_plain
+from msal_cli.errors import InputError, InternalError
+
+WORDS = st.one_of(
+    st.floats(-1e4, 1e4).map(lambda v: b"%.4f" % v),
+    st.floats(-1e4, 1e4).map(lambda v: repr(v).encode()),
+    st.sampled_from(
+        [b"1e-5", b"-2.5E+3", b"+1", b".5", b"3.", b"123456789012", b"0.1234567890123"]
+    ),
+)
+
+
+@st.composite
+def files(draw: st.DrawFn) -> bytes:
+    """An ascii PLY file of a few vertices and faces, often with more than positions."""
+    newline = draw(st.sampled_from([b"\n", b"\r\n", b"\r"]))
+    blank = draw(st.sampled_from([b" ", b"  ", b"\t"]))
+    word = WORDS if draw(st.booleans()) else st.floats(-9, 9).map(lambda v: b"%.6f" % v)
+    scalars = list(draw(st.sampled_from([
+        "x y z", "x y z nx ny nz", "red x y z", "y x z", "x y q z", "nx ny nz x y z alpha", "z y x",
+    ])).split())  # fmt: skip
+    more = draw(st.sampled_from(["", "quality", "nx ny nz"])).split()
+    n = draw(st.integers(3, 8))
+    faces = [
+        [draw(st.integers(0, n - 1)) for _ in range(draw(st.sampled_from([3, 3, 3, 4, 2])))]
+        for _ in range(draw(st.integers(1, 6)))
+    ]
+    head = [b"ply", b"format ascii 1.0", b"element vertex %d" % n]
+    head += [b"property float %s" % name.encode() for name in scalars]
+    head += [b"element face %d" % len(faces)]
+    head += [b"property list uchar int vertex_indices"]
+    head += [b"property float %s" % name.encode() for name in more] + [b"end_header"]
+    lines = [blank.join(draw(word) for _ in scalars) for _ in range(n)]
+    for face in faces:
+        words = [b"%d" % one for one in (len(face), *face)]
+        lines.append(blank.join([*words, *(draw(word) for _ in more)]))
+    ending = draw(st.sampled_from([b"", newline, b" " + newline + b" tail" + newline]))
+    space = draw(st.sampled_from([b"", b"", b" ", newline]))
+    return newline.join(head) + newline + (space + newline).join(lines) + ending
+
+
+def outcome(data: bytes, seed: int) -> list[Any]:
+    """What is read and written of a file, or the error."""
+    try:
+        file = ply.read(data, "")
+    except InputError as error:
+        return [str(error), error.where]
+    vertices = file.vertices.copy()
+    vertices += np.random.default_rng(seed).normal(size=vertices.shape) * [[1e-2, 1e-9, 0.0]]
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    arrays = (file.vertices, file.faces)
+    return [*(one.tobytes() for one in arrays), file.n_polygons, file.warnings, output]
+
+
+@given(files(), st.binary(max_size=2), st.integers(0, 10**9), st.integers(0, 9))
+@settings(max_examples=75, deadline=None)
+def test_both_walks_read_and_write_the_same(
+    data: bytes, noise: bytes, place: int, seed: int
+) -> None:
+    body = data.index(b"end_header") + 12
+    at = body + place % (len(data) - body)
+    data = data[:at] + noise + data[at + len(noise) :]
+    plain = outcome(data, seed)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ply_plain, "numbers", lambda *_: None)
+        assert plain == outcome(data, seed)
+
+
+def scan(lines: list[bytes]) -> bytes:
+    return (
+        b"ply\nformat ascii 1.0\nelement vertex %d\nproperty float x\nproperty float y\n"
+        b"property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        % len(lines)
+        + b"\n".join([*lines, b"3 0 1 2\n"])
+    )
+
+
+def test_a_position_has_the_decimals_of_its_own_line() -> None:
+    lines = [b"%.3f %.3f 0" % (math.cos(k / 100), math.sin(k / 100)) for k in range(600)]
+    lines[7] = b"0.997551000253279572 0.069942847337532768 0"
+    file = ply.read(scan(lines), "")
+    output = bytes(file.replaced(file.vertices + 1e-4)).split(b"\n")
+    decimals = [{len(w.partition(b".")[2]) for w in one.split()} for one in output[9:-2]]
+    assert decimals == [{15} if k == 7 else {7} for k in range(600)]
+
+
+def test_the_check_sees_every_wrong_byte() -> None:
+    file = ply.read(scan([b"0.25 0.5 1", b"1.75 0 0", b"0 3.125 0"]), "")
+    assert file._sections["vertex"].read is not None
+    vertices = file.vertices + [[0.1, 0.0, 0.0]]
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    for at in range(len(output)):
+        wrong = output[:at] + bytes([output[at] ^ 1]) + output[at + 1 :]
+        with pytest.raises(InternalError):
+            file.check(wrong, vertices)
+    for wrong in (output[:-1], output + b" ", output[:-8]):
+        with pytest.raises(InternalError):
+            file.check(wrong, vertices)
+
+
+def test_many_items_in_a_list_find_room() -> None:
+    lines = [b"%.3f %.3f 0" % (math.cos(k / 100), math.sin(k / 100)) for k in range(600)]
+    wide = b"600 " + b" ".join(b"%d" % k for k in range(600))
+    file = ply.read(scan(lines).replace(b"3 0 1 2", wide), "")
+    assert (len(file.faces), file.faces[-1].tolist()) == (598, [0, 598, 599])
+    section = file._sections["face"]
+    assert section.read is not None and len(section.read.items) == 600

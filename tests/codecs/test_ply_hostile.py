@@ -1,0 +1,693 @@
+"""PLY files that are wrong: each gets its own typed error, and no damage crashes or hangs."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import random
+import struct
+import time
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from msal_cli.codecs import ply
+from msal_cli.errors import InternalError, MsalError
+from msal_cli.kernels import ply_scan
+from tests.codecs import plain_ply
+from tests.codecs.plain_ply import Element, Ply
+
+XYZ = [("x", "float", ""), ("y", "float", ""), ("z", "float", "")]
+CORNERS = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+LIST = [("vertex_indices", "int", "uchar")]
+
+
+def text(head: str, body: str) -> bytes:
+    """An ascii file; ``head`` are the header lines between format and end_header."""
+    return f"ply\nformat ascii 1.0\n{head}end_header\n{body}".encode()
+
+
+def binary(head: str, body: bytes, order: str = "little") -> bytes:
+    return f"ply\nformat binary_{order}_endian 1.0\n{head}end_header\n".encode() + body
+
+
+def tetra(encoding: str = "ascii", faces=((0, 1, 2),), **changes) -> bytes:
+    elements = [
+        Element("vertex", XYZ, [list(row) for row in changes.get("corners", CORNERS)]),
+        Element("face", changes.get("list", LIST), [[list(face)] for face in faces]),
+    ]
+    return plain_ply.written(Ply(encoding, elements))
+
+
+LE, BE = "binary_little_endian", "binary_big_endian"
+V4 = "element vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+F1 = "element face 1\nproperty list uchar int vertex_indices\n"
+V4_TEXT = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
+V4_BYTES = struct.pack("<12f", *(x for row in CORNERS for x in row))
+GOOD = tetra()
+
+HEADERS = {
+    "empty": (b"", "E_TRUNCATED", ""),
+    "half a magic word": (b"pl", "E_TRUNCATED", ""),
+    "magic word alone": (b"ply", "E_TRUNCATED", ""),
+    "another format": (b"solid cube\nfacet normal 0 0 1\n", "E_FORMAT", "line 1"),
+    "capital magic": (b"PLY\n" + GOOD[4:], "E_FORMAT", "line 1"),
+    "byte-order mark": (b"\xef\xbb\xbf" + GOOD, "E_FORMAT", "byte 0"),
+    "leading blank line": (b"\n" + GOOD, "E_FORMAT", "line 1"),
+    "words behind the magic": (b"ply file\n" + GOOD[4:], "E_FORMAT", "line 1"),
+    "only the magic line": (b"ply\n", "E_TRUNCATED", "line 2"),
+    "no end_header": (GOOD[: GOOD.index(b"end_header")], "E_TRUNCATED", "line 9"),
+    "end_header misspelt": (GOOD.replace(b"end_header", b"end_head"), "E_TRUNCATED", ""),
+    "no end_header, much data": (
+        GOOD[: GOOD.index(b"end_header")] + bytes(1_000_000),
+        "E_TOO_LARGE",
+        "",
+    ),
+    "endless comments": (
+        GOOD.replace(b"element vertex", b"comment x\n" * 2000 + b"element vertex"),
+        "E_TOO_LARGE",
+        "line 1000",
+    ),
+    "one endless comment": (
+        GOOD.replace(b"element vertex", b"comment " + b"x" * 70_000 + b"\nelement vertex"),
+        "E_TOO_LARGE",
+        "",
+    ),
+    "end_header at the limit": (
+        GOOD.replace(
+            b"element vertex",
+            b"comment " + b"x" * (65_535 - GOOD.index(b"\nend_header") - 19) + b"\nelement vertex",
+        ),
+        "E_TOO_LARGE",
+        "",
+    ),
+    "no format": (GOOD.replace(b"format ascii 1.0\n", b""), "E_FORMAT", "header"),
+    "format twice": (
+        GOOD.replace(b"format ascii 1.0\n", b"format ascii 1.0\n" * 2),
+        "E_FORMAT",
+        "line 3",
+    ),
+    "unknown encoding": (GOOD.replace(b"ascii", b"utf8"), "E_FORMAT", "line 2"),
+    "format without version": (GOOD.replace(b" 1.0", b""), "E_FORMAT", "line 2"),
+    "unknown version": (GOOD.replace(b" 1.0", b" 2.0"), "E_UNSUPPORTED", "line 2"),
+    "unknown keyword": (GOOD.replace(b"element face", b"elemnt face"), "E_FORMAT", "line 7"),
+    "capital keyword": (GOOD.replace(b"element face", b"ELEMENT face"), "E_FORMAT", "line 7"),
+    "glued keyword": (GOOD.replace(b"element face", b"elementface"), "E_FORMAT", "line 7"),
+    "half a keyword": (GOOD.replace(b"property float z", b"prop float z"), "E_FORMAT", "line 6"),
+    "unknown line among elements, and data left over": (
+        GOOD.replace(b"element face", b"polygons 2\nelement face") + b"3 0 1 3\n",
+        "E_FORMAT",
+        "line 7",
+    ),
+    "binary rubbish in the header": (
+        GOOD.replace(b"element face", b"\x00\xff\xfe face"),
+        "E_FORMAT",
+        "line 7",
+    ),
+    "element without count": (GOOD.replace(b"vertex 4", b"vertex"), "E_FORMAT", "line 3"),
+    "element with two counts": (GOOD.replace(b"vertex 4", b"vertex 4 4"), "E_FORMAT", "line 3"),
+    "negative count": (GOOD.replace(b"vertex 4", b"vertex -4"), "E_FORMAT", "line 3"),
+    "fractional count": (GOOD.replace(b"vertex 4", b"vertex 4.0"), "E_FORMAT", "line 3"),
+    "worded count": (GOOD.replace(b"vertex 4", b"vertex four"), "E_FORMAT", "line 3"),
+    "hexadecimal count": (GOOD.replace(b"vertex 4", b"vertex 0x4"), "E_FORMAT", "line 3"),
+    "exponent in count": (GOOD.replace(b"vertex 4", b"vertex 4e9"), "E_FORMAT", "line 3"),
+    "count of a thousand digits": (
+        GOOD.replace(b"vertex 4", b"vertex " + b"9" * 1000),
+        "E_FORMAT",
+        "line 3",
+    ),
+    "count in other digits": (
+        GOOD.replace(b"vertex 4", "vertex ٤".encode()),
+        "E_FORMAT",
+        "line 3",
+    ),
+    "element twice": (text(V4 + V4 + F1, V4_TEXT), "E_FORMAT", "line 7"),
+    "property twice": (
+        GOOD.replace(b"property float y\n", b"property float x\n"),
+        "E_FORMAT",
+        "line 5",
+    ),
+    "property before elements": (
+        GOOD.replace(b"element vertex", b"property int a\nelement vertex"),
+        "E_FORMAT",
+        "line 3",
+    ),
+    "property without name": (GOOD.replace(b"float y", b"float"), "E_FORMAT", "line 5"),
+    "unknown type": (GOOD.replace(b"float y", b"real y"), "E_FORMAT", "line 5"),
+    "unknown count type": (GOOD.replace(b"list uchar", b"list byte"), "E_FORMAT", "line 8"),
+    "list with float count": (GOOD.replace(b"list uchar", b"list float"), "E_FORMAT", "line 8"),
+    "list without item type": (GOOD.replace(b"list uchar int", b"list int"), "E_FORMAT", "line 8"),
+    "no vertex element": (GOOD.replace(b"element vertex", b"element point"), "E_FORMAT", "header"),
+    "no z": (GOOD.replace(b"float z", b"float w"), "E_FORMAT", "header"),
+    "x is a list": (
+        GOOD.replace(b"property float x", b"property list uchar float x"),
+        "E_FORMAT",
+        "header",
+    ),
+    "corners are no list": (
+        GOOD.replace(b"list uchar int vertex_indices", b"int vertex_indices"),
+        "E_FORMAT",
+        "",
+    ),
+}
+
+BODIES = {
+    "binary: header only": (binary(V4 + F1, b""), "E_TRUNCATED", "vertex 0"),
+    "binary: half the vertices": (binary(V4 + F1, V4_BYTES[:30]), "E_TRUNCATED", "vertex 2"),
+    "binary: no faces left": (binary(V4 + F1, V4_BYTES), "E_TRUNCATED", "face 0"),
+    "binary: half a face": (binary(V4 + F1, V4_BYTES + b"\x03\0\0"), "E_TRUNCATED", "face 0"),
+    "binary: last byte gone": (tetra(LE)[:-1], "E_TRUNCATED", "face 0"),
+    "binary: second face cut": (
+        tetra(LE, [(0, 1, 2), (0, 1, 3)])[:-5],
+        "E_TRUNCATED",
+        "face 1",
+    ),
+    "binary: count cut in two": (
+        tetra(LE, [(0, 1, 2), (0, 1, 3)], list=[("vertex_indices", "int", "int")])[:-14],
+        "E_TRUNCATED",
+        "face 1",
+    ),
+    "binary: list count beyond the end": (
+        binary(V4 + F1, V4_BYTES + b"\xff" + bytes(12)),
+        "E_TRUNCATED",
+        "face 0",
+    ),
+    "binary: list count of 4e9": (
+        binary(V4 + F1.replace("uchar", "uint"), V4_BYTES + b"\xff\xff\xff\xff" + bytes(12)),
+        "E_TRUNCATED",
+        "face 0",
+    ),
+    "binary: negative list count": (
+        binary(V4 + F1.replace("uchar", "char"), V4_BYTES + b"\xff" + bytes(12)),
+        "E_FORMAT",
+        "face 0",
+    ),
+    "binary: negative list count later": (
+        binary(
+            V4 + F1.replace("uchar", "int").replace("face 1", "face 2"),
+            V4_BYTES + struct.pack("<4i", 3, 0, 1, 2) + struct.pack("<4i", -3, 0, 1, 2),
+        ),
+        "E_FORMAT",
+        "face 1",
+    ),
+    "binary: list count of 1.8e19": (
+        binary(V4 + F1.replace("uchar", "uint64"), V4_BYTES + b"\xff" * 8 + bytes(12)),
+        "E_FORMAT",
+        "face 0",
+    ),
+    "binary: list count of 9e18": (
+        binary(V4 + F1.replace("uchar", "int64"), V4_BYTES + b"\xff" * 7 + b"\x7f" + bytes(12)),
+        "E_TRUNCATED",
+        "face 0",
+    ),
+    "binary: a billion vertices": (
+        binary(V4.replace("4", "1000000000") + F1, V4_BYTES),
+        "E_TRUNCATED",
+        "vertex 4",
+    ),
+    "binary: 1e19 vertices": (
+        binary(V4.replace("4", "1" + "0" * 19) + F1, V4_BYTES),
+        "E_TRUNCATED",
+        "vertex 4",
+    ),
+    "binary: a billion faces": (
+        binary(V4 + F1.replace("face 1", "face 1000000000"), V4_BYTES + b"\x03" + bytes(12)),
+        "E_TRUNCATED",
+        "face 1",
+    ),
+    "binary: 1e19 faces": (
+        binary(V4 + F1.replace("face 1", "face 1" + "0" * 19), V4_BYTES + b"\x03" + bytes(12)),
+        "E_TRUNCATED",
+        "face 1",
+    ),
+    "binary: user element too long": (
+        binary("element user 99999\nproperty double a\n" + V4 + F1, V4_BYTES + bytes(13)),
+        "E_TRUNCATED",
+        "user 7",
+    ),
+    "binary: index too large": (tetra(LE, [(0, 1, 2), (0, 1, 4)]), "E_INDEX", "face 1"),
+    "binary: index negative": (tetra(LE, [(0, 1, -1)]), "E_INDEX", "face 0"),
+    "binary: index of 2**31": (
+        tetra(LE, [(0, 1, 2**31)], list=[("vertex_indices", "uint", "uchar")]),
+        "E_INDEX",
+        "face 0",
+    ),
+    "binary: index of 2**63": (
+        tetra(LE, [(0, 1, 2**63)], list=[("vertex_indices", "uint64", "uchar")]),
+        "E_INDEX",
+        "face 0",
+    ),
+    "binary: index of 2**32": (
+        tetra(LE, [(0, 1, 2**32)], list=[("vertex_indices", "int64", "uchar")]),
+        "E_INDEX",
+        "face 0",
+    ),
+    "binary: index of -2**40": (
+        tetra(LE, [(0, 1, -(2**40))], list=[("vertex_indices", "int64", "uchar")]),
+        "E_INDEX",
+        "face 0",
+    ),
+    "binary: index 1.5": (
+        tetra(LE, [(0, 1, 1.5)], list=[("vertex_indices", "float", "uchar")]),
+        "E_FORMAT",
+        "face 0",
+    ),
+    "binary: index NaN": (
+        tetra(LE, [(0, 1, float("nan"))], list=[("vertex_indices", "double", "uchar")]),
+        "E_FORMAT",
+        "face 0",
+    ),
+    "binary: index 1e300": (
+        tetra(LE, [(0, 1, 1e300)], list=[("vertex_indices", "double", "uchar")]),
+        "E_INDEX",
+        "face 0",
+    ),
+    "binary: index in a mixed file": (
+        tetra(BE, [(0, 1, 2), (0, 1, 2, 3), (0, 1, 9)]),
+        "E_INDEX",
+        "face 2",
+    ),
+    "binary: wrong byte order": (
+        tetra(LE, list=[("vertex_indices", "int", "int")]).replace(b"little", b"big"),
+        "E_TRUNCATED",
+        "face 0",
+    ),
+    "binary: NaN": (
+        tetra(LE, corners=[*CORNERS[:3], [0, float("nan"), 0]]),
+        "E_NONFINITE",
+        "vertex 3",
+    ),
+    "binary: infinity": (
+        tetra(BE, corners=[CORNERS[0], [float("inf"), 0, 0], *CORNERS[2:]]),
+        "E_NONFINITE",
+        "vertex 1",
+    ),
+    "binary: signalling NaN": (
+        tetra(LE).replace(struct.pack("<f", 1.0), b"\x01\x00\x80\x7f"),
+        "E_NONFINITE",
+        "vertex 1",
+    ),
+    "binary: strip index": (
+        binary(
+            V4 + "element tristrips 1\nproperty list int int vertex_indices\n",
+            V4_BYTES + struct.pack("<6i", 5, 0, 1, -2, 2, 3),
+        ),
+        "E_INDEX",
+        "tristrips 0",
+    ),
+    "binary: strip too long": (
+        binary(
+            V4 + "element tristrips 1\nproperty list int int vertex_indices\n",
+            V4_BYTES + struct.pack("<6i", 6, 0, 1, -1, 2, 3),
+        ),
+        "E_TRUNCATED",
+        "tristrips 0",
+    ),
+    "point cloud": (binary(V4, V4_BYTES), "E_NO_FACES", ""),
+    "point cloud with an empty face element": (tetra(LE, []), "E_NO_FACES", ""),
+    "no vertices at all": (tetra(LE, [], corners=[]), "E_NO_FACES", ""),
+    "faces but no vertices": (tetra(LE, corners=[]), "E_INDEX", "face 0"),
+    "only strips too short": (
+        binary(
+            V4 + "element tristrips 1\nproperty list int int vertex_indices\n",
+            V4_BYTES + struct.pack("<3i", 2, 0, 1),
+        ),
+        "E_NO_FACES",
+        "",
+    ),
+    "faces of two corners": (tetra(LE, [(0, 1), (2, 3)]), "E_NO_FACES", "element face"),
+    "faces under another name": (
+        tetra(LE).replace(b"vertex_indices", b"corner_numbers"),
+        "E_NO_FACES",
+        "element face",
+    ),
+    "ascii: header only": (text(V4 + F1, ""), "E_TRUNCATED", "vertex 0, line 10"),
+    "ascii: half the vertices": (text(V4 + F1, "0 0 0\n1 0 0\n"), "E_TRUNCATED", "vertex 2"),
+    "ascii: no faces left": (text(V4 + F1, V4_TEXT), "E_TRUNCATED", "face 0"),
+    "ascii: cut in the last line": (text(V4 + F1, V4_TEXT + "3 0 1"), "E_TRUNCATED", "face 0"),
+    "ascii: cut in a vertex": (text(V4 + F1, "0 0 0\n1 0"), "E_TRUNCATED", "vertex 1"),
+    "ascii: a billion vertices": (
+        text(V4.replace("4", "1000000000") + F1, V4_TEXT + "3 0 1 2\n"),
+        "E_FORMAT",
+        "vertex 4, line 14",
+    ),
+    "ascii: 1e19 faces": (
+        text(V4 + F1.replace("face 1", "face 1" + "0" * 19), V4_TEXT + "3 0 1 2\n"),
+        "E_TRUNCATED",
+        "face 1",
+    ),
+    "ascii: too few values": (
+        text(V4 + F1, V4_TEXT.replace("1 0 0", "1 0") + "3 0 1 2\n"),
+        "E_FORMAT",
+        "vertex 1, line 11",
+    ),
+    "ascii: too many values": (
+        text(V4 + F1, V4_TEXT.replace("1 0 0", "1 0 0 0") + "3 0 1 2\n"),
+        "E_FORMAT",
+        "vertex 1, line 11",
+    ),
+    "ascii: two records on a line, and a word short": (
+        text(V4 + F1, V4_TEXT.replace("\n1", " 1") + "3 0 1\n"),
+        "E_FORMAT",
+        "vertex 0, line 10",
+    ),
+    "ascii: two elements on a line": (
+        text(V4 + F1, V4_TEXT[:-1] + " 3 0 1 2\n"),
+        "E_FORMAT",
+        "vertex 3, line 13",
+    ),
+    "ascii: list shorter than its count": (
+        text(V4 + F1.replace("face 1", "face 2"), V4_TEXT + "4 0 1 2\n3 0 1 2\n"),
+        "E_FORMAT",
+        "face 0, line 14",
+    ),
+    "ascii: list longer than its count": (
+        text(V4 + F1, V4_TEXT + "3 0 1 2 3\n"),
+        "E_FORMAT",
+        "face 0, line 14",
+    ),
+    "ascii: negative list count": (
+        text(V4 + F1, V4_TEXT + "-3 0 1 2\n"),
+        "E_FORMAT",
+        "face 0, line 14",
+    ),
+    "ascii: huge list count": (
+        text(V4 + F1, V4_TEXT + "99999999999 0 1 2\n0\n"),
+        "E_FORMAT",
+        "face 0, line 14",
+    ),
+    "ascii: list count of fifty digits": (
+        text(V4 + F1, V4_TEXT + "9" * 50 + " 0 1 2\n"),
+        "E_FORMAT",
+        "face 0, line 14",
+    ),
+    "ascii: fractional list count": (
+        text(V4 + F1, V4_TEXT + "3.0 0 1 2\n"),
+        "E_FORMAT",
+        "face 0, line 14",
+    ),
+    "ascii: word for a coordinate": (
+        text(V4 + F1, V4_TEXT.replace("1 0 0", "1 zero 0") + "3 0 1 2\n"),
+        "E_FORMAT",
+        "line 11",
+    ),
+    "ascii: decimal comma": (
+        text(V4 + F1, V4_TEXT.replace("1 0 0", "1,5 0 0") + "3 0 1 2\n"),
+        "E_FORMAT",
+        "line 11",
+    ),
+    "ascii: NUL in a number": (
+        text(V4 + F1, V4_TEXT.replace("1 0 0", "1\0 0 0") + "3 0 1 2\n"),
+        "E_FORMAT",
+        "line 11",
+    ),
+    "ascii: word for a corner": (
+        text(V4 + F1, V4_TEXT + "3 0 one 2\n"),
+        "E_FORMAT",
+        "line 14",
+    ),
+    "ascii: fractional corner": (
+        text(V4 + F1, V4_TEXT + "3 0 1.5 2\n"),
+        "E_FORMAT",
+        "line 14",
+    ),
+    "ascii: index too large": (
+        text(V4 + F1, V4_TEXT + "\n3 0 1 4\n"),
+        "E_INDEX",
+        "face 0, line 15",
+    ),
+    "ascii: index negative": (text(V4 + F1, V4_TEXT + "3 0 1 -1\n"), "E_INDEX", "line 14"),
+    "ascii: index of 2**32": (
+        text(V4 + F1, V4_TEXT + "3 0 1 4294967296\n"),
+        "E_INDEX",
+        "line 14",
+    ),
+    "ascii: index of fifty digits": (
+        text(V4 + F1, V4_TEXT + "3 0 1 " + "9" * 50 + "\n"),
+        "E_FORMAT",
+        "line 14",
+    ),
+    "ascii: nan": (
+        text(V4 + F1, V4_TEXT.replace("1 0 0", "1 nan 0") + "3 0 1 2\n"),
+        "E_NONFINITE",
+        "vertex 1, line 11",
+    ),
+    "ascii: -inf": (
+        text(V4 + F1, V4_TEXT.replace("0 1 0", "0 1 -inf") + "3 0 1 2\n"),
+        "E_NONFINITE",
+        "vertex 2, line 12",
+    ),
+    "ascii: 1e999": (
+        text(V4 + F1, V4_TEXT.replace("0 1 0", "0 1 1e999") + "3 0 1 2\n"),
+        "E_NONFINITE",
+        "vertex 2, line 12",
+    ),
+    "ascii: point cloud": (text(V4, V4_TEXT), "E_NO_FACES", ""),
+    "ascii said, binary data": (
+        tetra(LE).replace(LE.encode(), b"ascii"),
+        "E_FORMAT",
+        "line 2",
+    ),
+    "ascii: word for a normal": (
+        text(
+            V4 + "property float nx\nproperty float ny\nproperty float nz\n" + F1,
+            V4_TEXT.replace("\n", " 0 0 one\n") + "3 0 1 2\n",
+        ),
+        "E_FORMAT",
+        "line 13",
+    ),
+}
+
+
+BODIES["empty lists of 64-bit indices"] = (
+    binary(V4 + "element face 2\nproperty list uchar uint64 vertex_indices\n", V4_BYTES + bytes(2)),
+    "E_NO_FACES",
+    "element face",
+)
+
+
+@pytest.mark.parametrize("name", [*HEADERS, *BODIES])
+def test_a_malformed_file_has_its_own_error(name):
+    data, code, where = (HEADERS | BODIES)[name]
+    with pytest.raises(MsalError) as caught:
+        ply.read(data, "bad.ply")
+    assert caught.value.code == code, caught.value
+    assert where in caught.value.where
+    assert caught.value.message and "\n" not in caught.value.message
+    assert len(caught.value.message) < 300
+
+
+def test_there_are_more_than_a_hundred_of_them():
+    assert len(HEADERS | BODIES) > 100
+
+
+@pytest.mark.parametrize("name", [name for name in BODIES if "billion" in name or "e19" in name])
+def test_a_promise_of_gigabytes_allocates_next_to_nothing(name):
+    data = BODIES[name][0]
+    with pytest.raises(MsalError):
+        ply.read(data, "bad.ply")  # compiles what it needs
+    gc.collect()
+    tracemalloc.start()
+    with pytest.raises(MsalError):
+        ply.read(data, "bad.ply")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1_000_000
+
+
+def test_a_truncation_says_how_much_is_missing():
+    with pytest.raises(MsalError, match="18 bytes are missing"):
+        ply.read(binary(V4 + F1, V4_BYTES[:30]), "bad.ply")
+    with pytest.raises(MsalError, match="face 0 of 1 needs at least 10 more bytes"):
+        ply.read(binary(V4 + F1, V4_BYTES + b"\x03\0\0"), "bad.ply")
+    with pytest.raises(MsalError, match="2 of 4 lines are missing"):
+        ply.read(text(V4 + F1, "0 0 0\n1 0 0\n"), "bad.ply")
+
+
+def test_an_element_without_properties_takes_no_room_however_large():
+    data = binary("element nothing 18446744073709551615\n" + V4 + F1, tetra(LE)[-61:])
+    assert len(ply.read(data, "odd.ply").faces) == 1
+    data = text("element nothing 18446744073709551615\n" + V4 + F1, V4_TEXT + "3 0 1 2\n")
+    assert len(ply.read(data, "odd.ply").faces) == 1
+
+
+@pytest.mark.parametrize("extra", [[], [("near", "int", "uchar")]])
+def test_whole_numbers_that_no_double_holds_are_replaced_and_kept(extra):
+    wide = [("x", "float", ""), ("y", "uint64", ""), ("z", "int64", "")]
+    rows = [
+        [k % 2, 2**62 + 4097 * k, k // 2 - 2**53 - 1, *[[1] * k for _ in extra]] for k in range(4)
+    ]
+    vertex = Element("vertex", wide + extra, rows)
+    data = plain_ply.written(Ply(LE, [vertex, Element("face", LIST, [[[0, 1, 2]], [[3, 2, 1]]])]))
+    mesh = ply.read(data, "wide.ply")
+    vertices = mesh.vertices.copy()
+    vertices[::2] += 65536.0
+    output = mesh.replaced(vertices)
+    mesh.check(output, vertices)
+    damaged = bytearray(output)
+    # The last bit of the y that stays, in the second record.
+    damaged[data.index(b"end_header\n") + 11 + 20 + len(extra) + 4] ^= 1
+    with pytest.raises(InternalError):
+        mesh.check(damaged, vertices)
+
+
+# Damage at random
+
+
+def seeds() -> list[bytes]:
+    """Small good files that between them use every path of the reader."""
+    files = [
+        plain_ply.cube(encoding, kind)
+        for encoding in ("ascii", LE, BE)
+        for kind in ("float", "double")
+    ]
+    normals = [(name, "float", "") for name in ("nx", "ny", "nz")]
+    rows = [[*corner, 0.0, 0.6, 0.8] for corner in CORNERS]
+    faces = [[[0, 1, 2], 0.0, 0.0, 1.0], [[0, 1, 2, 3], 1.0, 0.0, 0.0], [[1, 3], 0.0, 0.0, 0.0]]
+    strips = [[[0, 1, 2, 3, -1, 3, 2, 1]], [[]]]
+    for encoding in ("ascii", LE, BE):
+        files.append(
+            Ply(
+                encoding,
+                [
+                    Element("tristrips", [("vertex_indices", "int", "int")], strips),
+                    Element("user", [("a", "int64", ""), ("b", "short", "ushort")], [[5, [1, 2]]]),
+                    Element("face", [("vertex_index", "short", "char"), *normals], faces),
+                    Element("vertex", [*normals, *XYZ], [row[3:] + row[:3] for row in rows]),
+                ],
+                ["comment TextureFile a b.png"],
+                "\r\n",
+            )
+        )
+        files.append(
+            Ply(
+                encoding,
+                [
+                    Element(
+                        "vertex",
+                        [
+                            ("z", "short", ""),
+                            ("near", "int", "uchar"),
+                            ("x", "int", ""),
+                            ("y", "char", ""),
+                        ],
+                        [[k, [k] * k, 2 * k, k * k] for k in range(4)],
+                    ),
+                    Element("face", LIST, [[[0, 1, 2]], [[3, 2, 1]]]),
+                ],
+            )
+        )
+    return [plain_ply.written(file) for file in files]
+
+
+def damaged(data: bytes, dice: random.Random) -> bytes:
+    """A copy with one to four faults of a random kind."""
+    result = bytearray(data)
+    for _ in range(dice.randint(1, 4)):
+        kind = dice.randrange(7)
+        at = dice.randrange(len(result) + 1)
+        if kind == 0 and at < len(result):
+            result[at] ^= 1 << dice.randrange(8)
+        elif kind == 1 and at < len(result):
+            result[at] = dice.choice(b"\x00\xff\x7f\x80 \n\r09-.e")
+        elif kind == 2:
+            del result[at : at + dice.randint(1, 9)]
+        elif kind == 3:
+            result[at:at] = bytes(dice.randrange(256) for _ in range(dice.randint(1, 9)))
+        elif kind == 4:
+            del result[at:]
+        elif kind == 5:
+            digits = [k for k, c in enumerate(result) if 48 <= c <= 57]
+            k = dice.choice(digits) if digits else at
+            result[k : k + 1] = dice.choice(
+                [b"0", b"-1", b"7", b"255", b"4294967296", b"99999999999999999999", b"1e5", b"nan"]
+            )
+        else:
+            types = [b"char", b"uchar", b"short", b"int", b"uint64", b"float", b"double", b"list"]
+            result = bytearray(bytes(result).replace(dice.choice(types), dice.choice(types), 1))
+    return bytes(result)
+
+
+def survives(data: bytes) -> bool:
+    """Whether the file can be read; then it must also be written and checked, or refused."""
+    try:
+        mesh = ply.read(data, "mutant.ply")
+    except InternalError:
+        raise
+    except MsalError:
+        return False
+    assert bytes(mesh.replaced(mesh.vertices.copy())) == data
+    assert np.isfinite(mesh.vertices).all()
+    assert mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices)
+    vertices = mesh.vertices.copy()
+    vertices[:: len(vertices) // 3 + 1] = np.float64(0.75)
+    mesh.check(mesh.replaced(vertices), vertices)
+    mesh.polygons()
+    for encoding, precision in (("ascii", "same"), ("binary", "float32")):
+        try:
+            output = mesh.encoded(vertices, encoding, precision)
+        except InternalError:
+            raise
+        except MsalError:
+            continue
+        assert np.array_equal(ply.read(output, "again.ply").faces, mesh.faces)
+    return True
+
+
+def campaign(count: int, seed: int) -> None:
+    dice = random.Random(seed)
+    files = seeds()
+    assert all(survives(data) for data in files)
+    survivors = 0
+    for _ in range(count):
+        data = damaged(dice.choice(files), dice)
+        began = time.perf_counter()
+        survivors += survives(data)
+        assert time.perf_counter() - began < 2.0
+    # Both ends of the scale must be met, or the damage was too mild or too rough to tell.
+    assert 0.05 * count < survivors < 0.95 * count
+
+
+def test_damage_ends_in_a_typed_error_or_in_a_mesh():
+    campaign(1_500, seed=2)
+
+
+@pytest.mark.slow
+def test_much_damage_ends_in_a_typed_error_or_in_a_mesh():
+    campaign(12_000, seed=3)
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_every_prefix_is_refused_or_is_a_whole_mesh(number):
+    data = seeds()[number]
+    for size in range(len(data)):
+        if survives(data[:size]):
+            # Nothing but the line end and digits of the very last word can be missing unseen.
+            assert len(data[size:].strip()) < len(data.split()[-1])
+
+
+@pytest.mark.filterwarnings("ignore:overflow")
+@pytest.mark.parametrize("encoding", plain_ply.ENCODINGS)
+def test_no_kernel_reads_beyond_the_end(encoding, monkeypatch):
+    # Compiled kernels do not notice an index beyond an array; uncompiled ones raise IndexError.
+    for name, kernel in list(vars(ply_scan).items()):
+        if hasattr(kernel, "py_func"):
+            monkeypatch.setattr(ply_scan, name, kernel.py_func)
+    rows = [[*corner, [7] * k] for k, corner in enumerate(CORNERS)]
+    faces = [[5, [0, 1, 2]], [6, [0, 1, 2, 3]]]
+    file = Ply(
+        encoding,
+        [
+            Element("vertex", [*XYZ, ("near", "double", "int")], rows),
+            Element("face", [("flag", "short", ""), ("vertex_index", "int", "int")], faces),
+            Element("tristrips", [("vertex_indices", "int", "int")], [[[0, 1, 2, 3]], [[3, 2]]]),
+        ],
+    )
+    data = plain_ply.written(file)
+    for size in range(len(plain_ply.header(file)), len(data)):
+        # Text that lacks only its last digits is whole.
+        expected = contextlib.suppress if encoding == "ascii" else pytest.raises
+        with expected(MsalError):
+            ply.read(data[:size], "cut.ply")
+    assert ply.read(data, "whole.ply").faces.tolist() == plain_ply.triangles(file)

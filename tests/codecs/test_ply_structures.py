@@ -1,0 +1,278 @@
+"""PLY files of random structure against a plain writer and reader of the tests' own."""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from msal_cli.codecs import ply
+from tests.codecs import plain_ply
+from tests.codecs.plain_ply import FLOATS, PACK, Element, Ply, single
+
+INTEGERS = [name for name in PACK if name not in FLOATS]
+SMALL = [name for name in INTEGERS if not name.endswith("64")]
+
+
+def scalars(kind: str):
+    if kind in FLOATS:
+        return st.floats(-1e6, 1e6, width=32).map(lambda value: value + 0.0)
+    bits = 8 * struct.calcsize("<" + PACK[kind])
+    low = 0 if PACK[kind].isupper() else -(1 << (bits - 1))
+    return st.integers(low, low + (1 << bits) - 1)
+
+
+@st.composite
+def extras(draw, prefix: str, most: int = 3):
+    """Some properties (name, type, count type)."""
+    return [
+        (f"{prefix}{k}", draw(st.sampled_from(list(PACK))), draw(st.sampled_from(["", "", *SMALL])))
+        for k in range(draw(st.integers(0, most)))
+    ]
+
+
+def rows_of(draw, properties, count):
+    return [
+        [
+            draw(st.lists(scalars(kind), max_size=3)) if count_kind else draw(scalars(kind))
+            for _, kind, count_kind in properties
+        ]
+        for _ in range(count)
+    ]
+
+
+@st.composite
+def structures(draw, encodings=("ascii", "binary_little_endian", "binary_big_endian")):
+    n = draw(st.integers(4, 8))
+    kinds = st.sampled_from(FLOATS)
+    properties = [(axis, draw(kinds), "") for axis in "xyz"]
+    if draw(st.booleans()):
+        properties += [(axis, draw(kinds), "") for axis in ("nx", "ny", "nz")]
+    properties = draw(st.permutations(properties + draw(extras("v"))))
+    vertex = Element("vertex", properties, rows_of(draw, properties, n))
+
+    corner = ("vertex_indices" if draw(st.booleans()) else "vertex_index",)
+    corner += (draw(st.sampled_from(INTEGERS)), draw(st.sampled_from(SMALL)))
+    properties = [corner]
+    if draw(st.booleans()):
+        properties += [(axis, draw(kinds), "") for axis in ("nx", "ny", "nz")]
+    properties = draw(st.permutations(properties + draw(extras("f", 2))))
+    count = draw(st.integers(1, 6))
+    rows = rows_of(draw, properties, count)
+    least, most = draw(st.sampled_from([(3, 3), (4, 4), (3, 5), (0, 5)]))
+    for row in rows:
+        row[properties.index(corner)] = draw(
+            st.lists(st.integers(0, n - 1), min_size=least, max_size=most)
+        )
+    rows[0][properties.index(corner)] = list(range(max(3, least)))
+    face = Element("face", properties, rows)
+
+    elements = [vertex, face]
+    if draw(st.booleans()):
+        strips = st.lists(st.integers(-1, n - 1), max_size=9)
+        kind = draw(st.sampled_from(["int", "int32", "short", "char", "int64"]))
+        elements.append(
+            Element(
+                "tristrips",
+                [("vertex_indices", kind, "int")],
+                [[draw(strips)] for _ in range(draw(st.integers(0, 3)))],
+            )
+        )
+    for k in range(draw(st.integers(0, 2))):
+        properties = draw(extras("u", 4))
+        elements.append(
+            Element(f"user{k}", properties, rows_of(draw, properties, draw(st.integers(0, 3))))
+        )
+    encoding = draw(st.sampled_from(encodings))
+    return Ply(
+        encoding,
+        draw(st.permutations(elements)),
+        draw(st.lists(st.sampled_from(["comment hello", "obj_info 3", "comment end_header "]))),
+        draw(st.sampled_from(["\n", "\r\n", "\r"])) if encoding == "ascii" else "\n",
+        b"" if encoding == "ascii" else draw(st.sampled_from([b"", b"\x00tail"])),
+    )
+
+
+def positions(file: Ply) -> np.ndarray:
+    vertex = file.element("vertex")
+    return np.array([[float(row[vertex.column(axis)]) for axis in "xyz"] for row in vertex.rows])
+
+
+def stored_positions(file: Ply, vertices: np.ndarray) -> dict[str, list[float]]:
+    """New columns as the file's number types hold them."""
+    vertex = file.element("vertex")
+    columns = {}
+    for k, axis in enumerate("xyz"):
+        kind = vertex.properties[vertex.column(axis)][1]
+        rounded = single if kind in ("float", "float32") else float
+        columns[axis] = [rounded(value) for value in vertices[:, k].tolist()]
+    return columns
+
+
+def text_rounding(vertices: np.ndarray) -> float:
+    """The rounding that ascii output may bring: 1e-7 of the extent."""
+    return 0.5e-7 * float(np.linalg.norm(np.ptp(vertices, axis=0))) * (1 + 1e-9) + 1e-9
+
+
+def rounded(values, kind: str):
+    """Values, or lists of them, as the number type holds them: text tells more than a float."""
+    if PACK[kind] != "f":
+        return values
+    return [rounded(v, kind) if isinstance(v, list) else single(v) for v in values]
+
+
+def moved(vertices: np.ndarray) -> np.ndarray:
+    """Some vertices moved along some axes, others not."""
+    result = vertices.copy()
+    result[::2, 0] += 0.37
+    result[1::3] *= 1.25
+    return result
+
+
+def normal_names(file: Ply) -> list[tuple[str, str]]:
+    return [
+        (element.name, name)
+        for element in file.elements
+        if element.name in ("vertex", "face")
+        for name, _, _ in element.properties
+        if name in ("nx", "ny", "nz")
+    ]
+
+
+@settings(max_examples=75, deadline=None)
+@given(structures())
+def test_what_is_read_is_what_was_written(file):
+    data = plain_ply.written(file)
+    mesh = ply.read(data, "random.ply")
+    assert np.array_equal(mesh.vertices, positions(file))
+    assert mesh.faces.tolist() == plain_ply.triangles(file)
+    assert mesh.faces.dtype == np.int32
+    strips = len(mesh.faces) - sum(
+        max(len(row[k]) - 2, 0)
+        for row in file.element("face").rows
+        for k, p in enumerate(file.element("face").properties)
+        if p[0].startswith("vertex_ind")
+    )
+    assert mesh.n_polygons == len(file.element("face").rows) + strips
+    assert mesh.encoding == file.encoding
+    assert bytes(mesh.replaced(mesh.vertices.copy())) == data
+
+
+@settings(max_examples=60, deadline=None)
+@given(structures(encodings=("binary_little_endian", "binary_big_endian")))
+def test_binary_differs_in_moved_coordinates_and_normals_only(file):
+    mesh = ply.read(plain_ply.written(file), "random.ply")
+    vertices = moved(mesh.vertices)
+    output = bytes(mesh.replaced(vertices))
+    mesh.check(output, vertices)
+    expected = file.with_columns("vertex", stored_positions(file, vertices))
+    result = plain_ply.read(output)
+    for element, name in normal_names(file):
+        values = [row[file.element(element).column(name)] for row in result.element(element).rows]
+        expected = expected.with_columns(element, {name: values})
+    assert output == plain_ply.written(expected)
+
+
+@settings(max_examples=50, deadline=None)
+@given(structures(encodings=("ascii",)))
+def test_ascii_differs_in_moved_tokens_only(file):
+    data = plain_ply.written(file)
+    mesh = ply.read(data, "random.ply")
+    vertices = moved(mesh.vertices)
+    output = bytes(mesh.replaced(vertices))
+    mesh.check(output, vertices)
+    result = plain_ply.read(output)
+    assert np.abs(positions(result) - vertices).max() <= text_rounding(mesh.vertices)
+    # Token for token and blank for blank: only coordinates that differ, and normals, may.
+    pieces = [re.split(rb"(\s+)", text) for text in (data, output)]
+    assert len(pieces[0]) == len(pieces[1])
+    n_moved = int((vertices != mesh.vertices).sum())
+    differing = sum(a != b for a, b in zip(*pieces, strict=True))
+    n_normals = sum(3 * len(file.element(e).rows) for e, name in normal_names(file) if name == "nx")
+    assert differing <= n_moved + n_normals
+    for before, after in zip(file.elements, result.elements, strict=True):
+        for k, (name, _, _) in enumerate(before.properties):
+            if (before.name, name) in normal_names(file):
+                continue
+            axis = "xyz".find(name) if before.name == "vertex" else -1
+            for i, (old, new) in enumerate(zip(before.rows, after.rows, strict=True)):
+                if axis < 0 or vertices[i, axis] == mesh.vertices[i, axis]:
+                    assert old[k] == new[k]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    structures(),
+    st.sampled_from(["same", "ascii", "binary"]),
+    st.sampled_from(["same", "float32", "float64"]),
+)
+def test_encoded_keeps_all_but_encoding_and_types(file, encoding, precision):
+    mesh = ply.read(plain_ply.written(file), "random.ply")
+    vertices = moved(mesh.vertices)
+    output = bytes(mesh.encoded(vertices, encoding, precision))
+    result = plain_ply.read(output)
+    assert (
+        result.encoding
+        == {
+            "same": file.encoding,
+            "ascii": "ascii",
+            "binary": "binary_little_endian",
+        }[encoding]
+    )
+    assert result.comments == list(file.comments)
+    assert result.newline == file.newline
+    if result.encoding == file.encoding:
+        assert result.trailing == file.trailing
+    normals = normal_names(file)
+    for before, after in zip(file.elements, result.elements, strict=True):
+        assert before.name == after.name
+        for k, (old, new) in enumerate(zip(before.properties, after.properties, strict=True)):
+            axis = "xyz".find(old[0]) if before.name == "vertex" else -1
+            is_free = axis >= 0 or (before.name, old[0]) in normals
+            if is_free and precision != "same":
+                wide = {"float32": "f", "float64": "d"}[precision]
+                assert new[0] == old[0] and PACK[new[1]] == wide and not new[2]
+                assert new[1][-1].isdigit() == old[1][-1].isdigit()
+            else:
+                assert new == old
+            got = [row[k] for row in after.rows]
+            if (before.name, old[0]) in normals:
+                continue
+            if axis < 0:
+                assert rounded(got, old[1]) == [row[k] for row in before.rows]
+                continue
+            wanted = vertices[:, axis].tolist()
+            got, wanted = rounded(got, new[1]), rounded(wanted, new[1])
+            if file.encoding == result.encoding == "ascii":
+                slack = text_rounding(mesh.vertices)
+                assert np.allclose(got, wanted, rtol=2e-7, atol=slack)
+            else:
+                assert got == wanted
+    again = ply.read(output, "again.ply")
+    assert np.array_equal(again.faces, mesh.faces)
+
+
+@settings(max_examples=60, deadline=None)
+@given(structures())
+def test_recomputed_normals_are_unit_vectors_near_moved_vertices(file):
+    mesh = ply.read(plain_ply.written(file), "random.ply")
+    vertices = mesh.vertices.copy()
+    vertices[0] += [0.5, -0.25, 1.0]
+    result = plain_ply.read(bytes(mesh.replaced(vertices)))
+    for name in {element for element, _ in normal_names(file)}:
+        element = file.element(name)
+        pick = [element.column(axis) for axis in ("nx", "ny", "nz")]
+        for old, new in zip(element.rows, result.element(name).rows, strict=True):
+            before, after = [old[k] for k in pick], [new[k] for k in pick]
+            assert before == after or math.isclose(math.hypot(*after), 1.0, abs_tol=1e-5)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_the_plain_reader_reads_what_the_plain_writer_wrote(encoding):
+    file = plain_ply.cube(encoding)
+    assert plain_ply.read(plain_ply.written(file)) == file

@@ -1,0 +1,383 @@
+"""Binary STL, and what binary and ascii have in common."""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from msal_cli import methods
+from msal_cli.codecs import stl
+from msal_cli.errors import ContentError, InternalError, UnsupportedError
+from msal_cli.job import comparison, inspection, pipeline
+from tests.codecs import plain_stl
+from tests.codecs.plain_stl import right_hand_normals, tetrahedron
+
+COORDINATES = st.floats(-1e6, 1e6, width=32)
+
+
+def soups(max_facets: int = 6):
+    shapes = st.integers(1, max_facets).map(lambda m: (m, 9))
+    return arrays.arrays(np.float64, shapes, elements=COORDINATES)
+
+
+def facets_of(data: bytes) -> list[tuple]:
+    """Every facet as (normal, corners, attribute), unpacked one by one."""
+    (count,) = struct.unpack_from("<I", data, 80)
+    facets = []
+    for k in range(count):
+        numbers = struct.unpack_from("<12fH", data, 84 + 50 * k)
+        facets.append((numbers[:3], numbers[3:12], numbers[12]))
+    return facets
+
+
+def corners_of(file) -> np.ndarray:
+    """The corners (m, 9) in file order."""
+    return file.vertices[file.faces].reshape(-1, 9)
+
+
+def moved(file, amount=0.25):
+    vertices = file.vertices.copy()
+    vertices[:3] += amount * np.arange(1, 10).reshape(3, 3)
+    return vertices
+
+
+# Identities
+
+
+@settings(deadline=None)
+@given(soups(), st.binary(max_size=80), st.binary(max_size=120))
+def test_nothing_moved_gives_back_the_very_bytes(corners, header, trailing):
+    data = plain_stl.binary(corners, header=header, trailing=trailing)
+    file = stl.read(data, "a.stl")
+    assert file.encoding == "binary_little_endian"
+    assert bytes(file.replaced(file.vertices.copy())) == data
+    file.check(data, file.vertices)
+
+
+@settings(deadline=None)
+@given(soups())
+def test_corners_are_read_exactly_in_file_order(corners):
+    file = stl.read(plain_stl.binary(corners), "a.stl")
+    assert np.array_equal(corners_of(file), corners)
+    assert len(np.unique(file.vertices, axis=0)) == len(file.vertices)
+    first = np.unique(file.faces, return_index=True)[1]
+    assert (np.diff(first) > 0).all()  # numbered in order of appearance
+    assert file.n_polygons == len(corners)
+    assert file.merged_vertices == 3 * len(corners) - len(file.vertices)
+    assert file.faces.dtype == np.int32
+    assert file.vertices.dtype == np.float64
+
+
+@settings(deadline=None)
+@given(
+    soups(),
+    arrays.arrays(np.float64, (18, 3), elements=COORDINATES),
+    st.lists(st.integers(0, 0xFFFF), min_size=6, max_size=6),
+)
+def test_only_positions_and_normals_change(corners, others, attributes):
+    m = len(corners)
+    data = plain_stl.binary(
+        corners, attributes=attributes[:m], header=b"COLOR=\x01\x02\x03\xff", trailing=b"tail"
+    )
+    file = stl.read(data, "a.stl")
+    vertices = others[: len(file.vertices)]
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    others = vertices[file.faces].reshape(-1, 9)
+    assert output[:84] == data[:84]
+    assert output[-4:] == b"tail"
+    before, after = facets_of(data), facets_of(output)
+    for k in range(m):
+        assert after[k][1] == tuple(others[k])
+        assert after[k][2] == attributes[k]
+        if (corners[k] == others[k]).all():
+            assert after[k] == before[k]
+
+
+# Hand-worked cases
+
+
+def test_a_moved_facet_gets_the_normal_of_its_new_corners():
+    corners = np.array([[0, 0, 0, 1, 0, 0, 0, 1, 0]], dtype=float)
+    file = stl.read(plain_stl.binary(corners), "a.stl")
+    turned = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+    assert facets_of(bytes(file.replaced(turned)))[0][0] == (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("stored", "expected"),
+    [
+        ((0, 0, 1), (1, 0, 0)),
+        ((0, 0, 5e-30), (1, 0, 0)),  # any length
+        ((0, 0, 3e38), (1, 0, 0)),
+        ((0, 0, -1), (-1, 0, 0)),  # opposed the winding and still does
+        ((0, 0, 0), (0, 0, 0)),
+        ((-0.0, 0, 0), (-0.0, 0, 0)),
+        ((1, 0, 0), (1, 0, 0)),  # across the old facet: the right-hand rule
+    ],
+)
+def test_the_sense_of_a_stored_normal_is_kept(stored, expected):
+    corners = np.array([[0, 0, 0, 1, 0, 0, 0, 1, 0]], dtype=float)
+    data = plain_stl.binary(corners, normals=np.array([stored]))
+    file = stl.read(data, "a.stl")
+    turned = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+    output = bytes(file.replaced(turned))
+    file.check(output, turned)
+    assert output[84:96] == struct.pack("<3f", *expected)
+
+
+@pytest.mark.parametrize("bits", [0x7FC00000, 0x7FA00001, 0xFFC00123, 0x7F800000])
+def test_a_normal_that_is_no_number_is_kept_bit_for_bit(bits):
+    data = bytearray(plain_stl.binary(tetrahedron()))
+    struct.pack_into("<I", data, 84, bits)
+    file = stl.read(bytes(data), "a.stl")
+    vertices = moved(file)
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    assert output[84:96] == data[84:96]
+
+
+def test_a_facet_that_loses_its_area_keeps_its_normal():
+    data = plain_stl.binary(tetrahedron())
+    file = stl.read(data, "a.stl")
+    vertices = file.vertices.copy()
+    vertices[:3] = [[0, 0, 0], [1, 1, 1], [2, 2, 2]]
+    output = bytes(file.replaced(vertices))
+    assert output[84:96] == data[84:96]
+    file.check(output, vertices)
+
+
+def test_a_facet_that_had_no_area_follows_the_right_hand_rule():
+    corners = np.array([[0, 0, 0, 1, 1, 1, 2, 2, 2]], dtype=float)
+    file = stl.read(plain_stl.binary(corners, normals=np.array([[0, 0, 1]])), "a.stl")
+    vertices = np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0]], dtype=float)
+    assert facets_of(bytes(file.replaced(vertices)))[0][0] == (0, 0, -1)
+
+
+def test_minus_zero_that_does_not_move_keeps_its_sign():
+    corners = tetrahedron()
+    corners[0, 0] = -0.0
+    data = plain_stl.binary(corners)
+    file = stl.read(data, "a.stl")
+    vertices = file.vertices.copy()
+    vertices[0, 0] = 0.0
+    assert bytes(file.replaced(vertices)) == data
+    vertices[1, 2] += 1.0
+    assert bytes(file.replaced(vertices))[96:100] == data[96:100]
+
+
+def test_denormal_numbers_survive():
+    corners = tetrahedron() * 1e-44
+    data = plain_stl.binary(corners, normals=np.zeros((4, 3)))
+    file = stl.read(data, "a.stl")
+    assert file.vertices.max() > 0
+    assert bytes(file.replaced(file.vertices)) == data
+
+
+def test_properties_say_what_is_carried():
+    plain = stl.read(plain_stl.binary(tetrahedron(), header=b""), "a.stl")
+    assert plain.properties == ("facet normals",)
+    header = b"COLOR=\xff\x00\x00\xff,MATERIAL=\0"
+    magics = stl.read(plain_stl.binary(tetrahedron(), attributes=[1, 0, 0, 0], header=header), "")
+    assert "facet attribute words" in magics.properties
+    assert "colour in the header" in magics.properties
+    assert "material in the header" in magics.properties
+    bare = stl.read(plain_stl.binary(tetrahedron(), normals=np.zeros((4, 3)), header=b""), "a")
+    assert bare.properties == ()
+
+
+def test_a_binary_file_that_begins_with_solid_is_binary():
+    data = plain_stl.binary(tetrahedron(), header=b"solid made by an exporter")
+    file = stl.read(data, "a.stl")
+    assert file.encoding == "binary_little_endian"
+    longer = stl.read(data + b"\0" * 7, "a.stl")
+    assert longer.encoding == "binary_little_endian"
+    assert longer.n_polygons == 4
+
+
+def test_trailing_bytes_are_kept_and_told_of():
+    data = plain_stl.binary(tetrahedron(), trailing=bytes(120))
+    file = stl.read(data, "a.stl")
+    assert "120 bytes" in file.warnings[0]
+    assert "2 facets" in file.warnings[0]
+    vertices = moved(file)
+    output = file.replaced(vertices)
+    assert bytes(output)[-120:] == bytes(120)
+    file.check(output, vertices)
+
+
+@pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
+def test_any_buffer_is_read(kind):
+    data = plain_stl.binary(tetrahedron())
+    file = stl.read(kind(data), "a.stl")
+    vertices = moved(file)
+    assert bytes(file.replaced(vertices)) == bytes(stl.read(data, "a").replaced(vertices))
+
+
+def test_replacing_does_not_touch_what_was_read():
+    data = bytearray(plain_stl.binary(tetrahedron()))
+    before = bytes(data)
+    file = stl.read(data, "a.stl")
+    vertices = file.vertices.copy()
+    file.replaced(vertices + 1.0)
+    assert bytes(data) == before
+    assert np.array_equal(vertices, file.vertices)
+
+
+def test_a_position_beyond_float32_is_an_error():
+    file = stl.read(plain_stl.binary(tetrahedron()), "a.stl")
+    with pytest.raises(ContentError) as caught:
+        file.replaced(file.vertices * 1e39)
+    assert caught.value.code == "E_RANGE"
+
+
+# check
+
+
+@pytest.mark.parametrize(
+    "at",
+    [0, 79, 80, 83, 87, 90, 96, 131, 132, 133, 137, 187, 200, 237, -1],
+    ids=lambda at: f"byte{at}",
+)
+def test_check_notices_a_wrong_bit(at):
+    file = stl.read(plain_stl.binary(tetrahedron(), trailing=b"x"), "a.stl")
+    vertices = moved(file)
+    output = bytearray(file.replaced(vertices))
+    file.check(output, vertices)
+    output[at] ^= 0x40
+    with pytest.raises(InternalError):
+        file.check(output, vertices)
+
+
+def test_check_notices_a_wrong_length_and_forgotten_positions():
+    data = plain_stl.binary(tetrahedron())
+    file = stl.read(data, "a.stl")
+    with pytest.raises(InternalError):
+        file.check(data + b"\0", file.vertices)
+    with pytest.raises(InternalError):
+        file.check(data, moved(file))
+    with pytest.raises(InternalError):
+        file.check(file.replaced(moved(file)), file.vertices)
+
+
+# Re-encoding
+
+
+@settings(deadline=None)
+@given(soups())
+def test_binary_to_ascii_and_back(corners):
+    data = plain_stl.binary(corners + 0.0)
+    file = stl.read(data, "a.stl")
+    text = file.encoded(file.vertices, "ascii", "same")
+    again = stl.read(text, "b.stl")
+    assert again.encoding == "ascii"
+    assert np.array_equal(corners_of(again).astype(np.float32), corners_of(file))
+    back = again.encoded(again.vertices, "binary", "same")
+    assert bytes(back)[84:] == data[84:]
+    assert bytes(back)[:10] == b"binary STL"
+
+
+def test_ascii_in_float64_keeps_every_digit():
+    file = stl.read(plain_stl.binary(tetrahedron()), "a.stl")
+    vertices = file.vertices + 1.0 / 3.0
+    text = file.encoded(vertices, "ascii", "float64")
+    assert np.array_equal(stl.read(text, "").vertices, vertices)
+    single = file.encoded(vertices, "ascii", "same")
+    in_float32 = vertices.astype(np.float32)
+    assert np.array_equal(stl.read(single, "").vertices.astype(np.float32), in_float32)
+    assert b"1.3333334 " in bytes(single)
+
+
+def test_binary_has_no_float64():
+    file = stl.read(plain_stl.binary(tetrahedron()), "a.stl")
+    for encoding in ("same", "binary"):
+        with pytest.raises(UnsupportedError):
+            file.encoded(file.vertices, encoding, "float64")
+    text = stl.read(plain_stl.text(tetrahedron()).encode(), "a.stl")
+    with pytest.raises(UnsupportedError):
+        text.encoded(text.vertices, "binary", "float64")
+
+
+def test_same_encoding_is_replacing():
+    file = stl.read(plain_stl.binary(tetrahedron(), attributes=[1, 2, 3, 4]), "a.stl")
+    vertices = moved(file)
+    for encoding in ("same", "binary"):
+        assert bytes(file.encoded(vertices, encoding, "float32")) == bytes(file.replaced(vertices))
+
+
+# Oracles
+
+
+def test_trimesh_and_meshio_read_what_is_written(tmp_path):
+    import meshio
+    import trimesh
+
+    rng = np.random.default_rng(3)
+    corners = rng.normal(size=(200, 9)).astype(np.float32).astype(np.float64)
+    file = stl.read(plain_stl.binary(corners), "a.stl")
+    vertices = (file.vertices + rng.normal(size=file.vertices.shape)).astype(np.float32)
+    for encoding in ("same", "ascii"):
+        output = bytes(file.encoded(vertices.astype(np.float64), encoding, "same"))
+        by_trimesh = trimesh.load_mesh(io.BytesIO(output), file_type="stl", process=False)
+        corners = by_trimesh.triangles.reshape(-1, 3)
+        assert np.array_equal(corners.astype(np.float32), vertices)
+        path = tmp_path / "a.stl"
+        path.write_bytes(output)
+        with np.errstate(over="ignore"):
+            by_meshio = meshio.read(path)
+        cells = by_meshio.cells[0].data.reshape(-1)
+        assert np.array_equal(by_meshio.points[cells].astype(np.float32), vertices)
+        normals = right_hand_normals(vertices.astype(np.float64).reshape(-1, 9))
+        assert np.allclose(stl.read(output, "").normals, normals, atol=1e-6)
+
+
+def test_a_large_file_goes_through_in_parts(monkeypatch):
+    rng = np.random.default_rng(4)
+    corners = rng.normal(size=(100, 9)).astype(np.float32).astype(np.float64)
+    attributes = list(range(100))
+    file = stl.read(plain_stl.binary(corners, attributes=attributes), "a.stl")
+    vertices = file.vertices + 0.5
+    whole = bytes(file.replaced(vertices))
+    monkeypatch.setattr(stl, "_AT_ONCE", 7)
+    assert bytes(file.replaced(vertices)) == whole
+    file.check(whole, vertices)
+    wrong = bytearray(whole)
+    wrong[84 + 50 * 99 + 20] ^= 1
+    with pytest.raises(InternalError, match="corner") as caught:
+        file.check(wrong, vertices)
+    assert caught.value.where == "facet 99"
+
+
+def test_a_signalling_nan_in_a_normal_makes_no_noise():
+    data = bytearray(plain_stl.binary(tetrahedron()))
+    data[84:88] = bytes.fromhex("010080ff")
+    file = stl.read(bytes(data), "a.stl")
+    above = file.vertices + 0.1
+    above[:3] = file.vertices[:3]
+    assert b"facet normal 0 0 -1" in bytes(file.encoded(above, "ascii", "same"))
+    assert bytes(file.replaced(above))[84:88] == data[84:88]
+
+
+def test_vertices_are_counted_after_welding_and_corners_beside_them(tmp_path):
+    path = tmp_path / "a.stl"
+    path.write_bytes(plain_stl.binary(tetrahedron()))
+    record = inspection.inspect_file(str(path))
+    assert (record.vertices, record.corners, record.welded_vertices) == (4, 12, 8)
+    assert record.unreferenced_vertices == 0
+    task = pipeline.Task(str(path), str(tmp_path / "b.stl"), "a.stl")
+    done = pipeline.denoise_file(
+        task, pipeline.Settings("al", methods.find("al").settled({"iterations": 1}))
+    )
+    assert done.status == "written"
+    assert (done.vertices, done.corners, done.welded_vertices) == (4, 12, 8)
+    assert done.unreferenced_vertices == 0
+    assert done.vertices_per_second == pytest.approx(4 / done.seconds.total)
+    compared = comparison.compare_files(str(path), str(tmp_path / "b.stl"))
+    assert (compared.vertices_before, compared.corners_before) == (4, 12)
+    assert (compared.vertices_after, compared.corners_after) == (4, 12)

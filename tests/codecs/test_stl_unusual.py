@@ -1,0 +1,176 @@
+"""STL files that break the format in ways which other programs read: kept, and warned of."""
+
+from __future__ import annotations
+
+import random
+import re
+
+import numpy as np
+import pytest
+
+from msal_cli.codecs import forecast, open_mesh, stl
+from msal_cli.codecs import header_check as first_look
+from msal_cli.codecs.stl_ascii import SHORTEST_FACET
+from msal_cli.errors import MsalError, TruncatedError
+from tests.codecs import plain_stl
+from tests.codecs.plain_stl import tetrahedron
+from tests.codecs.test_stl_hostile import survives
+
+TEXT = plain_stl.text(tetrahedron(), name="part").encode()
+NORMAL = re.compile(rb"facet normal[^\n]*")
+NO_NORMAL = "facet has no normal, and none is added"
+BAD_NORMAL = "facet has a normal that is not three finite numbers: it is kept, not recomputed"
+
+
+def with_first_normal(line: bytes) -> bytes:
+    return NORMAL.sub(line, TEXT, count=1)
+
+
+def normal_lines(data: bytes) -> list[bytes]:
+    return [one.strip() for one in data.splitlines() if re.match(rb"\s*facet", one, re.I)]
+
+
+def checked(data: bytes) -> tuple[stl.stl_ascii.StlTextFile, bytes]:
+    """The file, and its text with all positions moved."""
+    file = stl.read(data, "a.stl")
+    assert np.array_equal(file.vertices, stl.read(TEXT, "a.stl").vertices)
+    assert bytes(file.replaced(file.vertices.copy())) == data
+    vertices = file.vertices[:, [1, 2, 0]] * [0.5, 0.25, 2.0] + 0.125
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    assert np.array_equal(stl.read(output, "a.stl").vertices, vertices)
+    return file, output
+
+
+@pytest.mark.parametrize(
+    ("line", "warning"),
+    [
+        (b"facet", NO_NORMAL),
+        (b"facet normal", NO_NORMAL),
+        (b"FACET NORMAL \t", NO_NORMAL),
+        (b"facet normal nan nan nan", BAD_NORMAL),
+        (b"facet normal -nan(ind) -nan(ind) -nan(ind)", BAD_NORMAL),
+        (b"facet normal 1.#QNAN -1.#IND 1.#INF", BAD_NORMAL),
+        (b"facet normal inf -inf 0", BAD_NORMAL),
+        (b"facet normal 1e999 0 0", BAD_NORMAL),
+        (b"facet normal 0,0 0,0 1,0", BAD_NORMAL),
+        (b"facet normal ***** 0 0", BAD_NORMAL),
+        (b"facet normal 0 0 \xff\xfe", BAD_NORMAL),
+        (b"facet normal 0 0 up", BAD_NORMAL),
+    ],
+)
+def test_a_normal_that_is_missing_or_no_number_is_kept(line, warning):
+    file, output = checked(with_first_normal(line))
+    assert file.warnings == (f"1 {warning}",)
+    before, after = normal_lines(TEXT), normal_lines(output)
+    assert after[0] == line.strip()
+    # The others are recomputed as ever.
+    plain = normal_lines(checked(TEXT)[1])
+    assert after[1:] == plain[1:] != before[1:]
+
+
+def test_a_file_without_normals():
+    data = NORMAL.sub(b"facet", TEXT)
+    file, output = checked(data)
+    assert file.warnings == ("4 facets have no normal, and none is added",)
+    assert "facet normals" not in file.properties
+    assert b"normal" not in output
+    binary = stl.read(file.encoded(file.vertices, "binary", "same"), "a.stl")
+    assert not binary.normals.any()
+    assert np.array_equal(binary.vertices, file.vertices)
+
+
+def test_both_kinds_are_counted():
+    lines = iter([b"facet", b"facet normal a b c", b"facet normal", b"facet normal 0 nan 0"])
+    file, _ = checked(NORMAL.sub(lambda _: next(lines), TEXT))
+    assert len(file.warnings) == 2
+    assert file.warnings[0].startswith("2 facets have no normal")
+    assert file.warnings[1].startswith("2 facets have a normal")
+
+
+def test_a_plain_file_has_no_warnings():
+    assert checked(TEXT)[0].warnings == ()
+    zeros = plain_stl.text(tetrahedron(), normals=np.zeros((4, 3))).encode()
+    assert stl.read(zeros, "a.stl").warnings == ()
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        TEXT.replace(b"endfacet", b"end facet").replace(b"endloop", b"End\tLoop"),
+        TEXT.replace(b"endsolid part", b"end solid"),
+        TEXT.replace(b"solid part", b"solid a\x01\x1b[0m", 1),
+        TEXT.replace(b"solid part", b"solid a\0\0", 1),
+        TEXT.replace(b"solid part", b"SOLID caf\xe9 \xff (1) [x]", 1),
+    ],
+)
+def test_ends_in_two_words_and_odd_names(data):
+    file, output = checked(data)
+    assert file.warnings == ()
+    assert output.splitlines()[0] == data.splitlines()[0]
+    assert output.splitlines()[-1] == data.splitlines()[-1]
+
+
+def test_a_large_file_with_a_control_character_in_its_name(tmp_path):
+    path = tmp_path / "a.stl"
+    data = TEXT.replace(b"solid part", b"solid a\x01", 1) + b"\n" * 70_000
+    path.write_bytes(data)
+    assert len(open_mesh(first_look.read_input(path), "a.stl").faces) == 4
+
+
+def test_a_binary_file_may_hold_the_words_of_a_facet():
+    header = b"solid a\nfacet normal 0 0 1\nouter loop"
+    assert stl.read(plain_stl.binary(tetrahedron(), header=header), "").encoding != "ascii"
+
+
+def test_the_shortest_facets_have_room():
+    facet = b"facet outer loop vertex 0 0 0 vertex 1 0 0 vertex 0 1 0 endloop endfacet "
+    data = b"solid\n" + facet * 500 + b"endsolid"
+    assert len(facet) == SHORTEST_FACET
+    file = stl.read(data, "a.stl")
+    assert len(file.faces) == 500
+    assert forecast.of_beginning(data, len(data), "a.stl").memory_bytes
+
+
+@pytest.mark.parametrize(
+    "line",
+    [b"facet norm 0 0 1", b"facetnormal 0 0 1", b"facet normal 0 0", b"facet normal 0 0 1 1"],
+)
+def test_what_has_neither_none_nor_three_words_is_refused(line):
+    with pytest.raises(MsalError) as caught:
+        stl.read(with_first_normal(line), "a.stl")
+    assert caught.value.code == "E_FORMAT"
+    assert caught.value.where.startswith("facet 0, line ")
+
+
+@pytest.mark.parametrize("line", [b"facet", b"facet normal", b"facet normal x y z"])
+def test_a_file_cut_short_is_still_known_as_such(line):
+    data = with_first_normal(line)
+    end = data.index(b"vertex")
+    for size in range(data.index(b"facet"), end):
+        with pytest.raises(TruncatedError):
+            stl.read(data[:size], "a.stl")
+
+
+def test_damaged_files_end_in_a_typed_error_or_in_a_mesh():
+    dice = random.Random(6)
+    seeds = [
+        NORMAL.sub(b"facet", TEXT),
+        with_first_normal(b"facet normal x nan 1,0"),
+        TEXT.replace(b"end", b"end "),
+    ]
+    results = 0
+    for _ in range(400):
+        data = bytearray(dice.choice(seeds))
+        at = dice.randrange(len(data))
+        change = dice.randrange(4)
+        if change == 0:
+            data[at] = dice.choice(b"\0\xff \n\r09-.e")
+        elif change == 1:
+            del data[at : at + dice.randint(1, 9)]
+        elif change == 2:
+            data[at:at] = data[at : at + dice.randint(1, 9)]
+        else:
+            del data[at:]
+        results += survives(bytes(data))
+    assert 20 < results < 380

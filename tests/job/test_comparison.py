@@ -1,0 +1,186 @@
+"""Two meshes against each other: identities, hand cases, and what cannot be compared."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli.analysis import surface_distance
+from msal_cli.errors import ContentError
+from msal_cli.job import comparison
+from msal_cli.job.comparison import Surface, compared
+from tests.shapes import cube, grid, noisy, torus
+
+
+def between(before, after, **options):
+    return compared(Surface(*before), Surface(*after), "a", "b", **options)
+
+
+def test_a_mesh_and_itself():
+    made = between(torus(), torus())
+    assert made.correspondence == "vertices"
+    assert made.mean_angular_error_deg == made.max_angular_error_deg == 0.0
+    assert made.vertex_error_percent == made.displacement.max == 0.0
+    assert made.volume_change_percent == made.area_change_percent == 0.0
+    assert made.flipped_faces == made.seam_gap == 0
+    assert made.hausdorff == 0.0 or "fcpw" in made.warnings[0]
+
+
+def test_a_mesh_that_was_shifted_far_from_the_origin():
+    vertices, faces = cube()
+    made = between((vertices + 1e6, faces), (vertices + 1e6 + [0.3, 0.0, 0.4], faces))
+    edge = made.mean_edge_length
+    assert edge == pytest.approx((12 + 6 * np.sqrt(2)) / 18)
+    assert made.displacement.mean == pytest.approx(0.5)
+    assert made.displacement.max_edges == pytest.approx(0.5 / edge)
+    assert made.vertex_error_percent == pytest.approx(50.0 / edge)
+    assert made.mean_angular_error_deg == pytest.approx(0.0, abs=1e-6)
+    assert made.volume_change_percent == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_mesh_of_twice_the_size_and_which_one_is_the_reference():
+    vertices, faces = cube()
+    made = between((vertices, faces), (2 * vertices, faces))
+    assert made.volume_change_percent == pytest.approx(700.0)
+    assert made.area_change_percent == pytest.approx(300.0)
+    back = between((2 * vertices, faces), (vertices, faces))
+    assert back.volume_change_percent == pytest.approx(-87.5)
+    assert back.mean_edge_length == pytest.approx(2 * made.mean_edge_length)
+
+
+def test_a_mesh_turned_inside_out_has_flipped_faces():
+    vertices, faces = torus()
+    made = between((vertices, faces), (vertices * [1, 1, -1], faces))
+    assert made.flipped_faces > 0
+    assert made.max_angular_error_deg > 90.0
+    assert made.volume_change_percent == pytest.approx(-200.0)
+
+
+def test_the_angle_is_that_of_the_literature():
+    vertices, faces = grid(2, 2)
+    tilted = vertices * [1.0, np.cos(0.2), 0.0] + vertices[:, 1:2] * [0.0, 0.0, np.sin(0.2)]
+    made = between((vertices, faces), (tilted, faces))
+    assert made.mean_angular_error_deg == pytest.approx(np.degrees(0.2))
+
+
+def test_an_open_mesh_has_no_change_of_volume():
+    made = between(grid(), grid())
+    assert made.volume_change_percent is None
+    assert (made.volume.valid, made.volume.reason) == (False, "open (18 boundary edges)")
+
+
+def test_vertices_that_no_face_uses_do_not_count():
+    vertices, faces = cube()
+    more = np.concatenate([vertices, [[9.0, 9, 9]]])
+    away = np.concatenate([vertices, [[0.0, 0, 0]]])
+    assert between((more, faces), (away, faces)).displacement.max == 0.0
+
+
+def test_a_seam_that_opened_is_told():
+    vertices, faces = cube()
+    doubled = np.concatenate([vertices, vertices[:1]])
+    faces = faces.copy()
+    faces[0, faces[0] == 0] = 8
+    moved = doubled.copy()
+    moved[8] += [0.0, 0.0, -0.25]
+    made = between((doubled, faces), (moved, faces))
+    assert made.seam_gap == 0.25
+    assert "0.25 apart" in made.warnings[0]
+    assert made.displacement.max == 0.0
+
+
+@pytest.mark.skipif(not surface_distance.is_available(), reason="fcpw is not installed")
+class TestOtherFaces:
+    def test_surfaces_are_compared(self):
+        vertices, faces = cube()
+        other = faces[::-1]
+        made = between((vertices, faces), (vertices + 5.0, other))
+        assert made.correspondence == "surface"
+        assert made.mean_angular_error_deg is made.displacement is made.flipped_faces is None
+        assert made.hausdorff == pytest.approx(5 * np.sqrt(3))
+        assert made.hausdorff_edges == pytest.approx(5 * np.sqrt(3) / made.mean_edge_length)
+        assert made.volume_change_percent == pytest.approx(0.0, abs=1e-9)
+        expected = 100.0 * made.distance_to_before.mean / made.mean_edge_length
+        assert made.vertex_error_percent == expected
+
+    def test_the_same_surface_with_more_faces(self):
+        made = between(grid(3, 3), grid_of_finer_faces())
+        assert made.hausdorff == pytest.approx(0.0, abs=1e-6)
+        assert made.vertex_error_percent == pytest.approx(0.0, abs=1e-4)
+
+    def test_the_deviation_of_each_vertex(self):
+        vertices, faces = grid(3, 3)
+        raised = np.concatenate([vertices, [[0.5, 0.5, 0.5]]])
+        got = comparison.deviations(Surface(vertices, faces), Surface(raised, faces))
+        assert got == pytest.approx([0.0] * 9 + [0.5])
+
+
+def grid_of_finer_faces():
+    vertices, faces = grid(5, 5)
+    return vertices * [0.5, 0.5, 1.0], faces
+
+
+def test_the_deviation_of_corresponding_vertices():
+    vertices, faces = torus()
+    moved = noisy(vertices)
+    got = comparison.deviations(Surface(vertices, faces), Surface(moved, faces))
+    assert got == pytest.approx(np.linalg.norm(moved - vertices, axis=1))
+
+
+def test_without_the_library_all_else_is_told(monkeypatch):
+    monkeypatch.setattr(surface_distance, "is_available", lambda: False)
+    made = between(cube(), cube())
+    assert made.hausdorff is made.distance_to_before is None
+    assert made.vertex_error_percent == 0.0
+    assert "pip install fcpw" in made.warnings[0]
+
+
+def test_a_position_that_is_not_finite():
+    vertices, faces = cube()
+    broken = vertices.copy()
+    broken[3, 1] = np.nan
+    with pytest.raises(ContentError) as caught:
+        between((vertices, faces), (broken, faces))
+    assert (caught.value.path, caught.value.where) == ("b", "vertex 3")
+
+
+@pytest.mark.parametrize("scale", [0.9, 1.1])
+def test_a_surface_that_is_inside_out_shrinks_and_grows_like_any_other(scale):
+    vertices, faces = torus()
+    turned = faces[:, ::-1]
+    plain = between((vertices, faces), (vertices * scale, faces), to_surface=False)
+    made = between((vertices, turned), (vertices * scale, turned), to_surface=False)
+    assert made.volume_change_percent == pytest.approx(100.0 * (scale**3 - 1.0))
+    assert made.volume.change == pytest.approx(plain.volume.change)
+    assert made.volume.before == pytest.approx(plain.volume.before)
+    assert (plain.inside_out_before, plain.inside_out_after) == (False, False)
+    assert (made.inside_out_before, made.inside_out_after) == (True, True)
+    assert made.warnings == tuple(
+        f"{one}: the surface is inside out: its normals point inwards"
+        for one in ("before", "after")
+    )
+    assert not plain.warnings
+
+
+def test_one_of_two_surfaces_with_other_faces_is_inside_out():
+    vertices, faces = cube()
+    made = between(cube(), (2.0 * vertices, faces[::-1, ::-1]), to_surface=False)
+    assert made.correspondence == "surface"
+    assert made.volume_change_percent == pytest.approx(700.0)
+    assert (made.inside_out_before, made.inside_out_after) == (False, True)
+    assert made.warnings == ("after: the surface is inside out: its normals point inwards",)
+
+
+def test_a_surface_that_passed_through_itself_lost_more_than_it_had():
+    vertices, faces = cube()
+    made = between((vertices, faces), (-vertices, faces), to_surface=False)
+    assert made.volume_change_percent == pytest.approx(-200.0)
+    assert (made.inside_out_before, made.inside_out_after) == (False, True)
+
+
+def test_an_open_surface_has_no_volume_and_no_inside():
+    made = between(grid(), grid(), to_surface=False)
+    assert made.volume.valid is False
+    assert made.volume.before is made.volume.after is made.volume.change is None
+    assert made.volume_change_percent is None
+    assert made.inside_out_before is made.inside_out_after is False

@@ -1,0 +1,415 @@
+"""What keeps vertices near their place: limits, pins and trust, by identities."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli import codecs as files
+from msal_cli import methods
+from msal_cli.errors import InputError, UnsupportedError, UsageError
+from msal_cli.job import constraints
+from msal_cli.job.pipeline import Settings, denoise_bytes
+from msal_cli.kernels.geometry import distances
+from msal_cli.mesh import prepared
+from tests.shapes import grid, torus
+
+ALL = methods.names()
+
+
+def random():
+    """The same numbers for every test, whatever ran before it."""
+    return np.random.default_rng(7)
+
+
+def noisy(maker=torus):
+    vertices, faces = maker()
+    edge = prepared(vertices, faces).mesh.mean_edge_length
+    return vertices + 0.2 * edge * random().standard_normal(vertices.shape), faces
+
+
+def ply(vertices, faces, properties=(), kind="double", encoding="binary_little_endian"):
+    """A PLY file with float vertex properties, ``{name: (n,)}``."""
+    named = dict(properties)
+    columns = np.column_stack([vertices, *named.values()])
+    header = [
+        *("ply", f"format {encoding} 1.0", f"element vertex {len(vertices)}"),
+        *(f"property {kind} {name}" for name in ("x", "y", "z", *named)),
+        *(f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""),
+    ]
+    top = "\n".join(header).encode()
+    if encoding == "ascii":
+        lines = [" ".join(f"{one:.9g}" for one in row) for row in columns]
+        lines += [f"3 {a} {b} {c}" for a, b, c in faces]
+        return top + "\n".join(lines).encode() + b"\n"
+    corners = np.zeros(len(faces), dtype=[("n", "u1"), ("f", "<i4", 3)])
+    corners["n"], corners["f"] = 3, faces
+    return top + columns.astype("<f8" if kind == "double" else "<f4").tobytes() + corners.tobytes()
+
+
+def settings(method="msal", **asked):
+    given = asked.pop("given", {})
+    return Settings(method, methods.find(method).settled(given), **asked)
+
+
+def denoised(data, **asked):
+    output, record = denoise_bytes(data, "a.ply", settings(**asked))
+    assert record.error is None, record.error
+    return files.open_mesh(bytes(output), "a.ply").vertices, record
+
+
+# Words
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "in_edges"),
+    [("0.3e", 0.3, True), ("0.05", 0.05, False), (" 1e-3 ", 1e-3, False), ("2e3e", 2e3, True)],
+)
+def test_lengths(text, value, in_edges):
+    found = constraints.length(text)
+    assert (found.value, found.in_edges) == (value, in_edges)
+    assert constraints.length(str(found)) == found
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("0.01mm", "mm", 0.01),
+        ("0.01mm", "m", 0.01e-3),
+        ("50 um", "mm", 0.05),
+        ("50µm", "mm", 0.05),
+        ("1in", "mm", 25.4),
+        ("2mil", "mm", 0.0508),
+        ("1ft", "in", 12.0),
+        ("1yd", "ft", 3.0),
+        ("1m", "ft", 3.2808398950131235),
+        ("1e-3km", "cm", 100.0),
+        ("3nm", "um", 0.003),
+    ],
+)
+def test_lengths_with_a_unit(text, unit, value):
+    found = constraints.length(text, unit=unit)
+    assert (found.value, found.in_edges) == (value, False)
+
+
+def test_a_unit_means_nothing_where_that_of_the_file_is_not_known():
+    with pytest.raises(UsageError, match=r"--max-move 0\.01mm: mesh files have no unit") as caught:
+        constraints.length("0.01mm")
+    assert "--unit mm" in caught.value.hint
+    # Edges and file units need none.
+    assert constraints.length("0.3e", unit="m").in_edges
+    assert constraints.length("0.05", unit="m").value == 0.05
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "0", "-1", "0e", "nan", "inf", "1e999", "3mmm", "0.3 e e", "%", "0mm", "-1mm"]
+    + ["1e-999999999mm", "1e-323nm", "1e308km"],
+)
+def test_what_is_no_length_is_refused(text):
+    with pytest.raises(UsageError, match=r"no length|too large"):
+        constraints.length(text, unit="m")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "confidence", "confidence <", "< 3", "a < b", "a < 1e999", "a=1"]
+)
+def test_what_is_no_lock_is_refused(text):
+    with pytest.raises(UsageError, match="neither"):
+        constraints.lock(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("q < 2", [True, False, False]),
+        ("q <= 2", [True, True, False]),
+        ("q > 2", [False, False, True]),
+        ("q >= 2", [False, True, True]),
+        ("q == 2", [False, True, False]),
+        ("q != 2.0", [True, False, True]),
+    ],
+)
+def test_comparisons(text, expected):
+    one = constraints.lock(text)
+    assert one.of(np.array([1.0, 2.0, 3.0])).tolist() == expected
+    assert constraints.lock(str(one)) == one
+
+
+def test_a_single_precision_property_is_compared_in_single_precision():
+    stored = np.array([0.2, 0.3], dtype=np.float32).astype(float)
+    assert stored[0] > 0.2
+    assert constraints.lock("q <= 0.2").of(stored).tolist() == [True, False]
+    assert constraints.lock("q == 0.2").of(np.array([0.2, 0.3])).tolist() == [True, False]
+
+
+# The limit
+
+
+@pytest.mark.parametrize("method", ALL)
+def test_no_vertex_of_any_method_goes_further_than_the_limit(method):
+    vertices, faces = noisy()
+    mesh = prepared(vertices, faces).mesh
+    data = ply(vertices, faces)
+    limit = 0.05 * mesh.mean_edge_length
+    free, _ = denoised(data, method=method)
+    kept, record = denoised(data, method=method, max_move="0.05e")
+    ways, free_ways = kept - vertices, free - vertices
+    lengths, free_lengths = (np.linalg.norm(one, axis=1) for one in (ways, free_ways))
+    assert lengths.max() <= limit * (1 + 1e-12)
+    # The record is what gates look at.
+    assert record.displacement.max <= 0.05 * record.mean_edge_length
+    beyond = free_lengths > limit
+    assert record.clamped_vertices == beyond.sum() > 0
+    assert np.array_equal(kept[~beyond], free[~beyond])
+    assert np.allclose(lengths[beyond], limit, rtol=1e-9)
+    cosine = (ways * free_ways).sum(axis=1)[beyond] / (lengths * free_lengths)[beyond]
+    assert cosine.min() > 1 - 1e-9
+
+
+def test_a_limit_in_file_units():
+    vertices, faces = noisy()
+    kept, record = denoised(ply(vertices, faces), max_move="0.01")
+    assert np.linalg.norm(kept - vertices, axis=1).max() == pytest.approx(0.01)
+    assert record.clamped_vertices > 0
+
+
+def test_a_limit_that_nobody_reaches_changes_no_byte():
+    data = ply(*noisy())
+    plain, _ = denoise_bytes(data, "a.ply", settings())
+    output, record = denoise_bytes(data, "a.ply", settings(max_move="99e"))
+    assert bytes(output) == bytes(plain)
+    assert record.clamped_vertices == 0
+
+
+def test_single_precision_goes_beyond_the_limit_by_rounding_only():
+    vertices, faces = noisy()
+    data = ply(vertices + 1000.0, faces, kind="float")
+    start = files.open_mesh(data, "a.ply").vertices
+    kept, _ = denoised(data, max_move="0.01")
+    ulp = np.spacing(np.float32(1000.0))
+    assert np.linalg.norm(kept - start, axis=1).max() <= 0.01 + np.sqrt(3.0) * ulp
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_clamping_never_exceeds_the_limit_not_even_by_rounding(scale):
+    before = scale * (random().standard_normal((2000, 3)) + 50.0)
+    after = before + scale * np.random.default_rng(8).standard_normal((2000, 3))
+    limit = 0.1 * scale
+    kept, n_clamped = constraints.clamped(before, after, limit)
+    assert n_clamped == (distances(before, after) > limit).sum() > 1000
+    assert distances(before, kept).max() <= limit
+    assert not np.shares_memory(kept, after)
+
+
+def test_vertices_at_one_place_stay_together():
+    vertices, faces = noisy()
+    soup = vertices[faces].reshape(-1, 3)
+    alone = np.arange(len(soup)).reshape(-1, 3)
+    lock = np.zeros(len(soup))
+    lock[0] = 1.0
+    kept, record = denoised(ply(soup, alone, {"q": lock}), max_move="0.05e", lock=("q == 1",))
+    assert record.seam_gap == 0.0
+    assert record.locked_vertices == 1
+    # All corners at the place of the pinned one.
+    there = (soup == soup[0]).all(axis=1)
+    assert there.sum() > 1
+    assert np.array_equal(kept[there], soup[there])
+
+
+# Pins
+
+
+@pytest.mark.parametrize(
+    ("method", "encoding"), [*((one, "binary_little_endian") for one in ALL), ("msal", "ascii")]
+)
+def test_locked_vertices_keep_their_very_bytes(method, encoding):
+    vertices, faces = noisy()
+    quality = random().random(len(vertices))
+    data = ply(vertices, faces, {"quality": quality}, encoding=encoding)
+    before = files.open_mesh(data, "a.ply").vertices
+    after, record = denoised(data, method=method, lock=("quality < 0.3",))
+    is_locked = quality < 0.3
+    assert record.locked_vertices == is_locked.sum()
+    assert np.array_equal(after[is_locked], before[is_locked])
+    assert (after[~is_locked] != before[~is_locked]).any(axis=1).mean() > 0.9
+
+
+@pytest.mark.parametrize(
+    "method", ["msal", "al", "umbrella", "taubin", "hc", "bilateral_normal", "l0"]
+)
+def test_neighbours_see_locked_vertices_where_they_are(method):
+    """Pinning afterwards would give other positions: the sweeps know of the pins."""
+    ready = prepared(*noisy())
+    held = np.zeros(len(ready.mesh.vertices), dtype=bool)
+    held[::3] = True
+    found = methods.find(method)
+    parameters = found.settled({})
+    free = found.denoised(ready.mesh, parameters).vertices
+    pinned = found.denoised(ready.mesh.constrained(held, None), parameters).vertices
+    assert np.array_equal(pinned[held], ready.mesh.vertices[held])
+    assert np.abs(pinned - free)[~held].max() > 1e-3 * ready.mesh.mean_edge_length
+
+
+def test_all_locked_is_the_input_byte_for_byte():
+    data = ply(*noisy())
+    output, record = denoise_bytes(data, "a.ply", settings(lock=("x > -1000",)))
+    assert bytes(output) == data
+    assert record.status == "unchanged"
+
+
+def test_the_boundary_is_locked_as_boundary_fixed_does():
+    data = ply(*noisy(grid))
+    locked, record = denoised(data, lock=("boundary",))
+    fixed, _ = denoised(data, given={"boundary": "fixed"})
+    assert np.array_equal(locked, fixed)
+    assert record.locked_vertices == record.boundary_edges > 0
+
+
+def test_several_locks_add_up():
+    vertices, faces = noisy(grid)
+    data = ply(vertices, faces, {"q": np.arange(len(vertices))})
+    _, one = denoised(data, lock=("boundary",))
+    _, both = denoised(data, lock=("boundary", "q < 100000"))
+    assert both.locked_vertices == len(vertices) > one.locked_vertices
+
+
+# Trust
+
+
+@pytest.mark.parametrize(
+    ("method", "given"),
+    [
+        ("msal", {}),
+        ("msal", {"weights": "tukey"}),
+        ("al", {"schedule": "constant"}),
+        ("al", {"schedule": "multiscale", "scaling": "mass"}),
+        ("umbrella", {"schedule": "constant"}),
+        ("umbrella", {"schedule": "multiscale"}),
+        ("bilateral", {"schedule": "multiscale"}),
+    ],
+)
+def test_full_trust_is_the_method_itself_and_none_is_no_data_term(method, given):
+    mesh = prepared(*noisy()).mesh
+    found = methods.find(method)
+    parameters = found.settled(given)
+    assert found.has_data_term(parameters)
+    n = len(mesh.vertices)
+    plain = found.denoised(mesh, parameters)
+    full = found.denoised(mesh.constrained(None, np.ones(n)), parameters)
+    assert np.abs(full.vertices - plain.vertices).max() < 1e-13
+    assert np.array_equal(full.fields["fidelity"], plain.fields["fidelity"])
+    none = found.denoised(mesh.constrained(None, np.zeros(n)), parameters)
+    assert not none.fields["fidelity"].any()
+    if given.get("schedule") == "constant":
+        free = found.denoised(mesh, found.settled(given | {"schedule": "plain"}))
+        assert np.abs(free.vertices - none.vertices).max() < 1e-13
+    # Without the pull vertices go further.
+    ways = [distances(mesh.vertices, one.vertices).mean() for one in (none, plain)]
+    assert ways[0] > ways[1]
+
+
+def test_lambda_is_scaled_vertex_by_vertex():
+    mesh = prepared(*noisy()).mesh
+    trust = random().random(len(mesh.vertices))
+    found = methods.find("msal")
+    plain = found.denoised(mesh, found.settled({})).fields["fidelity"]
+    scaled = found.denoised(mesh.constrained(None, trust), found.settled({})).fields["fidelity"]
+    assert np.allclose(scaled, trust * plain, rtol=1e-15, atol=0.0)
+
+
+def test_one_sweep_by_hand():
+    """From v the first sweep pulls nothing back; the second does by w lambda."""
+    mesh = prepared(*noisy()).mesh
+    found = methods.find("al")
+    given = {"schedule": "constant", "fidelity": 0.25}
+    trust = random().random(len(mesh.vertices))
+
+    def after(sweeps, one, fidelity):
+        return found.denoised(
+            one, found.settled(given | {"iterations": sweeps, "fidelity": fidelity})
+        ).vertices
+
+    first = after(1, mesh, 0.25)
+    pushed = after(2, mesh, 0.0)
+    expected = pushed + 0.25 * trust[:, None] * (mesh.vertices - first)
+    found_there = after(2, mesh.constrained(None, trust), 0.25)
+    assert np.abs(found_there - expected).max() < 1e-13
+
+
+@pytest.mark.parametrize(
+    "method", ["taubin", "hc", "l0", "bilateral_normal", "mean_curvature_flow"]
+)
+def test_methods_without_a_data_term_say_so(method):
+    found = methods.find(method)
+    assert not found.has_data_term(found.settled({}))
+    assert not methods.find("al").has_data_term(methods.find("al").settled({}))
+
+
+def test_trust_is_the_property_over_its_largest_value():
+    vertices, faces = noisy()
+    quality = random().random(len(vertices)) * 255.0
+    data = ply(vertices, faces, {"quality": quality})
+    half = ply(vertices, faces, {"quality": 0.5 * quality})
+    one, _ = denoised(data, weights="quality")
+    other, _ = denoised(half, weights="quality")
+    plain, _ = denoised(data)
+    assert np.array_equal(one, other)
+    assert not np.array_equal(one, plain)
+    negative = np.where(np.arange(len(vertices)) == 5, -3.0, quality)
+    zero = np.where(np.arange(len(vertices)) == 5, 0.0, quality)
+    assert np.array_equal(
+        denoised(ply(vertices, faces, {"q": negative}), weights="q")[0],
+        denoised(ply(vertices, faces, {"q": zero}), weights="q")[0],
+    )
+
+
+# Properties
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
+@pytest.mark.parametrize("kind", ["float", "double"])
+def test_properties_are_read(encoding, kind):
+    vertices, faces = grid()
+    stored = {"confidence": np.arange(len(vertices)) / 8, "quality": np.ones(len(vertices))}
+    file = files.open_mesh(ply(vertices, faces, stored, kind, encoding), "a.ply")
+    assert np.array_equal(files.vertex_property(file, "confidence"), stored["confidence"])
+    assert np.allclose(files.vertex_property(file, "z"), vertices[:, 2])
+    assert files.vertex_property(file, "quality").dtype == np.float64
+
+
+def test_properties_behind_lists_are_read():
+    rows = ["0 0 0 2 7 7 0.5", "1 0 0 0 1.5", "0 1 0 1 7 2.5"]
+    top = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+    top += "property float z\nproperty list uchar int near\nproperty float q\nelement face 1\n"
+    top += "property list uchar int vertex_indices\nend_header\n"
+    file = files.open_mesh((top + "\n".join(rows) + "\n3 0 1 2\n").encode(), "a.ply")
+    assert files.vertex_property(file, "q").tolist() == [0.5, 1.5, 2.5]
+    with pytest.raises(InputError, match="that is a number"):
+        files.vertex_property(file, "near")
+
+
+def test_a_property_that_is_not_there_is_an_error_that_lists_the_others():
+    data = ply(*grid(), {"confidence": np.ones(len(grid()[0]))})
+    for asked in ({"weights": "trust"}, {"lock": ("trust < 1",)}):
+        output, record = denoise_bytes(data, "a.ply", settings(**asked))
+        assert output is None
+        assert record.error.code == "E_PROPERTY"
+        assert "'trust'" in record.error.message
+        assert record.error.hint == "they have: x, y, z, confidence"
+
+
+@pytest.mark.parametrize(
+    ("values", "code"), [(np.nan, "E_NONFINITE"), (0.0, "E_CONTENT"), (-1.0, "E_CONTENT")]
+)
+def test_trust_that_means_nothing_is_an_error(values, code):
+    vertices, faces = grid()
+    data = ply(vertices, faces, {"q": np.full(len(vertices), values)})
+    _, record = denoise_bytes(data, "a.ply", settings(weights="q"))
+    assert record.error.code == code
+
+
+def test_other_formats_have_no_properties():
+    file = files.open_mesh(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj")
+    with pytest.raises(UnsupportedError, match="from PLY, not from OBJ"):
+        files.vertex_property(file, "confidence")

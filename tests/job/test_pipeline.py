@@ -1,0 +1,559 @@
+"""One file from start to end: bytes kept, records told, failures that leave nothing behind."""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import hashlib
+import os
+import struct
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msal_cli import codecs as files
+from msal_cli import methods
+from msal_cli.job import inspection, pipeline
+from msal_cli.job.pipeline import Limits, Settings, Task, denoise_bytes, denoise_file
+from tests.shapes import cube, grid, noisy, torus
+
+
+def settings(method="msal", **given):
+    own = {key: given.pop(key) for key in list(given) if key in Settings.__dataclass_fields__}
+    return Settings(method, methods.find(method).settled(given), **own)
+
+
+def obj_text(vertices, faces):
+    lines = ["# a scan", "mtllib none.mtl"]
+    lines += ["v " + " ".join(f"{x:.6f}" for x in vertex) for vertex in vertices]
+    lines += ["g part", "usemtl skin"]
+    lines += ["f " + " ".join(str(i + 1) for i in face) for face in faces]
+    return "\n".join(lines).encode() + b"\n"
+
+
+def ply_binary(vertices, faces):
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment made by a test\n"
+        f"element vertex {len(vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\nproperty float quality\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    body = b"".join(struct.pack("<4f", *vertex, 0.5) for vertex in vertices)
+    return header.encode() + body + b"".join(struct.pack("<B3i", 3, *face) for face in faces)
+
+
+def ply_ascii(vertices, faces):
+    header = (
+        f"ply\nformat ascii 1.0\nelement vertex {len(vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    lines = [" ".join(f"{x:.6f}" for x in vertex) for vertex in vertices]
+    lines += ["3 " + " ".join(str(i) for i in face) for face in faces]
+    return header.encode() + "\n".join(lines).encode() + b"\n"
+
+
+def stl_binary(vertices, faces):
+    out = b"made by a test".ljust(80) + struct.pack("<I", len(faces))
+    for face in faces:
+        a, b, c = vertices[face].astype(np.float32).astype(np.float64)
+        normal = np.cross(b - a, c - a)
+        normal /= np.linalg.norm(normal)
+        out += struct.pack("<12fH", *normal, *a, *b, *c, 7)
+    return out
+
+
+def stl_ascii(vertices, faces):
+    lines = ["solid test"]
+    for face in faces:
+        lines.append("  facet normal 0 0 0")
+        lines.append("    outer loop")
+        lines += ["      vertex " + " ".join(f"{x:.6e}" for x in vertices[i]) for i in face]
+        lines += ["    endloop", "  endfacet"]
+    return "\n".join([*lines, "endsolid test"]).encode() + b"\n"
+
+
+WRITERS = {
+    "scan.obj": obj_text,
+    "scan.ply": ply_binary,
+    "ascii.ply": ply_ascii,
+    "scan.stl": stl_binary,
+    "ascii.stl": stl_ascii,
+}
+
+
+@pytest.fixture(params=WRITERS)
+def scan(request, tmp_path):
+    """A noisy torus in a file of each format."""
+    vertices, faces = torus()
+    path = tmp_path / "in" / request.param
+    path.parent.mkdir()
+    path.write_bytes(WRITERS[request.param](noisy(vertices, 1, 0.1), faces))
+    return path
+
+
+def denoised(path, out, **given):
+    return pipeline.denoise_file(Task(str(path), str(out), path.name), settings(**given))
+
+
+def test_a_scan_is_denoised_and_told_of(scan, tmp_path):
+    out = tmp_path / "deep" / "er" / scan.name
+    record = denoised(scan, out)
+    assert record.error is None
+    assert record.status == "written"
+    assert record.output == str(out)
+    assert (record.vertices, record.faces) in {(288, 576), (3 * 576, 576)}
+    assert record.components == 1
+    assert record.volume.valid
+    assert record.volume.after < record.volume.before
+    assert record.seam_gap == 0.0
+    assert 0 < record.displacement.mean < record.displacement.p95 < record.displacement.max
+    assert record.displacement.max_edges == pytest.approx(
+        record.displacement.max / record.mean_edge_length
+    )
+    assert record.normal_change.mean_deg > 1
+    assert record.method.parameters["K"] == 0.5
+    assert record.input_sha256 == hashlib.sha256(scan.read_bytes()).hexdigest()
+    assert record.output_sha256 == hashlib.sha256(out.read_bytes()).hexdigest()
+    assert stages_added(record) == pytest.approx(record.seconds.total, rel=1e-9)
+    assert [entry.name for entry in out.parent.iterdir()] == [out.name]
+
+
+def stages_added(record):
+    spent = dataclasses.asdict(record.seconds)
+    total = spent.pop("total")
+    assert total > 0.0
+    return sum(spent.values())
+
+
+class Clock:
+    """A clock that goes on by a second whenever somebody looks at it."""
+
+    def __init__(self):
+        self.now = 1000.0
+
+    def __call__(self):
+        self.now += 1.0
+        return self.now
+
+
+@pytest.mark.parametrize("method", ["msal", "taubin", "l0"])
+def test_every_moment_belongs_to_one_stage(scan, tmp_path, monkeypatch, method):
+    monkeypatch.setattr(time, "perf_counter", Clock())
+    task = Task(str(scan), str(tmp_path / scan.name), scan.name)
+    record = denoise_file(task, settings(method))
+    assert record.status == "written"
+    # What is between two stages takes seconds here, too, and none of them may be lost.
+    assert stages_added(record) == record.seconds.total
+    spent = dataclasses.asdict(record.seconds)
+    # Nothing is chosen without --auto.
+    assert spent.pop("choose") == 0.0
+    assert all(seconds > 0.0 for seconds in spent.values())
+
+
+@pytest.mark.parametrize("broken", ["read", "connectivity", "sweeps", "measure", "write"])
+def test_a_failure_counts_its_seconds_as_well(scan, tmp_path, monkeypatch, broken):
+    monkeypatch.setattr(time, "perf_counter", Clock())
+
+    def fail(stage, done, total):
+        if stage == broken:
+            raise RuntimeError("on purpose")
+
+    task = Task(str(scan), str(tmp_path / scan.name), scan.name)
+    record = denoise_file(task, settings(), fail)
+    assert record.status == "failed"
+    assert stages_added(record) == record.seconds.total
+    assert getattr(record.seconds, broken) > 0.0
+
+
+def test_the_output_holds_what_the_method_made(scan, tmp_path):
+    out = tmp_path / scan.name
+    denoised(scan, out)
+    before = files.open_mesh(scan.read_bytes(), scan.name)
+    after = files.open_mesh(out.read_bytes(), out.name)
+    from msal_cli.mesh import prepared
+
+    ready = prepared(before.vertices, before.faces)
+    method = methods.find("msal")
+    result = method.denoised(ready.mesh, method.settled({}))
+    expected = ready.scattered(result.vertices, before.vertices)
+    assert (after.faces == before.faces).all()
+    assert np.abs(after.vertices - expected).max() < 1e-6
+
+
+def test_zero_iterations_return_the_very_bytes(scan, tmp_path):
+    out = tmp_path / scan.name
+    record = denoised(scan, out, iterations=0)
+    assert record.status == "unchanged"
+    assert out.read_bytes() == scan.read_bytes()
+    assert record.input_sha256 == record.output_sha256
+
+
+def test_gz_stays_gz(scan, tmp_path):
+    packed = scan.with_name(scan.name + ".gz")
+    packed.write_bytes(gzip.compress(scan.read_bytes(), mtime=12345))
+    out, plain = tmp_path / packed.name, tmp_path / "plain" / scan.name
+    assert denoised(packed, out).error is None
+    assert denoised(scan, plain).error is None
+    assert gzip.decompress(out.read_bytes()) == plain.read_bytes()
+    untouched = tmp_path / "same" / packed.name
+    denoised(packed, untouched, iterations=0)
+    assert untouched.read_bytes() == packed.read_bytes()
+    unpacked = tmp_path / "unpacked" / scan.name
+    denoised(packed, unpacked, iterations=0)
+    assert unpacked.read_bytes() == scan.read_bytes()
+
+
+def test_the_same_command_gives_the_same_bytes(scan, tmp_path, monkeypatch):
+    outs = [tmp_path / str(i) / scan.name for i in range(2)]
+    denoised(scan, outs[0])
+    monkeypatch.setenv("MSAL_THREADS", "3")
+    denoised(scan, outs[1])
+    assert outs[0].read_bytes() == outs[1].read_bytes()
+
+
+def test_a_pipe_gives_what_a_file_gives(scan, tmp_path):
+    out = tmp_path / scan.name
+    denoised(scan, out)
+    data, record = pipeline.denoise_bytes(
+        scan.read_bytes(), "standard input", settings(format=scan.suffix[1:])
+    )
+    assert record.error is None
+    assert bytes(data) == out.read_bytes()
+
+
+@pytest.mark.parametrize("target", ["ply", "obj", "stl", "off", "vtk"])
+def test_conversion_by_option_and_by_name(scan, tmp_path, target):
+    by_option = tmp_path / "a" / pipeline.output_name(scan.name, target)
+    record = denoised(scan, by_option, to=target)
+    assert record.error is None
+    by_name = tmp_path / "b" / by_option.name
+    assert denoised(scan, by_name).error is None
+    assert by_option.read_bytes() == by_name.read_bytes()
+    again = files.open_mesh(by_option.read_bytes(), by_option.name)
+    assert len(again.faces) == 576
+
+
+def test_strict_refuses_losses(tmp_path):
+    vertices, faces = torus()
+    path = tmp_path / "scan.ply"
+    path.write_bytes(ply_binary(vertices, faces))
+    out = tmp_path / "out" / "scan.stl"
+    record = denoised(path, out, strict=True)
+    assert record.status == "failed"
+    assert record.error.code == "E_LOSS"
+    assert "quality" in record.error.message
+    assert not out.exists()
+    assert any("quality" in warning for warning in denoised(path, out).warnings)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+@pytest.mark.parametrize("precision", ["same", "float32"])
+def test_re_encoding(scan, tmp_path, encoding, precision):
+    out = tmp_path / scan.name
+    record = denoised(scan, out, encoding=encoding, precision=precision)
+    if scan.suffix == ".obj" and encoding == "binary":
+        assert record.error.code == "E_UNSUPPORTED"
+        return
+    assert record.error is None
+    again = files.open_mesh(out.read_bytes(), out.name)
+    assert again.encoding.startswith(encoding)
+
+
+def test_in_place_with_and_without_a_backup(scan):
+    original = scan.read_bytes()
+    scan.chmod(0o640)
+    task = Task(str(scan), str(scan), scan.name, in_place=True, backup=".orig")
+    record = pipeline.denoise_file(task, settings())
+    assert record.error is None
+    backup = scan.with_name(scan.name + ".orig")
+    assert backup.read_bytes() == original
+    assert scan.read_bytes() != original
+    if os.name == "posix":
+        assert scan.stat().st_mode & 0o777 == 0o640
+    again = pipeline.denoise_file(task, settings())
+    assert again.error.code == "E_WRITE"
+    assert backup.read_bytes() == original
+
+
+def test_a_failure_leaves_the_old_output(scan, tmp_path):
+    out = tmp_path / scan.name
+    out.write_bytes(b"old")
+    scan.write_bytes(scan.read_bytes()[: len(scan.read_bytes()) // 2])
+    record = denoised(scan, out)
+    if record.error is None:  # half an OBJ or an ascii STL can be whole
+        assert record.status == "written"
+        return
+    assert out.read_bytes() == b"old"
+    assert record.error.hint
+    assert [entry.name for entry in tmp_path.iterdir()] == ["in", out.name] or len(
+        list(tmp_path.iterdir())
+    ) == 2
+
+
+def test_a_missing_input_and_a_blocked_output(tmp_path):
+    record = denoised(tmp_path / "none.ply", tmp_path / "out.ply")
+    assert record.error.code == "E_READ"
+    vertices, faces = torus()
+    path = tmp_path / "a.ply"
+    path.write_bytes(ply_binary(vertices, faces))
+    (tmp_path / "file").write_bytes(b"")
+    record = denoised(path, tmp_path / "file" / "out.ply")
+    assert record.error.code == "E_WRITE"
+
+
+def test_open_surfaces_have_no_valid_volume(tmp_path):
+    vertices, faces = grid(9, 9)
+    path = tmp_path / "a.ply"
+    path.write_bytes(ply_binary(noisy(vertices, 1, 0.1), faces))
+    record = denoised(path, tmp_path / "b.ply")
+    assert not record.volume.valid
+    assert record.volume.reason == "open (32 boundary edges)"
+
+
+def test_an_unexpected_error_is_a_record_too(scan, tmp_path, monkeypatch):
+    def broken(*_):
+        raise ZeroDivisionError("oops")
+
+    monkeypatch.setattr("msal_cli.analysis.surface.surface_change", broken)
+    record = denoised(scan, tmp_path / "out.ply")
+    assert record.error.code == "E_INTERNAL"
+    assert "ZeroDivisionError: oops" in record.error.message
+    assert not (tmp_path / "out.ply").exists()
+
+
+def test_a_method_that_misbehaves_is_caught(scan, tmp_path, monkeypatch):
+    from msal_cli.methods import _contract
+
+    def nonfinite(self, mesh, parameters, on_sweep=None):
+        vertices = mesh.vertices.copy()
+        vertices[5, 1] = np.nan
+        return _contract.Result(vertices)
+
+    monkeypatch.setattr(_contract.Method, "denoised", nonfinite)
+    record = denoised(scan, tmp_path / scan.name)
+    assert record.error.code == "E_INTERNAL"
+    assert record.error.where == "vertex 5"
+    assert not (tmp_path / scan.name).exists()
+
+
+def test_interruption_passes(scan, tmp_path):
+    def stop(stage, done, total):
+        if stage == "sweeps" and done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pipeline.denoise_file(
+            Task(str(scan), str(tmp_path / scan.name), scan.name), settings(), stop
+        )
+    assert not (tmp_path / scan.name).exists()
+
+
+def test_inspection(scan):
+    info = inspection.inspect_file(str(scan))
+    assert info.error is None
+    assert info.closed
+    assert info.winding == "consistent"
+    assert info.triangles == 576
+    assert info.polygon_sizes == {"3": 576}
+    assert info.volume_valid
+    assert info.bytes == scan.stat().st_size
+    assert info.noise_estimate.mean_edges > 0
+    assert inspection.inspect_file(str(scan.parent / "none.ply")).error.code == "E_READ"
+
+
+@pytest.mark.parametrize(
+    ("name", "to", "expected"),
+    [
+        ("a.ply", None, "a.ply"),
+        ("a.ply", "obj", "a.obj"),
+        ("a.PLY.gz", "stl", "a.stl.gz"),
+        ("dir/a.b.stl", ".PLY", "dir/a.b.ply"),
+        ("noext", "ply", "noext.ply"),
+        (".hidden", "ply", ".hidden.ply"),
+    ],
+)
+def test_output_names(name, to, expected):
+    assert pipeline.output_name(name, to) == expected
+
+
+def test_mesh_names():
+    assert pipeline.is_mesh_name("a.PLY")
+    assert pipeline.is_mesh_name("a.stl.gz")
+    assert pipeline.is_mesh_name("a.off")
+    for name in ("a.txt", "a.mtl", "a", ".ply", "a.gz", "ply"):
+        assert not pipeline.is_mesh_name(name)
+
+
+REAL = [
+    "scans/angel.obj",
+    "scans/face000.ply",
+    "scans/dragon_vrip_res2.ply.gz",
+    "clean/igea.ply",
+    "clean/fandisk.obj",
+    "clean/stanford-bunny.obj",
+    "textured/bunny10k_textured.obj",
+    "textured/colored_airplane.ply",
+]
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_files(real_data, tmp_path, name):
+    path = real_data / name
+    out = tmp_path / Path(name).name
+    record = denoised(path, out)
+    assert record.error is None
+    assert record.status == "written"
+    assert record.seam_gap == 0.0
+    assert 0 < record.displacement.mean_edges < 0.2
+    plain = [files.expanded(p.read_bytes(), p.name)[0] for p in (path, out)]
+    before, after = (files.open_mesh(data, "x." + record.format) for data in plain)
+    assert (before.faces == after.faces).all()
+    assert np.linalg.norm(before.vertices - after.vertices, axis=1).max() == pytest.approx(
+        record.displacement.max, rel=1e-3
+    )
+    same = tmp_path / "same" / out.name
+    denoised(path, same, iterations=0)
+    assert same.read_bytes() == path.read_bytes()
+
+
+def test_materials_travel_with_the_mesh_but_not_into_another_format(tmp_path):
+    vertices, faces = torus()
+    source = tmp_path / "in"
+    source.mkdir()
+    (source / "scan.obj").write_bytes(obj_text(noisy(vertices), faces).replace(b"none", b"skin"))
+    (source / "skin.mtl").write_bytes(b"newmtl skin\nmap_Kd wood.png\n")
+    (source / "wood.png").write_bytes(b"picture")
+    same = denoised(source / "scan.obj", tmp_path / "same" / "scan.obj")
+    assert (tmp_path / "same" / "skin.mtl").read_bytes() == b"newmtl skin\nmap_Kd wood.png\n"
+    assert (tmp_path / "same" / "wood.png").read_bytes() == b"picture"
+    assert len(same.sidecars) == 2
+    other = denoised(source / "scan.obj", tmp_path / "other" / "scan.ply")
+    assert [entry.name for entry in (tmp_path / "other").iterdir()] == ["scan.ply"]
+    assert other.sidecars == ()
+    (source / "skin.mtl").unlink()
+    lost = denoised(source / "scan.obj", tmp_path / "lost" / "scan.obj")
+    assert lost.status == "written"
+    assert any("skin.mtl is missing" in warning for warning in lost.warnings)
+
+
+class TestLimits:
+    @pytest.fixture
+    def path(self, tmp_path):
+        vertices, faces = torus()
+        lines = ["v {} {} {}".format(*one) for one in vertices]
+        lines += ["f {} {} {}".format(*one) for one in faces + 1]
+        (tmp_path / "a.obj").write_text("\n".join(lines) + "\n")
+        return tmp_path / "a.obj"
+
+    def done(self, path, **limits):
+        task = Task(str(path), str(path.with_name("out" + path.suffix)), path.name)
+        return denoise_file(task, Settings("msal"), limits=Limits(**limits))
+
+    def test_a_forecast_beyond_the_limit_is_refused_before_anything_is_read(
+        self, path, monkeypatch
+    ):
+        monkeypatch.setattr(files, "read_whole", None)
+        record = self.done(path, memory_bytes=50_000_000)
+        assert record.error.code == "E_MEMORY" and record.error.where == "forecast"
+        assert "50 MB" in record.error.message and "51 MB" in record.error.message
+        assert "--memory-limit" in record.error.hint
+        assert record.input_sha256 is None
+        assert not path.with_name("out.obj").exists()
+
+    def test_faces_are_counted_by_the_header_and_else_after_reading(self, path, monkeypatch):
+        assert self.done(path, max_faces=576).error is None
+        record = self.done(path, max_faces=575)
+        assert record.error.code == "E_TOO_LARGE" and "576 faces" in record.error.message
+        assert record.vertices == 288
+        opened = files.open_mesh(path.read_bytes(), "a.obj")
+        as_ply = path.with_suffix(".ply")
+        as_ply.write_bytes(files.converted(opened, opened.vertices, "ply")[0])
+        monkeypatch.setattr(files, "read_whole", None)
+        record = self.done(as_ply, max_faces=575)
+        assert record.error.code == "E_TOO_LARGE" and record.vertices is None
+
+    def test_a_stream_has_a_limit_of_faces(self, path):
+        output, record = denoise_bytes(
+            path.read_bytes(), "a.obj", Settings("msal"), limits=Limits(max_faces=3)
+        )
+        assert output is None and record.error.code == "E_TOO_LARGE"
+
+    @pytest.mark.parametrize(
+        "failure",
+        [
+            MemoryError(),
+            OSError(12, "Cannot allocate memory"),
+            RuntimeError("can't start new thread"),
+            ImportError("x.so: failed to map segment from shared object: Cannot allocate memory"),
+        ],
+    )
+    def test_want_of_memory_has_one_code_whatever_it_shows_itself_as(
+        self, path, failure, monkeypatch
+    ):
+        def starved(*arguments, **options):
+            raise failure
+
+        monkeypatch.setattr(files, "open_mesh", starved)
+        assert self.done(path).error.code == "E_MEMORY"
+
+    def test_limits_do_not_change_the_output(self, path):
+        assert self.done(path, memory_bytes=10**12, max_faces=10**9, timeout_s=1.0).error is None
+        limited = path.with_name("out.obj").read_bytes()
+        assert self.done(path).error is None
+        assert path.with_name("out.obj").read_bytes() == limited
+
+
+def measured(tmp_path, vertices, faces, method="taubin", name="a.ply", **given):
+    path = tmp_path / name
+    path.write_bytes(ply_binary(vertices, faces))
+    return denoise_file(Task(str(path), str(tmp_path / "out.ply"), name), settings(method, **given))
+
+
+def test_a_mesh_that_is_inside_out_has_the_figures_of_the_other_side(tmp_path):
+    vertices, faces = torus()
+    vertices = noisy(vertices)
+    plain = measured(tmp_path, vertices, faces, "al")
+    turned = measured(tmp_path, vertices, faces[:, ::-1], "al")
+    assert (plain.inside_out, turned.inside_out) == (False, True)
+    assert plain.volume.change_percent < -1.0
+    assert turned.volume.change_percent == pytest.approx(plain.volume.change_percent)
+    assert turned.volume.change == pytest.approx(plain.volume.change)
+    assert turned.volume.before == pytest.approx(plain.volume.before)
+    assert turned.warning_codes == ("W_INSIDE_OUT",)
+    assert turned.warnings == (
+        "the surface is inside out: its normals point inwards (W_INSIDE_OUT)",
+    )
+    assert plain.warning_codes == plain.warnings == ()
+
+
+def test_an_open_mesh_has_no_figures_of_volume(tmp_path):
+    record = measured(tmp_path, *grid(12, 12), "al")
+    assert record.inside_out is False
+    assert dataclasses.astuple(record.volume) == (
+        None, None, None, None, False, "open (44 boundary edges)"
+    )  # fmt: skip
+    told = inspection.inspect_file(str(tmp_path / "a.ply"))
+    assert (told.volume, told.volume_valid, told.inside_out) == (None, False, False)
+    assert told.volume_reason == "open (44 boundary edges)"
+
+
+def test_what_is_inside_out_is_told_by_info(tmp_path):
+    vertices, faces = torus()
+    (tmp_path / "a.ply").write_bytes(ply_binary(vertices, faces[:, ::-1]))
+    told = inspection.inspect_file(str(tmp_path / "a.ply"))
+    assert told.inside_out is True
+    assert told.warnings == ("the surface is inside out: its normals point inwards",)
+    assert told.volume == pytest.approx(2.0 * np.pi**2 * 3.0, rel=0.1)
+
+
+def test_a_mesh_that_collapses_has_a_warning_with_a_code(tmp_path):
+    vertices, faces = cube()
+    record = measured(tmp_path, vertices, faces, "umbrella", iterations=4)
+    assert record.status == "written"
+    assert record.volume.change_percent < -50.0
+    assert record.warning_codes == ("W_VOLUME_CHANGE",)
+    assert record.warnings[0].startswith("this looks like damage: the volume changed by -")
+    assert record.warnings[0].endswith("(W_VOLUME_CHANGE)")

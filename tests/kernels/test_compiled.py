@@ -1,0 +1,182 @@
+"""Kernels come from the library; what it does not have is an error, or compiled in a checkout."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+import kernel_build
+from msal_cli.errors import InternalError
+from msal_cli.kernels import library, medians
+from msal_cli.kernels.compiled import Kernel, arg_type
+
+LINE = "medians._counted(u8[::1], i8[::1])"
+
+
+@pytest.fixture
+def kernel():
+    """A kernel as a new process sees it."""
+    return Kernel(medians._counted.function)
+
+
+@pytest.fixture
+def entries(monkeypatch):
+    """The table, to be changed."""
+    entries = dict(library._entries())
+    monkeypatch.setattr(library, "_entries", lambda: entries)
+    return entries
+
+
+@pytest.fixture
+def is_wheel(monkeypatch):
+    monkeypatch.setattr(library, "_checkout", lambda: None)
+
+
+def count(kernel, dtype=np.uint64):
+    counts = np.zeros(1 << 16, dtype=np.int64)
+    kernel(np.zeros(3, dtype=dtype), counts)
+    return counts.sum()
+
+
+def test_the_library_is_up_to_date(caplog):
+    # If not: python -m kernel_build
+    for line in kernel_build.signatures.listed():
+        made_of = library._entries()[line].source_hash
+        assert kernel_build.source_hash(kernel_build.signatures.kernel_of(line)) == made_of, line
+
+
+def test_a_kernel_of_the_library_needs_no_numba(kernel, caplog):
+    program = (
+        "import sys; import numpy as np; from msal_cli.kernels import medians\n"
+        "counts = np.zeros(1 << 16, dtype=np.int64)\n"
+        "medians._counted(np.zeros(3, dtype=np.uint64), counts)\n"
+        "print(counts.sum(), 'numba' in sys.modules)\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert ran.stdout == "3 False\n" and not ran.stderr
+
+
+def test_other_types_are_an_error_with_their_names(kernel):
+    message = r"has no medians._counted\(f4\[::1\], i8\[::1\]\)$"
+    with pytest.raises(InternalError, match=message) as error:
+        count(kernel, np.float32)
+    assert error.value.code == "E_INTERNAL"
+    assert "signatures.txt" in error.value.hint
+
+
+def test_other_types_are_an_error_in_a_wheel_too(kernel, is_wheel):
+    with pytest.raises(InternalError, match=r"has no medians._counted\(f4"):
+        count(kernel, np.float32)
+
+
+def test_an_edited_kernel_is_compiled_by_numba_with_a_notice(kernel, entries, caplog):
+    entries[LINE] = entries[LINE]._replace(source_hash="0123")
+    with caplog.at_level(logging.WARNING):
+        assert count(kernel) == 3
+    assert "outdated, compiling medians._counted: python -m kernel_build" in caplog.text
+    caplog.clear()
+    assert count(kernel) == 3 and not caplog.text
+
+
+def test_a_new_line_of_the_list_is_compiled_by_numba_with_a_notice(kernel, entries, caplog):
+    del entries[LINE]
+    with caplog.at_level(logging.WARNING):
+        assert count(kernel) == 3
+    assert "outdated" in caplog.text
+
+
+def test_without_numba_an_outdated_library_is_an_error(kernel, entries, monkeypatch):
+    entries[LINE] = entries[LINE]._replace(source_hash="0123")
+    monkeypatch.setitem(sys.modules, "numba", None)
+    with pytest.raises(InternalError, match="as its source is now") as error:
+        count(kernel)
+    assert "python -m kernel_build" in error.value.hint
+
+
+def test_a_wheel_does_not_look_at_sources(kernel, entries, is_wheel, caplog):
+    entries[LINE] = entries[LINE]._replace(source_hash="")
+    assert count(kernel) == 3 and not caplog.text
+
+
+@pytest.mark.parametrize("name", ["TABLE", "LIBRARY"])
+def test_a_library_that_is_not_there_is_an_error(kernel, is_wheel, monkeypatch, tmp_path, name):
+    monkeypatch.setattr(library, name, tmp_path / "none")
+    for function in (library._entries, library._library):
+        monkeypatch.setattr(library, function.__name__, function.__wrapped__)
+    with pytest.raises(InternalError, match="the library of compiled kernels") as error:
+        count(kernel)
+    assert "install msal again" in error.value.hint
+
+
+def test_arguments_that_are_no_numbers_are_refused(kernel):
+    with pytest.raises(TypeError, match="not list"):
+        kernel([1.0], np.empty(1))
+
+
+def test_types_of_arguments():
+    assert arg_type(np.float64(1.0)) == arg_type(1.0) == "f8"
+    assert arg_type(True) == arg_type(np.bool_(True)) == "b1"
+    assert arg_type(1) == arg_type(np.int64(1)) == "i8"
+    assert arg_type(1 << 63) == "u8" and arg_type(np.float32(1)) == "f4"
+
+
+@pytest.mark.parametrize(
+    "array, text",
+    [
+        (np.zeros((2, 3)), "f8[:, ::1]"),
+        (np.zeros((2, 3), order="F"), "f8[::1, :]"),
+        (np.zeros((2, 3))[:, ::2], "f8[:, :]"),
+        (np.zeros(3, dtype=np.bool_), "b1[::1]"),
+        (np.zeros(6, dtype=np.int32)[::2], "i4[:]"),
+        (np.zeros(3, dtype=">u2"), "swapped u2[::1]" if sys.byteorder == "little" else "u2[::1]"),
+        (np.zeros(9, dtype=np.uint8)[1:9].view(np.float32), "f4[::1]"),
+    ],
+)
+def test_types_of_arrays(array, text):
+    assert library.signature("a.b", (arg_type(array), "i8")) == f"a.b({text}, i8)"
+
+
+def test_it_can_be_interpreted(kernel, monkeypatch):
+    monkeypatch.setenv("MSAL_INTERPRET_KERNELS", "1")
+    assert kernel._load((arg_type(np.ones(1, dtype=np.uint64)),) * 2) is kernel.function
+
+
+def test_threads_that_start_together_load_once(kernel, monkeypatch):
+    loaded = []
+    real = library.load
+    monkeypatch.setattr(library, "load", lambda *given: loaded.append(given) or real(*given))
+    counts = [np.zeros(1 << 16, dtype=np.int64) for _ in range(8)]
+    bits = np.zeros(3, dtype=np.uint64)
+    threads = [threading.Thread(target=kernel, args=(bits, one)) for one in counts]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(loaded) == 1 and [one.sum() for one in counts] == [3] * 8
+
+
+_REFUSE_CODE_IN_DATA = """
+import ctypes, sys
+PR_SET_MDWE, REFUSE_EXEC_GAIN = 65, 1
+if ctypes.CDLL(None, use_errno=True).prctl(PR_SET_MDWE, REFUSE_EXEC_GAIN, 0, 0, 0):
+    sys.exit(77)
+import numpy as np
+from msal_cli.kernels import medians
+counts = np.zeros(1 << 16, dtype=np.int64)
+medians._counted(np.zeros(3, dtype=np.uint64), counts)
+print(counts.sum())
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="a feature of Linux")
+def test_kernels_run_where_memory_that_was_written_is_never_executed():
+    command = [sys.executable, "-c", _REFUSE_CODE_IN_DATA]
+    ran = subprocess.run(command, capture_output=True, text=True)
+    if ran.returncode == 77:
+        pytest.skip("Linux before 6.3 has no PR_SET_MDWE")
+    assert ran.stdout == "3\n", ran.stderr

@@ -1,0 +1,213 @@
+"""Welding, rings, edge counts, duplicates, winding and components."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from msal_cli.kernels.connectivity import (
+    connectivity,
+    count_components,
+    duplicate_faces,
+    faces_to_flip,
+    first_alike,
+    numbered,
+    welded,
+)
+from tests.paper import one_rings
+from tests.shapes import cube, grid, torus
+
+
+def rings(links):
+    return [
+        links.ring[links.ring_start[i] : links.ring_start[i + 1]].tolist()
+        for i in range(len(links.ring_start) - 1)
+    ]
+
+
+@st.composite
+def triangle_sets(draw):
+    n = draw(st.integers(3, 12))
+    triangle = st.lists(st.integers(0, n - 1), min_size=3, max_size=3, unique=True)
+    faces = draw(st.lists(triangle, min_size=1, max_size=30))
+    return n, np.array(faces, dtype=np.int32)
+
+
+@settings(max_examples=100, deadline=None)
+@given(triangle_sets())
+def test_rings_and_edges_of_any_triangle_set(case):
+    n, faces = case
+    links = connectivity(n, faces)
+    assert [sorted(ring) for ring in rings(links)] == one_rings(n, faces)
+    around: dict[tuple[int, int], list[bool]] = {}
+    for face in faces.tolist():
+        for a, b in zip(face, face[1:] + face[:1], strict=True):
+            around.setdefault((min(a, b), max(a, b)), []).append(a < b)
+    assert links.boundary_edges == sum(len(uses) == 1 for uses in around.values())
+    assert links.non_manifold_edges == sum(len(uses) > 2 for uses in around.values())
+    assert links.inconsistent_edges == sum(
+        len(uses) == 2 and uses[0] == uses[1] for uses in around.values()
+    )
+    ends = {i for edge, uses in around.items() if len(uses) == 1 for i in edge}
+    assert set(np.flatnonzero(links.boundary)) == ends
+    incident = [
+        sorted(links.incident_faces[links.face_start[i] : links.face_start[i + 1]].tolist())
+        for i in range(n)
+    ]
+    assert incident == [[f for f, face in enumerate(faces.tolist()) if i in face] for i in range(n)]
+
+
+@settings(max_examples=100, deadline=None)
+@given(triangle_sets())
+def test_components_of_any_triangle_set(case):
+    n, faces = case
+    used = np.zeros(n, dtype=bool)
+    used[faces] = True
+    parts = [{i} for i in range(n) if used[i]]
+    for face in faces.tolist():
+        touched = [part for part in parts if part & set(face)]
+        parts = [part for part in parts if not part & set(face)] + [set().union(*touched)]
+    assert count_components(n, faces, used) == len(parts)
+
+
+def test_closed_and_open_shapes():
+    closed = connectivity(len(torus()[0]), torus()[1])
+    assert (closed.boundary_edges, closed.inconsistent_edges, closed.non_manifold_edges) == (
+        0,
+        0,
+        0,
+    )
+    assert (np.diff(closed.ring_start) == 6).all()
+    open_sheet = connectivity(30, grid(6, 5)[1])
+    assert open_sheet.boundary_edges == 2 * (5 + 4)
+    assert open_sheet.boundary.sum() == 18
+
+
+def test_a_hub_of_many_faces_is_no_trouble():
+    count = 50_000
+    k = np.arange(count)
+    faces = np.stack([0 * k, 1 + k, 1 + (k + 1) % count], axis=1).astype(np.int32)
+    links = connectivity(count + 1, faces)
+    assert links.ring_start[1] == count
+    assert links.boundary_edges == count
+    flip, _ = faces_to_flip(faces, links)
+    assert not flip.any()
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**20), st.sampled_from(["torus", "grid", "cube"]))
+def test_any_turned_faces_are_turned_back(seed, shape):
+    vertices, faces = {"torus": torus, "grid": grid, "cube": cube}[shape]()
+    rng = np.random.default_rng(seed)
+    turned = rng.random(len(faces)) < 0.3
+    mixed = np.where(turned[:, None], faces[:, ::-1], faces)
+    flip, unorientable = faces_to_flip(mixed, connectivity(len(vertices), mixed))
+    again = np.where(flip[:, None], mixed[:, ::-1], mixed)
+    assert unorientable == 0
+    assert connectivity(len(vertices), again).inconsistent_edges == 0
+    assert flip.sum() * 2 <= len(faces)
+
+
+def test_a_moebius_band_is_left_alone():
+    count = 11
+    rows = [(2 * k, 2 * k + 1) for k in range(count)]
+    rows.append((1, 0))
+    faces = []
+    for (a, b), (c, d) in itertools.pairwise(rows):
+        faces += [(a, b, d), (a, d, c)]
+    faces = np.array(faces, dtype=np.int32)
+    links = connectivity(2 * count, faces)
+    flip, unorientable = faces_to_flip(faces, links)
+    assert unorientable == 1
+    assert not flip.any()
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.lists(st.sampled_from([0.0, -0.0, 1.0, 1e-300, np.nextafter(1.0, 2)]), min_size=9),
+    st.integers(0, 5),
+)
+def test_welding_is_by_exact_position(values, skip):
+    points = np.array(values[: len(values) // 3 * 3]).reshape(-1, 3)
+    used = np.arange(len(points)) % 6 != skip
+    seen: dict[tuple[float, ...], int] = {}
+    expected = [
+        seen.setdefault(tuple(point), i) if use else i
+        for i, (point, use) in enumerate(zip((points + 0.0).tolist(), used, strict=True))
+    ]
+    assert first_alike(points, used)[0].tolist() == expected
+
+
+def test_among_very_many_points_only_equal_ones_weld():
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(20_000, 3))
+    points[15_000:15_050] = points[7_000:7_050]
+    points[-1] = points[15_000]
+    first, merged = first_alike(points, np.ones(len(points), dtype=bool))
+    expected = np.arange(len(points))
+    expected[15_000:15_050] = expected[7_000:7_050]
+    expected[-1] = 7_000
+    assert first.tolist() == expected.tolist()
+    assert merged == 51
+    used = np.ones(len(points), dtype=bool)
+    used[7_000:7_050] = False
+    assert first_alike(points, used)[1] == 1
+
+
+def test_points_that_are_not_numbers_weld_with_nothing():
+    points = np.full((3, 3), np.nan)
+    assert first_alike(points, np.ones(3, dtype=bool))[0].tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("shape", [torus(300, 240), grid(301, 260)])
+def test_threads_change_nothing(shape, monkeypatch):
+    vertices, faces = shape
+    found = []
+    for threads in ("1", "2", "3"):
+        monkeypatch.setenv("MSAL_THREADS", threads)
+        links = connectivity(len(vertices), faces)
+        arrays = (links.ring_start, links.ring, links.boundary)
+        found.append((*(one.tobytes() for one in arrays), links.boundary_edges))
+    assert found[0] == found[1] == found[2]
+
+
+def test_rings_of_closed_fans_are_in_the_order_of_the_faces():
+    # Two tetrahedra that touch in vertex 0: both circles around it are closed.
+    one = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], dtype=np.int32)
+    other = np.where(one == 0, 0, one + 3).astype(np.int32)
+    links = connectivity(7, np.concatenate([one, other]))
+    assert rings(links)[0] == [1, 2, 3, 4, 5, 6]
+    assert rings(links)[1] == [2, 0, 3]
+    assert links.boundary_edges == links.non_manifold_edges == links.inconsistent_edges == 0
+
+
+def test_minus_zero_welds_and_unreferenced_do_not():
+    points = np.array([[0.0, 0, 0], [-0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 0]])
+    faces = np.array([[0, 2, 3], [1, 4, 3]], dtype=np.int32)
+    assert welded(points, faces).tolist() == [0, 0, 2, 3, 2, 5]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.integers(-2, 5), st.integers(-2, 5)), min_size=1, max_size=60))
+def test_pairs_are_numbered_in_order_of_appearance(pairs):
+    order = list(dict.fromkeys(pairs))
+    left, right = np.array(pairs, dtype=np.int32).T.copy()
+    number, first = numbered(left, right)
+    assert number.tolist() == [order.index(pair) for pair in pairs]
+    assert first.tolist() == [pairs.index(pair) for pair in order]
+
+
+def test_duplicates_in_any_order_of_corners():
+    faces = np.array([[0, 1, 2], [2, 3, 0], [2, 0, 1], [1, 0, 2], [3, 4, 5]], dtype=np.int32)
+    assert duplicate_faces(faces).tolist() == [False, False, True, True, False]
+
+
+@pytest.mark.parametrize("shape", [torus, grid, cube])
+def test_rings_name_each_neighbour_once(shape):
+    vertices, faces = shape()
+    for ring in rings(connectivity(len(vertices), faces)):
+        assert len(ring) == len(set(ring))

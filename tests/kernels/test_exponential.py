@@ -1,0 +1,72 @@
+"""The block exponential against the library's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from msal_cli.kernels.exponential import (
+    SMALLEST_ARGUMENT,
+    SMALLEST_POWER,
+    exponentials,
+    power_of_two,
+)
+
+
+def computed(values):
+    values = np.array(values, dtype=np.float64)
+    scratch = np.empty(len(values))
+    exponentials(values, scratch, scratch.view(np.int64), len(values))
+    return values
+
+
+def test_zero_is_one():
+    assert computed([0.0, -0.0]).tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("low", [-1e-8, -1.0, -30.0, SMALLEST_ARGUMENT])
+def test_within_two_ulp(low):
+    values = np.random.default_rng(0).uniform(low, 0.0, 100_000)
+    exact = np.exp(values)
+    assert (np.abs(computed(values) - exact) <= 2 * np.spacing(exact)).all()
+
+
+@given(st.lists(st.floats(-1e300, 0.0), min_size=1, max_size=40))
+def test_any_list_gives_what_single_numbers_give(values):
+    # No number's bits may depend on its neighbours: ranges of threads cut blocks anywhere.
+    together = computed(values)
+    assert together.tolist() == [computed([value])[0] for value in values]
+    assert ((together >= 0.0) & (together <= 1.0)).all()
+
+
+def test_very_small_arguments_are_held():
+    assert computed([-1e300, -np.inf]) == pytest.approx([np.exp(-700.0)] * 2, rel=1e-14)
+
+
+def test_only_the_first_count_is_touched():
+    values = np.full(5, -1.0)
+    scratch = np.empty(5)
+    exponentials(values, scratch, scratch.view(np.int64), 3)
+    assert values[3:].tolist() == [-1.0, -1.0]
+
+
+def powers(exponents):
+    return np.array([power_of_two(float(one)) for one in exponents])
+
+
+def test_whole_powers_of_two_are_exact():
+    whole = np.arange(SMALLEST_POWER, 1.0)
+    assert (powers(whole) == np.ldexp(1.0, whole.astype(int))).all()
+
+
+@pytest.mark.parametrize("low", [-1e-8, -0.5, -1.0, -30.0, SMALLEST_POWER])
+def test_powers_of_two_are_within_two_ulp(low):
+    exponents = np.random.default_rng(0).uniform(low, 0.0, 10_000)
+    exact = np.exp2(exponents)
+    assert (np.abs(powers(exponents) - exact) <= 2 * np.spacing(exact)).all()
+
+
+def test_small_powers_of_two_are_held():
+    assert powers([-1e300, -np.inf]).tolist() == [2.0**-1010] * 2

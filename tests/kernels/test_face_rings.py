@@ -1,0 +1,159 @@
+"""Neighbourhoods of faces against their definition, and at hubs and crowded edges."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from msal_cli.errors import TooLargeError
+from msal_cli.kernels import face_rings as module
+from msal_cli.kernels.connectivity import connectivity
+from msal_cli.kernels.face_rings import (
+    MOST_AROUND,
+    face_centroids,
+    face_rings,
+    mean_centroid_distance,
+)
+from tests.kernels.plain_faces import neighbours
+from tests.shapes import cube, fan, grid, torus
+
+
+def rows(faces, sharing, n=None):
+    faces = np.asarray(faces, dtype=np.int32)
+    links = connectivity(int(faces.max()) + 1 if n is None else n, faces)
+    start, ring = face_rings(faces, links, sharing)
+    assert start.dtype == ring.dtype == np.int32
+    assert start[0] == 0
+    assert start[-1] == len(ring)
+    return [ring[start[f] : start[f + 1]].tolist() for f in range(len(faces))]
+
+
+def book(pages):
+    """Faces that all share the edge from vertex 0 to vertex 1."""
+    return [[0, 1, 2 + page] for page in range(pages)]
+
+
+def bow_ties():
+    """Pairs of faces that touch at one vertex only, and one face apart."""
+    return [[0, 1, 2], [2, 3, 4], [4, 5, 0], [6, 7, 8]]
+
+
+SHAPES = {
+    "torus": torus(8, 5)[1],
+    "open grid": grid(5, 4)[1],
+    "cube": cube()[1],
+    "fan": fan([0.0] * 9)[1],
+    "every third": torus(8, 5)[1][::3],
+    "book": book(7),
+    "full book": book(MOST_AROUND),
+    "full fan": fan([0.0] * MOST_AROUND)[1],
+    "bow ties": bow_ties(),
+    "one": [[0, 1, 2]],
+    "wound both ways": [[0, 1, 2], [0, 1, 3], [1, 2, 3]],
+}
+
+
+@pytest.mark.parametrize("sharing", ["edge", "vertex"])
+@pytest.mark.parametrize("name", SHAPES)
+def test_they_are_the_faces_that_share_an_edge_or_a_vertex(name, sharing):
+    faces = np.asarray(SHAPES[name])
+    found = rows(faces, sharing)
+    assert [sorted(row) for row in found] == neighbours(faces, sharing)
+
+
+def test_the_order_is_side_by_side_then_corner_by_corner():
+    # A strip of five faces; the third has its sides towards 1 (0-2), none, and 3 (2-4).
+    faces = [[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4], [4, 5, 6]]
+    assert rows(faces, "edge")[2] == [1, 3]
+    assert rows(faces, "vertex")[2] == [1, 3, 0, 4]
+
+
+def test_threads_do_not_change_the_rows(monkeypatch):
+    _, faces = torus(40, 20)
+    monkeypatch.setattr("msal_cli.kernels.parallel.SMALLEST_RANGE", 100)
+    monkeypatch.setattr("msal_cli.kernels.variable_rows.SMALLEST_PART", 1)
+    results = []
+    for count in ("1", "2", "5"):
+        monkeypatch.setenv("MSAL_THREADS", count)
+        results.append(face_rings(faces, connectivity(800, faces), "vertex"))
+    for start, ring in results[1:]:
+        assert (start == results[0][0]).all()
+        assert (ring == results[0][1]).all()
+
+
+def test_an_edge_with_too_many_faces_makes_no_neighbours():
+    assert rows(book(MOST_AROUND + 1), "vertex") == [[] for _ in range(MOST_AROUND + 1)]
+
+
+def test_around_a_hub_the_neighbours_are_those_across_edges():
+    count = MOST_AROUND + 1
+    found = rows(fan([0.0] * count)[1], "vertex")
+    # The rim's vertices have two faces each, which share an edge anyway.
+    assert [sorted(row) for row in found] == [
+        sorted({(f - 1) % count, (f + 1) % count}) for f in range(count)
+    ]
+
+
+def test_hubs_cost_no_more_than_other_parts():
+    seconds = []
+    for count in (2_000, 200_000):
+        _, faces = fan([0.0] * count)
+        links = connectivity(count + 1, faces)
+        pages = np.array(book(count), dtype=np.int32)
+        page_links = connectivity(count + 2, pages)
+        started = time.perf_counter()
+        _, ring = face_rings(faces, links, "vertex")
+        _, none = face_rings(pages, page_links, "vertex")
+        seconds.append(time.perf_counter() - started)
+        assert len(ring) == 2 * count
+        assert len(none) == 0
+    # A hundred times the faces; quadratic cost would be ten thousand times the time, minutes.
+    assert seconds[1] < 5.0
+
+
+def test_small_meshes_keep_their_rows(monkeypatch):
+    _, faces = grid(5, 4)
+    links = connectivity(20, faces)
+    kept = face_rings(faces, links, "vertex")
+    assert face_rings(faces, links, "vertex") is kept
+    assert len(face_rings(faces, links, "edge")[1]) < len(kept[1])
+    monkeypatch.setattr("msal_cli.kernels.connectivity.KEPT_FACES", len(faces) - 1)
+    assert face_rings(faces, links, "vertex") is not kept
+
+
+def test_too_many_neighbours_are_refused(monkeypatch):
+    _, faces = grid(5, 4)
+    links = connectivity(20, faces)
+    _, ring = face_rings(faces, links, "vertex")
+    monkeypatch.setattr(module, "MOST_PAIRS", len(ring))
+    face_rings(faces, connectivity(20, faces), "vertex")
+    monkeypatch.setattr(module, "MOST_PAIRS", len(ring) - 1)
+    links = connectivity(20, faces)  # the others keep their rings
+    with pytest.raises(TooLargeError, match=f"{len(ring)} neighbours"):
+        face_rings(faces, links, "vertex")
+
+
+def test_centroids_and_their_distances():
+    vertices = np.array([[0, 0, 0], [3, 0, 0], [0, 3, 0], [3, 3, 6.0]])
+    faces = np.array([[0, 1, 2], [1, 3, 2]], dtype=np.int32)
+    centroids = face_centroids(vertices, faces)
+    assert centroids.tolist() == [[1, 1, 0], [2, 2, 2]]
+    rings = face_rings(faces, connectivity(4, faces), "edge")
+    assert mean_centroid_distance(centroids, *rings) == pytest.approx(np.sqrt(6.0), rel=1e-15)
+
+
+def test_the_mean_distance_is_over_pairs():
+    vertices, faces = torus(7, 5)
+    centroids = face_centroids(vertices, faces)
+    pairs = [(f, g) for f, row in enumerate(neighbours(faces, "edge")) for g in row]
+    expected = np.mean([np.linalg.norm(centroids[f] - centroids[g]) for f, g in pairs])
+    rings = face_rings(faces, connectivity(len(vertices), faces), "edge")
+    assert mean_centroid_distance(centroids, *rings) == pytest.approx(expected, rel=1e-14)
+
+
+def test_without_neighbours_there_is_no_distance():
+    faces = np.array([[0, 1, 2]], dtype=np.int32)
+    rings = face_rings(faces, connectivity(3, faces), "edge")
+    assert mean_centroid_distance(np.zeros((1, 3)), *rings) == 0.0

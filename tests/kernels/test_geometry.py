@@ -1,0 +1,204 @@
+"""Normals, areas, volumes, angles and the recomputation of stored normals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli.kernels.geometry import (
+    area_and_volume,
+    face_normals,
+    face_normals_and_areas,
+    mean_edge_length,
+    normals_and_flat_faces,
+    regrouped_normals,
+    ring_means,
+    vertex_normals,
+)
+from msal_cli.kernels.surface_change import ANGLES, COMPARED, surface_figures
+from msal_cli.mesh import prepared
+from tests.shapes import cube, grid, noisy, torus
+
+
+def test_cube():
+    vertices, faces = cube()
+    area, volume = area_and_volume(vertices, faces)
+    assert area == pytest.approx(6.0, abs=1e-15)
+    assert volume == pytest.approx(1.0, abs=1e-15)
+    assert area_and_volume(vertices, faces[:, ::-1].copy())[1] == pytest.approx(-1.0)
+    links = prepared(vertices, faces).mesh.links
+    edges = 12 * 1.0 + 6 * np.sqrt(2)
+    assert mean_edge_length(vertices, links.ring_start, links.ring) == pytest.approx(edges / 18)
+
+
+def test_normals_point_outward_and_have_unit_length():
+    vertices, faces = torus()
+    normals, areas = face_normals_and_areas(vertices, faces)
+    assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-15)
+    centre = vertices[faces].mean(axis=1)
+    tube = centre - 3 * np.stack(
+        [*(centre[:, :2] / np.linalg.norm(centre[:, :2], axis=1)[:, None]).T, 0 * centre[:, 2]], 1
+    )
+    assert ((normals * tube).sum(axis=1) > 0).all()
+    assert areas.sum() == pytest.approx(area_and_volume(vertices, faces)[0])
+
+
+def test_degenerate_faces_have_zero_normals():
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [1, 1e-13, 0]], dtype=float)
+    faces = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], dtype=np.int32)
+    assert face_normals(vertices, faces).tolist() == [[0, 0, 0], [0, 0, 1], [0, 0, 0]]
+
+
+def test_angles():
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=float)
+    face = np.array([[0, 1, 2]], dtype=np.int32)
+    for angle in (0.0, 1e-9, 0.3, np.pi / 2, 3.0, np.pi):
+        turned = vertices.copy()
+        turned[2] = [0, np.cos(angle), np.sin(angle)]
+        figures = surface_figures(vertices, turned, face)
+        assert figures[ANGLES] == pytest.approx(angle, abs=1e-15)
+        assert figures[COMPARED] == 1
+    assert surface_figures(vertices, np.zeros((3, 3)), face)[COMPARED] == 0
+
+
+def test_area_weighting():
+    # One large upward and three small tilted faces: area weighting leans to the large one.
+    vertices = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [-1, 0, 1], [0, -1, 1]], dtype=float)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 4, 1]], dtype=np.int32)
+    mesh = prepared(vertices, faces).mesh
+    units, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
+    for weighting, weights in (("uniform", np.ones(3)), ("area", areas)):
+        total = (weights[:, None] * units).sum(axis=0)
+        expected = total / np.linalg.norm(total)
+        assert np.allclose(mesh.vertex_normals(weighting)[0], expected, atol=1e-15)
+    uniform, area = mesh.vertex_normals("uniform")[0], mesh.vertex_normals("area")[0]
+    assert area[2] > uniform[2]
+
+
+def test_where_unit_normals_cancel_the_areas_decide():
+    # Two faces back to back around the same edge, one of them larger; and two that cancel wholly.
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 2, 0]], dtype=float)
+    back_to_back = np.array([[0, 1, 3], [1, 0, 2]], dtype=np.int32)
+    normals, flat = normals_and_flat_faces(vertices, back_to_back, "uniform")
+    assert normals.tolist() == [[0, 0, 1], [0, 0, 1], [0, 0, -1], [0, 0, 1]]
+    assert flat == 0
+    alike = np.array([[0, 1, 2], [1, 0, 2]], dtype=np.int32)
+    assert vertex_normals(vertices, alike, "uniform").tolist() == [[0, 0, 0]] * 4
+
+
+def test_faces_without_area_are_counted_and_left_out():
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]], dtype=float)
+    faces = np.array([[0, 1, 2], [0, 1, 3]], dtype=np.int32)
+    normals, flat = normals_and_flat_faces(vertices, faces, "uniform")
+    assert flat == 1
+    assert normals.tolist() == [[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 0, 0]]
+
+
+def test_threads_do_not_change_a_bit_of_normals(monkeypatch):
+    vertices, faces = torus(300, 300)
+    vertices = noisy(vertices, 2)
+    faces[::1000, 1] = faces[::1000, 0]
+    shuffled = np.random.default_rng(0).permutation(len(faces))
+    for order in (slice(None), shuffled):
+        found = []
+        for count in ("1", "2"):
+            monkeypatch.setenv("MSAL_THREADS", count)
+            normals, flat = normals_and_flat_faces(vertices, faces[order], "uniform")
+            found.append((normals.tobytes(), flat))
+        assert found[0] == found[1]
+        assert found[0][1] == len(faces[::1000])
+
+
+def test_mollification_is_the_normalised_mean_of_the_ring():
+    vertices, faces = torus(9, 7)
+    mesh = prepared(noisy(vertices, 1, 0.3), faces).mesh
+    plain, once = mesh.vertex_normals("uniform", 0), mesh.vertex_normals("uniform", 1)
+    twice = mesh.vertex_normals("uniform", 2)
+    links = mesh.links
+    for i in range(len(plain)):
+        ring = links.ring[links.ring_start[i] : links.ring_start[i + 1]]
+        for before, after in ((plain, once), (once, twice)):
+            total = before[ring].sum(axis=0)
+            assert np.allclose(after[i], total / np.linalg.norm(total), atol=1e-14)
+
+
+def test_ring_means():
+    vertices, faces = grid(3, 3)
+    links = prepared(np.concatenate([vertices, [[9, 9, 9]]]), faces).mesh.links
+    values = np.arange(10.0)
+    means = ring_means(values, links.ring_start, links.ring)
+    assert means[4] == pytest.approx((0 + 1 + 3 + 5 + 7 + 8) / 6)
+    assert means[9] == 9.0
+
+
+def stored(vertices, faces):
+    """Area-independent vertex normals, as a file might store them."""
+    return prepared(vertices, faces).mesh.vertex_normals()
+
+
+def test_stored_vertex_normals_follow_the_surface():
+    vertices, faces = torus()
+    before = stored(vertices, faces)
+    moved = noisy(vertices, 2, 0.05)
+    normals, changed = regrouped_normals(vertices, moved, faces, faces, before)
+    assert changed.all()
+    assert np.allclose(normals, stored(moved, faces), atol=1e-12)
+
+
+def test_stored_normals_keep_their_sense_and_far_ones_their_bytes():
+    vertices, faces = grid(8, 8)
+    before = -stored(vertices, faces)
+    moved = vertices.copy()
+    moved[0, 2] = 0.2
+    normals, changed = regrouped_normals(vertices, moved, faces, faces, before)
+    assert changed.sum() == 4
+    assert (normals[~changed] == before[~changed]).all()
+    assert (normals[changed][:, 2] < 0).all()
+
+
+def test_zero_and_unused_and_broken_entries_stay():
+    vertices, faces = grid(3, 3)
+    before = stored(vertices, faces)
+    before[4] = 0.0
+    before[3] = np.nan
+    before = np.concatenate([before, [[0.0, 0.0, 2.0]]])
+    normals, changed = regrouped_normals(vertices, noisy(vertices, 1, 0.1), faces, faces, before)
+    assert not changed[[3, 4, 9]].any()
+    assert np.isnan(normals[3]).all()
+    assert (normals[4] == 0).all()
+    assert normals[9].tolist() == [0.0, 0.0, 2.0]
+
+
+def test_a_seam_with_equal_normals_stays_smooth_and_a_crease_stays_sharp():
+    # Two strips that share their edge's points but not their vertices.
+    vertices = np.array(
+        [[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0], [1, 0, 0], [1, 1, 0], [2, 0, 0], [2, 1, 0]],
+        dtype=float,
+    )
+    faces = np.array([[0, 2, 3], [0, 3, 1], [4, 6, 7], [4, 7, 5]], dtype=np.int32)
+    moved = vertices.copy()
+    moved[6:, 2] = 1.0
+    smooth = np.tile([0.0, 0.0, 1.0], (8, 1))
+    normals, _ = regrouped_normals(vertices, moved, faces, faces, smooth)
+    assert np.allclose(normals[2], normals[4])
+    assert np.allclose(normals[3], normals[5])
+    crease = smooth.copy()
+    crease[4:] = [0.1, 0.0, 1.0]
+    normals, _ = regrouped_normals(vertices, moved, faces, faces, crease)
+    assert np.allclose(normals[2], [0, 0, 1])
+    assert np.allclose(normals[4], np.array([-1, 0, 1]) / np.sqrt(2))
+
+
+def test_entries_shared_by_corners():
+    # One entry for a whole flat sheet: the mean over all its corners.
+    vertices, faces = grid(3, 3)
+    moved = vertices.copy()
+    moved[4, 2] = 0.5
+    entry = np.zeros_like(faces)
+    normals, changed = regrouped_normals(vertices, moved, faces, entry, np.array([[0.0, 0.0, 1.0]]))
+    assert changed.all()
+    total = face_normals(moved, faces).sum(axis=0)
+    assert np.allclose(normals[0], total / np.linalg.norm(total))
+    none = np.full_like(faces, -1)
+    _, changed = regrouped_normals(vertices, moved, faces, none, np.array([[0.0, 0.0, 1.0]]))
+    assert not changed.any()

@@ -1,0 +1,155 @@
+"""Faces that intersect each other, compared with exact fractions, and by hand."""
+
+import numpy as np
+import pytest
+
+from msal_cli.kernels import box_pairs, intersections
+from msal_cli.kernels.intersections import intersecting_pairs
+from msal_cli.kernels.orientation import plane_signs, space_signs
+from tests.shapes import grid, torus
+
+
+def found(vertices, faces):
+    pairs = intersecting_pairs(np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int32))
+    return [tuple(pair) for pair in pairs.tolist()]
+
+
+def whole(random, n):
+    return random.integers(0, 4, (n, 3)).astype(float)
+
+
+POSITIONS = {
+    "anywhere": lambda random, n: random.normal(size=(n, 3)),
+    "whole": whole,
+    # 0.3 is not three times 0.1: what looks flat is not.
+    "tenths": lambda random, n: 0.1 * whole(random, n),
+    "flat": lambda random, n: random.integers(0, 5, (n, 3)) * (1.0, 1.0, 0.0),
+    "flat and askew": lambda random, n: (
+        random.integers(0, 5, (n, 2)) @ np.array([(0.48, 0.6, 0.64), (-0.6, 0.8, -0.3)]) + 1e3
+    ),
+    "tiny": lambda random, n: 1e-100 * whole(random, n),
+    "huge": lambda random, n: 1e59 * whole(random, n),
+}
+
+
+def soup(random, make):
+    """A few triangles among few points, so that many share vertices and edges, each once."""
+    vertices = np.unique(make(random, int(random.integers(5, 10))), axis=0)
+    n = len(vertices)
+    triples = (random.choice(n, 3, replace=False) for _ in range(14)) if n > 2 else ()
+    faces = {frozenset(map(int, one)): one for one in triples}
+    points = plain.exact(vertices)
+    return vertices, [one for one in faces.values() if plain.has_area(points, one)]
+
+
+@pytest.mark.parametrize("name", POSITIONS)
+def test_fractions_say_the_same(name):
+    random = np.random.default_rng(5)
+    n_meeting = n_apart = 0
+    for _ in range(10):
+        vertices, faces = soup(random, POSITIONS[name])
+        if len(faces) < 2:
+            continue
+        expected = plain.intersecting_pairs(vertices, faces)
+        assert found(vertices, faces) == expected
+        n_meeting += len(expected)
+        n_apart += len(faces) * (len(faces) - 1) // 2 - len(expected)
+    assert min(n_meeting, n_apart) > 15
+
+
+@pytest.mark.parametrize(
+    ("moved", "meet"),
+    [
+        ((0.0, 0.0, 0.0), True),
+        ((0.0, 0.0, 1e-300), True),
+        # The tip of the second touches the first, stays short of it, or is beside it.
+        ((0.0, 0.0, 1.0), True),
+        ((0.0, 0.0, np.nextafter(1.0, 2.0)), False),
+        ((5.0, 0.0, 0.0), False),
+    ],
+)
+def test_two_triangles(moved, meet):
+    first = [(-2.0, -2.0, 0.0), (2.0, -2.0, 0.0), (0.0, 3.0, 0.0)]
+    second = np.array([(0.0, 0.0, -1.0), (1.0, 0.0, 1.0), (-1.0, 0.0, 1.0)]) + moved
+    assert found([*first, *second], [(0, 1, 2), (3, 4, 5)]) == ([(0, 1)] if meet else [])
+
+
+@pytest.mark.parametrize(
+    ("tip", "meet"),
+    [
+        # Folded onto its neighbour, partly or wholly; open by any angle; flat.
+        ((0.5, 1.0, 0.0), True),
+        ((9.0, 0.5, 0.0), True),
+        ((0.5, 1.0, 1e-300), False),
+        ((0.5, -1.0, 0.0), False),
+    ],
+)
+def test_neighbours_intersect_only_if_they_are_folded_onto_each_other(tip, meet):
+    vertices = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.3, 2.0, 0.0), tip]
+    for face in ((1, 0, 3), (0, 1, 3), (3, 1, 0)):
+        assert found(vertices, [(0, 1, 2), face]) == ([(0, 1)] if meet else [])
+
+
+def test_smooth_meshes_have_none_and_a_vertex_pushed_through_has_some():
+    for vertices, faces in (torus(), grid()):
+        assert found(vertices, faces) == []
+    vertices, faces = torus(10, 6)
+    vertices = vertices.copy()
+    vertices[0] = -0.9 * vertices[0]
+    pairs = found(vertices, faces)
+    assert pairs == plain.intersecting_pairs(vertices, faces)
+    assert len(pairs) > 5
+
+
+def test_neither_the_order_nor_the_size_of_chunks_matters(monkeypatch):
+    random = np.random.default_rng(7)
+    vertices = random.normal(size=(60, 3))
+    faces = [random.choice(60, 3, replace=False) for _ in range(60)]
+    pairs = found(vertices, faces)
+    assert len(pairs) > 50
+    monkeypatch.setattr(box_pairs, "AT_ONCE", 30)
+    monkeypatch.setattr(intersections, "AT_ONCE", 23)
+    assert found(vertices, faces) == pairs
+    order = random.permutation(len(faces))
+    mixed = np.sort(order[np.array(found(vertices, np.asarray(faces)[order]))], axis=1)
+    assert sorted(map(tuple, mixed.tolist())) == pairs
+
+
+def test_every_pair_of_boxes_is_found_once():
+    random = np.random.default_rng(1)
+    # From large to small, and some without an extent.
+    sizes = 10.0 ** random.uniform(-6, 1, (300, 1, 1)) * (random.random((300, 1, 1)) > 0.1)
+    triangles = random.random((300, 1, 3)) + sizes * random.normal(size=(300, 3, 3))
+    given = [pair for some in box_pairs.near_pairs(triangles) for pair in zip(*some, strict=True)]
+    assert len({frozenset(pair) for pair in given}) == len(given)
+    low, high = box_pairs._bounds(triangles)
+    expected = {
+        frozenset((i, j))
+        for i in range(300)
+        for j in range(i)
+        if (low[:, i] <= high[:, j]).all() and (low[:, j] <= high[:, i]).all()
+    }
+    assert {frozenset(pair) for pair in given} == expected
+
+
+def test_few_faces():
+    assert found(np.zeros((0, 3)), np.zeros((0, 3))) == []
+    assert found([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)]) == []
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-110, 1e60])
+def test_signs_are_exact_where_rounding_is_larger(scale):
+    random = np.random.default_rng(2)
+    corners = scale * random.random((200, 3, 3))
+    shares = random.random((200, 2))
+    a, b, c = (corners[:, k] for k in range(3))
+    # In the plane, but for the last digit.
+    d = a + shares[:, :1] * (b - a) + shares[:, 1:] * (c - a)
+    signs = space_signs(a, b, c, d)
+    expected = [plain.in_space(*rows) for rows in zip(*map(plain.exact, (a, b, c, d)), strict=True)]
+    assert signs.tolist() == expected
+    assert {-1, 1} <= set(expected)
+    p, q, r = (one[:, :2] for one in (a, b, a + shares[:, :1] * (b - a)))
+    expected = [plain.in_plane(*rows) for rows in zip(*map(plain.exact, (p, q, r)), strict=True)]
+    assert plane_signs(p, q, r).tolist() == expected
+    assert {-1, 1} <= set(expected)

@@ -1,0 +1,175 @@
+"""Descriptors of face normals and the network, against plain twins and by identities."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from msal_cli.kernels import parallel
+from msal_cli.kernels.face_rings import face_centroids, face_rings
+from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.normal_regression import (
+    GLOBALS,
+    NUMBERS,
+    VECTORS,
+    Network,
+    NormalDescriber,
+    find_neighbourhoods,
+    measure_ripples,
+)
+from msal_cli.mesh import prepared
+from tests.kernels import plain_descriptors
+from tests.shapes import cube, grid, noisy, torus
+
+
+def rows_of(start, entries):
+    return [entries[a:b].tolist() for a, b in itertools.pairwise(start)]
+
+
+def described(mesh, earlier=None, noise=0.1):
+    normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
+    centroids = face_centroids(mesh.vertices, mesh.faces)
+    rings = face_rings(mesh.faces, mesh.links, "edge")
+    describer = NormalDescriber(mesh.faces, centroids, *rings, noise)
+    heights = measure_ripples(mesh.vertices, mesh.vertex_normals(), mesh.links)
+    return describer.describe(normals, areas, centroids, heights, earlier), describer.around
+
+
+def random_network(width, seed=0, hidden=16):
+    draw = np.random.default_rng(seed)
+    sizes = (3 * width + NUMBERS + GLOBALS, hidden, hidden, width)
+    layers = [
+        (
+            draw.normal(size=b).astype(np.float32),
+            (draw.normal(size=(b, a)) / a**0.5).astype(np.float32),
+        )
+        for a, b in itertools.pairwise(sizes)
+    ]
+    return Network(tuple(layers))
+
+
+@pytest.fixture(scope="module")
+def scan():
+    vertices, faces = torus(22, 12)
+    return prepared(noisy(vertices, 3, 0.1), faces).mesh
+
+
+@pytest.fixture(scope="module")
+def plain(scan):
+    normals, areas = face_normals_and_areas(scan.vertices, scan.faces)
+    centroids = face_centroids(scan.vertices, scan.faces)
+    edges = face_rings(scan.faces, scan.links, "edge")
+    across = rows_of(*edges)
+    near = find_neighbourhoods(centroids, *edges)
+    units = plain_descriptors.local_units(centroids, across)
+    return plain_descriptors.Plain(
+        normals, areas, centroids, rows_of(near.near_start, near.near), units
+    )
+
+
+def test_vectors_are_those_of_the_twin(scan, plain):
+    got = described(scan)[0].vectors
+    assert got.shape == (len(scan.faces), VECTORS, 3)
+    assert np.abs(got - plain.vectors).max() < 2e-4
+
+
+def test_numbers_are_those_of_the_twin(scan, plain):
+    got = described(scan)[0].numbers
+    assert np.abs(got[:, :19] - plain.numbers).max() < 2e-4
+
+
+def test_axes_are_those_of_the_twin(scan, plain):
+    got = described(scan)[0].axes
+    for f in range(len(scan.faces)):
+        values = np.linalg.eigvalsh(plain.tensors[f])
+        axes, skews = plain.axes(f)
+        # Where eigenvalues are nearly equal, or nothing leans, rounding decides.
+        if np.diff(values).min() > 0.02 and np.abs(skews).min() > 1e-3:
+            assert np.abs(got[f] - axes).max() < 2e-3
+        assert np.abs(got[f] @ got[f].T - np.eye(3)).max() < 1e-5
+
+
+def test_ripples_are_umbrellas_of_umbrellas(scan):
+    rings = rows_of(scan.links.ring_start, scan.links.ring)
+    left, normals = scan.vertices, scan.vertex_normals()
+    got = measure_ripples(scan.vertices, normals, scan.links)
+    for k in range(3):
+        left = np.array([left[row].mean(axis=0) for row in rings]) - left
+        along = np.einsum("ij,ij->i", left, normals)
+        assert got[:, k] == pytest.approx(np.abs(along), abs=1e-12)
+        if k == 1:
+            sideways = np.linalg.norm(left - along[:, None] * normals, axis=1)
+            assert got[:, 3] == pytest.approx(sideways, abs=1e-9)
+
+
+def test_normals_are_those_of_the_plain_network(scan):
+    descriptors, _ = described(scan)
+    network = random_network(VECTORS)
+    plain = plain_descriptors.predict(
+        [(bias.astype(float), matrix.astype(float)) for bias, matrix in network.layers],
+        descriptors.inputs().astype(float),
+        descriptors.vectors.astype(float),
+    )
+    assert np.abs(descriptors.predict(network) - plain).max() < 1e-3
+
+
+def test_a_later_stage_filters_the_scanned_normals_by_the_last(scan, plain):
+    normals = face_normals_and_areas(scan.vertices, scan.faces)[0]
+    last = plain.vectors[:, 7]
+    vectors = described(scan, (normals, last))[0].vectors
+    assert np.abs(vectors[:, VECTORS] - normals).max() < 1e-6
+    assert np.abs(vectors[:, VECTORS + 1] - last).max() < 1e-6
+    for k, s in enumerate((0.3, 0.6)):
+        expected = [plain.filtered(f, last, normals, s) for f in range(len(normals))]
+        assert np.abs(vectors[:, VECTORS + 2 + k] - expected).max() < 2e-4
+
+
+def test_where_all_normals_are_one_so_is_the_outcome():
+    mesh = prepared(*grid(9, 9)).mesh
+    normals = described(mesh)[0].predict(random_network(VECTORS, 5))
+    up = face_normals_and_areas(mesh.vertices, mesh.faces)[0][0]
+    assert (np.abs(normals) == np.abs(up)).all()
+
+
+def test_threads_and_blocks_do_not_change_a_bit(scan, monkeypatch):
+    network = random_network(VECTORS)
+    results = []
+    for count in ("1", "3"):
+        monkeypatch.setenv("MSAL_THREADS", count)
+        monkeypatch.setattr(parallel, "SMALLEST_RANGE", 37 if count == "3" else 10**6)
+        descriptors = described(scan)[0]
+        results.append((descriptors.inputs(), descriptors.predict(network)))
+    assert (results[0][0] == results[1][0]).all()
+    assert (results[0][1] == results[1][1]).all()
+
+
+def test_a_turned_mesh_has_the_same_inputs(scan):
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    there = described(scan.moved(scan.vertices @ turn.T))[0]
+    here = described(scan)[0]
+    assert np.abs(there.vectors - here.vectors @ turn.T.astype(np.float32)).max() < 1e-3
+    assert np.abs(there.numbers - here.numbers).max() < 1e-3
+
+
+def test_few_faces_are_enough():
+    mesh = prepared(*cube()).mesh
+    descriptors, _ = described(mesh)
+    assert np.isfinite(descriptors.inputs()).all()
+    one = prepared(np.eye(3), np.array([[0, 1, 2]], dtype=np.int32)).mesh
+    alone = described(one)[0]
+    assert np.isfinite(alone.inputs()).all()
+    assert np.abs(alone.vectors - 3**-0.5).max() < 1e-6
+
+
+def test_a_face_without_area_takes_the_normal_of_those_around():
+    vertices, faces = grid(6, 6)
+    vertices = vertices.astype(float)
+    vertices[faces[20, 1]] = (vertices[faces[20, 0]] + vertices[faces[20, 2]]) / 2
+    mesh = prepared(vertices, faces).mesh
+    assert mesh.flat_faces
+    descriptors, _ = described(mesh)
+    assert np.isfinite(descriptors.inputs()).all()
+    assert (np.abs(descriptors.vectors[:, :, 2]) > 0.999).all()

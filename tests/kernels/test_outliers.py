@@ -1,0 +1,113 @@
+"""Vertices held against their surroundings: hand-worked cases on planes and cones."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from msal_cli.kernels import outliers
+from msal_cli.mesh import prepared
+from tests.shapes import fan, grid
+
+MIDDLE = 5 * 10 + 5
+
+
+def uneven_grid(seed=0):
+    """A flat grid of 10 by 10 vertices with uneven spacing."""
+    vertices, faces = grid(10, 10)
+    vertices[:, :2] += np.random.default_rng(seed).uniform(-0.15, 0.15, (len(vertices), 2))
+    return prepared(vertices, faces).mesh
+
+
+def agreements_of(mesh):
+    found = np.ones(len(mesh.vertices))
+    everything = np.ones(len(found), dtype=bool)
+    outliers.measure_agreement(mesh.vertices, mesh.faces, mesh.links, everything, found)
+    return found
+
+
+def judged(mesh, *chosen, is_known=False):
+    chosen = np.array(chosen)
+    return outliers.judge(
+        chosen,
+        mesh.vertices[chosen],
+        mesh.vertices,
+        mesh.faces,
+        mesh.links,
+        agreements_of(mesh),
+        mesh.mean_edge_length,
+        is_known,
+    )
+
+
+def spiked(mesh, at, way):
+    vertices = mesh.vertices.copy()
+    vertices[at] += way
+    return mesh.moved(vertices)
+
+
+def test_normals_of_a_plane_agree():
+    assert agreements_of(uneven_grid()) == pytest.approx(np.ones(100), abs=1e-14)
+
+
+@pytest.mark.parametrize("height", [0.5, 2.0])
+def test_normals_of_a_tip_agree_by_their_slope(height):
+    vertices, faces = fan([0.0] * 6)
+    vertices[0, 2] = height
+    # The foot of each side is cos(30 degrees) from the axis.
+    slope = math.atan2(height, math.cos(math.pi / 6))
+    assert agreements_of(prepared(vertices, faces).mesh)[0] == pytest.approx(math.cos(slope))
+
+
+def test_a_spike_goes_back_to_where_it_was():
+    mesh = uneven_grid()
+    scores, targets = judged(spiked(mesh, MIDDLE, (0.0, 0.0, 2.0)), MIDDLE)
+    assert scores[0] > 2.0
+    assert targets[0] == pytest.approx(mesh.vertices[MIDDLE], abs=1e-9)
+
+
+def test_a_vertex_that_went_along_the_surface_goes_to_the_middle_of_its_neighbours():
+    mesh = uneven_grid()
+    folded = spiked(mesh, MIDDLE, (1.7, 0.4, 0.0))
+    scores, targets = judged(folded, MIDDLE)
+    assert scores[0] > 2.0
+    # Those whose faces it folds over count less, until it is back.
+    back = spiked(folded, MIDDLE, targets[0] - folded.vertices[MIDDLE])
+    _, targets = judged(back, MIDDLE, is_known=True)
+    ring = mesh.links.ring[mesh.links.ring_start[MIDDLE] : mesh.links.ring_start[MIDDLE + 1]]
+    assert targets[0] == pytest.approx(mesh.vertices[ring].mean(axis=0), abs=0.1)
+
+
+def test_a_spike_beside_a_spike_goes_back_as_well():
+    mesh = spiked(spiked(uneven_grid(), MIDDLE, (0, 0, 2.0)), MIDDLE + 1, (0, 0, -2.0))
+    scores, targets = judged(mesh, MIDDLE, MIDDLE + 1)
+    assert (scores > 1.0).all()
+    assert np.abs(targets[:, 2] - mesh.vertices[0, 2]).max() < 0.5
+
+
+def test_flat_vertices_and_open_borders_are_not_judged():
+    mesh = spiked(uneven_grid(), 0, (0, 0, 3.0))
+    scores, targets = judged(mesh, 0, MIDDLE)
+    assert (scores == outliers.NOT_JUDGED).all()
+    assert (targets[0] == mesh.vertices[0]).all()
+
+
+def test_only_the_furthest_of_neighbours_is_picked():
+    mesh = uneven_grid()
+    scores = np.full(100, outliers.NOT_JUDGED)
+    scores[[MIDDLE, MIDDLE + 1, MIDDLE + 11]] = 2.0, 3.0, 2.5
+    assert outliers.pick(scores, 1.0, mesh.links).tolist() == [MIDDLE + 1]
+    scores[[MIDDLE, MIDDLE + 1]] = 3.0
+    # Of two alike the one with the lower number.
+    assert outliers.pick(scores, 2.6, mesh.links).tolist() == [MIDDLE]
+    assert not len(outliers.pick(scores, 3.0, mesh.links))
+
+
+def test_marks_reach_two_rings():
+    mesh = uneven_grid()
+    marks = outliers.mark_two_rings(np.array([MIDDLE]), mesh.links)
+    assert marks.sum() == 19
+    assert marks[MIDDLE + 2]
+    assert not marks[MIDDLE + 3]

@@ -1,0 +1,109 @@
+"""Operators over turned one-rings: any mixture of valences, cut into ranges anywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli.kernels import parallel
+from msal_cli.kernels.bilateral import RingBilateral
+from msal_cli.kernels.operators import AnisotropicLaplacian
+from msal_cli.kernels.schedules import Constant, Multiscale, Plain
+from msal_cli.kernels.sweeps import swept
+
+HUB = 3000
+
+
+def rings(kind):
+    """Rings of 1,500 vertices, not of any surface: valences alike, mixed, all different, a hub."""
+    random = np.random.default_rng(5)
+    n = 1500
+    valences = {
+        "alike": np.full(n, 6),
+        "mixed": random.integers(0, 12, n),
+        "different": random.permutation(n) % 300,
+        "hub": np.where(np.arange(n) == 700, HUB, 6),
+    }[kind]
+    start = np.concatenate([[0], np.cumsum(valences)]).astype(np.int32)
+    return start, random.integers(0, n, start[-1]).astype(np.int32)
+
+
+def operator(kind, of=AnisotropicLaplacian):
+    random = np.random.default_rng(7)
+    start, ring = rings(kind)
+    n = len(start) - 1
+    normals = random.normal(size=(n, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    widths = (1.0, 0.8) if of is RingBilateral else (1.0,)
+    made = of(normals, start, ring, random.random(n) < 0.9, *widths)
+    return made, random.normal(size=(n, 3))
+
+
+def expected(made, x):
+    heights, sigma = np.zeros(len(x)), np.zeros(len(x))
+    for i in range(len(x)):
+        ring = made.ring[made.ring_start[i] : made.ring_start[i + 1]]
+        if len(ring) == 0:
+            continue
+        e = x[ring] - x[i]
+        h = e @ made.normals[i]
+        sigma[i] = 2.0 * np.abs(h - h.mean()).mean()
+        if isinstance(made, RingBilateral):
+            exponent = (e**2).sum(axis=1) / (2 * made.closeness**2)
+            exponent += h**2 / (2 * max(h.std(), 1e-9) ** 2)
+        else:
+            exponent = h**2 / (2 * max(sigma[i], 1e-9) ** 2)
+        g = np.exp(exponent.min() - exponent)
+        heights[i] = (g * h).sum() / g.sum() if made.free[i] else 0.0
+    return heights, sigma
+
+
+KINDS = pytest.mark.parametrize("kind", ["alike", "mixed", "different", "hub"])
+OPERATORS = pytest.mark.parametrize("of", [AnisotropicLaplacian, RingBilateral])
+
+
+@KINDS
+@OPERATORS
+def test_every_vertex_gets_its_own_ring(kind, of):
+    made, x = operator(kind, of)
+    step = made(x)
+    heights, sigma = expected(made, x)
+    assert np.abs(step.move - heights).max() <= 1e-12
+    assert np.abs(step.sigma - sigma).max() <= 1e-12
+    assert step.largest_sigma == step.sigma.max()
+
+
+@KINDS
+@OPERATORS
+@pytest.mark.parametrize("schedule", [Plain(0.5), Constant(0.5, 0.1), Multiscale()])
+def test_ranges_do_not_change_a_bit(kind, of, schedule, monkeypatch):
+    made, x = operator(kind, of)
+    whole = swept(x, made, schedule, 3)
+    monkeypatch.setenv("MSAL_THREADS", "7")
+    monkeypatch.setattr(parallel, "SMALLEST_RANGE", 10)
+    cut = swept(x, made, schedule, 3)
+    assert (cut.vertices == whole.vertices).all()
+    assert (cut.fidelity == whole.fidelity).all()
+
+
+@KINDS
+@OPERATORS
+def test_one_pass_is_the_two_passes(kind, of):
+    made, x = operator(kind, of)
+    heights = made(x).move
+    offsets = np.linspace(-1.0, 1.0, len(x))
+    told, moved = offsets.copy(), np.empty_like(x)
+    made.advance(x, x, told, 0.5, 0.25, moved)
+    t = offsets + 0.5 * heights - 0.25 * offsets
+    assert (told == t).all()
+    assert (moved == x + t[:, None] * made.normals).all()
+
+
+def test_the_input_stays():
+    made, x = operator("mixed")
+    kept = x.copy()
+    for schedule in (Plain(), Multiscale()):
+        for iterations in (0, 1, 2, 3):
+            result = swept(x, made, schedule, iterations).vertices
+            assert (x == kept).all()
+            assert not np.shares_memory(result, x)

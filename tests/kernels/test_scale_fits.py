@@ -1,0 +1,138 @@
+"""What polynomials leave over by the width of the patch: exact shapes, white and shared noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from msal_cli.analysis.noise_estimate.colour import FREEDOMS, LEFT
+from msal_cli.analysis.noise_estimate.quantiles import chi_square_quantile
+from msal_cli.kernels.scale_fits import MOST_VERTICES, REACHES, TERMS, fit_scales
+from msal_cli.mesh import prepared
+from tests.shapes import fan, grid
+
+
+def graph_of(height, rows=40, columns=40, uneven=0.2, seed=0):
+    """A mesh that is the graph of a function over an uneven grid."""
+    vertices, faces = grid(rows, columns)
+    vertices[:, :2] += np.random.default_rng(seed).uniform(-uneven, uneven, (len(vertices), 2))
+    vertices[:, 2] = height(vertices[:, 0] / 20, vertices[:, 1] / 20)
+    return prepared(vertices, faces).mesh
+
+
+def fits_of(mesh, chosen=None):
+    """Variances by the degrees of freedom, and these; then what else ``fit_scales`` gives."""
+    up = np.zeros_like(mesh.vertices)
+    up[:, 2] = 1.0
+    chosen = np.arange(len(mesh.vertices)) if chosen is None else np.array(chosen)
+    rests, rows, ranks, frames, offsets = fit_scales(
+        chosen, mesh.vertices, up, mesh.links.ring_start, mesh.links.ring
+    )
+    freedoms = np.maximum(rows - ranks, 0)
+    return rests / np.maximum(freedoms, 1), freedoms, rows, frames, offsets
+
+
+@pytest.mark.parametrize(
+    ("height", "first_exact"),
+    [
+        (lambda x, y: 0.3 * x - y + 2, 0),
+        (lambda x, y: x * x - 2 * x * y + y, 1),
+        (lambda x, y: x**3 - x * y * y + y, 2),
+    ],
+)
+def test_a_polynomial_leaves_nothing_over(height, first_exact):
+    variances, _, _, _, _ = fits_of(graph_of(height))
+    for fit in range(len(REACHES)):
+        largest = variances[:, fit].max()
+        assert largest < 1e-12 if fit >= first_exact else largest > 1e-10
+
+
+def test_vertices_of_the_patches():
+    # Inside a grid with one diagonal: 1 + 3 r (r + 1) vertices within r rings.
+    _, freedoms, rows, frames, _ = fits_of(graph_of(lambda x, y: x * y), [20 * 40 + 20])
+    assert rows.tolist() == [[1 + 3 * rings * (rings + 1) for rings in REACHES]]
+    assert freedoms.tolist() == [(rows[0] - TERMS).tolist()]
+    assert frames.tolist() == [[0.0, 0.0, 1.0]]
+
+
+@pytest.mark.parametrize("uneven", [0.0, 0.3])
+def test_white_noise_leaves_its_variance_to_all(uneven):
+    draw = np.random.default_rng(3)
+    mesh = graph_of(lambda x, y: 0.1 * draw.standard_normal(len(x)), 90, 80, uneven)
+    variances, freedoms, _, _, _ = fits_of(mesh)
+    for fit in range(len(REACHES)):
+        mean = np.average(variances[:, fit], weights=freedoms[:, fit])
+        assert mean == pytest.approx(0.01, rel=0.04)
+
+
+def test_offsets_have_the_variance_of_the_vertices():
+    draw = np.random.default_rng(3)
+    vertices, faces = grid(90, 80)
+    vertices += 0.1 * draw.standard_normal(vertices.shape)
+    mesh = prepared(vertices, faces).mesh
+    inside = (np.abs(mesh.vertices[:, :2]) < 35).all(axis=1)
+    _, _, _, _, offsets = fits_of(mesh, np.flatnonzero(inside))
+    assert offsets.std(axis=0) == pytest.approx([0.1, 0.1, 0.1], rel=0.04)
+
+
+def averaged(mesh, heights, rings):
+    """White numbers averaged over closed one-rings, with a root mean square of 1."""
+    starts, ring = mesh.links.ring_start, mesh.links.ring
+    owner = np.repeat(np.arange(len(heights)), np.diff(starts))
+    for _ in range(rings):
+        total = heights + np.bincount(owner, weights=heights[ring], minlength=len(heights))
+        heights = total / (np.diff(starts) + 1.0)
+    return heights / np.sqrt((heights**2).mean())
+
+
+@pytest.mark.parametrize("rings", range(5))
+def test_the_table_of_shared_noise(rings):
+    """What ``colour`` expects of noise averaged over rings is what fits leave over of it."""
+    vertices, faces = grid(120, 120)
+    # A regular triangle grid; polynomials do not care, but distances are those of the table.
+    mesh = prepared(vertices, faces).mesh
+    draw = np.random.default_rng(rings)
+    heights = averaged(mesh, draw.standard_normal(len(vertices)), rings)
+    vertices[:, 2] = heights
+    mesh = prepared(vertices, faces).mesh
+    inside = np.flatnonzero((np.abs(mesh.vertices[:, :2]) < 52).all(axis=1))
+    variances, _, _, _, _ = fits_of(mesh, inside)
+    assert variances.mean(axis=0) == pytest.approx(LEFT[rings], rel=0.07)
+    # Of chi square with f degrees of freedom the variance is 2 / f, relative to the square mean.
+    freedoms = 2.0 / (variances.std(axis=0) / variances.mean(axis=0)) ** 2
+    assert freedoms == pytest.approx(FREEDOMS[rings], rel=0.2)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5])
+def test_quantiles_of_chi_square(share):
+    freedoms = np.arange(5.0, 140.0)
+    exact = stats.chi2.ppf(share, freedoms) / freedoms
+    assert chi_square_quantile(freedoms, share) == pytest.approx(exact, rel=0.02)
+
+
+def test_too_many_neighbours_are_left_out():
+    vertices, faces = fan(np.zeros(MOST_VERTICES + 20))
+    mesh = prepared(vertices, faces).mesh
+    _, freedoms, rows, frames, offsets = fits_of(mesh)
+    centre = np.argmin((mesh.vertices**2).sum(axis=1))
+    assert not rows[centre].any()
+    assert not freedoms[centre].any()
+    assert np.isfinite(frames).all()
+    assert np.isfinite(offsets).all()
+
+
+def test_a_small_mesh_is_its_own_patch():
+    variances, _, rows, _, _ = fits_of(prepared(*grid(3, 3)).mesh)
+    assert rows.max() == 9
+    assert (variances >= 0.0).all()
+
+
+def test_the_same_bits_from_any_number_of_threads(monkeypatch):
+    mesh = graph_of(lambda x, y: np.sin(9 * x) * np.cos(7 * y), 60, 50)
+    results = []
+    for threads in ("1", "2", "5"):
+        monkeypatch.setenv("MSAL_THREADS", threads)
+        results.append(np.concatenate([part.ravel() for part in fits_of(mesh)]))
+    assert np.array_equal(results[0], results[1])
+    assert np.array_equal(results[0], results[2])

@@ -1,0 +1,336 @@
+"""Every number in or out of a text file is the one that Python's own conversion gives."""
+
+from __future__ import annotations
+
+import math
+import struct
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from msal_cli.kernels import text
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+
+
+def tokens(words: list[bytes], between: bytes = b" ") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A buffer of these words, and where each starts and stops."""
+    sizes = np.array([len(word) for word in words], dtype=np.int64)
+    starts = np.concatenate(([0], np.cumsum(sizes + len(between))[:-1])) if words else sizes
+    buffer = np.frombuffer(between.join(words) + between, dtype=np.uint8)
+    return buffer, starts.astype(np.int64), (starts + sizes).astype(np.int64)
+
+
+def split(buffer: np.ndarray, stops: np.ndarray) -> list[str]:
+    """The texts that lie one behind the other."""
+    starts = [0, *stops.tolist()][:-1]
+    return [buffer[a:b].tobytes().decode() for a, b in zip(starts, stops, strict=True)]
+
+
+def same_bits(a: float, b: float) -> bool:
+    return struct.pack("d", a) == struct.pack("d", b)
+
+
+def value_of(word: bytes) -> float:
+    values, bad = text.numbers_at(*tokens([word]))
+    assert bad == -1, word
+    return float(values[0])
+
+
+# Reading
+
+
+@given(
+    st.from_regex(rb"[+-]?(\d{1,25}\.?\d{0,25}|\.\d{1,25})([eE][+-]?\d{1,3})?", fullmatch=True),
+)
+@example(b"9007199254740993")
+@example(b"9007199254740993.0000000000")
+@example(b"9007199254740992.9999")
+@example(b"123456789012345678e-17")
+@example(b"0.000000000000000000000000000001")
+@example(b"-0")
+@example(b"1e400")
+@example(b"1e-400")
+@example(b"2.2250738585072011e-308")
+@example(b"1e99999999999999999999")
+@example(b"00000000000000000000000000012.5")
+@settings(max_examples=400, deadline=None)
+def test_numbers_are_read_as_python_reads_them(word: bytes) -> None:
+    word = word.translate(None, b"_")
+    if not all(48 <= c <= 57 or c in b"+-.eE" for c in word):
+        return  # \d of a bytes pattern is ascii; kept as a guard for the parse
+    assert same_bits(value_of(word), float(word))
+
+
+@given(st.integers(1, 10**19 - 1), st.integers(-90, 90))
+@settings(max_examples=400, deadline=None)
+def test_every_mantissa_and_exponent(mantissa: int, exponent: int) -> None:
+    word = f"{mantissa}e{exponent}".encode()
+    assert same_bits(value_of(word), float(word))
+
+
+def test_a_seeded_campaign_near_the_middle_of_two_doubles() -> None:
+    random = np.random.default_rng(5)
+    words = []
+    for bits in random.integers(0, 2**63, 4_000):
+        value = abs(struct.unpack("d", struct.pack("q", int(bits)))[0])
+        exponent = int(random.integers(-40, 40))
+        value = math.ldexp(math.frexp(value)[0], exponent) if math.isfinite(value) else 1.0
+        if value == 0.0:
+            continue
+        above = math.nextafter(value, math.inf)
+        numerator, denominator = value.as_integer_ratio()
+        more, other = above.as_integer_ratio()
+        # the exact middle, to 17, 18 and 19 digits and in full
+        middle = (numerator * other + more * denominator) / (2 * denominator * other)
+        words += [f"{middle:.16e}", f"{value:.17e}", f"{above:.18e}", f"{value:.40e}"]
+    values, bad = text.numbers_at(*tokens([word.encode() for word in words]))
+    assert bad == -1
+    assert values.tolist() == [float(word) for word in words]
+
+
+@pytest.mark.parametrize("shift", range(-12, 12))
+def test_the_middle_of_two_doubles_and_its_neighbours(shift: int) -> None:
+    """The hardest tokens: exact ties, to all their digits, and a hair above and below."""
+    for low in (2**53 + 1, 2**53 + 3, 2**54 - 1):
+        tie = Fraction(low) * Fraction(2) ** shift
+        digits = str(int(tie * 10**12))
+        assert tie * 10**12 == int(digits)
+        for word in (digits, f"{digits}1", f"{int(digits) - 1}9", f"{digits}000", f"{digits}001"):
+            written = f"{word}e{len(digits) - len(word) - 12}"
+            assert same_bits(value_of(written.encode()), float(written)), written
+        short = digits.rstrip("0")
+        written = f"{short}0e{len(digits) - len(short) - 13}"
+        assert same_bits(value_of(written.encode()), float(written)), written
+
+
+@pytest.mark.parametrize(
+    "word",
+    [b"1", b"0.1", b"-17.25", b"1e22", b"123456789.123456789", b"0.12345678901234567", b"1e-60"],
+)
+def test_ordinary_tokens_need_no_second_look(word: bytes) -> None:
+    value, status = text.parse_number(text.as_bytes(word), 0, len(word))
+    assert (value, status) == (float(word), text.EXACT)
+
+
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [
+        (b"nan", math.nan), (b"NaN", math.nan), (b"-nan", math.nan), (b"nan(0x8)", math.nan),
+        (b"-nan(ind)", math.nan), (b"inf", math.inf), (b"INF", math.inf), (b"+Inf", math.inf),
+        (b"-infinity", -math.inf), (b"Infinity", math.inf), (b".5", 0.5), (b"5.", 5.0),
+        (b"+1", 1.0), (b"1E3", 1000.0), (b"1e+3", 1000.0), (b"-0.0", -0.0),
+    ],
+)  # fmt: skip
+def test_words_and_short_forms(word: bytes, value: float) -> None:
+    got = value_of(word)
+    assert math.isnan(got) if math.isnan(value) else same_bits(got, value)
+
+
+@pytest.mark.parametrize(
+    "word",
+    [
+        b"", b"+", b"-", b".", b"e5", b".e5", b"1e", b"1e+", b"1.2.3", b"1,5", b"0x10", b"1_000",
+        b"--1", b"+-1", b"1d5", b"n", b"na", b"nanx", b"nan(", b"in", b"infi", b"infinit",
+        b"infinityy", b"1 2", b"1\x00", b"1f", b"\xd9\xa1", b"1.#INF", b"/",
+    ],
+)  # fmt: skip
+def test_what_is_no_number(word: bytes) -> None:
+    buffer = np.frombuffer(b"7 " + word + b" 8", dtype=np.uint8)
+    starts = np.array([0, 2, len(buffer) - 1])
+    stops = np.array([1, 2 + len(word), len(buffer)])
+    assert text.numbers_at(buffer, starts, stops)[1] == 1
+
+
+@given(st.integers(-(2**80), 2**80), st.sampled_from(["", "+", "00"]))
+@example(2**63 - 1, "")
+@example(-(2**63) + 1, "")
+@example(9_223_372_036_854_775_799, "")
+@settings(deadline=None)
+def test_integers(value: int, prefix: str) -> None:
+    word = (
+        ("-" if value < 0 else "") + prefix.strip("+" if value < 0 else "") + str(abs(value))
+    ).encode()
+    got, status = text.parse_integer(text.as_bytes(word), 0, len(word))
+    if status == text.EXACT:
+        assert got == value
+    else:
+        assert status == text.UNDECIDED and abs(value) >= 9_223_372_036_854_775_800
+
+
+@pytest.mark.parametrize("word", [b"", b"-", b"1.0", b"1e3", b"a", b"1a", b"--1"])
+def test_what_is_no_integer(word: bytes) -> None:
+    assert text.parse_integer(text.as_bytes(word), 0, len(word))[1] == text.NOT_A_NUMBER
+
+
+@pytest.mark.parametrize(
+    ("words", "decimals"),
+    [
+        ([b"1", b"-2"], [0, 0]), ([b"1.5", b"2.25"], [1, 2]), ([b"1.5e-3"], [4]),
+        ([b"1.5e3"], [0]), ([b"1e-300"], [255]), ([b"0.000"], [3]), ([], []),
+        ([b"1.25e1", b".5"], [1, 1]),
+    ],
+)  # fmt: skip
+def test_decimals_used(words: list[bytes], decimals: list[int]) -> None:
+    assert text.decimals_used(*tokens(words)).tolist() == decimals
+
+
+# Printing
+
+
+def fixed(value: float, decimals: int) -> str:
+    spelled = f"{value:.{decimals}f}"
+    return spelled.lstrip("-") if float(spelled) == 0.0 else spelled
+
+
+@given(st.lists(finite, max_size=6), st.integers(0, 17))
+@example([0.5, 1.5, 2.5, -0.5, 0.125, 0.375, 1e-5, -1e-30, 5e-324], 0)
+@example([0.125, 0.375, 0.005, 1.005, 2.675, 99.995, -99.995], 2)
+@example([9007199254740993.0, 9.2e18, 0.1, 4650000.123456789], 17)
+@example([2.0**63, -(2.0**64), 1e300, 3.0], 3)
+@settings(max_examples=300, deadline=None)
+def test_printed_is_correctly_rounded(values: list[float], decimals: int) -> None:
+    got = split(*text.printed(np.array(values), decimals))
+    assert got == [fixed(v, decimals) if abs(v) < 2.0**63 else repr(v) for v in values]
+
+
+@given(st.integers(-(2**50), 2**50), st.integers(0, 40), st.integers(0, 17))
+@settings(max_examples=300, deadline=None)
+def test_printed_breaks_ties_to_even(numerator: int, shift: int, decimals: int) -> None:
+    value = math.ldexp(float(numerator), -shift)
+    assert split(*text.printed(np.array([value]), decimals)) == [fixed(value, decimals)]
+
+
+def test_printed_at_every_binary_exponent() -> None:
+    random = np.random.default_rng(2)
+    mantissas = random.uniform(-2, 2, 20)
+    values = np.array([math.ldexp(m, e) for e in range(-140, 62) for m in mantissas])
+    for decimals in range(18):
+        expected = [fixed(v, decimals) for v in values.tolist()]
+        assert split(*text.printed(values, decimals)) == expected
+
+
+def test_printed_where_a_number_is_not_finite() -> None:
+    got = split(*text.printed(np.array([1.0, math.nan, -math.inf, 2.0]), 1))
+    assert got == ["1.0", "nan", "-inf", "2.0"]
+
+
+def is_between_two_singles(word: str) -> bool:
+    """Whether a number is the very middle of two float32, where readers may differ."""
+    single = np.float32(word)
+    with np.errstate(over="ignore"):
+        neighbours = [np.nextafter(single, np.float32(way)) for way in (-np.inf, np.inf)]
+    return any((float(single) + float(one)) / 2 == float(word) for one in neighbours)
+
+
+def digits_that_any_reader_takes(single: np.float32) -> int:
+    """How many digits tell a float32, where those of ``str`` are the middle of two of them.
+
+    The middle may end in zeros, as 9.995e8 does: then it takes several digits more, not one.
+    """
+    for count in range(1, 10):
+        word = f"{float(single):.{count - 1}e}"
+        if np.float32(word) == single and not is_between_two_singles(word):
+            return n_digits(word)
+    raise AssertionError(f"nine digits do not tell {single!r}")
+
+
+def digits_of_single(single: np.float32) -> int:
+    """How many digits a float32 should be printed with."""
+    if is_between_two_singles(str(single)):
+        return digits_that_any_reader_takes(single)
+    return n_digits(str(single))
+
+
+def n_digits(word: str) -> int:
+    return len(word.lower().split("e")[0].replace(".", "").strip("-").strip("0")) or 1
+
+
+@given(st.lists(finite, max_size=6))
+@example([0.1, 1 / 3, 5e-324, 1.7976931348623157e308, -0.0, 1e16, 123456789012345680.0, 1e-5])
+@example([2.0**-44, 2.0**-24, 2.0**89, 9007199254740993.0, 100.0, 0.00012345678901234567])
+@settings(max_examples=300, deadline=None)
+def test_shortest_double(values: list[float]) -> None:
+    for value, word in zip(
+        values, split(*text.printed_shortest(np.array(values), False)), strict=True
+    ):
+        assert same_bits(float(word), value)
+        assert n_digits(word) == n_digits(repr(value)), (word, value)
+
+
+@given(st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), max_size=6))
+@example([16777216.0, 0.1, 2.0**-149, 1.1754943508222875e-38, 3.4028234663852886e38, 1e-5])
+@example([999500032.0])
+@settings(max_examples=300, deadline=None)
+def test_shortest_single(values: list[float]) -> None:
+    singles = np.array(values, dtype=np.float32)
+    for value, word in zip(
+        singles, split(*text.printed_shortest(singles.astype(np.float64), True)), strict=True
+    ):
+        assert np.float32(word).tobytes() == value.tobytes()
+        assert n_digits(word) == digits_of_single(value), (word, value)
+
+
+def test_shortest_at_every_power() -> None:
+    random = np.random.default_rng(3)
+    values = np.array(
+        [m * 10.0**e for e in range(-70, 70) for m in (1.0, 9.999999999999999, *random.random(9))]
+    )
+    words = split(*text.printed_shortest(values, False))
+    assert [float(word) for word in words] == values.tolist()
+    assert [n_digits(word) for word in words] == [n_digits(repr(v)) for v in values.tolist()]
+    singles = values[np.abs(np.log10(values)) < 37].astype(np.float32)
+    words = split(*text.printed_shortest(singles.astype(np.float64), True))
+    assert [np.float32(word) for word in words] == list(singles)
+    for word, single in zip(words, singles, strict=True):
+        assert n_digits(word) == digits_of_single(single), (word, single)
+
+
+def test_shortest_single_keeps_clear_of_the_middle() -> None:
+    # 6.034581e7 is the middle of two float32, and so is 9.995e8: right only for readers that take
+    # the even one.
+    words = split(*text.printed_shortest(np.array([60345808.0, 999500032.0]), True))
+    assert words == ["60345808", "999500030"]
+
+
+def test_shortest_beyond_float32_is_infinite() -> None:
+    assert split(*text.printed_shortest(np.array([1e39, 1.0]), True)) == ["inf", "1"]
+
+
+# Tokens replaced inside a text
+
+
+words = st.lists(st.binary(max_size=5), max_size=8)
+
+
+@given(words, words, st.binary(max_size=3))
+@settings(max_examples=300, deadline=None)
+def test_spliced_and_compared(old: list[bytes], new: list[bytes], between: bytes) -> None:
+    count = min(len(old), len(new))
+    a, a_starts, a_stops = tokens(old[:count], between)
+    expected, b_starts, b_stops = tokens(new[:count], between)
+    joined = np.frombuffer(b"".join(new[:count]), dtype=np.uint8)
+    stops = np.cumsum([len(word) for word in new[:count]]).astype(np.int64)
+    b = text.spliced(a, a_starts, a_stops, joined, stops)
+    assert b.tobytes() == expected.tobytes()
+    assert text.same_outside(a, a_starts, a_stops, b, b_starts, b_stops)
+
+
+def test_a_difference_outside_is_seen_wherever_it_is() -> None:
+    body = bytes(range(97, 123)) * 400
+    a = np.frombuffer(body, dtype=np.uint8)
+    starts, stops = np.array([5, 5000]), np.array([9, 5010])
+    for at in (0, 4, 9, 70, 4999, 5010, len(body) - 1):
+        b = a.copy()
+        b[at] ^= 1
+        assert not text.same_outside(a, starts, stops, b, starts, stops), at
+    for at in (5, 8, 5000, 5009):
+        b = a.copy()
+        b[at] ^= 1
+        assert text.same_outside(a, starts, stops, b, starts, stops), at
+    assert not text.same_outside(a, starts, stops, a[:-1], starts, stops)
+    assert not text.same_outside(a, starts, stops, a[:100], starts, stops)
+    assert not text.same_outside(a, starts, stops, a, starts + 1, stops)

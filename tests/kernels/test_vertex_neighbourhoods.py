@@ -1,0 +1,113 @@
+"""Floods along the surface against plain ones, across walls, and into hubs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli.kernels import vertex_neighbourhoods as reach
+from msal_cli.kernels.connectivity import connectivity
+from tests.shapes import fan, grid, noisy, torus
+
+
+def vertices_around(i, x, faces, radius):
+    links = connectivity(len(x), faces)
+    room = reach.room(0, len(x), links.ring_start)
+    mark = np.full(len(x), -1, dtype=np.int32)
+    found, squares = np.empty(room, dtype=np.int32), np.empty(room)
+    count = reach.vertices_around(
+        i, x, links.ring_start, links.ring, radius**2, mark, found, squares
+    )
+    return found[:count].tolist(), squares[:count]
+
+
+def faces_around(i, x, faces, radius):
+    links = connectivity(len(x), faces)
+    centroids = x[faces].mean(axis=1)
+    room = reach.room(0, len(x), links.face_start)
+    vertex_mark = np.full(len(x), -1, dtype=np.int32)
+    face_mark = np.full(len(faces), -1, dtype=np.int32)
+    corners, found = np.empty(3 * room + 1, dtype=np.int32), np.empty(room, dtype=np.int32)
+    squares = np.empty(room)
+    count = reach.faces_around(
+        i,
+        x,
+        centroids,
+        faces,
+        links.face_start,
+        links.incident_faces,
+        radius**2,
+        vertex_mark,
+        face_mark,
+        corners,
+        found,
+        squares,
+    )
+    return found[:count].tolist(), squares[:count]
+
+
+def spread_out(start, joined, near):
+    """The transitive closure, by the slowest means."""
+    reached = {k for k in start if near(k)}
+    while True:
+        more = {k for j in reached for k in joined(j) if near(k)} - reached
+        if not more:
+            return reached
+        reached |= more
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.4, 0.9, 1.7, 3.0, 50.0])
+def test_vertices_are_those_of_a_plain_flood(radius):
+    x, faces = torus()
+    x = noisy(x, 1, 0.2)
+    for i in (0, 17, 250):
+        joined = lambda j: set(faces[(faces == j).any(axis=1)].reshape(-1).tolist())  # noqa: E731
+        expected = spread_out([i], joined, lambda k, i=i: np.linalg.norm(x[k] - x[i]) <= radius)
+        found, squares = vertices_around(i, x, faces, radius)
+        assert found[0] == i
+        assert len(found) == len(set(found))
+        assert set(found) == expected
+        assert squares == pytest.approx(((x[found] - x[i]) ** 2).sum(axis=1), rel=1e-12, abs=1e-15)
+
+
+@pytest.mark.parametrize("radius", [0.1, 0.4, 0.9, 1.7, 3.0, 50.0])
+def test_faces_are_those_of_a_plain_flood(radius):
+    x, faces = torus()
+    x = noisy(x, 2, 0.2)
+    centroids = x[faces].mean(axis=1)
+    for i in (0, 17, 250):
+        start = np.flatnonzero((faces == i).any(axis=1)).tolist()
+        joined = lambda f: np.flatnonzero(np.isin(faces, faces[f]).any(axis=1)).tolist()  # noqa: E731
+        near = lambda f, i=i: np.linalg.norm(centroids[f] - x[i]) <= radius  # noqa: E731
+        found, squares = faces_around(i, x, faces, radius)
+        assert len(found) == len(set(found))
+        assert set(found) == spread_out(start, joined, near)
+        assert squares == pytest.approx(((centroids[found] - x[i]) ** 2).sum(axis=1), rel=1e-12)
+
+
+def test_the_far_side_of_a_wall_is_not_found():
+    # Two sheets 0.1 apart that meet nowhere.
+    x, faces = grid(5, 5)
+    both = np.concatenate([x, x + [0.0, 0.0, 0.1]])
+    faces = np.concatenate([faces, faces[:, ::-1] + 25]).astype(np.int32)
+    assert sorted(vertices_around(12, both, faces, 1.0)[0]) == [7, 11, 12, 13, 17]
+    assert max(faces_around(12, both, faces, 1.0)[0]) < len(faces) // 2
+
+
+def test_a_hub_has_its_whole_row_and_its_rim_a_bounded_part():
+    x, faces = fan(np.zeros(6000))
+    assert len(vertices_around(0, x, faces, 10.0)[0]) == 6001
+    assert len(faces_around(0, x, faces, 10.0)[0]) == 6000
+    assert len(vertices_around(1, x, faces, 10.0)[0]) == reach.MOST_FOUND
+    assert len(faces_around(1, x, faces, 10.0)[0]) == reach.MOST_FOUND
+
+
+def test_looks_into_a_hub_are_bounded():
+    # The first 12,000 of the hub's neighbours are too far; the flood gives up among them, though
+    # there are near ones behind.
+    x, faces = fan(np.zeros(40_000))
+    x[1:] *= 0.5
+    x[1:12001] *= 3.0
+    assert reach.MOST_LOOKS < 12_000
+    found, _ = vertices_around(12_500, x, faces, 0.51)
+    assert sorted(found) == [0, 12499, 12500, 12501]

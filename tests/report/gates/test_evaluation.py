@@ -1,0 +1,293 @@
+"""What gates mean: units, values by hand, and what is not known."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+
+import pytest
+
+from msal_cli.errors import UsageError
+from msal_cli.job import records
+from msal_cli.job.records import Area, MeshRecord, NormalChange, Reference, Volume
+from msal_cli.report.gates import judged, parsed, refuse_without_reference, with_gates
+from msal_cli.report.gates.quantities import EDGES, LENGTH, NUMBER, PERCENT, SHORT_NAMES, quantities
+from msal_cli.report.schema import DESCRIPTIONS
+from tests.report.made import failed, written
+
+# Volume 10 -> 9.9734 (-0.266 %), displacement 0.1 to 0.4, which is 1 to 4 mean edge lengths.
+CLOSED = written(
+    mean_edge_length=0.1,
+    flipped_faces=3,
+    area=Area(4.0, 5.0, 25.0),
+    normal_change=NormalChange(5.0, 50.0),
+)
+OPEN = dataclasses.replace(CLOSED, volume=Volume(1.0, 3.0, 2.0, 200.0, False, "open (8 edges)"))
+
+
+def result(text, record=CLOSED):
+    (found,) = judged(parsed([text], MeshRecord), record)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "is_broken"),
+    [
+        ("max_displacement > 39cm", "m", True),
+        ("max_displacement > 41cm", "m", False),
+        ("max_displacement > 0.39mm", "mm", True),
+        ("max_displacement < 0.41mm + 0.1um", "mm", True),
+        ("max_displacement > 0.01in", "mm", True),
+        ("max_displacement > 0.017in", "mm", False),
+        ("max_displacement / 1mm > 399", "m", True),
+        ("area.after > 2200mm * 2200mm", "m", True),
+        ("max_displacement > 1e-999999999km", "m", True),
+    ],
+)
+def test_lengths_with_a_unit(text, unit, is_broken):
+    (found,) = judged(parsed([text], MeshRecord, unit), CLOSED)
+    assert found.broken == is_broken
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "said"),
+    [
+        ("max_displacement > 0.1mm", None, "column 20: 0.1mm: mesh files have no unit"),
+        ("max_displacement > 1e308km", "mm", "too large"),
+        ("flipped_faces > 1mm", "mm", "do not go together"),
+        ("seconds > 5min", "mm", "out of place"),
+    ],
+)
+def test_lengths_that_mean_nothing(text, unit, said):
+    with pytest.raises(UsageError, match=said):
+        parsed([text], MeshRecord, unit)
+
+
+@pytest.mark.parametrize(
+    ("text", "is_broken"),
+    [
+        ("abs(volume_change) > 1%", False),
+        ("abs(volume_change) > 0.2%", True),
+        ("volume_change > 0", False),
+        ("volume_change < -0.266%", False),
+        ("volume_change <= -0.266%", True),
+        ("volume.change_percent < -0.2", True),
+        ("volume.change_percent < -0.2%", True),
+        ("abs(volume.after / volume.before - 1) > 0.2%", True),
+        ("abs(volume.after / volume.before - 1) > 0.3%", False),
+        ("volume.change / volume.before < -0.002", True),
+        ("max_displacement > 3.9e", True),
+        ("max_displacement > 4.1e", False),
+        ("max_displacement > 0.39", True),
+        ("max_displacement > 0.41", False),
+        ("displacement.max_edges > 0.43e", True),
+        ("displacement.max_edges > 0.45", False),
+        ("max_displacement - mean_displacement > 2.9e", True),
+        ("max_displacement / mean_displacement > 3.9", True),
+        ("max_displacement / 1e > 4.1", False),
+        ("mean_displacement > 20% * max_displacement", True),
+        ("mean_displacement > 30% * max_displacement", False),
+        ("2 * 0.1% < abs(volume_change)", True),
+        ("area_change / volume_change < -90", True),
+        ("area.after > 4.9", True),
+        ("area.after > 22e * 22e", True),
+        ("area.after > 23e * 23e", False),
+        ("volume.after > area.after * 19e", True),
+        ("volume.after > area.after * 20e", False),
+        ("flipped_faces > 0", True),
+        ("flipped_faces / faces > 0.01%", False),
+        ("flipped_faces > 0.01% * faces", False),
+        ("flipped_faces / 3 == 1", True),
+        ("normal_change.mean_deg > 6", False),
+        ("normal_change.max_deg == 50", True),
+        ("min(flipped_faces, 2) == 2 and max(1, flipped_faces, 2) == 3", True),
+        ("not (flipped_faces == 3)", False),
+        ("seconds > 0.9 and seconds < 1", True),
+        ("volume.valid", True),
+        ("not volume.valid or flipped_faces == 2", False),
+        ("known(seam_gap)", False),
+    ],
+)
+def test_verdicts_by_hand(text, is_broken):
+    found = result(text)
+    assert found.decided
+    assert found.broken is is_broken
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "volume_change > 1",
+        "volume_change > 1e",
+        "volume_change > flipped_faces",
+        "flipped_faces > 1%",
+        "flipped_faces > 1e",
+        "max_displacement > 1%",
+        "max_displacement > flipped_faces",
+        "max_displacement > area.after",
+        "area.after > 2e",
+        "1e > 2%",
+        "max_displacement + 1% > 0",
+        "max(1e, 1%) > 0",
+        "volume.valid > 1",
+        "abs(volume.valid) > 1",
+        "flipped_faces",
+        "flipped_faces and volume.valid",
+        "known(1)",
+    ],
+)
+def test_units_that_do_not_go_together_are_refused(text):
+    with pytest.raises(UsageError, match=r"column \d+: "):
+        parsed([text], MeshRecord)
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("max_displacment > 1e", "max_displacement"),
+        ("displacement > 1e", "displacement.max"),
+        ("status > 1", "known are volume_change"),
+        ("bananas > 1", "known are volume_change"),
+    ],
+)
+def test_unknown_names_get_a_suggestion(text, hint):
+    with pytest.raises(UsageError) as caught:
+        parsed([text], MeshRecord)
+    assert hint in caught.value.hint
+
+
+def test_what_is_not_known_breaks_a_gate_with_its_reason():
+    found = result("abs(volume_change) > 1%", OPEN)
+    assert (found.broken, found.decided) == (True, False)
+    assert found.values == {"volume_change": None}
+    assert found.reason == "volume_change is not known: open (8 edges)"
+    bare = MeshRecord("a.ply", "up-to-date")
+    assert "flipped_faces is not known" in result("flipped_faces > 0", bare).reason
+    assert not result("max_displacement > 0.5e", bare).decided
+
+
+@pytest.mark.parametrize(
+    ("text", "is_broken", "is_decided"),
+    [
+        ("volume.valid and abs(volume_change) > 1%", False, True),
+        ("known(volume_change) and abs(volume_change) > 1%", False, True),
+        ("abs(volume_change) > 1% and not volume.valid", True, False),
+        ("not volume.valid or abs(volume_change) > 1%", True, True),
+        ("volume.valid or abs(volume_change) > 1%", True, False),
+        ("not (volume_change > 0)", True, False),
+        ("flipped_faces / (flipped_faces - 3) > 1", True, False),
+        ("1 / 0 > 1", True, False),
+        ("1e300 * 1e300 > 1", True, False),
+    ],
+)
+def test_one_side_may_decide(text, is_broken, is_decided):
+    found = result(text, OPEN)
+    assert (found.broken, found.decided) == (is_broken, is_decided)
+    assert found.reason
+
+
+def test_numbers_that_are_not_finite_are_not_known():
+    record = dataclasses.replace(CLOSED, seam_gap=float("nan"), mean_edge_length=float("nan"))
+    assert result("seam_gap > 1", record).values == {"seam_gap": None}
+    assert not result("max_displacement > 0.5e", record).decided
+
+
+def test_values_have_the_units_of_their_fields_and_words():
+    found = result("abs(volume_change) > 1% or max_displacement > 9e or not volume.valid")
+    assert found.values == {"volume_change": -0.266, "max_displacement": 0.4, "volume.valid": 1}
+    assert found.reason == (
+        "volume_change is -0.266%, max_displacement is 0.4 (4e), volume.valid is true"
+    )
+    assert result("faces > 9").reason == "faces is 69,451"
+
+
+def test_results_go_through_reports():
+    (one,) = with_gates(parsed(["volume.valid", "seam_gap > 1e"], MeshRecord), [CLOSED])
+    assert len(one.gates) == 2
+    assert records.from_data(MeshRecord, records.as_data(one)) == one
+
+
+def test_only_files_with_an_output_are_judged():
+    gates = parsed(["faces > 9"], MeshRecord)
+    told = [CLOSED, failed(), MeshRecord("b", "planned"), MeshRecord("c", "up-to-date")]
+    assert [len(one.gates) for one in with_gates(gates, told)] == [1, 0, 0, 1]
+    assert with_gates((), [CLOSED]) == [CLOSED]
+
+
+def test_units_of_fields_are_those_that_the_schema_tells():
+    """A new field gets a unit by its name; this tells if that is not what its description says."""
+    hints = typing.get_type_hints(MeshRecord)
+    owners = {
+        one.name: part.__name__
+        for one in dataclasses.fields(MeshRecord)
+        for part in typing.get_args(hints[one.name])
+        if dataclasses.is_dataclass(part)
+    }
+    n_lengths = 0
+    for name, quantity in quantities(MeshRecord).items():
+        group, _, field = name.rpartition(".")
+        owner = owners.get(group, "MeshRecord")
+        text = DESCRIPTIONS.get(f"{owner}.{field}")
+        if name in SHORT_NAMES or text is None:
+            continue
+        if "percent" in text.partition(" of ")[0]:
+            assert quantity.unit == PERCENT, name
+        elif text.endswith("mean edge lengths"):
+            assert quantity.unit == EDGES, name
+        elif text.endswith(", file units"):
+            assert quantity.unit == LENGTH, name
+            n_lengths += 1
+        elif "edges" in field or "faces" in field or "vertices" in field:
+            assert quantity.unit == NUMBER, name
+    assert n_lengths >= 6
+    assert quantities(MeshRecord)["seam_gap"].unit == LENGTH
+    assert quantities(MeshRecord)["volume.change"].unit.power == 3
+    assert quantities(MeshRecord)["area.before"].unit.power == 2
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "mean_angular_error_deg",
+        "max_angular_error_deg",
+        "vertex_error_percent",
+        "hausdorff",
+        "reference.flipped_faces",
+    ],
+)
+def test_what_needs_a_reference_is_not_judged_by_the_input(name):
+    text = f"{name} > 0"
+    found = result(text)
+    assert (found.broken, found.decided) == (True, False)
+    assert "nothing was measured against a reference" in found.reason
+    with pytest.raises(UsageError, match="measured against a reference") as caught:
+        refuse_without_reference(parsed([text], MeshRecord), "give one")
+    assert caught.value.hint.startswith("give one")
+    is_angle = name.endswith("angular_error_deg")
+    assert ("normal_change." in caught.value.hint) == is_angle
+    asked = f"known({name}) and {text}"
+    refuse_without_reference(parsed([asked], MeshRecord), "give one")
+    assert not result(asked).broken
+
+
+def test_angles_are_those_to_the_reference():
+    reference = Reference(
+        "t.ply", "vertices", mean_angular_error_deg=7.0, max_angular_error_deg=9.0
+    )
+    record = dataclasses.replace(CLOSED, reference=reference)
+    assert result("mean_angular_error_deg == 7 and max_angular_error_deg == 9", record).broken
+    assert result("normal_change.mean_deg == 5", record).broken
+
+
+@pytest.mark.parametrize(("inside_out", "is_broken"), [(True, True), (False, False)])
+def test_inside_out_is_a_gate(inside_out, is_broken):
+    found = result("inside_out", dataclasses.replace(CLOSED, inside_out=inside_out))
+    assert (found.broken, found.decided) == (is_broken, True)
+
+
+def test_figures_of_an_invalid_volume_are_not_known():
+    assert OPEN.volume.before is OPEN.volume.change_percent is None
+    for text in ("volume.before > 0", "volume.change > 0", "volume_change > 0"):
+        found = result(text, OPEN)
+        assert not found.decided
+        assert "open (8 edges)" in found.reason

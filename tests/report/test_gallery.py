@@ -1,0 +1,133 @@
+"""Pictures for the HTML report: of what is still there, worst first, within bounds."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+
+import pytest
+from PIL import Image
+
+from msal_cli.job.records import MeshRecord
+from msal_cli.report import gallery
+from msal_cli.report import read_report as reading
+from msal_cli.report.gallery import Bounds
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, open_scan
+from tests.report.made import written
+
+
+def denoised(folder, *options):
+    """Denoise a folder of three scans, one of them bad; the records."""
+    folder_of(folder / "in", a=closed_scan(), b=open_scan(), bad=BAD_SCAN)
+    if "--in-place" not in options:
+        options = (*options, "-o", folder / "out")
+    options = (*options, "--method", "msal", "-q", "-j", 1)
+    msal("denoise", folder / "in", *options, "--report", folder / "r.json")
+    return reading.document((folder / "r.json").read_bytes(), "r.json")[1]
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory):
+    """Of a run whose files stay as they are."""
+    return denoised(tmp_path_factory.mktemp("run"))
+
+
+def shown(records, found):
+    return sorted(records[at].input.rpartition("/")[2] for at in found.pictures)
+
+
+def test_every_file_that_was_written_is_shown(records):
+    found = gallery.made(records)
+    assert shown(records, found) == ["a.ply", "b.ply"]
+    assert set(found.scenes) == set(found.pictures) and found.script and found.style
+    for one in found.pictures.values():
+        images = [Image.open(io.BytesIO(data)) for data in (one.before, one.after, one.deviation)]
+        assert {image.format for image in images} == {"JPEG"} and len({i.size for i in images}) == 1
+        assert one.before != one.after != one.deviation
+
+
+def test_in_place_the_backup_is_the_input(tmp_path):
+    records = denoised(tmp_path, "--in-place", "--backup", ".raw")
+    assert shown(records, gallery.made(records, backup=".raw")) == ["a.ply", "b.ply"]
+    assert gallery.made(records, backup=".orig").pictures == {}
+
+
+def test_in_place_without_a_backup_there_is_nothing_to_compare(tmp_path):
+    records = denoised(tmp_path, "--in-place", "--no-backup")
+    assert gallery.made(records).pictures == {}
+
+
+def test_what_is_gone_or_has_changed_is_left_out(tmp_path):
+    records = denoised(tmp_path)
+    (tmp_path / "in" / "a.ply").write_bytes(closed_scan(seed=5))
+    (tmp_path / "out" / "b.ply").unlink()
+    found = gallery.made(records)
+    assert found.pictures == found.scenes == {}
+    assert found.script == "" and found.remarks == ()
+
+
+def test_streams_stores_and_what_was_not_written_are_left_out():
+    records = [
+        written("-"),
+        written("s3://bucket/a.ply", output="s3://bucket/b.ply"),
+        MeshRecord("a.ply", "planned", "b.ply"),
+    ]
+    assert gallery.made(records).pictures == {}
+
+
+def test_the_bounds_are_kept_and_said(records):
+    found = gallery.made(records, bounds=Bounds(seconds=-1.0))
+    assert found.pictures == {} and "the other 2 would have taken more" in found.remarks[0]
+    found = gallery.made(records, bounds=Bounds(faces=100))
+    assert shown(records, found) == ["b.ply"] and found.remarks[0].startswith("1 file")
+    found = gallery.made(records, bounds=Bounds(picture_bytes=0))
+    assert len(found.pictures) == 1 and "the other 1 " in found.remarks[0]
+    found = gallery.made(records, bounds=Bounds(scenes=1))
+    (at,) = found.scenes
+    worst = max(found.pictures, key=lambda at: records[at].displacement.max_edges)
+    assert at == worst
+    found = gallery.made(records, bounds=Bounds(scene_faces=100))
+    assert "decimated" in found.remarks[0]
+
+
+def test_what_cannot_be_drawn_keeps_back_no_report(records, monkeypatch):
+    from msal_cli.view import pictures
+
+    def broken(*_):
+        raise RuntimeError
+
+    monkeypatch.setattr(pictures, "camera_of", broken)
+    assert gallery.made(records).pictures == {}
+
+
+def test_the_scale_is_round_and_that_of_middling_files():
+    def reach(*p95_edges):
+        from dataclasses import replace
+
+        base = written()
+        return gallery._reach(
+            [
+                replace(base, displacement=replace(base.displacement, p95_edges=one))
+                for one in p95_edges
+            ]
+        )
+
+    assert reach(0.09, 0.1, 50.0) == 0.2
+    assert reach(0.11) == 0.5
+    assert reach(float("nan"), 0.0, 1e-17) == 0.5
+    assert reach(3.0) == 10.0
+
+
+def test_the_report_of_a_run_has_its_pictures(tmp_path):
+    folder_of(tmp_path / "in", a=closed_scan(), bad=BAD_SCAN)
+    page = tmp_path / "run.html"
+    msal("denoise", tmp_path / "in", "-o", tmp_path / "out", "--report", page, "-q")
+    again = tmp_path / "again.html"
+    msal("report", tmp_path / "out", "-o", again, "-q")
+    for one in (page, again):
+        text = one.read_text()
+        found = re.search(r'id="pictures">(.*?)</script>', text)[1]
+        assert [one is not None for one in json.loads(found)] == [False, True]
+        assert text.count('class="msal-scene"') == 1
+        assert "The worst file in 3D" in text and "mean edge lengths (outwards)" in text

@@ -1,0 +1,187 @@
+"""The HTML report: whole, within its size, under a strict policy, and names in it are text."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+import re
+from html.parser import HTMLParser
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from msal_cli.job.display_names import shown
+from msal_cli.job.records import MeshRecord, Reference
+from msal_cli.report import html as as_html
+from msal_cli.report.ranking import worst_first
+from msal_cli.view.illustrations import Gallery, Pictures, Scale
+from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, of, written
+
+VOID = {"meta", "link", "input", "br", "img"}
+
+
+class Reader(HTMLParser):
+    """What a page holds: its tags, its attributes, its scripts, and whether all is closed."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.tags, self.attributes, self.texts, self.within = [], [], {}, []
+        self.ids = {}
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.attributes += [(tag, *one) for one in attributes]
+        if tag not in VOID:
+            self.within.append((tag, dict(attributes).get("id")))
+
+    def handle_startendtag(self, tag, attributes):
+        self.tags.append(tag)
+        self.attributes += [(tag, *one) for one in attributes]
+
+    def handle_endtag(self, tag):
+        assert self.within.pop()[0] == tag
+
+    def handle_data(self, data):
+        if self.within:
+            tag, key = self.within[-1]
+            self.texts.setdefault(tag, []).append(data)
+            if key:
+                self.ids[key] = self.ids.get(key, "") + data
+
+
+def page(records, gallery=Gallery(), **options):  # noqa: B008
+    text = as_html.encoded(RUN, records, gallery, **options).decode()
+    reader = Reader(text)
+    assert reader.within == []
+    return text, reader
+
+
+def test_the_policy_allows_what_is_there_and_nothing_else():
+    gallery = Gallery(scenes={0: "<div></div>"}, script="let a = '<b>';", style="p{color:red}")
+    text, reader = page([gated()], gallery)
+    (policy,) = [
+        value for _, name, value in reader.attributes if name == "content" and "'none'" in value
+    ]
+    scripts = [
+        one for one in reader.texts["script"] if one in (gallery.script, reader.texts["script"][-1])
+    ]
+    for one in (*scripts, *reader.texts["style"]):
+        digest = base64.b64encode(hashlib.sha256(one.encode()).digest()).decode()
+        assert f"'sha256-{digest}'" in policy
+    assert policy.startswith("default-src 'none'; script-src 'sha256-")
+    assert policy.count("'sha256-") == 4 and "unsafe" not in policy
+    assert not [one for one in reader.attributes if one[1] == "style" or one[1].startswith("on")]
+    loaded = [value for _, name, value in reader.attributes if name in ("src", "href")]
+    assert all(one.startswith("data:") for one in loaded)
+    assert "http" not in text.partition("<script>")[0].replace("http-equiv", "")
+
+
+@pytest.mark.parametrize("make", [written, failed, gated])
+def test_names_stay_text(make):
+    plain_tags = set(page([make("a.ply", warnings=("b",))])[1].tags)
+    records = [make(name, warnings=(name,)) for name in HOSTILE_NAMES]
+    text, reader = page(records)
+    assert set(reader.tags) <= plain_tags | {"br"}
+    assert all(one not in text for one in ("<script>alert", "<img src=x", "\x1b", "\u202e"))
+    names = [one["values"][0] for one in json.loads(reader.ids["rows"])]
+    assert sorted(names) == sorted(map(shown, HOSTILE_NAMES))
+    assert set(map(shown, HOSTILE_NAMES)) <= set(reader.texts["th"])
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(of(MeshRecord), max_size=3))
+def test_any_records_make_a_page(records):
+    _, reader = page(records)
+    assert len(json.loads(reader.ids["rows"])) == len(records)
+
+
+def test_rows_are_worst_first():
+    records = [written("a"), failed("b"), gated("c")]
+    _, reader = page(records)
+    rows = json.loads(reader.ids["rows"])
+    assert [one["values"][0] for one in rows] == [one.input for one in worst_first(records)]
+    assert [one["kind"] for one in rows] == ["failed", "gate", "good"]
+    assert ["Reason", "vertex 17: position is not finite (E_NONFINITE)"] in rows[0]["details"]
+    assert ["Gate broken", "abs(volume_change) > 1% (volume_change is -2.1%)"] in rows[1]["details"]
+
+
+def test_it_tells_reason_hint_gate_command_and_settings():
+    text, reader = page([failed(), gated()])
+    said = html.unescape(re.sub(r"<[^>]+>", " ", text.partition("<main>")[2]))
+    for words in (
+        "vertex 17: position is not finite",
+        "repair it",
+        "abs(volume_change) > 1% (volume_change is -2.1%)",
+        "msal denoise scans -o out",
+        "parameters.K",
+        "1.2.3",
+    ):
+        assert words in said
+    assert reader.texts["title"][0] == "msal: 2 files"
+
+
+def test_warnings_stand_on_the_page_with_their_files():
+    text, _ = page([written("a.ply", warnings=("it is inside out (W_INSIDE_OUT)",)), written("b")])
+    said = text.partition("<main>")[2].partition("<script")[0]
+    assert "Warnings <small>1</small>" in said
+    assert "<th scope=row>a.ply</th><td>it is inside out (W_INSIDE_OUT)</td>" in said
+    assert "Warnings <small>" not in page([written("b")])[0]
+
+
+def jpeg(size=1000):
+    return b"\xff\xd8" + bytes(size)
+
+
+def test_pictures_stand_in_the_order_of_the_rows():
+    records = [written("good"), failed("bad"), gated("gate")]
+    gallery = Gallery(
+        pictures={0: Pictures(b"a", b"b"), 2: Pictures(b"c", b"d", b"e")},
+        scale=Scale("moved", "-1", "1", ("#000000", "#ffffff")),
+    )
+    _, reader = page(records, gallery)
+    coded = [base64.b64encode(one).decode() for one in (b"c", b"d", b"e", b"a", b"b")]
+    assert json.loads(reader.ids["pictures"]) == [None, coded[:3], [*coded[3:], None]]
+
+
+def test_pictures_that_do_not_fit_are_left_out_from_the_best_files():
+    records = [written(f"{at}") for at in range(100)] + [failed()]
+    gallery = Gallery(pictures={at: Pictures(jpeg(9_000), jpeg(9_000)) for at in range(100)})
+    data = as_html.encoded(RUN, records, gallery, most_bytes=1_000_000)
+    assert len(data) < 1_000_000
+    reader = Reader(data.decode())
+    kept = json.loads(reader.ids["pictures"])
+    assert kept[0] is None and 10 < len(kept) < 60 and all(kept[1:])
+    assert f"Pictures of {101 - len(kept)} files" in data.decode()
+
+
+def test_the_largest_page_keeps_to_its_size():
+    records = [written(f"{at}") for at in range(1_000)]
+    scene = f"<div>{'x' * 4_000_000}</div>"
+    gallery = Gallery(
+        pictures={at: Pictures(jpeg(10_000), jpeg(10_000), jpeg(10_000)) for at in range(1_000)},
+        scenes=dict.fromkeys(range(5), scene),
+    )
+    data = as_html.encoded(RUN, records, gallery)
+    assert 20_000_000 < len(data) <= as_html.MOST_BYTES
+    assert data.count(b"xxxxx</div>") == 3
+
+
+def test_ten_thousand_files_are_a_small_page():
+    records = [written(f"scans/{at}.ply") for at in range(10_000)]
+    assert len(as_html.encoded(RUN, records)) < 4_000_000
+
+
+def test_the_angle_to_a_reference_is_a_column_where_there_is_one():
+    reference = Reference("truth.ply", "vertices", mean_angular_error_deg=3.456)
+    _, reader = page([written("a.ply", reference=reference), written("b.ply")])
+    assert json.loads(reader.ids["columns"])[-1]["title"] == "To reference"
+    rows = json.loads(reader.ids["rows"])
+    assert [one["values"][-1] for one in rows] == [3.456, None]
+    assert ["Reference", "truth.ply"] in rows[0]["details"]
+    _, reader = page([written()])
+    assert json.loads(reader.ids["columns"])[-1]["title"] == "Time"

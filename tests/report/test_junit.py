@@ -1,0 +1,150 @@
+"""JUnit: a suite for a folder, a case for a file, and a form that Ant and Jenkins both know."""
+
+from __future__ import annotations
+
+import re
+from xml.etree import ElementTree as Xml
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from msal_cli.job.records import Failure, MeshRecord
+from msal_cli.report import junit as as_junit
+from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, of, written
+
+# What fits the schemas of Ant (JUnit.xsd) and of Jenkins (junit-10.xsd) alike: the attributes of
+# each element, all of which are there, and the children in their order.
+TOKEN, TEXT = r".+", r"[\s\S]*"
+NUMBER, DECIMAL = r"\d+", r"\d+(\.\d+)?"
+ATTRIBUTES = {
+    "testsuites": {},
+    "testsuite": {
+        "id": NUMBER,
+        "package": TOKEN,
+        "name": TOKEN,
+        "timestamp": r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d",
+        "hostname": TOKEN,
+        "tests": NUMBER,
+        "failures": NUMBER,
+        "errors": NUMBER,
+        "skipped": NUMBER,
+        "time": DECIMAL,
+    },
+    "properties": {},
+    "property": {"name": TOKEN, "value": TEXT},
+    "testcase": {"name": TOKEN, "classname": TOKEN, "time": DECIMAL},
+    "error": {"type": TEXT, "message": TEXT},
+    "failure": {"type": TEXT, "message": TEXT},
+    "skipped": {},
+    "system-out": {},
+    "system-err": {},
+}
+CHILDREN = {
+    "testsuites": "(testsuite )*",
+    "testsuite": "properties (testcase )*system-out system-err ",
+    "properties": "(property )*",
+    "testcase": "(error |failure |skipped )?",
+}
+
+
+def parsed(records):
+    root = Xml.fromstring(as_junit.encoded(RUN, records))
+    for one in root.iter():
+        assert set(one.attrib) == set(ATTRIBUTES[one.tag])
+        for name, value in one.attrib.items():
+            assert re.fullmatch(ATTRIBUTES[one.tag][name], value), (one.tag, name, value)
+        inside = "".join(f"{child.tag} " for child in one)
+        assert re.fullmatch(CHILDREN.get(one.tag, ""), inside), (one.tag, inside)
+    for suite in root:
+        cases = suite.findall("testcase")
+        assert int(suite.get("tests")) == len(cases)
+        for word, tag in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
+            assert int(suite.get(word)) == sum(case.find(tag) is not None for case in cases)
+    return root
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(of(MeshRecord), max_size=4))
+def test_any_records_keep_to_the_schemas(records):
+    root = parsed(records)
+    assert len(root.findall(".//testcase")) == len(records)
+
+
+def test_folders_are_suites_in_the_order_of_the_inputs():
+    root = parsed([written("b/x.ply"), failed("a/y.ply"), written("b/z.ply"), written("top.ply")])
+    assert [suite.get("name") for suite in root] == ["b", "a", "."]
+    assert [case.get("name") for case in root[0].findall("testcase")] == ["x.ply", "z.ply"]
+    assert [suite.get("id") for suite in root] == ["0", "1", "2"]
+
+
+@pytest.mark.parametrize(
+    ("name", "folder", "case"),
+    [
+        ("/a.ply", "/", "a.ply"),
+        ("/x/a.ply", "/x", "a.ply"),
+        ("s3://bucket/k/a.ply", "s3://bucket/k", "a.ply"),
+        ("-", "standard input", "standard input"),
+    ],
+)
+def test_where_a_file_belongs(name, folder, case):
+    (suite,) = parsed([written(name)])
+    assert (suite.get("name"), suite.find("testcase").get("name")) == (folder, case)
+
+
+def test_an_exception_is_an_error_with_its_hint():
+    (told,) = parsed([failed("x/bad.ply")]).iter("error")
+    assert told.get("type") == "E_NONFINITE"
+    assert told.get("message") == "vertex 17: position is not finite"
+    assert told.text == (
+        "x/bad.ply: vertex 17: position is not finite (E_NONFINITE)\nhint: repair it"
+    )
+
+
+def test_what_was_not_begun_is_skipped():
+    root = parsed([MeshRecord("a.ply", "planned", "out/a.ply"), written("b.ply")])
+    assert root[0].get("skipped") == "1"
+    assert [case.find("skipped") is not None for case in root[0].findall("testcase")] == [
+        True,
+        False,
+    ]
+
+
+def test_a_warning_does_not_fail_a_case():
+    (suite,) = parsed([written("a.ply", warnings=("one & two",))])
+    assert suite.get("failures") == suite.get("errors") == "0"
+    assert suite.find("system-err").text == "a.ply: one & two"
+
+
+def test_time_is_that_of_this_run():
+    (suite,) = parsed([written("a.ply"), written("b.ply", status="up-to-date")])
+    assert [one.get("time") for one in suite.iter("testcase")] == ["0.950", "0.000"]
+    assert suite.get("time") == "0.950"
+
+
+@pytest.mark.parametrize(
+    "name", [*HOSTILE_NAMES, "\x00\x0b\ufffe\uffff.ply", "\udcff.ply", " .ply"]
+)
+def test_names_stay_data(name):
+    record = failed(name, error=Failure("E_X", name, name, name), warnings=(name,))
+    (suite,) = parsed([record, written(name, warnings=(name,))])
+    assert {one.tag for one in suite.iter()} <= set(ATTRIBUTES)
+    assert len(suite.findall("testcase")) == 2
+    if name.isprintable() and not name.lstrip().startswith("::") and "##" not in name:
+        assert suite.find("testcase").get("name") == name
+        assert name in suite.find("testcase/error").text
+
+
+def test_the_command_and_the_settings_are_properties():
+    (suite,) = parsed([written()])
+    found = {one.get("name"): one.get("value") for one in suite.iter("property")}
+    assert found["msal.command"] == "msal denoise scans -o out"
+    assert found["msal.settings.parameters.K"] == "0.5"
+
+
+def test_a_broken_gate_is_a_failure_that_names_the_value():
+    (suite,) = parsed([gated()])
+    (told,) = suite.iter("failure")
+    assert told.get("type") == "gate"
+    assert told.get("message") == "abs(volume_change) > 1% (volume_change is -2.1%)"
+    assert "flipped_faces" not in told.text

@@ -1,0 +1,126 @@
+"""Markdown: a summary that GitHub takes, in which names are text and the worst comes first."""
+
+from __future__ import annotations
+
+import html
+import re
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from markdown_it import MarkdownIt
+
+from msal_cli.job.records import Failure, MeshRecord, Reference
+from msal_cli.report import markdown as as_markdown
+from msal_cli.report.document import Run
+from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, of, written
+
+OURS = {"code", "/code", "details", "/details", "summary", "/summary"}
+
+
+def text(records, **options):
+    return as_markdown.encoded(RUN, records, **options).decode()
+
+
+def tables(page):
+    """The tables as rows of texts; fails for any markup that is not the report's own."""
+    found, cells = [], None
+    for token in MarkdownIt("gfm-like", {"linkify": False}).parse(page):
+        if token.type == "html_block":
+            tags = re.findall(r"<([^\s>]*)", token.content)
+            assert set(tags) <= OURS, token.content
+        if token.type == "table_open":
+            found.append([])
+        if token.type == "tr_open":
+            found[-1].append([])
+        if token.type == "inline":
+            cells = "".join(map(plain, token.children))
+            if token.level > 2 and found:
+                found[-1][-1].append(cells)
+    return found
+
+
+def plain(token):
+    assert token.type in ("text", "text_special", "html_inline", "strong_open", "strong_close"), (
+        token
+    )
+    if token.type == "html_inline":
+        assert token.content.strip("<>") in OURS, token.content
+        return ""
+    return token.content
+
+
+def test_what_it_tells():
+    page = text([written("good.ply"), gated(), failed()])
+    assert page.startswith("## ❌ msal denoise: 3 files, 1 failed, 1 broke a gate\n")
+    _, broken, gates, files = tables(page)
+    assert broken[1] == [
+        "bad.ply",
+        "vertex 17: position is not finite E_NONFINITE",
+        "repair it",
+    ]
+    assert gates[1] == ["gated.ply", "abs(volume_change) > 1% (volume_change is -2.1%)"]
+    assert [row[:5] for row in files[1:]] == [
+        ["gated.ply", "gate", "35,947", "-0.266 %", "0.110"],
+        ["good.ply", "written", "35,947", "-0.266 %", "0.110"],
+    ]
+
+
+def test_when_all_is_well():
+    page = text([written()])
+    assert page.startswith("## ✅ msal denoise: 1 file, all well\n")
+    assert "### Failed" not in page and "### Broken" not in page
+
+
+@pytest.mark.parametrize("name", [*HOSTILE_NAMES, "www.x.y", "a@b.c", "a__b__c", "\\|", "~~a~~"])
+def test_names_stay_text(name):
+    record = failed(name, error=Failure("E_X", name, name, name))
+    page = text([record, written(name, warnings=(name,))])
+    (_, broken, files, warnings) = tables(page)
+    assert {len(row) for row in broken} == {3}
+    assert len(broken) == len(files) == len(warnings) == 2
+    if name.isprintable() and not name.lstrip().startswith("::") and "##" not in name:
+        assert broken[1] == [name, f"{name}: {name} E_X", name]
+        assert files[1][0] == name
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(of(MeshRecord), max_size=3))
+def test_any_records_make_a_page(records):
+    page = text(records)
+    done = [one for one in records if one.status not in ("failed", "planned")]
+    rows = [table for table in tables(page) if table[0][0] == "file" and table[0][1] == "status"]
+    assert sum(len(table) - 1 for table in rows) == len(done)
+
+
+def test_ten_thousand_files_fit_into_a_summary():
+    records = [failed(f"scans/{at:06}{'-' * 99}_.ply") for at in range(3_000)]
+    records += [gated(f"scans/{at:06}{'-' * 99}_.ply") for at in range(7_000)]
+    data = as_markdown.encoded(RUN, records)
+    assert 100_000 < len(data) < as_markdown.MOST_BYTES
+    assert "2,000 more are not shown here" in data.decode()
+
+
+def test_the_room_is_kept_and_every_table_gets_some():
+    records = [failed(f"{at}.ply") for at in range(500)] + [written(f"{at}") for at in range(500)]
+    page = text(records, most_bytes=20_000)
+    assert len(page.encode()) <= 20_000
+    assert "### Files: 500" in page and "more are not shown here" in page
+
+
+def test_a_command_of_many_words_is_cut():
+    run = Run("1", ("msal", *(f"{at}.ply" for at in range(50_000))), {}, "", "", 0.0)
+    assert len(as_markdown.encoded(run, [written()])) < 10_000
+
+
+def test_what_is_beyond_the_first_rows_is_folded():
+    page = text([written(f"{at}.ply") for at in range(60)])
+    assert "<details><summary>35 more</summary>" in page
+    assert html.unescape(page).count("<details>") == page.count("</details>") == 2
+
+
+def test_the_angle_to_a_reference_is_told_where_there_is_one():
+    reference = Reference("truth.ply", "vertices", mean_angular_error_deg=3.456)
+    (_, files) = tables(text([written("a.ply", reference=reference), written("b.ply")]))
+    assert files[0][-1] == "to reference, deg"
+    assert [row[-1] for row in files[1:]] == ["3.46", ""]

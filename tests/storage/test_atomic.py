@@ -1,0 +1,310 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import subprocess
+import sys
+
+import pytest
+
+from msal_cli.batch import temporary_files as temporaries
+from msal_cli.errors import OutputError
+from msal_cli.storage import atomic as writing
+from msal_cli.storage.atomic import make_folders, write_new, write_whole
+
+posix = pytest.mark.skipif(os.name != "posix", reason="permission bits and links of POSIX")
+
+
+def names(folder):
+    return sorted(os.listdir(folder))
+
+
+def test_pieces_of_every_kind(tmp_path):
+    path = tmp_path / "a.ply"
+    write_whole(path, [b"ab", bytearray(b"cd"), memoryview(b"ef"), b""])
+    assert path.read_bytes() == b"abcdef"
+    write_whole(path, b"whole")
+    assert path.read_bytes() == b"whole"
+    write_whole(str(path), (piece for piece in (b"x", b"y")))
+    assert path.read_bytes() == b"xy"
+    assert names(tmp_path) == ["a.ply"]
+
+
+def test_wide_items_are_written_as_bytes(tmp_path):
+    import numpy as np
+
+    write_whole(tmp_path / "a", memoryview(np.arange(3, dtype="<u4")))
+    assert (tmp_path / "a").read_bytes() == bytes([0, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0])
+
+
+@posix
+def test_a_new_file_gets_the_umasks_permissions(tmp_path):
+    before = os.umask(0o027)
+    try:
+        write_whole(tmp_path / "a", b"x")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o640
+
+
+@posix
+def test_a_replaced_file_hands_down_its_permissions(tmp_path):
+    old, like = tmp_path / "old", tmp_path / "like"
+    old.write_bytes(b"1")
+    old.chmod(0o604)
+    like.write_bytes(b"2")
+    like.chmod(0o6751)
+    write_whole(old, b"new", mode_like=like)
+    assert stat.S_IMODE(old.stat().st_mode) == 0o604
+    write_whole(tmp_path / "fresh", b"new", mode_like=like)
+    assert stat.S_IMODE((tmp_path / "fresh").stat().st_mode) == 0o751
+
+
+@posix
+def test_a_link_is_replaced_and_its_target_kept(tmp_path):
+    (tmp_path / "input").write_bytes(b"precious")
+    (tmp_path / "link").symlink_to("input")
+    write_whole(tmp_path / "link", b"new")
+    assert (tmp_path / "input").read_bytes() == b"precious"
+    assert not (tmp_path / "link").is_symlink()
+    (tmp_path / "dangling").symlink_to("nowhere")
+    write_whole(tmp_path / "dangling", b"new")
+    assert (tmp_path / "dangling").read_bytes() == b"new"
+
+
+@posix
+def test_devices_pipes_and_folders_are_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    for path in (tmp_path / "pipe", tmp_path / "folder", "/dev/null"):
+        with pytest.raises(OutputError):
+            write_whole(path, b"x")
+    assert names(tmp_path) == ["folder", "pipe"]
+    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
+
+
+@pytest.mark.parametrize("length", [100, 143, 200, 251, 255])
+def test_names_up_to_the_longest(tmp_path, length):
+    name = "n" * (length - 4) + ".ply"
+    write_whole(tmp_path / name, b"x")
+    assert names(tmp_path) == [name]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems restrict names further")
+@pytest.mark.parametrize("name", [b"\xff\xfe.ply", b"-o.ply", b"a\nb", "ü".encode() * 127, b" "])
+def test_names_of_any_bytes(tmp_path, name):
+    path = os.fsencode(tmp_path) + b"/" + name
+    write_whole(os.fsdecode(path), b"x")
+    assert os.listdir(os.fsencode(tmp_path)) == [name]
+
+
+def test_a_name_beginning_with_a_hyphen_in_the_current_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_whole("-rf", b"x")
+    write_whole("plain", b"x")
+    assert names(tmp_path) == ["-rf", "plain"]
+
+
+def test_missing_folder(tmp_path):
+    with pytest.raises(OutputError) as caught:
+        write_whole(tmp_path / "no" / "a.ply", b"x")
+    assert caught.value.code == "E_WRITE"
+    assert "does not exist" in caught.value.hint
+    assert caught.value.path.endswith("a.ply")
+    assert names(tmp_path) == []
+
+
+def test_a_file_as_a_folder(tmp_path):
+    (tmp_path / "f").write_bytes(b"")
+    with pytest.raises(OutputError):
+        write_whole(tmp_path / "f" / "a.ply", b"x")
+
+
+def test_names_that_no_system_has(tmp_path):
+    with pytest.raises(OutputError):
+        write_whole(str(tmp_path / "a\0b"), b"x")
+    with pytest.raises(OutputError):
+        write_whole(tmp_path / ("n" * 256), b"x")
+    assert names(tmp_path) == []
+
+
+@posix
+@pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write anywhere")
+def test_read_only_folder(tmp_path):
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(OutputError) as caught:
+            write_whole(tmp_path / "a.ply", b"x")
+        assert "permission" in caught.value.hint
+    finally:
+        tmp_path.chmod(0o700)
+
+
+def failing(number):
+    def fail(*_args, **_keywords):
+        raise OSError(number, os.strerror(number))
+
+    return fail
+
+
+@pytest.mark.parametrize("call", ["open", "write", "fsync"])
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EIO])
+def test_a_failing_system_leaves_the_old_file_and_no_temporary(tmp_path, monkeypatch, call, number):
+    path = tmp_path / "a.ply"
+    path.write_bytes(b"old")
+    with monkeypatch.context() as patch:
+        patch.setattr(writing.os, call, failing(number))
+        with pytest.raises(OutputError) as caught:
+            write_whole(path, b"new")
+    assert os.strerror(number) in str(caught.value)
+    if number == errno.ENOSPC:
+        assert "full" in caught.value.hint
+    assert path.read_bytes() == b"old"
+    assert names(tmp_path) == ["a.ply"]
+
+
+def test_a_folder_that_cannot_be_synced_is_a_warning(tmp_path, monkeypatch, caplog):
+    real = os.fsync
+
+    def fsync(handle):
+        if stat.S_ISDIR(os.fstat(handle).st_mode):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        real(handle)
+
+    monkeypatch.setattr(writing.os, "fsync", fsync)
+    write_whole(tmp_path / "a.ply", b"new")
+    assert (tmp_path / "a.ply").read_bytes() == b"new"
+    assert [one.message for one in caplog.records] == [
+        f"the folder {str(tmp_path)!r} cannot be synced: {os.strerror(errno.EIO)}"
+    ]
+
+
+def test_a_disk_that_fills_up_midway(tmp_path, monkeypatch):
+    real = os.write
+    calls = []
+
+    def write(handle, view):
+        calls.append(len(view))
+        if len(calls) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(handle, view[:10])
+
+    monkeypatch.setattr(writing.os, "write", write)
+    with pytest.raises(OutputError):
+        write_whole(tmp_path / "a.ply", bytes(25))
+    assert names(tmp_path) == []
+
+
+def test_short_writes_are_continued(tmp_path, monkeypatch):
+    real = os.write
+    monkeypatch.setattr(writing.os, "write", lambda handle, view: real(handle, view[:7]))
+    write_whole(tmp_path / "a", [bytes(range(100)), bytes(range(100, 200))])
+    assert (tmp_path / "a").read_bytes() == bytes(range(200))
+
+
+def test_bytes_that_do_not_arrive_are_noticed(tmp_path, monkeypatch):
+    monkeypatch.setattr(writing.os, "write", lambda handle, view: len(view))
+    with pytest.raises(OutputError, match="0 of 3 bytes"):
+        write_whole(tmp_path / "a", b"abc")
+    assert names(tmp_path) == []
+
+
+def test_an_interrupt_leaves_nothing(tmp_path):
+    def pieces():
+        yield b"first"
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(tmp_path / "a", pieces())
+    assert names(tmp_path) == []
+
+
+def test_windows_scanners_only_delay(tmp_path, monkeypatch):
+    target = tmp_path / "a"
+    real = type(target).replace
+    failures = [PermissionError(13, "in use"), PermissionError(13, "in use")]
+
+    def replace(self, other):
+        if failures:
+            raise failures.pop()
+        return real(self, other)
+
+    monkeypatch.setattr(type(target), "replace", replace)
+    monkeypatch.setattr(writing.time, "sleep", lambda _: None)
+    temporary = tmp_path / "t"
+    temporary.write_bytes(b"x")
+    with monkeypatch.context() as patch:
+        patch.setattr(writing.os, "name", "nt")
+        writing._move(temporary, target)
+    assert target.read_bytes() == b"x"
+
+
+def test_write_new_never_replaces(tmp_path):
+    path = tmp_path / "tex.png"
+    assert write_new(path, b"first")
+    assert not write_new(path, b"second")
+    assert path.read_bytes() == b"first"
+    assert names(tmp_path) == ["tex.png"]
+
+
+def test_write_new_without_hard_links(tmp_path, monkeypatch):
+    monkeypatch.setattr(writing.os, "link", failing(errno.EPERM))
+    path = tmp_path / "tex.png"
+    assert write_new(path, b"first")
+    assert not write_new(path, b"second")
+    assert path.read_bytes() == b"first"
+    assert names(tmp_path) == ["tex.png"]
+
+
+def test_write_new_reports_failures(tmp_path):
+    with pytest.raises(OutputError):
+        write_new(tmp_path / "no" / "a", b"x")
+
+
+def test_the_name_that_writing_uses_is_the_one_that_sweeping_knows():
+    for name in ("a.ply", "x" * 255, ""):
+        made = writing._temporary_name(name)
+        assert temporaries.is_own(made) and len(os.fsencode(made)) <= writing.LONGEST_NAME
+        found = temporaries._TEMPORARY.fullmatch(made)
+        assert int(found["pid"]) == os.getpid()
+        assert found["machine"] == temporaries._machine()
+
+
+def test_a_killed_writer_leaves_the_old_file_and_is_swept(tmp_path):
+    path = tmp_path / "a.ply"
+    path.write_bytes(b"old")
+    code = (
+        "import os, sys\n"
+        "from msal_cli.storage.atomic import write_whole\n"
+        "def pieces():\n"
+        "    yield b'half'\n"
+        "    os._exit(9)\n"
+        "write_whole(sys.argv[1], pieces())\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code, str(path)], check=False).returncode == 9
+    assert path.read_bytes() == b"old"
+    assert len(names(tmp_path)) == 2
+    assert temporaries.sweep([tmp_path]) == 1
+    assert names(tmp_path) == ["a.ply"]
+
+
+def test_folders_of_any_depth_are_made(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    make_folders("a" + "/d" * 1500)
+    depth = 0
+    folder = "a"
+    while os.path.isdir(f"{folder}/d"):
+        folder += "/d"
+        depth += 1
+    assert depth == 1500
+    make_folders(folder)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match="file"):
+        make_folders(tmp_path / "file" / "below")
+    # What removes temporary folders goes no deeper than a thousand.
+    for _ in range(depth):
+        os.rmdir(folder)
+        folder = os.path.dirname(folder)

@@ -1,0 +1,28 @@
+"""Hashes that are worked out while something else is done."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+
+import pytest
+
+from msal_cli.storage.digests import LARGE_BYTES, sha256_meanwhile
+
+
+@pytest.mark.parametrize("size", [0, 1000, LARGE_BYTES, LARGE_BYTES + 1])
+@pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
+def test_they_are_those_of_the_bytes(size, kind):
+    data = bytes(k % 251 for k in range(1000)) * (size // 1000 + 1)
+    data = data[:size]
+    wait = sha256_meanwhile(kind(data))
+    assert wait() == wait() == hashlib.sha256(data).hexdigest()
+
+
+def test_without_another_thread_it_is_done_at_once(monkeypatch):
+    def refuse(self):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    data = bytes(LARGE_BYTES)
+    assert sha256_meanwhile(data)() == hashlib.sha256(data).hexdigest()

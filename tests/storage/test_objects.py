@@ -1,0 +1,354 @@
+"""Objects: whole in, whole out, their marks, and every failure in words."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import http.server
+import sys
+import threading
+
+import pytest
+
+from msal_cli import codecs as files
+from msal_cli.codecs.forecast import forecast
+from msal_cli.errors import InputError, OutputError, TooLargeError, UsageError
+from msal_cli.storage import gzip_streams as streams
+from msal_cli.storage import objects as remote
+from msal_cli.storage import sidecars
+from msal_cli.storage.objects import Mark, listed, mark, read_many, read_whole, removed, write_whole
+
+pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
+
+
+@pytest.fixture(autouse=True)
+def empty_store():
+    from fsspec.implementations.memory import MemoryFileSystem
+
+    MemoryFileSystem.store.clear()
+    MemoryFileSystem.pseudo_dirs[:] = [""]
+
+
+class Refusing:
+    """In the place of a file system that fails."""
+
+    def __init__(self, failure):
+        self.failure = failure
+
+    def __getattr__(self, name):
+        def fail(*arguments, **options):
+            raise self.failure
+
+        return fail
+
+
+@pytest.fixture
+def failing(monkeypatch):
+    def with_failure(failure):
+        monkeypatch.setattr(remote, "_opened", lambda url: (Refusing(failure), "a.ply"))
+
+    return with_failure
+
+
+def test_what_is_written_is_read_back():
+    there = write_whole("memory://b/a.ply", [b"one", memoryview(b"two")])
+    assert read_whole("memory://b/a.ply") == b"onetwo"
+    assert there == mark("memory://b/a.ply") == listed("memory://b")["a.ply"]
+    assert there.size == 6
+    assert there.tag
+
+
+def test_the_ordinary_functions_take_urls():
+    there = files.write_whole("memory://b/a.ply", [b"data"])
+    assert there == mark("memory://b/a.ply")
+    assert files.read_whole("memory://b/a.ply") == b"data"
+
+
+def test_another_content_of_the_same_size_has_another_mark():
+    first = write_whole("memory://b/a.ply", b"one")
+    assert write_whole("memory://b/a.ply", b"two") != first
+
+
+def test_a_listing_goes_down_and_knows_no_neighbours():
+    for name in ("b/x.ply", "b/c/y.ply", "b/c/d/z.ply", "bb/no.ply", "b.ply"):
+        write_whole(f"memory://{name}", name.encode())
+    assert sorted(listed("memory://b")) == ["c/d/z.ply", "c/y.ply", "x.ply"]
+    assert sorted(listed("memory://b/")) == sorted(listed("memory://b"))
+    assert sorted(listed("memory://b", depth=2)) == ["c/y.ply", "x.ply"]
+    assert listed("memory://nothing") == {}
+    assert listed("memory://b/x.ply") == {}
+
+
+def test_a_folder_and_nothing_have_no_mark():
+    write_whole("memory://b/c/y.ply", b"")
+    assert mark("memory://b/c") is None
+    assert mark("memory://b/none") is None
+    assert mark("memory://b/c/y.ply").size == 0
+
+
+@pytest.mark.parametrize(
+    "name", ["x y.ply", "%41#?.ply", "ü\n.ply", "../up.ply", "a//b.ply", "[x]*.ply", "q'\""]
+)
+def test_names_are_taken_as_they_are(name):
+    write_whole(f"memory://b/{name}", name.encode())
+    assert read_whole(f"memory://b/{name}") == name.encode()
+    assert list(listed("memory://b")) == [name]
+
+
+def test_many_are_read_and_removed():
+    some = [f"memory://b/{n}" for n in range(40)]
+    marks = {url: write_whole(url, url.encode()) for url in some}
+    assert read_many(marks) == [url.encode() for url in some]
+    removed([*some[1:], "memory://b/none"])
+    removed([])
+    assert list(listed("memory://b")) == ["0"]
+    assert read_many({}) == []
+
+
+def test_a_beginning_is_told_with_the_size():
+    write_whole("memory://b/a.ply", b"0123456789")
+    assert remote.beginning("memory://b/a.ply", 4) == (b"0123", 10)
+    write_whole("memory://b/empty.ply", b"")
+    assert remote.beginning("memory://b/empty.ply", 4) == (b"", 0)
+    write_whole("memory://b/t.ply", b"ply\nformat ascii 1.0\nelement vertex 3\nend_header\n")
+    assert forecast("memory://b/t.ply").format == "ply"
+    assert forecast("memory://b/none.ply").memory_bytes is None
+
+
+def test_what_is_missing_is_told():
+    with pytest.raises(InputError, match="no such object") as caught:
+        read_whole("memory://b/none.ply")
+    assert caught.value.code == "E_READ"
+    assert caught.value.hint
+    with pytest.raises(UsageError, match="not known"):
+        read_whole("nosuch://b/x")
+
+
+class NoCredentialsError(Exception):
+    """Named like botocore's."""
+
+
+class EndpointConnectionError(Exception):
+    """Named like botocore's."""
+
+
+@pytest.mark.parametrize(
+    ("failure", "words"),
+    [
+        (PermissionError("Access Denied"), "access is denied"),
+        (FileNotFoundError("The specified bucket does not exist"), "no such bucket"),
+        (NoCredentialsError("Unable to locate credentials"), "no credentials"),
+        (EndpointConnectionError("Could not connect"), "cannot be reached"),
+        (TimeoutError(), "cannot be reached"),
+        (OSError(5, "it is on fire"), "it is on fire"),
+        (UnicodeEncodeError("utf-8", "\udc80", 0, 1, "surrogates not allowed"), "valid Unicode"),
+        (NotImplementedError(), "cannot do that"),
+        (RuntimeError("sftp://joe:geheim@host is down"), "host is down"),
+    ],
+)
+def test_every_failure_is_an_error_with_a_reason_and_a_hint(failing, failure, words):
+    failing(failure)
+    for kind, code, call in (
+        (InputError, "E_READ", lambda: read_whole("s3://b/a.ply")),
+        (OutputError, "E_WRITE", lambda: write_whole("s3://b/a.ply", b"")),
+    ):
+        with pytest.raises(kind, match=words) as caught:
+            call()
+        assert caught.value.code == code
+        assert caught.value.hint
+        assert caught.value.path == "s3://b/a.ply"
+        assert "geheim" not in caught.value.message
+    if not isinstance(failure, FileNotFoundError):
+        for call in (mark, listed):
+            with pytest.raises(InputError, match=words):
+                call("s3://b/a.ply")
+
+
+def test_memory_that_runs_out_stays_that(failing):
+    failing(MemoryError())
+    with pytest.raises(MemoryError):
+        read_whole("s3://b/a.ply")
+
+
+def test_bytes_that_do_not_arrive_are_noticed(monkeypatch):
+    from fsspec.implementations.memory import MemoryFileSystem
+
+    real = MemoryFileSystem.pipe_file
+    monkeypatch.setattr(
+        MemoryFileSystem, "pipe_file", lambda self, path, data: real(self, path, data[:-1])
+    )
+    with pytest.raises(OutputError, match="4 of 5 bytes"):
+        write_whole("memory://b/a.ply", b"12345")
+
+
+def test_where_a_put_may_stop_halfway_it_is_made_under_another_name(monkeypatch):
+    from fsspec.implementations.memory import MemoryFileSystem
+
+    monkeypatch.setattr(remote, "_OBJECT_STORES", ())
+    write_whole("memory://b/c/a.ply", b"old")
+    write_whole("memory://b/c/a.ply", b"new")
+    assert read_whole("memory://b/c/a.ply") == b"new"
+    assert list(listed("memory://b")) == ["c/a.ply"]
+
+    def half(self, path, data):
+        self.store[path] = type(self.store["/b/c/a.ply"])(self, path, data[:1])
+        raise ConnectionResetError("gone")
+
+    monkeypatch.setattr(MemoryFileSystem, "pipe_file", half)
+    with pytest.raises(OutputError, match="cannot be reached"):
+        write_whole("memory://b/c/a.ply", b"newer")
+    monkeypatch.undo()
+    assert read_whole("memory://b/c/a.ply") == b"new"
+    assert list(listed("memory://b")) == ["c/a.ply"]
+
+
+def test_without_the_package_the_error_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "fsspec", None)
+    for call in (read_whole, mark, listed, lambda url: write_whole(url, b"")):
+        with pytest.raises(UsageError) as caught:
+            call("s3://b/a.ply")
+        assert "msal-cli[cloud]" in caught.value.hint
+        # That would look for msal itself on an index.
+        assert "pip install 'msal-cli" not in caught.value.hint
+
+
+def test_without_the_package_of_a_protocol_the_error_says_which(monkeypatch):
+    from fsspec.registry import known_implementations
+
+    monkeypatch.setitem(
+        known_implementations, "lost", {"class": "no.Such", "err": "Install lostfs"}
+    )
+    with pytest.raises(UsageError, match="Install lostfs"):
+        read_whole("lost://b/a.ply")
+
+
+def test_a_version_in_a_name_is_refused_and_not_cut_off():
+    pytest.importorskip("s3fs", reason="needs the extra: pip install '.[cloud]'")
+    for call in (read_whole, lambda url: write_whole(url, b"")):
+        with pytest.raises((InputError, OutputError), match="versionId"):
+            call("s3://b/a?versionId=1.ply")
+
+
+def test_a_password_in_the_url_of_a_store_is_refused_without_telling_it(monkeypatch):
+    from msal_cli.storage import urls
+
+    monkeypatch.setenv(urls.SECRETS, "")
+    url = urls.settled("memory://key:geheim@b/a.ply")
+    with pytest.raises(UsageError, match="no password") as caught:
+        read_whole(url)
+    assert "geheim" not in caught.value.message
+
+
+@pytest.mark.parametrize(
+    ("info", "tag"),
+    [
+        ({"size": 1, "ETag": '"abc"', "LastModified": 5}, Mark(1, "abc")),
+        ({"size": 1, "etag": 'W/"abc"'}, Mark(1, 'W/"abc"')),
+        ({"size": 1, "mtime": 5}, Mark(1, "mtime 5.000000")),
+        ({"size": 1, "updated": "2026-01-01"}, Mark(1, "updated 2026-01-01")),
+        ({"size": None}, Mark(-1, "")),
+    ],
+)
+def test_marks_are_made_of_what_the_store_tells(info, tag):
+    assert remote._mark_of(info) == tag
+
+
+def test_sidecars_are_told_of_and_left_behind():
+    names = ("a.mtl", "b.png", "/abs.mtl", "c.png", "d.png")
+    (note,) = sidecars.carried(names, "memory://b/a.obj", "out/a.obj")
+    assert note.startswith("warning: not copied")
+    assert "a.mtl, b.png, c.png and 1 more" in note
+    assert sidecars.carried((), "memory://b/a.obj", "out/a.obj") == ()
+
+
+class TestBounds:
+    """No object, whatever a store or a server says or sends, is read without end."""
+
+    @pytest.fixture(autouse=True)
+    def little_memory(self, monkeypatch):
+        monkeypatch.setattr(streams, "memory_bytes", lambda: 8 << 20)
+
+    @pytest.fixture
+    def server(self):
+        """A web server whose answer is ``server.answer(handler)``; counts the bytes sent."""
+
+        class Handler(http.server.BaseHTTPRequestHandler):
+            protocol_version = "HTTP/1.1"
+
+            def do_HEAD(self):
+                self.send_response(200)
+                self.send_header("Content-Length", "10")
+                self.end_headers()
+
+            def do_GET(self):
+                self.send_response(200)
+                self.close_connection = True
+                with contextlib.suppress(OSError):
+                    self.server.answer(self)
+
+            def log_message(self, *words):
+                pass
+
+        one = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        one.daemon_threads = True
+        one.url = f"http://127.0.0.1:{one.server_port}/a.ply"
+        threading.Thread(target=one.serve_forever, daemon=True).start()
+        yield one
+        one.shutdown()
+        one.server_close()
+
+    def test_a_large_object_is_not_asked_for(self, monkeypatch):
+        write_whole("memory://b/a.ply", bytes(5 << 20))
+        monkeypatch.setattr(remote, "_in_one_request", lambda system: pytest.fail("it is read"))
+        with pytest.raises(TooLargeError):
+            read_whole("memory://b/a.ply")
+        with pytest.raises(TooLargeError):
+            read_whole("memory://b/a.ply", 5 << 20)
+
+    def test_many_are_too_large_together(self):
+        marks = {f"memory://b/{n}": write_whole(f"memory://b/{n}", bytes(2 << 20)) for n in "abc"}
+        with pytest.raises(TooLargeError):
+            read_many(marks)
+
+    def test_a_server_that_never_ends(self, server):
+        pytest.importorskip("aiohttp")
+        sent = 0
+
+        def answer(handler):
+            nonlocal sent
+            handler.end_headers()
+            while True:
+                sent += handler.wfile.write(bytes(1 << 16))
+
+        server.answer = answer
+        with pytest.raises(TooLargeError):
+            read_whole(server.url)
+        assert sent < 64 << 20
+        assert remote.beginning(server.url, 100) == (bytes(100), 100)
+
+    def test_a_server_that_sends_a_bomb(self, server):
+        pytest.importorskip("aiohttp")
+        packed = gzip.compress(bytes(64 << 20))
+
+        def answer(handler):
+            handler.send_header("Content-Encoding", "gzip")
+            handler.send_header("Content-Length", str(len(packed)))
+            handler.end_headers()
+            handler.wfile.write(packed)
+
+        server.answer = answer
+        with pytest.raises(TooLargeError):
+            read_whole(server.url)
+
+    def test_a_server_that_sends_what_it_has(self, server):
+        pytest.importorskip("aiohttp")
+        data = bytes(range(256)) * 8192
+
+        def answer(handler):
+            handler.send_header("Content-Length", str(len(data)))
+            handler.end_headers()
+            handler.wfile.write(data)
+
+        server.answer = answer
+        assert read_whole(server.url) == data
+        assert files.read_input(server.url) == data

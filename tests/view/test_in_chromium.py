@@ -1,0 +1,346 @@
+"""The page in a real browser: it draws, obeys, and leaves the network alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli.mesh import Mesh
+from msal_cli.view import scene, viewer
+from tests.report.made import HOSTILE_NAMES
+from tests.shapes import cube, noisy, torus
+from tests.view.decoded import decoded
+
+pytestmark = pytest.mark.xdist_group("chromium")
+
+HOSTILE = "".join(HOSTILE_NAMES)
+
+
+def scene_of_two(around=48, across=24):
+    vertices, faces = torus(around, across)
+    before = Mesh(noisy(vertices, level=0.12), faces)
+    return before, Mesh(vertices, faces), np.linalg.norm(before.vertices - vertices, axis=1)
+
+
+def picture():
+    from io import BytesIO
+
+    from PIL import Image
+
+    file = BytesIO()
+    Image.new("RGB", (64, 40), (200, 30, 30)).save(file, "PNG")
+    return file.getvalue()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("pages")
+    before, after, deviation = scene_of_two()
+    page = viewer.page_bytes(
+        HOSTILE, before, after, deviation, picture=picture(), names=(HOSTILE, "After")
+    )
+    (path / "pair.html").write_bytes(page)
+    return path
+
+
+@pytest.fixture
+def pair(browser, folder):
+    """The browser with a page of two meshes as it is at the start."""
+    address = (folder / "pair.html").as_uri()
+    if browser.run("location.href") != address:
+        browser.open(folder / "pair.html")
+    browser.run("document.activeElement.blur()")
+    browser.driver.find_elements("css selector", "[aria-label='Shading'] button")[0].click()
+    browser.driver.find_elements("css selector", "[aria-label='Right side'] button")[0].click()
+    browser.press("canvas", "0")
+    return browser
+
+
+def share_of_difference(one, other, threshold=16):
+    return (np.abs(one - other).max(axis=2) > threshold).mean()
+
+
+def middle(image):
+    """Without the margins where the names, the ruler and the scale stand."""
+    h, w, _ = image.shape
+    return image[h // 5 : h * 3 // 4, w // 5 : w * 4 // 5]
+
+
+def at_split(browser, key):
+    browser.press("canvas", key)
+    return middle(browser.pixels())
+
+
+def test_the_two_sides_differ_and_the_line_parts_them(pair):
+    before, half, after = (at_split(pair, key) for key in "123")
+    assert share_of_difference(before, after) > 0.05
+    w = half.shape[1] // 2 - 40
+    # The handle is as wide as these 40 pixels on each side.
+    assert share_of_difference(half[:, :w], before[:, :w]) == 0.0
+    assert share_of_difference(half[:, -w:], after[:, -w:]) == 0.0
+    # A mesh covers a good part, and is lit: no plain patch of one colour.
+    assert before.std() > 20 and after.std() > 20
+
+
+def test_nothing_is_asked_for_and_nothing_is_complained_about(browser, folder):
+    browser.open(folder / "pair.html")
+    pair = browser
+    pair.press("canvas", "d", "f")
+    assert pair.requests() == [(folder / "pair.html").as_uri()]
+    assert pair.complaints() == []
+
+
+def test_names_are_text_on_the_page(pair):
+    title = pair.run("document.querySelector('h1').textContent")
+    assert title == pair.run("document.title")
+    assert "<script>alert(1)<!-- .ply" in title and "&amp;&#10;" in title
+    assert pair.run("document.querySelector('.msal-left').textContent").startswith("=cmd|")
+    assert pair.run("document.querySelectorAll('h1 *, .msal-left *').length") == 0
+
+
+def test_the_policy_is_obeyed(pair):
+    pair.run(
+        "(() => { const one = document.createElement('script'); one.textContent = 'window.ran = 1';"
+        " document.body.append(one); const img = new Image(); img.src = 'https://example.org/x';"
+        " document.body.append(img); })()"
+    )
+    pair.wait(lambda: len(told := pair.complaints()) >= 2 or told)
+    assert pair.run("window.ran") is None
+    refused = pair.driver.execute_async_script(
+        "const done = arguments[0];"
+        "fetch('https://example.org').then(() => done(false), () => done(true))"
+    )
+    assert refused
+
+
+def test_the_line_obeys_keys(pair):
+    from selenium.webdriver.common.keys import Keys
+
+    def now():
+        return int(
+            pair.run("document.querySelector('[role=slider]').getAttribute('aria-valuenow')")
+        )
+
+    assert now() == 50
+    for key, value in (
+        (Keys.ARROW_RIGHT, 52),
+        (Keys.PAGE_UP, 62),
+        (Keys.HOME, 0),
+        (Keys.ARROW_LEFT, 0),
+        (Keys.END, 100),
+        (Keys.ARROW_DOWN, 98),
+    ):
+        pair.press(".msal-split", key)
+        assert now() == value
+    assert "98 % before" in pair.run(
+        "document.querySelector('[role=slider]').getAttribute('aria-valuetext')"
+    )
+
+
+def test_the_line_is_dragged(pair):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    handle = pair.driver.find_element("css selector", ".msal-split")
+    ActionChains(pair.driver, duration=0).drag_and_drop_by_offset(handle, 150, 0).perform()
+    pair.settle()
+    left = pair.run("parseFloat(document.querySelector('.msal-split').style.left)")
+    width = pair.run("document.querySelector('.msal-stage').clientWidth")
+    assert left == pytest.approx(50 + 100 * 150 / width, abs=0.5)
+
+
+def test_the_view_moves_and_comes_back(pair):
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
+    from selenium.webdriver.common.keys import Keys
+
+    canvas = pair.driver.find_element("css selector", "canvas")
+
+    def actions():
+        return ActionChains(pair.driver, duration=0)
+
+    def drag():
+        start = actions().move_to_element_with_offset(canvas, 60, 60).click_and_hold()
+        start.move_by_offset(80, 30).release().perform()
+
+    def shift():
+        actions().key_down(Keys.SHIFT).send_keys(Keys.ARROW_RIGHT).key_up(Keys.SHIFT).perform()
+
+    def wheel():
+        actions().scroll_from_origin(ScrollOrigin.from_element(canvas, 80, 0), 0, -200).perform()
+
+    start = last = at_split(pair, "3")
+    for act in (
+        lambda: pair.press("canvas", Keys.ARROW_RIGHT, Keys.ARROW_UP),
+        lambda: pair.press("canvas", "+", "+"),
+        lambda: pair.press("canvas", "."),
+        drag,
+        shift,
+        wheel,
+    ):
+        act()
+        pair.settle()
+        now = middle(pair.pixels())
+        assert share_of_difference(now, last) > 0.02
+        last = now
+    pair.press("canvas", "0", "3")
+    assert share_of_difference(middle(pair.pixels()), start) < 0.001
+
+
+def test_two_fingers_come_closer(pair):
+    start = at_split(pair, "3")
+    area = pair.run(
+        "(({left, top, width, height}) => [left + width / 2, top + height / 2])"
+        "(document.querySelector('canvas').getBoundingClientRect())"
+    )
+
+    def fingers(kind, gap):
+        points = [
+            {"x": area[0] + sign * gap, "y": area[1], "id": i} for i, sign in enumerate((-1, 1))
+        ]
+        pair.driver.execute_cdp_cmd(
+            "Input.dispatchTouchEvent", {"type": kind, "touchPoints": points if gap else []}
+        )
+
+    fingers("touchStart", 100)
+    for gap in (120, 150, 180):
+        fingers("touchMove", gap)
+    fingers("touchEnd", 0)
+    pair.settle()
+    closer = middle(pair.pixels())
+    assert share_of_difference(closer, start) > 0.02
+    background = start[0, 0]
+    assert (np.abs(closer - background).max(axis=2) > 40).mean() > (
+        np.abs(start - background).max(axis=2) > 40
+    ).mean()
+
+
+def test_the_deviation_has_colours_and_a_scale(pair):
+    plain = at_split(pair, "3")
+    pair.click("Deviation")
+    coloured = middle(pair.pixels())
+    assert share_of_difference(plain, coloured) > 0.05
+
+    def colourful(image):
+        return ((image.max(axis=2) - image.min(axis=2)) > 60).mean()
+
+    assert colourful(coloured) > 0.05 > colourful(plain)
+    _, _, deviation = scene_of_two()
+    told = pair.run("document.querySelector('.msal-legend').innerText")
+    assert "Deviation" in told and "file units" in told
+    assert f"{deviation.max():.4f}".rstrip("0") in told
+
+
+def test_facets_and_light(pair):
+    smooth = at_split(pair, "1")
+    pair.click("Facets")
+    assert share_of_difference(middle(pair.pixels()), smooth) > 0.02
+    pair.click("Smooth")
+    pair.press("canvas", "l", "l", "l")
+    assert share_of_difference(middle(pair.pixels()), smooth) > 0.02
+    assert pair.run("document.querySelector('.msal-light input').value") == "170"
+
+
+def test_dark_and_light(pair):
+    def ground():
+        colour = pair.run("getComputedStyle(document.body).backgroundColor")
+        return min(int(one) for one in colour[4:-1].split(","))
+
+    from_system = ground()
+    pair.driver.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia",
+        {"features": [{"name": "prefers-color-scheme", "value": "dark"}]},
+    )
+    pair.settle()
+    assert from_system > 200 and ground() < 60
+    pair.click("Theme")
+    assert ground() > 200
+    pair.click("Theme")
+    pair.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_print_shows_the_picture(pair):
+    pair.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    pair.settle()
+    seen = "getComputedStyle(document.querySelector('{}')).display"
+    assert pair.run(seen.format("figure")) == "block"
+    assert pair.run(seen.format(".msal-stage")) == pair.run(seen.format(".msal-bar")) == "none"
+    pair.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
+def test_the_script_reads_what_was_written(pair, folder):
+    # The policy lets only the page's own script run, so this goes around it.
+    before, _, _ = scene_of_two(12, 8)
+    text = scene.encoded(before, Mesh(*cube()), np.arange(8.0)).text
+    _, meshes, values = decoded(text)
+    code = viewer.script().replace(
+        "for (const box of", "globalThis.unpacked = unpacked;\nfor (const box of"
+    )
+    page = f"<div class='msal-scene'></div><script>{code}</script>"
+    (folder / "open.html").write_text(page)
+    pair.open(folder / "open.html", state="still")
+    found = pair.driver.execute_async_script(
+        "const done = arguments[1]; unpacked(arguments[0]).then(({meshes, deviation}) => done("
+        "[meshes.map((m) => [m.ticks.map((t) => [...t]), [...m.corners]]), [...deviation]]))",
+        text,
+    )
+    for (ticks, faces), (read_ticks, corners) in zip(meshes, found[0], strict=True):
+        assert np.array_equal(np.array(read_ticks).T, ticks)
+        assert np.array_equal(np.array(corners), faces.reshape(-1))
+    scale = np.array(found[1]) / 65535 * 7.0
+    assert np.allclose(scale, values)
+
+
+def test_several_scenes_wait_for_a_click(browser, tmp_path):
+    drawn = scene.encoded(*scene_of_two(16, 8))
+    code, looks = viewer.script(), viewer.style()
+    policy = viewer.content_policy([code], [looks])
+    boxes = [viewer.embedded_scene(f"s{k}", drawn, picture=picture()) for k in range(2)]
+    (tmp_path / "two.html").write_text(
+        '<!DOCTYPE html><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+        f"<style>{looks}</style>{''.join(boxes)}<script>{code}</script>"
+    )
+    browser.open(tmp_path / "two.html", state="waiting")
+    assert browser.run("document.querySelectorAll('canvas').length") == 0
+    browser.driver.find_elements("css selector", ".msal-open")[1].click()
+    states = "[...document.querySelectorAll('.msal-scene')].map((one) => one.dataset.state)"
+    browser.wait(lambda: browser.run(states) == ["waiting", "ready"])
+    assert browser.run("document.querySelectorAll('canvas').length") == 1
+    assert browser.complaints() == []
+
+
+def test_without_webgl_there_is_the_picture(browsers, folder):
+    browser = browsers("--disable-webgl", "--disable-3d-apis", "--disable-gpu")
+    browser.open(folder / "pair.html", state="still")
+    assert browser.run("document.querySelector('figure img').naturalWidth") == 64
+    assert browser.run("getComputedStyle(document.querySelector('figure')).display") == "block"
+    assert "WebGL" in browser.run("document.querySelector('.msal-why').textContent")
+    assert browser.run("document.querySelectorAll('canvas').length") == 0
+    assert browser.complaints() == []
+
+
+def test_a_narrow_window(pair):
+    pair.driver.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": 390, "height": 780, "deviceScaleFactor": 2, "mobile": True},
+    )
+    pair.settle()
+    assert pair.run("document.documentElement.scrollWidth") <= 390
+    stage, aside = (
+        pair.run(f"document.querySelector('{one}').getBoundingClientRect().toJSON()")
+        for one in (".msal-stage", "aside")
+    )
+    assert aside["top"] > stage["bottom"] and stage["width"] > 340
+    pair.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@pytest.mark.slow
+def test_a_million_faces_open_in_under_five_seconds(browser, tmp_path):
+    vertices, faces = torus(1100, 500)
+    before = Mesh(noisy(vertices, level=0.002), faces)
+    assert len(faces) == 1_100_000
+    page = viewer.page_bytes("large", before, Mesh(vertices, faces), vertices[:, 2])
+    assert len(page) < 3.2e6 and b"of 1,100,000 faces" in page
+    (tmp_path / "large.html").write_bytes(page)
+    assert browser.open(tmp_path / "large.html") < 5.0
+    assert middle(browser.pixels()).std() > 20

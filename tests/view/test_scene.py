@@ -1,0 +1,116 @@
+"""What a page holds of the meshes, read back by a twin of its script."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli.mesh import Mesh
+from msal_cli.view import scene
+from tests.shapes import cube, fan, grid, noisy, torus
+from tests.view.decoded import decoded
+
+SHAPES = {
+    "torus": torus(),
+    "grid": grid(),
+    "cube": cube(),
+    "fan": fan(np.arange(5.0)),
+    "one face": (np.eye(3), np.array([[0, 1, 2]], dtype=np.int32)),
+    "a point": (np.ones((3, 3)), np.array([[0, 1, 2]], dtype=np.int32)),
+    "a line": (np.outer(np.arange(3.0), [1.0, 0, 0]), np.array([[0, 1, 2]], dtype=np.int32)),
+    "thin": (torus()[0] * [1000.0, 1.0, 0.001], torus()[1]),
+}
+
+
+def places(header, ticks, low):
+    return ticks * header["step"] + low
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_positions_come_back_within_the_rounding(name):
+    vertices, faces = SHAPES[name]
+    drawn = scene.encoded(Mesh(vertices, faces))
+    header, [(ticks, found)], deviation = decoded(drawn.text)
+    assert deviation is None and not drawn.is_decimated
+    assert len(found) == len(faces) == drawn.drawn_faces
+    got = places(header, ticks, vertices[faces.reshape(-1)].min(axis=0))
+    nearest = np.abs(got[found].mean(axis=1)[:, None] - vertices[faces].mean(axis=1)[None])
+    assert nearest.max(axis=2).min(axis=1).max() <= drawn.rounding * (1 + 1e-9)
+    assert nearest.max(axis=2).min(axis=0).max() <= drawn.rounding * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("shift", [0.0, 4_650_000.0])
+def test_a_vertex_keeps_its_number_on_both_sides(shift):
+    vertices, faces = torus()
+    before, after = noisy(vertices) + shift, vertices + shift
+    values = np.arange(float(len(vertices)))
+    drawn = scene.encoded(Mesh(before, faces), Mesh(after, faces), values)
+    header, [(ticks, found), (moved, same)], deviation = decoded(drawn.text)
+    assert header["meshes"][1]["moved"] and same is found
+    low = np.minimum(before.min(axis=0), after.min(axis=0))
+    who = np.rint(deviation).astype(int)
+    assert np.array_equal(np.sort(who), np.arange(len(vertices)))
+    for got, given in ((ticks, before), (moved, after)):
+        off = np.abs(places(header, got, low) - given[who])
+        assert off.max() <= drawn.rounding * (1 + 1e-6)
+    assert {tuple(np.roll(f, -f.argmin())) for f in who[found]} == {
+        tuple(np.roll(f, -f.argmin())) for f in faces
+    }
+
+
+def test_meshes_with_other_faces_stand_side_by_side():
+    first, second = Mesh(*torus()), Mesh(*cube())
+    drawn = scene.encoded(first, second, np.arange(8.0))
+    _, [(_, before), (ticks, after)], deviation = decoded(drawn.text)
+    assert (len(before), len(after)) == (len(first.faces), len(second.faces))
+    assert len(ticks) == len(deviation) == 8
+    assert (drawn.after_faces, drawn.drawn_after_faces) == (12, 12)
+
+
+def test_both_sides_are_decimated_alike():
+    vertices, faces = torus(60, 40)
+    after = Mesh(vertices, faces)
+    values = np.arange(float(len(vertices)))
+    before = Mesh(noisy(vertices), faces)
+    drawn = scene.encoded(before, after, values, most_faces=1000)
+    header, [(ticks, found), (moved, _)], deviation = decoded(drawn.text)
+    assert drawn.is_decimated and drawn.drawn_faces == drawn.drawn_after_faces == len(found)
+    assert len(found) <= 1000 and drawn.faces == len(faces)
+    who = np.rint(deviation).astype(int)
+    low = np.minimum(before.vertices.min(axis=0), vertices.min(axis=0))
+    assert np.abs(places(header, ticks, low) - before.vertices[who]).max() <= drawn.rounding * 1.001
+    assert np.abs(places(header, moved, low) - vertices[who]).max() <= drawn.rounding * 1.001
+
+
+def test_the_scale_of_colours():
+    mesh = Mesh(*torus())
+    n = len(mesh.vertices)
+
+    def scale(values, **options):
+        return decoded(scene.encoded(mesh, mesh, values, **options).text)[0]["deviation"]
+
+    signed = scale(np.linspace(-1.0, 3.0, n))
+    assert signed["low"] == -signed["high"] and 2.9 < signed["high"] <= 3.0
+    assert (signed["least"], signed["most"]) == (-1.0, 3.0)
+    unsigned = scale(np.linspace(0.0, 3.0, n))
+    assert unsigned["low"] == 0.0 and unsigned["colours"] != signed["colours"]
+    assert scale(np.linspace(0.0, 3.0, n), ends=(-2.0, 2.0))["low"] == -2.0
+    one_far_off = np.where(np.arange(n) == 5, 1e6, 1.0)
+    assert scale(np.tile(one_far_off, 1))["most"] == 1e6
+    for flat in (np.zeros(n), np.full(n, np.nan), np.full(n, 2.0)):
+        found = scale(flat)
+        assert found["high"] > found["low"] and found["span"] > 0
+
+
+def test_the_start_view_is_told():
+    header, _, _ = decoded(scene.encoded(Mesh(*cube()), view=np.eye(3)).text)
+    assert header["view"] == np.eye(3).reshape(-1).tolist()
+
+
+@pytest.mark.slow
+def test_200_000_faces_take_less_than_3_megabytes():
+    vertices, faces = torus(500, 200)
+    after = Mesh(vertices, faces)
+    drawn = scene.encoded(Mesh(noisy(vertices, level=0.01), faces), after, vertices[:, 0])
+    assert drawn.drawn_faces == 200_000
+    assert len(drawn.text) < 3e6
