@@ -76,7 +76,7 @@ def known_commands() -> dict[str, click.Command]:
 
 
 def options_of(command: click.Command) -> set[str]:
-    with click.Context(command) as context:
+    with click.Context(command, help_option_names=["-h", "--help"]) as context:
         given = [one for one in command.get_params(context) if isinstance(one, click.Option)]
     return {word for one in given for word in (*one.opts, *one.secondary_opts)}
 
