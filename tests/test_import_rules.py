@@ -14,10 +14,11 @@ import msal_cli
 PACKAGE = Path(msal_cli.__file__).parent
 
 # What every layer may import: both import nothing of the package but errors.
-EVERYWHERE = {"errors", "machine", "cores", "control_groups", "memory", "extras"}
+EVERYWHERE = {"errors", "arrays", "machine", "cores", "control_groups", "memory", "extras"}
 
 MAY_IMPORT = {
     "errors": set(),
+    "arrays": set(),
     "machine": set(),
     "cores": set(),
     "control_groups": set(),

@@ -13,9 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import quote
 
-import numpy as np
-from numpy.typing import NDArray
-
+from msal_cli.arrays import Floats
 from msal_cli.codecs import gltf_buffers
 from msal_cli.codecs.companions import Companion
 from msal_cli.codecs.gltf_document import (
@@ -41,8 +39,6 @@ from msal_cli.errors import (
 )
 from msal_cli.storage.gzip_streams import is_gzip_name, memory_bytes
 from msal_cli.storage.urls import is_url
-
-Floats = NDArray[np.float64]
 
 _MOST_BUFFERS = 10_000
 _PACK = "write one file with --to glb"

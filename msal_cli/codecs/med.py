@@ -10,16 +10,14 @@ import importlib.util
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Bytes, Longs
 from msal_cli.codecs.med_sandbox import answer_of
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, Bytes, ColumnNumbers
+from msal_cli.codecs.slots import EXPORT_AGAIN, ColumnNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
-
-Longs = NDArray[np.int64]
 
 _FLAT = {"TR3": "triangle", "QU4": "quad"}
 _OTHERS = {

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.codecs.mesh_file import Buffer, MeshFile
 from msal_cli.errors import InternalError
-
-Floats = NDArray[np.float64]
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TAKEN = frozenset({"x", "y", "z", "red", "green", "blue"})

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs import stl_ascii
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.stl_checks import check_countable, check_not_empty, not_finite
@@ -22,9 +23,6 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 HEADER_BYTES = 80
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u2")])

@@ -10,12 +10,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slots import number_hint
 from msal_cli.codecs.stl_checks import check_countable, check_not_empty, not_finite
 from msal_cli.errors import FormatError, InputError, InternalError, TooLargeError, TruncatedError
-
-Floats = NDArray[np.float64]
 
 SHORTEST_FACET = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
 """Bytes of text that a facet takes at least."""

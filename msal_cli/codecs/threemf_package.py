@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.codecs.frames import can_be_undone, is_placed, moved_by
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.threemf_model import Model, Surface, Use, parsed, place_of, start_parser
 from msal_cli.codecs.zip_archive import Archive, Member
 from msal_cli.errors import ContentError, FormatError, UnsupportedError
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, memory_bytes
-
-Floats = NDArray[np.float64]
 
 LARGEST_RATIO = 40
 """Expanded bytes of XML per byte of the archive; see docs/formats.md."""

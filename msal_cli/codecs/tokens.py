@@ -5,16 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slots import EXPORT_AGAIN, line_of, parse_floats
 from msal_cli.errors import ContentError, FormatError, TooLargeError, TruncatedError
-
-Bytes = NDArray[np.uint8]
-Flags = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
 
 _MOST_KEYWORDS = 1_000_000
 _BLOCK = 1 << 22

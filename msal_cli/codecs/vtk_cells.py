@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Longs
 from msal_cli.codecs.slots import EXPORT_AGAIN
 from msal_cli.errors import FormatError, UnsupportedError
-
-Longs = NDArray[np.int64]
 
 _NAMES = {
     1: "vertex",

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, UnsupportedError
 from msal_cli.extras import install_hint
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 Volume = NDArray[np.float32]
 
 
