@@ -17,7 +17,8 @@ from msal_cli.errors import UsageError
 if TYPE_CHECKING:
     from msal_cli.batch.inputs import Found
     from msal_cli.cli.gates_check import Measure
-    from msal_cli.job.records import ComparisonRecord, Failure
+    from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.job.records import Failure
 
 _PATH = click.Path(readable=False, allow_dash=False)
 
@@ -223,7 +224,8 @@ def _place(folder: str, one: Found) -> str:
 
 def _lonely(one: Found, before: str, after: str, folder: str) -> ComparisonRecord:
     from msal_cli import __version__
-    from msal_cli.job.records import ComparisonRecord, Failure
+    from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.job.records import Failure
 
     failure = Failure(_NO_PARTNER, f"there is no {one.relative!r} in {folder!r}")
     return ComparisonRecord(before, after, version=__version__, error=failure)
@@ -295,7 +297,7 @@ def _write_heatmap(request: Request, target: str) -> None:
 
 def _told_of_many(request: Request, pairs: Mapping[str, ComparisonRecord], measure: Measure) -> int:
     from msal_cli import __version__
-    from msal_cli.job.records import ComparisonRecord
+    from msal_cli.job.comparison_record import ComparisonRecord
     from msal_cli.report import comparison_text, document
     from msal_cli.report import json_report as as_json
     from msal_cli.report.gates import is_any_broken

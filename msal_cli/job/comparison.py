@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
 from msal_cli.errors import InternalError, MsalError, ResourceError
+from msal_cli.job.comparison_record import ComparisonRecord
 from msal_cli.job.records import (
     Area,
-    ComparisonRecord,
     Displacement,
     Failure,
     Reference,

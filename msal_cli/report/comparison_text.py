@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from msal_cli.job.comparison_record import ComparisonRecord
 from msal_cli.job.display_names import padded, shortened, shown
-from msal_cli.job.records import ComparisonRecord, Displacement, SurfaceDistance
+from msal_cli.job.records import Displacement, SurfaceDistance
 from msal_cli.report.text import (
     Line,
     file_name,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from msal_cli.job.display_names import shown
-from msal_cli.job.records import InfoRecord
+from msal_cli.job.info_record import InfoRecord
 from msal_cli.report.text import Line, file_name, noise_texts, reason
 
 _SHAPES = {"3": "triangles", "4": "quads"}

@@ -6,7 +6,9 @@ import json
 from typing import Any
 
 from msal_cli.errors import FormatError
-from msal_cli.job.records import SCHEMA, ComparisonRecord, Reference, from_data
+from msal_cli.job.comparison_record import ComparisonRecord
+from msal_cli.job.plain_data import from_data
+from msal_cli.job.records import SCHEMA, Reference
 from msal_cli.report import read_report as reading
 
 

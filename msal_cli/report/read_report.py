@@ -7,7 +7,8 @@ from typing import Any
 
 from msal_cli.errors import FormatError
 from msal_cli.job.display_names import restored
-from msal_cli.job.records import SCHEMA, MeshRecord, from_data
+from msal_cli.job.plain_data import from_data
+from msal_cli.job.records import SCHEMA, MeshRecord
 from msal_cli.report.document import Run
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from msal_cli.view import pictures
 
 if TYPE_CHECKING:
-    from msal_cli.job.records import ComparisonRecord, Displacement, SurfaceDistance
+    from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.job.records import Displacement, SurfaceDistance
     from msal_cli.mesh import Mesh
     from msal_cli.view.pictures import Scene, View
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from msal_cli.job.comparison import Surface
-    from msal_cli.job.records import ComparisonRecord
+    from msal_cli.job.comparison_record import ComparisonRecord
     from msal_cli.mesh import Mesh, Prepared
     from msal_cli.view.camera import Camera
     from msal_cli.view.deviation import Scale

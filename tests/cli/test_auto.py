@@ -25,7 +25,6 @@ from msal_cli.analysis.noise_estimate import estimated
 from msal_cli.cli import auto_options
 from msal_cli.cli.denoise import command
 from msal_cli.job.pipeline import AUTO
-from msal_cli.report.schema import report_schema
 from tests.cli.scans import (
     MSAL,
     closed_scan,
@@ -36,6 +35,7 @@ from tests.cli.scans import (
     ply_text,
     process,
 )
+from tests.report.schemas import report_schema
 from tests.shapes import torus
 
 REASON = "noise 0.11 e; organic; MSAL, K = 0.7, 3 sweeps"

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli.job.display_names import restored
-from msal_cli.job.records import MeshRecord, from_data
+from msal_cli.job.plain_data import from_data
+from msal_cli.job.records import MeshRecord
 from msal_cli.report import json_report as as_json
 from msal_cli.report import jsonl as as_jsonl
 from msal_cli.report.document import heading, plain_record

@@ -16,7 +16,8 @@ from msal_cli.job.records import GateResult
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping
 
-    from msal_cli.job.records import ComparisonRecord, MeshRecord
+    from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.job.records import MeshRecord
     from msal_cli.report.gates.evaluation import Meaning
     from msal_cli.report.gates.quantities import Quantity
 
