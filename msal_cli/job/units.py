@@ -27,6 +27,9 @@ _MICRO = ("\N{MICRO SIGN}m", "\N{GREEK SMALL LETTER MU}m")
 
 NAMES = (*METRES, *_MICRO)
 
+UNIT_PATTERN = "|".join(sorted(NAMES, key=len, reverse=True))
+"""A regular expression for a unit, the longest first."""
+
 
 def in_file_units(number: str, unit: str, file_unit: str | None) -> float:
     """A length in the unit of the file.

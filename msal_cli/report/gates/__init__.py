@@ -1,8 +1,8 @@
 """Gates: expressions that say when a file's record is not good enough, and what became of them.
 
 ``abs(volume_change) > 1%`` is broken by a file whose volume changed by more than that.  Text is
-parsed by a grammar of our own (``grammar``), its names and units are those of a record's fields
-(``names``), and ``meaning`` holds units against each other before any file is read.
+parsed by ``grammar``, its names and units are those of a record's fields (``quantities``), and
+``evaluation`` compares units with each other before any file is read.
 """
 
 from __future__ import annotations
@@ -53,17 +53,17 @@ def parsed(
         for what is no comparison, a name that no such record has, or units that do not go together;
         it names the column.
     """
-    from msal_cli.report.gates.evaluation import meaning
-    from msal_cli.report.gates.grammar import names_in, names_tested, tree
+    from msal_cli.report.gates.evaluation import check_units
+    from msal_cli.report.gates.grammar import Expression
     from msal_cli.report.gates.quantities import quantities
 
     known = quantities(kind) if expressions else {}
     gates = []
     for text in expressions:
-        parts = tree(text)
-        found = meaning(text, parts, known, file_unit)
-        named = {name: known[name] for name in names_in(parts)}
-        gates.append(Gate(text, found, named, frozenset(names_tested(parts))))
+        expression = Expression(text)
+        meaning = check_units(expression, known, file_unit)
+        named = {name: known[name] for name in expression.names}
+        gates.append(Gate(text, meaning, named, expression.names_in_known))
     return tuple(gates)
 
 
