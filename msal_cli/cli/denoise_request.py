@@ -298,4 +298,4 @@ def plan_of(request: Request, settings: Settings) -> Plan:
     if settings.fields:
         _refuse_taken_names(everything)
     # Everything is checked first, so that each shard refuses what a whole run would.
-    return everything if shard is None else shards.part(everything, shard)
+    return everything if shard is None else plan.select_shard(everything, shard)

@@ -22,7 +22,7 @@ from msal_cli.batch import (
 )
 from msal_cli.batch.inputs import Found, NothingMatched, found
 from msal_cli.batch.manifest import Manifest, done, intent
-from msal_cli.batch.plan import built
+from msal_cli.batch.plan import built, select_shard
 from msal_cli.batch.remote_manifest import FOLDER, RemoteManifest
 from msal_cli.batch.run import run
 from msal_cli.errors import InputError, OutputError, UsageError
@@ -310,7 +310,7 @@ def test_an_object_at_fault_is_remembered_until_it_changes(scans):
 def test_shards_share_a_prefix(scans):
     for number in (1, 2, 1, 2):
         plan = built(found(["memory://scans"]), "memory://out")
-        run(shards.part(plan, shards.Shard(number, 2)), settings())
+        run(select_shard(plan, shards.Shard(number, 2)), settings())
     assert outputs() == expected()
     assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date")
 
