@@ -317,7 +317,8 @@ def _refuse_collisions(plan: Plan) -> None:
                 task, other, f"cannot both be written: {task.output!r} is to be file and folder"
             )
     for first, second in twins:
-        if _ignores_case(Path(first.output)):
+        folder = next((one for one in Path(first.output).parents if os.path.isdir(one)), Path())
+        if _ignores_case(folder):
             raise _collision(
                 first, second, f"would both be written to {second.output!r}: case does not count"
             )
@@ -349,11 +350,10 @@ def _folded(path: str) -> str:
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", path).casefold())
 
 
-def _ignores_case(path: Path) -> bool:
-    """Whether the file system at ``path`` takes a name in capitals for the same name."""
+def _ignores_case(folder: Path) -> bool:
+    """Whether the file system of ``folder`` takes a name in capitals for the same name."""
     import tempfile
 
-    folder = next((one for one in path.parents if os.path.isdir(one)), Path())
     try:
         # The one sure way is to ask for a file under its other name.
         with tempfile.NamedTemporaryFile(prefix=".msal-case-", suffix=".tmp", dir=folder) as probe:

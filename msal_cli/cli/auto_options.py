@@ -12,7 +12,7 @@ from msal_cli.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from msal_cli.cli.denoise_options import Request
+    from msal_cli.cli.denoise_arguments import Request
 
 AUTO, ADAPTIVE = "auto", "adaptive"
 """What ``--method`` takes for ``--auto``, and for what is done without any method."""

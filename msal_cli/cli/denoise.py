@@ -10,7 +10,8 @@ import click
 from msal_cli.cli import console as talk
 from msal_cli.cli import denoise_request, exit_codes
 from msal_cli.cli import option_types as words
-from msal_cli.cli.denoise_options import PATH, Request, options
+from msal_cli.cli.denoise_arguments import Request
+from msal_cli.cli.denoise_options import PATH, options
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
 
 if TYPE_CHECKING:

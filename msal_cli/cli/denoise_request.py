@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from msal_cli.batch.plan import Plan
-    from msal_cli.cli.denoise_options import Request
+    from msal_cli.cli.denoise_arguments import Request
     from msal_cli.cli.stream_denoise import Pipe
     from msal_cli.job.pipeline import Limits, Settings
     from msal_cli.methods import Method
