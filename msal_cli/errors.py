@@ -21,6 +21,9 @@ a ``hint`` on what to do, and the ``path``.  Only ``cli`` turns it into words an
 
 from __future__ import annotations
 
+EXPORT_AGAIN = "the file is damaged; export it again"
+"""The hint for a file whose own counts or indices contradict each other."""
+
 
 class MsalError(Exception):
     """Base of all errors; ``str(error)`` is the message alone.

@@ -93,7 +93,7 @@ class _Most:
 
 def _most_bytes(memory_limit: int | None = None) -> _Most:
     from msal_cli.batch.memory import available_bytes
-    from msal_cli.storage.gzip_streams import largest_bytes
+    from msal_cli.storage.limits import largest_bytes
 
     def beyond_limit(what: str) -> MsalError:
         return ResourceError(

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import EXPORT_AGAIN
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element
-from msal_cli.errors import FormatError
+from msal_cli.errors import EXPORT_AGAIN, FormatError
 
 Floats = NDArray[np.float64]
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from msal_cli.codecs.gltf_text import Edit, bound_edits, edited, entry_spans, kept_bound
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import (
+    EXPORT_AGAIN,
     ContentError,
     FormatError,
     MsalError,
@@ -39,7 +40,6 @@ it may take thirty times its size."""
 _ALWAYS_READ = 1 << 16
 """Corners that are read however often the same ones are named; see ``_require_room``."""
 
-HINT = "the file is damaged; export it again"
 _PLAIN = "export it without compression, or convert it to PLY"
 
 
@@ -144,7 +144,9 @@ class Document:
             or not 0 <= index < len(entries)
             or not isinstance(entries[index], dict)
         ):
-            raise FormatError(f"there is no entry {index!r} in {kind}", where=kind, hint=HINT)
+            raise FormatError(
+                f"there is no entry {index!r} in {kind}", where=kind, hint=EXPORT_AGAIN
+            )
         # Not a copy: a large entry may be named very often.
         found: dict[str, Any] = entries[index]
         return found
@@ -183,7 +185,7 @@ class Document:
             raise TruncatedError(
                 f"{count} rows of {width} bytes do not fit where they are said to lie",
                 where=where,
-                hint=HINT,
+                hint=EXPORT_AGAIN,
             )
         return begin + offset + within, stride, count
 
@@ -207,7 +209,7 @@ class Document:
         component = self.entry("accessors", index).get("componentType")
         code = _INDEX_TYPES.get(component) if isinstance(component, int) else None
         if code is None:
-            raise FormatError("the indices have no integer type", where=where, hint=HINT)
+            raise FormatError("the indices have no integer type", where=where, hint=EXPORT_AGAIN)
         width = np.dtype(code).itemsize
         at, stride, length = self._region(index, width, where)
         _require_room(length, room, where)
@@ -217,7 +219,7 @@ class Document:
                 f"a face names vertex {int(found.max())} of {count}",
                 code="E_INDEX",
                 where=where,
-                hint=HINT,
+                hint=EXPORT_AGAIN,
             )
         return found
 
@@ -404,9 +406,11 @@ def parsed_description(data: bytes, where: str) -> tuple[str, dict[str, Any]]:
         json.dumps(content)  # what is nested too deeply to be written is refused at once
     except (ValueError, RecursionError) as failure:
         said = str(failure)[:200]
-        raise FormatError(f"the description is not JSON: {said}", where=where, hint=HINT) from None
+        raise FormatError(
+            f"the description is not JSON: {said}", where=where, hint=EXPORT_AGAIN
+        ) from None
     if not isinstance(content, dict):
-        raise FormatError("the description is not a JSON object", where=where, hint=HINT)
+        raise FormatError("the description is not a JSON object", where=where, hint=EXPORT_AGAIN)
     return text, content
 
 
@@ -421,7 +425,7 @@ def as_list(value: object) -> list[Any]:
 def _whole(entry: dict[str, Any], key: str, where: str, default: int | None = None) -> int:
     value = entry.get(key, default)
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**40:
-        raise FormatError(f"{key} is {value!r}, not a count", where=where, hint=HINT)
+        raise FormatError(f"{key} is {value!r}, not a count", where=where, hint=EXPORT_AGAIN)
     return value
 
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, BinaryNumbers, Numbers, TextNumbers
+from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words, indices_of
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 
 Bytes = NDArray[np.uint8]
 Longs = NDArray[np.int64]

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, TextNumbers
+from msal_cli.codecs.slots import TextNumbers
 from msal_cli.codecs.tokens import Words, require_indices
-from msal_cli.errors import ContentError, FormatError, InputError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, InputError, UnsupportedError
 
 Longs = NDArray[np.int64]
 

@@ -41,7 +41,7 @@ def with_fields(
     comments : lines of the header; what is no printable ASCII in them is escaped.
     """
     from msal_cli.codecs.conversion import polygon_bytes
-    from msal_cli.codecs.stl import as_float32
+    from msal_cli.codecs.slots import as_float32
 
     n = len(vertices)
     is_single = mesh_file.precision == "float32"

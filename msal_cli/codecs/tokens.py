@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import EXPORT_AGAIN, line_of, parse_floats
-from msal_cli.errors import ContentError, FormatError, TooLargeError, TruncatedError
+from msal_cli.codecs.slots import line_of, parse_floats
+from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, TruncatedError
 
 Bytes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slots import (
-    EXPORT_AGAIN,
     BinaryNumbers,
     Bytes,
     Flags,
@@ -26,8 +25,15 @@ from msal_cli.codecs.slots import (
 )
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element
-from msal_cli.errors import FormatError, TooLargeError, TruncatedError, UnsupportedError
-from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, LARGEST_RATIO, memory_bytes
+from msal_cli.errors import (
+    EXPORT_AGAIN,
+    FormatError,
+    TooLargeError,
+    TruncatedError,
+    UnsupportedError,
+)
+from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, LARGEST_RATIO
+from msal_cli.storage.limits import memory_bytes
 
 _CODES = {
     f"{sign}Int{bits}": f"{code}{bits // 8}"

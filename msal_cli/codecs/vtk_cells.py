@@ -7,8 +7,7 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.slots import EXPORT_AGAIN
-from msal_cli.errors import FormatError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
 
 Longs = NDArray[np.int64]
 

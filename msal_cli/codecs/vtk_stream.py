@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import EXPORT_AGAIN, BinaryNumbers, Numbers, TextNumbers, line_of
+from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers, line_of
 from msal_cli.codecs.tokens import Words
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 
 Longs = NDArray[np.int64]
 

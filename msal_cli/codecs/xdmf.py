@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, TextNumbers, float_rows, integer_rows
+from msal_cli.codecs.slots import TextNumbers, float_rows, integer_rows
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element, parse_tree
-from msal_cli.errors import FormatError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

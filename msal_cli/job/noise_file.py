@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from msal_cli.analysis.added_noise import AddedNoise
-    from msal_cli.codecs.companions import Companion
-    from msal_cli.codecs.mesh_file import Buffer, MeshFile
+    from msal_cli.codecs.mesh_file import Buffer, Companion, MeshFile
     from msal_cli.mesh import Prepared
 
 

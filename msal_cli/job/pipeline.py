@@ -45,8 +45,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from msal_cli.analysis.noise_estimate import NoiseLevel
-    from msal_cli.codecs.companions import Companion
-    from msal_cli.codecs.mesh_file import Buffer, MeshFile
+    from msal_cli.codecs.mesh_file import Buffer, Companion, MeshFile
     from msal_cli.job.constraints import Constraints
     from msal_cli.job.preparation import Preparation
     from msal_cli.mesh import Mesh, Prepared

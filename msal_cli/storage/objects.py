@@ -21,7 +21,7 @@ from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import InputError, MsalError, OutputError, UsageError
 from msal_cli.extras import install_hint
 from msal_cli.storage import urls
-from msal_cli.storage.gzip_streams import largest_bytes, too_large
+from msal_cli.storage.limits import largest_bytes, too_large
 from msal_cli.storage.urls import is_url
 
 __all__ = [

@@ -14,7 +14,8 @@ from msal_cli import codecs as files
 from msal_cli.analysis.added_noise import AddedNoise
 from msal_cli.codecs import conversion as convert
 from msal_cli.codecs import gltf, open_mesh
-from msal_cli.codecs.companions import Companion, write_companions
+from msal_cli.codecs.companions import write_companions
+from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import InternalError, MsalError, UnsupportedError
 from msal_cli.job import noise_file as corruption
 from msal_cli.job import pipeline
