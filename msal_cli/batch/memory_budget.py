@@ -6,7 +6,6 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from msal_cli.batch.memory import available_bytes
 from msal_cli.job.pipeline import (
     FORECAST,
     Limits,
@@ -17,7 +16,7 @@ from msal_cli.job.pipeline import (
     method_bytes_per_face,
 )
 from msal_cli.job.records import Failure
-from msal_cli.memory import megabytes
+from msal_cli.machine import available_bytes, megabytes
 
 LARGE_BYTES = 4 << 20
 """Files from this size on are looked into and go first; the rest differ too little to matter."""

@@ -26,7 +26,6 @@ from msal_cli.batch.memory_budget import Weights, weighed
 from msal_cli.batch.plan import Plan
 from msal_cli.batch.resume import restore, standings, undone
 from msal_cli.batch.run_history import RunNote
-from msal_cli.cores import usable_cores
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import (
     FORECAST,
@@ -38,6 +37,7 @@ from msal_cli.job.pipeline import (
     least_memory_bytes,
 )
 from msal_cli.job.records import Failure, MeshRecord, MethodUsed
+from msal_cli.machine import usable_cores
 
 if TYPE_CHECKING:
     from msal_cli.batch.engine import EngineFor

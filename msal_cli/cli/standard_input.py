@@ -92,7 +92,7 @@ class _Most:
 
 
 def _most_bytes(memory_limit: int | None = None) -> _Most:
-    from msal_cli.batch.memory import available_bytes
+    from msal_cli.machine import available_bytes
     from msal_cli.storage.limits import largest_bytes
 
     def beyond_limit(what: str) -> MsalError:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import __version__, memory
+from msal_cli import __version__, machine
 from msal_cli.errors import InternalError, MsalError, ResourceError
 from msal_cli.job import advice, changes, output
 from msal_cli.job.preparation import looks_at_mesh, prepare, reject_choice
@@ -409,13 +409,13 @@ class _Run:
             sidecars=sidecars,
             seconds=seconds,
             vertices_per_second=n / seconds.total if seconds.total > 0.0 else None,
-            peak_memory_bytes=memory.peak_bytes(),
+            peak_memory_bytes=machine.peak_bytes(),
         )
         return self._record
 
     def failed(self, error: Exception) -> MeshRecord:
         """The record of a file that was not written, for any error."""
-        if memory.is_want_of_memory(error):
+        if machine.is_want_of_memory(error):
             known: MsalError = ResourceError(
                 error.message if isinstance(error, MsalError) else "not enough memory",
                 code="E_MEMORY",
@@ -433,6 +433,6 @@ class _Run:
             status="failed",
             error=Failure(known.code, known.message, known.hint, known.where),
             seconds=self._spent(),
-            peak_memory_bytes=memory.peak_bytes(),
+            peak_memory_bytes=machine.peak_bytes(),
         )
         return self._record

@@ -174,7 +174,7 @@ def refuse_unknown_format(output: str) -> None:
 def refuse_oversized(told: Forecast, limits: Limits) -> None:
     """Refuse a file that is expected to exceed the limits: ResourceError or TooLargeError."""
     from msal_cli.errors import ResourceError
-    from msal_cli.memory import megabytes
+    from msal_cli.machine import megabytes
 
     refuse_faces(told.faces, limits)
     limit = limits.memory_bytes

@@ -12,7 +12,7 @@ import time
 
 import pytest
 
-from msal_cli.batch import memory
+from msal_cli import machine
 from msal_cli.cli.standard_input import copy_stream, read_stream
 from msal_cli.errors import InputError, OutputError, ResourceError, TooLargeError
 from msal_cli.storage import limits
@@ -72,7 +72,7 @@ def test_more_than_half_of_the_memory_is_not_read(endless, monkeypatch):
 
 
 def test_more_than_is_left_of_the_memory_is_not_read(endless, monkeypatch):
-    monkeypatch.setattr(memory, "available_bytes", lambda: 8 << 20)
+    monkeypatch.setattr(machine, "available_bytes", lambda: 8 << 20)
     with pytest.raises(ResourceError, match="no more memory is left") as caught:
         read_stream()
     assert caught.value.code == "E_MEMORY"

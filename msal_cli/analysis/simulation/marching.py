@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.errors import ContentError, UnsupportedError
-from msal_cli.extras import install_hint
+from msal_cli.errors import ContentError, UnsupportedError, install_hint
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
