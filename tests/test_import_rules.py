@@ -22,7 +22,7 @@ MAY_IMPORT = {
     "machine": set(),
     "kernels": set(),
     "mesh": {"kernels"},
-    "storage": {"codecs"},
+    "storage": set(),
     "codecs": {"storage", "mesh", "kernels"},
     "analysis": {"mesh", "kernels"},
     "methods": {"analysis", "mesh", "kernels"},

@@ -14,7 +14,7 @@ from msal_cli.errors import InputError, MsalError, OutputError, ResourceError, T
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from msal_cli.codecs import Buffer
+    from msal_cli.storage.buffers import Buffer
 
 _PIECE = 1 << 20
 

@@ -12,9 +12,9 @@ from msal_cli.cli.standard_input import copy_stream, read_stream
 from msal_cli.errors import MsalError, OutputError, UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.codecs import Buffer
     from msal_cli.job.pipeline import Limits, OnProgress, Settings
     from msal_cli.job.records import MeshRecord
+    from msal_cli.storage.buffers import Buffer
 
 STREAM = "-"
 

@@ -16,10 +16,11 @@ from msal_cli.codecs.detection import (
     readable_suffixes,
 )
 from msal_cli.codecs.header_check import read_input
-from msal_cli.codecs.mesh_file import Buffer, MeshFile, corner_count
+from msal_cli.codecs.mesh_file import MeshFile, corner_count
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.allocator import give_back_large_arrays
 from msal_cli.storage.atomic import write_whole
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.digests import sha256_meanwhile
 from msal_cli.storage.gzip_streams import compressed, expanded, is_gzip_name, read_whole
 from msal_cli.storage.urls import is_url
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 __all__ = [
     "OWN_FORMATS",
     "SCENES",
-    "Buffer",
     "MeshFile",
     "compressed",
     "content_format",

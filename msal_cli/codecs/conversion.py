@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.detection import SCENES
-from msal_cli.codecs.mesh_file import Buffer, MeshFile
+from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.vertex_colours import vertex_colours
 from msal_cli.errors import UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

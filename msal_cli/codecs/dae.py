@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from msal_cli.codecs.dae_scene import frames_of
 from msal_cli.codecs.frames import PLACEMENT, is_placed
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
 from msal_cli.codecs.slots import TextNumbers, float_rows, integer_rows
 from msal_cli.codecs.tokens import Words, require_indices
 from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import EXPORT_AGAIN, FormatError, MsalError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element
 from msal_cli.errors import EXPORT_AGAIN, FormatError
+from msal_cli.storage.buffers import Buffer
 
 Floats = NDArray[np.float64]
 

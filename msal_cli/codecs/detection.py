@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import is_gzip_name
 from msal_cli.storage.limits import LOOKED_AT
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from msal_cli.codecs.glb_chunks import parsed, with_text
 from msal_cli.codecs.gltf_file import SceneFile
 from msal_cli.codecs.gltf_frames import placed
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import InternalError, MsalError
+from msal_cli.storage.buffers import Buffer
 
 Floats = NDArray[np.float64]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 
 from msal_cli.codecs.gltf_document import MOST_JSON, Document, as_dict, as_list, parsed_description
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import (
     EXPORT_AGAIN,
     FormatError,
@@ -13,6 +12,7 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
+from msal_cli.storage.buffers import Buffer
 
 JSON_AT = 20
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942

@@ -21,7 +21,7 @@ from msal_cli.codecs.gltf_document import MOST_JSON, Document, as_dict, as_list,
 from msal_cli.codecs.gltf_file import SceneFile
 from msal_cli.codecs.gltf_frames import placed
 from msal_cli.codecs.gltf_text import edited, entry_spans
-from msal_cli.codecs.mesh_file import Buffer, Companion
+from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import (
     EXPORT_AGAIN,
     FormatError,
@@ -32,6 +32,7 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import is_gzip_name
 from msal_cli.storage.limits import memory_bytes
 from msal_cli.storage.urls import is_url

@@ -14,7 +14,6 @@ from pathlib import Path, PureWindowsPath
 from urllib.parse import unquote
 
 from msal_cli.codecs.gltf_document import has_scheme
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import (
     EXPORT_AGAIN,
     FormatError,
@@ -23,6 +22,7 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.regular import NotRegularError, open_regular
 from msal_cli.storage.urls import is_url
 

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.gltf_text import Edit, bound_edits, edited, entry_spans, kept_bound
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import (
     EXPORT_AGAIN,
     ContentError,
@@ -27,6 +26,7 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
+from msal_cli.storage.buffers import Buffer
 
 Floats = NDArray[np.float64]
 

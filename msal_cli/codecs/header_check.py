@@ -12,8 +12,8 @@ import os
 from typing import BinaryIO
 
 from msal_cli.codecs.detection import OWN_FORMATS, content_format, format_of_name
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import FormatError, TooLargeError, TruncatedError
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import GZIP_MAGIC, read_in_large_pages, read_whole
 from msal_cli.storage.limits import LARGE_BYTES, LOOKED_AT, largest_bytes, too_large
 from msal_cli.storage.regular import open_regular

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.library_guard import guarded
-from msal_cli.codecs.mesh_file import Buffer, MeshFile
+from msal_cli.codecs.mesh_file import MeshFile
+from msal_cli.storage.buffers import Buffer
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

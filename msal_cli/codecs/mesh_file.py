@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Buffer = bytes | bytearray | memoryview
+from msal_cli.storage.buffers import Buffer
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slots import number_hint
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError, TruncatedError
+from msal_cli.storage.buffers import Buffer
 
 Bytes = NDArray[np.uint8]
 Offsets = NDArray[np.int64]

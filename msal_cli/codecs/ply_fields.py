@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.mesh_file import Buffer, MeshFile
+from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.errors import InternalError
+from msal_cli.storage.buffers import Buffer
 
 Floats = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slots import Numbers, spliced
 from msal_cli.codecs.tokens import require_indices
 from msal_cli.errors import EXPORT_AGAIN, ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -14,9 +14,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.text_slots import usual_decimals
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError
+from msal_cli.storage.buffers import Buffer
 
 Bytes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs import stl_ascii
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slots import too_large_for_float32
 from msal_cli.codecs.stl_checks import (
     FACET,
@@ -28,6 +27,7 @@ from msal_cli.errors import (
     InternalError,
     TruncatedError,
 )
+from msal_cli.storage.buffers import Buffer
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slots import as_float32, number_hint
 from msal_cli.codecs.stl_checks import check_countable, check_not_empty, not_finite
 from msal_cli.codecs.stl_writer import binary_stl, refuse_float64
@@ -23,6 +22,7 @@ from msal_cli.errors import (
     TooLargeError,
     TruncatedError,
 )
+from msal_cli.storage.buffers import Buffer
 
 Floats = NDArray[np.float64]
 

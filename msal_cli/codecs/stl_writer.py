@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slots import as_float32
 from msal_cli.codecs.stl_checks import FACET, HEADER_BYTES
 from msal_cli.errors import UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 Floats = NDArray[np.float64]
 

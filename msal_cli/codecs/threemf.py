@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.frames import PLACEMENT, moved_by
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.threemf_model import Model, Surface, parsed
 from msal_cli.codecs.threemf_package import Package, Part
 from msal_cli.codecs.zip_archive import Archive
 from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

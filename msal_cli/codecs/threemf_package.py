@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.frames import can_be_undone, is_placed, moved_by
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.threemf_model import Model, Surface, Use, parsed, place_of, start_parser
 from msal_cli.codecs.zip_archive import Archive, Member
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED
 from msal_cli.storage.limits import memory_bytes
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slots import line_of, parse_floats
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, TruncatedError
+from msal_cli.storage.buffers import Buffer
 
 Bytes = NDArray[np.uint8]
 Flags = NDArray[np.bool_]

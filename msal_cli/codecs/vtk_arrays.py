@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slots import (
     BinaryNumbers,
     Bytes,
@@ -32,6 +31,7 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, LARGEST_RATIO
 from msal_cli.storage.limits import memory_bytes
 

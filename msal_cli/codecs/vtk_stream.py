@@ -7,10 +7,10 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers, line_of
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 Longs = NDArray[np.int64]
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TooLargeError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 MOST_ELEMENTS = 1_000_000
 """A file of more elements would take more memory as a tree than meshes take."""

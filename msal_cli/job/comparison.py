@@ -31,9 +31,10 @@ if TYPE_CHECKING:
     from msal_cli.analysis.displacement import DisplacementStatistics
     from msal_cli.analysis.enclosure import Enclosure
     from msal_cli.analysis.surface_distance import DistanceStatistics
-    from msal_cli.codecs.mesh_file import Buffer, MeshFile
+    from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.records import MeshRecord
     from msal_cli.mesh import Mesh, Prepared
+    from msal_cli.storage.buffers import Buffer
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int32]

@@ -45,11 +45,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from msal_cli.analysis.noise_estimate import NoiseLevel
-    from msal_cli.codecs.mesh_file import Buffer, Companion, MeshFile
+    from msal_cli.codecs.mesh_file import Companion, MeshFile
     from msal_cli.job.constraints import Constraints
     from msal_cli.job.preparation import Preparation
     from msal_cli.mesh import Mesh, Prepared
     from msal_cli.methods import Method
+    from msal_cli.storage.buffers import Buffer
 
     Floats = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import os
 import zlib
 from typing import BinaryIO
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import FormatError, InputError, TooLargeError, TruncatedError
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.limits import largest_bytes, too_large
 from msal_cli.storage.regular import NotRegularError, open_regular
 from msal_cli.storage.urls import is_url

@@ -17,9 +17,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import InputError, MsalError, OutputError, UsageError, install_hint
 from msal_cli.storage import urls
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.limits import largest_bytes, too_large
 from msal_cli.storage.urls import is_url
 
