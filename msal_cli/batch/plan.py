@@ -18,10 +18,10 @@ from msal_cli.job.pipeline import Task, refuse_unknown_format
 from msal_cli.job.pipeline import is_mesh_name as known_suffix
 from msal_cli.job.pipeline import output_name as with_suffix_of
 from msal_cli.job.records import ObjectMark
+from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.storage import urls
 from msal_cli.storage.urls import is_url
 
-DEFAULT_BACKUP = ".orig"
 _OTHER_OUTPUT = "choose another output; only msal denoise --in-place replaces inputs"
 
 

@@ -10,9 +10,7 @@ import click
 from msal_cli.cli import auto_options
 from msal_cli.cli import option_types as words
 from msal_cli.cli.file_options import CHECK, UNIT
-
-DEFAULT_BACKUP = ".orig"
-"""What --in-place adds to the name of an original."""
+from msal_cli.job.settings import DEFAULT_BACKUP
 
 PATH = click.Path(readable=False, allow_dash=True)
 """A path of any kind: whoever opens it knows what it must be."""

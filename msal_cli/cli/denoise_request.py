@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli.cli import auto_options
 from msal_cli.cli import option_types as words
-from msal_cli.cli.denoise_options import DEFAULT_BACKUP
 from msal_cli.cli.stream_denoise import STREAM
 from msal_cli.errors import UsageError
+from msal_cli.job.settings import DEFAULT_BACKUP
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -58,8 +58,6 @@ _OBJECT_STORES = (
 # a store that cannot be reached costs minutes a file.
 _TRIES_AROUND_BOTOCORE = 2
 
-_WEB = ("http", "https")
-
 _PIECE = 1 << 20
 _AT_THE_SAME_TIME = 16
 _MOST_IN_ONE_REMOVAL = 1000
@@ -94,7 +92,7 @@ def read_whole(url: str, size: int | None = None) -> bytes:
     """
     try:
         system, path = _opened(url)
-        if urls.split(url)[0] in _WEB:
+        if urls.split(url)[0] in urls.WEB:
             return _read_from_web(system, path)
         if size is None or size < 0:
             there = _mark(system, path)
@@ -140,7 +138,7 @@ def beginning(url: str, length: int) -> tuple[bytes, int]:
     data: bytes
     try:
         system, path = _opened(url)
-        if urls.split(url)[0] in _WEB:
+        if urls.split(url)[0] in urls.WEB:
             # A server may send all of it, whatever range is asked for, and in small pieces.
             data = b""
             with system.open(path, "rb", block_size=0) as stream:
