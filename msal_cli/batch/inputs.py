@@ -90,7 +90,7 @@ def found(
     NothingMatched : nothing is left.
     """
     if is_mesh_name is None:
-        from msal_cli.job.pipeline import is_mesh_name as known_suffix
+        from msal_cli.job.settings import is_mesh_name as known_suffix
 
         is_mesh_name = known_suffix
     included, excluded = Patterns(include), Patterns(exclude)

@@ -6,7 +6,8 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from msal_cli.job.pipeline import (
+from msal_cli.job.records import Failure
+from msal_cli.job.settings import (
     FORECAST,
     Limits,
     Settings,
@@ -15,7 +16,6 @@ from msal_cli.job.pipeline import (
     least_memory_bytes,
     method_bytes_per_face,
 )
-from msal_cli.job.records import Failure
 from msal_cli.machine import available_bytes, megabytes
 
 LARGE_BYTES = 4 << 20

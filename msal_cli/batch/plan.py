@@ -14,11 +14,10 @@ from msal_cli.batch.manifest_dirs import manifest_of, objects_at
 from msal_cli.batch.shard import Shard
 from msal_cli.batch.temporary_files import is_own
 from msal_cli.errors import UsageError
-from msal_cli.job.pipeline import Task, refuse_unknown_format
-from msal_cli.job.pipeline import is_mesh_name as known_suffix
-from msal_cli.job.pipeline import output_name as with_suffix_of
 from msal_cli.job.records import ObjectMark
-from msal_cli.job.settings import DEFAULT_BACKUP
+from msal_cli.job.settings import DEFAULT_BACKUP, Task, refuse_unknown_format
+from msal_cli.job.settings import is_mesh_name as known_suffix
+from msal_cli.job.settings import output_name as with_suffix_of
 from msal_cli.storage import urls
 from msal_cli.storage.urls import is_url
 

@@ -14,8 +14,8 @@ from msal_cli.batch.manifest import Entry, FileMark, Manifest, file_sha256
 from msal_cli.batch.plan import Plan
 from msal_cli.batch.temporary_files import temporary_name
 from msal_cli.errors import OutputError
-from msal_cli.job.pipeline import Task, suffix
 from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, ObjectMark
+from msal_cli.job.settings import Task, suffix
 from msal_cli.storage.urls import is_url
 
 # What a file brings on itself comes again with the same file, settings and version.  All other

@@ -26,7 +26,7 @@ from msal_cli.batch.worker import Assignment
 from msal_cli.batch.worker_messages import Advanced, Again, Began, Lost, Message, Returned
 from msal_cli.batch.worker_process import Heard, WorkerProcess
 from msal_cli.errors import ResourceError
-from msal_cli.job.pipeline import NO_LIMITS, Limits
+from msal_cli.job.settings import NO_LIMITS, Limits
 from msal_cli.machine import oom_kills
 
 _FALSE_STARTS = 3

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from msal_cli.batch.events import Event
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.stream_denoise import Pipe
-    from msal_cli.job.pipeline import Settings
     from msal_cli.job.records import MeshRecord
+    from msal_cli.job.settings import Settings
     from msal_cli.report.document import Run
     from msal_cli.report.gates import Gate
 

@@ -18,27 +18,16 @@ from msal_cli.errors import InternalError, MsalError, ResourceError
 from msal_cli.job import advice, changes, output
 from msal_cli.job.preparation import looks_at_mesh, prepare, reject_choice
 from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, ObjectMark, Seconds
-
-# Whoever runs files needs these with it, from one place.
-from msal_cli.job.settings import ADAPTIVE as ADAPTIVE
-from msal_cli.job.settings import AUTO as AUTO
-from msal_cli.job.settings import CHOOSING as CHOOSING
-from msal_cli.job.settings import FORECAST as FORECAST
-from msal_cli.job.settings import NEGLIGIBLE as NEGLIGIBLE
-from msal_cli.job.settings import NO_LIMITS as NO_LIMITS
-from msal_cli.job.settings import SELF_INTERSECTIONS as SELF_INTERSECTIONS
-from msal_cli.job.settings import Limits as Limits
-from msal_cli.job.settings import Settings as Settings
-from msal_cli.job.settings import Task as Task
-from msal_cli.job.settings import forecast as forecast
-from msal_cli.job.settings import is_mesh_name as is_mesh_name
-from msal_cli.job.settings import least_memory_bytes as least_memory_bytes
-from msal_cli.job.settings import method_bytes_per_face as method_bytes_per_face
-from msal_cli.job.settings import output_name as output_name
-from msal_cli.job.settings import refuse_faces, refuse_oversized
-from msal_cli.job.settings import refuse_unknown_format as refuse_unknown_format
-from msal_cli.job.settings import suffix as suffix
-from msal_cli.job.settings import writable_formats as writable_formats
+from msal_cli.job.settings import (
+    NO_LIMITS,
+    SELF_INTERSECTIONS,
+    Limits,
+    Settings,
+    Task,
+    forecast,
+    refuse_faces,
+    refuse_oversized,
+)
 
 if TYPE_CHECKING:
     import numpy as np

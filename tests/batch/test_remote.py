@@ -27,8 +27,9 @@ from msal_cli.batch.remote_manifest import FOLDER, RemoteManifest
 from msal_cli.batch.run import run
 from msal_cli.errors import InputError, OutputError, UsageError
 from msal_cli.job.inspection import inspect_file
-from msal_cli.job.pipeline import Settings, denoise_bytes
+from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.records import MeshRecord, ObjectMark
+from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
 from msal_cli.storage.objects import listed, read_whole, write_whole
 from tests.batch.test_whole import obj

@@ -17,7 +17,7 @@ from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import select_shard
 from msal_cli.batch.shard import Shard, settled
 from msal_cli.errors import UsageError
-from msal_cli.job.pipeline import Settings
+from msal_cli.job.settings import Settings
 from tests.batch import fakes
 from tests.batch.test_run import SETTINGS, fill, plan_of, ran, statuses, tree, tried
 

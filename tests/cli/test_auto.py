@@ -23,7 +23,7 @@ from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import estimated
 from msal_cli.cli.denoise import command
-from msal_cli.job.pipeline import AUTO
+from msal_cli.job.settings import AUTO
 from msal_cli.report.schema import report_schema
 from tests.cli.scans import (
     MSAL,
