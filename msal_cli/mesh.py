@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, TooLargeError
 
 if TYPE_CHECKING:
     from msal_cli.kernels.connectivity import Connectivity
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 MOST_FACES = (2**31 - 1) // 6
 """Triangles beyond which the places in the one-rings might not fit 32 bits: 357,913,941."""

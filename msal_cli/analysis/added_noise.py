@@ -15,12 +15,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.mesh import Mesh
-
-Floats = NDArray[np.float64]
 
 KINDS = {
     "gaussian-normal": "Gaussian along the vertex normals",

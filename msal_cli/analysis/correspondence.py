@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.analysis.displacement import DisplacementStatistics, displacement_statistics
 from msal_cli.analysis.surface_distance import (
@@ -11,10 +10,8 @@ from msal_cli.analysis.surface_distance import (
     distance_statistics,
     distances_to_surface,
 )
+from msal_cli.arrays import Floats, Ints
 from msal_cli.mesh import Mesh, Prepared
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 
 def correspond(vertices: Floats, faces: Ints, other_vertices: Floats, other_faces: Ints) -> bool:

@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 
 from msal_cli.analysis.surface import SurfaceChange
 from msal_cli.analysis.volume import area_and_volume, is_negative
+from msal_cli.arrays import Floats
 from msal_cli.mesh import Defects, Mesh, Prepared
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 MOST_PARTS = 1000
 """Parts beyond which only the sum of all is looked at: each is compared with each other."""

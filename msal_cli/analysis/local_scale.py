@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.mesh import Mesh
-
-Floats = NDArray[np.float64]
 
 
 def local_scale(mesh: Mesh, normals: Floats) -> Floats:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.kernels import outliers
 from msal_cli.kernels.geometry import distances
 from msal_cli.kernels.medians import median
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from msal_cli.analysis.noise_estimate import NoiseLevel
     from msal_cli.mesh import Mesh
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Places = NDArray[np.int64]
 
 ROUGH = 0.85
 """Agreement of a vertex's face normals below which it is looked at: spikes and folds have less, and
@@ -162,7 +159,7 @@ class _Search:
         chosen = np.flatnonzero(changed & self.may_move & ~self.flags & (self.agreements < ROUGH))
         self.scores[chosen], _ = self._judge(chosen, is_known=False)
 
-    def _judge(self, chosen: Places, is_known: bool = True) -> tuple[Floats, Floats]:
+    def _judge(self, chosen: Longs, is_known: bool = True) -> tuple[Floats, Floats]:
         """Scores (c,) of vertices where the file has them, and their places (c, 3) on the fit."""
         mesh = self.mesh
         return outliers.judge(
@@ -176,7 +173,7 @@ class _Search:
             is_known,
         )
 
-    def _bring_back(self, found: Places) -> None:
+    def _bring_back(self, found: Longs) -> None:
         """Move outliers to their places on the fits, and score their surroundings again."""
         _, targets = self._judge(found)
         self._move(found, targets)
@@ -190,7 +187,7 @@ class _Search:
             self.flags[wrong] = False
             self._move(wrong, self.mesh.vertices[wrong])
 
-    def _move(self, which: Places, targets: Floats) -> None:
+    def _move(self, which: Longs, targets: Floats) -> None:
         self.positions[which] = targets
         self._score(outliers.mark_two_rings(which, self.mesh.links))
 

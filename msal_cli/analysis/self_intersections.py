@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Longs
 from msal_cli.kernels.intersections import intersecting_pairs
 from msal_cli.mesh import Mesh
-
-LongInts = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -40,11 +38,11 @@ def self_intersection_change(before: Mesh, after: Mesh) -> IntersectionChange:
     return IntersectionChange(len(pairs), len(later), len(created))
 
 
-def _pairs(mesh: Mesh) -> LongInts:
+def _pairs(mesh: Mesh) -> Longs:
     """A number for each pair of faces that intersect, the same for the same faces."""
     from msal_cli.kernels.geometry import face_normals
 
     has_area = np.flatnonzero(face_normals(mesh.vertices, mesh.faces).any(axis=1))
     pairs = has_area[intersecting_pairs(mesh.vertices, mesh.faces[has_area])]
-    numbers: LongInts = pairs[:, 0] * len(mesh.faces) + pairs[:, 1]
+    numbers: Longs = pairs[:, 0] * len(mesh.faces) + pairs[:, 1]
     return numbers

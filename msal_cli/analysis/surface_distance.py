@@ -14,11 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import UnsupportedError
 from msal_cli.mesh import Mesh
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
 """Distances below this share of the coordinates are taken for none."""

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import SURE, NoiseLevel, estimated
 from msal_cli.analysis.noise_estimate.local import local_levels
+from msal_cli.arrays import Floats
 from msal_cli.auto.blend_weights import FLOOR
 from msal_cli.auto.candidates import Candidate, wiener_al
 from msal_cli.auto.evidence_words import describe_noise
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from msal_cli.auto.wishes import OnStep
     from msal_cli.mesh import Mesh
 
-Floats = NDArray[np.float64]
 
 FEWEST_VERTICES = 256
 """Vertices below which the noise estimate takes the shape of coarse models for noise: a cone of 34,

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from msal_cli.arrays import Floats
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from msal_cli.auto.risk import Risk
 
-Floats = NDArray[np.float64]
 
 FLOOR = 0.02
 """Estimated errors below this part of the input's are not told apart: they are mostly scatter."""

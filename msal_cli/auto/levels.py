@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from msal_cli.arrays import Flags, Floats
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from msal_cli.auto.sample_patch import Part
 
-Flags = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 
 QUANTILES = (0.1, 0.5, 0.9)
 """Of local levels, for which weights are chosen."""

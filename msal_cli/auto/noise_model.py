@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from msal_cli.analysis.added_noise import share_over_rings
 from msal_cli.analysis.noise_estimate.local import local_levels
+from msal_cli.arrays import Floats
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from msal_cli.analysis.noise_estimate import NoiseLevel
     from msal_cli.mesh import Mesh
 
-Floats = NDArray[np.float64]
 
 NORMALS, ISOTROPIC, AXIS = "normals", "isotropic", "axis"
 """Directions of noise."""

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli import methods
+from msal_cli.arrays import Floats
 from msal_cli.auto.candidates import Candidate
 from msal_cli.auto.wishes import NONE
 from msal_cli.methods.blend import written, written_levels
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Flags, Floats
 from msal_cli.auto.noise_model import ISOTROPIC
 
 if TYPE_CHECKING:
@@ -43,8 +44,6 @@ if TYPE_CHECKING:
     Run = Callable[[Mesh], "Floats"]
     """Gives what a filter moves the vertices of a mesh by, (m, 3)."""
 
-Flags = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 
 PROBES = 2
 """Probes of a divergence: with two its scatter is that of the noise itself."""

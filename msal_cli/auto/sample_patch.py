@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Flags, Floats
 from msal_cli.mesh import Mesh
 
 if TYPE_CHECKING:
     from msal_cli.kernels.connectivity import Connectivity
 
-Flags = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 Ints = NDArray[Any]
 
 PATCH = 2_000

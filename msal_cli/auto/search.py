@@ -20,11 +20,11 @@ import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import NoiseLevel, estimated
 from msal_cli.analysis.noise_estimate.local import local_levels
+from msal_cli.arrays import Flags, Floats
 from msal_cli.auto.blend_weights import FLOOR, best_weights, rounded
 from msal_cli.auto.candidates import CANDIDATES, FARTHER, LEARNED, ROBUST, SMOOTHER, Candidate
 from msal_cli.auto.evidence_words import describe_noise
@@ -52,8 +52,6 @@ if TYPE_CHECKING:
 
     from msal_cli.auto.wishes import OnStep
 
-Flags = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 
 RUN = 1.7
 """What a default run costs beyond its filter, in filters of its kind over the same mesh: reading,

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from msal_cli import methods
+from msal_cli.arrays import Floats
 from msal_cli.auto.risk import Rehearsal, Stein
 
 if TYPE_CHECKING:
@@ -18,7 +16,6 @@ if TYPE_CHECKING:
     from msal_cli.auto.sample_patch import Part
     from msal_cli.mesh import Mesh
 
-Floats = NDArray[np.float64]
 
 LEAST_SHARE = 0.01
 """Members of a first result below this weight are left out of it."""

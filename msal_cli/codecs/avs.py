@@ -6,16 +6,14 @@ Comments, the data of nodes and of cells and all else is kept without being look
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Longs
 from msal_cli.codecs.slot_file import Content, PatchedFile
 from msal_cli.codecs.slots import TextNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words, indices_of
 from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
-
-Longs = NDArray[np.int64]
 
 _FLAT = {b"tri": ("triangle", 3), b"quad": ("quad", 4)}
 _OTHERS = {

@@ -13,14 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs.detection import SCENES
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.vertex_colours import vertex_colours
 from msal_cli.errors import UnsupportedError
 from msal_cli.storage.buffers import Buffer
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 _NORMAL_PROPERTIES = re.compile(
     r"vertex\.(n[xyz]( |$)|normal$)|normals$|point\.normals?$", re.IGNORECASE

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from msal_cli.arrays import Floats
 
 _STEEPEST = 1e6
 _LARGEST = 1e30

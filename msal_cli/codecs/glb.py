@@ -7,16 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from msal_cli.arrays import Floats
 from msal_cli.codecs.glb_chunks import parsed, with_text
 from msal_cli.codecs.gltf_file import SceneFile
 from msal_cli.codecs.gltf_frames import placed
 from msal_cli.errors import InternalError, MsalError
 from msal_cli.storage.buffers import Buffer
-
-Floats = NDArray[np.float64]
 
 
 def read(data: Buffer, name: str) -> GlbFile:

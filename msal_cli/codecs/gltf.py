@@ -13,9 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import quote
 
-import numpy as np
-from numpy.typing import NDArray
-
+from msal_cli.arrays import Floats
 from msal_cli.codecs import gltf_buffers
 from msal_cli.codecs.gltf_document import MOST_JSON, Document, as_dict, as_list, parsed_description
 from msal_cli.codecs.gltf_file import SceneFile
@@ -36,8 +34,6 @@ from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import is_gzip_name
 from msal_cli.storage.limits import memory_bytes
 from msal_cli.storage.urls import is_url
-
-Floats = NDArray[np.float64]
 
 _MOST_BUFFERS = 10_000
 _PACK = "write one file with --to glb"

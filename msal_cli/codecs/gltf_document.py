@@ -16,6 +16,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.codecs.gltf_text import Edit, bound_edits, edited, entry_spans, kept_bound
 from msal_cli.errors import (
     EXPORT_AGAIN,
@@ -27,8 +28,6 @@ from msal_cli.errors import (
     UnsupportedError,
 )
 from msal_cli.storage.buffers import Buffer
-
-Floats = NDArray[np.float64]
 
 _FLOAT32 = 5126
 _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.codecs.frames import can_be_undone, is_placed
 from msal_cli.codecs.gltf_document import Document, Part, as_list
 from msal_cli.errors import FormatError
-
-Floats = NDArray[np.float64]
 
 _DEEPEST = 200
 

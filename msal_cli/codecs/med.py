@@ -10,16 +10,14 @@ import importlib.util
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Bytes, Longs
 from msal_cli.codecs.med_sandbox import answer_of
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import Bytes, ColumnNumbers
+from msal_cli.codecs.slots import ColumnNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
-
-Longs = NDArray[np.int64]
 
 _FLAT = {"TR3": "triangle", "QU4": "quad"}
 _OTHERS = {

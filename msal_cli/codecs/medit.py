@@ -10,14 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Longs
 from msal_cli.codecs.slot_file import Content, PatchedFile
 from msal_cli.codecs.slots import BinaryNumbers, TextNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
-
-Longs = NDArray[np.int64]
 
 _FLAT = {"triangles": ("triangle", 3), "quadrilaterals": ("quad", 4)}
 _CURVED = ("trianglesp2", "quadrilateralsq2", "trianglesp3", "trianglesp4")

@@ -7,16 +7,14 @@ A file is a row of keywords, each with a count and as many lines below it; ``sur
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Longs
 from msal_cli.codecs.slot_file import Content, PatchedFile
 from msal_cli.codecs.slots import TextNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
-
-Longs = NDArray[np.int64]
 
 _SURFACE = (b"surfaceelements", b"surfaceelementsgi", b"surfaceelementsuv")
 _CORNERS_BEHIND = 5

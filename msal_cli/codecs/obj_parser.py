@@ -13,15 +13,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.codecs.slots import number_hint
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError, TruncatedError
 from msal_cli.storage.buffers import Buffer
-
-Bytes = NDArray[np.uint8]
-Offsets = NDArray[np.int64]
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 _T = TypeVar("_T", bound=np.generic)
 
@@ -65,18 +61,18 @@ class Content:
     """
 
     vertices: Floats
-    vertex_at: Offsets
+    vertex_at: Longs
     decimals: Bytes
     normals: Floats
-    normal_at: Offsets
+    normal_at: Longs
     normal_decimals: Bytes
     faces: Ints
     face_normals: Ints | None
     corners: Ints
     sizes: Ints
-    state: Offsets
+    state: Longs
     keywords: dict[bytes, tuple[int, int]]
-    libraries: Offsets
+    libraries: Longs
 
 
 def line_of(data: Buffer, at: int) -> int:
@@ -178,7 +174,7 @@ class _Reading:
         self._n_read = 0
         self.state = self._begun()
 
-    def _begun(self) -> Offsets:
+    def _begun(self) -> Longs:
         """The state of a walk that is about to start."""
         scan = self._scan
         state = np.zeros(scan.N_STATE, dtype=np.int64)
@@ -263,7 +259,7 @@ class _Reading:
             )
         )
 
-    def _walked(self, state: Offsets, until: int, n_faces: int) -> int:
+    def _walked(self, state: Longs, until: int, n_faces: int) -> int:
         """Go on to byte ``until``, or until ``n_faces`` faces are read; what ``scanned`` says."""
         return int(
             self._scan.scanned(

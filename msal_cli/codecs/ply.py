@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Bytes, Flags, Floats
 from msal_cli.codecs import ply_sections as ply_layout
 from msal_cli.codecs import text_slots as plain_text
-from msal_cli.codecs.ply_ascii import Bytes, Flags, Floats, Lines
+from msal_cli.codecs.ply_ascii import Lines
 from msal_cli.codecs.ply_description import (
     NORMAL,
     POSITION,

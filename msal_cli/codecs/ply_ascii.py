@@ -13,16 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Bytes, Floats, Longs
 from msal_cli.codecs import ply_fast as ply_plain
 from msal_cli.codecs.ply_fast import Numbers
 from msal_cli.codecs.ply_header import Element, Header
 from msal_cli.codecs.slots import number_hint
 from msal_cli.errors import FormatError, TruncatedError
-
-Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 _SAMPLE = 4_096
 """Bytes behind an ascii header that are searched for signs of binary data when a line is wrong."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.ply_ascii import Flags, Floats, Longs
+from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.codecs.ply_header import Element
 from msal_cli.codecs.ply_sections import Fixed, Section
 from msal_cli.errors import ContentError, FormatError, TooLargeError

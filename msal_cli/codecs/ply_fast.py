@@ -10,14 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.ply_header import Element
-
-Bytes = NDArray[np.uint8]
-Longs = NDArray[np.int64]
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 GROUPS = (("x", "y", "z"), ("nx", "ny", "nz"))
 """Scalars that are replaced together, if they stand together in this order."""

@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.errors import InternalError
 from msal_cli.storage.buffers import Buffer
-
-Floats = NDArray[np.float64]
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TAKEN = frozenset({"x", "y", "z", "red", "green", "blue"})

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.ply_ascii import Bytes, Flags, Floats, Lines, Longs
+from msal_cli.arrays import Bytes, Flags, Floats, Longs
+from msal_cli.codecs.ply_ascii import Lines
 from msal_cli.codecs.ply_header import Element, Header, Property, retyped
 from msal_cli.codecs.ply_sections import Section, section_at, stored
 from msal_cli.codecs.ply_stream import read_stream

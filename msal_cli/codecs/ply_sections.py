@@ -14,16 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.ply_ascii import (
-    CUT_HINT,
-    Bytes,
-    Flags,
-    Floats,
-    Lines,
-    Longs,
-    find_lines,
-    plain_lines,
-)
+from msal_cli.arrays import Bytes, Flags, Floats, Longs
+from msal_cli.codecs.ply_ascii import CUT_HINT, Lines, find_lines, plain_lines
 from msal_cli.codecs.ply_header import Element, Header, Property
 from msal_cli.codecs.ply_stream import read_stream
 from msal_cli.errors import FormatError, TruncatedError

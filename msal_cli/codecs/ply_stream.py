@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.ply_ascii import Bytes, Lines, Longs, Tokens, can_hold, kept_names
+from msal_cli.arrays import Bytes, Longs
+from msal_cli.codecs.ply_ascii import Lines, Tokens, can_hold, kept_names
 from msal_cli.codecs.ply_header import Element, Header
 
 _IS_SPACE = np.zeros(256, dtype=bool)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msal_cli.codecs.ply_ascii import Bytes, Flags, Floats, Lines, Longs
+from msal_cli.arrays import Bytes, Flags, Floats, Longs
+from msal_cli.codecs.ply_ascii import Lines
 from msal_cli.codecs.text_slots import usual_decimals
 
 NORMAL_DECIMALS = 6

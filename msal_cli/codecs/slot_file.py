@@ -11,17 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.codecs.slots import Numbers, spliced
 from msal_cli.codecs.tokens import require_indices
 from msal_cli.errors import EXPORT_AGAIN, ContentError, InternalError, MsalError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
 
 _NONE = np.zeros(0, dtype=np.int64)
 

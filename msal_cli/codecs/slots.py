@@ -14,14 +14,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.codecs.text_slots import usual_decimals
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError
 from msal_cli.storage.buffers import Buffer
-
-Bytes = NDArray[np.uint8]
-Flags = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Offsets = NDArray[np.int64]
 
 SHORTEST = 18
 """In place of a number of decimals: the shortest text that is read back as the same double."""
@@ -45,15 +41,15 @@ class Numbers(Protocol):
     values : (n, k) float64, exactly what is stored.
     """
 
-    starts: Offsets
-    stops: Offsets
+    starts: Longs
+    stops: Longs
     values: Floats
 
     def units(self, is_changed: Flags) -> Flags:
         """Which units (q,) hold one of these numbers (n, k)."""
         ...
 
-    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Offsets]:
+    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
         """The bytes of these units with new values (n, k), one behind the other, and their ends."""
         ...
 
@@ -67,8 +63,8 @@ class TextNumbers:
     """Numbers that are words of a text; ``unit_length`` is True for normals."""
 
     data: Bytes = field(repr=False)
-    starts: Offsets = field(repr=False)
-    stops: Offsets = field(repr=False)
+    starts: Longs = field(repr=False)
+    stops: Longs = field(repr=False)
     width: int = 3
     unit_length: bool = False
     values: Floats = field(init=False, repr=False)
@@ -98,7 +94,7 @@ class TextNumbers:
         before = max(0, math.ceil(math.log10(largest))) if largest > 0.0 else 0
         return SHORTEST if decimals + before > _MOST_SIGNIFICANT else decimals
 
-    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Offsets]:
+    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
         from msal_cli.kernels.text import printed, printed_shortest
 
         decimals = self.decimals()
@@ -115,11 +111,11 @@ class BinaryNumbers:
     """Rows of binary numbers: ``at`` (n,) is the first byte of each, ``code`` numpy's type."""
 
     data: Bytes = field(repr=False)
-    at: Offsets = field(repr=False)
+    at: Longs = field(repr=False)
     code: str = "<f4"
     width: int = 3
-    starts: Offsets = field(init=False, repr=False)
-    stops: Offsets = field(init=False, repr=False)
+    starts: Longs = field(init=False, repr=False)
+    stops: Longs = field(init=False, repr=False)
     values: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -133,7 +129,7 @@ class BinaryNumbers:
     def units(self, is_changed: Flags) -> Flags:
         return np.asarray(is_changed.any(axis=1))
 
-    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Offsets]:
+    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
         rows = to_type(values[units], self.code, np.flatnonzero(units))
         text = np.ascontiguousarray(rows).view(np.uint8).reshape(-1)
         size = np.dtype(self.code).itemsize * self.width
@@ -151,8 +147,8 @@ class ColumnNumbers:
     at: int
     count: int
     code: str
-    starts: Offsets = field(init=False, repr=False)
-    stops: Offsets = field(init=False, repr=False)
+    starts: Longs = field(init=False, repr=False)
+    stops: Longs = field(init=False, repr=False)
     values: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -165,7 +161,7 @@ class ColumnNumbers:
     def units(self, is_changed: Flags) -> Flags:
         return is_changed.T.reshape(-1)
 
-    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Offsets]:
+    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
         new = values.T.reshape(-1)[units].astype(self.code)
         size = np.dtype(self.code).itemsize
         return new.view(np.uint8), size * np.arange(1, len(new) + 1, dtype=np.int64)
@@ -211,7 +207,7 @@ def too_large_for_float32(where: str) -> ContentError:
     )
 
 
-def parse_floats(data: Bytes, starts: Offsets, stops: Offsets) -> Floats:
+def parse_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
     """The values (q,) of words; the exponent may be written with D, as Fortran does.
 
     Raises FormatError with the line of a word that is no number.
@@ -228,12 +224,12 @@ def parse_floats(data: Bytes, starts: Offsets, stops: Offsets) -> Floats:
     return values
 
 
-def _has_fortran_exponents(data: Bytes, starts: Offsets, stops: Offsets, bad: int) -> bool:
+def _has_fortran_exponents(data: Bytes, starts: Longs, stops: Longs, bad: int) -> bool:
     word = data[starts[bad] : stops[bad]].tobytes()
     return b"d" in word.lower()
 
 
-def _fortran_floats(data: Bytes, starts: Offsets, stops: Offsets) -> Floats:
+def _fortran_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
     values = np.empty(len(starts))
     for i, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
         word = data[start:stop].tobytes()
@@ -263,7 +259,7 @@ def line_of(data: Buffer | Bytes, at: int) -> str:
     return f"line {int(np.count_nonzero(as_bytes(data)[:at] == 10)) + 1}"
 
 
-def spliced(data: Bytes, edits: Sequence[tuple[Offsets, Offsets, Bytes, Offsets]]) -> memoryview:
+def spliced(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> memoryview:
     """A file with units replaced: their starts, stops, new bytes and the ends of these."""
     from msal_cli.kernels import text
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs import stl_ascii
 from msal_cli.codecs.slots import too_large_for_float32
 from msal_cli.codecs.stl_checks import (
@@ -28,9 +29,6 @@ from msal_cli.errors import (
     TruncatedError,
 )
 from msal_cli.storage.buffers import Buffer
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 _FIRST_FACET = HEADER_BYTES + 4
 _LOOKED_AT = 1024

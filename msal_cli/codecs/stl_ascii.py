@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.codecs.slots import as_float32, number_hint
 from msal_cli.codecs.stl_checks import check_countable, check_not_empty, not_finite
@@ -23,8 +24,6 @@ from msal_cli.errors import (
     TruncatedError,
 )
 from msal_cli.storage.buffers import Buffer
-
-Floats = NDArray[np.float64]
 
 SHORTEST_FACET = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
 """Bytes of text that a facet takes at least."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.codecs.slots import as_float32
 from msal_cli.codecs.stl_checks import FACET, HEADER_BYTES
 from msal_cli.errors import UnsupportedError
 from msal_cli.storage.buffers import Buffer
-
-Floats = NDArray[np.float64]
 
 
 def binary_stl(corners: Floats, normals: Floats, name: str) -> bytes:

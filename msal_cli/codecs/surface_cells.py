@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Longs
 from msal_cli.errors import UnsupportedError
-
-Longs = NDArray[np.int64]
 
 
 class SurfaceCells:

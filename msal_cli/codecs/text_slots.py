@@ -10,11 +10,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Bytes = NDArray[np.uint8]
-Offsets = NDArray[np.int64]
-Floats = NDArray[np.float64]
+from msal_cli.arrays import Bytes, Floats, Longs
 
 _MOST_RUNS = 4096
 """Changes between positions and normals, on the way through a file, that are dealt with one by
@@ -35,7 +32,7 @@ class Statements:
     decimals : (n,) uint8, digits behind the point of the new numbers.
     """
 
-    at: Offsets
+    at: Longs
     skipped: int
     old: Floats
     new: Floats
@@ -149,7 +146,7 @@ def _runs(groups: Sequence[Statements]) -> list[tuple[int, int, int]] | None:
     return runs if len(runs) <= _MOST_RUNS else None
 
 
-def _merged(at: Sequence[Offsets], most: int) -> Iterator[tuple[int, int, int]]:
+def _merged(at: Sequence[Longs], most: int) -> Iterator[tuple[int, int, int]]:
     """The first ``most`` runs of ascending lists merged: list, first item, end."""
     next_ones = [0] * len(at)
     for _ in range(most):

@@ -16,16 +16,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.frames import PLACEMENT, moved_by
 from msal_cli.codecs.threemf_model import Model, Surface, parsed
 from msal_cli.codecs.threemf_package import Package, Part
 from msal_cli.codecs.zip_archive import Archive
 from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Offsets = NDArray[np.int64]
 
 _SAME = "same"
 _FINEST = 1e-7
@@ -61,8 +58,8 @@ class _Change:
     """Numbers of one model part to be written, in the order of its text: where the old ones lie,
     the new values, and the decimals of each, or ``SHORTEST_DOUBLE`` or ``SHORTEST_SINGLE``."""
 
-    starts: Offsets
-    stops: Offsets
+    starts: Longs
+    stops: Longs
     values: Floats
     decimals: NDArray[np.uint8]
 
@@ -238,7 +235,7 @@ def _change(surface: Surface, own: Floats, text: bytes, precision: str, first: i
 
 
 def _decimals(
-    surface: Surface, values: Floats, text: bytes, starts: Offsets, stops: Offsets
+    surface: Surface, values: Floats, text: bytes, starts: Longs, stops: Longs
 ) -> NDArray[np.uint8]:
     """Decimals (k,) of the new numbers of a mesh; the old ones lie at these bytes."""
     from msal_cli.codecs.text_slots import usual_decimals
@@ -285,7 +282,7 @@ def _patched(text: bytes, change: _Change) -> memoryview:
     return texts.spliced(buffer, change.starts, change.stops, numbers, ends).data
 
 
-def _printed(change: _Change) -> tuple[NDArray[np.uint8], Offsets]:
+def _printed(change: _Change) -> tuple[NDArray[np.uint8], Longs]:
     """The texts of the new numbers, one behind the other, and where each ends."""
     if (change.decimals == change.decimals[0]).all():
         return _printed_alike(change.values, int(change.decimals[0]))
@@ -299,9 +296,7 @@ def _printed(change: _Change) -> tuple[NDArray[np.uint8], Offsets]:
     return np.concatenate(pieces), np.concatenate(ends)
 
 
-def _printed_mixed(
-    values: Floats, decimals: NDArray[np.uint8]
-) -> tuple[NDArray[np.uint8], Offsets]:
+def _printed_mixed(values: Floats, decimals: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Longs]:
     """The same for numbers with different decimals, of which there are not too many."""
     lengths = np.zeros(len(values), dtype=np.int64)
     groups = []
@@ -319,7 +314,7 @@ def _printed_mixed(
     return out, ends
 
 
-def _printed_alike(values: Floats, decimals: int) -> tuple[NDArray[np.uint8], Offsets]:
+def _printed_alike(values: Floats, decimals: int) -> tuple[NDArray[np.uint8], Longs]:
     from msal_cli.kernels import text
 
     if decimals in (SHORTEST_DOUBLE, SHORTEST_SINGLE):
@@ -368,7 +363,7 @@ def _check_text(model: Model, output: bytes, change: _Change) -> None:
         raise InternalError("a position of a 3MF file was not written right")
 
 
-def _tokens(model: Model) -> tuple[Offsets, Offsets]:
+def _tokens(model: Model) -> tuple[Longs, Longs]:
     """Where all numbers of vertices lie in a part, in the order of its text."""
     surfaces = model.surfaces.values()
     starts = np.concatenate([one.starts.reshape(-1) for one in surfaces])

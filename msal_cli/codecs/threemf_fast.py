@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-Offsets = NDArray[np.int64]
+from msal_cli.arrays import Longs
 
 _NUMBER = rb'"([-+.0-9eE]++)"'
 _VERTICES = re.compile(
@@ -34,7 +34,7 @@ def plain_lists(text: bytes) -> Iterator[tuple[int, tuple[int, int]]]:
             yield tag.start(), match.span()
 
 
-def quoted(region: NDArray[np.uint8], offset: int) -> tuple[Offsets, Offsets]:
+def quoted(region: NDArray[np.uint8], offset: int) -> tuple[Longs, Longs]:
     """What stands between the first three pairs of quotes of each element, (n, 3) starts and stops;
     ``offset`` is added to all."""
     quotes = np.flatnonzero(region == _QUOTE)

@@ -18,11 +18,9 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Longs
 from msal_cli.codecs.threemf_fast import plain_lists, quoted
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, UnsupportedError
-
-Floats = NDArray[np.float64]
-Offsets = NDArray[np.int64]
 
 _MICROSOFT = "http://schemas.microsoft.com/3dmanufacturing/"
 _CORES = (_MICROSOFT + "core/2015/02", _MICROSOFT + "2013/01")
@@ -70,8 +68,8 @@ class Surface:
     """
 
     vertices: Floats
-    starts: Offsets
-    stops: Offsets
+    starts: Longs
+    stops: Longs
     faces: NDArray[np.int64]
 
 
@@ -174,7 +172,7 @@ class _Reader:
         self._path: list[str] = []
         self._object = -1
         self._n_uses = 0
-        self._vertices: tuple[Floats, Offsets, Offsets] | None = None
+        self._vertices: tuple[Floats, Longs, Longs] | None = None
         self._faces: NDArray[np.int64] | None = None
         # What is gathered element by element, where the lists are not plain.
         self._values, self._starts, self._stops = array("d"), array("q"), array("q")
@@ -332,7 +330,7 @@ class _Reader:
             corners = self._numbers(starts, stops)
             self._faces = np.minimum(corners, 2.0**53).astype(np.int64)
 
-    def _numbers(self, starts: Offsets, stops: Offsets) -> Floats:
+    def _numbers(self, starts: Longs, stops: Longs) -> Floats:
         """The numbers (k, 3) at these bytes of the text."""
         from msal_cli.kernels import text
 

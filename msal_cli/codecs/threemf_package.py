@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.codecs.frames import can_be_undone, is_placed, moved_by
 from msal_cli.codecs.threemf_model import Model, Surface, Use, parsed, place_of, start_parser
 from msal_cli.codecs.zip_archive import Archive, Member
@@ -16,8 +16,6 @@ from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, Unsupported
 from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED
 from msal_cli.storage.limits import memory_bytes
-
-Floats = NDArray[np.float64]
 
 LARGEST_RATIO = 40
 """Expanded bytes of XML per byte of the archive; see docs/formats.md."""

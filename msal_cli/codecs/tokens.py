@@ -5,16 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.codecs.slots import line_of, parse_floats
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, TruncatedError
 from msal_cli.storage.buffers import Buffer
-
-Bytes = NDArray[np.uint8]
-Flags = NDArray[np.bool_]
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
 
 _MOST_KEYWORDS = 1_000_000
 _BLOCK = 1 << 22

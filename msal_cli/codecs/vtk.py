@@ -11,17 +11,13 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from msal_cli.arrays import Longs
 from msal_cli.codecs.slot_file import Content, PatchedFile
 from msal_cli.codecs.slots import Numbers
 from msal_cli.codecs.vtk_cells import Surface, surface_of
 from msal_cli.codecs.vtk_stream import Stream
 from msal_cli.errors import EXPORT_AGAIN, FormatError, InputError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
-
-Longs = NDArray[np.int64]
 
 _HEADER = re.compile(
     rb"# vtk DataFile Version[ \t]+(\d+)\.(\d+)[^\r\n]*\r?\n([^\r\n]*)\r?\n"

@@ -12,16 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.slots import (
-    BinaryNumbers,
-    Bytes,
-    Flags,
-    Floats,
-    Numbers,
-    Offsets,
-    TextNumbers,
-    to_type,
-)
+from msal_cli.arrays import Bytes, Flags, Floats, Longs
+from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers, to_type
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element
 from msal_cli.errors import (
@@ -154,8 +146,8 @@ class EncodedNumbers:
     stop: int
     content: Buffer = field(repr=False)
     values: Floats = field(init=False, repr=False)
-    starts: Offsets = field(init=False, repr=False)
-    stops: Offsets = field(init=False, repr=False)
+    starts: Longs = field(init=False, repr=False)
+    stops: Longs = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self.starts = np.array([self.start], dtype=np.int64)
@@ -166,7 +158,7 @@ class EncodedNumbers:
     def units(self, is_changed: Flags) -> Flags:
         return np.array([is_changed.any()])
 
-    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Offsets]:
+    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
         rows = np.frombuffer(self.content, dtype=self.code).reshape(-1, 3)
         # Rows that did not move keep their bits, the signs of zeros included.
         is_same = (values == self.values).all(axis=1)[:, None]

@@ -5,14 +5,12 @@ from __future__ import annotations
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Longs
 from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers, line_of
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
-
-Longs = NDArray[np.int64]
 
 _CODES = {
     "char": ">i1",
@@ -130,7 +128,7 @@ class Stream:
         return self._data[at : at + size * count].view(code).astype(np.int64)
 
     def cells(self, words: list[str]) -> tuple[Longs, Longs]:
-        """Offsets (k + 1,) and corners of the cells whose section begins with this line."""
+        """Longs (k + 1,) and corners of the cells whose section begins with this line."""
         first, second = (self.count_of(words, k, "cells") for k in (1, 2))
         at = self._at
         header = self.line()
@@ -149,7 +147,7 @@ class Stream:
         return self._counted_cells(first, self.integers(second, "int"))
 
     def _counted_cells(self, n_cells: int, numbers: Longs) -> tuple[Longs, Longs]:
-        """Offsets and corners of cells that are stored as a count and their corners each."""
+        """Longs and corners of cells that are stored as a count and their corners each."""
         if n_cells > len(numbers):
             raise FormatError("more cells than numbers", where=self.where(), hint=EXPORT_AGAIN)
         size = int(numbers[0]) + 1 if n_cells else 0

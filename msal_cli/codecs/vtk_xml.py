@@ -12,15 +12,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Longs
 from msal_cli.codecs.slot_file import Content, Dependent, PatchedFile, Shift
-from msal_cli.codecs.slots import Floats, Numbers
+from msal_cli.codecs.slots import Numbers
 from msal_cli.codecs.vtk_arrays import Coding, code_of, integers, numbers
 from msal_cli.codecs.vtk_cells import Surface, surface_of
 from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
-
-Longs = NDArray[np.int64]
 
 _TYPES = {"vtu": "UnstructuredGrid", "vtp": "PolyData"}
 _COMPRESSORS = ("", "vtkZLibDataCompressor", "vtkLZMADataCompressor")
@@ -183,7 +182,7 @@ def _array(group: Element, name: str) -> Element:
 
 
 def _lists(group: Element, coding: Coding) -> tuple[Longs, Longs]:
-    """Offsets (k + 1,) and corners of the cells of a group."""
+    """Longs (k + 1,) and corners of the cells of a group."""
     ends = integers(_array(group, "offsets"), coding)
     corners = integers(_array(group, "connectivity"), coding)
     offsets = np.concatenate([np.zeros(1, np.int64), ends])

@@ -7,8 +7,8 @@ refused: no other file is ever opened, and none could be written.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.slot_file import Content, PatchedFile
 from msal_cli.codecs.slots import TextNumbers, float_rows, integer_rows
 from msal_cli.codecs.surface_cells import SurfaceCells
@@ -16,10 +16,6 @@ from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
 
 _FLAT = {"triangle": 3, "quadrilateral": 4}
 _OTHERS = {

@@ -11,8 +11,8 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.geometry import DEGENERATE
@@ -20,10 +20,6 @@ from msal_cli.kernels.medians import median
 from msal_cli.kernels.operators import Step
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.robust_laplacian import PER_MEDIAN
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Flags = NDArray[np.bool_]
 
 LONGEST = 0.5
 """Share of the way to where H_A would vanish that a vertex may go in one step."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.exponential import LOG2_E, exponentials, power_of_two
@@ -27,10 +27,6 @@ from msal_cli.kernels.ring_blocks import (
     settle,
 )
 from msal_cli.kernels.vertex_neighbourhoods import room, vertices_around
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Flags = NDArray[np.bool_]
 
 
 @compiled

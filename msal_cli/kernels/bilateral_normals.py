@@ -10,16 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.exponential import LOG2_E, power_of_two
 from msal_cli.kernels.geometry import VANISHED, usable_areas
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, most_neighbours
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 BLOCK_PAIRS = np.uint64(1024)
 """Pairs of faces that are worked on at a time: what belongs to them fits a first-level cache."""

@@ -14,8 +14,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-LongInts = NDArray[np.int64]
+from msal_cli.arrays import Floats, Longs
+
 Bounds = tuple[Floats, Floats]
 
 AT_ONCE = 1 << 18
@@ -25,8 +25,8 @@ _MORTON_BITS = 20
 _SIZES_PER_CLASS = 3  # powers of two
 
 
-def near_pairs(triangles: Floats) -> Iterator[tuple[LongInts, LongInts]]:
-    """Indices of every two of the ``triangles`` (n, 3, 3) whose boxes have a point in common.
+def near_pairs(triangles: Floats) -> Iterator[tuple[Longs, Longs]]:
+    """Longs of every two of the ``triangles`` (n, 3, 3) whose boxes have a point in common.
 
     Yields arrays i, j of the same length, each pair once; which is i, and the order, is the same on
     every run.
@@ -56,7 +56,7 @@ def _bounds(triangles: Floats) -> Bounds:
     return low, high
 
 
-def _spatial_order(low: Floats, high: Floats) -> LongInts:
+def _spatial_order(low: Floats, high: Floats) -> Longs:
     centres = 0.5 * low + 0.5 * high
     least = centres.min(axis=1, keepdims=True)
     extent = float(np.ptp(centres, axis=1).max())
@@ -99,8 +99,8 @@ def _levels(low: Floats, high: Floats) -> list[Bounds]:
 
 
 def _leaf_pairs(
-    levels: list[Bounds], level: int, i: LongInts, j: LongInts
-) -> Iterator[tuple[LongInts, LongInts]]:
+    levels: list[Bounds], level: int, i: Longs, j: Longs
+) -> Iterator[tuple[Longs, Longs]]:
     """The pairs of overlapping boxes below pairs of nodes i, j of a level."""
     for start in range(0, len(i), AT_ONCE):
         first, second = i[start : start + AT_ONCE], j[start : start + AT_ONCE]
@@ -116,7 +116,7 @@ def _leaf_pairs(
         yield from _leaf_pairs(levels, level + 1, *below)
 
 
-def _overlapping(bounds: Bounds, i: LongInts, j: LongInts) -> tuple[LongInts, LongInts]:
+def _overlapping(bounds: Bounds, i: Longs, j: Longs) -> tuple[Longs, Longs]:
     """Of pairs of nodes those that overlap."""
     for low, high in zip(*bounds, strict=True):
         keep = (low[i] <= high[j]) & (low[j] <= high[i])

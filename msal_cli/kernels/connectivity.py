@@ -15,11 +15,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import MARKING_THREADS, over_ranges
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 Kept = TypeVar("Kept")
 

@@ -11,10 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 _BLOCK_FACETS = 256
 _FACTOR_X = np.uint64(0x9E3779B97F4A7C15)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from msal_cli.arrays import Floats
 
 MOST_FREEDOMS = 40
 

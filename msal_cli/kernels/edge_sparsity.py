@@ -12,14 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.conjugate_gradient import RowMatrix
 from msal_cli.kernels.parallel import over_ranges
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 LARGEST = 100.0
 """Coefficients beyond it, of a flap on a needle, are scaled down: they would rule all others."""

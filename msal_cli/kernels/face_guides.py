@@ -14,8 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.face_rings import face_rings
@@ -23,10 +23,6 @@ from msal_cli.kernels.geometry import VANISHED, usable_areas
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, most_neighbours
 from msal_cli.kernels.variable_rows import found_rows
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-LongInts = NDArray[np.int64]
 
 EPSILON = 1e-9
 
@@ -237,7 +233,7 @@ class Patches:
     edge_start: Ints
     edge_ring: Ints
     pairs: Ints
-    inner_start: LongInts
+    inner_start: Longs
     inner: Ints
 
     def guides(self, normals: Floats, areas: Floats) -> Floats:

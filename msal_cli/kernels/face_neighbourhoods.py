@@ -7,15 +7,11 @@ and no search tree is needed.  It goes on through faces whose centroids are with
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, most_neighbours
 from msal_cli.kernels.variable_rows import found_rows
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-LongInts = NDArray[np.int64]
 
 
 @compiled
@@ -65,7 +61,7 @@ def _reached(  # type: ignore[no-untyped-def]
 
 def faces_within(
     centroids: Floats, ring_start: Ints, ring: Ints, radius: float | Floats, most: int
-) -> tuple[LongInts, Ints]:
+) -> tuple[Longs, Ints]:
     """Rows of the faces near each face: ``near_start`` (m + 1,) int64 and ``near``.
 
     Parameters

@@ -12,8 +12,8 @@ makes no neighbours: the faces of a wide fan still neighbour the next ones acros
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import TooLargeError
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
@@ -21,9 +21,6 @@ from msal_cli.kernels.geometry import mean_edge_length
 from msal_cli.kernels.parallel import MARKING_THREADS, over_ranges
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, ZERO
 from msal_cli.kernels.variable_rows import found_rows
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 MOST_AROUND = 64
 """Faces around an edge or a vertex beyond which sharing it does not make neighbours."""

@@ -10,11 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import SMALLEST_RANGE, over_ranges, threads
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 MOST_PARTS = 8
 """Parts of the vertices whose normals are added up at the same time."""

@@ -20,13 +20,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels.box_pairs import near_pairs
 from msal_cli.kernels.orientation import plane_signs, space_signs
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-LongInts = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 # x, y and z of many vectors, the three corners of many triangles, and axes with their power of a
 # length.
@@ -43,7 +39,7 @@ _MARGIN = 1e-13
 _TINY = 1e-290
 
 
-def intersecting_pairs(vertices: Floats, faces: Ints) -> LongInts:
+def intersecting_pairs(vertices: Floats, faces: Ints) -> Longs:
     """Pairs (k, 2) of faces that intersect, the lower index first, in order.
 
     Parameters
@@ -60,7 +56,7 @@ def intersecting_pairs(vertices: Floats, faces: Ints) -> LongInts:
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
-def _intersecting(vertices: Floats, faces: Ints, pairs: LongInts) -> Iterator[LongInts]:
+def _intersecting(vertices: Floats, faces: Ints, pairs: Longs) -> Iterator[Longs]:
     """Places in ``pairs`` (k, 2) of those that intersect."""
     first, second = faces[pairs[:, 0]], faces[pairs[:, 1]]
     # Which corner of one is which of the other: (k, 3), and flags for those of the second.
@@ -92,7 +88,7 @@ def _turned(corners: Ints, is_shared: Flags, count: int) -> Ints:
     return np.take_along_axis(corners, (start[:, None] + np.arange(3)) % 3, axis=1)
 
 
-def _apart(vertices: Floats, first: Ints, second: Ints) -> LongInts:
+def _apart(vertices: Floats, first: Ints, second: Ints) -> Longs:
     """Which triangles without a common vertex meet."""
     kept = np.arange(len(first))
     for axes in (_normals, _normals_of_edges, _normals_of_both):
@@ -107,7 +103,7 @@ def _apart(vertices: Floats, first: Ints, second: Ints) -> LongInts:
     return kept[meets]
 
 
-def _at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> LongInts:
+def _at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> Longs:
     """Which triangles whose first corner is the same meet elsewhere too."""
     kept = np.flatnonzero(~_separated_at_a_vertex(vertices, first, second))
     a, b = _points(vertices, first[kept]), _points(vertices, second[kept])
@@ -117,7 +113,7 @@ def _at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> LongInts:
     return kept[meets]
 
 
-def _at_an_edge(vertices: Floats, first: Ints, second: Ints) -> LongInts:
+def _at_an_edge(vertices: Floats, first: Ints, second: Ints) -> Longs:
     """Which triangles that share their first two corners, in any order, are folded onto each
     other."""
     p, q, a = _points(vertices, first)
@@ -131,7 +127,7 @@ def _at_an_edge(vertices: Floats, first: Ints, second: Ints) -> LongInts:
     kept = np.flatnonzero(~(opening < -_MARGIN * size**4))
     kept = kept[space_signs(p[kept], q[kept], a[kept], b[kept]) == 0]
     p, q, a, b = (_flattened(one[kept], _dropped(p, q, a, kept)) for one in (p, q, a, b))
-    folded: LongInts = kept[plane_signs(p, q, a) == plane_signs(p, q, b)]
+    folded: Longs = kept[plane_signs(p, q, a) == plane_signs(p, q, b)]
     return folded
 
 
@@ -175,14 +171,14 @@ def _have_one_sign(signs: list[NDArray[np.int8]]) -> Flags:
     return have_one
 
 
-def _dropped(a: Floats, b: Floats, c: Floats, which: LongInts) -> LongInts:
+def _dropped(a: Floats, b: Floats, c: Floats, which: Longs) -> Longs:
     """The axis along which a triangle's plane is seen largest, so that it is not seen edge on."""
     normals = np.cross(b[which] - a[which], c[which] - a[which])
-    axes: LongInts = np.argmax(np.abs(normals), axis=1)
+    axes: Longs = np.argmax(np.abs(normals), axis=1)
     return axes
 
 
-def _flattened(points: Floats, axes: LongInts) -> Floats:
+def _flattened(points: Floats, axes: Longs) -> Floats:
     """Points (n, 3) without the coordinate of each one's axis."""
     kept = (axes[:, None] + np.array([1, 2])) % 3
     return np.take_along_axis(points, kept, axis=1)

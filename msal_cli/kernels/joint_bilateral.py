@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.exponential import LOG2_E, power_of_two
 from msal_cli.kernels.geometry import VANISHED
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, most_neighbours
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-LongInts = NDArray[np.int64]
-
 
 BLOCK_PAIRS = np.uint64(1024)
 """Pairs of faces that are worked on at a time: what belongs to them fits a first-level cache."""
@@ -78,7 +73,7 @@ def joint_bilateral(
     guides: Floats,
     centroids: Floats,
     areas: Floats,
-    near_start: LongInts,
+    near_start: Longs,
     near: Ints,
     sigma_s: float,
     sigma_r: float,

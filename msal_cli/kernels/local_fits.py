@@ -7,14 +7,10 @@ leaves the share that its degrees of freedom tell, however the vertices lie.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Places = NDArray[np.int64]
 
 MOST_VERTICES = 40
 """Vertices of a patch at most; those further out are left out."""
@@ -226,7 +222,7 @@ def _fitted(  # type: ignore[no-untyped-def]
 
 
 def fitted(
-    chosen: Places, vertices: Floats, normals: Floats, ring_start: Ints, ring: Ints
+    chosen: Longs, vertices: Floats, normals: Floats, ring_start: Ints, ring: Ints
 ) -> tuple[Floats, Ints, Floats, Floats]:
     """What polynomials leave over of the heights around the vertices ``chosen`` (c,).
 

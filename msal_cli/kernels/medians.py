@@ -9,11 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.kernels.compiled import compiled
-
-Floats = NDArray[np.float64]
 
 MANY = 1 << 16
 """Numbers below which partitioning them all is as fast."""

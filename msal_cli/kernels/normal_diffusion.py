@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.exponential import LOG2_E, power_of_two
 from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas, usable_areas
@@ -19,9 +19,6 @@ from msal_cli.kernels.medians import median
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, most_neighbours
 from msal_cli.kernels.robust_laplacian import PER_MEDIAN
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 LONGEST = 0.75
 """Share of a normal that one step may replace by those beside it: with 1 chequered noise stays."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Floats32, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.face_neighbourhoods import faces_within
@@ -32,11 +33,6 @@ from msal_cli.kernels.normal_descriptors import (
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.regression_network import STEP, collect_inputs, predict_normals
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Ints = NDArray[np.int32]
-LongInts = NDArray[np.int64]
 
 MOST_NEAR = 63
 """Faces near one at most, beside itself."""
@@ -175,7 +171,7 @@ class Neighbourhoods:
 
     ring_start: Ints
     ring: Ints
-    near_start: LongInts
+    near_start: Longs
     near: Ints
 
 
@@ -207,19 +203,19 @@ class Descriptors:
     globals : (GLOBALS,) the same for all faces.
     """
 
-    vectors: Singles
-    numbers: Singles
-    axes: Singles
-    globals: Singles
+    vectors: Floats32
+    numbers: Floats32
+    axes: Floats32
+    globals: Floats32
 
-    def inputs(self) -> Singles:
+    def inputs(self) -> Floats32:
         """What the network sees of each face, (m, 3 k + NUMBERS + GLOBALS)."""
         m, width = self.vectors.shape[:2]
         own = np.empty((m, 3 * width + NUMBERS), dtype=np.float32)
         over_ranges(collect_inputs, m, *self._flat(), own)
         return np.concatenate([own, np.broadcast_to(self.globals, (m, GLOBALS))], axis=1)
 
-    def _flat(self) -> tuple[int, Singles, int, Singles, Singles]:
+    def _flat(self) -> tuple[int, Floats32, int, Floats32, Floats32]:
         width = self.vectors.shape[1]
         flat = self.vectors.reshape(-1), self.numbers.reshape(-1), self.axes.reshape(-1)
         return width, flat[0], NUMBERS, flat[1], flat[2]
@@ -243,7 +239,7 @@ class Network:
     layers : (bias (out,), matrix (out, in)) of each of the three.
     """
 
-    layers: tuple[tuple[Singles, Singles], ...]
+    layers: tuple[tuple[Floats32, Floats32], ...]
 
     @property
     def n_in(self) -> int:
@@ -260,7 +256,7 @@ class Network:
         """Coefficients, filled up."""
         return _filled(len(self.layers[2][0]))
 
-    def bound(self, values: Singles) -> Singles:
+    def bound(self, values: Floats32) -> Floats32:
         """All layers one behind another as the kernel reads them, for these global inputs."""
         parts = []
         for at, (bias, matrix) in enumerate(self.layers):
@@ -367,7 +363,7 @@ class NormalDescriber:
     def _filter_jointly(
         self,
         of: tuple[Floats, Floats, NDArray[np.uint64], NDArray[np.uint32]],
-        table: Singles,
+        table: Floats32,
         earlier: tuple[Floats, Floats] | None,
     ) -> None:
         """Fill the vectors that are filtered by others."""
@@ -390,8 +386,8 @@ class NormalDescriber:
 
 
 def _find_globals(
-    table: Singles, numbers: Singles, ripples: Singles, noise: float | None
-) -> Singles:
+    table: Floats32, numbers: Floats32, ripples: Floats32, noise: float | None
+) -> Floats32:
     """What the whole mesh is like: medians of differences between means, of the deviation from
     planes, of scatter and ripples; whether the noise is known, and its level."""
     step = max(len(table) // SAMPLED, 1)

@@ -13,15 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.bilateral_normals import distance_exponents
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.exponential import LOG2_E, power_of_two
 from msal_cli.kernels.parallel import over_ranges
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 ALONE = 1e-200
 """A face whose neighbours weigh less, in mean face areas, is taken as one without neighbours."""

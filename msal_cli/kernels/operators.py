@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.exponential import LOG2_E, power_of_two
 from msal_cli.kernels.parallel import over_ranges
@@ -29,10 +29,6 @@ from msal_cli.kernels.ring_blocks import (
     most_neighbours,
     settle,
 )
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Flags = NDArray[np.bool_]
 
 SMALLEST_SIGMA = 1e-9
 """Floor of sigma in the exponent, in mean edge lengths: far below the rounding of any scan."""

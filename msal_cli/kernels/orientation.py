@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from msal_cli.arrays import Floats
+
 Signs = NDArray[np.int8]
 
 # Somewhat more than the 7.8e-16 and 3.4e-16 of the paper, times the permanent.

@@ -7,17 +7,12 @@ them.  Everything is local, and in units of local edges that the vertex itself h
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.local_fits import _patch
 from msal_cli.kernels.parallel import over_ranges
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Places = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 MOST_FACES = 24
 """Faces of a vertex beyond which it is not judged: the poles of a net are no outliers."""
@@ -387,7 +382,7 @@ def measure_agreement(
 
 
 def judge(
-    chosen: Places,
+    chosen: Longs,
     places: Floats,
     x: Floats,
     faces: Ints,
@@ -428,7 +423,7 @@ def judge(
     return scores, targets
 
 
-def pick(scores: Floats, bound: float, links: Connectivity) -> Places:
+def pick(scores: Floats, bound: float, links: Connectivity) -> Longs:
     """The vertices whose score (n,) is above ``bound`` and above those of all their neighbours."""
     chosen = np.flatnonzero(scores > bound)
     picked = np.empty(len(chosen), dtype=np.bool_)
@@ -436,7 +431,7 @@ def pick(scores: Floats, bound: float, links: Connectivity) -> Places:
     return chosen[picked]
 
 
-def mark_two_rings(chosen: Places, links: Connectivity) -> Flags:
+def mark_two_rings(chosen: Longs, links: Connectivity) -> Flags:
     """The vertices ``chosen`` (c,) and those at most two edges away from one, (n,)."""
     marks = np.zeros(len(links.has_ring), dtype=np.bool_)
     _marked_around(chosen, links.ring_start, links.ring, marks)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.exponential import exponentials
@@ -14,10 +14,6 @@ from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.operators import SMALLEST_SIGMA, Step
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.vertex_neighbourhoods import faces_around, room
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Flags = NDArray[np.bool_]
 
 _CENTROIDS, _PROJECTIONS = range(2)
 

@@ -9,18 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.exponential import exponentials
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.operators import SMALLEST_SIGMA, Step
 from msal_cli.kernels.parallel import over_ranges
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Flags = NDArray[np.bool_]
 
 WEIGHTS = ("gauss", "tukey", "lorentz", "huber", "none")
 DEVIATIONS = ("mean", "median")

@@ -7,15 +7,11 @@ fits over few vertices, and leaves more to wider ones, up to the width over whic
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.local_fits import begin_equations, eliminate, fill_monomials
 from msal_cli.kernels.parallel import over_ranges
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Places = NDArray[np.int64]
 
 REACHES = (1, 2, 3, 4, 6)
 """Rings that the fits are over."""
@@ -31,7 +27,7 @@ MOST_VERTICES = 200
 """Vertices of a patch at most: a fit that would need more is left out."""
 
 SLOTS, EMPTY = 512, -1
-"""Places of the table in which a patch looks up its vertices, a power of two."""
+"""Longs of the table in which a patch looks up its vertices, a power of two."""
 
 FEWEST_PATCHES = 64
 """Patches for which a thread of its own is worth starting."""
@@ -187,7 +183,7 @@ def _fit_scales(  # type: ignore[no-untyped-def]
 
 
 def fit_scales(
-    chosen: Places, vertices: Floats, normals: Floats, ring_start: Ints, ring: Ints
+    chosen: Longs, vertices: Floats, normals: Floats, ring_start: Ints, ring: Ints
 ) -> tuple[Floats, Ints, Ints, Floats, Floats]:
     """What polynomials leave over of the heights around the vertices ``chosen`` (c,), by width.
 

@@ -9,15 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels.geometry import face_normals
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
-Flags = NDArray[np.bool_]
-
 
 _SMALLEST_SQUARE, _LARGEST_SQUARE = 1e-200, 1e200
 """Squared lengths between which no sum of squares overflows or loses its digits."""

@@ -15,16 +15,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.exponential import exponentials
 from msal_cli.kernels.geometry import VANISHED
 from msal_cli.kernels.parallel import over_ranges
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-LongInts = NDArray[np.int64]
 
 
 @compiled
@@ -68,7 +64,7 @@ def pair_weights(
     guides: Floats,
     centroids: Floats,
     areas: Floats,
-    near_start: LongInts,
+    near_start: Longs,
     near: Ints,
     eta: float,
     mu: float,
@@ -148,7 +144,7 @@ def _stepped(  # type: ignore[no-untyped-def]
 def minimising_normals(
     normals: Floats,
     areas: Floats,
-    near_start: LongInts,
+    near_start: Longs,
     near: Ints,
     weights: Floats,
     strength: float,

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.arctangent import arctangents
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.geometry import DEGENERATE
 from msal_cli.kernels.parallel import over_ranges
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 BLOCK_FACES = 512
 """Faces that are worked on at a time; also the terms of one partial sum, so that sums do not

@@ -9,15 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.medians import quantile_above_zero
 from msal_cli.kernels.operators import Operator, RingOperator
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.schedules import Pace, Schedule
-
-Floats = NDArray[np.float64]
 
 OnSweep = Callable[[int, int], None]
 """Called as ``on_sweep(done, iterations)`` after every sweep."""

@@ -8,8 +8,8 @@ here takes without being compiled a second time.  Every value is exact: see ``di
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Bytes, Floats, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.digits import (
     EXACT,
@@ -21,10 +21,6 @@ from msal_cli.kernels.digits import (
     write_fixed,
     write_shortest,
 )
-
-Bytes = NDArray[np.uint8]
-Offsets = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 
 def as_bytes(buffer: bytes | bytearray | memoryview | Bytes) -> Bytes:
@@ -90,7 +86,7 @@ def _numbers_at(buf, starts, stops, values, undecided):  # type: ignore[no-untyp
     return -1, n_undecided
 
 
-def numbers_at(buf: Bytes, starts: Offsets, stops: Offsets) -> tuple[Floats, int]:
+def numbers_at(buf: Bytes, starts: Longs, stops: Longs) -> tuple[Floats, int]:
     """The values (k,) of k tokens, correctly rounded, and the first that is no number, or -1.
 
     Behind such a token the values are undefined.
@@ -112,7 +108,7 @@ def _decimals_used(buf, starts, stops, decimals):  # type: ignore[no-untyped-def
         decimals[i] = min(used, 255)
 
 
-def decimals_used(buf: Bytes, starts: Offsets, stops: Offsets) -> Bytes:
+def decimals_used(buf: Bytes, starts: Longs, stops: Longs) -> Bytes:
     """Decimals behind the point of each of these tokens, exponents counted in, at most 255.
 
     ``1.5e-3`` has four.
@@ -142,7 +138,7 @@ def fixed_width(largest: float, decimals: int) -> int:
     return max(whole + decimals + 3, WIDEST_SHORTEST)
 
 
-def printed(values: Floats, decimals: int) -> tuple[Bytes, Offsets]:
+def printed(values: Floats, decimals: int) -> tuple[Bytes, Longs]:
     """Fixed-point text of k numbers with ``decimals`` (0 to 17) digits behind the point.
 
     Returns the texts one behind the other, (size,) uint8, and where each ends, (k,) int64.
@@ -183,7 +179,7 @@ def shortest(value: float, single: bool) -> str:
     return str(np.float32(value)) if single else repr(float(value))
 
 
-def printed_shortest(values: Floats, single: bool) -> tuple[Bytes, Offsets]:
+def printed_shortest(values: Floats, single: bool) -> tuple[Bytes, Longs]:
     """Shortest text of k numbers that is read back as the same float64, or float32 if ``single``.
 
     Returns the texts one behind the other, (size,) uint8, and where each ends, (k,) int64.
@@ -224,7 +220,7 @@ def _spliced(buf, starts, stops, text, text_stops, out):  # type: ignore[no-unty
     _copied(buf, done, len(buf), out, at)
 
 
-def spliced(buf: Bytes, starts: Offsets, stops: Offsets, text: Bytes, text_stops: Offsets) -> Bytes:
+def spliced(buf: Bytes, starts: Longs, stops: Longs, text: Bytes, text_stops: Longs) -> Bytes:
     """``buf`` with k tokens replaced by k texts that lie one behind the other in ``text``."""
     starts, stops = np.ascontiguousarray(starts), np.ascontiguousarray(stops)
     size = len(buf) - int((stops - starts).sum()) + (int(text_stops[-1]) if len(text_stops) else 0)
@@ -270,7 +266,7 @@ def _same_outside(a, a_starts, a_stops, b, b_starts, b_stops):  # type: ignore[n
 
 
 def same_outside(
-    a: Bytes, a_starts: Offsets, a_stops: Offsets, b: Bytes, b_starts: Offsets, b_stops: Offsets
+    a: Bytes, a_starts: Longs, a_stops: Longs, b: Bytes, b_starts: Longs, b_stops: Longs
 ) -> bool:
     """Whether two texts are equal byte for byte outside their k tokens."""
     if len(a_starts) != len(b_starts):

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Bytes
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.text import as_bytes
-
-Bytes = NDArray[np.uint8]
 
 
 @compiled

@@ -10,11 +10,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Ints
 from msal_cli.kernels.parallel import MARKING_THREADS, over_ranges
-
-Ints = NDArray[np.int32]
 
 PARTS = 8
 """Parts of the items, at most: the rows of one are in memory twice."""

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.geometry import area_and_volume
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 
 @compiled

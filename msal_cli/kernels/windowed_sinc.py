@@ -14,13 +14,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 NUTTALL = (0.355768, 0.487396, 0.144232, 0.012604)
 """Cosine terms of the Nuttall window, whose side lobes are below 1e-4."""

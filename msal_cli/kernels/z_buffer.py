@@ -9,14 +9,10 @@ samples, and nearness to the eye in the same unit.  The sample in row r and colu
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Floats32, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
-
-Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Ints = NDArray[np.int32]
 
 NOTHING = -1
 """Where a sample meets no face."""

@@ -15,8 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.errors import InternalError
 from msal_cli.kernels.face_rings import face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
@@ -33,8 +33,6 @@ from msal_cli.kernels.untangling import untangle
 from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sweeps import free_vertices
-
-Floats = NDArray[np.float64]
 
 WEIGHTS = Path(__file__).parent / "weights"
 """The folder of the trained weights."""

@@ -6,16 +6,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from msal_cli.arrays import Floats
 from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sliding import settled, sliding_parameter
 from msal_cli.methods._sweeps import free_vertices
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

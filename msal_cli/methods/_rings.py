@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Ints
 from msal_cli.kernels.boundary import averaged_ring
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import ScheduledParameters
-
-Ints = NDArray[np.int32]
 
 
 def boundary_rule() -> Any:

@@ -6,16 +6,14 @@ import weakref
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import face_normals, ring_means
 from msal_cli.kernels.medians import median
 from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import free_vertices
-
-Floats = NDArray[np.float64]
 
 SETTLING = 3
 """Passes that fit the vertices once more after their sliding is undone."""

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.kernels.operators import AnisotropicLaplacian, Operator
 from msal_cli.kernels.schedules import Constant, Multiscale, Plain, Schedule, Wiener
 from msal_cli.kernels.sweeps import Swept, swept
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

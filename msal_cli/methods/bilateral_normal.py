@@ -45,8 +45,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.kernels.bilateral_normals import bilateral_averages
 from msal_cli.kernels.conjugate_gradient import conjugate_gradients
 from msal_cli.kernels.face_rings import face_centroids, face_rings, mean_centroid_distance
@@ -55,8 +55,6 @@ from msal_cli.kernels.normal_system import normal_system
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._normal_filters import NormalFilterParameters, Passes, run
-
-Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-4
 """Residual of the global solution over lambda; normals are then right to 2e-5 on the mean."""

@@ -48,8 +48,8 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Flags, Floats
 from msal_cli.kernels.clusters import clusters
 from msal_cli.kernels.geometry import ring_means, vertex_normals
 from msal_cli.kernels.operators import Operator
@@ -60,9 +60,6 @@ from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import NormalParameters, anisotropic_laplacian, free_vertices
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 SMALLEST_SPREAD = 1e-6
 """Spreads below count as this: face normals within a tenth of a degree of the vertex's."""

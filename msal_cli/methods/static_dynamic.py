@@ -49,9 +49,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from msal_cli.arrays import Floats
 from msal_cli.kernels.face_guides import Patches, patches
 from msal_cli.kernels.face_neighbourhoods import faces_within
 from msal_cli.kernels.face_rings import face_centroids, mean_centroid_distance
@@ -63,7 +61,6 @@ from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sliding import settled, sliding_parameter
 from msal_cli.methods._sweeps import free_vertices
 
-Floats = NDArray[np.float64]
 OnStep = Callable[[], object]
 
 MOST_NEAR = 256

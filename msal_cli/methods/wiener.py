@@ -45,8 +45,8 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats
 from msal_cli.kernels.face_rings import face_centroids, face_rings, mean_centroid_distance
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.joint_bilateral import joint_bilateral
@@ -64,8 +64,6 @@ from msal_cli.methods._sweeps import (
     noise_parameter,
     told_or_estimated,
 )
-
-Floats = NDArray[np.float64]
 
 BYTES_PER_FACE = 250
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
+from msal_cli.arrays import Floats, Ints
 
 MARGIN = 0.04
 """Share of the picture's width and height that stays free on each side."""

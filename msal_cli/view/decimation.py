@@ -12,9 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.mesh import Floats, Ints
-
-Indices = NDArray[np.int64]
+from msal_cli.arrays import Floats, Ints, Longs
 
 _LEAST_COSINE = 0.25
 """Of the angle by which a face may turn when an edge beside it is contracted."""
@@ -44,7 +42,7 @@ class Coarse:
     faces : (m, 3) int32, of places in ``kept``.
     """
 
-    kept: Indices
+    kept: Longs
     faces: Ints
 
 
@@ -71,7 +69,7 @@ def coarsened(vertices: Floats, faces: Ints, most_faces: int) -> Coarse:
     return Coarse(kept, flat.reshape(-1, 3).astype(np.int32))
 
 
-def _round(vertices: Floats, faces: Indices, excess: int, *, is_checked: bool) -> Indices:
+def _round(vertices: Floats, faces: Longs, excess: int, *, is_checked: bool) -> Longs:
     """The faces after one round, which takes away not many more than ``excess``."""
     stays, goes = _pairs(vertices, faces)
     # Two faces to an edge inside; the last round stops where it should.
@@ -105,7 +103,7 @@ def _round(vertices: Floats, faces: Indices, excess: int, *, is_checked: bool) -
     return _with_area(moved[faces])
 
 
-def _pairs(vertices: Floats, faces: Indices) -> tuple[Indices, Indices]:
+def _pairs(vertices: Floats, faces: Longs) -> tuple[Longs, Longs]:
     """Ends of short edges, each vertex in one pair at most; the shortest first, by and large."""
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     # An edge between two faces is met in both directions: once is enough.
@@ -129,7 +127,7 @@ def _pairs(vertices: Floats, faces: Indices) -> tuple[Indices, Indices]:
     return np.concatenate(stays), np.concatenate(goes)
 
 
-def _on_boundary(n_vertices: int, faces: Indices) -> NDArray[np.bool_]:
+def _on_boundary(n_vertices: int, faces: Longs) -> NDArray[np.bool_]:
     """Whether the faces around each vertex leave a gap.
 
     Numbers of the neighbours add up to nothing around a closed fan, where each is once the next
@@ -143,7 +141,7 @@ def _on_boundary(n_vertices: int, faces: Indices) -> NDArray[np.bool_]:
     return is_open
 
 
-def _turned(vertices: Floats, faces: Indices, moved: Indices) -> Indices:
+def _turned(vertices: Floats, faces: Longs, moved: Longs) -> Longs:
     """Corners of the faces that would turn too far, or become needles."""
     after = moved[faces]
     changed = np.flatnonzero((after != faces).any(axis=1))
@@ -155,7 +153,7 @@ def _turned(vertices: Floats, faces: Indices, moved: Indices) -> Indices:
     return np.unique(faces[changed[along <= _LEAST_COSINE * sizes]])
 
 
-def _normals(vertices: Floats, faces: Indices) -> Floats:
+def _normals(vertices: Floats, faces: Longs) -> Floats:
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     u, w = b - a, c - a
     return np.stack(
@@ -168,14 +166,14 @@ def _normals(vertices: Floats, faces: Indices) -> Floats:
     )
 
 
-def _with_area(faces: Indices) -> Indices:
+def _with_area(faces: Longs) -> Longs:
     """The faces with three different corners."""
     a, b, c = faces.T
-    left: Indices = faces[(a != b) & (b != c) & (c != a)]
+    left: Longs = faces[(a != b) & (b != c) & (c != a)]
     return left
 
 
-def _distinct(faces: Indices) -> Indices:
+def _distinct(faces: Longs) -> Longs:
     """The faces (m, 3), each set of corners but once."""
     ordered = np.sort(faces, axis=1)
     order = np.lexsort(ordered.T)

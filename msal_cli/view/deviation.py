@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.analysis import colour_maps as colours
+from msal_cli.arrays import Floats
 from msal_cli.view.panels import Legend
-
-Floats = NDArray[np.float64]
 
 SHARE_WITHIN = 0.99
 """Share of the numbers within the ends of a scale, so that one stray vertex does not pale all."""

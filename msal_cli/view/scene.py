@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.analysis import colour_maps as colours
-from msal_cli.mesh import Floats, Ints, Mesh
+from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.mesh import Mesh
 from msal_cli.view.decimation import coarsened
 
 MOST_FACES = 200_000
@@ -37,8 +38,6 @@ _CLIPPED = 0.002
 make all others look alike."""
 
 _DEVIATION_STEPS = 65535
-
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +154,7 @@ def _ticks(vertices: Floats, low: Floats, step: float) -> NDArray[np.int64]:
     return np.rint((vertices - low) / step).astype(np.int64)
 
 
-def _ordered(vertices: Floats, faces: Ints) -> tuple[Indices, Ints]:
+def _ordered(vertices: Floats, faces: Ints) -> tuple[Longs, Ints]:
     """An order of the vertices, and the faces with the vertices' new numbers.
 
     Faces follow a Z-shaped curve through space (Morton 1966), and vertices their first use.
@@ -219,7 +218,7 @@ def _planes(numbers: NDArray[np.int64], count: int) -> list[bytes]:
 
 
 def _deviation(
-    deviation: Floats, kept: Indices, ends: tuple[float, float] | None
+    deviation: Floats, kept: Longs, ends: tuple[float, float] | None
 ) -> tuple[dict[str, object], list[bytes]]:
     """The colour scale of the deviations, and the kept ones in 65,535 steps over their range."""
     values = np.asarray(deviation, dtype=np.float64)

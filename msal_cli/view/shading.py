@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats32, Ints
 from msal_cli.view.camera import Camera
 from msal_cli.view.raster import rasterised
 
 Array = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
-Ints = NDArray[np.int32]
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 

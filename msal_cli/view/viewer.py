@@ -19,9 +19,10 @@ from pathlib import Path
 from string import Template
 
 from msal_cli import __version__
+from msal_cli.arrays import Floats
 from msal_cli.errors import InternalError
 from msal_cli.job.display_names import shown
-from msal_cli.mesh import Floats, Mesh
+from msal_cli.mesh import Mesh
 from msal_cli.view import scene
 
 _ASSETS = Path(__file__).parent / "assets"

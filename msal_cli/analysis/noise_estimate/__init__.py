@@ -11,19 +11,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.analysis.noise_estimate.character import characterize
 from msal_cli.analysis.noise_estimate.level import SURE, NoiseCharacter, NoiseLevel
 from msal_cli.analysis.noise_estimate.regions import find_nearest
 from msal_cli.analysis.noise_estimate.white import estimate_white
+from msal_cli.arrays import Floats
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
 __all__ = ["SURE", "NoiseCharacter", "NoiseLevel", "estimated", "regional"]
-
-Floats = NDArray[np.float64]
 
 
 def estimated(mesh: Mesh) -> NoiseLevel:

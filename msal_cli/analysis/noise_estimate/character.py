@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.analysis.noise_estimate.colour import Colour, find_colour
 from msal_cli.analysis.noise_estimate.direction import (
@@ -35,11 +34,11 @@ from msal_cli.analysis.noise_estimate.unevenness import (
     find_unevenness,
 )
 from msal_cli.analysis.noise_estimate.white import WhiteEstimate
+from msal_cli.arrays import Floats
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
-Floats = NDArray[np.float64]
 
 FEWEST_VERTICES = 256
 """Vertices below which six rings are most of the shape, and leave over what noise would."""

@@ -12,12 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.analysis.noise_estimate.quantiles import chi_square_quantile
 from msal_cli.analysis.noise_estimate.survey import FOUR, SIX, THREE, TWO, Survey
-
-Floats = NDArray[np.float64]
+from msal_cli.arrays import Floats
 
 LEFT = np.array(
     [

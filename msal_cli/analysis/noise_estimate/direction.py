@@ -11,12 +11,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.analysis.noise_estimate.quantiles import chi_square_quantile, quantile
 from msal_cli.analysis.noise_estimate.survey import THREE, Survey
-
-Floats = NDArray[np.float64]
+from msal_cli.arrays import Floats
 
 MOST_GROUPS = 24
 """Groups of places with alike normals."""

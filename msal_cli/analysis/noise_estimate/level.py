@@ -6,9 +6,8 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from msal_cli.arrays import Floats
 
 SURE = 0.025
 """Mean edge lengths: upper end of the interval below which there is certainly no noise."""

@@ -6,15 +6,14 @@ import weakref
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.analysis.noise_estimate import regional
+from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import ring_means
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
-Floats = NDArray[np.float64]
 
 PASSES = 20
 """Averages over one-rings: over some sixty vertices, enough to tell a level within a tenth."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from msal_cli.arrays import Floats
 
 _NORMAL = {
     0.05: -1.6448536,

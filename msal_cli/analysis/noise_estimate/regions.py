@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Places = NDArray[np.int64]
+from msal_cli.arrays import Floats, Longs
 
 VERTICES_PER_REGION = 800
 MOST_REGIONS = 16
@@ -20,7 +18,7 @@ def count_regions(n_vertices: int) -> int:
     return min(max(n_vertices // VERTICES_PER_REGION, 1), MOST_REGIONS)
 
 
-def split_regions(vertices: Floats, count: int) -> tuple[Places, Places]:
+def split_regions(vertices: Floats, count: int) -> tuple[Longs, Longs]:
     """Which of the vertices (c, 3) are middles of ``count`` regions, each as far from the others as
     can be; and which middle is the nearest to each vertex (c,)."""
     axes = np.ascontiguousarray(vertices.T)
@@ -39,7 +37,7 @@ def split_regions(vertices: Floats, count: int) -> tuple[Places, Places]:
     return middles, labels
 
 
-def find_nearest(vertices: Floats, middles: Floats) -> Places:
+def find_nearest(vertices: Floats, middles: Floats) -> Longs:
     """Which of the middles (r, 3) is the nearest to each of the vertices (n, 3)."""
     nearest = np.empty(len(vertices), dtype=np.int64)
     for first in range(0, len(vertices), BLOCK_VERTICES):

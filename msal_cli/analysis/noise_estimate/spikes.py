@@ -12,11 +12,11 @@ from msal_cli.analysis.noise_estimate.colour import Colour
 from msal_cli.analysis.noise_estimate.quantiles import quantile
 from msal_cli.analysis.noise_estimate.survey import Survey
 from msal_cli.analysis.noise_estimate.white import WhiteEstimate
+from msal_cli.arrays import Floats
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
-Floats = NDArray[np.float64]
 
 FEWEST_OUTLIERS = 0.004
 """Share of the vertices from which they are outliers."""

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from msal_cli.analysis.noise_estimate.direction import Groups
 from msal_cli.analysis.noise_estimate.survey import FOUR, THREE, Survey
+from msal_cli.arrays import Floats
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
-Floats = NDArray[np.float64]
 
 LEAST_STEP = 0.05
 """Mean edge lengths: shorter steps are those of the file's digits, and no noise to speak of."""

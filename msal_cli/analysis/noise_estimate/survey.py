@@ -6,19 +6,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.analysis.noise_estimate.quantiles import quantile
+from msal_cli.arrays import Floats, Longs
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Places = NDArray[np.int64]
 
 MOST_PLACES = 640
-"""Places of the survey: more would hardly tell more, and take 15 microseconds each."""
+"""Longs of the survey: more would hardly tell more, and take 15 microseconds each."""
 
 ONE, TWO, THREE, FOUR, SIX = range(5)
 """The fits, by the rings that they are over."""
@@ -39,8 +36,8 @@ class Survey:
     offsets : (c, 3) from the middle of the ring to the vertex; see ``kernels.scale_fits``.
     """
 
-    at: Places
-    vertices: Places
+    at: Longs
+    vertices: Longs
     positions: Floats
     variances: Floats
     freedoms: Floats
@@ -60,7 +57,7 @@ class Survey:
         return quantile(values, share)
 
 
-def take_survey(mesh: Mesh, places: Places) -> Survey:
+def take_survey(mesh: Mesh, places: Longs) -> Survey:
     """Look at some of the places (c,), evenly."""
     from msal_cli.kernels.scale_fits import fit_scales
 

@@ -6,15 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.analysis.noise_estimate.colour import Colour, find_colour
 from msal_cli.analysis.noise_estimate.quantiles import chi_square_quantile
 from msal_cli.analysis.noise_estimate.regions import split_regions
 from msal_cli.analysis.noise_estimate.survey import ONE, TWO, Survey
-
-Floats = NDArray[np.float64]
-Places = NDArray[np.int64]
+from msal_cli.arrays import Floats, Longs
 
 MOST_REGIONS, FEWEST_PLACES = 16, 20
 """Regions of the survey, and the places that each has on average."""
@@ -58,7 +55,7 @@ class Unevenness:
     rings : over how many rings neighbours share it.
     """
 
-    middles: Places
+    middles: Longs
     regions: Floats
     level: float
     rings: int
@@ -85,8 +82,8 @@ class Differences:
     scale : (c,) variance of the region of each place; 0 where it is quiet, or between two parts.
     """
 
-    middles: Places
-    labels: Places
+    middles: Longs
+    labels: Longs
     lows: Floats
     means: Floats
     scale: Floats

@@ -23,12 +23,11 @@ from msal_cli.analysis.noise_estimate.level import (
     to_clean_edges,
 )
 from msal_cli.analysis.noise_estimate.regions import count_regions, split_regions
+from msal_cli.arrays import Floats, Longs
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
-Floats = NDArray[np.float64]
-Places = NDArray[np.int64]
 
 FEWEST_PATCHES, MOST_PATCHES = 1536, 4096
 VERTICES_PER_PATCH = 12
@@ -80,7 +79,7 @@ SPREAD = 0.1
 """What the upper end allows for spikes that do not stand out."""
 
 FEWEST_PLACES = 48
-"""Places that a region needs."""
+"""Longs that a region needs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +126,8 @@ class WhiteEstimate:
     """
 
     level: NoiseLevel
-    places: Places
-    labels: Places
+    places: Longs
+    labels: Longs
     middles: Floats
     regions: Floats
     far: NDArray[np.bool_]
@@ -186,7 +185,7 @@ def estimate_white(mesh: Mesh) -> WhiteEstimate:
     return WhiteEstimate(noise, places, labels, mesh.vertices[places[middles]], regions, far, edge)
 
 
-def _places(mesh: Mesh) -> Places:
+def _places(mesh: Mesh) -> Longs:
     """Vertices around which to look, evenly over their numbers, but in no step with any pattern
     of them."""
     has_ring = mesh.links.has_ring
@@ -202,7 +201,7 @@ def _places(mesh: Mesh) -> Places:
     return at if used is None else used[at]
 
 
-def _fits(mesh: Mesh, places: Places) -> _Fits:
+def _fits(mesh: Mesh, places: Longs) -> _Fits:
     from msal_cli.kernels.local_fits import fitted
 
     links = mesh.links
@@ -237,9 +236,7 @@ def _tail(fits: _Fits) -> tuple[float, NDArray[np.bool_]]:
     return (float(far.sum()) / judged if judged else 0.0), far
 
 
-def _levels(
-    fits: _Fits, labels: Places, n_regions: int, level: float, is_impulsive: bool
-) -> Floats:
+def _levels(fits: _Fits, labels: Longs, n_regions: int, level: float, is_impulsive: bool) -> Floats:
     """Level of each region (r,), file units, where that of all is ``level``; a region with too few
     places has that."""
     # Few places of a region have no spike.

@@ -8,14 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from msal_cli.analysis.simulation.settings import DEFAULTS, OPTIONS, SCANNERS, ScannerSettings
+from msal_cli.arrays import Floats, Ints
 from msal_cli.mesh import Mesh
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 __all__ = [
     "DEFAULTS",

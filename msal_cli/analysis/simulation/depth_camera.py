@@ -10,18 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.analysis.added_noise import grazing_growth
 from msal_cli.analysis.simulation.frames import build_frame, turn, turn_back
 from msal_cli.analysis.simulation.settings import MOST_PIXELS, ScannerSettings
 from msal_cli.analysis.simulation.surface import Surface
+from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, TooLargeError
 from msal_cli.mesh import Mesh
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Flags = NDArray[np.bool_]
 
 DISTANCE = 4.0
 """From the camera to the object's centre, radii of the sphere around the object."""

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.analysis.simulation.settings import ScannerSettings
+from msal_cli.arrays import Floats
 from msal_cli.mesh import Mesh
-
-Floats = NDArray[np.float64]
 
 
 def build_frame(direction: Floats | tuple[float, float, float]) -> Floats:

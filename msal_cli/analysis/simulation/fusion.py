@@ -18,11 +18,10 @@ from msal_cli.analysis.simulation.occupancy import Grid
 from msal_cli.analysis.simulation.settings import ScannerSettings
 from msal_cli.analysis.simulation.surface import Surface
 from msal_cli.analysis.simulation.volumes import place_grid
+from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError
 from msal_cli.mesh import Mesh
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 Volume = NDArray[np.float32]
 
 TRUNCATION = 4.0

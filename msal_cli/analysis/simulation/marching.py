@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, UnsupportedError, install_hint
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 Volume = NDArray[np.float32]
 
 

@@ -13,10 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
-Longs = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+from msal_cli.arrays import Flags, Floats, Ints, Longs
+
 Volume = NDArray[np.float32]
 
 PAIRS_AT_ONCE = 1 << 21

@@ -5,13 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.analysis.surface_distance import AT_ONCE, build_scene, single
+from msal_cli.arrays import Floats, Longs
 from msal_cli.mesh import Mesh
-
-Floats = NDArray[np.float64]
-Longs = NDArray[np.int64]
 
 
 class Surface:

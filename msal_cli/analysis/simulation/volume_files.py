@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from msal_cli.analysis.simulation.marching import extract_surface
 from msal_cli.analysis.simulation.settings import MOST_CELLS
+from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, FormatError, TooLargeError, TruncatedError, UsageError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 
 TYPES = {
     "uint8": "<u1",

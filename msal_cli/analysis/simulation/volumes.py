@@ -9,12 +9,11 @@ from msal_cli.analysis.simulation.frames import build_frame, cell_length, turn, 
 from msal_cli.analysis.simulation.marching import extract_surface, require_libraries
 from msal_cli.analysis.simulation.occupancy import Grid, close_holes, fill_centres, fill_voxels
 from msal_cli.analysis.simulation.settings import MOST_CELLS, ScannerSettings
+from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, TooLargeError
 from msal_cli.kernels.geometry import area_and_volume
 from msal_cli.mesh import Mesh
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int32]
 Volume = NDArray[np.float32]
 
 MARGIN = 3
