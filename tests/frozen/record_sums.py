@@ -117,6 +117,8 @@ WORDS = ("message", "hint", "where", "reason", "warnings", "words", "notes", "si
 CHANGING = (
     (r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:[.,]\d+)?(?:Z|\+00:00)?", "TIME"),
     (r"\d+\.\d+\.\d+(?:\.?(?:dev|post|rc)\w*)?", "VERSION"),
+    (r"(?m) +[\d,]+ +\d+\.\d\d(?=  |$)", "  RATE TIME"),
+    (r" {2,}", "  "),
     (r"(?m)^.*(?:vertices/s|time  |files? in ).*$", "TIMES"),
     (r"\b\d[\d,]*(?:\.\d+)? (?:s|ms|seconds|MB|GB)\b", "AMOUNT"),
 )
@@ -214,7 +216,7 @@ def stored(document: dict[str, Any]) -> dict[str, Any]:
     document |= {"seconds": 10.0, "machine": {"system": "Linux", "cores": "2 of 2"}}
     for record in document["records"]:
         if record.get("seconds"):
-            record["seconds"] = {name: 0.5 for name in record["seconds"]}
+            record["seconds"] = dict.fromkeys(record["seconds"], 0.5)
         for name in record:
             if re.search("per_second|memory", name) and record[name] is not None:
                 record[name] = 1000
@@ -256,7 +258,8 @@ def outcomes(chosen: list[str]) -> Iterator[tuple[str, str, str]]:
                     # Each byte of a report counts, as there are no times in it.
                     text = target.read_bytes().decode("utf-8", "surrogateescape")
                     yield f"stored {suffix}", "", text.replace(str(folder), "FOLDER")
-                yield "stored text", *run(["report", "stored.json", "-v"], folder)
+                told = CliRunner().invoke(program, ["report", "stored.json", "-v"]).stdout
+                yield "stored text", "", told
                 yield "stored gates", *run(["report", "stored.json", "--fail-on", GATE], folder)
             for command in (*_COMMANDS, "") if is_chosen("help") else ():
                 words = [command, "--help"] if command else ["--help"]
