@@ -35,6 +35,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -242,9 +243,6 @@ def seeds(format: str) -> tuple[bytes, ...]:
     return tuple(data for name, data in sorted(archived().items()) if name.startswith(start))
 
 
-mutants.seeds = seeds  # type: ignore[assignment]
-
-
 def formats() -> tuple[str, ...]:
     """All formats that are compared."""
     found = {name.split("/")[1] for name in archived() if name.startswith(("seeds/", "made/"))}
@@ -252,7 +250,12 @@ def formats() -> tuple[str, ...]:
 
 
 def mutant(format: str, number: int) -> bytes:
-    """The mutant of that number."""
+    """The mutant of that number, made of the archived seeds."""
+    with mock.patch.object(mutants, "seeds", seeds):
+        return _mutant(format, number)
+
+
+def _mutant(format: str, number: int) -> bytes:
     if format in FUZZED:
         return mutants.mutant(format, number)
     dice = random.Random(f"{format} {number}")

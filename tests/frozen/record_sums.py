@@ -25,6 +25,7 @@ from collections.abc import Iterator
 from contextlib import chdir
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from click.testing import CliRunner
 
@@ -232,11 +233,16 @@ def outcomes(chosen: list[str]) -> Iterator[tuple[str, str, str]]:
 
     Later commands read what earlier ones wrote: all run, whichever are chosen.
     """
-    Clock.now = staticmethod(lambda: "2026-01-02T03:04:05.678Z")  # type: ignore[method-assign]
-    Clock.seconds = lambda self: 1.0  # type: ignore[method-assign]
-    machine.described = lambda: {"system": "Linux"}
-    os.environ.update(COLUMNS="100", NO_COLOR="1", TERM="dumb")
+    with (
+        mock.patch.object(Clock, "now", staticmethod(lambda: "2026-01-02T03:04:05.678Z")),
+        mock.patch.object(Clock, "seconds", lambda self: 1.0),
+        mock.patch.object(machine, "described", lambda: {"system": "Linux"}),
+        mock.patch.dict(os.environ, COLUMNS="100", NO_COLOR="1", TERM="dumb"),
+    ):
+        yield from _outcomes(chosen)
 
+
+def _outcomes(chosen: list[str]) -> Iterator[tuple[str, str, str]]:
     def is_chosen(name: str) -> bool:
         return not chosen or any(one in name for one in chosen)
 
