@@ -40,8 +40,7 @@ from unittest import mock
 
 import numpy as np
 
-from msal_cli.errors import MsalError
-from msal_cli.files import (
+from msal_cli.codecs import (
     converted,
     expanded,
     normal_warnings,
@@ -49,7 +48,8 @@ from msal_cli.files import (
     vertex_property,
     writable_formats,
 )
-from msal_cli.files.forecast import of_beginning
+from msal_cli.codecs.forecast import of_beginning
+from msal_cli.errors import MsalError
 from tests.frozen.sums import REAL, ROOT, environment
 from tests.fuzz import corpus, mutants
 
