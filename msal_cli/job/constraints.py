@@ -7,14 +7,13 @@ as fixed during their sweeps, and trust goes into the data term of those that ha
 from __future__ import annotations
 
 import math
-import operator
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.errors import ContentError, UsageError
-from msal_cli.job.units import UNIT_PATTERN, in_file_units
+from msal_cli.job.units import COMPARISONS, UNIT_PATTERN, in_file_units
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,14 +30,6 @@ BOUNDARY = "boundary"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _LENGTH = re.compile(rf"(?a)\s*({_NUMBER})\s*(e|{UNIT_PATTERN})?\s*")
 _LOCK = re.compile(rf"(?a)\s*([^\s<>=!]+)\s*(<=|>=|==|!=|<|>)\s*({_NUMBER})\s*")
-COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-    "==": operator.eq,
-    "!=": operator.ne,
-}
 
 
 # Of a sum of coordinates, and of the distance between two points, relative to the largest of them.

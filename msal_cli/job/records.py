@@ -17,11 +17,11 @@ SCHEMA = "msal.report/1"
 
 Status = Literal["written", "unchanged", "up-to-date", "planned", "failed"]
 
-DENOISED = ("written", "unchanged")
-"""Statuses of files that were denoised in the run of the record."""
+DONE = ("written", "unchanged")
+"""Statuses of files that the run itself has done."""
 
-WITH_OUTPUT = (*DENOISED, "up-to-date")
-"""Statuses of files whose output exists."""
+WITH_OUTPUT = (*DONE, "up-to-date")
+"""Statuses of files whose output is in place."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from typing import Any
 
 from msal_cli.job.display_names import portable
 from msal_cli.job.plain_data import about, as_data, known, value_at
-from msal_cli.job.records import DENOISED, SCHEMA, MeshRecord
+from msal_cli.job.records import DONE, SCHEMA, MeshRecord
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def totals(records: Sequence[MeshRecord]) -> Totals:
     import statistics
 
     states = Counter(record.status for record in records)
-    fresh = [record for record in records if record.status in DENOISED]
+    fresh = [record for record in records if record.status in DONE]
     changes = known_values(records, "volume.change_percent")
     chosen = Counter(
         record.method.name

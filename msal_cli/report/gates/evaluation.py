@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from msal_cli.errors import UsageError
-from msal_cli.job.constraints import COMPARISONS
-from msal_cli.job.units import in_file_units
+from msal_cli.job.units import COMPARISONS, in_file_units
 from msal_cli.report.gates.grammar import Expression
 from msal_cli.report.gates.quantities import (
     CONSTANT,
