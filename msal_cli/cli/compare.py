@@ -285,7 +285,7 @@ def _write_heatmap(request: Request, target: str) -> None:
     from msal_cli.batch import interrupts as signals
     from msal_cli.cli import option_types as words
     from msal_cli.job import comparison
-    from msal_cli.report.text import file_name
+    from msal_cli.report.phrases import file_name
 
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
     before = comparison.opened(request.before, format)
@@ -301,7 +301,7 @@ def _told_of_many(request: Request, pairs: Mapping[str, ComparisonRecord], measu
     from msal_cli.report import comparison_text, document
     from msal_cli.report import json_report as as_json
     from msal_cli.report.gates import is_any_broken
-    from msal_cli.report.text import file_name
+    from msal_cli.report.phrases import file_name
 
     names = list(pairs)
     records = measure.of_many(list(pairs.values()), names)

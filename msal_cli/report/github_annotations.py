@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 
 from msal_cli.job.display_names import shown
 from msal_cli.job.records import MeshRecord
+from msal_cli.report.phrases import failure_texts, file_name
 from msal_cli.report.ranking import broken_gates, worst_first
-from msal_cli.report.text import file_name, reason
 
 MOST = 10
 """Annotations of a run: GitHub shows no more errors of one step."""
@@ -39,10 +39,7 @@ def _messages(record: MeshRecord) -> Iterator[tuple[str, str]]:
     """The title and the message of a file, if there is anything to tell."""
     name = file_name(record.input)
     if record.error is not None:
-        failure = record.error
-        hint = f"\nhint: {shown(failure.hint)}" if failure.hint else ""
-        why = reason(failure.where, failure.message, failure.code)
-        yield "msal: failed", f"{name}: {why}{hint}"
+        yield "msal: failed", "\n".join(failure_texts(name, record.error))
     elif gates := broken_gates(record):
         title = "msal: broken gate" if len(gates) == 1 else f"msal: {len(gates)} broken gates"
         yield title, "\n".join([f"{name}:", *map(shown, gates)])

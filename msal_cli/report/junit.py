@@ -19,8 +19,15 @@ from xml.etree import ElementTree as Xml
 from msal_cli.job.display_names import shown
 from msal_cli.job.records import DONE, MeshRecord
 from msal_cli.report.document import Run
+from msal_cli.report.phrases import (
+    defects_text,
+    despiked_text,
+    failure_text,
+    failure_texts,
+    percent_text,
+    vertices_text,
+)
 from msal_cli.report.ranking import broken_gates
-from msal_cli.report.text import defects_text, despiked_text, percent_text, reason, vertices_text
 
 # Half of a pair, and two code points that are no characters: all that is left for XML to refuse.
 _NO_CHARACTER = re.compile("[\ud800-\udfff\ufffe\uffff]")
@@ -82,18 +89,15 @@ def _case(folder: str, record: MeshRecord) -> Xml.Element:
     broken = broken_gates(record)
     if record.error is not None:
         failure = record.error
-        told = _element(
-            "error", type=failure.code, message=reason(failure.where, failure.message, "")
-        )
-        lines = [reason(failure.where, failure.message, failure.code)]
-        lines += [f"hint: {shown(failure.hint)}"] if failure.hint else []
-        told.text = _characters("\n".join([f"{shown(record.input)}: {lines[0]}", *lines[1:]]))
-        case.append(told)
+        why = failure_text(failure, with_code=False)
+        result = _element("error", type=failure.code, message=why)
+        result.text = _characters("\n".join(failure_texts(shown(record.input), failure)))
+        case.append(result)
     elif broken:
         # Ant's schema has room for one failure in a case.
-        told = _element("failure", type="gate", message="; ".join(map(shown, broken)))
-        told.text = _characters("\n".join([f"{shown(record.input)}:", *map(shown, broken)]))
-        case.append(told)
+        result = _element("failure", type="gate", message="; ".join(map(shown, broken)))
+        result.text = _characters("\n".join([f"{shown(record.input)}:", *map(shown, broken)]))
+        case.append(result)
     elif record.status == "planned":
         case.append(_element("skipped"))
     return case
