@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from msal_cli.job.comparison import Surface
-    from msal_cli.view import Camera
+    from msal_cli.view.camera import Camera
     from msal_cli.view.pictures import Scene
 
     Floats = NDArray[np.float64]
@@ -168,7 +168,7 @@ def _pictures(scene: Scene, reach: float) -> tuple[Pictures, Camera]:
     """Three pictures from one place; colours reach to ``reach`` mean edge lengths."""
     from msal_cli.analysis import colour_maps as colours
     from msal_cli.view import pictures
-    from msal_cli.view.jpeg import jpeg_bytes
+    from msal_cli.view.image_files import jpeg_bytes
 
     camera = pictures.camera_of(scene, pictures.View())
     after = scene.after or scene.before
@@ -194,10 +194,10 @@ def _image(
     size: tuple[int, int],
     painted: Image | None = None,
 ) -> Image:
-    from msal_cli import view as render
+    from msal_cli.view.shading import Style, shaded
 
-    style = render.Style(background=(236, 238, 241))
-    return render.shaded(vertices, faces, camera, *size, painted, style=style)
+    style = Style(background=(236, 238, 241))
+    return shaded(vertices, faces, camera, *size, painted, style=style)
 
 
 def _reach(records: Sequence[MeshRecord]) -> float:
@@ -240,8 +240,9 @@ def _scale(reach: float) -> Scale:
 def _embedded(
     record: MeshRecord, scene: Scene, camera: Camera, reach: float, most_faces: int, key: str
 ) -> str:
-    from msal_cli.view import png_bytes, viewer
     from msal_cli.view import scene as scenes
+    from msal_cli.view import viewer
+    from msal_cli.view.image_files import png_bytes
 
     after = scene.after or scene.before
     end = reach * scene.before.mean_edge_length

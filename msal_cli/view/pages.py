@@ -31,8 +31,8 @@ def page_of(scene: Scene, view: View, command: str) -> bytes:
     ``command`` is what made the page, for its readers.  A picture of the scene is in the page too,
     for where there is no WebGL and for print, so always on white.
     """
-    from msal_cli import view as render
     from msal_cli.view import viewer
+    from msal_cli.view.image_files import png_bytes
 
     scale = pictures.scale_of_scene(scene)
     still = replace(view, size=min(view.size, STILL_SIZE), style="light")
@@ -45,7 +45,7 @@ def page_of(scene: Scene, view: View, command: str) -> bytes:
         scene.deviation,
         numbers=figures_of(scene),
         notes=[*_state(scene), *_warnings(scene), f"Made by: {command}"],
-        picture=render.png_bytes(pictures.drawn(scene, still), 256),
+        picture=png_bytes(pictures.drawn(scene, still), 256),
         description=_description(titles, scene),
         deviation_name=pictures.deviation_name(scene),
         deviation_note=_SIDES if scene.is_signed else "",

@@ -243,8 +243,8 @@ def sheet(
     """(H, W, 3) uint8: at the left the input and the reference, then the grid with its numbers."""
     import numpy as np
 
-    from msal_cli import view as render
     from msal_cli.view import pictures
+    from msal_cli.view.panels import labelled_panels
 
     sides = [(drawn(on, on.ready.mesh, view), pictures.titles_of((on.name,))[0], ["input"])]
     if on.reference is not None:
@@ -267,7 +267,7 @@ def sheet(
     ]
     if least is not None:
         footer[1] += " Normals: mean angle between face normals and those of the reference."
-    return render.labelled_panels(panels, style=style, columns=width + 1, footer=footer)
+    return labelled_panels(panels, style=style, columns=width + 1, footer=footer)
 
 
 def _against_truth(on: Subject) -> str:

@@ -130,7 +130,7 @@ def camera_of(scene: Scene, view: View) -> Camera:
 
 def drawn(scene: Scene, view: View) -> Image:
     """(H, W, 3) uint8: the meshes side by side, what is between them, and the numbers."""
-    from msal_cli import view as render
+    from msal_cli.view.panels import labelled_panels
 
     style, camera = style_of(view), camera_of(scene, view)
 
@@ -141,14 +141,14 @@ def drawn(scene: Scene, view: View) -> Image:
     record = scene.record
     panels: list[Panel] = [(image(scene.before), titles[0], [_counts(scene.before)])]
     if scene.after is None or record is None:
-        return render.labelled_panels(panels, style=style)
+        return labelled_panels(panels, style=style)
     lines = [_counts(scene.after), *_changes(record)]
     if scene.deviation is None:
         lines.append("Other faces: no deviation without the package fcpw")
     panels.append((image(scene.after), titles[1], lines))
     scale = scale_of_scene(scene)
     if scene.deviation is None or scale is None:
-        return render.labelled_panels(panels, style=style)
+        return labelled_panels(panels, style=style)
     edge = scene.before.mean_edge_length
     beyond = float((abs(scene.deviation) > scale.high).mean())
     ends = f"Its ends: 99th percentile, rounded up ({100.0 * beyond:.2g} % lie beyond)"
@@ -161,7 +161,7 @@ def drawn(scene: Scene, view: View) -> Image:
     picture = image(scene.after, scale.painted(scene.deviation))
     lines = [_moved(scene, edge), *(["Blue: inwards, orange: outwards"] if scene.is_signed else [])]
     panels.append((picture, deviation_name(scene), lines))
-    return render.labelled_panels(panels, legend, style=style)
+    return labelled_panels(panels, legend, style=style)
 
 
 def scale_of_scene(scene: Scene) -> Scale | None:
@@ -201,17 +201,16 @@ def deviation_name(scene: Scene) -> str:
 
 def style_of(view: View) -> Style:
     """The colours that a view asks for."""
-    from msal_cli import view as render
+    from msal_cli.view.shading import DARK, LIGHT
 
-    return render.DARK if view.style == "dark" else render.LIGHT
+    return DARK if view.style == "dark" else LIGHT
 
 
 def panel(mesh: Mesh, camera: Camera, view: View, colours: Image | None = None) -> Image:
     """(h, w, 3) uint8: one mesh, its vertices in ``colours`` (n, 3) uint8 or all of clay."""
-    from msal_cli import view as render
-    from msal_cli.view.shading import CREASE_DEG
+    from msal_cli.view.shading import CREASE_DEG, shaded
 
-    return render.shaded(
+    return shaded(
         mesh.vertices,
         mesh.faces,
         camera,

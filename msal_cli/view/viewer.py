@@ -3,29 +3,23 @@
 Everything stands in the one file: the viewer in plain WebGL2, its style, the meshes and a picture
 for where there is no WebGL and for print.  A content security policy lets the browser run only the
 script and the style that were written here, and load nothing.  What comes from outside (names of
-files, mostly) is escaped in one place, ``_text``.
+files, mostly) is escaped in one place, ``escape``.
 """
 
 from __future__ import annotations
 
-import base64
-import functools
-import hashlib
-import html
 import math
 import re
 from collections.abc import Sequence
-from pathlib import Path
 from string import Template
 
 from msal_cli import __version__
 from msal_cli.arrays import Floats
 from msal_cli.errors import InternalError
-from msal_cli.job.display_names import shown
 from msal_cli.mesh import Mesh
 from msal_cli.view import scene
+from msal_cli.view.html_parts import asset, content_policy, escape, to_base64
 
-_ASSETS = Path(__file__).parent / "assets"
 _SCRIPTS = ("decoding.js", "camera.js", "drawing.js", "viewer.js")
 _SHORT = 20
 _KEY = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
@@ -36,35 +30,13 @@ Figures = Sequence[tuple[str, Sequence[tuple[str, ...]]]]
 
 def script() -> str:
     """The viewer's script; it starts every ``msal-scene`` that stands before it in the page."""
-    inner = "\n".join(_asset(name) for name in _SCRIPTS)
+    inner = "\n".join(asset(__file__, name) for name in _SCRIPTS)
     return f'"use strict";\n(() => {{\n{inner}}})();\n'
 
 
 def style() -> str:
     """The viewer's style: only classes that begin with ``msal-``."""
-    return _asset("viewer.css")
-
-
-def scene_data(before: Mesh, after: Mesh | None = None, deviation: Floats | None = None) -> str:
-    """One scene as base64: the content of ``<script type="application/octet-stream" id=...>``."""
-    return scene.encoded(before, after, deviation).text
-
-
-def content_policy(scripts: Sequence[str], styles: Sequence[str]) -> str:
-    """A policy that allows these inline scripts and styles, pictures in the page, and no other.
-
-    Each is the whole text between the tags.
-    """
-    return "; ".join(
-        (
-            "default-src 'none'",
-            f"script-src {' '.join(map(_source, scripts)) or chr(39) + 'none' + chr(39)}",
-            f"style-src {' '.join(map(_source, styles)) or chr(39) + 'none' + chr(39)}",
-            "img-src data:",
-            "base-uri 'none'",
-            "form-action 'none'",
-        )
-    )
+    return asset(__file__, "viewer.css")
 
 
 def embedded_scene(
@@ -106,7 +78,7 @@ def embedded_scene(
         "note": deviation_note,
         "shading": "flat" if is_flat else "smooth",
     }
-    attributes = " ".join(f'data-{name}="{_text(value)}"' for name, value in told.items())
+    attributes = " ".join(f'data-{name}="{escape(value)}"' for name, value in told.items())
     box = f'<div class="msal-scene" {attributes}>{_still(picture, description)}</div>'
     return f'{box}\n<script type="application/octet-stream" id="{key}">{drawn.text}</script>\n'
 
@@ -145,13 +117,13 @@ def page_bytes(
     """
     drawn = scene.encoded(before, after, deviation, ends=ends, view=view, most_faces=most_faces)
     has_deviation = deviation is not None
-    code = script() + f"{{\n{_asset('theme.js')}}}\n"
-    looks = style() + _asset("page.css")
+    code = script() + f"{{\n{asset(__file__, 'theme.js')}}}\n"
+    looks = style() + asset(__file__, "page.css")
     said = [*_decimation(drawn), *_precision(drawn), *notes]
-    page = Template(_asset("page.html")).substitute(
-        policy=html.escape(content_policy([code], [looks])),
-        version=_text(__version__),
-        title=_text(title),
+    page = Template(asset(__file__, "page.html")).substitute(
+        policy=content_policy([code], [looks]),
+        version=escape(__version__),
+        title=escape(title),
         style=looks,
         scene=embedded_scene(
             "scene",
@@ -165,9 +137,9 @@ def page_bytes(
             deviation_note=deviation_note,
             is_flat=is_flat,
         ),
-        theme=f' data-theme="{_text(theme)}"' if theme else "",
+        theme=f' data-theme="{escape(theme)}"' if theme else "",
         numbers="\n".join(_table(heading, rows) for heading, rows in numbers),
-        notes="\n".join(f'<p class="note">{_text(note)}</p>' for note in said),
+        notes="\n".join(f'<p class="note">{escape(note)}</p>' for note in said),
         keys=_keys(after is not None, has_deviation),
         script=code,
     )
@@ -177,23 +149,23 @@ def page_bytes(
 def _still(picture: bytes | None, description: str) -> str:
     if picture is None:
         return ""
-    data = base64.b64encode(picture).decode("ascii")
-    return f'<figure><img alt="{_text(description)}" src="data:image/png;base64,{data}"></figure>'
+    data = to_base64(picture)
+    return f'<figure><img alt="{escape(description)}" src="data:image/png;base64,{data}"></figure>'
 
 
 def _table(heading: str, rows: Sequence[tuple[str, ...]]) -> str:
-    lines = "".join(_row(name, values) for name, *values in rows)
-    return f"<section><h2>{_text(heading)}</h2><table>{lines}</table></section>"
-
-
-def _row(name: str, values: Sequence[str]) -> str:
-    if not name:
-        return f"<tr><td></td>{''.join(f'<th>{_text(value)}</th>' for value in values)}</tr>"
-    # A short value stays on its line.
-    cells = "".join(
-        f"<td{' class=long' if len(value) > _SHORT else ''}>{_text(value)}</td>" for value in values
-    )
-    return f'<tr><th scope="row">{_text(name)}</th>{cells}</tr>'
+    lines = []
+    for name, *values in rows:
+        if name:
+            # A short value stays on its line.
+            kinds = [" class=long" if len(value) > _SHORT else "" for value in values]
+            texts = zip(kinds, map(escape, values), strict=True)
+            cells = "".join(f"<td{kind}>{text}</td>" for kind, text in texts)
+            lines.append(f'<tr><th scope="row">{escape(name)}</th>{cells}</tr>')
+        else:
+            heads = "".join(f"<th>{escape(value)}</th>" for value in values)
+            lines.append(f"<tr><td></td>{heads}</tr>")
+    return f"<section><h2>{escape(heading)}</h2><table>{''.join(lines)}</table></section>"
 
 
 def _decimation(drawn: scene.Scene) -> list[str]:
@@ -234,18 +206,3 @@ def _keys(is_pair: bool, has_deviation: bool) -> str:
     if has_deviation:
         rows += '<tr><th scope="row">Deviation</th><td><kbd>d</kbd></td></tr>\n'
     return rows
-
-
-def _text(text: str) -> str:
-    """``text`` as it may stand between tags and within quotes."""
-    return html.escape(shown(text), quote=True)
-
-
-def _source(text: str) -> str:
-    digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
-    return f"'sha256-{digest}'"
-
-
-@functools.cache
-def _asset(name: str) -> str:
-    return (_ASSETS / name).read_text(encoding="utf-8")

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from msal_cli.view import automatic_camera
-from msal_cli.view.camera import VIEWS, framing, turned, viewed
+from msal_cli.view.camera import VIEWS, automatic_camera, framing, turned, viewed
 from tests.shapes import ball, cube, grid
 
 X, Y, Z = np.eye(3)

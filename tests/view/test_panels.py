@@ -7,8 +7,10 @@ import pytest
 from PIL import Image
 
 from msal_cli.analysis import colour_maps as colours
-from msal_cli.view import DARK, LIGHT, Legend, labelled_panels, png_bytes
+from msal_cli.view.image_files import png_bytes
 from msal_cli.view.labels import fitted
+from msal_cli.view.panels import Legend, labelled_panels
+from msal_cli.view.shading import DARK, LIGHT
 
 
 def plain(colour, width=120, height=80):

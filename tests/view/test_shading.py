@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from msal_cli.view import DARK, LIGHT, automatic_camera, shaded
-from msal_cli.view.camera import framing, turned
+from msal_cli.view.camera import automatic_camera, framing, turned
+from msal_cli.view.shading import DARK, LIGHT, shaded
 from tests.shapes import ball
 
 X, Y, Z = np.eye(3)
