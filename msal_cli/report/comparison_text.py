@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from msal_cli.job.comparison_record import ComparisonRecord
-from msal_cli.job.display_names import padded, shortened, shown
+from msal_cli.job.display_names import figure, padded, shortened, shown
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import SurfaceDistance
 from msal_cli.report.phrases import (
     Line,
     failure_lines,
-    figure,
     file_name,
     gate_text,
     self_intersections_text,

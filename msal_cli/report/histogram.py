@@ -7,7 +7,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from msal_cli.report.phrases import counted, figure
+from msal_cli.job.display_names import figure
+from msal_cli.report.phrases import counted
 
 MOST_BINS, LEAST_BINS = 24, 8
 """Bars between the ends of the axis: more for more files."""

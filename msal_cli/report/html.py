@@ -18,6 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from string import Template
 from typing import Any
 
+from msal_cli.job.display_names import figure
 from msal_cli.job.records import DONE, MeshRecord
 from msal_cli.report import histogram
 from msal_cli.report import rows as table
@@ -27,7 +28,6 @@ from msal_cli.report.phrases import (
     command_text,
     counted,
     failure_text,
-    figure,
     file_name,
     percent_text,
     seconds_text,

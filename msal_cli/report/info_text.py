@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from msal_cli.job.display_names import shown
+from msal_cli.job.display_names import figure, shown
 from msal_cli.job.info_record import InfoRecord
-from msal_cli.report.phrases import Line, failure_lines, figure, file_name, noise_texts
+from msal_cli.report.phrases import Line, failure_lines, file_name, noise_texts
 
 _SHAPES = {"3": "triangles", "4": "quads"}
 

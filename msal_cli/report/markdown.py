@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from msal_cli.job.display_names import shortened, shown
+from msal_cli.job.display_names import figure, shortened, shown
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.report.document import Run, Totals, plain, totals
@@ -21,7 +21,6 @@ from msal_cli.report.phrases import (
     chosen_text,
     command_text,
     counted,
-    figure,
     percent_text,
     rate_text,
     seconds_text,

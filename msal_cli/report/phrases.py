@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from msal_cli.job.display_names import shown
+from msal_cli.job.display_names import figure, shown
 from msal_cli.job.records import (
     ChoiceMade,
     Failure,
@@ -33,11 +33,6 @@ class Line:
 
 
 # Figures
-
-
-def figure(value: float | None, form: str, unit: str = "", unknown: str = "") -> str:
-    """A number in a format such as ``.3g`` with its unit; ``unknown`` for None."""
-    return unknown if value is None else f"{value:{form}}{unit}"
 
 
 def counted(number: int | None, one: str, several: str = "") -> str:

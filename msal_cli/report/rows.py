@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from msal_cli.job.display_names import shown
+from msal_cli.job.display_names import figure, shown
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import MeshRecord
 from msal_cli.report.phrases import (
@@ -14,7 +14,6 @@ from msal_cli.report.phrases import (
     defects_text,
     despiked_text,
     failure_text,
-    figure,
     file_name,
     noise_texts,
     runners_up_text,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from msal_cli.job.display_names import columns, padded, shortened, shown
+from msal_cli.job.display_names import columns, figure, padded, shortened, shown
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import DONE, MeshRecord, Reference
 from msal_cli.report.document import Run, Totals, known_values, totals
@@ -18,7 +18,6 @@ from msal_cli.report.phrases import (
     despiked_text,
     failure_lines,
     failure_text,
-    figure,
     file_name,
     gate_text,
     noise_texts,

@@ -66,11 +66,6 @@ VIEWS = ("auto", "front", "back", "left", "right", "top", "bottom")
 UPS = ("auto", "x", "-x", "y", "-y", "z", "-z")
 
 
-def automatic_camera(vertices: Floats, faces: Ints) -> Camera:
-    """The camera of ``viewed`` that shows most, at a guess."""
-    return viewed(vertices, faces)
-
-
 def viewed(
     vertices: Floats,
     faces: Ints,

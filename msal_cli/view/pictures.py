@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from msal_cli.job.comparison import prepare_surface
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from msal_cli.job.comparison import Surface
-    from msal_cli.job.comparison_record import ComparisonRecord
-    from msal_cli.mesh import Mesh
-    from msal_cli.view.camera import Camera
-    from msal_cli.view.deviation import Scale
-    from msal_cli.view.panels import Panel
-    from msal_cli.view.shading import Style
-
-    Floats = NDArray[np.float64]
-    Image = NDArray[np.uint8]
+from msal_cli.analysis import correspondence as metrics
+from msal_cli.analysis import surface_distance
+from msal_cli.analysis.enclosure import enclosure
+from msal_cli.arrays import Floats
+from msal_cli.job import comparison
+from msal_cli.job.comparison import Surface, prepare_surface
+from msal_cli.job.comparison_record import ComparisonRecord
+from msal_cli.job.display_names import figure
+from msal_cli.mesh import Mesh
+from msal_cli.view.camera import Camera, viewed
+from msal_cli.view.deviation import Scale, scale_of
+from msal_cli.view.panels import Panel, labelled_panels
+from msal_cli.view.shading import CREASE_DEG, DARK, LIGHT, Image, Style, shaded
 
 SIGNED = "Displacement along the normal"
 DISTANCE = "Distance to the surface before"
@@ -86,10 +83,6 @@ def scene_of(
     ContentError
         for a file without a surface to draw; it names the file.
     """
-    from msal_cli.analysis import correspondence as metrics
-    from msal_cli.analysis import surface_distance
-    from msal_cli.analysis.enclosure import enclosure
-    from msal_cli.job import comparison
 
     first = prepare_surface(before, names[0])
     if after is None:
@@ -113,7 +106,6 @@ def scene_of(
 
 def camera_of(scene: Scene, view: View) -> Camera:
     """The one camera that shows all meshes of a scene."""
-    from msal_cli.view.camera import viewed
 
     # Noise must not tilt the view: the smoother of two meshes tells how the thing stands.
     chosen = scene.after or scene.before
@@ -130,7 +122,6 @@ def camera_of(scene: Scene, view: View) -> Camera:
 
 def drawn(scene: Scene, view: View) -> Image:
     """(H, W, 3) uint8: the meshes side by side, what is between them, and the numbers."""
-    from msal_cli.view.panels import labelled_panels
 
     style, camera = style_of(view), camera_of(scene, view)
 
@@ -169,7 +160,6 @@ def scale_of_scene(scene: Scene) -> Scale | None:
 
     Of a mesh that did not move the scale goes to one mean edge length: all is in the middle of it.
     """
-    from msal_cli.view.deviation import scale_of
 
     if scene.deviation is None:
         return None
@@ -201,14 +191,12 @@ def deviation_name(scene: Scene) -> str:
 
 def style_of(view: View) -> Style:
     """The colours that a view asks for."""
-    from msal_cli.view.shading import DARK, LIGHT
 
     return DARK if view.style == "dark" else LIGHT
 
 
 def panel(mesh: Mesh, camera: Camera, view: View, colours: Image | None = None) -> Image:
     """(h, w, 3) uint8: one mesh, its vertices in ``colours`` (n, 3) uint8 or all of clay."""
-    from msal_cli.view.shading import CREASE_DEG, shaded
 
     return shaded(
         mesh.vertices,
@@ -247,18 +235,17 @@ def _counts(mesh: Mesh) -> str:
 
 
 def _changes(record: ComparisonRecord) -> list[str]:
-    lines = []
-    if record.volume_change_percent is not None:
-        lines.append(f"Volume {record.volume_change_percent:+.3g} %")
-    elif record.volume is not None and record.volume.reason:
-        lines.append(f"No volume: {record.volume.reason}")
-    if record.inside_out_before and record.inside_out_after:
-        lines.append("Inside out")
-    elif record.inside_out_before or record.inside_out_after:
-        lines.append(f"Inside out {'before' if record.inside_out_before else 'after'} only")
-    if record.mean_angular_error_deg is not None:
-        lines.append(f"Normals turned by {record.mean_angular_error_deg:.3g}\N{DEGREE SIGN} (mean)")
-    return lines
+    change = figure(record.volume_change_percent, "+.3g", " %")
+    reason = record.volume.reason if record.volume is not None else ""
+    before, after = record.inside_out_before, record.inside_out_after
+    inside_out = "" if before and after else f" {'before' if before else 'after'} only"
+    turned = figure(record.mean_angular_error_deg, ".3g", "\N{DEGREE SIGN} (mean)")
+    lines = (
+        f"Volume {change}" if change else f"No volume: {reason}" if reason else "",
+        f"Inside out{inside_out}" if before or after else "",
+        f"Normals turned by {turned}" if turned else "",
+    )
+    return list(filter(None, lines))
 
 
 def _moved(scene: Scene, edge: float) -> str:

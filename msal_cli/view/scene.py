@@ -41,8 +41,8 @@ _DEVIATION_STEPS = 65535
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """What is drawn, encoded.
+class EncodedScene:
+    """What is drawn, as text.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Scene:
         return (self.faces, self.after_faces) != (self.drawn_faces, self.drawn_after_faces)
 
 
-def encoded(
+def encode_scene(
     before: Mesh,
     after: Mesh | None = None,
     deviation: Floats | None = None,
@@ -73,7 +73,7 @@ def encoded(
     ends: tuple[float, float] | None = None,
     view: Floats | None = None,
     most_faces: int = MOST_FACES,
-) -> Scene:
+) -> EncodedScene:
     """One scene.
 
     Parameters
@@ -121,7 +121,7 @@ def encoded(
         planes += plane
     head = json.dumps(header, separators=(",", ":")).encode()
     packed = zlib.compress(struct.pack("<I", len(head)) + head + b"".join(planes), 9)
-    return Scene(
+    return EncodedScene(
         text=base64.b64encode(packed).decode("ascii"),
         faces=len(before.faces),
         drawn_faces=len(faces),

@@ -14,7 +14,6 @@ from jsonschema import Draft202012Validator
 from msal_cli.job.info_record import InfoRecord
 from msal_cli.job.records import MeshRecord
 from msal_cli.report import json_report as as_json
-from msal_cli.report import jsonl as as_jsonl
 from msal_cli.report.document import plain_record
 from tests.report.made import RUN, failed, of, written
 from tests.report.schemas import DOCS, info_schema, load, report_schema
@@ -49,7 +48,7 @@ def test_every_info_fits(record):
 
 
 def test_every_line_fits_the_part_for_records():
-    for line in as_jsonl.encoded(RUN, [written(), failed()]).splitlines():
+    for line in as_json.encoded_lines(RUN, [written(), failed()]).splitlines():
         validator = Draft202012Validator(
             {"$ref": "#/$defs/MeshRecord", "$defs": report_schema()["$defs"]}
         )

@@ -270,7 +270,7 @@ def test_print_shows_the_picture(pair):
 def test_the_script_reads_what_was_written(pair, folder):
     # The policy lets only the page's own script run, so this goes around it.
     before, _, _ = scene_of_two(12, 8)
-    text = scene.encoded(before, Mesh(*cube()), np.arange(8.0)).text
+    text = scene.encode_scene(before, Mesh(*cube()), np.arange(8.0)).text
     _, meshes, values = decoded(text)
     code = viewer.script().replace(
         "for (const box of", "globalThis.unpacked = unpacked;\nfor (const box of"
@@ -291,7 +291,7 @@ def test_the_script_reads_what_was_written(pair, folder):
 
 
 def test_several_scenes_wait_for_a_click(browser, tmp_path):
-    drawn = scene.encoded(*scene_of_two(16, 8))
+    drawn = scene.encode_scene(*scene_of_two(16, 8))
     code, looks = viewer.script(), viewer.style()
     policy = viewer.content_policy([code], [looks])
     boxes = [viewer.embedded_scene(f"s{k}", drawn, picture=picture()) for k in range(2)]

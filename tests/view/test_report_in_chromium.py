@@ -37,7 +37,7 @@ def records():
 def path(tmp_path_factory):
     every = records()
     vertices, faces = torus()
-    drawn = scene.encoded(Mesh(noisy(vertices, level=0.1), faces), Mesh(vertices, faces))
+    drawn = scene.encode_scene(Mesh(noisy(vertices, level=0.1), faces), Mesh(vertices, faces))
     at = len(HOSTILE_NAMES)
     views = Pictures(jpeg("red"), jpeg("green"), jpeg("blue"))
     gallery = Gallery(

@@ -91,7 +91,7 @@ def test_the_policy_names_what_is_there():
         digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
         assert rules[rule] == f"'sha256-{digest}'"
     assert "unsafe" not in policy and "http:" not in policy and "*" not in policy
-    assert data == scene.encoded(MESH, MESH, np.arange(8.0)).text
+    assert data == scene.encode_scene(MESH, MESH, np.arange(8.0)).text
 
 
 def test_a_policy_without_scripts_allows_none():
@@ -109,7 +109,7 @@ def test_nothing_points_elsewhere():
 
 
 def test_a_fragment_for_other_pages():
-    drawn = scene.encoded(MESH, MESH)
+    drawn = scene.encode_scene(MESH, MESH)
     parts = Parts(viewer.embedded_scene("worst-1", drawn, picture=PNG, before='"<'))
     (box,) = parts.attributes("div")
     assert (box["class"], box["data-scene"], box["data-start"]) == (
