@@ -36,9 +36,9 @@ def test_columns_make_rows():
 def test_words_take_the_colours_of_the_style():
     panels = [(plain(128), "title", ["line"])]
     for style in (LIGHT, DARK):
-        sheet = labelled_panels(panels, style=style, heading="h", footer=["f"])
+        sheet = labelled_panels(panels, style=style, footer=["footer"])
         assert tuple(sheet[0, 0]) == style.background
-        assert (sheet == style.text).all(axis=2).any()
+        assert (sheet == style.faint).all(axis=2).any()
 
 
 def test_the_legend_shows_its_colours_in_order():
@@ -67,7 +67,7 @@ def test_names_are_drawn_as_data(name, part):
     words, _ = fitted(name, 14, 10_000)
     assert part in words
     assert words.isprintable()
-    labelled_panels([(plain(1), name, [name])], heading=name, footer=[name])
+    labelled_panels([(plain(1), name, [name])], footer=[name])
 
 
 def test_a_long_name_keeps_its_end():
