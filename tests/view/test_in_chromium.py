@@ -178,7 +178,7 @@ def test_the_view_moves_and_comes_back(pair):
         act()
         pair.settle()
         now = middle(pair.pixels())
-        assert share_of_difference(now, last) > 0.02
+        assert share_of_difference(now, last) > 0.01
         last = now
     pair.press("canvas", "0", "3")
     assert share_of_difference(middle(pair.pixels()), start) < 0.001

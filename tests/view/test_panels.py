@@ -34,11 +34,11 @@ def test_columns_make_rows():
 
 
 def test_words_take_the_colours_of_the_style():
-    panels = [(plain(128), "title", ["line"])]
+    panels = [(plain(128, 400), "HILT", ["line"])]
     for style in (LIGHT, DARK):
-        sheet = labelled_panels(panels, style=style, footer=["footer"])
+        sheet = labelled_panels(panels, style=style, footer=["f"])
         assert tuple(sheet[0, 0]) == style.background
-        assert (sheet == style.faint).all(axis=2).any()
+        assert (sheet == style.text).all(axis=2).any()
 
 
 def test_the_legend_shows_its_colours_in_order():
