@@ -1,4 +1,4 @@
-"""What ``msal compare`` tells people: two files in detail, folders as a table."""
+"""What ``msal compare`` prints for people: two files in detail, folders as a table."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from msal_cli.job.records import DONE, SCHEMA, MeshRecord
 class Run:
     """One call of the program; times are UTC, ISO 8601, to the millisecond.
 
-    ``machine`` tells of the system and of the libraries; it is empty where that is not known.
+    ``machine`` describes the system and the libraries; it is empty where that is not known.
     """
 
     version: str = field(metadata=about("version of msal"))

@@ -1,6 +1,6 @@
 """Pictures and scenes for the HTML report: the bracket that reads inputs and outputs once more.
 
-Only what the records tell of is shown: a file that is gone, or that is no longer the one that was
+Only what the records name is shown: a file that is gone, or that is no longer the one that was
 denoised, is left out without a word.  Time, the size of files and the number of faces are bounded,
 the worst files come first, and what the bounds cost is said on the page.
 """
@@ -71,7 +71,8 @@ def made(
     """Pictures of as many files as the bounds allow, and scenes of the worst.
 
     Never raises for a file's fault.  ``backup`` is the suffix of the originals of files that were
-    denoised in place.  ``on_file`` is told after each file how many of how many are dealt with.
+    denoised in place.  ``on_file`` is called before each file with the number of those done
+    and of all.
     """
     bounds = bounds or Bounds()
     numbers = {id(record): at for at, record in enumerate(records)}

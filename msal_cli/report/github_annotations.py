@@ -24,19 +24,19 @@ def commands(records: Sequence[MeshRecord], folder: str = "") -> list[str]:
     ``folder`` is where relative names begin, as a path from the root of the repository; empty if
     that is where the program runs.
     """
-    told = [
+    messages = [
         (record, title, message)
         for record in worst_first(records)
         for title, message in _messages(record)
     ]
     return [
         f"::error {_properties(record.input, folder, title)}::{_message(message)}"
-        for record, title, message in told[:MOST]
+        for record, title, message in messages[:MOST]
     ]
 
 
 def _messages(record: MeshRecord) -> Iterator[tuple[str, str]]:
-    """The title and the message of a file, if there is anything to tell."""
+    """The title and the message of a file, if it failed or broke a gate."""
     name = file_name(record.input)
     if record.error is not None:
         yield "msal: failed", "\n".join(failure_texts(name, record.error))

@@ -40,7 +40,7 @@ MOST_BYTES = 25_000_000
 """Bytes of the largest page, as far as the figures of the files alone leave room."""
 
 STATIC_ROWS = 100
-"""Rows that stand in the page itself, for readers without scripts."""
+"""Rows in the page itself, for readers without scripts."""
 
 _LONGEST_COMMAND = 20_000
 _MOST_FAILURES = 200
@@ -157,7 +157,7 @@ def _verdict(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
         chips.append(("warn", "interrupted"))
     if not chips:
         chips.append(("good", "all well" if records else "nothing done"))
-    return "".join(f'<span class="chip {kind}">{escape(told)}</span>' for kind, told in chips)
+    return "".join(f'<span class="chip {kind}">{escape(text)}</span>' for kind, text in chips)
 
 
 def _totals(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
@@ -308,8 +308,8 @@ def _static_row(columns: Sequence[Mapping[str, str]], row: Mapping[str, Any]) ->
             cells.append(f'<td class="figure">{figure(value, ",.4g")}</td>')
         else:
             # The detail of the column's name explains the word where one points at it.
-            told = why.get(column["title"], "") if row["kind"] != "failed" else ""
-            title = f' title="{escape(told)}"' if told else ""
+            detail = why.get(column["title"], "") if row["kind"] != "failed" else ""
+            title = f' title="{escape(detail)}"' if detail else ""
             cells.append(f"<td{title}>{escape(value or '')}</td>")
     if row["kind"] == "failed":
         n_figures = sum(column["kind"] == "figure" for column in columns)

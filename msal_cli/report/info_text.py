@@ -1,4 +1,4 @@
-"""What ``msal info`` tells people about a file."""
+"""What ``msal info`` prints for people about a file."""
 
 from __future__ import annotations
 

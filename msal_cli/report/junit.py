@@ -4,8 +4,8 @@ A suite is a folder, a case is a file, a broken gate is a failure, a file that f
 and one that was not dealt with is skipped.  The document keeps to the schemas of Ant and of Jenkins
 alike: every attribute that either demands is there, and none that either does not know.
 
-XML 1.0 has no way to write most control characters.  In names and reasons they stand as ``\\xNN``
-or ``\\uNNNN``, as on a terminal.
+XML 1.0 has no way to write most control characters.  In names and reasons they are written as
+``\\xNN`` or ``\\uNNNN``, as on a terminal.
 """
 
 from __future__ import annotations

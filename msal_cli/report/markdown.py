@@ -120,9 +120,9 @@ def _totals(run: Run, sums: Totals) -> str:
 
 def _settings(run: Run) -> str:
     command = command_text(run.command, _LONGEST_COMMAND)
-    told = f"msal {shown(run.version)}, {shown(run.started)} to {shown(run.finished)}"
+    made = f"msal {shown(run.version)}, {shown(run.started)} to {shown(run.finished)}"
     settings = json.dumps(plain(dict(run.settings)), ensure_ascii=False)
-    lines = [_markup_free(told)]
+    lines = [_markup_free(made)]
     lines += [f"Command: {_code(command)}"] if command else []
     lines += [f"Settings: {_code(settings[:_LONGEST_COMMAND])}"] if run.settings else []
     return (
@@ -138,9 +138,9 @@ def _settings(run: Run) -> str:
 def _tables(worst: Sequence[MeshRecord]) -> Iterator[_Table]:
     failed = [(one, one.error) for one in worst if one.error is not None]
     codes = Counter(failure.code for _, failure in failed)
-    told = ", ".join(f"{count:,} × {_code(code)}" for code, count in codes.most_common(12))
+    counts = ", ".join(f"{count:,} × {_code(code)}" for code, count in codes.most_common(12))
     rows = [_failure_row(*one) for one in failed[:MOST_ROWS]]
-    yield _Table("Failed", told, ("file", "reason", "hint"), len(failed), rows)
+    yield _Table("Failed", counts, ("file", "reason", "hint"), len(failed), rows)
     broken = [(one, "; ".join(gates)) for one in worst if (gates := broken_gates(one))]
     yield _text_table("Broken gates", "gate", broken)
     yield _figure_table([one for one in worst if one.status not in ("failed", "planned")])
@@ -170,7 +170,7 @@ _TO_REFERENCE = ("to reference, deg", "reference.mean_angular_error_deg", ".2f")
 
 
 def _corners(record: MeshRecord) -> str:
-    """The corners, to stand behind the vertices, where the file stores these (STL)."""
+    """The corners, for behind the vertices, where the file stores these (STL)."""
     return "" if record.corners is None else f" ({record.corners:,} corners)"
 
 
@@ -244,8 +244,8 @@ def _code(text: str) -> str:
 
 
 def _text(text: str) -> str:
-    told = shown(text)
-    return _markup_free(told if len(told) <= _LONGEST_TEXT else f"{told[:_LONGEST_TEXT]} ...")
+    text = shown(text)
+    return _markup_free(text if len(text) <= _LONGEST_TEXT else f"{text[:_LONGEST_TEXT]} ...")
 
 
 def _markup_free(text: str) -> str:

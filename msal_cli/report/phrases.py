@@ -21,7 +21,7 @@ from msal_cli.job.records import (
 Tone = Literal["plain", "good", "bad", "faint"]
 
 IMPULSIVE_TAIL = 0.02
-"""Share of vertices that stand out from which people are told so; Gaussian noise has 0.01."""
+"""Share of outlying vertices from which noise is called impulsive; Gaussian noise has 0.01."""
 
 
 @dataclass(frozen=True)

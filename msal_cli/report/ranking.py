@@ -17,7 +17,7 @@ WORDS = (
 
 
 def worst_first(records: Sequence[MeshRecord]) -> list[MeshRecord]:
-    """The records in the order that ``WORDS`` tells; equals stay in the order of the inputs.
+    """The records in the order that ``WORDS`` describes; equals stay in the order of the inputs.
 
     A figure that is not finite counts as the largest, one that is not known as the smallest.
     """

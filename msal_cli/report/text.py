@@ -32,7 +32,7 @@ from msal_cli.report.phrases import (
 )
 
 MOST_ROWS = 40
-"""Files in the table; nobody reads a longer one, and every row is in a report."""
+"""Files in the table; a longer one is not read, and every row is in a report."""
 
 MOST_WARNINGS = 20
 MOST_FAILURES = 200

@@ -13,7 +13,7 @@ from msal_cli.job.display_names import shown
 
 
 def escape(text: str) -> str:
-    """``text`` as it may stand between tags and within quotes."""
+    """``text`` as it may be between tags and within quotes."""
     return html.escape(shown(text), quote=True)
 
 

@@ -80,7 +80,7 @@ def page_of(scene: Scene, view: View, command: str, *, most_faces: int = MOST_FA
 
 
 def figures_of(scene: Scene) -> list[tuple[str, Rows]]:
-    """Tables of numbers to stand beside a scene: a heading, and rows of a name and a value."""
+    """Tables of numbers for beside a scene: a heading, and rows of a name and a value."""
     record, mesh = scene.record, scene.before
     if record is None:
         rows = [

@@ -210,7 +210,7 @@ def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
 
 
 def command(wanted: Grid, name: str, chosen: Mapping[str, object]) -> str:
-    """The command line that makes a cell's mesh; OUT stands for the file to write."""
+    """The command line that makes a cell's mesh; OUT is the file to write."""
     words = ["msal", "denoise", name if not name.startswith("-") else f"./{name}", "-o", "OUT"]
     if wanted.method.name != "msal":
         words += ["--method", wanted.method.name]
@@ -275,6 +275,6 @@ def _lines(cell: Cell) -> list[str]:
         words.append(f"volume {cell.volume_change_percent:+.2g} %")
     if cell.mean_angular_error_deg is not None:
         words.append(f"normals {cell.mean_angular_error_deg:.2f}\N{DEGREE SIGN}")
-    # What comes after OUT; the rest is the same for all and stands below.
+    # What comes after OUT; the rest is the same for all and is in the footer.
     options = cell.command.partition(" -o OUT ")[2]
     return [", ".join(words), options.replace(" -", "  -")]

@@ -107,7 +107,7 @@ def scene_of(
 def camera_of(scene: Scene, view: View) -> Camera:
     """The one camera that shows all meshes of a scene."""
 
-    # Noise must not tilt the view: the smoother of two meshes tells how the thing stands.
+    # Noise must not tilt the view: the smoother of two meshes shows which way is up.
     chosen = scene.after or scene.before
     return viewed(
         chosen.vertices,
@@ -156,7 +156,7 @@ def drawn(scene: Scene, view: View) -> Image:
 
 
 def scale_of_scene(scene: Scene) -> Scale | None:
-    """What the colours of a deviation stand for; None where there is none.
+    """The colour scale of a deviation; None where there is none.
 
     Of a mesh that did not move the scale goes to one mean edge length: all is in the middle of it.
     """

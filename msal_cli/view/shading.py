@@ -143,7 +143,7 @@ def _is_inside_out(vertices: Floats, faces: Ints) -> bool:
 
 
 def _open_sky(depth: Floats32, covered: Floats32) -> Floats32:
-    """(h, w) 0 to 1: how little of what is around each pixel stands before it.
+    """(h, w) 0 to 1: how little of what is around each pixel is in front of it.
 
     ``depth`` is the nearness to the eye in pixels, 0 where nothing is.  Looks at the mean of two
     points on opposite sides of each pixel, which is before it in a hollow and beside a wall, but

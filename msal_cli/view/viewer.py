@@ -1,7 +1,7 @@
 """The elements of a page that show meshes in the browser, with plain WebGL2.
 
 The viewer, its style, the meshes and a picture, for where there is no WebGL and for print, all
-stand in the page, which loads nothing.
+are in the page, which loads nothing.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _KEY = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 
 def script() -> str:
-    """The viewer's script; it starts every ``msal-scene`` that stands before it in the page."""
+    """The viewer's script; it starts every ``msal-scene`` before it in the page."""
     inner = "\n".join(asset(__file__, name) for name in _SCRIPTS)
     return f'"use strict";\n(() => {{\n{inner}}})();\n'
 
@@ -43,7 +43,7 @@ def embedded_scene(
     Parameters
     ----------
     key : the id of the data, a letter and then letters, digits, ``_`` and ``-``.
-    picture : PNG that stands there until the viewer starts, where it cannot, and in print.
+    picture : PNG that is shown until the viewer starts, where it cannot, and in print.
     description : what the picture shows, for those who do not see it.
     starts : ``click`` to wait for a button, ``now`` to start with the page.
     deviation, deviation_note : the heading of the colour scale, and what is to be said below it.

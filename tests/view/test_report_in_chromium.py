@@ -38,7 +38,7 @@ def path(tmp_path_factory):
     every = records()
     vertices, faces = torus()
     drawn = scene.encode_scene(Mesh(noisy(vertices, level=0.1), faces), Mesh(vertices, faces))
-    at, name = len(HOSTILE_NAMES), HOSTILE_NAMES[5]
+    at = len(HOSTILE_NAMES)
     views = Pictures(jpeg("red"), jpeg("green"), jpeg("blue"))
     gallery = Gallery(
         pictures=dict.fromkeys(range(at, len(every)), views),

@@ -108,7 +108,7 @@ def judged(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]:
 
 def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]:
     """The records with the results of the gates, but for those of files that failed or were not
-    dealt with: they are told of by that already."""
+    dealt with: their status says enough."""
     from dataclasses import replace
 
     if not gates:
@@ -122,7 +122,7 @@ def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]
 
 
 def is_any_broken(records: Sequence[MeshRecord] | Sequence[ComparisonRecord]) -> bool:
-    """Whether any record tells of a gate that is broken."""
+    """Whether any record has a broken gate."""
     return any(gate.broken for record in records for gate in record.gates)
 
 

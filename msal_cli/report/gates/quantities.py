@@ -19,8 +19,8 @@ Kind = Literal["truth", "constant", "number", "quotient", "percent", "relative",
 class Unit:
     """What a number is.
 
-    ``constant`` is a number that stands in the expression, ``number`` one that is counted or in a
-    unit which the name tells (degrees, seconds), ``quotient`` one of two alike.  ``percent`` and
+    ``constant`` is a number in the expression, ``number`` one that is counted or in a
+    unit which the name says (degrees, seconds), ``quotient`` one of two alike.  ``percent`` and
     ``relative`` are in percent, and a bare number means percent beside the first and nothing beside
     the second.  ``edges`` is in mean edge lengths, ``length`` in file units to a ``power``.
     """
