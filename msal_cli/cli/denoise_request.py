@@ -283,9 +283,9 @@ def plan_of(request: Request, settings: Settings) -> Plan:
     from msal_cli.batch import shard as shards
 
     output = request.output
-    shard = None if request.shard is None else shards.settled(request.shard, os.environ)
-    found = inputs.found(request.inputs, request.include, request.exclude, output=output)
-    everything = plan.built(
+    shard = None if request.shard is None else shards.parse_shard(request.shard, os.environ)
+    found = inputs.discover_inputs(request.inputs, request.include, request.exclude, output=output)
+    everything = plan.build_plan(
         found,
         output,
         to=settings.to,
@@ -298,4 +298,4 @@ def plan_of(request: Request, settings: Settings) -> Plan:
     if settings.fields:
         _refuse_taken_names(everything)
     # Everything is checked first, so that each shard refuses what a whole run would.
-    return everything if shard is None else shards.part(everything, shard)
+    return everything if shard is None else plan.select_shard(everything, shard)

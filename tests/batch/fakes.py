@@ -16,7 +16,7 @@ import sys
 import time
 from pathlib import Path
 
-from msal_cli.batch.temporary_files import temporary_name
+from msal_cli.storage.atomic import temporary_name
 from msal_cli.job.pipeline import FORECAST
 from msal_cli.job.records import Failure, MeshRecord
 

@@ -18,9 +18,9 @@ from msal_cli.batch import dask_cluster, dask_engine
 from msal_cli.batch.dask_engine import DaskEngine
 from msal_cli.batch.engine import Work
 from msal_cli.batch.events import Finished, Started
-from msal_cli.batch.inputs import found
+from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.plan import built
+from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.errors import ResourceError, UsageError
 from msal_cli.job.pipeline import Limits, Settings, Task
@@ -92,7 +92,7 @@ def fill(folder, n, **special):
 
 
 def plan_of(output="out", **options):
-    return built(found(["in"], output=output), output, **options)
+    return build_plan(discover_inputs(["in"], output=output), output, **options)
 
 
 def ran(cluster, settings=FAKE, output="out", **options):

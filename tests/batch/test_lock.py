@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from msal_cli.batch import lock
-from msal_cli.batch.lock import NAME, FolderLock, who_works
+from msal_cli.batch.lock import NAME, FolderLock, lock_owners
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError, UsageError
 
@@ -61,7 +61,7 @@ def test_the_dead_hold_nothing(tmp_path, holder):
 
 
 def test_a_lock_file_removed_while_we_waited_is_not_the_lock(tmp_path, monkeypatch):
-    real = lock._is_locked_by_us
+    real = lock._flock
     calls = []
 
     def slow(handle, **how):
@@ -71,7 +71,7 @@ def test_a_lock_file_removed_while_we_waited_is_not_the_lock(tmp_path, monkeypat
             (tmp_path / NAME).unlink()
         return real(handle, **how)
 
-    monkeypatch.setattr(lock, "_is_locked_by_us", slow)
+    monkeypatch.setattr(lock, "_flock", slow)
     with FolderLock(str(tmp_path)):
         assert len(calls) == 2
         with pytest.raises(UsageError):
@@ -86,7 +86,7 @@ class TestWithoutLocks:
         def unsupported(handle, **how):
             raise OSError(38, "Function not implemented")
 
-        monkeypatch.setattr(lock, "_is_locked_by_us", unsupported)
+        monkeypatch.setattr(lock, "_flock", unsupported)
 
     def test_a_living_holder_counts(self, tmp_path, caplog):
         with FolderLock(str(tmp_path)):
@@ -135,14 +135,14 @@ class TestShards:
         if request.param == "not shared":
             # As on Windows.
             monkeypatch.setattr(lock, "_CAN_SHARE", False)
-            real = lock._is_locked_by_us
-            monkeypatch.setattr(lock, "_is_locked_by_us", lambda handle, **how: real(handle))
+            real = lock._flock
+            monkeypatch.setattr(lock, "_flock", lambda handle, **how: real(handle))
         elif request.param == "no locks":
 
             def unsupported(handle, **how):
                 raise OSError(38, "Function not implemented")
 
-            monkeypatch.setattr(lock, "_is_locked_by_us", unsupported)
+            monkeypatch.setattr(lock, "_flock", unsupported)
         return request.param
 
     def test_shards_of_one_n_work_together(self, tmp_path):
@@ -206,13 +206,13 @@ class TestShards:
         assert locks_in(tmp_path) == []
 
     def test_who_works_is_told_without_a_trace(self, tmp_path):
-        assert who_works(str(tmp_path)) == who_works(str(tmp_path / "missing")) == ()
+        assert lock_owners(str(tmp_path)) == lock_owners(str(tmp_path / "missing")) == ()
         with FolderLock(str(tmp_path)):
-            assert who_works(str(tmp_path)) == (f"process {os.getpid()}",)
+            assert lock_owners(str(tmp_path)) == (f"process {os.getpid()}",)
         with FolderLock(str(tmp_path), Shard(1, 2)), FolderLock(str(tmp_path), Shard(2, 2)):
             before = locks_in(tmp_path)
             told = [f"process {os.getpid()} (shard {k}/2)" for k in (1, 2)]
-            assert list(who_works(str(tmp_path))) == told
+            assert list(lock_owners(str(tmp_path))) == told
             assert locks_in(tmp_path) == before
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from msal_cli.batch import plan as planning
-from msal_cli.batch.inputs import Found, found
+from msal_cli.batch.inputs import DiscoveredInput, discover_inputs
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.plan import built
+from msal_cli.batch.plan import build_plan
 from msal_cli.errors import UsageError
 from msal_cli.job.pipeline import refuse_unknown_format
 
@@ -30,8 +30,8 @@ def made(folder, *names):
 
 
 def planned(inputs, output, **options):
-    some = found([str(one) for one in inputs], is_mesh_name=is_mesh_name)
-    return built(
+    some = discover_inputs([str(one) for one in inputs], is_mesh_name=is_mesh_name)
+    return build_plan(
         some, None if output is None else str(output), is_mesh_name=is_mesh_name, **options
     )
 
@@ -294,8 +294,8 @@ class TestPlacesThatCannotBe:
     def test_a_relative_path_that_climbs(self, tmp_path, relative):
         made(tmp_path, "a.ply")
         with pytest.raises(UsageError, match="no path below"):
-            built(
-                [Found(str(tmp_path / "a.ply"), relative, str(tmp_path))],
+            build_plan(
+                [DiscoveredInput(str(tmp_path / "a.ply"), relative, str(tmp_path))],
                 str(tmp_path / "out"),
                 is_mesh_name=is_mesh_name,
             )

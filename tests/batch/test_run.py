@@ -17,10 +17,10 @@ import pytest
 import msal_cli
 from msal_cli.batch import resume
 from msal_cli.batch.events import Finished, Progress, Started
-from msal_cli.batch.inputs import found
+from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.plan import built
+from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import Settings
@@ -49,9 +49,9 @@ def fill(folders, n, **special):
 
 
 def plan_of(folders, **options):
-    some = found([str(folders / "in")], is_mesh_name=is_mesh_name, output=str(folders / "in/out"))
+    some = discover_inputs([str(folders / "in")], is_mesh_name=is_mesh_name, output=str(folders / "in/out"))
     output = None if options.get("in_place") else str(folders / "out")
-    return built(some, options.pop("output", output), is_mesh_name=is_mesh_name, **options)
+    return build_plan(some, options.pop("output", output), is_mesh_name=is_mesh_name, **options)
 
 
 def ran(folders, settings=SETTINGS, plan=None, **options):
@@ -142,8 +142,8 @@ class TestOneTask:
 
     def test_a_file_into_a_file_leaves_no_traces(self, folders):
         fill(folders, 1)
-        plan = built(
-            found([str(folders / "in/00.ply")], is_mesh_name=is_mesh_name),
+        plan = build_plan(
+            discover_inputs([str(folders / "in/00.ply")], is_mesh_name=is_mesh_name),
             str(folders / "one.ply"),
             is_mesh_name=is_mesh_name,
         )
@@ -433,8 +433,8 @@ class TestInPlace:
 
 DRIVER = """
 import sys
-from msal_cli.batch.inputs import found
-from msal_cli.batch.plan import built
+from msal_cli.batch.inputs import discover_inputs
+from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.batch.interrupts import Terminated
 from msal_cli.batch.events import Finished, Started
@@ -447,7 +447,7 @@ def tell(event):
         print(name, event.index, flush=True)
 
 named = lambda name: name.endswith(".ply")
-plan = built(found([sys.argv[1]], is_mesh_name=named), sys.argv[2], is_mesh_name=named)
+plan = build_plan(discover_inputs([sys.argv[1]], is_mesh_name=named), sys.argv[2], is_mesh_name=named)
 try:
     run(plan, Settings("fake", {"n": 1}), jobs=2, denoise=fakes.denoise, on_event=tell)
 except Terminated as error:
@@ -619,8 +619,8 @@ def test_a_scene_whose_mesh_is_in_another_file_is_never_current(folders):
         return name.endswith((".ply", ".gltf"))
 
     def again():
-        some = found([str(folders / "in")], is_mesh_name=is_scene_or_mesh)
-        plan = built(some, str(folders / "out"), is_mesh_name=is_scene_or_mesh)
+        some = discover_inputs([str(folders / "in")], is_mesh_name=is_scene_or_mesh)
+        plan = build_plan(some, str(folders / "out"), is_mesh_name=is_scene_or_mesh)
         return statuses(ran(folders, plan=plan))
 
     assert again() == ["written", "written"]

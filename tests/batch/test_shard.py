@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.batch.inputs import Found
-from msal_cli.batch.plan import built
+from msal_cli.batch.inputs import DiscoveredInput
+from msal_cli.batch.plan import build_plan
 from msal_cli.batch.shard import MOST, Shard, part, settled, stable_hash
 from msal_cli.errors import UsageError
 
@@ -40,8 +40,8 @@ def test_shards_are_of_like_size():
 
 
 def test_a_part_of_a_plan_keeps_the_order_and_knows_the_whole():
-    found = [Found(f"in/{n}.ply", f"{n}.ply", "in") for n in range(40)]
-    plan = built(
+    found = [DiscoveredInput(f"in/{n}.ply", f"{n}.ply", "in") for n in range(40)]
+    plan = build_plan(
         found, "out", is_mesh_name=lambda name: name != "out", output_name=lambda name, to: name
     )
     parts = [part(plan, Shard(number, 3)) for number in (1, 2, 3)]

@@ -16,11 +16,11 @@ import pytest
 from msal_cli import methods
 from msal_cli.batch import run as running
 from msal_cli.batch.events import Finished, Started
-from msal_cli.batch.inputs import NothingMatched, found
+from msal_cli.batch.inputs import NothingMatched, discover_inputs
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.plan import built
+from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
-from msal_cli.batch.worker_pool import Crew
+from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.codecs import open_mesh
 from msal_cli.errors import UsageError
 from msal_cli.job.pipeline import Settings, denoise_bytes
@@ -53,7 +53,7 @@ def scans(tmp_path):
 
 def plan_of(scans, output="out", **options):
     target = None if options.get("in_place") else str(scans.parent / output)
-    return built(found([str(scans)], output=target), target, **options)
+    return build_plan(discover_inputs([str(scans)], output=target), target, **options)
 
 
 def outputs(folder):
@@ -142,12 +142,12 @@ def test_in_place_keeps_the_originals_and_never_denoises_twice(scans):
 
 
 def test_one_file_does_not_need_a_worker(scans, monkeypatch):
-    monkeypatch.setattr(Crew, "__init__", None)
+    monkeypatch.setattr(WorkerPool, "__init__", None)
     path = str(scans / "a/0.obj")
-    (record,) = run(built(found([path]), str(scans.parent / "one.obj")), settings())
+    (record,) = run(build_plan(discover_inputs([path]), str(scans.parent / "one.obj")), settings())
     assert record.status == "written"
     with pytest.raises(NothingMatched):
-        found([str(scans)], include=["*.stl"])
+        discover_inputs([str(scans)], include=["*.stl"])
 
 
 @posix
@@ -157,10 +157,10 @@ def test_a_worker_killed_in_the_middle_costs_nothing(scans, monkeypatch):
     crews = []
 
     def watched(*arguments, **options):
-        crews.append(Crew(*arguments, **options))
+        crews.append(WorkerPool(*arguments, **options))
         return crews[0]
 
-    monkeypatch.setattr("msal_cli.batch.worker_pool.Crew", watched)
+    monkeypatch.setattr("msal_cli.batch.worker_pool.WorkerPool", watched)
     count, victims = 0, []
 
     def on_event(event):
@@ -223,17 +223,17 @@ def test_two_thousand_files_in_one_worker_do_not_grow_it(scans, monkeypatch):
         (scans / f"{n:04}.obj").write_text(obj(n % 10))
     shutil.rmtree(scans / "a")
     sizes = []
-    real = Crew._finish
+    real = WorkerPool._finish
 
     def watched(crew, worker, resident):
         sizes.append(resident)
         real(crew, worker, resident)
 
-    monkeypatch.setattr(Crew, "_finish", watched)
+    monkeypatch.setattr(WorkerPool, "_finish", watched)
     monkeypatch.setattr(running, "usable_cores", lambda: 1)
-    real_init = Crew.__init__
+    real_init = WorkerPool.__init__
     monkeypatch.setattr(
-        Crew, "__init__", lambda crew, *a, **o: real_init(crew, *a, files_per_worker=10**6, **o)
+        WorkerPool, "__init__", lambda crew, *a, **o: real_init(crew, *a, files_per_worker=10**6, **o)
     )
     run(plan_of(scans), settings())
     assert len(sizes) > 2000

@@ -15,8 +15,8 @@ import pytest
 
 from msal_cli.batch import worker_process
 from msal_cli.batch.worker import read_message, write_message
-from msal_cli.batch.worker_messages import Advanced, Again, Began, Lost, Returned
-from msal_cli.batch.worker_pool import Crew, Interrupt
+from msal_cli.batch.events import Progress, Retried, Started, Failed, Returned
+from msal_cli.batch.worker_pool import WorkerPool, Interrupt
 from msal_cli.errors import ResourceError
 from tests.batch import fakes
 
@@ -25,7 +25,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 
 def crew(tasks, **options):
     options = {"jobs": 2, "cores": 2} | options
-    return Crew(dict(enumerate(tasks)), fakes.work, options.pop("common", None), **options)
+    return WorkerPool(dict(enumerate(tasks)), fakes.work, options.pop("common", None), **options)
 
 
 def heard(some):
@@ -37,7 +37,7 @@ def results(messages):
 
 
 def lost(messages):
-    return {one.index: one for one in messages if isinstance(one, Lost)}
+    return {one.index: one for one in messages if isinstance(one, Failed)}
 
 
 STRANGERS = set()
@@ -69,7 +69,7 @@ def test_every_task_is_done_once_and_workers_are_gone_afterwards():
     before = threading.active_count()
     messages = heard(crew([("double", n) for n in range(20)]))
     assert results(messages) == {n: 2 * n for n in range(20)}
-    assert [one.index for one in messages if isinstance(one, Began)] == list(range(20))
+    assert [one.index for one in messages if isinstance(one, Started)] == list(range(20))
     assert children() == []
     assert threading.active_count() == before
 
@@ -84,9 +84,9 @@ def test_no_more_workers_than_tasks_and_each_knows_its_threads():
 def test_common_and_progress_arrive():
     messages = heard(crew([("common", 0), ("progress", 1000)], common={"a": 1}))
     assert results(messages)[0] == {"a": 1}
-    steps = [one for one in messages if isinstance(one, Advanced)]
-    assert steps[0] == Advanced(1, "sweeps", 0, 1000)
-    assert steps[-1] == Advanced(1, "sweeps", 1000, 1000)
+    steps = [one for one in messages if isinstance(one, Progress)]
+    assert steps[0] == Progress(1, "sweeps", 0, 1000)
+    assert steps[-1] == Progress(1, "sweeps", 1000, 1000)
     assert len(steps) < 100, "progress is thinned out"
 
 
@@ -108,7 +108,7 @@ def test_a_task_that_kills_its_workers_is_lost_alone(how, cause, words):
     (one,) = lost(messages).values()
     assert (one.index, one.cause) == (4, cause)
     assert words in one.reason
-    assert [type(m) for m in messages if m.index == 4] == [Began, Again, Began, Lost]
+    assert [type(m) for m in messages if m.index == 4] == [Started, Retried, Started, Failed]
     assert messages[-1] is one, "the second try comes after everything else"
 
 
@@ -117,7 +117,7 @@ def test_an_exception_costs_one_task_and_no_worker(how):
     messages = heard(crew([("pid", 0), (how, 0), ("pid", 0)], jobs=1))
     assert lost(messages)[1].cause == "exception"
     assert results(messages)[0] == results(messages)[2]
-    assert not [one for one in messages if isinstance(one, Again)]
+    assert not [one for one in messages if isinstance(one, Retried)]
 
 
 @posix
@@ -132,7 +132,7 @@ def test_a_worker_killed_from_outside_costs_nothing(tmp_path):
             os.kill(results(batch)[0], signal.SIGKILL)
             killed = True
     assert len(results(messages)) == 8
-    retried = [message for message in messages if isinstance(message, Again)]
+    retried = [message for message in messages if isinstance(message, Retried)]
     assert [message.index for message in retried] == [1]
     (second,) = [m for m in messages if isinstance(m, Returned) and m.index == 1]
     assert "SIGKILL" in second.earlier
@@ -183,7 +183,7 @@ def test_stop_hands_out_nothing_more():
         if results(batch):
             one.stop()
     assert 1 <= len(results(messages)) < 50
-    assert len(results(messages)) == len([m for m in messages if isinstance(m, Began)])
+    assert len(results(messages)) == len([m for m in messages if isinstance(m, Started)])
 
 
 def test_interrupt_ends_all_within_two_seconds_and_keeps_what_was_done():
@@ -195,7 +195,7 @@ def test_interrupt_ends_all_within_two_seconds_and_keeps_what_was_done():
     with pytest.raises(Interrupt):
         for batch in one.batches():
             messages += batch
-            if len([m for m in messages if isinstance(m, Began)]) == 3 and not started:
+            if len([m for m in messages if isinstance(m, Started)]) == 3 and not started:
                 started = time.monotonic()
                 one.interrupt()
     assert time.monotonic() - started < 2.0
@@ -249,7 +249,7 @@ def test_a_worker_that_cannot_import_the_work_says_so(monkeypatch):
     exec("def work(task, common, on_progress): pass", here.__dict__)
     monkeypatch.setitem(sys.modules, "only_in_the_parent", here)
     with pytest.raises(ResourceError, match="No module named 'only_in_the_parent'"):
-        heard(Crew({0: 0}, here.work, None, jobs=1, cores=1))
+        heard(WorkerPool({0: 0}, here.work, None, jobs=1, cores=1))
     assert children() == []
 
 
@@ -280,9 +280,9 @@ def test_fewer_workers_than_wanted_are_enough(monkeypatch):
 def test_workers_end_when_the_parent_is_killed(tmp_path):
     code = (
         "from tests.batch import fakes\n"
-        "from msal_cli.batch.worker_messages import Began\n"
-        "from msal_cli.batch.worker_pool import Crew\n"
-        "some = Crew({n: ('sleep', 60) for n in range(2)}, fakes.work, None, jobs=2, cores=2)\n"
+        "from msal_cli.batch.events import Started\n"
+        "from msal_cli.batch.worker_pool import WorkerPool\n"
+        "some = WorkerPool({n: ('sleep', 60) for n in range(2)}, fakes.work, None, jobs=2, cores=2)\n"
         "for batch in some.batches():\n"
         "    if len([w for w in some._workers if w.in_hand is not None]) == 2:\n"
         "        print(*[w.pid for w in some._workers], flush=True)\n"
@@ -315,7 +315,7 @@ def test_without_the_systems_help_the_end_of_the_pipe_ends_a_busy_worker(monkeyp
     )
     one = crew([("sleep", 60)])
     for batch in one.batches():
-        if batch and isinstance(batch[-1], Began):
+        if batch and isinstance(batch[-1], Started):
             (worker,) = one._workers
             worker.process.stdin.close()
             assert worker.process.wait(timeout=2) == 0
