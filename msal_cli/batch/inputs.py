@@ -18,8 +18,8 @@ from typing import TypeVar
 from msal_cli.batch.patterns import Patterns, has_magic
 from msal_cli.batch.temporary_files import is_own
 from msal_cli.errors import InputError, MsalError, UsageError
-from msal_cli.job.pipeline import is_mesh_name
 from msal_cli.job.records import ObjectMark
+from msal_cli.job.settings import is_mesh_name
 from msal_cli.storage import urls
 from msal_cli.storage.urls import is_url
 
@@ -95,9 +95,9 @@ def discover_inputs(
     for names with a suffix that msal reads; hidden files and folders, special files, msal's own
     files and the folder ``output`` are skipped.  A symbolic link to a folder is followed when it
     leads elsewhere within the searched folder, but not from there through another link, so a loop
-    ends; a link that leads out of it is skipped.  A pattern (``*``, ``?``, ``[...]``, ``**``) is expanded here unless a file of that very
-    name exists: a pattern that ends in a plain suffix takes every file it matches, another only
-    mesh names, and a folder that it matches is searched.
+    ends; a link that leads out of it is skipped.  A pattern (``*``, ``?``, ``[...]``, ``**``) is
+    expanded here unless a file of that very name exists: a pattern that ends in a plain suffix
+    takes every file it matches, another only mesh names, and a folder that it matches is searched.
 
     ``include`` and ``exclude`` are patterns on the relative path, the name, or a folder on the way
     (see `patterns.Patterns`); a file is kept if some ``include`` (where there is any) and no

@@ -11,8 +11,8 @@ from msal_cli.batch.manifest import FolderManifest, Manifest, list_manifests, re
 from msal_cli.batch.manifest_lines import LogView, read_output_names
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import InputError, OutputError
-from msal_cli.job.pipeline import Task
 from msal_cli.job.records import ObjectMark
+from msal_cli.job.settings import Task
 from msal_cli.storage import urls
 from msal_cli.storage.urls import is_url
 

@@ -12,12 +12,16 @@ from msal_cli.batch.manifest_dirs import list_objects, written_names
 from msal_cli.batch.plan_checks import check_outputs, distinct_tasks, refuse_escapes
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import UsageError
-from msal_cli.job.pipeline import Task, is_mesh_name, output_name, refuse_unknown_format
 from msal_cli.job.records import ObjectMark
+from msal_cli.job.settings import (
+    DEFAULT_BACKUP,
+    Task,
+    is_mesh_name,
+    output_name,
+    refuse_unknown_format,
+)
 from msal_cli.storage import urls
 from msal_cli.storage.urls import is_url
-
-DEFAULT_BACKUP = ".orig"
 
 
 @dataclass(frozen=True)

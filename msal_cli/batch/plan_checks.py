@@ -10,7 +10,7 @@ from pathlib import Path
 from msal_cli.batch.inputs import resolve
 from msal_cli.batch.temporary_files import is_own
 from msal_cli.errors import UsageError
-from msal_cli.job.pipeline import Task
+from msal_cli.job.settings import Task
 from msal_cli.storage import urls
 from msal_cli.storage.urls import is_url
 

@@ -16,8 +16,8 @@ from msal_cli.batch.manifest import Manifest
 from msal_cli.batch.manifest_lines import FileStat, ManifestEntry, to_builtin
 from msal_cli.batch.plan import Plan
 from msal_cli.errors import OutputError
-from msal_cli.job.pipeline import Settings, Task, suffix
-from msal_cli.job.records import Failure, MeshRecord, MethodUsed, ObjectMark
+from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, ObjectMark
+from msal_cli.job.settings import Settings, Task, suffix
 from msal_cli.storage.atomic import write_whole
 from msal_cli.storage.regular import open_regular
 from msal_cli.storage.urls import is_url
@@ -136,7 +136,7 @@ class _FreshnessCheck:
 
     def _known_result(self, task: Task, entry: ManifestEntry) -> MeshRecord | None:
         """The record of an output that is current, or of a failure that would come again."""
-        if entry.status in ("written", "unchanged"):
+        if entry.status in DONE:
             is_current = self._is_same(task.output, entry.output_version, entry.output_sha256)
             if not is_current or not (task.in_place or self._is_same_input(task, entry)):
                 return None

@@ -19,18 +19,11 @@ from msal_cli.batch.manifest_lines import FileStat, done_line, intent_line
 from msal_cli.batch.memory_budget import MemoryBudget, estimate_memory
 from msal_cli.batch.resume import file_states, hash_settings, restore_backup, roll_back
 from msal_cli.batch.run_history import RunEntry
-from msal_cli.cores import usable_cores
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.job.pipeline import (
-    FORECAST,
-    NO_LIMITS,
-    Limits,
-    Settings,
-    Task,
-    denoise_file,
-    least_memory_bytes,
-)
+from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.records import Failure, MeshRecord, MethodUsed
+from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task, least_memory_bytes
+from msal_cli.machine import usable_cores
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from msal_cli.job.records import MeshRecord
 
 if TYPE_CHECKING:
     from msal_cli.batch.plan import Plan
-    from msal_cli.job.pipeline import Settings
+    from msal_cli.job.settings import Settings
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,11 @@ from msal_cli.batch.engine import Work
 from msal_cli.batch.events import Failed, Progress, Returned
 from msal_cli.batch.run import denoise_in_worker, failure_of, unfinished_record
 from msal_cli.batch.worker_pool import WorkerPool
-from msal_cli.cores import usable_cores
 from msal_cli.errors import ResourceError
-from msal_cli.job.pipeline import Limits, Settings, Task, denoise_copy
+from msal_cli.job.pipeline import denoise_copy
 from msal_cli.job.records import MeshRecord
+from msal_cli.job.settings import Limits, Settings, Task
+from msal_cli.machine import usable_cores
 
 if TYPE_CHECKING:
     from msal_cli.job.pipeline import OnProgress

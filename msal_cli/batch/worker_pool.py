@@ -21,12 +21,12 @@ from typing import Any
 
 from msal_cli.batch.engine import Interrupt, Work
 from msal_cli.batch.events import Failed, Losses, Message, Progress, Retried, Returned, Started
-from msal_cli.batch.memory import oom_kills
 from msal_cli.batch.process_status import describe_exit, is_near_memory_limit
 from msal_cli.batch.schedule import TaskQueue
 from msal_cli.batch.worker import Assignment
 from msal_cli.batch.worker_process import Inbox, WorkerProcess, start_worker
 from msal_cli.errors import ResourceError
+from msal_cli.machine import oom_kills
 
 _FALSE_STARTS = 3
 _GONE_WITHIN_S = 2.0

@@ -14,8 +14,8 @@ import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import OutputError
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.urls import is_url
 
 LONGEST_NAME = 140

@@ -16,9 +16,9 @@ import sys
 import time
 from pathlib import Path
 
-from msal_cli.storage.atomic import temporary_name
-from msal_cli.job.pipeline import FORECAST
 from msal_cli.job.records import Failure, MeshRecord
+from msal_cli.job.settings import FORECAST
+from msal_cli.storage.atomic import temporary_name
 
 DEATHS = {
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from msal_cli.batch.inputs import NothingMatched, discover_inputs
-from msal_cli.storage.atomic import temporary_name
 from msal_cli.errors import UsageError
+from msal_cli.storage.atomic import temporary_name
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
 
@@ -30,7 +30,9 @@ def made(folder, *names):
 def relatives(*inputs, **options):
     return [
         one.relative
-        for one in discover_inputs([str(one) for one in inputs], is_mesh_name=is_mesh_name, **options)
+        for one in discover_inputs(
+            [str(one) for one in inputs], is_mesh_name=is_mesh_name, **options
+        )
     ]
 
 

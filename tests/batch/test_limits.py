@@ -14,17 +14,16 @@ import pytest
 
 from msal_cli.batch import worker_pool as workers
 from msal_cli.batch import worker_process
-from msal_cli.batch.events import Started
+from msal_cli.batch.events import Failed, Retried, Returned, Started
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.batch.schedule import TaskQueue
-from msal_cli.batch.events import Retried, Started, Failed, Returned
 from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.codecs.forecast import BASE_BYTES
 from msal_cli.errors import UsageError
-from msal_cli.job.pipeline import Limits, Settings
+from msal_cli.job.settings import Limits, Settings
 from tests.batch import fakes
 from tests.batch.test_whole import children_of, obj
 

@@ -16,17 +16,15 @@ from msal_cli.batch.manifest import (
     NAME,
     FileStat,
     Manifest,
-    done,
-    parse_line,
-    hash_file,
-    intent,
     encode_line,
+    hash_file,
     hash_settings,
+    parse_line,
 )
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError
-from msal_cli.job.pipeline import Settings
 from msal_cli.job.records import MeshRecord, ObjectMark, Volume
+from msal_cli.job.settings import Settings
 
 SETTINGS = Settings("msal", {"K": 0.5, "iterations": 4})
 

@@ -13,7 +13,7 @@ from msal_cli.batch.inputs import DiscoveredInput, discover_inputs
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.errors import UsageError
-from msal_cli.job.pipeline import refuse_unknown_format
+from msal_cli.job.settings import refuse_unknown_format
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
 

@@ -21,14 +21,14 @@ from msal_cli.batch import (
     shard as shards,
 )
 from msal_cli.batch.inputs import DiscoveredInput, NothingMatched, discover_inputs
-from msal_cli.batch.manifest import Manifest, done, intent
-from msal_cli.batch.plan import build_plan
+from msal_cli.batch.plan import build_plan, select_shard
 from msal_cli.batch.remote_manifest import FOLDER, ObjectManifest
 from msal_cli.batch.run import run
 from msal_cli.errors import InputError, OutputError, UsageError
 from msal_cli.job.inspection import inspect_file
-from msal_cli.job.pipeline import Settings, denoise_bytes
+from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.records import MeshRecord, ObjectMark
+from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
 from msal_cli.storage.objects import listed, read_whole, write_whole
 from tests.batch.test_whole import obj
@@ -310,7 +310,7 @@ def test_an_object_at_fault_is_remembered_until_it_changes(scans):
 def test_shards_share_a_prefix(scans):
     for number in (1, 2, 1, 2):
         plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
-        run(shards.part(plan, shards.Shard(number, 2)), settings())
+        run(select_shard(plan, shards.Shard(number, 2)), settings())
     assert outputs() == expected()
     assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date")
 
@@ -344,7 +344,9 @@ def test_lines_of_all_parts_are_read_and_the_last_counts():
     for status in ("failed", "written"):
         manifest = ObjectManifest.read("memory://out")
         manifest.open()
-        manifest.append([intent_line("a", "memory://scans/a"), intent_line(status, "memory://scans/b")])
+        manifest.append(
+            [intent_line("a", "memory://scans/a"), intent_line(status, "memory://scans/b")]
+        )
         manifest.append([line("a", status)])
         manifest.close()
         manifest.close()
@@ -401,7 +403,11 @@ def test_what_runs_did_is_told_from_their_parts(scans):
     plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
     run(plan, settings(), command=["msal", "one"])
     write_whole("memory://scans/2.obj", b"v 1 2\n")
-    run(build_plan(discover_inputs(["memory://scans"]), "memory://out"), settings(), command=["msal", "two"])
+    run(
+        build_plan(discover_inputs(["memory://scans"]), "memory://out"),
+        settings(),
+        command=["msal", "two"],
+    )
     told = history.of_folder("memory://out")
     assert [one.command[-1] for one in told.runs] == ["one", "two"]
     assert not any(one.interrupted for one in told.runs)

@@ -23,8 +23,8 @@ from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.job.pipeline import Settings
 from msal_cli.job.records import SCHEMA
+from msal_cli.job.settings import Settings
 from tests.batch import fakes
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
@@ -49,7 +49,9 @@ def fill(folders, n, **special):
 
 
 def plan_of(folders, **options):
-    some = discover_inputs([str(folders / "in")], is_mesh_name=is_mesh_name, output=str(folders / "in/out"))
+    some = discover_inputs(
+        [str(folders / "in")], is_mesh_name=is_mesh_name, output=str(folders / "in/out")
+    )
     output = None if options.get("in_place") else str(folders / "out")
     return build_plan(some, options.pop("output", output), is_mesh_name=is_mesh_name, **options)
 
@@ -438,7 +440,7 @@ from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.batch.interrupts import Terminated
 from msal_cli.batch.events import Finished, Started
-from msal_cli.job.pipeline import Settings
+from msal_cli.job.settings import Settings
 from tests.batch import fakes
 
 def tell(event):

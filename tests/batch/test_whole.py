@@ -23,7 +23,8 @@ from msal_cli.batch.run import run
 from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.codecs import open_mesh
 from msal_cli.errors import UsageError
-from msal_cli.job.pipeline import Settings, denoise_bytes
+from msal_cli.job.pipeline import denoise_bytes
+from msal_cli.job.settings import Settings
 from tests.batch import fakes
 from tests.shapes import noisy, torus
 
@@ -233,7 +234,9 @@ def test_two_thousand_files_in_one_worker_do_not_grow_it(scans, monkeypatch):
     monkeypatch.setattr(running, "usable_cores", lambda: 1)
     real_init = WorkerPool.__init__
     monkeypatch.setattr(
-        WorkerPool, "__init__", lambda crew, *a, **o: real_init(crew, *a, files_per_worker=10**6, **o)
+        WorkerPool,
+        "__init__",
+        lambda crew, *a, **o: real_init(crew, *a, files_per_worker=10**6, **o),
     )
     run(plan_of(scans), settings())
     assert len(sizes) > 2000

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from msal_cli.batch import worker_process
+from msal_cli.batch.events import Failed, Progress, Retried, Returned, Started
 from msal_cli.batch.worker import read_message, write_message
-from msal_cli.batch.events import Progress, Retried, Started, Failed, Returned
-from msal_cli.batch.worker_pool import WorkerPool, Interrupt
+from msal_cli.batch.worker_pool import Interrupt, WorkerPool
 from msal_cli.errors import ResourceError
 from tests.batch import fakes
 
