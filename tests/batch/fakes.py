@@ -16,6 +16,8 @@ import sys
 import time
 from pathlib import Path
 
+from msal_cli.batch.engine import Work
+from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.job.settings import FORECAST
 from msal_cli.storage.atomic import temporary_name
@@ -40,6 +42,15 @@ def die(how):
     elif how == "error":
         raise ValueError("a defect")
     raise AssertionError(how)
+
+
+def pool(tasks, *, stays=False, files_per_worker=1000, growth_bytes=512 << 20, **options):
+    """A pool for tasks of `work`, two at once if nothing else is said."""
+    tasks = tasks if isinstance(tasks, dict) else dict(enumerate(tasks))
+    orders = Work(tasks, work, options.pop("common", None), **({"jobs": 2, "cores": 2} | options))
+    return WorkerPool(
+        orders, stays=stays, files_per_worker=files_per_worker, growth_bytes=growth_bytes
+    )
 
 
 def work(task, common, on_progress):

@@ -19,8 +19,6 @@ from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
-from msal_cli.batch.schedule import TaskQueue
-from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.codecs.forecast import BASE_BYTES
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import Limits, Settings
@@ -32,9 +30,7 @@ linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs L
 
 
 def heard(tasks, **options):
-    options = {"jobs": 2, "cores": 2} | options
-    crew = WorkerPool(dict(enumerate(tasks)), fakes.work, None, **options)
-    return [message for batch in crew.batches() for message in batch]
+    return [message for batch in fakes.pool(tasks, **options).batches() for message in batch]
 
 
 def lost(messages):
@@ -62,8 +58,7 @@ class TestTime:
 
     @posix
     def test_a_worker_that_is_stopped_is_killed_all_the_same(self):
-        crew = WorkerPool({0: ("sleep", 60)}, fakes.work, None, jobs=1, cores=1,
-                    limits=Limits(timeout_s=0.5), schedule=TaskQueue([0], retries=0))  # fmt: skip
+        crew = fakes.pool([("sleep", 60)], limits=Limits(timeout_s=0.5), retries=0)
         messages = []
         for batch in crew.batches():
             messages += batch
@@ -85,7 +80,7 @@ class TestTime:
 class TestRetries:
     @pytest.mark.parametrize("retries", [0, 2])
     def test_so_many_tries_there_are(self, retries):
-        messages = heard([("exit", 0), ("double", 1)], schedule=TaskQueue([0, 1], retries=retries))
+        messages = heard([("exit", 0), ("double", 1)], retries=retries)
         assert len([one for one in messages if isinstance(one, Retried)]) == retries
         assert isinstance(messages[-1] if retries else lost(messages)[0], Failed)
         assert results(messages) == {1: 2}
@@ -142,9 +137,8 @@ class TestMemory:
 
     def test_heavy_tasks_do_not_meet(self):
         begun, ended, most = set(), set(), 0
-        schedule = TaskQueue(range(4), weights=dict.fromkeys(range(4), 60), budget_bytes=100)
-        crew = WorkerPool(dict.fromkeys(range(4), ("sleep", 0.05)), fakes.work, None, jobs=3, cores=3,
-                    schedule=schedule)  # fmt: skip
+        weights = dict.fromkeys(range(4), 60)
+        crew = fakes.pool([("sleep", 0.05)] * 4, jobs=3, weights=weights, budget_bytes=100)
         for batch in crew.batches():
             for one in batch:
                 if isinstance(one, Returned):
@@ -154,14 +148,10 @@ class TestMemory:
         assert (len(ended), most) == (4, 1)
 
     def test_one_that_fits_with_no_other_has_all_cores(self):
-        schedule = TaskQueue(range(3), weights={1: 90}, light_bytes=20, budget_bytes=100)
-        messages = heard([("threads", 0)] * 3, schedule=schedule)
+        tasks = [("threads", 0)] * 3
+        messages = heard(tasks, weights={1: 90}, light_bytes=20, budget_bytes=100)
         assert results(messages) == {0: "1", 1: "2", 2: "1"}
         assert next(one.index for one in messages if isinstance(one, Started)) == 1
-
-
-def is_mesh_name(name):
-    return name.endswith(".ply")
 
 
 def ran(folder, texts, *, in_place=False, backup=".orig", **options):
@@ -169,8 +159,8 @@ def ran(folder, texts, *, in_place=False, backup=".orig", **options):
     for name, text in texts.items():
         (folder / f"in/{name}.ply").write_text(text)
     output = None if in_place else str(folder / "out")
-    some = discover_inputs([str(folder / "in")], is_mesh_name=is_mesh_name, output=output)
-    plan = build_plan(some, output, is_mesh_name=is_mesh_name, in_place=in_place,
+    some = discover_inputs([str(folder / "in")], output=output)
+    plan = build_plan(some, output, in_place=in_place,
                  backup=backup if in_place else None)  # fmt: skip
     return run(plan, Settings("fake"), denoise=fakes.denoise, **({"jobs": 1} | options))
 

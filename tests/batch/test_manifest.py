@@ -12,15 +12,17 @@ import pytest
 
 import msal_cli
 from msal_cli.batch import manifest as manifests
-from msal_cli.batch.manifest import (
-    NAME,
+from msal_cli.batch import manifest_lines, resume
+from msal_cli.batch.manifest import NAME, FolderManifest
+from msal_cli.batch.manifest_dirs import written_names
+from msal_cli.batch.manifest_lines import (
     FileStat,
-    Manifest,
+    done_line,
     encode_line,
-    hash_file,
-    hash_settings,
+    intent_line,
     parse_line,
 )
+from msal_cli.batch.resume import hash_file, hash_settings
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError
 from msal_cli.job.records import MeshRecord, ObjectMark, Volume
@@ -62,8 +64,8 @@ def test_what_is_noted_is_read_back(tmp_path):
     entry = noted(tmp_path, done_line("a.ply", "hash", one, str(tmp_path / "in"))).get("a.ply")
     assert entry.is_done and entry.settings == "hash" and entry.status == "written"
     assert (entry.input_sha256, entry.output_sha256) == ("i" * 64, "o" * 64)
-    assert entry.input_mark == FileStat.of(str(tmp_path / "in"))
-    assert entry.input_mark.size == 5 and entry.output_mark.size == 3
+    assert entry.input_version == FileStat.of(str(tmp_path / "in"))
+    assert entry.input_version.size == 5 and entry.output_version.size == 3
     assert entry.record() == one
 
 
@@ -156,7 +158,7 @@ def test_a_manifest_that_cannot_be_written_is_an_output_error(tmp_path):
     (tmp_path / NAME).mkdir()
     with pytest.raises(OutputError):
         FolderManifest(str(tmp_path))
-    manifest = Manifest(str(tmp_path / "no such folder"))
+    manifest = FolderManifest(str(tmp_path / "no such folder"))
     with pytest.raises(OutputError):
         manifest.open()
 
@@ -183,7 +185,7 @@ class TestSeveral:
             self.noted(tmp_path, Shard(k, 3), intent_line(f"{k}", "in"))
         self.noted(tmp_path, None, intent_line("whole", "in"))
         self.noted(tmp_path, Shard(1, 2), intent_line("other", "in"))
-        names = [path.name for path in manifests.paths_in(str(tmp_path))]
+        names = [path.name for path in manifests.list_manifests(str(tmp_path))]
         assert names == [
             ".msal-manifest-1-of-2.jsonl",
             *(f".msal-manifest-{k}-of-3.jsonl" for k in (1, 2, 3)),
@@ -192,7 +194,7 @@ class TestSeveral:
         for shard in (None, Shard(2, 3), Shard(1, 7)):
             known = FolderManifest(str(tmp_path), shard).names()
             assert known == {"1", "2", "3", "whole", "other"}
-        assert manifests.names_in(str(tmp_path)) == known
+        assert written_names(str(tmp_path)) == known
 
     def test_the_newer_line_counts_whoever_wrote_it(self, tmp_path):
         line = done_line("a.ply", "new", record(tmp_path), "in")
@@ -250,14 +252,16 @@ class TestSeveral:
     def test_a_record_is_not_needed_to_know_the_rest(self, tmp_path):
         """The short way of reading a line must say what the long one says."""
         line = done_line('x,"record":{"at":7', "h", record(tmp_path), "in") | {"at": 12}
-        short = manifests.encode_line(line).rstrip()
+        short = encode_line(line).rstrip()
         long = json.dumps(line).encode()
-        assert manifests._USUAL_DONE.fullmatch(short) and not manifests._USUAL_DONE.fullmatch(long)
-        one, other = manifests.parse_line(short), manifests.parse_line(long)
-        assert dataclasses.replace(one, text=b"") == dataclasses.replace(other, text=b"")
+        assert manifest_lines._USUAL_DONE.fullmatch(
+            short
+        ) and not manifest_lines._USUAL_DONE.fullmatch(long)
+        one, other = parse_line(short), parse_line(long)
+        assert dataclasses.replace(one, line=b"") == dataclasses.replace(other, line=b"")
         assert one.at == 12 and one.record() == other.record() == record(tmp_path)
         for length in range(len(short)):
-            assert manifests.parse_line(short[:length]) is None
+            assert parse_line(short[:length]) is None
 
 
 class TestSettingsHash:
@@ -288,7 +292,7 @@ class TestSettingsHash:
         hashes = [hash_settings(dataclasses.replace(SETTINGS, **change)) for change in changes]
         changed = {key for change in changes for key in change}
         assert changed == {field.name for field in dataclasses.fields(Settings)}
-        monkeypatch.setattr(manifests, "__version__", msal_cli.__version__ + ".1")
+        monkeypatch.setattr(resume, "__version__", msal_cli.__version__ + ".1")
         hashes += [hash_settings(SETTINGS)]
         monkeypatch.undo()
         assert len({hash_settings(SETTINGS), *hashes}) == len(changes) + 2
@@ -323,7 +327,6 @@ def test_an_object_in_a_store_is_known_by_size_and_tag(tmp_path):
     )
     line = encode_line(done_line("a.ply", "settings", record, record.input))
     entry = parse_line(line)
-    assert entry.input_object == ObjectMark(10, "in")
-    assert entry.output_object == ObjectMark(20, "out")
-    assert (entry.input_mark, entry.output_mark) == (None, None)
+    assert entry.input_version == ObjectMark(10, "in")
+    assert entry.output_version == ObjectMark(20, "out")
     assert entry.record() == record

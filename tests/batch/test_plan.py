@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch import plan as planning
+from msal_cli.batch import plan_checks as planning
 from msal_cli.batch.inputs import DiscoveredInput, discover_inputs
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
@@ -16,10 +16,6 @@ from msal_cli.errors import UsageError
 from msal_cli.job.settings import refuse_unknown_format
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
-
-
-def is_mesh_name(name):
-    return name.lower().removesuffix(".gz").endswith((".ply", ".obj", ".stl"))
 
 
 def made(folder, *names):
@@ -30,10 +26,8 @@ def made(folder, *names):
 
 
 def planned(inputs, output, **options):
-    some = discover_inputs([str(one) for one in inputs], is_mesh_name=is_mesh_name)
-    return build_plan(
-        some, None if output is None else str(output), is_mesh_name=is_mesh_name, **options
-    )
+    some = discover_inputs([str(one) for one in inputs])
+    return build_plan(some, None if output is None else str(output), **options)
 
 
 def outputs(folder, *arguments, **options):
@@ -73,7 +67,7 @@ def test_a_folder_is_mirrored(tmp_path):
         str(tmp_path / "out/b/c.obj.gz"),
     ]
     assert plan.homes == (str(tmp_path / "out"),) * 2
-    assert [plan.key(index) for index in (0, 1)] == ["a.ply", "b/c.obj.gz"]
+    assert [plan.manifest_key(index) for index in (0, 1)] == ["a.ply", "b/c.obj.gz"]
     assert not (tmp_path / "out").exists()
 
 
@@ -297,7 +291,6 @@ class TestPlacesThatCannotBe:
             build_plan(
                 [DiscoveredInput(str(tmp_path / "a.ply"), relative, str(tmp_path))],
                 str(tmp_path / "out"),
-                is_mesh_name=is_mesh_name,
             )
 
     @posix
@@ -316,7 +309,7 @@ class TestInPlace:
         assert all(task.in_place and task.input == task.output for task in plan.tasks)
         assert [task.backup for task in plan.tasks] == [".orig", ".orig"]
         assert plan.homes == (str(tmp_path / "in"),) * 2
-        assert plan.key(1) == "b/c.ply"
+        assert plan.manifest_key(1) == "b/c.ply"
         assert planned([tmp_path / "in"], None, in_place=True, backup=None).tasks[0].backup is None
 
     def test_one_file_has_a_manifest_too(self, tmp_path):

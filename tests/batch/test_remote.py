@@ -21,6 +21,8 @@ from msal_cli.batch import (
     shard as shards,
 )
 from msal_cli.batch.inputs import DiscoveredInput, NothingMatched, discover_inputs
+from msal_cli.batch.manifest import FolderManifest
+from msal_cli.batch.manifest_lines import done_line, intent_line
 from msal_cli.batch.plan import build_plan, select_shard
 from msal_cli.batch.remote_manifest import FOLDER, ObjectManifest
 from msal_cli.batch.run import run
@@ -342,7 +344,7 @@ def parts():
 
 def test_lines_of_all_parts_are_read_and_the_last_counts():
     for status in ("failed", "written"):
-        manifest = ObjectManifest.read("memory://out")
+        manifest = ObjectManifest("memory://out")
         manifest.open()
         manifest.append(
             [intent_line("a", "memory://scans/a"), intent_line(status, "memory://scans/b")]
@@ -350,7 +352,7 @@ def test_lines_of_all_parts_are_read_and_the_last_counts():
         manifest.append([line("a", status)])
         manifest.close()
         manifest.close()
-    manifest = homes.manifest_of("memory://out")
+    manifest = homes.open_manifest("memory://out")
     assert manifest.names() == {"a", "failed", "written"}
     assert manifest.get("a").status == "written"
     assert len(parts()) == 4
@@ -358,13 +360,13 @@ def test_lines_of_all_parts_are_read_and_the_last_counts():
 
 def test_intents_are_there_at_once_and_the_rest_within_seconds(monkeypatch):
     monkeypatch.setattr(remote_manifest, "BETWEEN_PARTS_S", 0.05)
-    manifest = ObjectManifest.read("memory://out")
+    manifest = ObjectManifest("memory://out")
     manifest.open()
     manifest.append([intent_line("a", "memory://scans/a")])
-    assert ObjectManifest.read("memory://out").names() == {"a"}
+    assert ObjectManifest("memory://out").names() == {"a"}
     manifest.append([line("b")])
     for _ in range(200):
-        if "b" in ObjectManifest.read("memory://out").names():
+        if "b" in ObjectManifest("memory://out").names():
             break
         threading.Event().wait(0.05)
     else:
@@ -374,32 +376,32 @@ def test_intents_are_there_at_once_and_the_rest_within_seconds(monkeypatch):
 
 def test_what_makes_no_sense_is_passed_over():
     write_whole(f"memory://out/{FOLDER}/notes.txt", b"{")
-    manifest = ObjectManifest.read("memory://out")
+    manifest = ObjectManifest("memory://out")
     manifest.open()
     manifest.append([intent_line("a", "memory://scans/a")])
     manifest.close()
     (part,) = [name for name in parts() if name.endswith(".jsonl")]
     url = f"memory://out/{FOLDER}/{part}"
     write_whole(url, b'{"torn\n\n' + read_whole(url) + b'{"kind": "do')
-    assert ObjectManifest.read("memory://out").names() == {"a"}
+    assert ObjectManifest("memory://out").names() == {"a"}
 
 
 def test_many_parts_become_one_and_no_line_is_lost(monkeypatch):
     monkeypatch.setattr(remote_manifest, "MOST_PARTS", 3)
     for n in range(4):
-        manifest = ObjectManifest.read("memory://out")
+        manifest = ObjectManifest("memory://out")
         manifest.open()
         manifest.append([intent_line(f"{n}", "memory://scans/a")])
         manifest.append([line(f"{n}")])
         manifest.close()
-    entries = ObjectManifest.read("memory://out")
+    entries = ObjectManifest("memory://out")
     assert len(parts()) < 8
     assert entries.names() == {"0", "1", "2", "3"}
     assert all(entries.get(str(n)).is_done for n in range(4))
 
 
 def test_what_runs_did_is_told_from_their_parts(scans):
-    assert history.of_folder("memory://out") is None
+    assert history.read_home("memory://out") is None
     plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
     run(plan, settings(), command=["msal", "one"])
     write_whole("memory://scans/2.obj", b"v 1 2\n")
@@ -408,7 +410,7 @@ def test_what_runs_did_is_told_from_their_parts(scans):
         settings(),
         command=["msal", "two"],
     )
-    told = history.of_folder("memory://out")
+    told = history.read_home("memory://out")
     assert [one.command[-1] for one in told.runs] == ["one", "two"]
     assert not any(one.interrupted for one in told.runs)
     assert sorted(row.record.status for row in told.rows) == ["failed", "written", "written"]
@@ -416,27 +418,27 @@ def test_what_runs_did_is_told_from_their_parts(scans):
 
 def test_of_many_shards_one_merges(monkeypatch):
     monkeypatch.setattr(remote_manifest, "MOST_PARTS", 0)
-    manifest = ObjectManifest.read("memory://out")
+    manifest = ObjectManifest("memory://out")
     manifest.open()
     manifest.append([intent_line("a", "memory://scans/a")])
     manifest.close()
     before = parts()
     for number in (2, 3):
-        other = ObjectManifest.read("memory://out", shards.Shard(number, 3))
+        other = ObjectManifest("memory://out", shards.Shard(number, 3))
         other.open()
         other.close()
     assert parts() == before
-    first = ObjectManifest.read("memory://out", shards.Shard(1, 3))
+    first = ObjectManifest("memory://out", shards.Shard(1, 3))
     first.open()
     first.close()
     assert len(parts()) == 1
     assert parts() != before
-    assert ObjectManifest.read("memory://out").names() == {"a"}
+    assert ObjectManifest("memory://out").names() == {"a"}
 
 
 @pytest.mark.parametrize("killed", ["before", "between"])
 def test_a_merge_that_is_killed_loses_nothing(monkeypatch, killed):
-    manifest = ObjectManifest.read("memory://out")
+    manifest = ObjectManifest("memory://out")
     manifest.open()
     for n in range(5):
         manifest.append([intent_line(f"{n}", "memory://scans/a")])
@@ -448,13 +450,13 @@ def test_a_merge_that_is_killed_loses_nothing(monkeypatch, killed):
 
     monkeypatch.setattr(remote, "write_whole" if killed == "before" else "removed", kill)
     with pytest.raises(KeyboardInterrupt):
-        ObjectManifest.read("memory://out").open()
+        ObjectManifest("memory://out").open()
     monkeypatch.undo()
-    assert ObjectManifest.read("memory://out").names() == set("01234")
+    assert ObjectManifest("memory://out").names() == set("01234")
 
 
 def test_a_part_that_another_run_merges_meanwhile_is_found_again(monkeypatch):
-    manifest = ObjectManifest.read("memory://out")
+    manifest = ObjectManifest("memory://out")
     manifest.open()
     manifest.append([intent_line("a", "memory://scans/a")])
     manifest.close()
@@ -467,7 +469,7 @@ def test_a_part_that_another_run_merges_meanwhile_is_found_again(monkeypatch):
         return real(some)
 
     monkeypatch.setattr(remote, "read_many", late)
-    assert ObjectManifest.read("memory://out").names() == {"a"}
+    assert ObjectManifest("memory://out").names() == {"a"}
     assert len(calls) == 2
 
 
@@ -481,13 +483,13 @@ def test_a_store_that_fails_for_a_moment_costs_no_line(monkeypatch):
             raise OutputError("the store cannot be reached")
         return real(url, data)
 
-    manifest = ObjectManifest.read("memory://out")
+    manifest = ObjectManifest("memory://out")
     manifest.open()
     monkeypatch.setattr(remote, "write_whole", sometimes)
     manifest.append([line("a")])
     threading.Event().wait(0.2)
     manifest.close()
-    assert ObjectManifest.read("memory://out").names() == {"a"}
+    assert ObjectManifest("memory://out").names() == {"a"}
 
 
 def test_a_store_that_takes_no_manifest_ends_the_run(scans, monkeypatch):
@@ -505,7 +507,7 @@ def test_a_store_that_takes_no_manifest_ends_the_run(scans, monkeypatch):
 
 
 def test_the_end_of_a_run_that_is_failing_hides_nothing(monkeypatch):
-    manifest = ObjectManifest.read("memory://out")
+    manifest = ObjectManifest("memory://out")
     manifest.open()
 
     def refusing(url, data):
@@ -530,7 +532,7 @@ def test_the_end_of_a_run_that_is_failing_hides_nothing(monkeypatch):
 
 
 def test_the_lines_are_those_of_a_folder(tmp_path):
-    manifest = ObjectManifest.read("memory://out")
+    manifest = ObjectManifest("memory://out")
     manifest.open()
     manifest.append([intent_line("a", "memory://scans/a"), line("b")])
     manifest.close()

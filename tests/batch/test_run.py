@@ -31,10 +31,6 @@ posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 SETTINGS = Settings("fake", {"n": 1})
 
 
-def is_mesh_name(name):
-    return name.endswith(".ply")
-
-
 @pytest.fixture
 def folders(tmp_path):
     (tmp_path / "in").mkdir()
@@ -49,11 +45,9 @@ def fill(folders, n, **special):
 
 
 def plan_of(folders, **options):
-    some = discover_inputs(
-        [str(folders / "in")], is_mesh_name=is_mesh_name, output=str(folders / "in/out")
-    )
+    some = discover_inputs([str(folders / "in")], output=str(folders / "in/out"))
     output = None if options.get("in_place") else str(folders / "out")
-    return build_plan(some, options.pop("output", output), is_mesh_name=is_mesh_name, **options)
+    return build_plan(some, options.pop("output", output), **options)
 
 
 def ran(folders, settings=SETTINGS, plan=None, **options):
@@ -144,11 +138,7 @@ class TestOneTask:
 
     def test_a_file_into_a_file_leaves_no_traces(self, folders):
         fill(folders, 1)
-        plan = build_plan(
-            discover_inputs([str(folders / "in/00.ply")], is_mesh_name=is_mesh_name),
-            str(folders / "one.ply"),
-            is_mesh_name=is_mesh_name,
-        )
+        plan = build_plan(discover_inputs([str(folders / "in/00.ply")]), str(folders / "one.ply"))
         assert statuses(ran(folders, plan=plan)) == ["written"]
         assert statuses(ran(folders, plan=plan)) == ["written"]
         assert sorted(path.name for path in folders.iterdir()) == ["in", "one.ply"]
@@ -449,7 +439,7 @@ def tell(event):
         print(name, event.index, flush=True)
 
 named = lambda name: name.endswith(".ply")
-plan = build_plan(discover_inputs([sys.argv[1]], is_mesh_name=named), sys.argv[2], is_mesh_name=named)
+plan = build_plan(discover_inputs([sys.argv[1]]), sys.argv[2])
 try:
     run(plan, Settings("fake", {"n": 1}), jobs=2, denoise=fakes.denoise, on_event=tell)
 except Terminated as error:

@@ -11,18 +11,18 @@ from msal_cli.batch.schedule import TaskQueue
 
 def order(schedule, at_once=1):
     """The tasks in the order in which they go, ``at_once`` in hand, oldest ending first."""
-    gone, in_hand = [], []
-    while not schedule.is_empty or in_hand:
-        if schedule.is_next_exclusive and not in_hand:
-            in_hand.append(schedule.pop_exclusive())
-            gone.append([in_hand[-1], "alone"])
-        elif not schedule.is_next_exclusive and len(in_hand) < at_once:
-            index = schedule.pop(in_hand, 0)
+    gone, current_task = [], []
+    while not schedule.is_empty or current_task:
+        if schedule.is_next_exclusive and not current_task:
+            current_task.append(schedule.pop_exclusive())
+            gone.append([current_task[-1], "alone"])
+        elif not schedule.is_next_exclusive and len(current_task) < at_once:
+            index = schedule.pop(current_task, 0)
             if index is not None:
-                in_hand.append(index)
+                current_task.append(index)
                 gone.append(index)
                 continue
-        in_hand.pop(0)
+        current_task.pop(0)
     return gone
 
 
@@ -63,7 +63,7 @@ def test_what_idle_workers_hold_counts():
     assert schedule.pop([1], 25) == 0
 
 
-def test_with_nothing_in_hand_anything_goes():
+def test_with_nothing_current_task_anything_goes():
     schedule = TaskQueue(range(2), light_bytes=15, budget_bytes=5)
     assert schedule.pop([], 100) == 0
     assert schedule.pop([0], 0) is None
@@ -96,17 +96,17 @@ def test_every_task_goes_once_and_never_beyond_the_budget():
         n, budget = generator.randrange(1, 30), generator.randrange(10, 200)
         weights = {k: generator.randrange(1, 250) for k in range(n) if generator.random() < 0.5}
         schedule = TaskQueue(range(n), weights=weights, light_bytes=9, budget_bytes=budget)
-        done, in_hand = [], []
-        while not schedule.is_empty or in_hand:
+        done, current_task = [], []
+        while not schedule.is_empty or current_task:
             if schedule.is_next_exclusive:
-                index = None if in_hand else schedule.pop_exclusive()
+                index = None if current_task else schedule.pop_exclusive()
             else:
-                index = schedule.pop(in_hand, 0)
+                index = schedule.pop(current_task, 0)
             if index is None:
-                in_hand.remove(generator.choice(in_hand))
+                current_task.remove(generator.choice(current_task))
                 continue
-            in_hand.append(index)
+            current_task.append(index)
             done.append(index)
-            taken = sum(map(schedule.weight, in_hand))
-            assert taken <= budget or len(in_hand) == 1
+            taken = sum(map(schedule.weight, current_task))
+            assert taken <= budget or len(current_task) == 1
         assert sorted(done) == list(range(n))

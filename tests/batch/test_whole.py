@@ -168,7 +168,9 @@ def test_a_worker_killed_in_the_middle_costs_nothing(scans, monkeypatch):
         nonlocal count
         count += isinstance(event, Finished)
         if isinstance(event, Started) and count >= 10 and not victims:
-            (worker,) = [one for one in crews[0]._workers if one.in_hand == event.index] or [None]
+            (worker,) = [one for one in crews[0]._workers if one.current_task == event.index] or [
+                None
+            ]
             if worker is not None:
                 os.kill(worker.pid, signal.SIGKILL)
                 victims.append(event.index)

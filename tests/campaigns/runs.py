@@ -205,7 +205,7 @@ def wait_until(is_so, process, within_s=60.0):
         time.sleep(0.001)
 
 
-def iso_timestamp(choice: random.Random, whole, output):
+def moment(choice: random.Random, whole, output):
     """A function that waits, given the process, for a random moment of its run.
 
     A third of them is any moment, a third any after the output folder was taken in hand, and a
