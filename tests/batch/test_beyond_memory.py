@@ -35,7 +35,7 @@ def beyond(path, available, monkeypatch, **limits):
     tasks = {7: Task(str(path), "out", "in")}
     return estimate_memory(
         tasks, Settings("msal"), Limits(**limits) if limits else NO_LIMITS
-    ).beyond()
+    ).oversized()
 
 
 @pytest.mark.parametrize("least", [10**9, 10_200_000_000])

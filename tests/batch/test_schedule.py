@@ -6,6 +6,7 @@ import random
 
 import pytest
 
+from msal_cli.batch.events import Failed, Losses, Retried
 from msal_cli.batch.schedule import TaskQueue
 
 
@@ -71,21 +72,26 @@ def test_with_nothing_current_task_anything_goes():
 
 
 @pytest.mark.parametrize("retries", [0, 1, 3])
-def test_a_lost_task_waits_for_all_others_and_goes_alone(retries):
-    schedule = TaskQueue(range(3), retries=retries)
-    assert schedule.pop([], 0) == 0
-    assert schedule.lose(0) is (retries > 0)
-    assert [schedule.pop([], 0), schedule.pop([], 0)] == [1, 2]
-    for n in range(retries):
-        assert schedule.is_next_exclusive and schedule.pop_exclusive() == 0
-        assert schedule.lose(0) is (n + 1 < retries)
-    assert schedule.is_empty and schedule.losses(0) == retries + 1
+def test_a_lost_task_is_retried_so_often_and_then_failed(retries):
+    losses = Losses(retries)
+    for _ in range(retries):
+        assert losses.add(7, "crash", "it died", "hint") == Retried(7, "it died")
+        assert losses.reasons == {7: "it died"}
+    ending = {0: "", 1: ", as at the first try", 3: " (4 tries)"}[retries]
+    assert losses.add(7, "crash", "it died", "hint") == Failed(
+        7, "crash", "it died" + ending, "hint"
+    )
+
+
+def test_a_retried_task_waits_for_all_others_and_goes_alone():
+    queue = TaskQueue(range(3))
+    queue.retry(queue.pop([], 0))
+    assert order(queue) == [1, 2, [0, "alone"]]
 
 
 def test_dropped_tasks_are_gone_but_second_tries_stay():
     schedule = TaskQueue(range(3), weights={0: 9}, budget_bytes=8)
-    schedule.pop_exclusive()
-    schedule.lose(0)
+    schedule.retry(schedule.pop_exclusive())
     schedule.drop()
     assert order(schedule) == [[0, "alone"]]
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import time
 
 import pytest
 
-from msal_cli.batch import temporary_files as temporaries
 from msal_cli.batch.process_status import describe_exit, is_alive, start_time
 from msal_cli.batch.temporary_files import is_own, sweep, sweep_after
 from msal_cli.storage.atomic import temporary_name
@@ -42,10 +42,8 @@ def test_what_the_dead_left_goes(tmp_path, dead):
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(keep)
 
 
-def test_of_another_machine_only_what_is_old_goes(tmp_path, dead, monkeypatch):
-    monkeypatch.setattr(temporaries, "machine_tag", lambda: "00000000")
-    names = [of(dead, "new"), of(dead, "old")]
-    monkeypatch.undo()
+def test_of_another_machine_only_what_is_old_goes(tmp_path, dead):
+    names = [re.sub(r"-[0-9a-f]{8}", "-00000000", of(dead, name)) for name in ("new", "old")]
     for name in names:
         (tmp_path / name).touch()
     os.utime(tmp_path / names[1], (0, 0))
