@@ -135,7 +135,7 @@ def _do(assignment: Assignment, index: int, task: Any, outgoing: _Outgoing) -> N
         if assignment.memory_bytes is not None:
             _hold_to(assignment.memory_bytes)
         result = assignment.function(task, assignment.common, on_progress)
-        outgoing.send("returned", index, result, resident_bytes())
+        outgoing.send("returned", index, result, memory_bytes("self", "VmRSS"))
     except MemoryError:
         outgoing.send("exhausted")
     except BaseException as error:
@@ -170,17 +170,6 @@ def _end_beyond(limit: int, outgoing: _Outgoing) -> None:
         if (peak_bytes() or 0) > limit:
             outgoing.send("exhausted")
             os._exit(1)
-
-
-def resident_bytes() -> int:
-    """Memory that this process holds now; 0 where the system does not tell."""
-    if sys.platform == "win32":
-        return 0
-    try:
-        with open("/proc/self/statm", "rb") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except (OSError, ValueError, IndexError):
-        return 0
 
 
 def _private_pipes() -> tuple[int, int]:
