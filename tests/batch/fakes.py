@@ -12,6 +12,7 @@ import ctypes
 import hashlib
 import os
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -193,3 +194,10 @@ def written(path, data):
         with contextlib.suppress(OSError):
             temporary.unlink()
         raise
+
+
+def children_of(pid):
+    """The processes that a process has started and that have not been waited for."""
+    text = subprocess.run(["ps", "-eo", "pid,ppid"], capture_output=True, text=True).stdout
+    pairs = [line.split() for line in text.splitlines()[1:]]
+    return [int(child) for child, parent in pairs if int(parent) == pid]

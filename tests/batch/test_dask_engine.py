@@ -214,7 +214,7 @@ class TestRefusals:
     def test_a_late_worker_of_another_version(self, folder, cluster, monkeypatch):
         fill(folder, 2)
         monkeypatch.setattr(dask_engine, "__version__", "99.0")
-        monkeypatch.setattr(dask_cluster.Cluster, "check", lambda *arguments: None)
+        monkeypatch.setattr(dask_cluster.DaskCluster, "check", lambda *arguments: None)
         with pytest.raises(ResourceError, match=r"has msal .*99\.0"):
             ran(cluster)
         assert outputs(folder / "out") == {}

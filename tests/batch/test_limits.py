@@ -23,7 +23,7 @@ from msal_cli.codecs.forecast import BASE_BYTES
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import Limits, Settings
 from tests.batch import fakes
-from tests.batch.test_whole import children_of, obj
+from tests.batch.test_whole import obj
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs Linux")
@@ -258,7 +258,7 @@ def test_the_command_survives_a_worker_that_is_stopped(scans):
     command += ["-j1", "--retries", "0", "-n", "1000", "--include", "slow*", "--include", "1*"]
     with subprocess.Popen(command, cwd=scans, stderr=subprocess.PIPE, text=True) as process:
         while process.poll() is None:
-            for pid in children_of(process.pid):
+            for pid in fakes.children_of(process.pid):
                 # Starting takes less, so whoever has worked so long has a file in hand.
                 if seconds_of_work(pid) > 1.2:
                     os.kill(pid, signal.SIGSTOP)

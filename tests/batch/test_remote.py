@@ -338,20 +338,25 @@ def line(name, status="written"):
     return done_line(name, "settings", record, record.input)
 
 
+def write(*batches, shard=None):
+    """Open a manifest, append these batches of lines, and close it."""
+    manifest = ObjectManifest("memory://out", shard)
+    manifest.open()
+    for lines in batches:
+        manifest.append(lines)
+    manifest.close()
+
+
+INTENT = intent_line("a", "memory://scans/a")
+
+
 def parts():
     return sorted(listed(f"memory://out/{FOLDER}"))
 
 
 def test_lines_of_all_parts_are_read_and_the_last_counts():
     for status in ("failed", "written"):
-        manifest = ObjectManifest("memory://out")
-        manifest.open()
-        manifest.append(
-            [intent_line("a", "memory://scans/a"), intent_line(status, "memory://scans/b")]
-        )
-        manifest.append([line("a", status)])
-        manifest.close()
-        manifest.close()
+        write([INTENT, intent_line(status, "memory://scans/b")], [line("a", status)])
     manifest = homes.open_manifest("memory://out")
     assert manifest.names() == {"a", "failed", "written"}
     assert manifest.get("a").status == "written"
@@ -362,7 +367,7 @@ def test_intents_are_there_at_once_and_the_rest_within_seconds(monkeypatch):
     monkeypatch.setattr(remote_manifest, "BETWEEN_PARTS_S", 0.05)
     manifest = ObjectManifest("memory://out")
     manifest.open()
-    manifest.append([intent_line("a", "memory://scans/a")])
+    manifest.append([INTENT])
     assert ObjectManifest("memory://out").names() == {"a"}
     manifest.append([line("b")])
     for _ in range(200):
@@ -376,10 +381,7 @@ def test_intents_are_there_at_once_and_the_rest_within_seconds(monkeypatch):
 
 def test_what_makes_no_sense_is_passed_over():
     write_whole(f"memory://out/{FOLDER}/notes.txt", b"{")
-    manifest = ObjectManifest("memory://out")
-    manifest.open()
-    manifest.append([intent_line("a", "memory://scans/a")])
-    manifest.close()
+    write([INTENT])
     (part,) = [name for name in parts() if name.endswith(".jsonl")]
     url = f"memory://out/{FOLDER}/{part}"
     write_whole(url, b'{"torn\n\n' + read_whole(url) + b'{"kind": "do')
@@ -389,11 +391,7 @@ def test_what_makes_no_sense_is_passed_over():
 def test_many_parts_become_one_and_no_line_is_lost(monkeypatch):
     monkeypatch.setattr(remote_manifest, "MOST_PARTS", 3)
     for n in range(4):
-        manifest = ObjectManifest("memory://out")
-        manifest.open()
-        manifest.append([intent_line(f"{n}", "memory://scans/a")])
-        manifest.append([line(f"{n}")])
-        manifest.close()
+        write([intent_line(f"{n}", "memory://scans/a")], [line(f"{n}")])
     entries = ObjectManifest("memory://out")
     assert len(parts()) < 8
     assert entries.names() == {"0", "1", "2", "3"}
@@ -418,19 +416,12 @@ def test_what_runs_did_is_told_from_their_parts(scans):
 
 def test_of_many_shards_one_merges(monkeypatch):
     monkeypatch.setattr(remote_manifest, "MOST_PARTS", 0)
-    manifest = ObjectManifest("memory://out")
-    manifest.open()
-    manifest.append([intent_line("a", "memory://scans/a")])
-    manifest.close()
+    write([INTENT])
     before = parts()
     for number in (2, 3):
-        other = ObjectManifest("memory://out", shards.Shard(number, 3))
-        other.open()
-        other.close()
+        write(shard=shards.Shard(number, 3))
     assert parts() == before
-    first = ObjectManifest("memory://out", shards.Shard(1, 3))
-    first.open()
-    first.close()
+    write(shard=shards.Shard(1, 3))
     assert len(parts()) == 1
     assert parts() != before
     assert ObjectManifest("memory://out").names() == {"a"}
@@ -438,11 +429,7 @@ def test_of_many_shards_one_merges(monkeypatch):
 
 @pytest.mark.parametrize("killed", ["before", "between"])
 def test_a_merge_that_is_killed_loses_nothing(monkeypatch, killed):
-    manifest = ObjectManifest("memory://out")
-    manifest.open()
-    for n in range(5):
-        manifest.append([intent_line(f"{n}", "memory://scans/a")])
-    manifest.close()
+    write(*([intent_line(f"{n}", "memory://scans/a")] for n in range(5)))
     monkeypatch.setattr(remote_manifest, "MOST_PARTS", 3)
 
     def kill(*arguments):
@@ -456,10 +443,7 @@ def test_a_merge_that_is_killed_loses_nothing(monkeypatch, killed):
 
 
 def test_a_part_that_another_run_merges_meanwhile_is_found_again(monkeypatch):
-    manifest = ObjectManifest("memory://out")
-    manifest.open()
-    manifest.append([intent_line("a", "memory://scans/a")])
-    manifest.close()
+    write([INTENT])
     real, calls = remote.read_many, []
 
     def late(some):
@@ -532,10 +516,7 @@ def test_the_end_of_a_run_that_is_failing_hides_nothing(monkeypatch):
 
 
 def test_the_lines_are_those_of_a_folder(tmp_path):
-    manifest = ObjectManifest("memory://out")
-    manifest.open()
-    manifest.append([intent_line("a", "memory://scans/a"), line("b")])
-    manifest.close()
+    write([INTENT, line("b")])
     (part,) = parts()
     text = read_whole(f"memory://out/{FOLDER}/{part}")
     assert [json.loads(one)["name"] for one in text.splitlines()] == ["a", "b"]

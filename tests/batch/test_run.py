@@ -185,21 +185,6 @@ class TestFailures:
         assert records[1].error.code == "E_MEMORY"
         assert names.count("01") == 2 and names[-1] == "01"
 
-    def test_failed_files_are_tried_again_by_the_next_run(self, folders):
-        fill(folders, 4, f01="fail")
-        ran(folders)
-        (folders / "in/01.ply").write_text("well again")
-        names, on_event = tried(folders)
-        assert statuses(ran(folders, on_event=on_event)).count("up-to-date") == 3
-        assert names == ["01"]
-
-    def test_stop_after_failures(self, folders):
-        fill(folders, 30, f00="fail", f01="fail")
-        records = ran(folders, jobs=1, stop_after_failures=2)
-        assert statuses(records)[:2] == ["failed", "failed"]
-        assert "planned" in statuses(records)
-        assert statuses(records)[-1] == "planned"
-
 
 class TestRerun:
     def test_nothing_is_done_twice(self, folders):
@@ -462,18 +447,13 @@ class TestInterrupts:
             start_new_session=True,
         )
 
-    def children(self, pid):
-        text = subprocess.run(["ps", "-eo", "pid,ppid"], capture_output=True, text=True).stdout
-        pairs = [line.split() for line in text.splitlines()[1:]]
-        return [int(child) for child, parent in pairs if int(parent) == pid]
-
     def interrupted(self, folders, send, after):
         """Send a signal once ``after`` files are finished; exit status, workers, seconds."""
         with self.start(folders) as process:
             count = 0
             while count < after:
                 count += process.stdout.readline().startswith("finished")
-            workers = self.children(process.pid)
+            workers = fakes.children_of(process.pid)
             started = time.monotonic()
             send(process)
             process.stdout.read()
@@ -582,25 +562,6 @@ class TestInterrupts:
         time.sleep(1.2 * signals.AT_LATEST_S)
         assert (seen, cleaned) == ([signal.SIGTERM], [])
         assert threading.active_count() == n_threads
-
-    @pytest.mark.slow
-    def test_fifty_kills_at_random_moments(self, folders):
-        import random
-
-        rng = random.Random(7)
-        fill(folders, 40)
-        ran(folders)
-        whole = tree(folders / "out")
-        for _ in range(50):
-            shutil.rmtree(folders / "out", ignore_errors=True)
-            with self.start(folders) as process:
-                time.sleep(rng.uniform(0.05, 0.5))
-                process.kill()
-            for name, data in tree(folders / "out").items():
-                if not name.startswith("."):
-                    assert data == whole[name]
-            assert "failed" not in statuses(ran(folders))
-            assert tree(folders / "out") == whole
 
 
 def test_a_scene_whose_mesh_is_in_another_file_is_never_current(folders):

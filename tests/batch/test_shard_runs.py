@@ -158,13 +158,6 @@ class TestShards:
             assert tree(folders / "out") == {}
             self.ran(folders, "2/2")
 
-    def test_a_shard_refuses_what_the_whole_run_would(self, folders):
-        fill(folders, 4)
-        (folders / "out").mkdir()
-        (folders / "out/02.ply").write_text("precious")
-        with pytest.raises(UsageError, match="no run of msal denoise put it there"):
-            plan_of(folders)
-
 
 class TestRunLines:
     def lines(self, folders, kind):

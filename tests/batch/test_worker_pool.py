@@ -331,16 +331,3 @@ def test_messages_cross_a_pipe_whole():
             read_message(reading)
     finally:
         os.close(reading)
-
-
-@pytest.mark.slow
-def test_twenty_batches_with_a_worker_killed_in_each_lose_nothing():
-    for round_ in range(20):
-        one = pool([("sleep", 0.002)] * 200, jobs=2)
-        count, killed = 0, False
-        for batch in one.batches():
-            count += len(results(batch))
-            if not killed and count > 8 * round_:
-                os.kill(one._workers[0].pid, signal.SIGKILL)
-                killed = True
-        assert count == 200 and killed
