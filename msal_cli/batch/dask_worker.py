@@ -30,7 +30,7 @@ from msal_cli.errors import ResourceError
 from msal_cli.job.settings import Limits
 
 TOPIC = "msal"
-"""The topic of Dask's events under which workers tell what happens, file by file."""
+"""The topic of Dask's events under which workers report, file by file."""
 
 _IDLE_S = 30.0
 _BETWEEN_CHECKS_S = 0.2
@@ -117,17 +117,17 @@ def run_batch(version: str, payload: bytes) -> bytes:
     with _borrow_pool(order) as pool:
         messages = pool.done(tasks, is_wanted, send)
     spent = time.perf_counter() - started
-    return pickle.dumps(Answer(address, spent, messages, _lines.drain()))
+    return pickle.dumps(Answer(address, spent, messages, _log_queue.drain()))
 
 
 def version_mismatch(address: str, theirs: str | None, ours: str) -> str:
-    """In words: this worker runs another msal."""
+    """The message for a worker with another version of msal."""
     has = "has no msal" if theirs is None else f"has msal {theirs}"
     return f"the Dask worker at {address} {has}, and here is {ours}"
 
 
 def storage_access_error(address: str, path: str) -> str:
-    """In words: this worker does not see the files of the run."""
+    """The message for a worker that does not see the files of the run."""
     return f"the Dask worker at {address} does not see {os.path.dirname(path) or path!r}"
 
 
@@ -154,8 +154,7 @@ class _StayingPool:
             on_death=self._sweep_after,
         )
         self._pool = WorkerPool(work, stays=True)
-        self._thread = threading.Thread(target=self._run, name="msal", daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._run, name="msal", daemon=True).start()
 
     def done(
         self,
@@ -204,37 +203,8 @@ class _StayingPool:
             temporary_files.sweep_after(pid, Path(self._folder, folder))
 
 
-class _IdlePools:
-    """Benches that wait for the next batch of their run; those that wait too long are let go."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._pools: dict[_StayingPool, threading.Timer] = {}
-
-    def pop(self, run: str) -> _StayingPool | None:
-        with self._lock:
-            for pool in self._pools:
-                if pool.run == run:
-                    self._pools.pop(pool).cancel()
-                    return pool
-        return None
-
-    def put(self, pool: _StayingPool) -> None:
-        timer = threading.Timer(_IDLE_S, self._expire, [pool])
-        timer.daemon = True
-        with self._lock:
-            self._pools[pool] = timer
-        timer.start()
-
-    def _expire(self, pool: _StayingPool) -> None:
-        with self._lock:
-            is_idle = self._pools.pop(pool, None) is not None
-        if is_idle:
-            pool.end()
-
-
 class _LogQueue(logging.Handler):
-    """The last lines of msal's log in this process, to be sent home with the next answer."""
+    """The last lines of msal's log in this process, sent to the run with the next answer."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -247,23 +217,41 @@ class _LogQueue(logging.Handler):
         return [self._kept.popleft() for _ in range(len(self._kept))]
 
 
-_idle = _IdlePools()
-_lines = _LogQueue()
+_log_queue = _LogQueue()
+
+# Pools that wait for the next batch of their run, each with the timer that ends it.
+_idle: dict[_StayingPool, threading.Timer] = {}
+_idle_lock = threading.Lock()
 
 
 @contextlib.contextmanager
 def _borrow_pool(order: Order) -> Iterator[_StayingPool]:
     """A pool for one batch: one that stayed from the last batch of the run, or a new one."""
     logger = logging.getLogger("msal")
-    if _lines not in logger.handlers:
-        logger.addHandler(_lines)
+    if _log_queue not in logger.handlers:
+        logger.addHandler(_log_queue)
         logger.propagate = False
     logger.setLevel(order.log_level)
-    pool = _idle.pop(order.run) or _StayingPool(order)
+    with _idle_lock:
+        pool = next((one for one in _idle if one.run == order.run), None)
+        if pool is not None:
+            _idle.pop(pool).cancel()
+    pool = pool or _StayingPool(order)
     try:
         yield pool
     except BaseException:
         pool.end()
         raise
     if not pool.is_broken:
-        _idle.put(pool)
+        timer = threading.Timer(_IDLE_S, _end_idle, [pool])
+        timer.daemon = True
+        with _idle_lock:
+            _idle[pool] = timer
+        timer.start()
+
+
+def _end_idle(pool: _StayingPool) -> None:
+    with _idle_lock:
+        is_idle = _idle.pop(pool, None) is not None
+    if is_idle:
+        pool.end()

@@ -1,4 +1,4 @@
-"""Which files the inputs of a command stand for: files, folders and glob patterns.
+"""Which files the inputs of a command name: files, folders and glob patterns.
 
 The order of the files is that of the inputs and, within a folder, that of the names; it does
 not depend on the file system.  Names are only ever compared and joined, never interpreted, so any
@@ -87,7 +87,7 @@ def discover_inputs(
     *,
     output: str | None = None,
 ) -> tuple[DiscoveredInput, ...]:
-    """The files that ``inputs`` stand for, each once, in a fixed order.
+    """The files that ``inputs`` name, each once, in a fixed order.
 
     What is written as ``protocol://...`` is an object, a folder of objects or a pattern in a store.
 
@@ -315,7 +315,7 @@ def _list_tree(
                 if is_link and not _is_below(real_root, real):
                     outside.append(path)
                     continue
-                # A link to a folder that holds it leads round.
+                # A link to a folder above it leads round.
                 if is_link and (is_beyond_link or _is_below(real, holder)):
                     continue
                 below.append((path, name, real, is_beyond_link or is_link))

@@ -1,6 +1,6 @@
 """The lines of a manifest: how they are written and what they say.
 
-A manifest holds one JSON object a line.  There are four kinds of line:
+A manifest has one JSON object a line.  There are four kinds of line:
 
 ``run``     when a run starts: version, command, settings, shard, process and machine.
 ``intent``  before a run starts on a file: an output of this name is ours.

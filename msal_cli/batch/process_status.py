@@ -43,7 +43,7 @@ def start_time(pid: int) -> float | None:
 
 
 def _linux_status(pid: int) -> list[str] | None:
-    """What Linux tells of a process, beginning with its state; None if it does not."""
+    """The fields of ``/proc/PID/stat`` from the state on; None if there are none."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(errors="replace")
     except OSError:
@@ -79,7 +79,7 @@ def describe_exit(code: int) -> str:
 
 
 def is_near_memory_limit(pid: int) -> bool:
-    """Whether a process on Linux holds nearly all the memory that RLIMIT_DATA grants it."""
+    """Whether a process on Linux uses nearly all the memory that RLIMIT_DATA grants it."""
     if not sys.platform.startswith("linux"):
         return False
     import resource

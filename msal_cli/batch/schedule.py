@@ -1,4 +1,4 @@
-"""The order of the tasks: large ones first, and no more at once than memory holds.
+"""The order of the tasks: large ones first, and no more at once than fit into memory.
 
 Nothing here starts or waits for anything; that is the part of ``worker_pool.WorkerPool``.
 """
@@ -17,7 +17,7 @@ class TaskQueue:
     tasks : indices, in the order of the plan.
     weights : bytes of memory that the large ones among them are expected to need at their peak.
         They go first, heaviest first, so that none is left to run alone at the end.
-    light_bytes : what any other is taken to need.
+    light_bytes : what any other is expected to need.
     budget_bytes : what all current tasks together may need; None is no bound.
     """
 
@@ -59,7 +59,7 @@ class TaskQueue:
             queue.clear()
 
     def weight(self, index: int) -> int:
-        """Bytes that a task is taken to need."""
+        """Bytes that a task is expected to need."""
         return self._weights.get(index, self._light_bytes)
 
     def retry(self, index: int) -> None:

@@ -32,7 +32,7 @@ class Shard:
 
     @property
     def file_part(self) -> str:
-        """How the shard's own files are told apart: ``2-of-4``."""
+        """How the shard's own files are distinguished: ``2-of-4``."""
         return f"{self.number}-of-{self.count}"
 
     def has(self, relative: str) -> bool:
@@ -82,7 +82,7 @@ def parse_shard(text: str, environment: Mapping[str, str]) -> Shard:
     jobs = {(job.index, job.count): job for job in _read_environment(environment)}
     if not jobs:
         raise UsageError(
-            f"--shard {text}: no variable of Slurm, AWS Batch or Kubernetes tells which shard this "
+            f"--shard {text}: no variable of Slurm, AWS Batch or Kubernetes says which shard this "
             "is",
             hint="give --shard K/N, or run it in an array job or an indexed job",
         )
@@ -113,7 +113,7 @@ def _shard_of(job: _JobIndex, text: str, expected: int | None) -> Shard:
     count = job.count if expected is None else expected
     if count is None:
         raise UsageError(
-            f"--shard {text}: {job.system} does not tell how many shards there are",
+            f"--shard {text}: {job.system} does not say how many shards there are",
             hint=f"give --shard auto/N, or set {COUNT_VARIABLE}",
         )
     if not 0 <= job.index < count <= MOST:

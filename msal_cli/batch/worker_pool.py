@@ -37,7 +37,7 @@ _READY_WITHIN_S = 600.0
 # A process that does not end so long after it was killed waits in the kernel, on a dead disk.
 _ENDS_WITHIN_S = 10.0
 
-_BETWEEN_LOOKS_S = 0.1
+_BETWEEN_CHECKS_S = 0.1
 _OUT_OF_MEMORY = re.compile(
     r"bad_alloc|out of memory|cannot allocate memory|failed to map segment|MemoryError|"
     r"memory allocation",
@@ -219,7 +219,7 @@ class WorkerPool:
         """How long to wait for a message; None is for ever."""
         first = min((worker.deadline for worker in self._workers), default=math.inf)
         if self._limits.memory_bytes is not None and self._is_busy():
-            first = min(first, time.monotonic() + _BETWEEN_LOOKS_S)
+            first = min(first, time.monotonic() + _BETWEEN_CHECKS_S)
         if os.name == "nt":
             # Windows delivers Ctrl-C to a waiting thread only between two waits.
             first = min(first, time.monotonic() + 0.2)
@@ -328,8 +328,12 @@ class WorkerPool:
                 "the system killed the worker for want of memory",
                 "run fewer jobs at once, or on a machine with more memory",
             )
-        words = any(map(_OUT_OF_MEMORY.search, worker.last_lines))
-        if self._limits.memory_bytes is not None and code != -9 and (worker.is_near_limit or words):
+        printed = any(map(_OUT_OF_MEMORY.search, worker.last_lines))
+        if (
+            self._limits.memory_bytes is not None
+            and code != -9
+            and (worker.is_near_limit or printed)
+        ):
             return "memory", *self._out_of_memory(
                 f"the worker {describe_exit(code)} for want of memory"
             )

@@ -75,7 +75,7 @@ class WorkerProcess:
         for thread in self.readers:
             thread.join(1.0)
         if not any(thread.is_alive() for thread in self.readers):
-            # Otherwise a grandchild holds a pipe, and its number must not be given to another.
+            # Otherwise a grandchild has a pipe open, and its number must not be given to another.
             for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
                 if pipe is not None:
                     pipe.close()

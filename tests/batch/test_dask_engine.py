@@ -26,6 +26,7 @@ from msal_cli.errors import ResourceError, UsageError
 from msal_cli.job.settings import Limits, Settings, Task
 from tests.batch import fakes
 from tests.batch.conftest import ROOT
+from tests.batch.test_run import fill, statuses
 from tests.batch.test_whole import obj, outputs
 from tests.cli.scans import msal
 
@@ -84,13 +85,6 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def fill(folder, n, **special):
-    for index in range(n):
-        (folder / f"in/{index:02}.ply").write_text(f"mesh {index}")
-    for name, text in special.items():
-        (folder / f"in/{name.removeprefix('f')}.ply").write_text(text)
-
-
 def plan_of(output="out", **options):
     return build_plan(discover_inputs(["in"], output=output), output, **options)
 
@@ -99,10 +93,6 @@ def ran(cluster, settings=FAKE, output="out", **options):
     options = {"denoise": fakes.denoise} | options
     engine = partial(DaskEngine, scheduler=cluster.scheduler_address)
     return run(plan_of(output), settings, engine=engine, **options)
-
-
-def statuses(records):
-    return [record.status for record in records]
 
 
 def workers_of(cluster):
