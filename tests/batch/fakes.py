@@ -55,7 +55,7 @@ def pool(tasks, *, stays=False, files_per_worker=1000, growth_bytes=512 << 20, *
 
 
 def work(task, common, on_progress):
-    """For ``workers.Crew``: ``task`` is (action, argument)."""
+    """The work of a `pool`: ``task`` is (action, argument)."""
     action, argument = task
     if action == "double":
         return 2 * argument

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+from contextlib import contextmanager
 
 import pytest
 
@@ -16,22 +17,31 @@ from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError, UsageError
 
 HOLD = (
-    "import sys; from msal_cli.batch.lock import FolderLock; one = FolderLock(sys.argv[1]); "
-    "print('held', flush=True); sys.stdin.read()"
+    "import sys; from msal_cli.batch.lock import FolderLock; "
+    "from msal_cli.batch.shard import Shard; numbers = [int(n) for n in sys.argv[2:]]; "
+    "one = FolderLock(sys.argv[1], Shard(*numbers) if numbers else None); "
+    "print('locked', flush=True); sys.stdin.read()"
 )
 
 
-@pytest.fixture
-def holder(tmp_path):
+@contextmanager
+def locked_elsewhere(folder, *shard):
+    """Another process that has locked a folder, killed at the end."""
     with subprocess.Popen(
-        [sys.executable, "-c", HOLD, str(tmp_path)],
+        [sys.executable, "-c", HOLD, str(folder), *map(str, shard)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
     ) as process:
-        assert process.stdout.readline() == "held\n"
+        assert process.stdout.readline() == "locked\n"
         yield process
         process.kill()
+
+
+@pytest.fixture
+def holder(tmp_path):
+    with locked_elsewhere(tmp_path) as process:
+        yield process
 
 
 def test_the_second_is_told_who_is_first(tmp_path, holder):
@@ -114,13 +124,6 @@ def test_a_link_in_the_place_of_the_lock_does_not_harm_its_target(tmp_path):
     assert (tmp_path / "precious").read_text() == "keep"
 
 
-HOLD_SHARD = (
-    "import sys; from msal_cli.batch.lock import FolderLock; "
-    "from msal_cli.batch.shard import Shard; one = FolderLock(sys.argv[1], Shard(2, 4)); "
-    "print('held', flush=True); sys.stdin.read()"
-)
-
-
 def locks_in(folder):
     return sorted(path.name for path in folder.iterdir())
 
@@ -190,14 +193,8 @@ class TestShards:
         FolderLock(str(tmp_path)).release()
 
     def test_the_dead_hold_nothing(self, tmp_path):
-        with subprocess.Popen(
-            [sys.executable, "-c", HOLD_SHARD, str(tmp_path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        ) as process:
-            assert process.stdout.readline() == "held\n"
-            process.kill()
+        with locked_elsewhere(tmp_path, 2, 4):
+            pass
         assert f"{NAME}-2-of-4" in locks_in(tmp_path)
         FolderLock(str(tmp_path), Shard(2, 4)).release()
         FolderLock(str(tmp_path), Shard(1, 3)).release()
@@ -217,18 +214,11 @@ class TestShards:
 
 
 def test_another_process_with_a_shard_is_named(tmp_path):
-    with subprocess.Popen(
-        [sys.executable, "-c", HOLD_SHARD, str(tmp_path)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
-        assert process.stdout.readline() == "held\n"
+    with locked_elsewhere(tmp_path, 2, 4) as process:
         for other in (None, Shard(2, 4), Shard(1, 3)):
             with pytest.raises(UsageError, match=rf"process {process.pid} \(shard 2/4\)"):
                 FolderLock(str(tmp_path), other)
         FolderLock(str(tmp_path), Shard(1, 4)).release()
-        process.kill()
 
 
 def test_many_shards_that_start_and_end_at_once_are_not_refused(tmp_path):

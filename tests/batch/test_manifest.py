@@ -45,17 +45,17 @@ def record(tmp_path, name="a.ply", **changes):
     return MeshRecord(**(values | changes))
 
 
-def opened(tmp_path):
-    manifest = FolderManifest(str(tmp_path))
+def opened(folder, shard=None):
+    manifest = FolderManifest(str(folder), shard)
     manifest.open()
     return manifest
 
 
-def noted(tmp_path, *lines):
-    manifest = opened(tmp_path)
+def noted(folder, *lines, shard=None):
+    manifest = opened(folder, shard)
     manifest.append(lines)
     manifest.close()
-    return FolderManifest(str(tmp_path))
+    return FolderManifest(str(folder))
 
 
 def test_what_is_noted_is_read_back(tmp_path):
@@ -174,17 +174,11 @@ def test_a_full_disk_is_an_output_error(tmp_path):
 class TestSeveral:
     """Shards write manifests of their own, and everybody reads all."""
 
-    def noted(self, folder, shard, *lines):
-        manifest = FolderManifest(str(folder), shard)
-        manifest.open()
-        manifest.append(lines)
-        manifest.close()
-
     def test_each_shard_writes_its_own_and_reads_all(self, tmp_path):
         for k in (1, 2, 3):
-            self.noted(tmp_path, Shard(k, 3), intent_line(f"{k}", "in"))
-        self.noted(tmp_path, None, intent_line("whole", "in"))
-        self.noted(tmp_path, Shard(1, 2), intent_line("other", "in"))
+            noted(tmp_path, intent_line(f"{k}", "in"), shard=Shard(k, 3))
+        noted(tmp_path, intent_line("whole", "in"))
+        noted(tmp_path, intent_line("other", "in"), shard=Shard(1, 2))
         names = [path.name for path in manifests.list_manifests(str(tmp_path))]
         assert names == [
             ".msal-manifest-1-of-2.jsonl",
@@ -199,25 +193,25 @@ class TestSeveral:
     def test_the_newer_line_counts_whoever_wrote_it(self, tmp_path):
         line = done_line("a.ply", "new", record(tmp_path), "in")
         for first, second in ((None, Shard(1, 2)), (Shard(1, 2), None)):
-            self.noted(tmp_path, first, line | {"settings": "old"})
-            self.noted(tmp_path, second, line)
+            noted(tmp_path, line | {"settings": "old"}, shard=first)
+            noted(tmp_path, line, shard=second)
             assert FolderManifest(str(tmp_path)).get("a.ply").settings == "new"
-            self.noted(tmp_path, first, intent_line("a.ply", "in"))
+            noted(tmp_path, intent_line("a.ply", "in"), shard=first)
             assert not FolderManifest(str(tmp_path)).get("a.ply").is_done
 
     def test_a_clock_that_is_slow_does_not_make_a_line_old(self, tmp_path, monkeypatch):
         line = done_line("a.ply", "first", record(tmp_path), "in")
-        self.noted(tmp_path, Shard(1, 2), line)
+        noted(tmp_path, line, shard=Shard(1, 2))
         monkeypatch.setattr(time, "time_ns", lambda: 5)
-        self.noted(tmp_path, None, line | {"settings": "second"})
-        self.noted(tmp_path, None, line | {"settings": "third"})
+        noted(tmp_path, line | {"settings": "second"})
+        noted(tmp_path, line | {"settings": "third"})
         assert FolderManifest(str(tmp_path)).get("a.ply").settings == "third"
 
     def test_lines_without_a_time_are_the_oldest(self, tmp_path):
         old = done_line("a.ply", "old", record(tmp_path), "in")
         (tmp_path / NAME).write_text(json.dumps(old) + "\n")
         assert FolderManifest(str(tmp_path)).get("a.ply").record() is not None
-        self.noted(tmp_path, Shard(1, 2), old | {"settings": "new"})
+        noted(tmp_path, old | {"settings": "new"}, shard=Shard(1, 2))
         assert FolderManifest(str(tmp_path)).get("a.ply").settings == "new"
         for at in ("soon", None, True, 1.5):
             (tmp_path / NAME).write_text(json.dumps(old | {"at": at}) + "\n")
@@ -228,10 +222,10 @@ class TestSeveral:
         monkeypatch.setattr(manifests, "RUN_LINES_KEPT", 3)
         line = done_line("a.ply", "h", record(tmp_path), "in")
         runs = [{"kind": "run", "format": 1, "number": n} for n in range(10)]
-        self.noted(tmp_path, None, *runs, line | {"settings": "old"}, line, intent_line("b", "in"))
-        self.noted(tmp_path, Shard(1, 2), line | {"settings": "newer"})
+        noted(tmp_path, *runs, line | {"settings": "old"}, line, intent_line("b", "in"))
+        noted(tmp_path, line | {"settings": "newer"}, shard=Shard(1, 2))
         other = (tmp_path / ".msal-manifest-1-of-2.jsonl").read_bytes()
-        self.noted(tmp_path, None)
+        noted(tmp_path)
         lines = [json.loads(one) for one in (tmp_path / NAME).read_text().splitlines()]
         assert [one.get("number", one.get("name")) for one in lines] == [7, 8, 9, "a.ply", "b"]
         assert lines[3]["settings"] == "h"
@@ -241,7 +235,7 @@ class TestSeveral:
 
     def test_a_record_whose_file_was_rewritten_since_is_not_another_s(self, tmp_path):
         lines = [done_line(name, "h", record(tmp_path, name), "in") for name in ("a.ply", "b.ply")]
-        self.noted(tmp_path, None, *lines)
+        noted(tmp_path, *lines)
         read = FolderManifest(str(tmp_path))
         whole = (tmp_path / NAME).read_bytes().splitlines(keepends=True)
         (tmp_path / NAME).write_bytes(whole[1] + whole[0])
