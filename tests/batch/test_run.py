@@ -423,7 +423,6 @@ def tell(event):
     if isinstance(event, Started | Finished):
         print(name, event.index, flush=True)
 
-named = lambda name: name.endswith(".ply")
 plan = build_plan(discover_inputs([sys.argv[1]]), sys.argv[2])
 try:
     run(plan, Settings("fake", {"n": 1}), jobs=2, denoise=fakes.denoise, on_event=tell)

@@ -84,7 +84,7 @@ def test_words_come_above_the_bar(monkeypatch):
 
 def test_a_bar_over_sweeps(monkeypatch):
     stream = on_a_terminal(monkeypatch)
-    (task,) = todo = tasks("scan.ply")
+    todo = tasks("scan.ply")
     bar = progress.bar(todo, quiet=False)
     bar.on_event(Started(0))
     bar.on_event(Progress(0, "read", 0, 1))
