@@ -344,7 +344,8 @@ def write(*batches, shard=None):
     manifest.open()
     for lines in batches:
         manifest.append(lines)
-    manifest.close()
+    for _ in range(2):
+        manifest.close()
 
 
 INTENT = intent_line("a", "memory://scans/a")
