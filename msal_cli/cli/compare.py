@@ -17,7 +17,8 @@ from msal_cli.errors import UsageError
 if TYPE_CHECKING:
     from msal_cli.batch.inputs import DiscoveredInput
     from msal_cli.cli.gates_check import Measure
-    from msal_cli.job.records import ComparisonRecord, Failure
+    from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.job.records import Failure
 
 _PATH = click.Path(readable=False, allow_dash=False)
 
@@ -224,7 +225,8 @@ def _place(folder: str, one: DiscoveredInput) -> str:
 
 def _lonely(one: DiscoveredInput, before: str, after: str, folder: str) -> ComparisonRecord:
     from msal_cli import __version__
-    from msal_cli.job.records import ComparisonRecord, Failure
+    from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.job.records import Failure
 
     failure = Failure(_NO_PARTNER, f"there is no {one.relative!r} in {folder!r}")
     return ComparisonRecord(before, after, version=__version__, error=failure)
@@ -284,7 +286,7 @@ def _write_heatmap(request: Request, target: str) -> None:
     from msal_cli.batch import interrupts as signals
     from msal_cli.cli import option_types as words
     from msal_cli.job import comparison
-    from msal_cli.report.text import file_name
+    from msal_cli.report.phrases import file_name
 
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
     before = comparison.opened(request.before, format)
@@ -296,11 +298,11 @@ def _write_heatmap(request: Request, target: str) -> None:
 
 def _told_of_many(request: Request, pairs: Mapping[str, ComparisonRecord], measure: Measure) -> int:
     from msal_cli import __version__
-    from msal_cli.job.records import ComparisonRecord
+    from msal_cli.job.comparison_record import ComparisonRecord
     from msal_cli.report import comparison_text, document
     from msal_cli.report import json_report as as_json
     from msal_cli.report.gates import is_any_broken
-    from msal_cli.report.text import file_name
+    from msal_cli.report.phrases import file_name
 
     names = list(pairs)
     records = measure.of_many(list(pairs.values()), names)

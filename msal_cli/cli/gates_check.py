@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.job.records import ComparisonRecord
+    from msal_cli.job.comparison_record import ComparisonRecord
     from msal_cli.report.gates import Gate
 
 DEFAULT_TOLERANCE = 0.01
@@ -96,7 +96,7 @@ def measure_of(
         if the baseline cannot be read, or is none.
     """
     from msal_cli import codecs as files
-    from msal_cli.job.records import ComparisonRecord
+    from msal_cli.job.comparison_record import ComparisonRecord
     from msal_cli.report import read_comparison as comparison_reading
     from msal_cli.report.gates import parsed
 

@@ -14,7 +14,7 @@ from msal_cli.cli.stream_denoise import STREAM
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.job.records import InfoRecord
+    from msal_cli.job.info_record import InfoRecord
 
 _PATH = click.Path(readable=False, allow_dash=True)
 
@@ -111,7 +111,7 @@ def _print_text(records: Iterator[InfoRecord]) -> int:
 def _print_json(records: Iterator[InfoRecord]) -> int:
     """Print the document; the exit status."""
     from msal_cli import __version__
-    from msal_cli.job.records import InfoRecord
+    from msal_cli.job.info_record import InfoRecord
     from msal_cli.report import document
     from msal_cli.report import json_report as as_json
 

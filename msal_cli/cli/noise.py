@@ -262,7 +262,7 @@ def _piped(request: Request, one: Any, noise: AddedNoise, format: str | None) ->
 
 def _tell(request: Request, name: str, noise: AddedNoise, told: Corrupted) -> None:
     from msal_cli.job.display_names import shown
-    from msal_cli.report.text import file_name
+    from msal_cli.report.phrases import file_name
 
     if request.quiet:
         return

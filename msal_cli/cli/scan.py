@@ -424,7 +424,7 @@ def _build_settings(
 
 def _tell(request: Request, name: str, made: Scanned) -> None:
     from msal_cli.job.display_names import shown
-    from msal_cli.report.text import file_name
+    from msal_cli.report.phrases import file_name
 
     if request.quiet:
         return

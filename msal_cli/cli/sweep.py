@@ -125,9 +125,9 @@ def command(**options: Any) -> int:
 def _swept(request: Request) -> int:
     from msal_cli import codecs as files
     from msal_cli import methods
-    from msal_cli import view as render
     from msal_cli.job import comparison
     from msal_cli.view import parameter_grid
+    from msal_cli.view.image_files import png_bytes
 
     if os.path.splitext(request.output)[1].lower() != ".png":
         raise UsageError(
@@ -155,7 +155,7 @@ def _swept(request: Request) -> int:
                 talk.put(_told(cell))
                 talk.flush()
         picture = parameter_grid.sheet(on, wanted, done, view)
-        files.write_whole(request.output, render.png_bytes(picture))
+        files.write_whole(request.output, png_bytes(picture))
         if request.as_json:
             _print_json(request, wanted, [cell for cell, _ in done])
         if not request.quiet:

@@ -176,10 +176,10 @@ def command(**options: Any) -> int:
 
 def _shown(request: Request) -> int:
     from msal_cli import codecs as files
-    from msal_cli import view as render
     from msal_cli.cli import option_types as words
     from msal_cli.job import comparison
     from msal_cli.view import pictures
+    from msal_cli.view.image_files import png_bytes
 
     kind = _kind(request.output)
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
@@ -189,10 +189,7 @@ def _shown(request: Request) -> int:
     surfaces = [comparison.surface_of(comparison.opened(name, format)) for name in names]
     scene = pictures.scene_of(surfaces[0], surfaces[1] if len(surfaces) > 1 else None, names)
     view = view_of(request)
-    if kind == "html":
-        data = _page(request, scene, view)
-    else:
-        data = render.png_bytes(pictures.drawn(scene, view))
+    data = _page(request, scene, view) if kind == "html" else png_bytes(pictures.drawn(scene, view))
     if request.output == STREAM:
         talk.put_bytes(data)
         return exit_codes.SUCCESS

@@ -9,7 +9,8 @@ import logging
 from typing import TYPE_CHECKING
 
 from msal_cli.errors import InternalError, MsalError, ResourceError
-from msal_cli.job.records import Failure, InfoRecord, NoiseEstimate
+from msal_cli.job.info_record import InfoRecord
+from msal_cli.job.records import Failure, NoiseEstimate
 
 if TYPE_CHECKING:
     from msal_cli.analysis.noise_estimate import NoiseLevel
