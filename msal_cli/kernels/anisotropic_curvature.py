@@ -29,9 +29,7 @@ LEAST = 0.25
 
 
 @compiled
-def _edge_curvatures(  # type: ignore[no-untyped-def]
-    start, stop, x, corners, threshold, falloff, curvatures, slopes, bent
-):
+def _edge_curvatures(start, stop, x, corners, threshold, falloff, curvatures, slopes, bent):
     """w H(e), how fast its length grows as either end rises, and whether |H| > lambda.
 
     H of a flat flap grows with p1 by the cotangents of the two angles at p3, and the other way
@@ -89,15 +87,7 @@ def _weighted_curvatures(
     curvatures = np.empty((count, 3))
     slopes, bent = np.empty((count, 2)), np.empty(count, dtype=bool)
     over_ranges(
-        _edge_curvatures,
-        count,
-        vertices,
-        corners,
-        threshold,
-        falloff,
-        curvatures,
-        slopes,
-        bent,
+        _edge_curvatures, count, vertices, corners, threshold, falloff, curvatures, slopes, bent
     )
     return curvatures, slopes, bent
 
@@ -116,7 +106,7 @@ def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> f
 
 
 @compiled
-def _edge_rows(corners, edge_start, ends, beside):  # type: ignore[no-untyped-def]
+def _edge_rows(corners, edge_start, ends, beside):
     """Rows of the flaps e whose edge ends at each vertex: 2 e where it is p1, 2 e + 1 for p3.
 
     ``beside`` is the vertex at the other end.
@@ -139,7 +129,7 @@ def _edge_rows(corners, edge_start, ends, beside):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _area_vectors(start, stop, x, faces, vectors):  # type: ignore[no-untyped-def]
+def _area_vectors(start, stop, x, faces, vectors):
     """Normal of every face with its area for length, and the area, both times two."""
     for f in range(start, stop):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -153,7 +143,7 @@ def _area_vectors(start, stop, x, faces, vectors):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _gathered(  # type: ignore[no-untyped-def]
+def _gathered(
     start,
     stop,
     curvatures,
@@ -204,9 +194,7 @@ def _gathered(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _directions(  # type: ignore[no-untyped-def]
-    start, stop, edge_start, beside, total, outward, feature, along, products
-):
+def _directions(start, stop, edge_start, beside, total, outward, feature, along, products):
     """V_A of length |grad volume|, the product H_A . V_A / |V_A|, and |V_A|."""
     for i in range(start, stop):
         vx, vy, vz = outward[i, 0], outward[i, 1], outward[i, 2]
@@ -237,7 +225,7 @@ def _directions(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _prescribed(start, stop, edge_start, beside, along, products, feature, total):  # type: ignore[no-untyped-def]
+def _prescribed(start, stop, edge_start, beside, along, products, feature, total):
     """Take f V_A from H_A."""
     for i in range(start, stop):
         product = length = 0.0
@@ -309,8 +297,7 @@ class AnisotropicCurvature:
             edge_start,
             ends,
             vectors,
-            self.links.face_start,
-            self.links.incident_faces,
+            *self.links.incidence,
             self.free,
             self.time_step,
             total,

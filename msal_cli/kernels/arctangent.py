@@ -8,7 +8,7 @@ from msal_cli.kernels.compiled import compiled
 
 
 @compiled
-def arctangents(numerators, denominators, count):  # type: ignore[no-untyped-def]
+def arctangents(numerators, denominators, count):
     """Replace ``numerators[:count]`` by the angles of (denominator, numerator), none below zero.
 
     Angles are in radians, 0 to pi / 2, within some 1e-15; 0 where both are zero.

@@ -30,7 +30,7 @@ from msal_cli.kernels.vertex_neighbourhoods import room, vertices_around
 
 
 @compiled
-def _ring_bilateral(  # type: ignore[no-untyped-def]
+def _ring_bilateral(
     start,
     stop,
     x,
@@ -218,7 +218,7 @@ class RingBilateral(RingOperator):
 
 
 @compiled
-def _shortest_edge(i, x, ring_start, ring, floor):  # type: ignore[no-untyped-def]
+def _shortest_edge(i, x, ring_start, ring, floor):
     """Length of the shortest edge at i that is longer than the floor; 0 if none is."""
     shortest = np.inf
     for at in range(ring_start[i], ring_start[i + 1]):
@@ -231,19 +231,8 @@ def _shortest_edge(i, x, ring_start, ring, floor):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _ball_bilateral(  # type: ignore[no-untyped-def]
-    start,
-    stop,
-    x,
-    normals,
-    ring_start,
-    ring,
-    free,
-    radius,
-    closeness,
-    similarity,
-    floor,
-    moves,
+def _ball_bilateral(
+    start, stop, x, normals, ring_start, ring, free, radius, closeness, similarity, floor, moves
 ):
     """x positions, h heights, t distances of the neighbourhood, g the product of both Gaussians."""
     capacity = room(start, stop, ring_start)
@@ -335,8 +324,7 @@ class BallBilateral:
             len(positions),
             positions,
             normals,
-            links.ring_start,
-            links.ring,
+            *links.one_ring,
             self.free,
             self.radius,
             self.closeness,

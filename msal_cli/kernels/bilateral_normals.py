@@ -26,7 +26,7 @@ OUT_OF_REACH = 1e300
 
 
 @compiled
-def _distances(start, stop, c, falloff, handicaps, ring_start, ring, exponents):  # type: ignore[no-untyped-def]
+def _distances(start, stop, c, falloff, handicaps, ring_start, ring, exponents):
     """c centroids, flat; rows and numbers are unsigned, so that none is looked at for its sign."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own = THREE * f
@@ -61,7 +61,7 @@ def distance_exponents(
 
 
 @compiled
-def _averaged(start, stop, n, exponents, falloff, ring_start, ring, result):  # type: ignore[no-untyped-def]
+def _averaged(start, stop, n, exponents, falloff, ring_start, ring, result):
     """n normals, flat as the result; exponents and ``falloff`` are those of powers of two.
 
     Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.

@@ -46,7 +46,7 @@ _EVEN = np.float32(1e-4)
 
 
 @compiled
-def add_ranges(rows, weight, per_1, per_2, per_3, per_4, block, sums, to):  # type: ignore[no-untyped-def]
+def add_ranges(rows, weight, per_1, per_2, per_3, per_4, block, sums, to):
     """Sums of w, w n for four ranges: 16 sums from the place ``to`` on."""
     for place in range(to, to + R16):
         sums[place] = _0
@@ -83,7 +83,7 @@ def add_ranges(rows, weight, per_1, per_2, per_3, per_4, block, sums, to):  # ty
 
 
 @compiled
-def add_tensor(rows, block, sums, to):  # type: ignore[no-untyped-def]
+def add_tensor(rows, block, sums, to):
     """Sums of w n n^T and w n with the wide weights: xx, xy, xz, yy, yz, zz, x, y, z."""
     for place in range(to, to + R9):
         sums[place] = _0
@@ -107,7 +107,7 @@ def add_tensor(rows, block, sums, to):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def add_skews(rows, axes, block, skews):  # type: ignore[no-untyped-def]
+def add_skews(rows, axes, block, skews):
     """Sums of w (n . e)^3 for each axis e."""
     for place in range(R3):
         skews[place] = _0
@@ -126,7 +126,7 @@ def add_skews(rows, axes, block, skews):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def add_scatter(rows, mean, block, sums):  # type: ignore[no-untyped-def]
+def add_scatter(rows, mean, block, sums):
     """The greatest |n - mean|^2 within the narrow reach, and the sum by weight."""
     for place in range(R2):
         sums[place] = _0
@@ -146,7 +146,7 @@ def add_scatter(rows, mean, block, sums):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def add_plane(rows, weight, per_range, block, sums, to):  # type: ignore[no-untyped-def]
+def add_plane(rows, weight, per_range, block, sums, to):
     """Sums of w, w d and w d d^T, ten from the place ``to`` on; ``per_range`` 0: all ranges."""
     for place in range(to, to + R10):
         sums[place] = _0
@@ -173,7 +173,7 @@ def add_plane(rows, weight, per_range, block, sums, to):  # type: ignore[no-unty
 
 
 @compiled
-def normalise(sums, at, kept, vectors, place):  # type: ignore[no-untyped-def]
+def normalise(sums, at, kept, vectors, place):
     """Unit vectors of the sums from ``at`` on as vector ``place``; ``kept`` where they vanish."""
     for lane in range(LANES):
         x, y, z = sums[at + lane], sums[at + R1 + lane], sums[at + R2 + lane]
@@ -187,7 +187,7 @@ def normalise(sums, at, kept, vectors, place):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def fit_plane(sums, at, base, vectors, place, to, spread):  # type: ignore[no-untyped-def]
+def fit_plane(sums, at, base, vectors, place, to, spread):
     """The unit normals of planes that fit heights along the vector of place ``base``.
 
     ``spread`` gets three rows: the mean square and the own height off the plane, and how far the
@@ -236,7 +236,7 @@ def fit_plane(sums, at, base, vectors, place, to, spread):  # type: ignore[no-un
 
 
 @compiled
-def add_pair(rows, per_1, per_2, block, sums):  # type: ignore[no-untyped-def]
+def add_pair(rows, per_1, per_2, block, sums):
     """Sums of w n for two ranges: six rows."""
     for place in range(R6):
         sums[place] = _0

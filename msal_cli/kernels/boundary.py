@@ -10,7 +10,7 @@ from msal_cli.kernels.connectivity import Connectivity
 
 
 @compiled
-def _open_neighbours(faces, face_start, incident, boundary, kept, row_start, row):  # type: ignore[no-untyped-def]
+def _open_neighbours(faces, face_start, incident, boundary, kept, row_start, row):
     """Neighbours of every boundary vertex along edges with one face; counted where not kept."""
     n = len(boundary)
     stamp = np.full(n, -1, dtype=np.int32)
@@ -53,7 +53,7 @@ def boundary_curves(faces: Ints, links: Connectivity) -> tuple[Ints, Ints]:
     """
     row_start = np.zeros(len(links.boundary) + 1, dtype=np.int32)
     row = np.empty(0, dtype=np.int32)
-    around = (faces, links.face_start, links.incident_faces, links.boundary)
+    around = (faces, *links.incidence, links.boundary)
     total = _open_neighbours(*around, False, row_start, row)
     row = np.empty(total, dtype=np.int32)
     _open_neighbours(*around, True, row_start, row)
@@ -68,7 +68,7 @@ def averaged_ring(faces: Ints, links: Connectivity, boundary: str) -> tuple[Ints
     open edges only, so that the rim is smoothed as a curve and is not drawn inwards.
     """
     if boundary == "free" or not links.boundary_edges:
-        return links.ring_start, links.ring
+        return links.one_ring
     edge = links.boundary
     valence = np.diff(links.ring_start)
     curve_start, curve = boundary_curves(faces, links)

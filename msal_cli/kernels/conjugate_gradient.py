@@ -38,7 +38,7 @@ class SymmetricMatrix(Protocol):
 
 
 @compiled
-def _product(start, stop, diagonal, row_start, columns, values, x, product):  # type: ignore[no-untyped-def]
+def _product(start, stop, diagonal, row_start, columns, values, x, product):
     for i in range(start, stop):
         own = diagonal[i]
         sx = own * x[i, 0]
@@ -91,7 +91,7 @@ class RowMatrix:
 
 
 @compiled
-def _dot(start, stop, a, b, sums):  # type: ignore[no-untyped-def]
+def _dot(start, stop, a, b, sums):
     for chunk in range(-(-start // CHUNK), -(-stop // CHUNK)):
         total = 0.0
         for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(a))):
@@ -100,7 +100,7 @@ def _dot(start, stop, a, b, sums):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _stepped(start, stop, length, p, q, inverse, x, r, sums):  # type: ignore[no-untyped-def]
+def _stepped(start, stop, length, p, q, inverse, x, r, sums):
     """x and r after a step of that length along p, q = A p; sums of r . r / diagonal."""
     for chunk in range(-(-start // CHUNK), -(-stop // CHUNK)):
         total = 0.0
@@ -116,7 +116,7 @@ def _stepped(start, stop, length, p, q, inverse, x, r, sums):  # type: ignore[no
 
 
 @compiled
-def _turned(start, stop, share, r, inverse, p):  # type: ignore[no-untyped-def]
+def _turned(start, stop, share, r, inverse, p):
     for i in range(start, stop):
         scale = inverse[i]
         for axis in range(3):

@@ -26,7 +26,7 @@ KEPT_FACES = 100_000
 
 
 @compiled
-def _hashed(a, b, c):  # type: ignore[no-untyped-def]
+def _hashed(a, b, c):
     """A hash of three 64-bit patterns of floating-point numbers; minus zero counts as zero."""
     minus_zero = np.uint64(0x8000000000000000)
     a = np.uint64(0) if a == minus_zero else a
@@ -44,13 +44,13 @@ _BLOCK_ROWS = 512
 
 
 @compiled
-def _hashes(bits, start, stop, mask, hashes):  # type: ignore[no-untyped-def]
+def _hashes(bits, start, stop, mask, hashes):
     for i in range(start, stop):
         hashes[i - start] = _hashed(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
 
 
 @compiled
-def _alike_perhaps(bits, used, seen, again, candidates):  # type: ignore[no-untyped-def]
+def _alike_perhaps(bits, used, seen, again, candidates):
     """Rows whose hash another row has too: the only ones that can equal another; their number.
 
     ``seen`` and ``again`` are bit sets, a power of two words long.  Those of millions of rows fit
@@ -90,7 +90,7 @@ def _alike_perhaps(bits, used, seen, again, candidates):  # type: ignore[no-unty
 
 
 @compiled
-def _welded(rows, bits, candidates, table, first):  # type: ignore[no-untyped-def]
+def _welded(rows, bits, candidates, table, first):
     mask = len(table) - 1
     merged = 0
     for at in range(len(candidates)):
@@ -133,7 +133,7 @@ def first_alike(rows: Floats, used: NDArray[np.bool_]) -> tuple[Ints, int]:
 
 
 @compiled
-def _marked(items, marks):  # type: ignore[no-untyped-def]
+def _marked(items, marks):
     for at in range(len(items)):
         marks[items[at]] = True
 
@@ -146,7 +146,7 @@ def used_vertices(n_vertices: int, faces: Ints) -> NDArray[np.bool_]:
 
 
 @compiled
-def _repeated_corners(faces, repeated):  # type: ignore[no-untyped-def]
+def _repeated_corners(faces, repeated):
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         repeated[f] = (a == b) | (b == c) | (c == a)
@@ -168,7 +168,7 @@ def welded(vertices: Floats, faces: Ints) -> Ints:
 
 
 @compiled
-def _numbered(left, right, table, number, first):  # type: ignore[no-untyped-def]
+def _numbered(left, right, table, number, first):
     mask = len(table) - 1
     found = 0
     for i in range(len(left)):
@@ -207,7 +207,7 @@ def numbered(left: Ints, right: Ints) -> tuple[Ints, Ints]:
 
 
 @compiled
-def _incident_faces(faces, face_start, incident):  # type: ignore[no-untyped-def]
+def _incident_faces(faces, face_start, incident):
     for f in range(len(faces)):
         for corner in range(3):
             face_start[faces[f, corner] + 1] += 1
@@ -225,7 +225,7 @@ def _incident_faces(faces, face_start, incident):  # type: ignore[no-untyped-def
 
 
 @compiled
-def _neighbours_in_face(faces, f, i):  # type: ignore[no-untyped-def]
+def _neighbours_in_face(faces, f, i):
     """The vertex after i and the vertex before i in face f."""
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
     if a == i:
@@ -236,7 +236,7 @@ def _neighbours_in_face(faces, f, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _closed_rings(start, stop, faces, face_start, incident, ring, opened):  # type: ignore[no-untyped-def]
+def _closed_rings(start, stop, faces, face_start, incident, ring, opened):
     """Fill the rings of vertices whose faces close one circle or several, wound one way.
 
     They are the vertices that follow i in its faces, in the places of these faces.  ``opened[i]``
@@ -268,7 +268,7 @@ def _closed_rings(start, stop, faces, face_start, incident, ring, opened):  # ty
 
 
 @compiled
-def _open_ring(faces, face_start, incident, i, row, slot, ring, uses):  # type: ignore[no-untyped-def]
+def _open_ring(faces, face_start, incident, i, row, slot, ring, uses):
     """Fill the ring of any vertex from ``row`` on; its end.
 
     ``uses`` tells how often each edge leaves the vertex, and how often it arrives.
@@ -290,7 +290,7 @@ def _open_ring(faces, face_start, incident, i, row, slot, ring, uses):  # type: 
 
 
 @compiled
-def _open_rings(faces, face_start, incident, opened, closed, ring_start, ring, boundary):  # type: ignore[no-untyped-def]
+def _open_rings(faces, face_start, incident, opened, closed, ring_start, ring, boundary):
     """All rings where some are no circles; ``closed`` has the others, in the places of their faces.
 
     Counts (entries, boundary, inconsistent, non-manifold) edges and marks the boundary.
@@ -357,6 +357,11 @@ class Connectivity:
         is_used: NDArray[np.bool_] = self.ring_start[1:] > self.ring_start[:-1]
         return is_used
 
+    @property
+    def one_ring(self) -> tuple[Ints, Ints]:
+        """Rows of the one-rings: where they start (n + 1,), and the neighbours."""
+        return self.ring_start, self.ring
+
     @functools.cached_property
     def incidence(self) -> tuple[Ints, Ints]:
         """Rows of the faces around each vertex: where they start (n + 1,), and the faces (3 m,)."""
@@ -421,7 +426,7 @@ def connectivity(n_vertices: int, faces: Ints) -> Connectivity:
 
 
 @compiled
-def _duplicates(corners, table, duplicate):  # type: ignore[no-untyped-def]
+def _duplicates(corners, table, duplicate):
     mask = len(table) - 1
     found = 0
     for f in range(len(corners)):
@@ -455,7 +460,7 @@ def duplicate_faces(faces: Ints) -> NDArray[np.bool_]:
 
 
 @compiled
-def _root(parent, item):  # type: ignore[no-untyped-def]
+def _root(parent, item):
     while parent[item] != item:
         parent[item] = parent[parent[item]]
         item = parent[item]
@@ -463,7 +468,7 @@ def _root(parent, item):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _count_components(faces, used, parent):  # type: ignore[no-untyped-def]
+def _count_components(faces, used, parent):
     components = 0
     for i in range(len(parent)):
         parent[i] = i
@@ -502,7 +507,7 @@ def component_labels(n_vertices: int, faces: Ints) -> Ints:
 
 
 @compiled
-def _root_and_parity(parent, parity, face):  # type: ignore[no-untyped-def]
+def _root_and_parity(parent, parity, face):
     """Root of a face and whether the face is wound against it; paths are shortened."""
     root = face
     against = False
@@ -520,7 +525,7 @@ def _root_and_parity(parent, parity, face):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _to_flip(faces, face_start, incident, ring_start, flip):  # type: ignore[no-untyped-def]
+def _to_flip(faces, face_start, incident, ring_start, flip):
     n = len(ring_start) - 1
     m = len(faces)
     parent = np.arange(m)
@@ -599,5 +604,5 @@ def faces_to_flip(faces: Ints, links: Connectivity) -> tuple[NDArray[np.bool_], 
     unorientable : number of parts that have no consistent winding.
     """
     flip = np.zeros(len(faces), dtype=bool)
-    unorientable = _to_flip(faces, links.face_start, links.incident_faces, links.ring_start, flip)
+    unorientable = _to_flip(faces, *links.incidence, links.ring_start, flip)
     return flip, int(unorientable)

@@ -22,7 +22,7 @@ About three degrees in the smallest angle of an isosceles face; no cotangent exc
 
 
 @compiled
-def _corner_dots(vertices, a, b, c):  # type: ignore[no-untyped-def]
+def _corner_dots(vertices, a, b, c):
     """Dot products of the edges that leave each corner, doubled area, longest edge squared."""
     ux = vertices[b, 0] - vertices[a, 0]
     uy = vertices[b, 1] - vertices[a, 1]
@@ -43,7 +43,7 @@ def _corner_dots(vertices, a, b, c):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _corner_cotangents(start, stop, vertices, faces, cotangents):  # type: ignore[no-untyped-def]
+def _corner_cotangents(start, stop, vertices, faces, cotangents):
     for f in range(start, stop):
         at_a, at_b, at_c, doubled, longest = _corner_dots(
             vertices, faces[f, 0], faces[f, 1], faces[f, 2]
@@ -69,7 +69,7 @@ def corner_cotangents(vertices: Floats, faces: Ints) -> Floats:
 
 
 @compiled
-def _cotangent_weights(  # type: ignore[no-untyped-def]
+def _cotangent_weights(
     start, stop, cotangents, faces, face_start, incident, ring_start, ring, weights
 ):
     # Slots in ``ring`` only grow, so one at or above a row's start belongs to that row.
@@ -109,17 +109,15 @@ def cotangent_weights(vertices: Floats, faces: Ints, links: Connectivity) -> Flo
         len(vertices),
         corner_cotangents(vertices, faces),
         faces,
-        links.face_start,
-        links.incident_faces,
-        links.ring_start,
-        links.ring,
+        *links.incidence,
+        *links.one_ring,
         weights,
     )
     return weights
 
 
 @compiled
-def _corner_areas(start, stop, vertices, faces, areas):  # type: ignore[no-untyped-def]
+def _corner_areas(start, stop, vertices, faces, areas):
     for f in range(start, stop):
         at_a, at_b, at_c, doubled, _ = _corner_dots(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
         lowest = min(at_a, at_b, at_c)
@@ -141,7 +139,7 @@ def _corner_areas(start, stop, vertices, faces, areas):  # type: ignore[no-untyp
 
 
 @compiled
-def _mixed_areas(start, stop, corner_areas, faces, face_start, incident, areas):  # type: ignore[no-untyped-def]
+def _mixed_areas(start, stop, corner_areas, faces, face_start, incident, areas):
     for i in range(start, stop):
         total = 0.0
         for at in range(face_start[i], face_start[i + 1]):
@@ -162,20 +160,12 @@ def mixed_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
     corner_areas = np.empty((len(faces), 3))
     over_ranges(_corner_areas, len(faces), vertices, faces, corner_areas)
     areas = np.empty(len(vertices))
-    over_ranges(
-        _mixed_areas,
-        len(vertices),
-        corner_areas,
-        faces,
-        links.face_start,
-        links.incident_faces,
-        areas,
-    )
+    over_ranges(_mixed_areas, len(vertices), corner_areas, faces, *links.incidence, areas)
     return areas
 
 
 @compiled
-def _ring_areas(start, stop, face_areas, face_start, incident, areas):  # type: ignore[no-untyped-def]
+def _ring_areas(start, stop, face_areas, face_start, incident, areas):
     for i in range(start, stop):
         total = 0.0
         for at in range(face_start[i], face_start[i + 1]):
@@ -190,8 +180,7 @@ def ring_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
         _ring_areas,
         len(vertices),
         face_normals_and_areas(vertices, faces)[1],
-        links.face_start,
-        links.incident_faces,
+        *links.incidence,
         areas,
     )
     return areas

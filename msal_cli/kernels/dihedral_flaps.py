@@ -11,7 +11,7 @@ from msal_cli.kernels.parallel import over_ranges
 
 
 @compiled
-def _flaps(faces, face_start, incident, ring_start, ring, result):  # type: ignore[no-untyped-def]
+def _flaps(faces, face_start, incident, ring_start, ring, result):
     n = len(ring_start) - 1
     # Positions in ``ring`` only grow, so a slot at or above a row's start belongs to that row.
     slot = np.full(n, -1, dtype=np.int32)
@@ -55,7 +55,7 @@ def flaps(faces: Ints, links: Connectivity) -> Ints:
     faces are left out.  The two faces may be wound either way; seen as written here they are
     wound alike.  ``faces`` (m, 3) are those that ``links`` were made from.
     """
-    around = (faces, links.face_start, links.incident_faces, links.ring_start, links.ring)
+    around = (faces, *links.incidence, *links.one_ring)
     found = _flaps(*around, np.empty((0, 4), dtype=np.int32))
     result = np.empty((found, 4), dtype=np.int32)
     if found:
@@ -64,7 +64,7 @@ def flaps(faces: Ints, links: Connectivity) -> Ints:
 
 
 @compiled
-def _dihedral_angles(start, stop, x, corners, angles):  # type: ignore[no-untyped-def]
+def _dihedral_angles(start, stop, x, corners, angles):
     for e in range(start, stop):
         p1, p2, p3, p4 = corners[e, 0], corners[e, 1], corners[e, 2], corners[e, 3]
         ax, ay, az = x[p3, 0] - x[p1, 0], x[p3, 1] - x[p1, 1], x[p3, 2] - x[p1, 2]

@@ -23,7 +23,7 @@ LARGEST = 100.0
 
 
 @compiled
-def _bends(start, stop, x, corners, threshold, coefficients, deltas):  # type: ignore[no-untyped-def]
+def _bends(start, stop, x, corners, threshold, coefficients, deltas):
     """c by areas as in He & Schaefer, section 3.2; S134 times 2 is s_one, S123 times 2 is s_two."""
     for e in range(start, stop):
         p1, p2, p3, p4 = corners[e, 0], corners[e, 1], corners[e, 2], corners[e, 3]
@@ -69,7 +69,7 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):  # type: i
 
 
 @compiled
-def _incidences(corners, start, incident):  # type: ignore[no-untyped-def]
+def _incidences(corners, start, incident):
     for e in range(len(corners)):
         for place in range(4):
             start[corners[e, place] + 1] += 1
@@ -86,7 +86,7 @@ def _incidences(corners, start, incident):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _pattern(corners, start, incident, row_start, columns, slots):  # type: ignore[no-untyped-def]
+def _pattern(corners, start, incident, row_start, columns, slots):
     """Columns of every row, and the place in it of each corner of each incident flap."""
     n = len(start) - 1
     slot = np.full(n, -1, dtype=np.int32)
@@ -110,7 +110,7 @@ def _pattern(corners, start, incident, row_start, columns, slots):  # type: igno
 
 
 @compiled
-def _assembled(  # type: ignore[no-untyped-def]
+def _assembled(
     start,
     stop,
     coefficients,
@@ -181,13 +181,7 @@ class EdgeSparsity:
         coefficients = np.empty((len(self.corners), 4))
         deltas = np.empty((len(self.corners), 3))
         over_ranges(
-            _bends,
-            len(self.corners),
-            positions,
-            self.corners,
-            threshold,
-            coefficients,
-            deltas,
+            _bends, len(self.corners), positions, self.corners, threshold, coefficients, deltas
         )
         return coefficients, deltas
 

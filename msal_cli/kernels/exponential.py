@@ -26,7 +26,7 @@ BLOCK = 1024
 
 
 @compiled
-def exponentials(values, scratch, scratch_bits, count):  # type: ignore[no-untyped-def]
+def exponentials(values, scratch, scratch_bits, count):
     """Replace ``values[:count]``, none above zero, by their exponentials, within 1 ulp or so.
 
     ``scratch`` (>= count,) float64 and ``scratch_bits``, the same memory as int64, are overwritten.
@@ -72,7 +72,7 @@ _TO_EXPONENT = np.int64(52)
 
 
 @compiled
-def power_of_two(exponent):  # type: ignore[no-untyped-def]
+def power_of_two(exponent):
     """2 to an exponent not above 1, within 1 ulp or so.
 
     For use inside loops over contiguous numbers, which then become vector code.  There is nothing

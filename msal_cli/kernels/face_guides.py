@@ -33,7 +33,7 @@ FOUR = np.uint64(4)
 
 
 @compiled
-def _pairs(edge_start, edge_ring, first_pair, pairs):  # type: ignore[no-untyped-def]
+def _pairs(edge_start, edge_ring, first_pair, pairs):
     """Number the pairs f < g of neighbours in the order of the rows."""
     found = 0
     for f in range(len(edge_start) - 1):
@@ -48,9 +48,7 @@ def _pairs(edge_start, edge_ring, first_pair, pairs):  # type: ignore[no-untyped
 
 
 @compiled
-def _inner(  # type: ignore[no-untyped-def]
-    start, stop, first, ring_start, ring, first_pair, pairs, most, sizes, inner
-):
+def _inner(start, stop, first, ring_start, ring, first_pair, pairs, most, sizes, inner):
     """Find rows as ``found_rows`` wants them: of each pair as many as both faces are in a patch.
 
     ``pairs`` flat.  Which are cannot be foreseen: without a branch each is written down, and kept
@@ -77,7 +75,7 @@ def _inner(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _jumps(start, stop, n, pairs, jumps):  # type: ignore[no-untyped-def]
+def _jumps(start, stop, n, pairs, jumps):
     """|n_a - n_b| of every pair; zero where either has no normal.  n normals, flat as the pairs."""
     for pair in range(np.uint64(start), np.uint64(stop)):
         a, b = THREE * pairs[TWO * pair], THREE * pairs[TWO * pair + ONE]
@@ -91,7 +89,7 @@ def _jumps(start, stop, n, pairs, jumps):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums):  # type: ignore[no-untyped-def]
+def _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums):
     """Put the normals of the patches of a block side by side, and add up areas and normals.
 
     Those of a patch are followed by themselves, from the first on, for ``half`` places: so that
@@ -137,7 +135,7 @@ def _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, su
 
 
 @compiled
-def _widest(half, filled, x, y, z, squares):  # type: ignore[no-untyped-def]
+def _widest(half, filled, x, y, z, squares):
     """The greatest square of a difference between each vector and the next ``half``, an even
     number of them; vector code, for which the places of a block are many enough."""
     for at in range(filled):
@@ -153,9 +151,7 @@ def _widest(half, filled, x, y, z, squares):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _scored(  # type: ignore[no-untyped-def]
-    start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, scores, means
-):
+def _scored(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, scores, means):
     """Score and area-weighted mean normal of every patch; infinity where the mean vanishes.
 
     n normals, flat as the means.  All indices are unsigned, so that none is looked at for its sign.
@@ -198,7 +194,7 @@ def _scored(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _chosen(start, stop, n, ring_start, ring, scores, means, guides):  # type: ignore[no-untyped-def]
+def _chosen(start, stop, n, ring_start, ring, scores, means, guides):
     """n normals, flat as the means and guides."""
     for f in range(np.uint64(start), np.uint64(stop)):
         best = np.uint64(f)

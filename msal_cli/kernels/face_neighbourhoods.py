@@ -15,9 +15,7 @@ from msal_cli.kernels.variable_rows import found_rows
 
 
 @compiled
-def _reached(  # type: ignore[no-untyped-def]
-    start, stop, first, c, ring_start, ring, radii, most, sizes, near
-):
+def _reached(start, stop, first, c, ring_start, ring, radii, most, sizes, near):
     """Find rows as ``found_rows`` wants them; c centroids, flat; ``radii`` one, or one a face."""
     has_own = len(radii) > 1
     seen = np.empty(len(ring_start) - 1, dtype=np.uint32)

@@ -32,7 +32,7 @@ MOST_PAIRS = 2**31 - 1
 
 
 @compiled
-def _circles(start, stop, faces, face_start, incident, following):  # type: ignore[no-untyped-def]
+def _circles(start, stop, faces, face_start, incident, following):
     """Link each side of a face to the next side along the same edge, round in a circle.
 
     Side 3 f + c of face f runs from its corner c to the next; an open edge's follows itself.  A
@@ -66,7 +66,7 @@ def _circles(start, stop, faces, face_start, incident, following):  # type: igno
 
 
 @compiled
-def _neighbours(  # type: ignore[no-untyped-def]
+def _neighbours(
     start, stop, first, faces, face_start, incident, following, at_corners, most, sizes, ring
 ):
     """Find rows as ``found_rows`` wants them.
@@ -150,7 +150,7 @@ def _made(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, Ints]:
 
 
 @compiled
-def _centroids(start, stop, vertices, faces, centroids):  # type: ignore[no-untyped-def]
+def _centroids(start, stop, vertices, faces, centroids):
     for f in range(start, stop):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         for axis in range(3):

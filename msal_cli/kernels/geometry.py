@@ -31,7 +31,7 @@ BLOCK_FACES = 512
 
 
 @compiled
-def _doubled_area_normal(vertices, a, b, c):  # type: ignore[no-untyped-def]
+def _doubled_area_normal(vertices, a, b, c):
     """Unit normal (zeros if degenerate) and doubled area of one triangle."""
     ux = vertices[b, 0] - vertices[a, 0]
     uy = vertices[b, 1] - vertices[a, 1]
@@ -55,7 +55,7 @@ def _doubled_area_normal(vertices, a, b, c):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _face_normals(start, stop, vertices, faces, normals, doubled_areas):  # type: ignore[no-untyped-def]
+def _face_normals(start, stop, vertices, faces, normals, doubled_areas):
     for f in range(start, stop):
         nx, ny, nz, doubled = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
         normals[f, 0] = nx
@@ -74,7 +74,7 @@ def face_normals_and_areas(vertices: Floats, faces: Ints) -> tuple[Floats, Float
 
 
 @compiled
-def _usable_areas(start, stop, normals, areas, result):  # type: ignore[no-untyped-def]
+def _usable_areas(start, stop, normals, areas, result):
     for f in range(np.uint64(start), np.uint64(stop)):
         has_normal = (normals[f, 0] != 0.0) | (normals[f, 1] != 0.0) | (normals[f, 2] != 0.0)
         result[f] = areas[f] if has_normal else 0.0
@@ -93,7 +93,7 @@ def face_normals(vertices: Floats, faces: Ints) -> Floats:
 
 
 @compiled
-def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, flat):  # type: ignore[no-untyped-def]
+def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, flat):
     """Add every face's normal, and its weight, to its corners; count the faces that have none.
 
     Part k of ``parts`` writes to its share of the vertices only, and looks at all faces for that:
@@ -158,7 +158,7 @@ def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, fl
 
 
 @compiled
-def _unit_sums(start, stop, sums, weights):  # type: ignore[no-untyped-def]
+def _unit_sums(start, stop, sums, weights):
     """Make unit vectors of sums; where one vanishes it becomes zero, and its weight negative."""
     for i in range(start, stop):
         x, y, z = sums[i, 0], sums[i, 1], sums[i, 2]
@@ -211,7 +211,7 @@ def vertex_normals(vertices: Floats, faces: Ints, weighting: str) -> Floats:
 
 
 @compiled
-def _mollified(start, stop, normals, ring_start, ring, result):  # type: ignore[no-untyped-def]
+def _mollified(start, stop, normals, ring_start, ring, result):
     for i in range(start, stop):
         sx = sy = sz = 0.0
         for at in range(ring_start[i], ring_start[i + 1]):
@@ -244,7 +244,7 @@ def mollified(normals: Floats, ring_start: Ints, ring: Ints, passes: int) -> Flo
 
 
 @compiled
-def _area_and_volume(vertices, faces):  # type: ignore[no-untyped-def]
+def _area_and_volume(vertices, faces):
     doubled_area = 0.0
     sixfold_volume = 0.0
     for f in range(len(faces)):
@@ -269,7 +269,7 @@ def area_and_volume(vertices: Floats, faces: Ints) -> tuple[float, float]:
 
 
 @compiled
-def _distances(start, stop, before, after, lengths):  # type: ignore[no-untyped-def]
+def _distances(start, stop, before, after, lengths):
     for i in range(start, stop):
         dx = after[i, 0] - before[i, 0]
         dy = after[i, 1] - before[i, 1]
@@ -285,7 +285,7 @@ def distances(before: Floats, after: Floats) -> Floats:
 
 
 @compiled
-def _edge_length_sums(start, stop, vertices, ring_start, ring, sums, counts):  # type: ignore[no-untyped-def]
+def _edge_length_sums(start, stop, vertices, ring_start, ring, sums, counts):
     n = len(vertices)
     for block in range(start, stop):
         total = 0.0
@@ -313,7 +313,7 @@ def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
 
 
 @compiled
-def _ring_means(start, stop, values, ring_start, ring, result):  # type: ignore[no-untyped-def]
+def _ring_means(start, stop, values, ring_start, ring, result):
     for i in range(start, stop):
         m = ring_start[i + 1] - ring_start[i]
         total = 0.0
@@ -330,9 +330,7 @@ def ring_means(values: Floats, ring_start: Ints, ring: Ints) -> Floats:
 
 
 @compiled
-def _entry_sums(  # type: ignore[no-untyped-def]
-    old_unit, new_unit, faces, moved, group, old_sums, new_sums, touched
-):
+def _entry_sums(old_unit, new_unit, faces, moved, group, old_sums, new_sums, touched):
     for f in range(len(faces)):
         face_moved = moved[faces[f, 0]] or moved[faces[f, 1]] or moved[faces[f, 2]]
         for corner in range(3):

@@ -10,7 +10,7 @@ from msal_cli.kernels.parallel import over_ranges
 
 
 @compiled
-def _averaged(start, stop, o, q, ring_start, ring, alpha, p, b):  # type: ignore[no-untyped-def]
+def _averaged(start, stop, o, q, ring_start, ring, alpha, p, b):
     """o input, q previous, p averaged positions, b corrections; letters of Vollmer et al."""
     for i in range(start, stop):
         m = ring_start[i + 1] - ring_start[i]
@@ -32,7 +32,7 @@ def _averaged(start, stop, o, q, ring_start, ring, alpha, p, b):  # type: ignore
 
 
 @compiled
-def _pushed(start, stop, p, b, ring_start, ring, beta, q):  # type: ignore[no-untyped-def]
+def _pushed(start, stop, p, b, ring_start, ring, beta, q):
     for i in range(start, stop):
         m = ring_start[i + 1] - ring_start[i]
         if m == 0:

@@ -206,11 +206,7 @@ def _dot(u: Vectors, v: Vectors) -> Floats:
 
 
 def _cross(u: Vectors, v: Vectors) -> Vectors:
-    return (
-        u[1] * v[2] - u[2] * v[1],
-        u[2] * v[0] - u[0] * v[2],
-        u[0] * v[1] - u[1] * v[0],
-    )
+    return (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
 
 
 def _minus(u: Vectors, v: Vectors) -> Vectors:

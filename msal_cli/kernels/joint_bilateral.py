@@ -16,9 +16,7 @@ BLOCK_PAIRS = np.uint64(1024)
 
 
 @compiled
-def _filtered(  # type: ignore[no-untyped-def]
-    start, stop, n, g, c, areas, near_start, near, per_distance, per_guide, result
-):
+def _filtered(start, stop, n, g, c, areas, near_start, near, per_distance, per_guide, result):
     """n normals, g guides, c centroids, flat; squares are multiplied with -1 / (2 sigma^2 ln 2).
 
     Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.

@@ -41,7 +41,7 @@ MOST_LEVERAGE = 0.95
 
 
 @compiled
-def _patch(i, rings, ring_start, ring, found):  # type: ignore[no-untyped-def]
+def _patch(i, rings, ring_start, ring, found):
     """Collect vertex i and those at most ``rings`` edges away, nearest first; how many they are."""
     found[0] = i
     count = 1
@@ -67,7 +67,7 @@ def _patch(i, rings, ring_start, ring, found):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def fill_monomials(u, w, terms):  # type: ignore[no-untyped-def]
+def fill_monomials(u, w, terms):
     """1, u, w, uu, uw, ww, uuu ... in ``terms``, up to degree 6."""
     terms[0] = 1.0
     before, at = 0, 1
@@ -80,7 +80,7 @@ def fill_monomials(u, w, terms):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def begin_equations(sums, along, squares, first, terms, equations):  # type: ignore[no-untyped-def]
+def begin_equations(sums, along, squares, first, terms, equations):
     """Set up the normal equations: ``sums`` of monomials, of their products with the heights
     (``along``), and of those' ``squares``; the ``first`` height stands at the monomials ``terms``.
     """
@@ -103,7 +103,7 @@ def begin_equations(sums, along, squares, first, terms, equations):  # type: ign
 
 
 @compiled
-def eliminate(equations, sums_of_squares, first, last):  # type: ignore[no-untyped-def]
+def eliminate(equations, sums_of_squares, first, last):
     """Eliminate the monomials ``first`` ... ``last``, above the diagonal; how many of them the
     patch can tell apart.  What is left of the heights stands in their rows then."""
     rank = 0
@@ -120,7 +120,7 @@ def eliminate(equations, sums_of_squares, first, last):  # type: ignore[no-untyp
 
 
 @compiled
-def _fitted(  # type: ignore[no-untyped-def]
+def _fitted(
     start, stop, chosen, vertices, normals, ring_start, ring, variances, freedoms, gaps, ratios
 ):
     found = np.empty(MOST_VERTICES, dtype=np.int64)

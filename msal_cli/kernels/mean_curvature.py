@@ -35,7 +35,7 @@ def vertex_areas(vertices: Floats, faces: Ints, links: Connectivity, areas: str)
 
 
 @compiled
-def _curvature_step(start, stop, x, weights, areas, ring_start, ring, free, time_step, moves):  # type: ignore[no-untyped-def]
+def _curvature_step(start, stop, x, weights, areas, ring_start, ring, free, time_step, moves):
     for i in range(start, stop):
         sx = sy = sz = 0.0
         total = 0.0
@@ -87,8 +87,7 @@ class MeanCurvature:
             positions,
             cotangent_weights(positions, self.faces, self.links),
             vertex_areas(positions, self.faces, self.links, self.areas),
-            self.links.ring_start,
-            self.links.ring,
+            *self.links.one_ring,
             self.free,
             self.time_step,
             moves,
@@ -135,9 +134,9 @@ class ImplicitMeanCurvature:
         sums[filled] = np.add.reduceat(values, links.ring_start[:-1][filled])
         # (M / tau + L) (X' - X) = -L X: the moves have less rounding than positions would have,
         # and the matrix has no unit, so that tiny meshes cannot underflow.
-        matrix = RowMatrix(areas / self.time_step - sums, links.ring_start, links.ring, values)
+        matrix = RowMatrix(areas / self.time_step - sums, *links.one_ring, values)
         right = np.empty_like(positions)
-        RowMatrix(sums, links.ring_start, links.ring, -values).times(positions, right)
+        RowMatrix(sums, *links.one_ring, -values).times(positions, right)
         on_iteration = self.on_iteration
         solution = conjugate_gradients(
             matrix,

@@ -18,7 +18,7 @@ MANY = 1 << 16
 
 
 @compiled
-def _leading(bits):  # type: ignore[no-untyped-def]
+def _leading(bits):
     """Sixteen bits of a number that is not NaN, greater for greater numbers."""
     below_zero = bits >> np.uint64(63)
     turn = np.uint64(0xFFFFFFFFFFFFFFFF) if below_zero else np.uint64(0x8000000000000000)
@@ -26,13 +26,13 @@ def _leading(bits):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _counted(bits, counts):  # type: ignore[no-untyped-def]
+def _counted(bits, counts):
     for at in range(len(bits)):
         counts[_leading(bits[at])] += 1
 
 
 @compiled
-def _alike(bits, leading, found):  # type: ignore[no-untyped-def]
+def _alike(bits, leading, found):
     """Collect in ``found`` those with these leading bits; one place more than they need."""
     count = 0
     wanted = np.uint64(leading)

@@ -39,7 +39,7 @@ _RATIO = np.float32((WIDE / NARROW) ** 2)
 
 
 @compiled
-def lay_neighbours(first, last, records, per_reach, near_start, near, block, own):  # type: ignore[no-untyped-def]
+def lay_neighbours(first, last, records, per_reach, near_start, near, block, own):
     """Lay the neighbours of the faces ``first`` to ``last`` side by side; return how many rows.
 
     ``records`` flat, ``per_reach`` (m,) one over WIDE local units.  The first row is the faces
@@ -95,7 +95,7 @@ def lay_neighbours(first, last, records, per_reach, near_start, near, block, own
 
 
 @compiled
-def weigh_block(rows, block, own):  # type: ignore[no-untyped-def]
+def weigh_block(rows, block, own):
     """Turn areas into the weights of both reaches, and put |n_i - n_j|^2 beside them."""
     for k in range(rows):
         row = k * ENTRY
@@ -117,7 +117,7 @@ def weigh_block(rows, block, own):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def lay_weights(first, last, records, per_reach, near_start, near, block):  # type: ignore[no-untyped-def]
+def lay_weights(first, last, records, per_reach, near_start, near, block):
     """Lay only the wide weights side by side, those of ``weigh_block``."""
     rows = ONE
     for lane in range(LANES):

@@ -98,7 +98,7 @@ _PER_MOST = np.float32(1.0 / 64.0)
 
 
 @compiled
-def describe(start, stop, records, per_reach, near_start, near, width, table, numbers, axes):  # type: ignore[no-untyped-def]
+def describe(start, stop, records, per_reach, near_start, near, width, table, numbers, axes):
     """Fill the first vectors (all up to the guide) and the first 15 numbers of each face.
 
     ``table`` has ``width`` vectors of each face, ``numbers`` NUMBERS, ``axes`` three vectors; all
@@ -160,7 +160,7 @@ def describe(start, stop, records, per_reach, near_start, near, width, table, nu
 
 
 @compiled
-def _write_numbers(lane, sums, values, spread, scatter, numbers, to):  # type: ignore[no-untyped-def]
+def _write_numbers(lane, sums, values, spread, scatter, numbers, to):
     """The numbers of one face but those of its neighbours', from the sums of its block."""
     narrow = sums[lane + R12]
     narrow = _1 / (narrow if narrow > _TINY else _TINY)
@@ -183,7 +183,7 @@ def _write_numbers(lane, sums, values, spread, scatter, numbers, to):  # type: i
 
 
 @compiled
-def pick_guides(start, stop, records, near_start, near, ripples, width, table, numbers):  # type: ignore[no-untyped-def]
+def pick_guides(start, stop, records, near_start, near, ripples, width, table, numbers):
     """Fill the guide of each face and the numbers that it takes from those near.
 
     The guide is the narrow mean of the face with the least scatter among the first ``PATCHES``
@@ -231,7 +231,7 @@ def pick_guides(start, stop, records, near_start, near, ripples, width, table, n
 
 
 @compiled
-def filter_jointly(  # type: ignore[no-untyped-def]
+def filter_jointly(
     start, stop, records, per_reach, near_start, near, tasks, ranges, n_read, width, read, table
 ):
     """Fill two vectors for each task: filtered normals of two ranges.
@@ -272,7 +272,7 @@ def filter_jointly(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _lay_normals(first, last, rows, near_start, near, guide, normal, width, table, block, own):  # type: ignore[no-untyped-def]
+def _lay_normals(first, last, rows, near_start, near, guide, normal, width, table, block, own):
     """Put other normals into a block, and the squares of the differences of their guides."""
     for lane in range(LANES):
         f = first + lane if first + lane < last else last - ONE

@@ -31,7 +31,7 @@ BLOCK_PAIRS = np.uint64(1024)
 
 
 @compiled
-def _square(x, i, j):  # type: ignore[no-untyped-def]
+def _square(x, i, j):
     """Of the distance between two vertices; x flat."""
     p, q = THREE * i, THREE * j
     dx, dy, dz = x[p] - x[q], x[p + ONE] - x[q + ONE], x[p + TWO] - x[q + TWO]
@@ -39,7 +39,7 @@ def _square(x, i, j):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):  # type: ignore[no-untyped-def]
+def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):
     """min(tau / A, limit) l / d: edge length l, way between centroids d, own area A, 0 for none.
 
     All arrays are flat; x positions.  Of two faces with a common edge the centroids are a third
@@ -77,7 +77,7 @@ def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares): 
 
 
 @compiled
-def _diffused(start, stop, n, shares, inverse, ring_start, ring, result):  # type: ignore[no-untyped-def]
+def _diffused(start, stop, n, shares, inverse, ring_start, ring, result):
     """n normals, flat as the result; ``inverse`` is 1 / (2 mu^2 ln 2).
 
     Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.
@@ -121,7 +121,7 @@ def _diffused(start, stop, n, shares, inverse, ring_start, ring, result):  # typ
 
 
 @compiled
-def _differences(start, stop, n, ring_start, ring, lengths):  # type: ignore[no-untyped-def]
+def _differences(start, stop, n, ring_start, ring, lengths):
     """|n - m| over the neighbours of greater number, -1 for all that do not count; n flat."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own = THREE * f

@@ -25,7 +25,7 @@ ALONE = 1e-200
 
 
 @compiled
-def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, totals):  # type: ignore[no-untyped-def]
+def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, totals):
     """Turn distance exponents into w_ij / A_j, which is symmetric; sum up w_ij for every i."""
     for f in range(start, stop):
         for at in range(ring_start[f], ring_start[f + 1]):
@@ -46,7 +46,7 @@ def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, t
 
 
 @compiled
-def _diagonal(start, stop, areas, inverse, ring_start, ring, values, squares):  # type: ignore[no-untyped-def]
+def _diagonal(start, stop, areas, inverse, ring_start, ring, values, squares):
     for f in range(start, stop):
         total = 0.0
         for at in range(ring_start[f], ring_start[f + 1]):
@@ -56,7 +56,7 @@ def _diagonal(start, stop, areas, inverse, ring_start, ring, values, squares):  
 
 
 @compiled
-def _differences(  # type: ignore[no-untyped-def]
+def _differences(
     start, stop, values, ring_start, ring, inner, outer, own, x, weight, base, base_weight, result
 ):
     """weight (own_i x_i - outer_i sum_j values_ij inner_j x_j) + base_weight base_i."""
@@ -104,17 +104,7 @@ class NormalSystem:
         difference = np.empty_like(x)
         m = len(x)
         over_ranges(
-            _differences,
-            m,
-            *rows,
-            self.areas,
-            self.inverse,
-            self.own,
-            x,
-            1.0,
-            x,
-            0.0,
-            difference,
+            _differences, m, *rows, self.areas, self.inverse, self.own, x, 1.0, x, 0.0, difference
         )
         # The transpose has the two factors of the symmetric part in the other order.
         over_ranges(

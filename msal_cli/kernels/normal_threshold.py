@@ -14,7 +14,7 @@ from msal_cli.kernels.ring_blocks import ONE, THREE, TWO
 
 
 @compiled
-def _averaged(start, stop, n, threshold, ring_start, ring, result):  # type: ignore[no-untyped-def]
+def _averaged(start, stop, n, threshold, ring_start, ring, result):
     """n normals, flat as the result; indices are unsigned, and not looked at for their sign."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own = THREE * f

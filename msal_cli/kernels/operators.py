@@ -123,7 +123,7 @@ class RingOperator:
 
 
 @compiled
-def _anisotropic_laplacian(  # type: ignore[no-untyped-def]
+def _anisotropic_laplacian(
     start,
     stop,
     x,

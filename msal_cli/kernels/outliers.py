@@ -72,7 +72,7 @@ NOT_JUDGED = -np.inf
 
 
 @compiled
-def _normal(ax, ay, az, x, b, c, normal):  # type: ignore[no-untyped-def]
+def _normal(ax, ay, az, x, b, c, normal):
     """The unit normal of the face of a point and the vertices b and c; zeros if it is flat."""
     ux, uy, uz = x[b, 0] - ax, x[b, 1] - ay, x[b, 2] - az
     vx, vy, vz = x[c, 0] - ax, x[c, 1] - ay, x[c, 2] - az
@@ -83,7 +83,7 @@ def _normal(ax, ay, az, x, b, c, normal):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _agreements(start, stop, x, faces, face_start, incident, chosen, agreements):  # type: ignore[no-untyped-def]
+def _agreements(start, stop, x, faces, face_start, incident, chosen, agreements):
     normal = np.empty(3)
     for i in range(start, stop):
         if not chosen[i]:
@@ -101,7 +101,7 @@ def _agreements(start, stop, x, faces, face_start, incident, chosen, agreements)
 
 
 @compiled
-def _around(i, faces, face_start, incident, after, before):  # type: ignore[no-untyped-def]
+def _around(i, faces, face_start, incident, after, before):
     """The vertices that follow vertex i in its faces, and those that go before it."""
     for k in range(face_start[i + 1] - face_start[i]):
         f = incident[face_start[i] + k]
@@ -111,7 +111,7 @@ def _around(i, faces, face_start, incident, after, before):  # type: ignore[no-u
 
 
 @compiled
-def _circle(i, n, faces, face_start, incident, after, before, following, outer):  # type: ignore[no-untyped-def]
+def _circle(i, n, faces, face_start, incident, after, before, following, outer):
     """For each of the n faces around vertex i the place of the next one, and the face across the
     edge opposite i, or -1.  Whether they close."""
     for k in range(n):
@@ -132,7 +132,7 @@ def _circle(i, n, faces, face_start, incident, after, before, following, outer):
 
 
 @compiled
-def _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals):  # type: ignore[no-untyped-def]
+def _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals):
     """Mean length of the differences between the normals on both sides of the edges in and around
     the faces that a vertex would have at a point."""
     for k in range(n):
@@ -155,7 +155,7 @@ def _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals
 
 
 @compiled
-def _solved(matrix, right):  # type: ignore[no-untyped-def]
+def _solved(matrix, right):
     """Solve the normal equations in place; what they do not tell apart becomes small."""
     for pivot in range(TERMS):
         scale = 1.0 / max(matrix[pivot, pivot], 1e-9)
@@ -172,7 +172,7 @@ def _solved(matrix, right):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _ranked(values, count, share, ranking):  # type: ignore[no-untyped-def]
+def _ranked(values, count, share, ranking):
     """The value that ``share`` of values[1:count] are below; ``ranking`` is for sorting them."""
     for at in range(1, count):
         value = values[at]
@@ -185,7 +185,7 @@ def _ranked(values, count, share, ranking):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _fit(count, local, weights, rests, ranking, matrix, coefficients):  # type: ignore[no-untyped-def]
+def _fit(count, local, weights, rests, ranking, matrix, coefficients):
     """Fit degree 2 to the points ``local``[1:count] (u, w, height) by weights that get less for
     those far from it; the median of what is left over."""
     terms = np.empty(TERMS)
@@ -218,12 +218,12 @@ def _fit(count, local, weights, rests, ranking, matrix, coefficients):  # type: 
 
 
 @compiled
-def _height(u, w, c):  # type: ignore[no-untyped-def]
+def _height(u, w, c):
     return c[0] + c[1] * u + c[2] * w + c[3] * u * u + c[4] * u * w + c[5] * w * w
 
 
 @compiled
-def _judged(  # type: ignore[no-untyped-def]
+def _judged(
     start,
     stop,
     chosen,
@@ -349,7 +349,7 @@ def _judged(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _picked(start, stop, chosen, scores, ring_start, ring, picked):  # type: ignore[no-untyped-def]
+def _picked(start, stop, chosen, scores, ring_start, ring, picked):
     for at in range(start, stop):
         i = chosen[at]
         is_most = True
@@ -361,7 +361,7 @@ def _picked(start, stop, chosen, scores, ring_start, ring, picked):  # type: ign
 
 
 @compiled
-def _marked_around(chosen, ring_start, ring, marks):  # type: ignore[no-untyped-def]
+def _marked_around(chosen, ring_start, ring, marks):
     for at in range(len(chosen)):
         i = chosen[at]
         marks[i] = True
@@ -377,7 +377,7 @@ def measure_agreement(
 ) -> None:
     """Set ``agreements`` (n,) of the ``chosen`` (n,) vertices: the length of the mean of their
     faces' unit normals, 1 where these are the same and 0 where they are all ways."""
-    around = (links.face_start, links.incident_faces)
+    around = links.incidence
     over_ranges(_agreements, len(x), x, faces, *around, chosen, agreements)
 
 
@@ -409,10 +409,8 @@ def judge(
         places,
         x,
         faces,
-        links.face_start,
-        links.incident_faces,
-        links.ring_start,
-        links.ring,
+        *links.incidence,
+        *links.one_ring,
         agreements,
         edge,
         is_known,
@@ -427,12 +425,12 @@ def pick(scores: Floats, bound: float, links: Connectivity) -> Longs:
     """The vertices whose score (n,) is above ``bound`` and above those of all their neighbours."""
     chosen = np.flatnonzero(scores > bound)
     picked = np.empty(len(chosen), dtype=np.bool_)
-    over_ranges(_picked, len(chosen), chosen, scores, links.ring_start, links.ring, picked)
+    over_ranges(_picked, len(chosen), chosen, scores, *links.one_ring, picked)
     return chosen[picked]
 
 
 def mark_two_rings(chosen: Longs, links: Connectivity) -> Flags:
     """The vertices ``chosen`` (c,) and those at most two edges away from one, (n,)."""
     marks = np.zeros(len(links.has_ring), dtype=np.bool_)
-    _marked_around(chosen, links.ring_start, links.ring, marks)
+    _marked_around(chosen, *links.one_ring, marks)
     return marks

@@ -23,7 +23,7 @@ triangle that no other touches shrinks to a point."""
 
 
 @compiled
-def _projected(  # type: ignore[no-untyped-def]
+def _projected(
     start,
     stop,
     x,
@@ -174,8 +174,7 @@ class ProjectionAverage:
             areas,
             normals,
             self.faces,
-            self.links.face_start,
-            self.links.incident_faces,
+            *self.links.incidence,
             free,
             2.0 * self.closeness,
             closeness,

@@ -41,7 +41,7 @@ _FILL, _SHIFT = np.uint64(7), np.uint64(3)
 
 
 @compiled
-def most_neighbours(start, stop, ring_start):  # type: ignore[no-untyped-def]
+def most_neighbours(start, stop, ring_start):
     """The largest number of neighbours in a range of vertices; ``ring_start`` as uint32."""
     widest = ZERO
     for i in range(np.uint64(start), np.uint64(stop)):
@@ -50,7 +50,7 @@ def most_neighbours(start, stop, ring_start):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def block(first, stop, ring_start, widest, origin, table):  # type: ignore[no-untyped-def]
+def block(first, stop, ring_start, widest, origin, table):
     """Lay out the block that starts at vertex ``first``: (last + 1, fewest and most neighbours).
 
     ``table`` gets, for every m in use, the width of its group at m, the group's first lane at
@@ -87,7 +87,7 @@ def block(first, stop, ring_start, widest, origin, table):  # type: ignore[no-un
 
 
 @compiled
-def settle(  # type: ignore[no-untyped-def]
+def settle(
     first,
     last,
     normals,

@@ -31,7 +31,7 @@ PER_MEDIAN = 1.4826
 
 
 @compiled
-def _median(values, count):  # type: ignore[no-untyped-def]
+def _median(values, count):
     """Median of ``values[:count]``, which are sorted on the way, by Shell's method.
 
     A one-ring is sorted by insertion in effect; the gaps keep a hub of 50,000 affordable.
@@ -55,7 +55,7 @@ def _median(values, count):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _sigma(h, m, deviation, scratch):  # type: ignore[no-untyped-def]
+def _sigma(h, m, deviation, scratch):
     """Twice the mean, or 1.4826 times the median absolute deviation of the heights h[:m]."""
     if deviation == _MEDIAN:
         for at in range(m):
@@ -75,7 +75,7 @@ def _sigma(h, m, deviation, scratch):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _weigh(h, lengths, m, weights, sigma, g, scratch, scratch_bits):  # type: ignore[no-untyped-def]
+def _weigh(h, lengths, m, weights, sigma, g, scratch, scratch_bits):
     """g(h[:m]), up to a factor; all alike where every neighbour is beyond Tukey's reach."""
     if weights == _GAUSS:
         flattest = np.inf
@@ -108,7 +108,7 @@ def _weigh(h, lengths, m, weights, sigma, g, scratch, scratch_bits):  # type: ig
 
 
 @compiled
-def _robust_laplacian(  # type: ignore[no-untyped-def]
+def _robust_laplacian(
     start,
     stop,
     x,
@@ -171,7 +171,7 @@ def _robust_laplacian(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _ring_areas(start, stop, areas, face_start, incident_faces, sums):  # type: ignore[no-untyped-def]
+def _ring_areas(start, stop, areas, face_start, incident_faces, sums):
     for i in range(start, stop):
         total = 0.0
         for at in range(face_start[i], face_start[i + 1]):
@@ -229,8 +229,7 @@ class RobustLaplacian:
             n,
             positions,
             self.normals,
-            self.links.ring_start,
-            self.links.ring,
+            *self.links.one_ring,
             self.free,
             max(SMALLEST_SIGMA * self.mean_edge_length, np.finfo(np.float64).tiny ** 0.5),
             WEIGHTS.index(self.weights),
@@ -250,5 +249,5 @@ class RobustLaplacian:
         _, areas = face_normals_and_areas(positions, self.faces)
         sums = np.empty(len(positions))
         links = self.links
-        over_ranges(_ring_areas, len(sums), areas, links.face_start, links.incident_faces, sums)
+        over_ranges(_ring_areas, len(sums), areas, *links.incidence, sums)
         return sums

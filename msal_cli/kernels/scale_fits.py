@@ -42,7 +42,7 @@ rounding; where the heights themselves are, 1e-22 of the patch's."""
 
 
 @compiled
-def _collect(i, ring_start, ring, found, ends, slots):  # type: ignore[no-untyped-def]
+def _collect(i, ring_start, ring, found, ends, slots):
     """Collect vertex i and those up to six edges away, nearest first, in ``found``; ``ends`` are
     how many are within each ring, 0 where they are too many."""
     for slot in range(SLOTS):
@@ -73,7 +73,7 @@ def _collect(i, ring_start, ring, found, ends, slots):  # type: ignore[no-untype
 
 
 @compiled
-def _fit_scales(  # type: ignore[no-untyped-def]
+def _fit_scales(
     start, stop, chosen, vertices, normals, ring_start, ring, rests, rows, ranks, frames, offsets
 ):
     found = np.empty(MOST_VERTICES, dtype=np.int64)

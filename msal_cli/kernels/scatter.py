@@ -11,7 +11,7 @@ from msal_cli.kernels.parallel import over_ranges
 
 
 @compiled
-def _scattered(start, stop, before, after, is_used, place, origin, original, result):  # type: ignore[no-untyped-def]
+def _scattered(start, stop, before, after, is_used, place, origin, original, result):
     for i in range(start, stop):
         k = place[i] if len(place) else np.int32(i)
         if k >= 0 and is_used[k]:
@@ -57,7 +57,7 @@ def scattered(
 
 
 @compiled
-def _widest_gap(positions, place, first):  # type: ignore[no-untyped-def]
+def _widest_gap(positions, place, first):
     widest = 0.0
     for i in range(len(place)):
         k = place[i]

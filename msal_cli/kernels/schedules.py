@@ -80,8 +80,7 @@ class Multiscale:
         """tau and 1 / scale."""
         scale = scale or 0.0
         return Pace(
-            self.time_step * self.decay**sweep,
-            per_sigma=1.0 / scale if scale > 0.0 else 0.0,
+            self.time_step * self.decay**sweep, per_sigma=1.0 / scale if scale > 0.0 else 0.0
         )
 
 

@@ -24,7 +24,7 @@ from msal_cli.kernels.parallel import over_ranges
 
 
 @compiled
-def _widest(start, stop, near_start):  # type: ignore[no-untyped-def]
+def _widest(start, stop, near_start):
     widest = 0
     for i in range(start, stop):
         widest = max(widest, near_start[i + 1] - near_start[i])
@@ -32,9 +32,7 @@ def _widest(start, stop, near_start):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _weighed(  # type: ignore[no-untyped-def]
-    start, stop, g, c, areas, near_start, near, per_distance, per_guide, weights, sums
-):
+def _weighed(start, stop, g, c, areas, near_start, near, per_distance, per_guide, weights, sums):
     """w of every row; ``sums``, by face, of w without its last factor."""
     widest = _widest(start, stop, near_start)
     distant = np.empty(widest)
@@ -101,7 +99,7 @@ def pair_weights(
 
 
 @compiled
-def _stepped(  # type: ignore[no-untyped-def]
+def _stepped(
     start, stop, n, pull, near_start, near, weights, per_difference, areas, result, changes
 ):
     """pull (m, 3) is 2 nu^2 / lambda' A n0; ``changes`` are A |step|^2."""

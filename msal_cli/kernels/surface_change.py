@@ -28,7 +28,7 @@ depend on the number of threads."""
 
 
 @compiled
-def _crossed(vertices, a, b, c):  # type: ignore[no-untyped-def]
+def _crossed(vertices, a, b, c):
     """Cross product of two edges of a triangle, sixfold volume, and its longest edge squared."""
     ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
     ux, uy, uz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
@@ -42,7 +42,7 @@ def _crossed(vertices, a, b, c):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _changes(start, stop, before, after, faces, figures):  # type: ignore[no-untyped-def]
+def _changes(start, stop, before, after, faces, figures):
     # Gathering cannot become vector code; what follows, in loops of its own, does.
     px, py, pz, p_longest = (
         np.empty(BLOCK_FACES),

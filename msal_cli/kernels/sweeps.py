@@ -36,7 +36,7 @@ class Swept:
 
 
 @compiled
-def _moved_along_normals(  # type: ignore[no-untyped-def]
+def _moved_along_normals(
     start, stop, v, normals, heights, sigma, tau, constant, per_sigma, offsets, fidelity, x
 ):
     for i in range(start, stop):
@@ -52,7 +52,7 @@ def _moved_along_normals(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _moved_freely(start, stop, v, moves, sigma, tau, constant, per_sigma, x):  # type: ignore[no-untyped-def]
+def _moved_freely(start, stop, v, moves, sigma, tau, constant, per_sigma, x):
     for i in range(start, stop):
         fidelity = min(constant + per_sigma * sigma[i], 1.0)
         for axis in range(3):

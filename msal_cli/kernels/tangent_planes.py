@@ -12,7 +12,7 @@ from msal_cli.kernels.parallel import over_ranges
 
 
 @compiled
-def _normal_spread(start, stop, unit_normals, normals, face_start, incident, spread):  # type: ignore[no-untyped-def]
+def _normal_spread(start, stop, unit_normals, normals, face_start, incident, spread):
     for i in range(start, stop):
         total = count = 0.0
         for at in range(face_start[i], face_start[i + 1]):
@@ -36,15 +36,14 @@ def normal_spread(positions: Floats, faces: Ints, links: Connectivity, normals: 
         len(positions),
         face_normals(positions, faces),
         normals,
-        links.face_start,
-        links.incident_faces,
+        *links.incidence,
         spread,
     )
     return spread
 
 
 @compiled
-def _towards_planes(start, stop, x, normals, ring_start, ring, moves):  # type: ignore[no-untyped-def]
+def _towards_planes(start, stop, x, normals, ring_start, ring, moves):
     for i in range(start, stop):
         mx = my = mz = 0.0
         m = ring_start[i + 1] - ring_start[i]

@@ -17,7 +17,7 @@ from msal_cli.kernels.parallel import over_ranges
 
 
 @compiled
-def _umbrella(start, stop, x, ring_start, ring, moves):  # type: ignore[no-untyped-def]
+def _umbrella(start, stop, x, ring_start, ring, moves):
     for i in range(start, stop):
         m = ring_start[i + 1] - ring_start[i]
         sx = sy = sz = 0.0
@@ -53,7 +53,7 @@ class Umbrella:
 
 
 @compiled
-def _scale_dependent_umbrella(start, stop, x, ring_start, ring, time_step, moves):  # type: ignore[no-untyped-def]
+def _scale_dependent_umbrella(start, stop, x, ring_start, ring, time_step, moves):
     """l edge lengths of the row; edges without length have no direction and do not count."""
     for i in range(start, stop):
         sx = sy = sz = 0.0

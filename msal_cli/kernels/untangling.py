@@ -33,7 +33,7 @@ STRAINED, FULLY_STRAINED = 0.93969262078590838, 0.64278760968653933
 
 
 @compiled
-def _measure_strains(start, stop, normals, wanted, strains):  # type: ignore[no-untyped-def]
+def _measure_strains(start, stop, normals, wanted, strains):
     """How strained each face is, 0 to 1; 0 where either normal is missing.  All arrays flat."""
     for f in range(np.uint64(start), np.uint64(stop)):
         at = THREE * f
@@ -47,7 +47,7 @@ def _measure_strains(start, stop, normals, wanted, strains):  # type: ignore[no-
 
 
 @compiled
-def _even_out(  # type: ignore[no-untyped-def]
+def _even_out(
     start,
     stop,
     x,

@@ -28,7 +28,7 @@ THIRD = 1.0 / 3.0
 
 
 @compiled
-def _planes(start, stop, normals, planes):  # type: ignore[no-untyped-def]
+def _planes(start, stop, normals, planes):
     """The first three numbers of every plane: its normal n'."""
     for f in range(np.uint64(start), np.uint64(stop)):
         planes[f, 0] = normals[f, 0]
@@ -37,7 +37,7 @@ def _planes(start, stop, normals, planes):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _shares(start, stop, planes, face_start, incident, free, share):  # type: ignore[no-untyped-def]
+def _shares(start, stop, planes, face_start, incident, free, share):
     """One over the number of faces that have a normal; zero for vertices that stay."""
     for i in range(np.uint64(start), np.uint64(stop)):
         count = 0
@@ -48,7 +48,7 @@ def _shares(start, stop, planes, face_start, incident, free, share):  # type: ig
 
 
 @compiled
-def _offsets(start, stop, x, faces, planes):  # type: ignore[no-untyped-def]
+def _offsets(start, stop, x, faces, planes):
     """The fourth number of every plane: n' . c.  All arrays are flat; x positions.
 
     Indices are unsigned, so that none is looked at for its sign.
@@ -69,7 +69,7 @@ def _offsets(start, stop, x, faces, planes):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _moved(start, stop, planes, face_start, incident, share, x):  # type: ignore[no-untyped-def]
+def _moved(start, stop, planes, face_start, incident, share, x):
     """x positions, flat as the planes; the sum of the ways to the planes counts by ``share``."""
     for i in range(np.uint64(start), np.uint64(stop)):
         own = THREE * i

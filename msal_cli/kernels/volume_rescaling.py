@@ -10,7 +10,7 @@ from msal_cli.kernels.geometry import area_and_volume
 
 
 @compiled
-def _volume_moment(vertices, faces, moment):  # type: ignore[no-untyped-def]
+def _volume_moment(vertices, faces, moment):
     """Integral of the position over the volume, and the volume, times 24."""
     volume = 0.0
     for f in range(len(faces)):

@@ -27,7 +27,7 @@ KEPT = 0.99904
 
 
 @compiled
-def _next_polynomial(start, stop, x, ring_start, ring, before, now, twice, weight, after, moves):  # type: ignore[no-untyped-def]
+def _next_polynomial(start, stop, x, ring_start, ring, before, now, twice, weight, after, moves):
     """``twice`` (now + U now / 2) - (twice - 1) before, and its term added to the moves."""
     for i in range(start, stop):
         m = ring_start[i + 1] - ring_start[i]

@@ -25,7 +25,7 @@ FEWEST_ROWS = 64
 
 
 @compiled
-def _nearest_faces(start, stop, points, faces, nearness, front):  # type: ignore[no-untyped-def]
+def _nearest_faces(start, stop, points, faces, nearness, front):
     """Draw all faces into rows ``start`` to ``stop``; of faces equally near the first stays."""
     width = front.shape[1]
     for f in range(len(faces)):
@@ -73,7 +73,7 @@ def nearest_faces(points: Floats, faces: Ints, height: int, width: int) -> tuple
 
 
 @compiled
-def _corner_normals(  # type: ignore[no-untyped-def]
+def _corner_normals(
     start, stop, faces, face_start, incident, normals, areas, least_cosine, full_cosine, result
 ):
     """At each corner of faces: the sum of the vertex's faces that turn little from this one."""
@@ -135,7 +135,7 @@ def corner_normals(vertices: Floats, faces: Ints, crease: float) -> Floats32:
 
 
 @compiled
-def _lit(  # type: ignore[no-untyped-def]
+def _lit(
     start, stop, side, points, faces, nearness, front, normals, paint, back, lights, sums, depths
 ):
     """Add up light and coverage of the samples of pixel rows ``start`` to ``stop``."""
