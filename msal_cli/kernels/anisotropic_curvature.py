@@ -65,9 +65,7 @@ def _edge_curvatures(start, stop, x, corners, threshold, falloff, curvatures, sl
             weight = ratio * ratio / (falloff * (1.0 - ratio) ** 2 + ratio * ratio)
             hx, hy, hz = weight * hx, weight * hy, weight * hz
             slope_1, slope_3 = weight * slope_1, weight * slope_3
-        curvatures[e, 0] = hx
-        curvatures[e, 1] = hy
-        curvatures[e, 2] = hz
+        curvatures[e, 0], curvatures[e, 1], curvatures[e, 2] = hx, hy, hz
         slopes[e, 0] = slope_1
         slopes[e, 1] = slope_3
 
@@ -136,9 +134,7 @@ def _area_vectors(start, stop, x, faces, vectors):
         ux, uy, uz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
         wx, wy, wz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
         nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
-        vectors[f, 0] = nx
-        vectors[f, 1] = ny
-        vectors[f, 2] = nz
+        vectors[f, 0], vectors[f, 1], vectors[f, 2] = nx, ny, nz
         vectors[f, 3] = np.sqrt(nx * nx + ny * ny + nz * nz)
 
 
@@ -172,9 +168,7 @@ def _gathered(
             hz += curvatures[e, 2]
             stiffness += slopes[e, end]
             feature[i] |= bent[e]
-        total[i, 0] = 0.5 * hx
-        total[i, 1] = 0.5 * hy
-        total[i, 2] = 0.5 * hz
+        total[i, 0], total[i, 1], total[i, 2] = 0.5 * hx, 0.5 * hy, 0.5 * hz
         ax = ay = az = area = 0.0
         for at in range(face_start[i], face_start[i + 1]):
             f = np.uint64(incident[at])
@@ -182,9 +176,7 @@ def _gathered(
             ay += vectors[f, 1]
             az += vectors[f, 2]
             area += vectors[f, 3]
-        outward[i, 0] = ax / 6.0
-        outward[i, 1] = ay / 6.0
-        outward[i, 2] = az / 6.0
+        outward[i, 0], outward[i, 1], outward[i, 2] = ax / 6.0, ay / 6.0, az / 6.0
         # The mass is area / 6, the growth of H_A as the vertex rises is stiffness / 2.
         rate[i] = 0.0
         if free[i] and stiffness > 0.0:
@@ -216,9 +208,7 @@ def _directions(start, stop, edge_start, beside, total, outward, feature, along,
                 if sx * vx + sy * vy + sz * vz < 0.0:
                     scale = -scale
                 vx, vy, vz = scale * sx, scale * sy, scale * sz
-        along[i, 0] = vx
-        along[i, 1] = vy
-        along[i, 2] = vz
+        along[i, 0], along[i, 1], along[i, 2] = vx, vy, vz
         product = total[i, 0] * vx + total[i, 1] * vy + total[i, 2] * vz
         products[i, 0] = product / length if length > 0.0 else 0.0
         products[i, 1] = length

@@ -107,9 +107,7 @@ def _averaged(start, stop, n, exponents, falloff, ring_start, ring, result):
             has_normal = nx != 0.0 or ny != 0.0 or nz != 0.0
             if has_normal and length > VANISHED * weights:
                 nx, ny, nz = sx / length, sy / length, sz / length
-            result[own] = nx
-            result[own + ONE] = ny
-            result[own + TWO] = nz
+            result[own], result[own + ONE], result[own + TWO] = nx, ny, nz
 
 
 def bilateral_averages(

@@ -221,9 +221,7 @@ def fit_plane(sums, at, base, vectors, place, to, spread):
         y = y * per_length if is_there else by
         z = z * per_length if is_there else bz
         o = place * R3 + lane
-        vectors[o] = x
-        vectors[o + R1] = y
-        vectors[o + R2] = z
+        vectors[o], vectors[o + R1], vectors[o + R2] = x, y, z
         height = mx * x + my * y + mz * z
         spread[to + lane] = (
             x * (xx * x + xy * y + xz * z)

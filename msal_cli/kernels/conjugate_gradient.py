@@ -41,9 +41,7 @@ class SymmetricMatrix(Protocol):
 def _product(start, stop, diagonal, row_start, columns, values, x, product):
     for i in range(start, stop):
         own = diagonal[i]
-        sx = own * x[i, 0]
-        sy = own * x[i, 1]
-        sz = own * x[i, 2]
+        sx, sy, sz = own * x[i, 0], own * x[i, 1], own * x[i, 2]
         for at in range(row_start[i], row_start[i + 1]):
             # Unsigned, so that no index is looked at for being negative: a quarter of the time.
             k = np.uint64(columns[at])
@@ -51,9 +49,7 @@ def _product(start, stop, diagonal, row_start, columns, values, x, product):
             sx += value * x[k, 0]
             sy += value * x[k, 1]
             sz += value * x[k, 2]
-        product[i, 0] = sx
-        product[i, 1] = sy
-        product[i, 2] = sz
+        product[i, 0], product[i, 1], product[i, 2] = sx, sy, sz
 
 
 @dataclass(frozen=True, eq=False)

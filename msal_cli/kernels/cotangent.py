@@ -133,9 +133,7 @@ def _corner_areas(start, stop, vertices, faces, areas):
             of_bc = (at_b + at_c) * (at_a * scale)
             of_ca = (at_c + at_a) * (at_b * scale)
             of_ab = (at_a + at_b) * (at_c * scale)
-            areas[f, 0] = of_ca + of_ab
-            areas[f, 1] = of_ab + of_bc
-            areas[f, 2] = of_bc + of_ca
+            areas[f, 0], areas[f, 1], areas[f, 2] = of_ca + of_ab, of_ab + of_bc, of_bc + of_ca
 
 
 @compiled

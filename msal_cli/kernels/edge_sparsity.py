@@ -54,18 +54,14 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):
             c2 *= scale
             c3 *= scale
             c4 *= scale
-        coefficients[e, 0] = c1
-        coefficients[e, 1] = c2
-        coefficients[e, 2] = c3
+        coefficients[e, 0], coefficients[e, 1], coefficients[e, 2] = c1, c2, c3
         coefficients[e, 3] = c4
         # With p1 as origin the sum is as exact as the edges are.
         vx = c3 * ex + c2 * bx + c4 * dx
         vy = c3 * ey + c2 * by + c4 * dy
         vz = c3 * ez + c2 * bz + c4 * dz
         if vx * vx + vy * vy + vz * vz >= threshold:
-            deltas[e, 0] = vx
-            deltas[e, 1] = vy
-            deltas[e, 2] = vz
+            deltas[e, 0], deltas[e, 1], deltas[e, 2] = vx, vy, vz
 
 
 @compiled
@@ -146,9 +142,7 @@ def _assembled(
             py += scaled * deltas[e, 1]
             pz += scaled * deltas[e, 2]
         diagonal[i] = own
-        pulls[i, 0] = px
-        pulls[i, 1] = py
-        pulls[i, 2] = pz
+        pulls[i, 0], pulls[i, 1], pulls[i, 2] = px, py, pz
 
 
 @dataclass(frozen=True, eq=False)

@@ -120,9 +120,7 @@ def _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, su
             k = np.uint64(ring[at])
             at += ONE
         place = FOUR * (f - first)
-        sums[place] = sx
-        sums[place + ONE] = sy
-        sums[place + TWO] = sz
+        sums[place], sums[place + ONE], sums[place + TWO] = sx, sy, sz
         sums[place + THREE] = weight
         counts[f - first] = filled - own
         if filled > own:
@@ -188,9 +186,7 @@ def _scored(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, 
                 continue
             scores[f] = np.sqrt(square) * greatest / (EPSILON + total)
             p = THREE * f
-            means[p] = sx / length
-            means[p + ONE] = sy / length
-            means[p + TWO] = sz / length
+            means[p], means[p + ONE], means[p + TWO] = sx / length, sy / length, sz / length
 
 
 @compiled

@@ -39,13 +39,9 @@ def _doubled_area_normal(vertices, a, b, c):
     wx = vertices[c, 0] - vertices[a, 0]
     wy = vertices[c, 1] - vertices[a, 1]
     wz = vertices[c, 2] - vertices[a, 2]
-    nx = uy * wz - uz * wy
-    ny = uz * wx - ux * wz
-    nz = ux * wy - uy * wx
+    nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    vx = wx - ux
-    vy = wy - uy
-    vz = wz - uz
+    vx, vy, vz = wx - ux, wy - uy, wz - uz
     longest = max(
         ux * ux + uy * uy + uz * uz, wx * wx + wy * wy + wz * wz, vx * vx + vy * vy + vz * vz
     )
@@ -58,9 +54,7 @@ def _doubled_area_normal(vertices, a, b, c):
 def _face_normals(start, stop, vertices, faces, normals, doubled_areas):
     for f in range(start, stop):
         nx, ny, nz, doubled = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
-        normals[f, 0] = nx
-        normals[f, 1] = ny
-        normals[f, 2] = nz
+        normals[f, 0], normals[f, 1], normals[f, 2] = nx, ny, nz
         doubled_areas[f] = doubled
 
 
@@ -164,9 +158,7 @@ def _unit_sums(start, stop, sums, weights):
         x, y, z = sums[i, 0], sums[i, 1], sums[i, 2]
         length = np.sqrt(x * x + y * y + z * z)
         if length > VANISHED * weights[i]:
-            sums[i, 0] = x / length
-            sums[i, 1] = y / length
-            sums[i, 2] = z / length
+            sums[i, 0], sums[i, 1], sums[i, 2] = x / length, y / length, z / length
         else:
             sums[i, 0] = sums[i, 1] = sums[i, 2] = 0.0
             weights[i] = -weights[i]
@@ -221,13 +213,9 @@ def _mollified(start, stop, normals, ring_start, ring, result):
             sz += normals[k, 2]
         length = np.sqrt(sx * sx + sy * sy + sz * sz)
         if length <= VANISHED * (ring_start[i + 1] - ring_start[i]):
-            result[i, 0] = normals[i, 0]
-            result[i, 1] = normals[i, 1]
-            result[i, 2] = normals[i, 2]
+            result[i, 0], result[i, 1], result[i, 2] = normals[i, 0], normals[i, 1], normals[i, 2]
         else:
-            result[i, 0] = sx / length
-            result[i, 1] = sy / length
-            result[i, 2] = sz / length
+            result[i, 0], result[i, 1], result[i, 2] = sx / length, sy / length, sz / length
 
 
 def mollified(normals: Floats, ring_start: Ints, ring: Ints, passes: int) -> Floats:

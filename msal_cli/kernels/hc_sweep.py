@@ -22,9 +22,7 @@ def _averaged(start, stop, o, q, ring_start, ring, alpha, p, b):
             sy += q[k, 1] - qy
             sz += q[k, 2] - qz
         share = 1.0 / m if m else 0.0
-        p[i, 0] = qx + share * sx
-        p[i, 1] = qy + share * sy
-        p[i, 2] = qz + share * sz
+        p[i, 0], p[i, 1], p[i, 2] = qx + share * sx, qy + share * sy, qz + share * sz
         # p - (alpha o + (1 - alpha) q), so written that it is zero where nothing moves.
         b[i, 0] = share * sx - alpha * (o[i, 0] - qx)
         b[i, 1] = share * sy - alpha * (o[i, 1] - qy)

@@ -61,9 +61,7 @@ def _filtered(start, stop, n, g, c, areas, near_start, near, per_distance, per_g
             length = np.sqrt(sx * sx + sy * sy + sz * sz)
             if length > VANISHED * total:
                 nx, ny, nz = sx / length, sy / length, sz / length
-            result[own] = nx
-            result[own + ONE] = ny
-            result[own + TWO] = nz
+            result[own], result[own + ONE], result[own + TWO] = nx, ny, nz
 
 
 def joint_bilateral(

@@ -51,9 +51,7 @@ def _curvature_step(start, stop, x, weights, areas, ring_start, ring, free, time
             share = 1.0 / total
             if time_step * total < 2.0 * areas[i]:
                 share = time_step / (2.0 * areas[i])
-        moves[i, 0] = share * sx
-        moves[i, 1] = share * sy
-        moves[i, 2] = share * sz
+        moves[i, 0], moves[i, 1], moves[i, 2] = share * sx, share * sy, share * sz
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,20 +50,14 @@ def lay_neighbours(first, last, records, per_reach, near_start, near, block, own
     for lane in range(LANES):
         f = first + lane if first + lane < last else last - ONE
         at = RECORD * f
-        block[X + lane] = _0
-        block[Y + lane] = _0
-        block[Z + lane] = _0
+        block[X + lane], block[Y + lane], block[Z + lane] = _0, _0, _0
         nx, ny, nz = (
             np.float32(records[at + THREE]),
             np.float32(records[at + FOUR]),
             np.float32(records[at + FIVE]),
         )
-        own[lane] = nx
-        own[R1 + lane] = ny
-        own[R2 + lane] = nz
-        block[NX + lane] = nx
-        block[NY + lane] = ny
-        block[NZ + lane] = nz
+        own[lane], own[R1 + lane], own[R2 + lane] = nx, ny, nz
+        block[NX + lane], block[NY + lane], block[NZ + lane] = nx, ny, nz
         block[WIDE_WEIGHT + lane] = np.float32(records[at + SIX])
         rows = max(rows, near_start[f + ONE] - near_start[f] + ONE)
     for lane in range(LANES):
@@ -83,9 +77,7 @@ def lay_neighbours(first, last, records, per_reach, near_start, near, block, own
             block[place + WIDE_WEIGHT] = np.float32(records[k + SIX])
             place += ENTRY
         for _ in range(end - row + ONE, rows):
-            block[place + X] = _0
-            block[place + Y] = _0
-            block[place + Z] = _0
+            block[place + X], block[place + Y], block[place + Z] = _0, _0, _0
             block[place + NX] = own[lane]
             block[place + NY] = own[R1 + lane]
             block[place + NZ] = own[R2 + lane]

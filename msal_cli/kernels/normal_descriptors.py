@@ -295,7 +295,5 @@ def _lay_normals(first, last, rows, near_start, near, guide, normal, width, tabl
             place += ENTRY
         for _ in range(near_start[f + ONE] - near_start[f] + ONE, rows):
             block[place + JUMP] = _0
-            block[place + NX] = _0
-            block[place + NY] = _0
-            block[place + NZ] = _0
+            block[place + NX], block[place + NY], block[place + NZ] = _0, _0, _0
             place += ENTRY

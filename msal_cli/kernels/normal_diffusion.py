@@ -115,9 +115,7 @@ def _diffused(start, stop, n, shares, inverse, ring_start, ring, result):
             length = np.sqrt(sx * sx + sy * sy + sz * sz)
             if length > VANISHED:
                 nx, ny, nz = sx / length, sy / length, sz / length
-            result[own] = nx
-            result[own + ONE] = ny
-            result[own + TWO] = nz
+            result[own], result[own + ONE], result[own + TWO] = nx, ny, nz
 
 
 @compiled

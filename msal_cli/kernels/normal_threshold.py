@@ -35,9 +35,7 @@ def _averaged(start, stop, n, threshold, ring_start, ring, result):
         if length > VANISHED * weights:
             # A face without a normal finds none: a product of zero is below any threshold.
             nx, ny, nz = sx / length, sy / length, sz / length
-        result[own] = nx
-        result[own + ONE] = ny
-        result[own + TWO] = nz
+        result[own], result[own + ONE], result[own + TWO] = nx, ny, nz
 
 
 def threshold_averages(

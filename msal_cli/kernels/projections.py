@@ -101,9 +101,7 @@ def _projected(
                 my += weight * (centroids[f, 1] - yi)
                 mz += weight * (centroids[f, 2] - zi)
         if weights > 0.0:
-            moves[i, 0] = mx / weights
-            moves[i, 1] = my / weights
-            moves[i, 2] = mz / weights
+            moves[i, 0], moves[i, 1], moves[i, 2] = mx / weights, my / weights, mz / weights
 
 
 @dataclass(frozen=True, eq=False)

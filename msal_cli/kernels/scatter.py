@@ -21,9 +21,7 @@ def _scattered(start, stop, before, after, is_used, place, origin, original, res
                 result[i, 1] = y + origin[1]
                 result[i, 2] = z + origin[2]
                 continue
-        result[i, 0] = original[i, 0]
-        result[i, 1] = original[i, 1]
-        result[i, 2] = original[i, 2]
+        result[i, 0], result[i, 1], result[i, 2] = original[i, 0], original[i, 1], original[i, 2]
 
 
 def scattered(

@@ -55,9 +55,7 @@ def _towards_planes(start, stop, x, normals, ring_start, ring, moves):
             my += height * ny
             mz += height * nz
         share = 1.0 / m if m else 0.0
-        moves[i, 0] = share * mx
-        moves[i, 1] = share * my
-        moves[i, 2] = share * mz
+        moves[i, 0], moves[i, 1], moves[i, 2] = share * mx, share * my, share * mz
 
 
 def towards_planes(positions: Floats, normals: Floats, ring_start: Ints, ring: Ints) -> Floats:

@@ -27,9 +27,7 @@ def _umbrella(start, stop, x, ring_start, ring, moves):
             sy += x[k, 1] - x[i, 1]
             sz += x[k, 2] - x[i, 2]
         share = 1.0 / m if m else 0.0
-        moves[i, 0] = share * sx
-        moves[i, 1] = share * sy
-        moves[i, 2] = share * sz
+        moves[i, 0], moves[i, 1], moves[i, 2] = share * sx, share * sy, share * sz
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +58,7 @@ def _scale_dependent_umbrella(start, stop, x, ring_start, ring, time_step, moves
         lengths = reciprocals = 0.0
         for at in range(ring_start[i], ring_start[i + 1]):
             k = ring[at]
-            ex = x[k, 0] - x[i, 0]
-            ey = x[k, 1] - x[i, 1]
-            ez = x[k, 2] - x[i, 2]
+            ex, ey, ez = x[k, 0] - x[i, 0], x[k, 1] - x[i, 1], x[k, 2] - x[i, 2]
             length = np.sqrt(ex * ex + ey * ey + ez * ez)
             if length > 0.0:
                 sx += ex / length
@@ -71,9 +67,7 @@ def _scale_dependent_umbrella(start, stop, x, ring_start, ring, time_step, moves
                 lengths += length
                 reciprocals += 1.0 / length
         share = min(2.0 * time_step / lengths, 1.0 / reciprocals) if lengths > 0.0 else 0.0
-        moves[i, 0] = share * sx
-        moves[i, 1] = share * sy
-        moves[i, 2] = share * sz
+        moves[i, 0], moves[i, 1], moves[i, 2] = share * sx, share * sy, share * sz
 
 
 @dataclass(frozen=True, eq=False)

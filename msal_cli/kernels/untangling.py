@@ -90,9 +90,7 @@ def _even_out(
             px += share * (mx - along * nx)
             py += share * (my - along * ny)
             pz += share * (mz - along * nz)
-        moved[own] = px
-        moved[own + ONE] = py
-        moved[own + TWO] = pz
+        moved[own], moved[own + ONE], moved[own + TWO] = px, py, pz
 
 
 def untangle(

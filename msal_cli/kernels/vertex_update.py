@@ -31,9 +31,7 @@ THIRD = 1.0 / 3.0
 def _planes(start, stop, normals, planes):
     """The first three numbers of every plane: its normal n'."""
     for f in range(np.uint64(start), np.uint64(stop)):
-        planes[f, 0] = normals[f, 0]
-        planes[f, 1] = normals[f, 1]
-        planes[f, 2] = normals[f, 2]
+        planes[f, 0], planes[f, 1], planes[f, 2] = normals[f, 0], normals[f, 1], normals[f, 2]
 
 
 @compiled

@@ -97,9 +97,7 @@ def _corner_normals(
                 x, y, z = x / length, y / length, z / length
             else:
                 x, y, z = fx, fy, fz
-            result[f, corner, 0] = x
-            result[f, corner, 1] = y
-            result[f, corner, 2] = z
+            result[f, corner, 0], result[f, corner, 1], result[f, corner, 2] = x, y, z
 
 
 def corner_normals(vertices: Floats, faces: Ints, crease: float) -> Floats32:
