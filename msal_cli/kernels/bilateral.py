@@ -12,7 +12,7 @@ from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.exponential import exponentials
 from msal_cli.kernels.geometry import vertex_normals
 from msal_cli.kernels.operators import SMALLEST_SIGMA, Step
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array
 from msal_cli.kernels.vertex_neighbourhoods import room, vertices_around
 
 
@@ -115,18 +115,17 @@ class BallBilateral:
         """The moves (n, 3) at ``positions``, all from the same positions."""
         links = self.links
         normals = vertex_normals(positions, self.faces, self.weighting)
-        moves = np.empty_like(positions)
-        over_ranges(
-            _ball_bilateral,
-            len(positions),
-            positions,
-            normals,
-            *links.one_ring,
-            self.free,
-            self.radius,
-            self.closeness,
-            self.similarity,
-            SMALLEST_SIGMA * self.mean_edge_length,
-            moves,
+        return Step(
+            fill_array(
+                _ball_bilateral,
+                positions.shape,
+                positions,
+                normals,
+                *links.one_ring,
+                self.free,
+                self.radius,
+                self.closeness,
+                self.similarity,
+                SMALLEST_SIGMA * self.mean_edge_length,
+            )
         )
-        return Step(moves)

@@ -12,7 +12,7 @@ from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.geometry import face_normals_and_areas
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array, over_ranges
 
 FLATTEST = 0.05
 """Height over longest edge below which a face's cotangents are those of a face that is less flat.
@@ -63,9 +63,7 @@ def corner_cotangents(vertices: Floats, faces: Ints) -> Floats:
     The three of a face whose height is less than 1/20 of its longest edge are smaller than the
     true ones by one common factor; those of a face without area are finite.
     """
-    cotangents = np.empty((len(faces), 3))
-    over_ranges(_corner_cotangents, len(faces), vertices, faces, cotangents)
-    return cotangents
+    return fill_array(_corner_cotangents, (len(faces), 3), vertices, faces)
 
 
 @compiled
@@ -157,9 +155,7 @@ def mixed_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
     """
     corner_areas = np.empty((len(faces), 3))
     over_ranges(_corner_areas, len(faces), vertices, faces, corner_areas)
-    areas = np.empty(len(vertices))
-    over_ranges(_mixed_areas, len(vertices), corner_areas, faces, *links.incidence, areas)
-    return areas
+    return fill_array(_mixed_areas, len(vertices), corner_areas, faces, *links.incidence)
 
 
 @compiled
@@ -173,12 +169,6 @@ def _ring_areas(start, stop, face_areas, face_start, incident, areas):
 
 def ring_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
     """Area of the faces around every vertex, (n,), in squared units; they sum to three times it."""
-    areas = np.empty(len(vertices))
-    over_ranges(
-        _ring_areas,
-        len(vertices),
-        face_normals_and_areas(vertices, faces)[1],
-        *links.incidence,
-        areas,
+    return fill_array(
+        _ring_areas, len(vertices), face_normals_and_areas(vertices, faces)[1], *links.incidence
     )
-    return areas

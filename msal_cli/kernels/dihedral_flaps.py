@@ -7,7 +7,7 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array
 
 
 @compiled
@@ -81,6 +81,4 @@ def dihedral_angles(vertices: Floats, corners: Ints) -> Floats:
 
     Zero where it is flat, and where a face has no area.
     """
-    angles = np.empty(len(corners))
-    over_ranges(_dihedral_angles, len(corners), vertices, corners, angles)
-    return angles
+    return fill_array(_dihedral_angles, len(corners), vertices, corners)

@@ -18,7 +18,7 @@ from msal_cli.errors import TooLargeError
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.geometry import mean_edge_length
-from msal_cli.kernels.parallel import MARKING_THREADS, over_ranges
+from msal_cli.kernels.parallel import MARKING_THREADS, fill_array, over_ranges
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, ZERO
 from msal_cli.kernels.variable_rows import found_rows
 
@@ -159,9 +159,7 @@ def _centroids(start, stop, vertices, faces, centroids):
 
 def face_centroids(vertices: Floats, faces: Ints) -> Floats:
     """Means (m, 3) of the three corners of each face, file units."""
-    centroids = np.empty((len(faces), 3))
-    over_ranges(_centroids, len(faces), vertices, faces, centroids)
-    return centroids
+    return fill_array(_centroids, (len(faces), 3), vertices, faces)
 
 
 def mean_centroid_distance(centroids: Floats, ring_start: Ints, ring: Ints) -> float:

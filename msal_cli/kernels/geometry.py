@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.parallel import SMALLEST_RANGE, over_ranges, threads
+from msal_cli.kernels.parallel import SMALLEST_RANGE, fill_array, over_ranges, threads
 
 MOST_PARTS = 8
 """Parts of the vertices whose normals are added up at the same time."""
@@ -76,9 +76,7 @@ def _usable_areas(start, stop, normals, areas, result):
 
 def usable_areas(normals: Floats, areas: Floats) -> Floats:
     """Areas (m,), zero for faces whose normal, of ``normals`` (m, 3), is zero."""
-    result = np.empty(len(areas))
-    over_ranges(_usable_areas, len(areas), normals, areas, result)
-    return result
+    return fill_array(_usable_areas, len(areas), normals, areas)
 
 
 def face_normals(vertices: Floats, faces: Ints) -> Floats:
@@ -267,9 +265,7 @@ def _distances(start, stop, before, after, lengths):
 
 def distances(before: Floats, after: Floats) -> Floats:
     """Distances (n,) between positions (n, 3)."""
-    lengths = np.empty(len(before))
-    over_ranges(_distances, len(before), before, after, lengths)
-    return lengths
+    return fill_array(_distances, len(before), before, after)
 
 
 @compiled
@@ -312,9 +308,7 @@ def _ring_means(start, stop, values, ring_start, ring, result):
 
 def ring_means(values: Floats, ring_start: Ints, ring: Ints) -> Floats:
     """Mean of vertex values (n,) over each one-ring; a vertex's own value where it is empty."""
-    result = np.empty_like(values)
-    over_ranges(_ring_means, len(values), values, ring_start, ring, result)
-    return result
+    return fill_array(_ring_means, values.shape, values, ring_start, ring)
 
 
 @compiled

@@ -13,7 +13,7 @@ from msal_cli.kernels.conjugate_gradient import RowMatrix, conjugate_gradients
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.cotangent import cotangent_weights, mixed_areas, ring_areas
 from msal_cli.kernels.operators import Step
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array
 
 AREAS = ("mixed", "ring")
 
@@ -78,19 +78,18 @@ class MeanCurvature:
 
     def __call__(self, positions: Floats) -> Step:
         """The moves (n, 3) at ``positions``, all from the same positions."""
-        moves = np.empty_like(positions)
-        over_ranges(
-            _curvature_step,
-            len(positions),
-            positions,
-            cotangent_weights(positions, self.faces, self.links),
-            vertex_areas(positions, self.faces, self.links, self.areas),
-            *self.links.one_ring,
-            self.free,
-            self.time_step,
-            moves,
+        return Step(
+            fill_array(
+                _curvature_step,
+                positions.shape,
+                positions,
+                cotangent_weights(positions, self.faces, self.links),
+                vertex_areas(positions, self.faces, self.links, self.areas),
+                *self.links.one_ring,
+                self.free,
+                self.time_step,
+            )
         )
-        return Step(moves)
 
 
 @dataclass(frozen=True, eq=False)

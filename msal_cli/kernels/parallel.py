@@ -7,6 +7,9 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
+from msal_cli.arrays import Floats
 from msal_cli.cores import usable_cores
 
 SMALLEST_RANGE = 32_768
@@ -65,3 +68,15 @@ def over_ranges(
     if failures:
         raise failures[0]
     return results
+
+
+def fill_array(
+    kernel: Callable[..., Any], shape: int | tuple[int, ...], *arguments: object
+) -> Floats:
+    """A new array of this shape whose items ``kernel(start, stop, *arguments, array)`` computes.
+
+    The ranges are those of ``over_ranges``.
+    """
+    array = np.empty(shape)
+    over_ranges(kernel, len(array), *arguments, array)
+    return array

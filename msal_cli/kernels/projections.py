@@ -12,7 +12,7 @@ from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.exponential import exponentials
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.operators import SMALLEST_SIGMA, Step
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array
 from msal_cli.kernels.vertex_neighbourhoods import faces_around, room
 
 _CENTROIDS, _PROJECTIONS = range(2)
@@ -163,10 +163,9 @@ class ProjectionAverage:
         averaged: int,
     ) -> Floats:
         """Moves (n, 3) of the vertices to the average of the centroids or the projections."""
-        moves = np.empty_like(positions)
-        over_ranges(
+        return fill_array(
             _projected,
-            len(positions),
+            positions.shape,
             positions,
             centroids,
             areas,
@@ -179,6 +178,4 @@ class ProjectionAverage:
             self.similarity,
             SMALLEST_SIGMA * self.mean_edge_length,
             averaged,
-            moves,
         )
-        return moves

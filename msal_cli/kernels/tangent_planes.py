@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.geometry import face_normals
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array
 
 
 @compiled
@@ -30,16 +28,9 @@ def normal_spread(positions: Floats, faces: Ints, links: Connectivity, normals: 
     On an edge between two planes that is 1 - cos of half the angle between their normals.  Faces
     without area do not count; a vertex without others has 0.
     """
-    spread = np.empty(len(positions))
-    over_ranges(
-        _normal_spread,
-        len(positions),
-        face_normals(positions, faces),
-        normals,
-        *links.incidence,
-        spread,
+    return fill_array(
+        _normal_spread, len(positions), face_normals(positions, faces), normals, *links.incidence
     )
-    return spread
 
 
 @compiled
@@ -65,6 +56,4 @@ def towards_planes(positions: Floats, normals: Floats, ring_start: Ints, ring: I
     neighbourhood: between two flat sides its least place is the edge, between three the corner.
     Neighbours with a zero normal count as planes on which the vertex lies already.
     """
-    moves = np.empty_like(positions)
-    over_ranges(_towards_planes, len(positions), positions, normals, ring_start, ring, moves)
-    return moves
+    return fill_array(_towards_planes, positions.shape, positions, normals, ring_start, ring)

@@ -13,7 +13,7 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.operators import Step
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array
 
 
 @compiled
@@ -45,9 +45,7 @@ class Umbrella:
 
     def __call__(self, positions: Floats) -> Step:
         """The moves (n, 3) at ``positions``, all from the same positions."""
-        moves = np.empty_like(positions)
-        over_ranges(_umbrella, len(positions), positions, self.ring_start, self.ring, moves)
-        return Step(moves)
+        return Step(fill_array(_umbrella, positions.shape, positions, self.ring_start, self.ring))
 
 
 @compiled
@@ -90,14 +88,13 @@ class ScaleDependentUmbrella:
 
     def __call__(self, positions: Floats) -> Step:
         """The moves (n, 3) at ``positions``, all from the same positions."""
-        moves = np.empty_like(positions)
-        over_ranges(
-            _scale_dependent_umbrella,
-            len(positions),
-            positions,
-            self.ring_start,
-            self.ring,
-            self.time_step,
-            moves,
+        return Step(
+            fill_array(
+                _scale_dependent_umbrella,
+                positions.shape,
+                positions,
+                self.ring_start,
+                self.ring,
+                self.time_step,
+            )
         )
-        return Step(moves)
