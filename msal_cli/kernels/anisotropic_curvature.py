@@ -14,7 +14,7 @@ import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.connectivity import Connectivity
+from msal_cli.kernels.connectivity import Connectivity, index_rows
 from msal_cli.kernels.geometry import DEGENERATE
 from msal_cli.kernels.medians import median
 from msal_cli.kernels.operators import Step
@@ -101,29 +101,6 @@ def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> f
     lengths = np.sqrt((edge_curvatures(vertices, corners) ** 2).sum(axis=1))
     middle = median(lengths)
     return float(middle + deviations * PER_MEDIAN * median(np.abs(lengths - middle)))
-
-
-@compiled
-def _edge_rows(corners, edge_start, ends, beside):
-    """Rows of the flaps e whose edge ends at each vertex: 2 e where it is p1, 2 e + 1 for p3.
-
-    ``beside`` is the vertex at the other end.
-    """
-    for e in range(len(corners)):
-        edge_start[corners[e, 0] + 1] += 1
-        edge_start[corners[e, 2] + 1] += 1
-    for i in range(len(edge_start) - 1):
-        edge_start[i + 1] += edge_start[i]
-    # Filling advances each row's start to its end; the shift afterwards restores it.
-    for e in range(len(corners)):
-        for end in range(2):
-            i = corners[e, 2 * end]
-            ends[edge_start[i]] = 2 * e + end
-            beside[edge_start[i]] = corners[e, 2 - 2 * end]
-            edge_start[i] += 1
-    for i in range(len(edge_start) - 1, 0, -1):
-        edge_start[i] = edge_start[i - 1]
-    edge_start[0] = 0
 
 
 @compiled
@@ -265,11 +242,11 @@ class AnisotropicCurvature:
 
     @functools.cached_property
     def _rows(self) -> tuple[Ints, Ints, Ints]:
-        """The flaps whose edge ends at each vertex, in compressed rows; see ``_edge_rows``."""
-        edge_start = np.zeros(len(self.free) + 1, dtype=np.int32)
-        ends = np.empty(2 * len(self.corners), dtype=np.int32)
-        beside = np.empty_like(ends)
-        _edge_rows(self.corners, edge_start, ends, beside)
+        """Rows of the flaps e whose edge ends at each vertex, 2 e where it is p1 and 2 e + 1 for
+        p3; and the vertices at the other ends."""
+        edges = self.corners[:, ::2]
+        edge_start, ends = index_rows(len(self.free), edges, 2, 1)
+        beside = edges.reshape(-1)[ends ^ 1]
         return edge_start, ends, beside
 
     def __call__(self, positions: Floats) -> Step:

@@ -16,6 +16,7 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.conjugate_gradient import RowMatrix
+from msal_cli.kernels.connectivity import index_rows
 from msal_cli.kernels.parallel import over_ranges
 
 LARGEST = 100.0
@@ -62,23 +63,6 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):
         vz = c3 * ez + c2 * bz + c4 * dz
         if vx * vx + vy * vy + vz * vz >= threshold:
             deltas[e, 0], deltas[e, 1], deltas[e, 2] = vx, vy, vz
-
-
-@compiled
-def _incidences(corners, start, incident):
-    for e in range(len(corners)):
-        for place in range(4):
-            start[corners[e, place] + 1] += 1
-    for i in range(len(start) - 1):
-        start[i + 1] += start[i]
-    for e in range(len(corners)):
-        for place in range(4):
-            i = corners[e, place]
-            incident[start[i]] = 4 * e + place
-            start[i] += 1
-    for i in range(len(start) - 1, 0, -1):
-        start[i] = start[i - 1]
-    start[0] = 0
 
 
 @compiled
@@ -207,9 +191,7 @@ class EdgeSparsity:
 
 def edge_sparsity(n_vertices: int, corners: Ints) -> EdgeSparsity:
     """Prepare for ``corners`` (e, 4), the flaps of a mesh with that many vertices."""
-    flap_start = np.zeros(n_vertices + 1, dtype=np.int32)
-    incident = np.empty(4 * len(corners), dtype=np.int32)
-    _incidences(corners, flap_start, incident)
+    flap_start, incident = index_rows(n_vertices, corners, 4, 1)
     row_start = np.zeros(n_vertices + 1, dtype=np.int32)
     columns = np.empty(12 * len(corners), dtype=np.int32)
     slots = np.empty((4 * len(corners), 4), dtype=np.int32)

@@ -18,11 +18,10 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.face_rings import face_rings
+from msal_cli.kernels.face_rings import face_rings, find_rows
 from msal_cli.kernels.geometry import VANISHED, usable_areas
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, most_neighbours
-from msal_cli.kernels.variable_rows import found_rows
 
 EPSILON = 1e-9
 
@@ -49,7 +48,7 @@ def _pairs(edge_start, edge_ring, first_pair, pairs):
 
 @compiled
 def _inner(start, stop, first, ring_start, ring, first_pair, pairs, most, sizes, inner):
-    """Find rows as ``found_rows`` wants them: of each pair as many as both faces are in a patch.
+    """Find rows as ``find_rows`` wants them: of each pair as many as both faces are in a patch.
 
     ``pairs`` flat.  Which are cannot be foreseen: without a branch each is written down, and kept
     by being counted.
@@ -272,7 +271,7 @@ def _made(faces: Ints, links: Connectivity) -> Patches:
     most = (widest + 1) * across // 2 + 1
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
     numbered = first_pair.view(np.uint32), pairs.reshape(-1).view(np.uint32)
-    sizes, inner = found_rows(_inner, m, most, *rows, *numbered, most)
+    sizes, inner = find_rows(_inner, m, most, *rows, *numbered, most)
     inner_start = np.zeros(m + 1, dtype=np.int64)
     np.cumsum(sizes, dtype=np.int64, out=inner_start[1:])
     return Patches(ring_start, ring, edge_start, edge_ring, pairs, inner_start, inner)

@@ -349,7 +349,7 @@ def regrouped_normals(
         vanishes are returned as they were.
     changed : (g,) bool, False where no face of the entry moved: keep the bytes of those.
     """
-    from msal_cli.kernels.connectivity import first_alike, numbered, welded
+    from msal_cli.kernels.welding import first_alike, numbered, welded
 
     n_entries = len(old_normals)
     result = old_normals.copy()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats, Floats32, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.face_neighbourhoods import faces_within
+from msal_cli.kernels.face_rings import faces_within
 from msal_cli.kernels.geometry import ring_means
 from msal_cli.kernels.medians import median
 from msal_cli.kernels.near_blocks import RECORD, WIDE

@@ -1,6 +1,6 @@
 """The umbrella operators: isotropic Laplacians from edges alone.
 
-Both take the rows to average over as they come; ``kernels.boundary`` makes them for a rule at open
+Both take the rows to average over as they come; ``averaged_ring`` makes them for a rule at open
 edges.  A vertex with an empty row does not move.
 """
 

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.kernels.boundary import averaged_ring, boundary_curves
-from msal_cli.kernels.connectivity import connectivity
+from msal_cli.kernels.connectivity import averaged_ring, boundary_curves, connectivity
 from tests.methods.plain_rings import rows
 from tests.shapes import grid, torus
 

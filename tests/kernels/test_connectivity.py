@@ -9,15 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.kernels.connectivity import (
-    connectivity,
-    count_components,
-    duplicate_faces,
-    faces_to_flip,
-    first_alike,
-    numbered,
-    welded,
-)
+from msal_cli.kernels.components import count_components, faces_to_flip
+from msal_cli.kernels.connectivity import connectivity
+from msal_cli.kernels.welding import duplicate_faces, first_alike, numbered, welded
 from tests.paper import one_rings
 from tests.shapes import cube, grid, torus
 
