@@ -11,14 +11,11 @@ import numpy as np
 from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.local_fits import _patch
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.patch_fits import MOST_VERTICES, SLOTS, collect_patch, find_tangents
 
 MOST_FACES = 24
 """Faces of a vertex beyond which it is not judged: the poles of a net are no outliers."""
-
-MOST_VERTICES = 40
-"""Vertices of a patch at most; those further out are left out."""
 
 FEWEST_VERTICES = 10
 """Vertices of a patch, without its middle one, from which a surface of degree 2 can be fitted."""
@@ -240,7 +237,8 @@ def _judged(
     scores,
     targets,
 ):
-    found = np.empty(MOST_VERTICES, dtype=np.int64)
+    found, ends = np.empty(MOST_VERTICES, dtype=np.int64), np.empty(3, dtype=np.int64)
+    slots = np.empty(SLOTS, dtype=np.int64)
     after, before = np.empty(MOST_FACES, dtype=np.int64), np.empty(MOST_FACES, dtype=np.int64)
     following, outer = np.empty(MOST_FACES, dtype=np.int64), np.empty(MOST_FACES, dtype=np.int64)
     normals, outer_normals = np.empty((MOST_FACES, 3)), np.empty((MOST_FACES, 3))
@@ -279,7 +277,7 @@ def _judged(
             continue
         if not _circle(i, n, faces, face_start, incident, after, before, following, outer):
             continue
-        count = _patch(i, 2, ring_start, ring, found)
+        count = collect_patch(i, ring_start, ring, found, ends, slots)
         if count <= FEWEST_VERTICES:
             continue
         # The direction of the neighbours' other faces.
@@ -303,16 +301,7 @@ def _judged(
         if length <= 1e-10:
             continue
         nx, ny, nz = nx / length, ny / length, nz / length
-        # Two directions across it, from the axis that it leans to least.
-        if abs(nx) <= abs(ny) and abs(nx) <= abs(nz):
-            ux, uy, uz = 0.0, nz, -ny
-        elif abs(ny) <= abs(nz):
-            ux, uy, uz = -nz, 0.0, nx
-        else:
-            ux, uy, uz = ny, -nx, 0.0
-        length = np.sqrt(ux * ux + uy * uy + uz * uz)
-        ux, uy, uz = ux / length, uy / length, uz / length
-        wx, wy, wz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+        ux, uy, uz, wx, wy, wz = find_tangents(nx, ny, nz)
         for near in range(count):
             k = found[near]
             dx, dy, dz = (x[k, 0] - cx) * scale, (x[k, 1] - cy) * scale, (x[k, 2] - cz) * scale
@@ -402,22 +391,9 @@ def judge(
     targets : (c, 3), their places on the fit.
     """
     scores, targets = np.empty(len(chosen)), np.empty((len(chosen), 3))
-    over_ranges(
-        _judged,
-        len(chosen),
-        chosen,
-        places,
-        x,
-        faces,
-        *links.incidence,
-        *links.one_ring,
-        agreements,
-        edge,
-        is_known,
-        scores,
-        targets,
-        smallest=FEWEST_PER_THREAD,
-    )
+    around = faces, *links.incidence, *links.one_ring
+    known = chosen, places, x, *around, agreements, edge, is_known, scores, targets
+    over_ranges(_judged, len(chosen), *known, smallest=FEWEST_PER_THREAD)
     return scores, targets
 
 

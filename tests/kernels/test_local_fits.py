@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.kernels.local_fits import MOST_VERTICES, fitted
+from msal_cli.kernels.patch_fits import MOST_VERTICES, fit_patches
 from msal_cli.mesh import prepared
 from tests.shapes import fan, grid
 
@@ -25,7 +25,7 @@ def fits_of(mesh, chosen=None):
     up = np.zeros_like(mesh.vertices)
     up[:, 2] = 1.0
     chosen = np.arange(len(mesh.vertices)) if chosen is None else np.array(chosen)
-    return fitted(chosen, mesh.vertices, up, links.ring_start, links.ring)
+    return fit_patches(chosen, mesh.vertices, up, links.ring_start, links.ring)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from scipy import stats
 
 from msal_cli.analysis.noise_estimate.colour import FREEDOMS, LEFT
 from msal_cli.analysis.noise_estimate.quantiles import chi_square_quantile
-from msal_cli.kernels.scale_fits import MOST_VERTICES, REACHES, TERMS, fit_scales
+from msal_cli.kernels.patch_fits import MOST_WIDE_VERTICES, REACHES, TERMS, fit_scales
 from msal_cli.mesh import prepared
 from tests.shapes import fan, grid
 
@@ -112,7 +112,7 @@ def test_quantiles_of_chi_square(share):
 
 
 def test_too_many_neighbours_are_left_out():
-    vertices, faces = fan(np.zeros(MOST_VERTICES + 20))
+    vertices, faces = fan(np.zeros(MOST_WIDE_VERTICES + 20))
     mesh = prepared(vertices, faces).mesh
     _, freedoms, rows, frames, offsets = fits_of(mesh)
     centre = np.argmin((mesh.vertices**2).sum(axis=1))

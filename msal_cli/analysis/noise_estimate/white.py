@@ -84,7 +84,7 @@ FEWEST_PLACES = 48
 
 @dataclass(frozen=True, eq=False)
 class _Fits:
-    """What ``kernels.local_fits.fitted`` gives for the places."""
+    """What ``kernels.patch_fits.fit_patches`` gives for the places."""
 
     variances: Floats
     freedoms: NDArray[np.int32]
@@ -202,11 +202,11 @@ def _places(mesh: Mesh) -> Longs:
 
 
 def _fits(mesh: Mesh, places: Longs) -> _Fits:
-    from msal_cli.kernels.local_fits import fitted
+    from msal_cli.kernels.patch_fits import fit_patches
 
     links = mesh.links
     normals = mesh.vertex_normals("uniform", 1)
-    return _Fits(*fitted(places, mesh.vertices, normals, links.ring_start, links.ring))
+    return _Fits(*fit_patches(places, mesh.vertices, normals, links.ring_start, links.ring))
 
 
 def _least(plane: float, near: float, far: float, cubic: float) -> float:
