@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import EXPORT_AGAIN, Numbers, spliced
+from msal_cli.codecs.slots import Numbers, spliced
 from msal_cli.codecs.tokens import require_indices
-from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _NONE = np.zeros(0, dtype=np.int64)
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.text_slots import usual_decimals
-from msal_cli.errors import FormatError
+from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError
+from msal_cli.storage.buffers import Buffer
 
 SHORTEST = 18
 """In place of a number of decimals: the shortest text that is read back as the same double."""
@@ -175,13 +175,36 @@ def to_type(values: Floats, code: str, rows: NDArray[np.int64]) -> NDArray[np.fl
 
     Raises ContentError (``E_RANGE``) for a number beyond float32.
     """
-    from msal_cli.codecs.stl import as_float32
-
     if np.dtype(code).itemsize == 4:
         finite = np.abs(values).max(axis=1, initial=0.0) <= float(np.finfo(np.float32).max)
         first = int(rows[int(np.argmin(finite))]) if len(values) and not finite.all() else 0
         return as_float32(values, first).astype(code)
     return values.astype(code)
+
+
+def as_float32(positions: Floats, first: int = 0) -> NDArray[np.float32]:
+    """Positions (m, 9) or (n, 3) rounded to float32; ``first`` is the number of the first row.
+
+    Raises
+    ------
+    ContentError
+        with code ``E_RANGE`` if one is beyond float32's range.
+    """
+    with np.errstate(over="ignore", under="ignore"):
+        rounded = positions.astype(np.float32)
+    if not np.isfinite(rounded).all():
+        bad = int(np.argmin(np.isfinite(rounded).reshape(len(rounded), -1).all(axis=1)))
+        raise too_large_for_float32(f"row {first + bad}")
+    return rounded
+
+
+def too_large_for_float32(where: str) -> ContentError:
+    return ContentError(
+        "a position is too large for float32",
+        code="E_RANGE",
+        where=where,
+        hint="scale the mesh, or write it to a format with float64",
+    )
 
 
 def parse_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
@@ -222,9 +245,6 @@ def _no_number(data: Bytes, at: int, word: bytes) -> FormatError:
     return FormatError(
         f"{shown!r} is not a number", where=line_of(data, at), hint=number_hint(word)
     )
-
-
-EXPORT_AGAIN = "the file is damaged; export it again"
 
 
 def number_hint(word: bytes, otherwise: str = EXPORT_AGAIN) -> str:
