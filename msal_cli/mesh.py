@@ -193,7 +193,7 @@ class Prepared:
 
         A vertex whose mesh vertex did not move, or that has none, keeps ``original``'s very value.
         """
-        from msal_cli.kernels.scatter import scattered
+        from msal_cli.kernels.welding import scattered
 
         mesh = self.mesh
         return scattered(
@@ -204,7 +204,7 @@ class Prepared:
         """Largest distance between file positions (n_file, 3) that were one point before."""
         if self.place is None:
             return 0.0
-        from msal_cli.kernels.scatter import widest_gap
+        from msal_cli.kernels.welding import widest_gap
 
         return widest_gap(vertices, self.place, len(self.mesh.vertices))
 

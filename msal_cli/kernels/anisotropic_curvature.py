@@ -16,9 +16,9 @@ from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity, index_rows
 from msal_cli.kernels.geometry import DEGENERATE
-from msal_cli.kernels.medians import median
 from msal_cli.kernels.operators import Step
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.robust_laplacian import PER_MEDIAN
 
 LONGEST = 0.5

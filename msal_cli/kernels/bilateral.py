@@ -9,7 +9,7 @@ import numpy as np
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.exponential import exponentials
+from msal_cli.kernels.elementary import exponentials
 from msal_cli.kernels.geometry import vertex_normals
 from msal_cli.kernels.operators import SMALLEST_SIGMA, Step
 from msal_cli.kernels.parallel import fill_array

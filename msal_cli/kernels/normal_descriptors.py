@@ -17,16 +17,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.kernels.block_sums import (
-    add_pair,
-    add_plane,
-    add_ranges,
-    add_scatter,
-    add_skews,
-    add_tensor,
-    fit_plane,
-    normalise,
-)
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.local_frames import find_axes, turn_axes
 from msal_cli.kernels.near_blocks import (
@@ -51,8 +41,16 @@ from msal_cli.kernels.near_blocks import (
     RECORD,
     SIX,
     WIDE_WEIGHT,
+    add_pair,
+    add_plane,
+    add_ranges,
+    add_scatter,
+    add_skews,
+    add_tensor,
+    fit_plane,
     lay_neighbours,
     lay_weights,
+    normalise,
     weigh_block,
 )
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, ZERO

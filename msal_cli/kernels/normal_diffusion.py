@@ -13,10 +13,10 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.exponential import LOG2_E, power_of_two
+from msal_cli.kernels.elementary import LOG2_E, power_of_two
 from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas, usable_areas
-from msal_cli.kernels.medians import median
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, most_neighbours
 from msal_cli.kernels.robust_laplacian import PER_MEDIAN
 

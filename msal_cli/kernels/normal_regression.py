@@ -12,7 +12,6 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.face_rings import faces_within
 from msal_cli.kernels.geometry import ring_means
-from msal_cli.kernels.medians import median
 from msal_cli.kernels.near_blocks import RECORD, WIDE
 from msal_cli.kernels.normal_descriptors import (
     GUIDE,
@@ -31,6 +30,7 @@ from msal_cli.kernels.normal_descriptors import (
     pick_guides,
 )
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.regression_network import STEP, collect_inputs, predict_normals
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints
-from msal_cli.kernels.bilateral_normals import distance_exponents
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.exponential import LOG2_E, power_of_two
+from msal_cli.kernels.elementary import LOG2_E, power_of_two
+from msal_cli.kernels.normal_averages import distance_exponents
 from msal_cli.kernels.parallel import over_ranges
 
 ALONE = 1e-200

@@ -14,7 +14,7 @@ import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.exponential import LOG2_E, power_of_two
+from msal_cli.kernels.elementary import LOG2_E, power_of_two
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.ring_blocks import (
     BLOCK,

@@ -18,7 +18,7 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.exponential import exponentials
+from msal_cli.kernels.elementary import exponentials
 from msal_cli.kernels.geometry import VANISHED
 from msal_cli.kernels.parallel import over_ranges
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints
-from msal_cli.kernels.arctangent import arctangents
 from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.elementary import arctangents
 from msal_cli.kernels.geometry import DEGENERATE
 from msal_cli.kernels.parallel import over_ranges
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.medians import quantile_above_zero
 from msal_cli.kernels.operators import Operator, RingOperator
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.quantiles import quantile_above_zero
 from msal_cli.kernels.schedules import Pace, Schedule
 
 OnSweep = Callable[[int, int], None]

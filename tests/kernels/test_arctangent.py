@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.kernels.arctangent import arctangents
+from msal_cli.kernels.elementary import arctangents
 
 LENGTHS = st.floats(0.0, 1e6)
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.kernels.clusters import clusters
+from msal_cli.kernels.quantiles import clusters
 
 
 def test_worked_by_hand():

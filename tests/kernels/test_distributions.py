@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msal_cli.kernels.patch_fits import MOST_VERTICES
 from scipy import stats
 
-from msal_cli.kernels.distributions import MOST_FREEDOMS, chi_square, student
-from msal_cli.kernels.local_fits import MOST_VERTICES
+from msal_cli.kernels.quantiles import MOST_FREEDOMS, chi_square, student
 
 FREEDOMS = np.arange(1, MOST_FREEDOMS + 1)
 

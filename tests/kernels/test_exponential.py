@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.kernels.exponential import (
+from msal_cli.kernels.elementary import (
     SMALLEST_ARGUMENT,
     SMALLEST_POWER,
     exponentials,

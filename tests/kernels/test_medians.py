@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.kernels.medians import MANY, median, quantile_above_zero, ranked
+from msal_cli.kernels.quantiles import MANY, median, quantile_above_zero, ranked
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30))

@@ -7,7 +7,7 @@ import pytest
 
 from msal_cli.kernels import parallel
 from msal_cli.kernels.geometry import face_normals
-from msal_cli.kernels.untangling import untangle
+from msal_cli.kernels.vertex_update import untangle
 from msal_cli.mesh import prepared
 from tests.shapes import grid, noisy, torus
 

@@ -94,7 +94,7 @@ class _Fits:
     def level(self, fit: int, share: float, among: NDArray[np.bool_] | None = None) -> float:
         """Standard deviation by one fit at the flattest ``share`` of the places, file units;
         infinite where it has none."""
-        from msal_cli.kernels.distributions import chi_square
+        from msal_cli.kernels.quantiles import chi_square
 
         has = self.freedoms[:, fit] > 0
         if among is not None:
@@ -228,7 +228,7 @@ def _without_texture(best: float, coarse: float) -> float:
 
 def _tail(fits: _Fits) -> tuple[float, NDArray[np.bool_]]:
     """The share of the vertices that are far out, and which they are."""
-    from msal_cli.kernels.distributions import student
+    from msal_cli.kernels.quantiles import student
 
     bounds = student(np.maximum(fits.freedoms[:, FAR] - 1.0, 1.0))
     far = fits.ratios > bounds
