@@ -17,7 +17,7 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity, index_rows
 from msal_cli.kernels.geometry import DEGENERATE
 from msal_cli.kernels.operators import Step
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array, over_ranges
 from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.robust_laplacian import PER_MEDIAN
 
@@ -82,12 +82,9 @@ def _weighted_curvatures(
     vertices: Floats, corners: Ints, threshold: float, falloff: float
 ) -> tuple[Floats, Floats, Flags]:
     count = len(corners)
-    curvatures = np.empty((count, 3))
-    slopes, bent = np.empty((count, 2)), np.empty(count, dtype=bool)
-    over_ranges(
-        _edge_curvatures, count, vertices, corners, threshold, falloff, curvatures, slopes, bent
-    )
-    return curvatures, slopes, bent
+    results = np.empty((count, 3)), np.empty((count, 2)), np.empty(count, dtype=bool)
+    over_ranges(_edge_curvatures, count, vertices, corners, threshold, falloff, *results)
+    return results
 
 
 def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> float:
@@ -253,25 +250,13 @@ class AnisotropicCurvature:
         """The moves (n, 3) at ``positions``, all from the same positions."""
         n = len(positions)
         edge_start, ends, beside = self._rows
-        vectors = np.empty((len(self.faces), 4))
-        over_ranges(_area_vectors, len(self.faces), positions, self.faces, vectors)
+        vectors = fill_array(_area_vectors, (len(self.faces), 4), positions, self.faces)
+        bends = _weighted_curvatures(positions, self.corners, self.threshold, self.falloff)
+        around = edge_start, ends, vectors, *self.links.incidence
         total, outward, rate = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
         feature = np.empty(n, dtype=bool)
-        over_ranges(
-            _gathered,
-            n,
-            *_weighted_curvatures(positions, self.corners, self.threshold, self.falloff),
-            edge_start,
-            ends,
-            vectors,
-            *self.links.incidence,
-            self.free,
-            self.time_step,
-            total,
-            outward,
-            rate,
-            feature,
-        )
+        results = total, outward, rate, feature
+        over_ranges(_gathered, n, *bends, *around, self.free, self.time_step, *results)
         if self.prescribed:
             along, products = np.empty((n, 3)), np.empty((n, 2))
             rows = edge_start, beside

@@ -115,17 +115,11 @@ class BallBilateral:
         """The moves (n, 3) at ``positions``, all from the same positions."""
         links = self.links
         normals = vertex_normals(positions, self.faces, self.weighting)
-        return Step(
-            fill_array(
-                _ball_bilateral,
-                positions.shape,
-                positions,
-                normals,
-                *links.one_ring,
-                self.free,
-                self.radius,
-                self.closeness,
-                self.similarity,
-                SMALLEST_SIGMA * self.mean_edge_length,
-            )
+        around = positions, normals, *links.one_ring, self.free
+        widths = (
+            self.radius,
+            self.closeness,
+            self.similarity,
+            SMALLEST_SIGMA * self.mean_edge_length,
         )
+        return Step(fill_array(_ball_bilateral, positions.shape, *around, *widths))

@@ -71,16 +71,8 @@ class RowMatrix:
 
     def times(self, x: Floats, product: Floats) -> None:
         """Write A x into ``product``; both (n, 3), not the same array."""
-        over_ranges(
-            _product,
-            len(self.diagonal),
-            self.diagonal,
-            self.row_start,
-            self.columns,
-            self.values,
-            x,
-            product,
-        )
+        rows = self.row_start, self.columns, self.values
+        over_ranges(_product, len(self.diagonal), self.diagonal, *rows, x, product)
 
 
 # A range of rows works on the chunks whose first row it holds, as a whole.

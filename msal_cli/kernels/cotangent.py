@@ -102,15 +102,9 @@ def cotangent_weights(vertices: Floats, faces: Ints, links: Connectivity) -> Flo
     faces : (m, 3), the faces that ``links`` were made from, each wound either way.
     """
     weights = np.empty(len(links.ring))
-    over_ranges(
-        _cotangent_weights,
-        len(vertices),
-        corner_cotangents(vertices, faces),
-        faces,
-        *links.incidence,
-        *links.one_ring,
-        weights,
-    )
+    cotangents = corner_cotangents(vertices, faces)
+    rows = *links.incidence, *links.one_ring
+    over_ranges(_cotangent_weights, len(vertices), cotangents, faces, *rows, weights)
     return weights
 
 
@@ -169,6 +163,5 @@ def _ring_areas(start, stop, face_areas, face_start, incident, areas):
 
 def ring_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
     """Area of the faces around every vertex, (n,), in squared units; they sum to three times it."""
-    return fill_array(
-        _ring_areas, len(vertices), face_normals_and_areas(vertices, faces)[1], *links.incidence
-    )
+    areas = face_normals_and_areas(vertices, faces)[1]
+    return fill_array(_ring_areas, len(vertices), areas, *links.incidence)

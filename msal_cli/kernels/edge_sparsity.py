@@ -158,10 +158,9 @@ class EdgeSparsity:
         """
         coefficients = np.empty((len(self.corners), 4))
         deltas = np.empty((len(self.corners), 3))
-        over_ranges(
-            _bends, len(self.corners), positions, self.corners, threshold, coefficients, deltas
-        )
-        return coefficients, deltas
+        results = coefficients, deltas
+        over_ranges(_bends, len(self.corners), positions, self.corners, threshold, *results)
+        return results
 
     def system(
         self, coefficients: Floats, deltas: Floats, alpha: float, beta: float
@@ -171,21 +170,9 @@ class EdgeSparsity:
         diagonal = np.empty(n)
         values = np.empty(len(self.columns))
         pulls = np.empty((n, 3))
-        over_ranges(
-            _assembled,
-            n,
-            coefficients,
-            deltas,
-            alpha,
-            beta,
-            self.flap_start,
-            self.incident,
-            self.slots,
-            self.row_start,
-            diagonal,
-            values,
-            pulls,
-        )
+        rows = self.flap_start, self.incident, self.slots, self.row_start
+        results = diagonal, values, pulls
+        over_ranges(_assembled, n, coefficients, deltas, alpha, beta, *rows, *results)
         return RowMatrix(diagonal, self.row_start, self.columns, values), pulls
 
 

@@ -169,20 +169,11 @@ def normals_and_flat_faces(vertices: Floats, faces: Ints, weighting: str) -> tup
     # Every part looks at all faces.
     parts = max(1, min(threads(), n // SMALLEST_RANGE, MOST_PARTS))
     flat = np.zeros(parts, dtype=np.int64)
-    over_ranges(
-        _normal_sums,
-        parts,
-        parts,
-        vertices,
-        faces,
-        weighting == "area",
-        sums,
-        weights,
-        flat,
-        smallest=1,
-    )
+    by_area = weighting == "area"
+    results = sums, weights, flat
+    over_ranges(_normal_sums, parts, parts, vertices, faces, by_area, *results, smallest=1)
     over_ranges(_unit_sums, n, sums, weights)
-    if weighting != "area":
+    if not by_area:
         vanished = weights < 0.0
         if vanished.any():
             sums[vanished] = vertex_normals(vertices, faces, "area")[vanished]

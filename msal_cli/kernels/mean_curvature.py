@@ -78,18 +78,11 @@ class MeanCurvature:
 
     def __call__(self, positions: Floats) -> Step:
         """The moves (n, 3) at ``positions``, all from the same positions."""
-        return Step(
-            fill_array(
-                _curvature_step,
-                positions.shape,
-                positions,
-                cotangent_weights(positions, self.faces, self.links),
-                vertex_areas(positions, self.faces, self.links, self.areas),
-                *self.links.one_ring,
-                self.free,
-                self.time_step,
-            )
-        )
+        faces, links = self.faces, self.links
+        weights = cotangent_weights(positions, faces, links)
+        areas = vertex_areas(positions, faces, links, self.areas)
+        rows = positions, weights, areas, *links.one_ring
+        return Step(fill_array(_curvature_step, positions.shape, *rows, self.free, self.time_step))
 
 
 @dataclass(frozen=True, eq=False)

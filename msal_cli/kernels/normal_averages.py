@@ -50,16 +50,10 @@ def distance_exponents(
     in the unit of the centroids (m, 3); ``handicaps`` are (m,).
     """
     exponents = np.empty(len(ring))
-    over_ranges(
-        _distances,
-        len(centroids),
-        centroids.reshape(-1),
-        0.5 * LOG2_E / closeness**2,
-        handicaps,
-        ring_start.view(np.uint32),
-        ring.view(np.uint32),
-        exponents,
-    )
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    falloff = 0.5 * LOG2_E / closeness**2
+    flat = centroids.reshape(-1), falloff, handicaps
+    over_ranges(_distances, len(centroids), *flat, *rows, exponents)
     return exponents
 
 
@@ -232,19 +226,11 @@ def joint_bilateral(
     Where the sum vanishes the normal is kept.
     """
     result = np.empty_like(normals)
-    over_ranges(
-        _average_jointly,
-        len(normals),
-        normals.reshape(-1),
-        guides.reshape(-1),
-        centroids.reshape(-1),
-        areas,
-        near_start.view(np.uint64),
-        near.view(np.uint32),
-        -0.5 * LOG2_E / sigma_s**2,
-        -0.5 * LOG2_E / sigma_r**2,
-        result.reshape(-1),
-    )
+    flat = normals.reshape(-1), guides.reshape(-1), centroids.reshape(-1)
+    rows = near_start.view(np.uint64), near.view(np.uint32)
+    factors = -0.5 * LOG2_E / sigma_s**2, -0.5 * LOG2_E / sigma_r**2
+    known = *flat, areas, *rows, *factors
+    over_ranges(_average_jointly, len(normals), *known, result.reshape(-1))
     return result
 
 

@@ -141,14 +141,8 @@ def difference_width(normals: Floats, ring_start: Ints, ring: Ints) -> float:
     ``face_rings``.  Zero where there are no neighbours.
     """
     lengths = np.empty(len(ring))
-    over_ranges(
-        _differences,
-        len(normals),
-        normals.reshape(-1),
-        ring_start.view(np.uint32),
-        ring.view(np.uint32),
-        lengths,
-    )
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    over_ranges(_differences, len(normals), normals.reshape(-1), *rows, lengths)
     lengths = lengths[lengths >= 0.0]
     if not len(lengths):
         return 0.0
@@ -190,9 +184,8 @@ def diffused_normals(
     inverse = 0.5 * LOG2_E / max(similarity, LEAST_SIMILARITY) ** 2
     spare = np.empty_like(normals)
     for _ in range(steps):
-        over_ranges(
-            _diffused, count, normals.reshape(-1), shares, inverse, *rows, spare.reshape(-1)
-        )
+        flat = normals.reshape(-1), shares, inverse, *rows, spare.reshape(-1)
+        over_ranges(_diffused, count, *flat)
         normals, spare = spare, normals
         if on_step is not None:
             on_step()

@@ -149,9 +149,9 @@ def normal_system(
     relative /= mean if mean > 0.0 else 1.0
     values = distance_exponents(centroids, ring_start, ring, closeness, np.zeros(m))
     totals = np.empty(m)
-    over_ranges(
-        _gaussians, m, normals, relative, LOG2_E / similarity**2, ring_start, ring, values, totals
-    )
+    rows = ring_start, ring, values
+    falloff = LOG2_E / similarity**2
+    over_ranges(_gaussians, m, normals, relative, falloff, *rows, totals)
     linked = usable & (totals > ALONE)
     inverse = np.where(linked, 1.0 / np.where(linked, totals, 1.0), 0.0)
     own = linked.astype(np.float64)

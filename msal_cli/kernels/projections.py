@@ -163,22 +163,11 @@ class ProjectionAverage:
         averaged: int,
     ) -> Floats:
         """Moves (n, 3) of the vertices to the average of the centroids or the projections."""
-        return fill_array(
-            _projected,
-            positions.shape,
-            positions,
-            centroids,
-            areas,
-            normals,
-            self.faces,
-            *self.links.incidence,
-            free,
-            2.0 * self.closeness,
-            closeness,
-            self.similarity,
-            SMALLEST_SIGMA * self.mean_edge_length,
-            averaged,
-        )
+        widths = 2.0 * self.closeness, closeness, self.similarity
+        floor = SMALLEST_SIGMA * self.mean_edge_length
+        planes = centroids, areas, normals, self.faces, *self.links.incidence
+        known = positions, *planes, free, *widths, floor, averaged
+        return fill_array(_projected, positions.shape, *known)
 
 
 @compiled
@@ -200,9 +189,8 @@ def normal_spread(positions: Floats, faces: Ints, links: Connectivity, normals: 
     On an edge between two planes that is 1 - cos of half the angle between their normals.  Faces
     without area do not count; a vertex without others has 0.
     """
-    return fill_array(
-        _normal_spread, len(positions), face_normals(positions, faces), normals, *links.incidence
-    )
+    units = face_normals(positions, faces)
+    return fill_array(_normal_spread, len(positions), units, normals, *links.incidence)
 
 
 @compiled

@@ -80,19 +80,8 @@ def pair_weights(
     """
     weights = np.empty(len(near))
     sums = np.empty(len(areas))
-    over_ranges(
-        _weighed,
-        len(areas),
-        guides,
-        centroids,
-        areas,
-        near_start,
-        near,
-        -0.5 / eta**2,
-        -0.5 / mu**2,
-        weights,
-        sums,
-    )
+    rows = near_start, near, -0.5 / eta**2, -0.5 / mu**2
+    over_ranges(_weighed, len(areas), guides, centroids, areas, *rows, weights, sums)
     # Every pair stands in two rows.
     total = float(sums.sum()) / 2.0
     return weights, float(areas.sum()) / total if total > 0.0 else 0.0
@@ -177,19 +166,8 @@ def minimising_normals(
     goal = float(areas.sum()) * tolerance**2
     result, following = normals.copy(), np.empty_like(normals)
     for _ in range(most_steps):
-        over_ranges(
-            _stepped,
-            len(normals),
-            result,
-            pull,
-            near_start,
-            near,
-            weights,
-            -0.5 / nu**2,
-            areas,
-            following,
-            changes,
-        )
+        rows = near_start, near, weights, -0.5 / nu**2, areas
+        over_ranges(_stepped, len(normals), result, pull, *rows, following, changes)
         result, following = following, result
         if on_step is not None:
             on_step()

@@ -97,16 +97,11 @@ class ScaleDependentUmbrella:
 
     def __call__(self, positions: Floats) -> Step:
         """The moves (n, 3) at ``positions``, all from the same positions."""
-        return Step(
-            fill_array(
-                _scale_dependent_umbrella,
-                positions.shape,
-                positions,
-                self.ring_start,
-                self.ring,
-                self.time_step,
-            )
+        rows = self.ring_start, self.ring
+        moves = fill_array(
+            _scale_dependent_umbrella, positions.shape, positions, *rows, self.time_step
         )
+        return Step(moves)
 
 
 @compiled
@@ -207,19 +202,9 @@ def smooth_by_windowed_sinc(
     count = len(coefficients) - 1
     for done in range(1, count + 1):
         after = spare.pop() if spare else np.empty_like(vertices)
-        over_ranges(
-            _next_polynomial,
-            len(vertices),
-            vertices,
-            ring_start,
-            ring,
-            before,
-            now,
-            1.0 if done == 1 else 2.0,
-            float(coefficients[done]),
-            after,
-            moves,
-        )
+        term = 1.0 if done == 1 else 2.0, float(coefficients[done])
+        rows = vertices, ring_start, ring, before, now
+        over_ranges(_next_polynomial, len(vertices), *rows, *term, after, moves)
         if before is not vertices:
             spare.append(before)
         before, now = now, after

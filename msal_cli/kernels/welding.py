@@ -223,18 +223,9 @@ def scattered(
     ``original``'s very value; ``origin`` (3,) is added to the others.
     """
     result = np.empty_like(original)
-    nowhere = np.empty(0, dtype=np.int32)
-    over_ranges(
-        _scattered,
-        len(original),
-        before,
-        after,
-        is_used,
-        nowhere if place is None else place,
-        origin,
-        original,
-        result,
-    )
+    place = np.empty(0, dtype=np.int32) if place is None else place
+    known = before, after, is_used, place, origin, original
+    over_ranges(_scattered, len(original), *known, result)
     return result
 
 

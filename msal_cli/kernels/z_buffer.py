@@ -116,19 +116,9 @@ def corner_normals(vertices: Floats, faces: Ints, crease: float) -> Floats32:
     if crease <= 0.0:
         result[:] = normals[:, None, :]
         return result
-    face_start, incident = incidence(len(vertices), faces)
-    over_ranges(
-        _corner_normals,
-        len(faces),
-        faces,
-        face_start,
-        incident,
-        normals,
-        areas,
-        float(np.cos(crease)),
-        float(np.cos(0.5 * crease)),
-        result,
-    )
+    cosines = float(np.cos(crease)), float(np.cos(0.5 * crease))
+    rows = faces, *incidence(len(vertices), faces)
+    over_ranges(_corner_normals, len(faces), *rows, normals, areas, *cosines, result)
     return result
 
 
@@ -235,20 +225,6 @@ def lit(
     height, width = front.shape[0] // side, front.shape[1] // side
     sums = np.empty((height, width, 4), dtype=np.float32)
     depths = np.empty((height, width), dtype=np.float32)
-    over_ranges(
-        _lit,
-        height,
-        side,
-        points,
-        faces,
-        nearness,
-        front,
-        normals,
-        paint,
-        back,
-        lights,
-        sums,
-        depths,
-        smallest=FEWEST_ROWS,
-    )
+    known = side, points, faces, nearness, front, normals, paint, back, lights
+    over_ranges(_lit, height, *known, sums, depths, smallest=FEWEST_ROWS)
     return sums, depths
