@@ -20,6 +20,7 @@ from msal_cli.kernels.operators import Step
 from msal_cli.kernels.parallel import fill_array, over_ranges
 from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.robust_laplacian import PER_MEDIAN
+from msal_cli.kernels.vectors import edges_and_normal
 
 LONGEST = 0.5
 """Share of the way to where H_A would vanish that a vertex may go in one step."""
@@ -39,11 +40,8 @@ def _edge_curvatures(start, stop, x, corners, threshold, falloff, curvatures, sl
         # Unsigned, so that no index is looked at for being negative.
         p1, p2 = np.uint64(corners[e, 0]), np.uint64(corners[e, 1])
         p3, p4 = np.uint64(corners[e, 2]), np.uint64(corners[e, 3])
-        ex, ey, ez = x[p3, 0] - x[p1, 0], x[p3, 1] - x[p1, 1], x[p3, 2] - x[p1, 2]
-        bx, by, bz = x[p2, 0] - x[p1, 0], x[p2, 1] - x[p1, 1], x[p2, 2] - x[p1, 2]
-        dx, dy, dz = x[p4, 0] - x[p1, 0], x[p4, 1] - x[p1, 1], x[p4, 2] - x[p1, 2]
-        mx, my, mz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
-        nx, ny, nz = ey * dz - ez * dy, ez * dx - ex * dz, ex * dy - ey * dx
+        bx, by, bz, ex, ey, ez, mx, my, mz = edges_and_normal(x, p1, p2, p3)
+        _, _, _, dx, dy, dz, nx, ny, nz = edges_and_normal(x, p1, p3, p4)
         m = np.sqrt(mx * mx + my * my + mz * mz)
         n = np.sqrt(nx * nx + ny * ny + nz * nz)
         ee = ex * ex + ey * ey + ez * ez
@@ -105,9 +103,7 @@ def _area_vectors(start, stop, x, faces, vectors):
     """Normal of every face with its area for length, and the area, both times two."""
     for f in range(start, stop):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ux, uy, uz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
-        wx, wy, wz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
-        nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+        _, _, _, _, _, _, nx, ny, nz = edges_and_normal(x, a, b, c)
         vectors[f, 0], vectors[f, 1], vectors[f, 2] = nx, ny, nz
         vectors[f, 3] = np.sqrt(nx * nx + ny * ny + nz * nz)
 

@@ -13,6 +13,7 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.parallel import fill_array, over_ranges
+from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
 FLATTEST = 0.05
 """Height over longest edge below which a face's cotangents are those of a face that is less flat.
@@ -24,18 +25,10 @@ About three degrees in the smallest angle of an isosceles face; no cotangent exc
 @compiled
 def _corner_dots(vertices, a, b, c):
     """Dot products of the edges that leave each corner, doubled area, longest edge squared."""
-    ux = vertices[b, 0] - vertices[a, 0]
-    uy = vertices[b, 1] - vertices[a, 1]
-    uz = vertices[b, 2] - vertices[a, 2]
-    wx = vertices[c, 0] - vertices[a, 0]
-    wy = vertices[c, 1] - vertices[a, 1]
-    wz = vertices[c, 2] - vertices[a, 2]
+    ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
     vx, vy, vz = wx - ux, wy - uy, wz - uz
-    nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
     doubled = np.sqrt(nx * nx + ny * ny + nz * nz)
-    longest = max(
-        ux * ux + uy * uy + uz * uz, wx * wx + wy * wy + wz * wz, vx * vx + vy * vy + vz * vz
-    )
+    longest = longest_square(ux, uy, uz, wx, wy, wz)
     at_a = ux * wx + uy * wy + uz * wz
     at_b = -(ux * vx + uy * vy + uz * vz)
     at_c = wx * vx + wy * vy + wz * vz

@@ -18,6 +18,7 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.conjugate_gradient import RowMatrix
 from msal_cli.kernels.connectivity import index_rows
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.vectors import edges_and_normal
 
 LARGEST = 100.0
 """Coefficients beyond it, of a flap on a needle, are scaled down: they would rule all others."""
@@ -28,11 +29,8 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):
     """c by areas as in He & Schaefer, section 3.2; S134 times 2 is s_one, S123 times 2 is s_two."""
     for e in range(start, stop):
         p1, p2, p3, p4 = corners[e, 0], corners[e, 1], corners[e, 2], corners[e, 3]
-        ex, ey, ez = x[p3, 0] - x[p1, 0], x[p3, 1] - x[p1, 1], x[p3, 2] - x[p1, 2]
-        bx, by, bz = x[p2, 0] - x[p1, 0], x[p2, 1] - x[p1, 1], x[p2, 2] - x[p1, 2]
-        dx, dy, dz = x[p4, 0] - x[p1, 0], x[p4, 1] - x[p1, 1], x[p4, 2] - x[p1, 2]
-        mx, my, mz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
-        nx, ny, nz = ey * dz - ez * dy, ez * dx - ex * dz, ex * dy - ey * dx
+        bx, by, bz, ex, ey, ez, mx, my, mz = edges_and_normal(x, p1, p2, p3)
+        _, _, _, dx, dy, dz, nx, ny, nz = edges_and_normal(x, p1, p3, p4)
         s_two = np.sqrt(mx * mx + my * my + mz * mz)
         s_one = np.sqrt(nx * nx + ny * ny + nz * nz)
         square = ex * ex + ey * ey + ez * ez

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import SMALLEST_RANGE, fill_array, over_ranges, threads
+from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
 MOST_PARTS = 8
 """Parts of the vertices whose normals are added up at the same time."""
@@ -33,19 +34,9 @@ BLOCK_FACES = 512
 @compiled
 def _doubled_area_normal(vertices, a, b, c):
     """Unit normal (zeros if degenerate) and doubled area of one triangle."""
-    ux = vertices[b, 0] - vertices[a, 0]
-    uy = vertices[b, 1] - vertices[a, 1]
-    uz = vertices[b, 2] - vertices[a, 2]
-    wx = vertices[c, 0] - vertices[a, 0]
-    wy = vertices[c, 1] - vertices[a, 1]
-    wz = vertices[c, 2] - vertices[a, 2]
-    nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+    ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    vx, vy, vz = wx - ux, wy - uy, wz - uz
-    longest = max(
-        ux * ux + uy * uy + uz * uz, wx * wx + wy * wy + wz * wz, vx * vx + vy * vy + vz * vz
-    )
-    if length <= DEGENERATE * longest:
+    if length <= DEGENERATE * longest_square(ux, uy, uz, wx, wy, wz):
         return 0.0, 0.0, 0.0, length
     return nx / length, ny / length, nz / length, length
 
@@ -112,21 +103,9 @@ def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, fl
             for at in range(count):
                 f = chosen[at]
                 a, b, c = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
-                ux = vertices[b, 0] - vertices[a, 0]
-                uy = vertices[b, 1] - vertices[a, 1]
-                uz = vertices[b, 2] - vertices[a, 2]
-                wx = vertices[c, 0] - vertices[a, 0]
-                wy = vertices[c, 1] - vertices[a, 1]
-                wz = vertices[c, 2] - vertices[a, 2]
-                x[at] = uy * wz - uz * wy
-                y[at] = uz * wx - ux * wz
-                z[at] = ux * wy - uy * wx
-                vx, vy, vz = wx - ux, wy - uy, wz - uz
-                longest[at] = max(
-                    ux * ux + uy * uy + uz * uz,
-                    wx * wx + wy * wy + wz * wz,
-                    vx * vx + vy * vy + vz * vz,
-                )
+                ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
+                x[at], y[at], z[at] = nx, ny, nz
+                longest[at] = longest_square(ux, uy, uz, wx, wy, wz)
             for at in range(count):
                 length = np.sqrt(x[at] * x[at] + y[at] * y[at] + z[at] * z[at])
                 has_normal = length > DEGENERATE * longest[at]
@@ -226,12 +205,9 @@ def _area_and_volume(vertices, faces):
     sixfold_volume = 0.0
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
-        ux, uy, uz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
-        wx, wy, wz = vertices[c, 0] - ax, vertices[c, 1] - ay, vertices[c, 2] - az
-        nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+        _, _, _, _, _, _, nx, ny, nz = edges_and_normal(vertices, a, b, c)
         doubled_area += np.sqrt(nx * nx + ny * ny + nz * nz)
-        sixfold_volume += ax * nx + ay * ny + az * nz
+        sixfold_volume += vertices[a, 0] * nx + vertices[a, 1] * ny + vertices[a, 2] * nz
     return doubled_area / 2.0, sixfold_volume / 6.0
 
 

@@ -15,11 +15,12 @@ from collections.abc import Callable
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
-from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.compiled import Kernel, compiled
 from msal_cli.kernels.elementary import LOG2_E, power_of_two
 from msal_cli.kernels.geometry import VANISHED, usable_areas
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, most_neighbours
+from msal_cli.kernels.vectors import write_unit
 
 BLOCK_PAIRS = np.uint64(1024)
 """Pairs of faces that are worked on at a time: what belongs to them fits a first-level cache."""
@@ -98,13 +99,10 @@ def _average_bilaterally(start, stop, n, exponents, falloff, ring_start, ring, r
                 sx += w * n[g]
                 sy += w * n[g + ONE]
                 sz += w * n[g + TWO]
-            length = np.sqrt(sx * sx + sy * sy + sz * sz)
             own = THREE * i
-            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
-            has_normal = nx != 0.0 or ny != 0.0 or nz != 0.0
-            if has_normal and length > VANISHED * weights:
-                nx, ny, nz = sx / length, sy / length, sz / length
-            result[own], result[own + ONE], result[own + TWO] = nx, ny, nz
+            has_normal = n[own] != 0.0 or n[own + ONE] != 0.0 or n[own + TWO] != 0.0
+            least = VANISHED * weights if has_normal else np.inf
+            write_unit(sx, sy, sz, least, n, i, result)
 
 
 def bilateral_averages(
@@ -138,13 +136,22 @@ def bilateral_averages(
     np.minimum(handicaps, OUT_OF_REACH, out=handicaps)
     exponents = distance_exponents(centroids, ring_start, ring, closeness, handicaps)
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
-    falloff = LOG2_E / similarity**2
+    known = exponents, LOG2_E / similarity**2, *rows
+    return _repeat(_average_bilaterally, normals, known, passes, on_pass)
+
+
+def _repeat(
+    kernel: Kernel,
+    normals: Floats,
+    known: tuple[object, ...],
+    passes: int,
+    on_pass: Callable[[], object],
+) -> Floats:
     given = spare = normals
     for _ in range(passes):
         # The input must stay as it is; from the third pass on, two arrays take turns.
         result = np.empty_like(normals) if spare is given else spare
-        flat = normals.reshape(-1), exponents, falloff, *rows, result.reshape(-1)
-        over_ranges(_average_bilaterally, len(normals), *flat)
+        over_ranges(kernel, len(normals), normals.reshape(-1), *known, result.reshape(-1))
         normals, spare = result, normals
         on_pass()
     return normals
@@ -195,10 +202,7 @@ def _average_jointly(
                 sy += w * n[j + ONE]
                 sz += w * n[j + TWO]
                 total += w
-            length = np.sqrt(sx * sx + sy * sy + sz * sz)
-            if length > VANISHED * total:
-                nx, ny, nz = sx / length, sy / length, sz / length
-            result[own], result[own + ONE], result[own + TWO] = nx, ny, nz
+            write_unit(sx, sy, sz, VANISHED * total, n, f, result)
 
 
 def joint_bilateral(
@@ -252,11 +256,8 @@ def _average_similar(start, stop, n, threshold, ring_start, ring, result):
             sx += weight * mx
             sy += weight * my
             sz += weight * mz
-        length = np.sqrt(sx * sx + sy * sy + sz * sz)
-        if length > VANISHED * weights:
-            # A face without a normal finds none: a product of zero is below any threshold.
-            nx, ny, nz = sx / length, sy / length, sz / length
-        result[own], result[own + ONE], result[own + TWO] = nx, ny, nz
+        # A face without a normal finds none: a product of zero is below any threshold.
+        write_unit(sx, sy, sz, VANISHED * weights, n, f, result)
 
 
 def threshold_averages(
@@ -279,13 +280,5 @@ def threshold_averages(
     threshold : 0 <= threshold < 1, a cosine.
     on_pass : called after every pass; what it raises ends the run.
     """
-    rows = ring_start.view(np.uint32), ring.view(np.uint32)
-    given = spare = normals
-    for _ in range(passes):
-        # The input must stay as it is; from the third pass on, two arrays take turns.
-        result = np.empty_like(normals) if spare is given else spare
-        flat = normals.reshape(-1), threshold, *rows, result.reshape(-1)
-        over_ranges(_average_similar, len(normals), *flat)
-        normals, spare = result, normals
-        on_pass()
-    return normals
+    known = threshold, ring_start.view(np.uint32), ring.view(np.uint32)
+    return _repeat(_average_similar, normals, known, passes, on_pass)

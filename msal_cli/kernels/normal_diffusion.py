@@ -19,6 +19,7 @@ from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, most_neighbours
 from msal_cli.kernels.robust_laplacian import PER_MEDIAN
+from msal_cli.kernels.vectors import write_unit
 
 LONGEST = 0.75
 """Share of a normal that one step may replace by those beside it: with 1 chequered noise stays."""
@@ -112,10 +113,7 @@ def _diffused(start, stop, n, shares, inverse, ring_start, ring, result):
                 sy += weight * (n[g + ONE] - ny)
                 sz += weight * (n[g + TWO] - nz)
             sx, sy, sz = nx + sx, ny + sy, nz + sz
-            length = np.sqrt(sx * sx + sy * sy + sz * sz)
-            if length > VANISHED:
-                nx, ny, nz = sx / length, sy / length, sz / length
-            result[own], result[own + ONE], result[own + TWO] = nx, ny, nz
+            write_unit(sx, sy, sz, VANISHED, n, i, result)
 
 
 @compiled

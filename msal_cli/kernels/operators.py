@@ -28,7 +28,6 @@ from msal_cli.kernels.ring_blocks import (
     ZERO,
     block,
     most_neighbours,
-    settle,
 )
 
 SMALLEST_SIGMA = 1e-9
@@ -142,23 +141,23 @@ def _filter_rings(
                 _weigh_heights(m, width, row, group, floor, room)
             row += m * width
             group += width
-        scale = settle(
-            first,
-            last,
-            normals,
-            ring_start,
-            free,
-            room,
-            table[chosen:],
-            heights,
-            sigma,
-            v,
-            offsets,
-            tau,
-            constant,
-            moved,
-        )
-        largest = max(largest, scale)
+        scales, sums, weights = PARTS[0], PARTS[1], PARTS[2]
+        for i in range(first, last):
+            lane = table[chosen + i - first]
+            moves = free[i] and ring_start[i + ONE] > ring_start[i]
+            height = room[sums + lane] / room[weights + lane] if moves else 0.0
+            if len(moved):
+                t = offsets[i]
+                t = t + tau * height - constant * t
+                offsets[i] = t
+                point = THREE * i
+                moved[point] = v[point] + t * normals[point]
+                moved[point + ONE] = v[point + ONE] + t * normals[point + ONE]
+                moved[point + TWO] = v[point + TWO] + t * normals[point + TWO]
+            else:
+                heights[i] = height
+                sigma[i] = room[scales + lane]
+                largest = max(largest, room[scales + lane])
         first = last
     return largest
 
