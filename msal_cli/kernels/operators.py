@@ -25,7 +25,6 @@ from msal_cli.kernels.ring_blocks import (
     THREE,
     TWO,
     VECTOR,
-    ZERO,
     block,
     most_neighbours,
 )
@@ -132,15 +131,54 @@ def _filter_rings(
                 if is_bilateral:
                     room[apart + place] = (ex * ex + ey * ey + ez * ez) * near
                 place += width
-        row, group = ROWS, ZERO
+        row = ROWS
+        scales, sums, weights, least, factors = PARTS
         for m in range(fewest, most + ONE):
             width = table[m]
             if is_bilateral:
-                _weigh_jointly(m, width, row, apart, group, floor, similarity, room)
+                parts = scales, sums, weights, least, factors
+                _weigh_jointly(m, width, row, apart, parts, floor, similarity, room)
+                row += m * width
             else:
-                _weigh_heights(m, width, row, group, floor, room)
-            row += m * width
-            group += width
+                for at in range(width):
+                    room[least + at] = np.inf
+                    room[scales + at] = 0.0
+                    room[sums + at] = 0.0
+                    room[weights + at] = 0.0
+                place = row
+                for _ in range(m):
+                    for at in range(width):
+                        h = room[place + at]
+                        room[sums + at] += h
+                        room[least + at] = min(room[least + at], h * h)
+                    place += width
+                for at in range(width):
+                    room[sums + at] /= max(m, ONE)
+                place = row
+                for _ in range(m):
+                    for at in range(width):
+                        room[scales + at] += abs(room[place + at] - room[sums + at])
+                    place += width
+                for at in range(width):
+                    scale = 2.0 * room[scales + at] / max(m, ONE)
+                    room[scales + at] = scale
+                    scale = scale if scale > floor else floor
+                    room[factors + at] = 0.5 * LOG2_E / (scale * scale)
+                    room[sums + at] = 0.0
+                for _ in range(m):
+                    for at in range(width):
+                        h = room[row + at]
+                        # The largest weight is made 1: the quotient of eq. (5) stays the same,
+                        # and cannot become 0/0 where sigma is tiny.
+                        g = power_of_two((room[least + at] - h * h) * room[factors + at])
+                        room[weights + at] += g
+                        room[sums + at] += g * h
+                    row += width
+            scales += width
+            sums += width
+            weights += width
+            least += width
+            factors += width
         scales, sums, weights = PARTS[0], PARTS[1], PARTS[2]
         for i in range(first, last):
             lane = table[chosen + i - first]
@@ -162,92 +200,48 @@ def _filter_rings(
     return largest
 
 
-# The sums of a group: its heights are m rows from ``row`` on, its first lane is ``group``.
-
-
 @compiled
-def _weigh_heights(m, width, row, group, floor, room):
-    """Sums of g and g h, and sigma."""
-    scales, sums, weights, least, factors = PARTS
-    for lane in range(group, group + width):
-        room[least + lane] = np.inf
-        room[scales + lane] = 0.0
-        room[sums + lane] = 0.0
-        room[weights + lane] = 0.0
-    place = row - group
-    for _ in range(m):
-        for lane in range(group, group + width):
-            h = room[place + lane]
-            room[sums + lane] += h
-            room[least + lane] = min(room[least + lane], h * h)
-        place += width
-    for lane in range(group, group + width):
-        room[sums + lane] /= max(m, ONE)
-    place = row - group
-    for _ in range(m):
-        for lane in range(group, group + width):
-            room[scales + lane] += abs(room[place + lane] - room[sums + lane])
-        place += width
-    for lane in range(group, group + width):
-        scale = 2.0 * room[scales + lane] / max(m, ONE)
-        room[scales + lane] = scale
-        scale = scale if scale > floor else floor
-        room[factors + lane] = 0.5 * LOG2_E / (scale * scale)
-        room[sums + lane] = 0.0
-    place = row - group
-    for _ in range(m):
-        for lane in range(group, group + width):
-            h = room[place + lane]
-            # The largest weight is made 1: the quotient of eq. (5) stays the same, and
-            # cannot become 0/0 where sigma is tiny.  For sigma = 0 all heights are alike.
-            g = power_of_two((room[least + lane] - h * h) * room[factors + lane])
-            room[weights + lane] += g
-            room[sums + lane] += g * h
-        place += width
-
-
-@compiled
-def _weigh_jointly(m, width, row, apart, group, floor, similarity, room):
-    """The same with the exponents by distance, which are ``apart`` from the heights."""
-    scales, sums, weights, least, factors = PARTS
-    for lane in range(group, group + width):
+def _weigh_jointly(m, width, row, apart, parts, floor, similarity, room):
+    """Sums of g and g h, and sigma, with exponents by distance too, ``apart`` from the heights."""
+    scales, sums, weights, least, factors = parts
+    for lane in range(width):
         room[least + lane] = np.inf
         room[scales + lane] = 0.0
         room[sums + lane] = 0.0
         room[weights + lane] = 0.0
         room[factors + lane] = 0.0
-    place = row - group
+    place = row
     for _ in range(m):
-        for lane in range(group, group + width):
+        for lane in range(width):
             room[sums + lane] += room[place + lane]
         place += width
-    for lane in range(group, group + width):
+    for lane in range(width):
         room[sums + lane] /= max(m, ONE)
-    place = row - group
+    place = row
     for _ in range(m):
-        for lane in range(group, group + width):
+        for lane in range(width):
             offset = room[place + lane] - room[sums + lane]
             room[scales + lane] += abs(offset)
             room[factors + lane] += offset * offset
         place += width
-    for lane in range(group, group + width):
+    for lane in range(width):
         room[scales + lane] = 2.0 * room[scales + lane] / max(m, ONE)
         scale = np.sqrt(room[factors + lane] / max(m, ONE))
         scale = scale if similarity == 0.0 else similarity
         scale = scale if scale > floor else floor
         room[factors + lane] = 0.5 * LOG2_E / (scale * scale)
         room[sums + lane] = 0.0
-    place = row - group
+    place = row
     for _ in range(m):
-        for lane in range(group, group + width):
+        for lane in range(width):
             h = room[place + lane]
             exponent = room[apart + place + lane] + h * h * room[factors + lane]
             room[apart + place + lane] = exponent
             room[least + lane] = min(room[least + lane], exponent)
         place += width
-    place = row - group
+    place = row
     for _ in range(m):
-        for lane in range(group, group + width):
+        for lane in range(width):
             g = power_of_two(room[least + lane] - room[apart + place + lane])
             room[weights + lane] += g
             room[sums + lane] += g * room[place + lane]
