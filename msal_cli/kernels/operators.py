@@ -136,8 +136,49 @@ def _filter_rings(
         for m in range(fewest, most + ONE):
             width = table[m]
             if is_bilateral:
-                parts = scales, sums, weights, least, factors
-                _weigh_jointly(m, width, row, apart, parts, floor, similarity, room)
+                # Exponents by distance are added to those by height.
+                for at in range(width):
+                    room[least + at] = np.inf
+                    room[scales + at] = 0.0
+                    room[sums + at] = 0.0
+                    room[weights + at] = 0.0
+                    room[factors + at] = 0.0
+                place = row
+                for _ in range(m):
+                    for at in range(width):
+                        room[sums + at] += room[place + at]
+                    place += width
+                for at in range(width):
+                    room[sums + at] /= max(m, ONE)
+                place = row
+                for _ in range(m):
+                    for at in range(width):
+                        offset = room[place + at] - room[sums + at]
+                        room[scales + at] += abs(offset)
+                        room[factors + at] += offset * offset
+                    place += width
+                for at in range(width):
+                    room[scales + at] = 2.0 * room[scales + at] / max(m, ONE)
+                    scale = np.sqrt(room[factors + at] / max(m, ONE))
+                    scale = scale if similarity == 0.0 else similarity
+                    scale = scale if scale > floor else floor
+                    room[factors + at] = 0.5 * LOG2_E / (scale * scale)
+                    room[sums + at] = 0.0
+                place = row
+                for _ in range(m):
+                    for at in range(width):
+                        h = room[place + at]
+                        exponent = room[apart + place + at] + h * h * room[factors + at]
+                        room[apart + place + at] = exponent
+                        room[least + at] = min(room[least + at], exponent)
+                    place += width
+                place = row
+                for _ in range(m):
+                    for at in range(width):
+                        g = power_of_two(room[least + at] - room[apart + place + at])
+                        room[weights + at] += g
+                        room[sums + at] += g * room[place + at]
+                    place += width
                 row += m * width
             else:
                 for at in range(width):
@@ -198,54 +239,6 @@ def _filter_rings(
                 largest = max(largest, room[scales + lane])
         first = last
     return largest
-
-
-@compiled
-def _weigh_jointly(m, width, row, apart, parts, floor, similarity, room):
-    """Sums of g and g h, and sigma, with exponents by distance too, ``apart`` from the heights."""
-    scales, sums, weights, least, factors = parts
-    for lane in range(width):
-        room[least + lane] = np.inf
-        room[scales + lane] = 0.0
-        room[sums + lane] = 0.0
-        room[weights + lane] = 0.0
-        room[factors + lane] = 0.0
-    place = row
-    for _ in range(m):
-        for lane in range(width):
-            room[sums + lane] += room[place + lane]
-        place += width
-    for lane in range(width):
-        room[sums + lane] /= max(m, ONE)
-    place = row
-    for _ in range(m):
-        for lane in range(width):
-            offset = room[place + lane] - room[sums + lane]
-            room[scales + lane] += abs(offset)
-            room[factors + lane] += offset * offset
-        place += width
-    for lane in range(width):
-        room[scales + lane] = 2.0 * room[scales + lane] / max(m, ONE)
-        scale = np.sqrt(room[factors + lane] / max(m, ONE))
-        scale = scale if similarity == 0.0 else similarity
-        scale = scale if scale > floor else floor
-        room[factors + lane] = 0.5 * LOG2_E / (scale * scale)
-        room[sums + lane] = 0.0
-    place = row
-    for _ in range(m):
-        for lane in range(width):
-            h = room[place + lane]
-            exponent = room[apart + place + lane] + h * h * room[factors + lane]
-            room[apart + place + lane] = exponent
-            room[least + lane] = min(room[least + lane], exponent)
-        place += width
-    place = row
-    for _ in range(m):
-        for lane in range(width):
-            g = power_of_two(room[least + lane] - room[apart + place + lane])
-            room[weights + lane] += g
-            room[sums + lane] += g * room[place + lane]
-        place += width
 
 
 @dataclass(frozen=True, eq=False)
