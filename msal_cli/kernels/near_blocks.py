@@ -143,18 +143,6 @@ def lay_weights(first, last, records, per_reach, near_start, near, block):
 
 
 @compiled
-def _add_within(jump, per_range, w, nx, ny, nz, sums, to):
-    """Add w and w n to four rows, by how far the jump is within the range."""
-    part = _1 - jump * per_range
-    part = part if part > _0 else _0
-    part = w * part * part
-    sums[to] += part
-    sums[to + R1] += part * nx
-    sums[to + R2] += part * ny
-    sums[to + R3] += part * nz
-
-
-@compiled
 def add_ranges(rows, weight, per_1, per_2, per_3, per_4, block, sums, to):
     """Sums of w, w n for four ranges: 16 sums from the place ``to`` on."""
     for place in range(to, to + R16):
@@ -165,10 +153,30 @@ def add_ranges(rows, weight, per_1, per_2, per_3, per_4, block, sums, to):
             at = row + lane
             nx, ny, nz = block[at + NX], block[at + NY], block[at + NZ]
             w, jump = block[at + weight], block[at + JUMP]
-            _add_within(jump, per_1, w, nx, ny, nz, sums, to + lane)
-            _add_within(jump, per_2, w, nx, ny, nz, sums, to + R4 + lane)
-            _add_within(jump, per_3, w, nx, ny, nz, sums, to + R8 + lane)
-            _add_within(jump, per_4, w, nx, ny, nz, sums, to + R12 + lane)
+            a, b = _1 - jump * per_1, _1 - jump * per_2
+            c, d = _1 - jump * per_3, _1 - jump * per_4
+            a = a if a > _0 else _0
+            b = b if b > _0 else _0
+            c = c if c > _0 else _0
+            d = d if d > _0 else _0
+            a, b, c, d = w * a * a, w * b * b, w * c * c, w * d * d
+            o = to + lane
+            sums[o] += a
+            sums[o + R1] += a * nx
+            sums[o + R2] += a * ny
+            sums[o + R3] += a * nz
+            sums[o + R4] += b
+            sums[o + R5] += b * nx
+            sums[o + R6] += b * ny
+            sums[o + R7] += b * nz
+            sums[o + R8] += c
+            sums[o + R9] += c * nx
+            sums[o + R10] += c * ny
+            sums[o + R11] += c * nz
+            sums[o + R12] += d
+            sums[o + R13] += d * nx
+            sums[o + R14] += d * ny
+            sums[o + R15] += d * nz
 
 
 @compiled
