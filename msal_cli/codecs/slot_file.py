@@ -15,19 +15,18 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.record_slots import Overwrite, RecordSlots, check_overwritten, overwrite
-from msal_cli.codecs.slots import EXPORT_AGAIN, Slots, UnitSlots, require_range, splice
+from msal_cli.codecs.slots import Slots, TextSlots, UnitSlots, require_range, splice
 from msal_cli.codecs.text_slots import (
     Patch,
     Statements,
-    TextSlots,
     is_replaced,
     replace_statements,
 )
 from msal_cli.codecs.tokens import require_indices
-from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, ContentError, InternalError, MsalError, UnsupportedError
 from msal_cli.kernels.text import as_bytes
+from msal_cli.storage.buffers import Buffer
 
 _NONE = np.zeros(0, dtype=np.int64)
 
@@ -413,7 +412,7 @@ def _shift(growths: Iterable[tuple[Longs, Longs]]) -> Shift:
     return lambda at: int(growth[stops <= at].sum())
 
 
-def _triangles(layout: Layout, vertices: Floats) -> tuple[Ints, Ints]:
+def _triangles(layout: Layout, vertices: Floats) -> tuple[Ints, Longs]:
     """Triangles (m, 3), and the places of their corners among those of the polygons.
 
     Raises ContentError for a layout that is no mesh.
