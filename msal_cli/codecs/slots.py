@@ -78,7 +78,7 @@ class TextSlots(UnitSlots):
     """
 
     data: Bytes = field(repr=False)
-    values: Floats = field(default=_UNREAD, repr=False, kw_only=True)
+    values: Floats = field(default_factory=lambda: _UNREAD, repr=False, kw_only=True)
     unit_length: bool = field(default=False, kw_only=True)
     significant: int = field(default=SIGNIFICANT_DIGITS, kw_only=True)
     codes: tuple[str, ...] = field(default=(), kw_only=True)
