@@ -495,7 +495,7 @@ def test_the_header_changes_in_the_format_line_and_the_types_only():
     file = replace(plain_ply.cube(), comments=["comment property float x", "obj_info  a  b "])
     data = plain_ply.written(file).replace(b"property float y", b"property\tfloat32   y ")
     output = bytes(
-        ply.read(data, "a.ply").encoded(ply.read(data).vertices, "ascii", "float64")
+        ply.read(data).encoded(ply.read(data).vertices, "ascii", "float64")
     )
     expected = data[: data.index(b"end_header") + 11].replace(LE.encode(), b"ascii")
     for old, new in (
@@ -530,7 +530,7 @@ def test_ascii_values_that_their_type_cannot_hold_do_not_become_binary(kind, tok
         mesh.encoded(mesh.vertices, "binary", "same")
     assert caught.value.code == "E_RANGE" and "vertex 6, line " in caught.value.where
     assert np.array_equal(
-        ply.read(mesh.encoded(mesh.vertices, "same", "float64"), "o").vertices, mesh.vertices
+        ply.read(mesh.encoded(mesh.vertices, "same", "float64")).vertices, mesh.vertices
     )
 
 
@@ -621,7 +621,7 @@ def real(folder, name: str) -> bytes:
 @pytest.mark.parametrize("name", REAL)
 def test_real_scans_change_in_their_coordinates_only(real_data, name):
     data = real(real_data, name)
-    mesh = ply.read(data, name)
+    mesh = ply.read(data)
     n, m, precision = REAL[name]
     assert (mesh.vertices.shape, mesh.faces.shape, mesh.precision) == ((n, 3), (m, 3), precision)
     assert bytes(mesh.replaced(mesh.vertices.copy())) == data
@@ -629,7 +629,7 @@ def test_real_scans_change_in_their_coordinates_only(real_data, name):
     moved[::7] += 0.01 * np.ptp(moved, axis=0)
     output = bytes(mesh.replaced(moved))
     mesh.check(output, moved)
-    again = ply.read(output, name)
+    again = ply.read(output)
     assert np.array_equal(again.faces, mesh.faces)
     assert np.abs(again.vertices - moved).max() <= 1e-7 * np.abs(moved).max()
     kept = np.ones(n, dtype=bool)
@@ -676,7 +676,7 @@ def test_trimesh_agrees_on_a_real_scan(real_data):
     import trimesh
 
     data = real(real_data, "scans/face000.ply")
-    mesh = ply.read(data, "face000.ply")
+    mesh = ply.read(data)
     theirs = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
     assert np.array_equal(mesh.vertices, theirs.vertices)
     assert np.array_equal(mesh.faces, theirs.faces)
