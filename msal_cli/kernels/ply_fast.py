@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from msal_cli.kernels.byte_words import count_digits, load_eight, parse_digits
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.fast_numbers import eight, n_digits, read_plain, whole_number
+from msal_cli.kernels.digits import EXACT, read_number
 
 WHOLE = 0
 """All records are read."""
@@ -78,8 +79,8 @@ def read_scalars(data, at, start, count, columns, groups, values, word_at, decim
             at = _past_blanks(data, at)
             begin = at
             if columns[p] >= 0:
-                value, at, used = read_plain(data, begin)
-                if at < 0:
+                value, status, at, used = read_number(data, begin, len(data))
+                if status != EXACT:
                     return record, stop, ODD
                 values[record, columns[p]] = value
                 group = groups[p]
@@ -118,23 +119,23 @@ def read_lists(data, at, start, count, is_list, wanted, items, n_items, lengths)
             length = 0
             if is_list[p]:
                 at = _past_blanks(data, at)
-                word = eight(data, at)
-                digits = n_digits(word)
+                word = load_eight(data, at)
+                digits = count_digits(word)
                 if digits == 0 or digits == 8 or not _is_word_end(data, at + digits):
                     return record, stop, first_item, ODD
-                length = whole_number(word, digits)
+                length = parse_digits(word, digits)
                 at += digits
             if is_list[p] and p == wanted:
                 if length > len(items) - n_items:
                     return record, stop, first_item, FULL
                 for k in range(n_items, n_items + length):
                     at = _past_blanks(data, at)
-                    word = eight(data, at)
-                    digits = n_digits(word)
+                    word = load_eight(data, at)
+                    digits = count_digits(word)
                     at += digits
                     if digits == 0 or digits == 8 or not _is_word_end(data, at):
                         return record, stop, first_item, ODD
-                    items[k] = whole_number(word, digits)
+                    items[k] = parse_digits(word, digits)
                 n_items += length
                 lengths[record] = length
             else:
