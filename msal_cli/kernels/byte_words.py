@@ -10,25 +10,47 @@ import numpy as np
 from msal_cli.kernels.compiled import compiled
 
 
+# As constants, so that the compiler sees eight neighbours and makes one load or store of them.
+_ONE, _TWO, _THREE, _FOUR, _FIVE, _SIX, _SEVEN = (np.uint64(count) for count in range(1, 8))
+_BITS_8, _BITS_16, _BITS_24, _BITS_32, _BITS_40, _BITS_48, _BITS_56 = (
+    np.uint64(8 * count) for count in range(1, 8)
+)
+
+
 @compiled
 def load_eight(buf, at):  # type: ignore[no-untyped-def]
     """The eight bytes at ``at`` as a word; bytes beyond the end are zeros."""
-    word = np.uint64(0)
+    u = np.uint64(at)
     if at + 8 <= len(buf):
-        for k in range(8):
-            word |= np.uint64(buf[np.uint64(at) + np.uint64(k)]) << np.uint64(8 * k)
-    else:
-        for k in range(at, len(buf)):
-            word |= np.uint64(buf[k]) << np.uint64(8 * (k - at))
+        return (
+            np.uint64(buf[u])
+            | np.uint64(buf[u + _ONE]) << _BITS_8
+            | np.uint64(buf[u + _TWO]) << _BITS_16
+            | np.uint64(buf[u + _THREE]) << _BITS_24
+            | np.uint64(buf[u + _FOUR]) << _BITS_32
+            | np.uint64(buf[u + _FIVE]) << _BITS_40
+            | np.uint64(buf[u + _SIX]) << _BITS_48
+            | np.uint64(buf[u + _SEVEN]) << _BITS_56
+        )
+    word = np.uint64(0)
+    for k in range(at, len(buf)):
+        word |= np.uint64(buf[k]) << np.uint64(8 * (k - at))
     return word
 
 
 @compiled
 def store_eight(out, at, word):  # type: ignore[no-untyped-def]
     """Write a word to the eight bytes at ``at``; bytes beyond the end are left away."""
+    u = np.uint64(at)
     if at + 8 <= len(out):
-        for k in range(8):
-            out[np.uint64(at) + np.uint64(k)] = np.uint8(word >> np.uint64(8 * k))
+        out[u] = np.uint8(word)
+        out[u + _ONE] = np.uint8(word >> _BITS_8)
+        out[u + _TWO] = np.uint8(word >> _BITS_16)
+        out[u + _THREE] = np.uint8(word >> _BITS_24)
+        out[u + _FOUR] = np.uint8(word >> _BITS_32)
+        out[u + _FIVE] = np.uint8(word >> _BITS_40)
+        out[u + _SIX] = np.uint8(word >> _BITS_48)
+        out[u + _SEVEN] = np.uint8(word >> _BITS_56)
     else:
         for k in range(at, len(out)):
             out[k] = np.uint8(word >> np.uint64(8 * (k - at)))

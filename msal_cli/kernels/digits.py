@@ -313,24 +313,27 @@ def read_number(buf, start, stop):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _write_eight(number, count, out, at):  # type: ignore[no-untyped-def]
+    """``_write_digits`` for up to eight digits."""
+    store_eight(out, at, format_digits(number * _POWERS[8 - count]))
+    return at + count
+
+
+@compiled
 def _write_digits(number, count, out, at):  # type: ignore[no-untyped-def]
-    """Write an int64 with exactly ``count`` digits; returns the end.
+    """Write an int64 with exactly ``count`` digits (up to 24); returns the end.
 
     Up to seven bytes behind the end may be written over.
     """
-    if count == 1:
-        out[np.uint64(at)] = np.uint8(48 + number)
-        return at + 1
-    n_first = (count - 1) % 8 + 1
-    while count > 8:
-        count -= n_first
-        first = number // _POWERS[count]
-        store_eight(out, at, format_digits(first * _POWERS[8 - n_first]))
-        number -= first * _POWERS[count]
-        at += n_first
-        n_first = np.int64(8)
-    store_eight(out, at, format_digits(number * _POWERS[8 - count]))
-    return at + count
+    if count > 16:
+        at = _write_eight(number // 10**16, count - 16, out, at)
+        number %= 10**16
+        count = np.int64(16)
+    if count > 8:
+        at = _write_eight(number // 10**8, count - 8, out, at)
+        number %= 10**8
+        count = np.int64(8)
+    return _write_eight(number, count, out, at)
 
 
 @compiled
@@ -400,9 +403,16 @@ def write_fixed(value, decimals, out, at):  # type: ignore[no-untyped-def]
         number -= _POWERS[decimals]
     out[np.uint64(at)] = 45
     at += np.int64((value < 0.0) & (whole + number > 0))
-    at = _write_digits(whole, _n_digits(whole), out, at)
+    # The usual sizes apart, because the compiler puts short code in place of a call.
+    if whole < 10:
+        out[np.uint64(at)] = np.uint8(48 + whole)
+        at += 1
+    else:
+        at = _write_digits(whole, _n_digits(whole), out, at)
     if decimals > 0:
         out[np.uint64(at)] = 46
+        if decimals <= 8:
+            return _write_eight(number, decimals, out, at + 1)
         at = _write_digits(number, decimals, out, at + 1)
     return at
 
