@@ -27,12 +27,12 @@ from msal_cli.codecs.ply_description import (
     wanted_names,
     warnings_of,
 )
-from msal_cli.codecs.ply_faces import Surface, surface
+from msal_cli.codecs.ply_faces import Surface, find_surface
 from msal_cli.codecs.ply_header import NORMAL, POSITION, Header, parsed
 from msal_cli.codecs.ply_sections import Section, located
 from msal_cli.codecs.ply_stream import Stream
 from msal_cli.codecs.slot_file import Layout, SlotFile, require_finite
-from msal_cli.codecs.slots import require_range
+from msal_cli.codecs.slots import Slots, require_range
 from msal_cli.errors import InputError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
@@ -83,18 +83,19 @@ def parse(data: Buffer) -> PlyLayout:
         if name in ("vertex", "face") and has_normals(section.element)
     ]
     normals = {name: sections[name].slots(NORMAL) for name in elements}
-    found = surface(sections, len(vertices))
+    found = find_surface(sections, len(vertices))
     if not found.n_faces:
         normals.pop("face", None)
     rest = content[end:]
     n_behind = len(rest.tobytes().strip()) if header.encoding == "ascii" else len(rest)
     check_strays(header, n_behind)
     is_stream = isinstance(sections["vertex"], Stream)
-    layout = PlyLayout(
+    return PlyLayout(
         encoding=header.encoding,
         precision=precision_of(header, vertex),
         positions=(positions,),
         normals=tuple(normals.values()),
+        renew_normals=functools.partial(_renew_normals, found, normals),
         vertices=vertices,
         faces=found.triangles,
         properties=properties_of(header),
@@ -111,21 +112,21 @@ def parse(data: Buffer) -> PlyLayout:
         surface=found,
         normal_elements=tuple(normals),
     )
-    layout.renew_normals = functools.partial(_renew_normals, layout)
-    return layout
 
 
-def _renew_normals(layout: PlyLayout, old: Floats, new: Floats) -> list[tuple[Floats, Flags]]:
+def _renew_normals(
+    surface: Surface, normals: Mapping[str, Slots], old: Floats, new: Floats
+) -> list[tuple[Floats, Flags]]:
     """The normals of each element for new vertices, and which rows changed."""
     from msal_cli.kernels.geometry import regrouped_normals
 
     result = []
-    for element, slots in zip(layout.normal_elements, layout.normals, strict=True):
+    for element, slots in normals.items():
         if element == "face":
             moved = np.asarray((old != new).any(axis=1))
-            result.append(layout.surface.face_normals(old, new, moved, slots.values))
+            result.append(surface.face_normals(old, new, moved, slots.values))
         else:
-            faces = layout.surface.triangles
+            faces = surface.triangles
             result.append(regrouped_normals(old, new, faces, faces, slots.values))
     return result
 

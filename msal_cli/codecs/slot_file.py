@@ -300,8 +300,9 @@ class SlotFile:
         for slots, values in zip(layout.positions, self._to_file(vertices), strict=True):
             is_changed = is_moved if is_one else values != slots.values
             if isinstance(slots, TextSlots):
-                values, _ = slots.rounded(values)
-                is_changed = values != slots.values
+                rounded, _ = slots.rounded(values)
+                if rounded is not values:
+                    values, is_changed = rounded, rounded != slots.values
             changes.append(Change(slots, values, is_changed))
         changes += self._changed_normals(vertices)
         return [one for one in changes if one.is_changed.any()]
