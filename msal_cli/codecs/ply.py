@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats
+from msal_cli.codecs.ply_ascii import Lines
 from msal_cli.codecs.ply_description import (
     check_strays,
     has_normals,
@@ -30,7 +31,6 @@ from msal_cli.codecs.ply_description import (
 from msal_cli.codecs.ply_faces import Surface, find_surface
 from msal_cli.codecs.ply_header import NORMAL, POSITION, Header, parsed
 from msal_cli.codecs.ply_sections import Section, located
-from msal_cli.codecs.ply_stream import Stream
 from msal_cli.codecs.slot_file import Layout, SlotFile, require_finite
 from msal_cli.codecs.slots import Slots, require_range
 from msal_cli.errors import InputError
@@ -56,8 +56,11 @@ def read(data: Buffer) -> PlyFile:
 class PlyLayout(Layout):
     """What the parser makes of a PLY file.
 
-    ``sections`` are the elements by name, ``end`` is the byte behind the last one;
-    ``normal_elements`` are the elements that the arrays of normals belong to.
+    Attributes
+    ----------
+    sections : the elements by name; ``end`` is the byte behind the last one.
+    normal_elements : those that the arrays of normals belong to.
+    is_stream : ascii records are not one to a line.
     """
 
     header: Header
@@ -65,6 +68,7 @@ class PlyLayout(Layout):
     end: int
     surface: Surface
     normal_elements: tuple[str, ...]
+    is_stream: bool
 
 
 def parse(data: Buffer) -> PlyLayout:
@@ -89,7 +93,8 @@ def parse(data: Buffer) -> PlyLayout:
     rest = content[end:]
     n_behind = len(rest.tobytes().strip()) if header.encoding == "ascii" else len(rest)
     check_strays(header, n_behind)
-    is_stream = isinstance(sections["vertex"], Stream)
+    first = sections["vertex"]
+    is_stream = isinstance(first, Lines) and first.is_stream
     return PlyLayout(
         encoding=header.encoding,
         precision=precision_of(header, vertex),
@@ -111,6 +116,7 @@ def parse(data: Buffer) -> PlyLayout:
         end=end,
         surface=found,
         normal_elements=tuple(normals),
+        is_stream=is_stream,
     )
 
 
@@ -191,7 +197,7 @@ class PlyFile(SlotFile):
         retypable: dict[str, tuple[str, ...]] = dict.fromkeys(layout.normal_elements, NORMAL)
         retypable["vertex"] = POSITION + retypable.get("vertex", ())
         data = as_bytes(self._data)
-        is_stream = isinstance(layout.sections["vertex"], Stream)
+        is_stream = layout.is_stream
         recoding = Recoding(data, layout.header, encoding, precision, retypable, is_stream)
         if recoding.is_same:
             return self.replaced(vertices)
