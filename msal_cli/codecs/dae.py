@@ -14,8 +14,9 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.dae_scene import frames_of
 from msal_cli.codecs.frames import PLACEMENT, is_placed
-from msal_cli.codecs.slot_file import Content, PatchedFile
+from msal_cli.codecs.slot_file import Content
 from msal_cli.codecs.slots import TextNumbers, float_rows, integer_rows
+from msal_cli.codecs.surface_cells import strip_triangles
 from msal_cli.codecs.tokens import Words, require_indices
 from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import EXPORT_AGAIN, FormatError, MsalError, UnsupportedError
@@ -25,24 +26,12 @@ _SURFACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
 _WORDS = {"TEXCOORD": "texture coordinates", "COLOR": "vertex colours"}
 
 
-def read(data: Buffer, format: str) -> PatchedFile:
-    """Open the COLLADA file ``data`` (its bytes).
+def parse(data: Buffer) -> Content:
+    """Read a COLLADA file.
 
-    Raises
-    ------
-    FormatError, TruncatedError
-        if the file is not what its format says.
-    UnsupportedError
-        for polygons with holes, and positions of other than three coordinates.
-    TooLargeError
-        for more elements than any mesh needs.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
+    Raises UnsupportedError for polygons with holes, and positions of other than three coordinates;
+    TooLargeError for more elements than any mesh needs.
     """
-    return PatchedFile(data, format, _parse)
-
-
-def _parse(data: Buffer) -> Content:
     root = parse_tree(data, "COLLADA")
     if root.name != "COLLADA":
         raise FormatError("the file is no COLLADA", where="line 1", hint=EXPORT_AGAIN)
@@ -163,11 +152,8 @@ class _Mesh:
             raise UnsupportedError(f"positions or normals of {stride} numbers", hint="export in 3D")
         words = Words(self._data, array.inside, array.stop)
         words.require(offset + count * stride if count else 0, f"{count} rows of {name[:40]!r}")
-        places = offset + np.arange(count, dtype=np.int64)[:, None] * stride + np.arange(3)
-        places = places.reshape(-1)
-        self._arrays[name] = TextNumbers(
-            words.data, words.starts[places], words.stops[places], unit_length=is_normals
-        )
+        rows = offset + stride * np.arange(count, dtype=np.int64)
+        self._arrays[name] = words.float_rows(rows, unit_length=is_normals)
         return self._arrays[name]
 
     def _polygons(self, surface: Element) -> tuple[Longs, Longs, Longs]:
@@ -229,7 +215,8 @@ class _Mesh:
         elif surface.name == "polygons":
             sizes = counts
         else:
-            return _strips(counts, is_fan=surface.name == "trifans")
+            triangles = strip_triangles(counts, is_fan=surface.name == "trifans")
+            return triangles.reshape(-1), np.full(len(triangles), 3, dtype=np.int64)
         is_wrong = (sizes < 0) | (sizes > n_rows)
         if is_wrong.any() or int(sizes.sum()) != n_rows:
             raise FormatError(
@@ -255,20 +242,6 @@ def _number(element: Element, name: str, default: str) -> int:
     if not (word.isascii() and word.isdigit()) or len(word) > 9:
         raise FormatError(f"{name} is no number", where=f"byte {element.start}", hint=EXPORT_AGAIN)
     return int(word)
-
-
-def _strips(counts: Longs, *, is_fan: bool) -> tuple[Longs, Longs]:
-    """Rows of the corners of the triangles of strips or fans, and their sizes."""
-    n_triangles = np.maximum(counts - 2, 0)
-    first = np.repeat(np.cumsum(counts) - counts, n_triangles)
-    inside = np.arange(len(first)) - np.repeat(np.cumsum(n_triangles) - n_triangles, n_triangles)
-    if is_fan:
-        triangles = np.stack([first, first + inside + 1, first + inside + 2], axis=1)
-    else:
-        odd = inside % 2
-        at = first + inside
-        triangles = np.stack([at + odd, at + 1 - odd, at + 2], axis=1)
-    return triangles.reshape(-1), np.full(len(triangles), 3, dtype=np.int64)
 
 
 _TEMPLATE = """<?xml version="1.0" encoding="utf-8"?>
