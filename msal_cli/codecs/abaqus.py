@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Content
-from msal_cli.codecs.slots import TextNumbers, line_of
+from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.slots import Tokens, line_of
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words, indices_of
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TooLargeError, UnsupportedError
@@ -48,7 +48,7 @@ class _Block:
     stop: int
 
 
-def parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
     """Read an Abaqus file; UnsupportedError for one that includes others, nodes in another system
     of coordinates or in the plane, and curved elements."""
     from msal_cli.kernels.text import as_bytes
@@ -88,10 +88,10 @@ def parse(data: Buffer) -> Content:
     warnings = [warning for part in parts for warning in part.cells.warnings()]
     if len(parts) > 1:
         warnings.append("parts are denoised where their own nodes are, not where they are placed")
-    return Content(
+    return Layout(
         "ascii",
         "text",
-        (TextNumbers(as_bytes(data), np.concatenate(starts), np.concatenate(stops)),),
+        (Tokens(as_bytes(data), np.concatenate(starts), np.concatenate(stops)),),
         np.concatenate(corners),
         np.concatenate([part.cells.sizes() for part in parts]),
         properties=(f"{len(parts)} parts",) if len(parts) > 1 else (),
@@ -152,7 +152,7 @@ def _words(data: Buffer, block: _Block) -> Words:
 
 
 def _nodes(words: Words) -> tuple[Longs, tuple[Longs, Longs]]:
-    """Numbers (n,) of nodes, and the spans (3 n,) of their coordinates."""
+    """UnitSlots (n,) of nodes, and the spans (3 n,) of their coordinates."""
     first, lengths = words.lines_of_words()
     if len(first) and int(lengths.min()) < 4:
         at = int(first[int(np.argmin(lengths))])

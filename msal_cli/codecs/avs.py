@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Content
+from msal_cli.codecs.slot_file import Layout
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words, indices_of
 from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
@@ -26,7 +26,7 @@ _KINDS = {
 }
 
 
-def parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
     """Read an AVS UCD file; UnsupportedError for a binary one."""
     if bytes(memoryview(data)[:1]) == b"\7":
         raise UnsupportedError("binary AVS UCD is not read", hint="write it as ascii")

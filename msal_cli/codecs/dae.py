@@ -14,9 +14,11 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.dae_scene import frames_of
 from msal_cli.codecs.frames import PLACEMENT, is_placed
-from msal_cli.codecs.slot_file import Content
-from msal_cli.codecs.slots import TextNumbers, float_rows, integer_rows
+from msal_cli.codecs.ply_writer import corners_of
+from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.slots import Tokens
 from msal_cli.codecs.surface_cells import strip_triangles
+from msal_cli.codecs.text_lines import float_lines, integer_lines
 from msal_cli.codecs.tokens import Words, require_indices
 from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import EXPORT_AGAIN, FormatError, MsalError, UnsupportedError
@@ -26,7 +28,7 @@ _SURFACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
 _WORDS = {"TEXCOORD": "texture coordinates", "COLOR": "vertex colours"}
 
 
-def parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
     """Read a COLLADA file.
 
     Raises UnsupportedError for polygons with holes, and positions of other than three coordinates;
@@ -58,7 +60,7 @@ def parse(data: Buffer) -> Content:
         words = {f"{len(parts)} parts": None, **words}
     elif _is_placed(data, root, names[0]):
         words[PLACEMENT] = None
-    return Content(
+    return Layout(
         "ascii",
         "text",
         tuple(part.positions for part in parts),
@@ -83,11 +85,11 @@ def _is_placed(data: Buffer, root: Element, name: str) -> bool:
         return False
 
 
-def _empty(root: Element) -> Content:
+def _empty(root: Element) -> Layout:
     kinds = sorted({one.name for one in root.inner() if one.name in ("lines", "linestrips")})
     none = np.zeros(0, dtype=np.int64)
-    empty = TextNumbers(np.zeros(0, dtype=np.uint8), none, none)
-    return Content("ascii", "text", (empty,), none, none, held=", ".join(kinds))
+    empty = Tokens(np.zeros(0, dtype=np.uint8), none, none)
+    return Layout("ascii", "text", (empty,), none, none, held=", ".join(kinds))
 
 
 def _images(data: Buffer, root: Element) -> tuple[str, ...]:
@@ -109,9 +111,9 @@ class _Mesh:
     def __init__(self, data: Buffer, element: Element) -> None:
         self._data = data
         self._sources = {one.attributes.get("id", ""): one for one in element.all("source")}
-        self._arrays: dict[str, TextNumbers] = {}
+        self._arrays: dict[str, Tokens] = {}
         self._normal_starts: dict[str, int] = {}
-        self.normals: list[TextNumbers] = []
+        self.normals: list[Tokens] = []
         self.properties: list[str] = []
         self.warnings: list[str] = []
         vertices = element.find("vertices")
@@ -135,7 +137,7 @@ class _Mesh:
         if surfaces:
             require_indices(self.corners, len(self.positions.values))
 
-    def _array(self, name: str, *, is_normals: bool) -> TextNumbers:
+    def _array(self, name: str, *, is_normals: bool) -> Tokens:
         """The rows of a source of three numbers each."""
         if name in self._arrays:
             return self._arrays[name]
@@ -268,8 +270,8 @@ def written(points: Floats, faces: Ints, *, single: bool) -> bytes:
     """A new file of points (n, 3) and triangles (m, 3)."""
     return _TEMPLATE.format(
         n_numbers=points.size,
-        positions=float_rows(points, single=single),
+        positions=float_lines(points, single=single).decode(),
         n_vertices=len(points),
         n_faces=len(faces),
-        faces=integer_rows(faces),
+        faces=integer_lines(*corners_of(faces)).decode(),
     ).encode()

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Bytes, Longs
-from msal_cli.codecs.slot_file import Content
-from msal_cli.codecs.slots import BinaryNumbers, Numbers
+from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.slots import BinaryNumbers, UnitSlots
 from msal_cli.codecs.surface_cells import CURVED, SurfaceCells, runs_of
 from msal_cli.codecs.tokens import Words, indices_of
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
@@ -38,7 +38,7 @@ _FLUENT = re.compile(rb"\s*\((?:0|1|2|10|12|13|39|45)\s")
 """The first section of a mesh of ANSYS Fluent: the number of its kind in parentheses."""
 
 
-def parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
     """Read a Gmsh file; UnsupportedError for versions 1 and 3, and curved elements."""
     header = _HEADER.search(data, 0, 4096)
     if not header:
@@ -103,8 +103,8 @@ def _section(data: Buffer, name: str) -> Words:
     return Words(data, start.end(), end.start())
 
 
-def _text_nodes(words: Words, version: tuple[int, int]) -> tuple[Longs, Numbers]:
-    """Numbers (n,) and positions of the nodes."""
+def _text_nodes(words: Words, version: tuple[int, int]) -> tuple[Longs, UnitSlots]:
+    """UnitSlots (n,) and positions of the nodes."""
     if version[0] == 2:
         count = words.count(0, "nodes")
         words.require(1 + 4 * count, f"{count} nodes")
@@ -240,7 +240,7 @@ class _Binary:
         return self.whole()[at : at + count * size].view(f"{self.order}i{size}").astype(np.int64)
 
 
-def _binary_nodes(source: _Binary, version: tuple[int, int]) -> tuple[Longs, Numbers]:
+def _binary_nodes(source: _Binary, version: tuple[int, int]) -> tuple[Longs, UnitSlots]:
     code = f"{source.order}f8"
     if version[0] == 2:
         count = source.text_count()

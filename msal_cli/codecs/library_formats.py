@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs.library_guard import guarded
 from msal_cli.codecs.mesh_file import MeshFile
-from msal_cli.codecs.slot_file import PatchedFile
+from msal_cli.codecs.slot_file import SlotFile
 from msal_cli.storage.buffers import Buffer
 
 _PARSERS = {
@@ -85,7 +85,7 @@ def read(data: Buffer, format: str) -> MeshFile:
     """
     module, _, function = _PARSERS[format].partition(".")
     parse = getattr(importlib.import_module(f"msal_cli.codecs.{module}"), function)
-    return PatchedFile(data, format, parse)
+    return SlotFile(data, format, parse)
 
 
 def cells_written(points: NDArray[Any], faces: Ints, format: str, encoding: str) -> bytes:

@@ -13,7 +13,7 @@ import numpy as np
 
 from msal_cli.arrays import Bytes, Longs
 from msal_cli.codecs.med_sandbox import answer_of
-from msal_cli.codecs.slot_file import Content
+from msal_cli.codecs.slot_file import Layout
 from msal_cli.codecs.slots import ColumnNumbers
 from msal_cli.codecs.surface_cells import CURVED, SurfaceCells
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
@@ -33,7 +33,7 @@ _KINDS = {
 }
 
 
-def parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
     """Read a MED file.
 
     Raises UnsupportedError without h5py, and for several meshes or time steps, compressed numbers,

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Bytes, Longs
-from msal_cli.codecs.slot_file import Content
-from msal_cli.codecs.slots import BinaryNumbers, Numbers
+from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.slots import BinaryNumbers, UnitSlots
 from msal_cli.codecs.surface_cells import CORNERS, CURVED, SurfaceCells
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
@@ -49,13 +49,13 @@ _KEYWORDS = {
 """The keywords of binary files."""
 
 
-def parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
     """Read a Medit file; UnsupportedError for a mesh in the plane, and curved elements."""
     head = bytes(memoryview(data)[:4])
     reader: _Text | _Binary
     reader = _Binary(data) if head in (b"\1\0\0\0", b"\0\0\0\1") else _Text(data)
     cells = SurfaceCells()
-    positions: Numbers | None = None
+    positions: UnitSlots | None = None
     dimension = 3
     has_normals = False
     while (name := reader.next_keyword()) not in ("", "end"):
@@ -118,7 +118,7 @@ class _Text:
 
     dimension = count
 
-    def positions(self) -> Numbers:
+    def positions(self) -> UnitSlots:
         return self._words.float_rows(self._rows(4))
 
     def corners(self, size: int) -> Longs:
@@ -180,7 +180,7 @@ class _Binary:
         """The number behind the keyword."""
         return self._integer(self._body, self._whole)
 
-    def positions(self) -> Numbers:
+    def positions(self) -> UnitSlots:
         size = 3 * np.dtype(self._real).itemsize + np.dtype(self._whole).itemsize
         first, count = self._table(size)
         rows = first + size * np.arange(count, dtype=np.int64)

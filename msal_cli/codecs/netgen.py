@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Content
+from msal_cli.codecs.slot_file import Layout
 from msal_cli.codecs.surface_cells import SurfaceCells, runs_of
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
@@ -20,7 +20,7 @@ _CORNERS_BEHIND = 5
 """Words in front of a surface element's corners: surface, condition, two domains, their number."""
 
 
-def parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
     """Read a Netgen file; UnsupportedError for a mesh in the plane, and curved elements."""
     words = Words(data, comment=b"#")
     keywords = words.keywords()

@@ -10,8 +10,8 @@ from collections import Counter
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Content
-from msal_cli.codecs.slots import Numbers
+from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.slots import UnitSlots
 from msal_cli.errors import UnsupportedError
 
 CORNERS = {"triangle": 3, "quad": 4, "pixel": 4}
@@ -109,18 +109,18 @@ class SurfaceCells:
 
     def content(
         self,
-        positions: Numbers,
+        positions: UnitSlots,
         precision: str = "text",
         *,
         encoding: str = "",
         corners: Longs | None = None,
-        normals: tuple[Numbers, ...] = (),
+        normals: tuple[UnitSlots, ...] = (),
         properties: tuple[str, ...] = (),
         warnings: tuple[str, ...] = (),
-    ) -> Content:
+    ) -> Layout:
         """What a file of these cells holds; ``corners`` (c,) count vertices from 0, by default
         they are the file's own numbers."""
-        return Content(
+        return Layout(
             encoding or ("ascii" if precision == "text" else "binary"),
             precision,
             (positions,),

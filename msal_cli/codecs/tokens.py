@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.slots import TextNumbers, line_of, parse_floats
+from msal_cli.codecs.slots import Tokens, line_of, parse_floats
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, TruncatedError
 from msal_cli.storage.buffers import Buffer
 
@@ -99,10 +99,10 @@ class Words:
         """Rows (n, width) of whole numbers, ``first`` (n,) being the first word of each."""
         return self.integers(_row_words(first, width)).reshape(-1, width)
 
-    def float_rows(self, first: Longs, *, unit_length: bool = False) -> TextNumbers:
+    def float_rows(self, first: Longs, *, unit_length: bool = False) -> Tokens:
         """Rows of three numbers, ``first`` (n,) being the first word of each."""
         starts, stops = self.row_spans(first, 3)
-        return TextNumbers(self.data, starts, stops, unit_length=unit_length)
+        return Tokens(self.data, starts, stops, unit_length=unit_length)
 
     def row_spans(self, first: Longs, width: int) -> tuple[Longs, Longs]:
         """Starts and stops (n * width,) of the words of rows whose first words are given."""

@@ -12,8 +12,8 @@ import re
 from dataclasses import dataclass, field
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Content
-from msal_cli.codecs.slots import Numbers
+from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.slots import UnitSlots
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.vtk_cells import add_cells, add_cells_of_types, add_layer
 from msal_cli.codecs.vtk_stream import Stream
@@ -39,15 +39,15 @@ _PER_TUPLE = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
 class _Parsed:
     """What a file holds, ``cells`` being those whose types are not read yet."""
 
-    points: Numbers | None = None
+    points: UnitSlots | None = None
     surface: SurfaceCells = field(default_factory=SurfaceCells)
     cells: tuple[Longs, Longs] | None = None
-    normals: Numbers | None = None
+    normals: UnitSlots | None = None
     properties: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
 
-def parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
     """Read a VTK file; UnsupportedError for data without points of their own, and curved cells."""
     header = _HEADER.match(data)
     if not header:

@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers, line_of
+from msal_cli.codecs.slots import BinaryNumbers, Tokens, UnitSlots, line_of
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
@@ -89,7 +89,7 @@ class Stream:
             )
         return int(word)
 
-    def positions(self, n_points: int, kind: str) -> Numbers:
+    def positions(self, n_points: int, kind: str) -> UnitSlots:
         """The points (n, 3) that follow."""
         code = self._code(kind)
         if code not in (">f4", ">f8"):
@@ -101,7 +101,7 @@ class Stream:
         self.precision = "float32" if code == ">f4" else "float64"
         return self._floats(n_points, code, is_normals=False)
 
-    def normals(self, count: int, kind: str) -> Numbers | None:
+    def normals(self, count: int, kind: str) -> UnitSlots | None:
         """The normals (n, 3) that follow; None if they are stored as whole numbers."""
         code = self._code(kind)
         if code not in (">f4", ">f8"):
@@ -109,11 +109,11 @@ class Stream:
             return None
         return self._floats(count, code, is_normals=True)
 
-    def _floats(self, count: int, code: str, *, is_normals: bool) -> Numbers:
+    def _floats(self, count: int, code: str, *, is_normals: bool) -> UnitSlots:
         if self._words is not None:
             chosen = self._next_words(3 * count)
             starts, stops = self._words.starts[chosen], self._words.stops[chosen]
-            return TextNumbers(self._data, starts, stops, unit_length=is_normals)
+            return Tokens(self._data, starts, stops, unit_length=is_normals)
         size = 3 * np.dtype(code).itemsize
         at = self._next_bytes(size * count)
         return BinaryNumbers(self._data, at + np.arange(count, dtype=np.int64) * size, code)

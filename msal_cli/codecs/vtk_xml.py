@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
-from msal_cli.codecs.slot_file import Content, Dependent, Shift
-from msal_cli.codecs.slots import Numbers
+from msal_cli.codecs.slot_file import Dependent, Layout, Shift
+from msal_cli.codecs.slots import UnitSlots
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.vtk_arrays import Coding, code_of, integers, numbers
 from msal_cli.codecs.vtk_cells import add_cells, add_cells_of_types
@@ -28,17 +28,17 @@ _APPENDED = re.compile(rb"<AppendedData(?:\s+encoding\s*=\s*[\"'](\w+)[\"'])?\s*
 _POLYGONS = (("Verts", "vertex"), ("Lines", "line"), ("Strips", "strip"), ("Polys", "polygon"))
 
 
-def parse_vtu(data: Buffer) -> Content:
+def parse_vtu(data: Buffer) -> Layout:
     """Read an unstructured grid; errors as of ``_parse``."""
     return _parse(data, "vtu")
 
 
-def parse_vtp(data: Buffer) -> Content:
+def parse_vtp(data: Buffer) -> Layout:
     """Read polygonal data; errors as of ``_parse``."""
     return _parse(data, "vtp")
 
 
-def _parse(data: Buffer, format: str) -> Content:
+def _parse(data: Buffer, format: str) -> Layout:
     """Read a VTU or VTP file.
 
     Raises UnsupportedError for another compression, another type of VTK file, and curved cells,
@@ -75,7 +75,7 @@ def _parse(data: Buffer, format: str) -> Content:
         warnings.append("normals of cells are kept as they are")
     is_text = any(part.points_array.attributes.get("format") == "ascii" for part in parts)
     codes = {code_of(part.points_array, coding) for part in parts}
-    return Content(
+    return Layout(
         "ascii" if is_text else "binary",
         "float64" if coding.order + "f8" in codes else "float32",
         tuple(positions),
@@ -117,7 +117,7 @@ class _Piece:
     def __init__(self, piece: Element, coding: Coding) -> None:
         self.n_points = _count(piece, "NumberOfPoints")
         self.cells = SurfaceCells()
-        self.normals: Numbers | None = None
+        self.normals: UnitSlots | None = None
         self.properties: list[str] = []
         if not self.n_points:
             return

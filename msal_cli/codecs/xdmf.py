@@ -9,9 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
-from msal_cli.codecs.slot_file import Content
-from msal_cli.codecs.slots import TextNumbers, float_rows, integer_rows
+from msal_cli.codecs.ply_writer import corners_of
+from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.slots import Tokens
 from msal_cli.codecs.surface_cells import CORNERS, SurfaceCells
+from msal_cli.codecs.text_lines import float_lines, integer_lines
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
@@ -28,7 +30,7 @@ _WITH_COUNT = {1: "vertex", 2: "line", 3: "polygonal"}
 _HINT = "write the numbers into the XDMF file itself (Format='XML'), or convert it to VTU or PLY"
 
 
-def parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
     """Read an XDMF file; UnsupportedError for numbers in another file, several grids, points in
     the plane, and curved cells."""
     root = parse_tree(data, "Xdmf")
@@ -55,7 +57,7 @@ def parse(data: Buffer) -> Content:
     _read_cells(data, topology, cells)
     is_single = item.attributes.get("Precision", "4") == "4"
     return cells.content(
-        TextNumbers(words.data, words.starts, words.stops),
+        Tokens(words.data, words.starts, words.stops),
         "float32" if is_single else "float64",
         encoding="ascii",
         properties=tuple(
@@ -160,8 +162,8 @@ def written(points: Floats, faces: Ints, *, single: bool) -> bytes:
     """A new file of points (n, 3) and triangles (m, 3), its numbers inside."""
     return _TEMPLATE.format(
         n_faces=len(faces),
-        faces=integer_rows(faces),
+        faces=integer_lines(*corners_of(faces)).decode(),
         n_vertices=len(points),
         precision=4 if single else 8,
-        positions=float_rows(points, single=single),
+        positions=float_lines(points, single=single).decode(),
     ).encode()
