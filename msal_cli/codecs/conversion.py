@@ -144,7 +144,7 @@ def encode_mesh(vertices: Floats, faces: Ints, to: str) -> Buffer:
     data = _as_ply(_Mesh(vertices, faces), "binary", single)
     if to == "ply":
         return data
-    mesh_file = ply.read(data, "")
+    mesh_file = ply.read(data)
     return converted(mesh_file, mesh_file.vertices, to, "same", "same")[0]
 
 
@@ -284,7 +284,7 @@ def _as_ply(mesh: _Mesh, encoding: str, single: bool) -> Buffer:
     data = write_ply(columns, *mesh.corners())
     if encoding == "binary":
         return data
-    file = ply.read(data, "")
+    file = ply.read(data)
     return file.encoded(file.vertices, "ascii", "same")
 
 
