@@ -161,7 +161,7 @@ class ThreeMfFile:
         texts: dict[str, Buffer] = {}
         for member, change in self._changes(vertices, precision):
             texts[member] = _patched(self.package.models[member].text, change)
-        return self.package.archive.rewritten(texts)
+        return self.package.archive.replace(texts)
 
     def _require_free(self) -> None:
         stale = [word for model in self.package.models.values() for word in model.stale]

@@ -340,7 +340,7 @@ def test_check_notices_what_changed():
         file.check(file.data, vertices)
 
     def with_content(name: str, old: bytes, new: bytes) -> bytes:
-        return file.package.archive.rewritten(
+        return file.package.archive.replace(
             {MODEL: texts(output)[MODEL], name: texts(output)[name].replace(old, new)}
         )
 
