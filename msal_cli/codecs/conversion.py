@@ -97,9 +97,9 @@ def converted(
 
     if {to, mesh_file.format} == files.SCENES and encoding != "ascii" and precision != "float64":
         from msal_cli.codecs.gltf_file import SceneFile
-        from msal_cli.codecs.gltf_repack import repacked
+        from msal_cli.codecs.gltf_repack import repack
 
-        scene = repacked(mesh_file, vertices, to) if isinstance(mesh_file, SceneFile) else None
+        scene = repack(mesh_file, vertices, to) if isinstance(mesh_file, SceneFile) else None
         if scene is not None:
             return scene, ()
     if to not in writable():
@@ -382,10 +382,10 @@ def _through_library(content: _Content, to: str, encoding: str, single: bool) ->
         return vtk_xml.written(points, content.faces, single=single)
     if to == "gltf":
         from msal_cli.codecs import glb
-        from msal_cli.codecs.gltf_repack import repacked
+        from msal_cli.codecs.gltf_repack import repack
 
         made = glb.read(other.surface_written(points, content.faces, content.colours, "glb"), "")
-        scene = repacked(made, made.vertices, "gltf")
+        scene = repack(made, made.vertices, "gltf")
         assert scene is not None
         return scene
     if to == "glb":

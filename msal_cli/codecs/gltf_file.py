@@ -8,66 +8,58 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Ints
-from msal_cli.codecs.frames import PLACEMENT, moved_by
-from msal_cli.codecs.gltf_document import Accessor, Document, Part
-from msal_cli.codecs.gltf_frames import is_sole_part_placed
+from msal_cli.arrays import Bytes, Floats, Ints
+from msal_cli.codecs.frames import PLACEMENT, is_placed, moved_by
+from msal_cli.codecs.gltf_json import find_entries, replace_spans, write_bound
+from msal_cli.codecs.gltf_scene import Accessor, Scene, are_usable
 from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.stl import as_float32
-from msal_cli.errors import InternalError, UnsupportedError
+from msal_cli.codecs.record_slots import Overwrite, Strided, check_overwritten, overwrite
+from msal_cli.codecs.slots import require_range
+from msal_cli.errors import ContentError, InternalError, UnsupportedError
 
 
-@dataclass(eq=False)
 class SceneFile:
     """An opened scene; see ``codecs.mesh_file.MeshFile``.
 
-    GLB and .gltf differ in where its bytes lie.
-
-    ``vertices`` are those of every part, one behind the other.  With several parts they stand in
-    the frame of the scene, since two parts may coincide in their own; with one part, in its own.
+    ``vertices`` are those of every part, one behind the other.  With several parts they are in the
+    frame of the scene, since two parts may coincide in their own; with one part, in its own.
     """
 
-    data: Buffer = field(repr=False)
-    document: Document = field(repr=False)
-    parts: list[Part] = field(repr=False)
-    frames: list[Floats] = field(repr=False)
-    warnings: tuple[str, ...]
-    vertices: Floats = field(init=False)
-    faces: Ints = field(init=False)
-    n_polygons: int = field(init=False)
-    properties: tuple[str, ...] = field(init=False)
-    references: tuple[str, ...] = field(init=False)
-    format: str = ""
-    encoding: str = "binary_little_endian"
-    precision: str = "float32"
-    merged_vertices: int = 0
+    format = ""
+    encoding = "binary_little_endian"
+    precision = "float32"
+    merged_vertices = 0
 
-    def __post_init__(self) -> None:
+    def __init__(self, data: Buffer, scene: Scene, text: bytes) -> None:
+        self.data = data
+        self.scene = scene
+        self.text = text.decode("latin-1")
+        self.parts, self.warnings = scene.parts()
+        self._frames = scene.frames(self.parts)
+        words = scene.properties()
+        if len(self.parts) > 1:
+            words = (f"{len(self.parts)} parts", *words)
+        elif is_placed(self._frames[0]):
+            words = (*words, PLACEMENT)
+        if len(self.parts) == 1 or not are_usable(self._frames):
+            self._frames = [np.eye(4) for _ in self.parts]
+        self.properties, self.references = words, scene.references()
+        self._positions = [_slots(scene.data, part.positions) for part in self.parts]
+        self._ends = np.cumsum([0, *(slots.count for slots in self._positions)])
         self.vertices = np.concatenate(
             [
-                moved_by(frame, part.positions.values(self.document.data))
-                for part, frame in zip(self.parts, self.frames, strict=True)
+                moved_by(frame, _require_finite(slots.values, part.positions))
+                for part, slots, frame in zip(
+                    self.parts, self._positions, self._frames, strict=True
+                )
             ]
         )
-        self.faces = np.concatenate(
-            [part.faces + first.start for part, first in zip(self.parts, self._rows(), strict=True)]
-        ).astype(np.int32)
+        pairs = zip(self.parts, self._ends.tolist(), strict=False)
+        self.faces = np.concatenate([part.faces + first for part, first in pairs]).astype(np.int32)
         self.n_polygons = len(self.faces)
-        own = (PLACEMENT,) if is_sole_part_placed(self.document, self.parts) else ()
-        self.properties = self.document.properties(self.parts) + own
-        self.references = self.document.references()
-
-    def _rows(self) -> Iterator[slice]:
-        """The rows of ``vertices`` that belong to each part."""
-        start = 0
-        for part in self.parts:
-            yield slice(start, start + part.positions.count)
-            start += part.positions.count
 
     def polygons(self) -> Ints:
         """The triangles (m, 3)."""
@@ -76,87 +68,70 @@ class SceneFile:
     def forget_vertices(self) -> None:
         """Do nothing: to read them again takes long."""
 
-    def patched(self, vertices: Floats) -> bytearray:
-        """The document's data with other positions (n, 3), and the normals of what moved.
+    def _changes(self, vertices: Floats) -> Iterator[Overwrite]:
+        """The new positions and normals of each part: of rows that moved, in its own frame."""
+        from msal_cli.kernels.geometry import regrouped_normals
+
+        for k, (part, slots) in enumerate(zip(self.parts, self._positions, strict=True)):
+            rows, frame = slice(self._ends[k], self._ends[k + 1]), self._frames[k]
+            old, new = self.vertices[rows], vertices[rows]
+            is_moved = np.repeat((new != old).any(axis=1)[:, None], 3, axis=1)
+            positions = moved_by(np.linalg.inv(frame).astype(np.float64), new)
+            require_range(positions, is_moved, slots.codes)
+            yield Overwrite(slots, positions, is_moved)
+            if part.normals is None:
+                continue
+            linear = frame[:3, :3]
+            faces = part.faces.astype(np.int32)
+            slots = _slots(self.scene.data, part.normals)
+            # A stored normal may be anything.
+            with np.errstate(over="ignore", invalid="ignore"):
+                stored = slots.values @ np.linalg.inv(linear)
+                normals, is_changed = regrouped_normals(old, new, faces, faces, stored)
+                normals = normals @ linear
+                length = np.sqrt((normals * normals).sum(axis=1, keepdims=True))
+                normals = np.divide(
+                    normals, length, out=np.zeros_like(normals), where=length > 0.0
+                )
+            yield Overwrite(slots, normals, np.repeat(is_changed[:, None], 3, axis=1))
+
+    def replace_data(self, vertices: Floats) -> memoryview:
+        """The data of the scene with other positions (n, 3), and the normals of what moved.
 
         Raises
         ------
         ContentError
             with code ``E_RANGE`` if a position does not fit into float32.
         """
-        output = bytearray(self.document.data)
-        for part, stored in zip(self.parts, self._positions(vertices), strict=True):
-            part.positions.store(output, stored)
-        for normals, stored in self._normals(vertices):
-            normals.store(output, stored)
-        return output
+        return overwrite(self.scene.data, list(self._changes(vertices)))
 
-    def _positions(self, vertices: Floats) -> Iterator[NDArray[np.float32]]:
-        """What each part is to store: unmoved vertices exactly what they have."""
-        for part, frame, rows in zip(self.parts, self.frames, self._rows(), strict=True):
-            back = np.linalg.inv(frame).astype(np.float64)
-            own = moved_by(back, vertices[rows])
-            moved = (vertices[rows] != self.vertices[rows]).any(axis=1)
-            stored = part.positions.stored(self.document.data)
-            # Only rows that moved are rounded: the others would change in the last bit.
-            result = stored.copy()
-            result[moved] = as_float32(own[moved], rows.start)
-            yield result
-
-    def _normals(self, vertices: Floats) -> Iterator[tuple[Accessor, NDArray[np.float32]]]:
-        """The normals to store, part by part, those of faces that did not move as they are."""
-        from msal_cli.kernels.geometry import regrouped_normals
-
-        for part, frame, rows in zip(self.parts, self.frames, self._rows(), strict=True):
-            if part.normals is None:
-                continue
-            linear = frame[:3, :3]
-            stored = part.normals.stored(self.document.data)
-            faces = part.faces.astype(np.int32)
-            # A stored normal may be anything.
-            with np.errstate(over="ignore", invalid="ignore"):
-                old = stored.astype(np.float64) @ np.linalg.inv(linear)
-                normals, changed = regrouped_normals(
-                    self.vertices[rows], vertices[rows], faces, faces, old
-                )
-                own = normals @ linear
-                length = np.sqrt((own * own).sum(axis=1, keepdims=True))
-                own = np.divide(own, length, out=np.zeros_like(own), where=length > 0.0)
-                new = own.astype(np.float32)
-            yield part.normals, np.where(changed[:, None], new, stored)
-
-    def check_data(self, output: Buffer, shift: int, vertices: Floats) -> list[Accessor]:
-        """Raise InternalError unless ``output``, whose rows lie ``shift`` bytes further on, is the
-        document's data with only ``vertices`` replaced; returns the accessors of its positions."""
-        begin = self.document.binary_at
-        restored = bytearray(memoryview(output).cast("B")[begin + shift :])
-        rest = bytearray(memoryview(self.document.data).cast("B")[begin:])
-        new = [part.positions.shifted(shift) for part in self.parts]
-        for accessor, rows in zip(new, self._positions(vertices), strict=True):
-            if accessor.stored(output).tobytes() != rows.tobytes():
-                raise InternalError("a position of a scene was not written right")
+    def check_data(self, data: Bytes, text: str, vertices: Floats) -> None:
+        """Raise InternalError unless ``data`` and ``text`` are those of the scene with only
+        ``vertices`` replaced, normals, and bounds in the text."""
+        check_overwritten(self.scene.data, data, list(self._changes(vertices)))
+        expected = json.loads(json.dumps(self.scene.content))
         for part in self.parts:
-            for own in (part.positions, part.normals):
-                if own is not None:
-                    place = own.shifted(-begin)
-                    place.store(restored, own.stored(self.document.data))
-        if restored != rest:
-            raise InternalError("data other than positions and normals changed in a scene")
-        for accessor, rows in self._normals(vertices):
-            if accessor.shifted(shift).stored(output).tobytes() != rows.tobytes():
-                raise InternalError("a normal of a scene was not written right")
-        return new
-
-    def check_description(self, text: str, output: Buffer, accessors: list[Accessor]) -> None:
-        """Raise InternalError unless ``text``, spaces at its end aside, is the description with the
-        bounds that these accessors have in ``output``."""
-        expected = self.document.bounded_content(output, accessors)
+            entry = expected["accessors"][part.positions.index]
+            for word, new in _bounds(data, part.positions).items():
+                if word in entry:
+                    entry[word] = json.loads(write_bound(json.dumps(entry[word]), new))
         # As text, because a number that is none, which Python reads, is not equal to itself.
-        content = json.loads(text.removeprefix("\ufeff"))
+        content = json.loads(text.encode("latin-1").decode().removeprefix("\ufeff"))
         is_right = json.dumps(content) == json.dumps(expected)
-        wanted = self.document.bounded(output, accessors)
-        if not is_right or text.rstrip(" ") != wanted.rstrip(" "):
+        if not is_right or text.rstrip(" ") != self.text_of(data).rstrip(" "):
             raise InternalError("the description of a scene is not what it should be")
+
+    def text_of(self, data: Bytes) -> str:
+        """The description with the bounds that positions have in ``data``."""
+        spans = find_entries(self.text, "accessors")
+        edits = []
+        for part in self.parts:
+            own = spans[part.positions.index]
+            for word, new in _bounds(data, part.positions).items():
+                if word in own:
+                    start, stop = own[word]
+                    edits.append((own[word], write_bound(self.text[start:stop], new)))
+        return replace_spans(self.text, edits)
 
     def require_encoding(self, encoding: str, precision: str) -> None:
         """Raise UnsupportedError for another encoding or precision than the one that there is."""
@@ -165,3 +140,27 @@ class SceneFile:
             raise UnsupportedError(f"{name} has no ascii encoding", hint="leave --encoding away")
         if precision == "float64":
             raise UnsupportedError(f"{name} has no float64", hint="use --to ply")
+
+
+def _slots(data: Bytes, accessor: Accessor) -> Strided:
+    return Strided(
+        data, accessor.at, accessor.count, accessor.stride, (0, 4, 8), ("<f4",) * 3, whole_rows=True
+    )
+
+
+def _bounds(data: Bytes, accessor: Accessor) -> dict[str, list[float]]:
+    """The least and the largest of each coordinate."""
+    rows = accessor.rows(data)
+    return {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
+
+
+def _require_finite(values: Floats, accessor: Accessor) -> Floats:
+    is_finite = np.isfinite(values).all(axis=1)
+    if not is_finite.all():
+        raise ContentError(
+            "a position is not finite",
+            code="E_NONFINITE",
+            where=f"accessor {accessor.index}, vertex {int(np.argmin(is_finite))}",
+            hint="remove the vertex, or export the mesh again",
+        )
+    return values

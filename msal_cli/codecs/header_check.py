@@ -94,10 +94,10 @@ def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
         if not is_text:
             _refuse_behind(size, stl.wanted_bytes(head, size))
     elif wanted == "glb":
-        from msal_cli.codecs import glb_chunks
+        from msal_cli.codecs import glb
 
         is_text = False
-        _refuse_behind(size, glb_chunks.wanted_bytes(memoryview(head), size))
+        _refuse_behind(size, glb.expected_bytes(memoryview(head), size))
     elif wanted == "obj":
         from msal_cli.codecs import obj_parser as obj_content
 
