@@ -16,8 +16,9 @@ import numpy as np
 from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, TextNumbers, line_of
+from msal_cli.codecs.slots import EXPORT_AGAIN, line_of
 from msal_cli.codecs.surface_cells import SurfaceCells
+from msal_cli.codecs.text_slots import Tokens
 from msal_cli.codecs.tokens import Words, indices_of
 from msal_cli.errors import FormatError, TooLargeError, UnsupportedError
 
@@ -107,7 +108,7 @@ def _parse(data: Buffer) -> Content:
     return Content(
         "ascii",
         "text",
-        (TextNumbers(as_bytes(data), np.concatenate(starts), np.concatenate(stops)),),
+        (Tokens(as_bytes(data), np.concatenate(starts), np.concatenate(stops)),),
         np.concatenate(corners),
         np.concatenate(sizes),
         properties=(f"{len(parts)} parts",) if len(parts) > 1 else (),

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, BinaryNumbers, TextNumbers
+from msal_cli.codecs.slots import EXPORT_AGAIN, BinaryNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
+from msal_cli.codecs.text_slots import Tokens
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 
@@ -61,7 +62,7 @@ def read(data: Buffer, format: str) -> PatchedFile:
 
 
 def _content(
-    cells: SurfaceCells, positions: TextNumbers | BinaryNumbers, precision: str, has_normals: bool
+    cells: SurfaceCells, positions: Tokens | BinaryNumbers, precision: str, has_normals: bool
 ) -> Content:
     warnings = cells.warnings()
     if has_normals:
@@ -107,7 +108,7 @@ def _parse_text(data: Buffer) -> Content:
             _refuse_plane(dimension)
             rows = _rows(words, keyword, stop, 4, "vertices")
             places = (rows[:, None] + np.arange(3)).reshape(-1)
-            positions = TextNumbers(words.data, words.starts[places], words.stops[places])
+            positions = Tokens(words.data, words.starts[places], words.stops[places])
         elif name in _FLAT:
             kind, size = _FLAT[name]
             rows = _rows(words, keyword, stop, size + 1, name)

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
 from msal_cli.codecs import obj_description as obj_words
-from msal_cli.codecs import text_slots as plain_text
+from msal_cli.codecs import text_slots_old as plain_text
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.obj_parser import Content, content
 from msal_cli.errors import ContentError, InternalError, UnsupportedError

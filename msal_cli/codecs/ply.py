@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats
 from msal_cli.codecs import ply_sections as ply_layout
-from msal_cli.codecs import text_slots as plain_text
+from msal_cli.codecs import text_slots_old as plain_text
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.ply_ascii import Lines
 from msal_cli.codecs.ply_description import (

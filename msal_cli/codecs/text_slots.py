@@ -1,17 +1,29 @@
-"""New positions and normals in a text file whose numbers are plain, and the check of the result.
+"""Arrays of numbers in a text, new ones put in, and the check of the result.
 
-Plain is nearly every text mesh: see ``kernels.fast_numbers``.  For the others the codecs of OBJ and
-PLY have slower ways, which take more memory.
+``Tokens`` can lie anywhere; ``Statements`` are three numbers one behind the other, as nearly all
+text meshes have them: of these no place per number is kept, and one walk over the file replaces
+or compares them.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
-from msal_cli.arrays import Bytes, Floats, Longs
+from msal_cli.arrays import Bytes, Flags, Floats, Longs
+from msal_cli.codecs.decimals import (
+    SIGNIFICANT_DIGITS,
+    print_numbers,
+    row_decimals,
+    tolerance,
+    uniform_decimals,
+)
+from msal_cli.codecs.slots import UnitSlots, parse_floats
+from msal_cli.errors import InternalError
 
 _MOST_RUNS = 4096
 """Changes between positions and normals, on the way through a file, that are dealt with one by
@@ -20,114 +32,208 @@ one; a file with more of them takes another way."""
 _BLOCK = 1 << 18
 """Bytes compared at a time; what they differ in fits the cache."""
 
+_UNREAD = np.empty((0, 0))
 
-@dataclass(frozen=True, eq=False)
-class Statements:
-    """Three numbers each, with blanks between them, to be replaced where they changed.
+
+@dataclass(eq=False)
+class TextSlots(UnitSlots):
+    """What all numbers in a text have in common.
+
+    Attributes
+    ----------
+    data : (size,) uint8, the file.
+    values : (n, k) float64; read from the text where they are not given.
+    unit_length : the numbers are normals.
+    significant : digits that the file may ask for before the shortest text is written instead.
+    """
+
+    data: Bytes = field(repr=False)
+    values: Floats = field(default=_UNREAD, repr=False, kw_only=True)
+    unit_length: bool = field(default=False, kw_only=True)
+    significant: int = field(default=SIGNIFICANT_DIGITS, kw_only=True)
+    codes: tuple[str, ...] = field(default=(), kw_only=True)
+    whole_rows: bool = field(default=False, kw_only=True)
+
+    def used_decimals(self) -> Bytes:
+        """Decimals that each of the file's numbers, or the finest of a row, has."""
+        from msal_cli.kernels.text import decimals_used
+
+        return decimals_used(self.data, self.starts, self.stops)
+
+    @functools.cached_property
+    def decimals(self) -> int:
+        """Decimals of new numbers, or ``SHORTEST``; see ``decimals.uniform_decimals``."""
+        return uniform_decimals(
+            self.used_decimals(),
+            self.values,
+            unit_length=self.unit_length,
+            significant=self.significant,
+        )
+
+    @property
+    def _is_whole(self) -> Flags:
+        """Which columns hold whole numbers."""
+        return np.array([code[-2] in "iu" for code in self.codes], dtype=bool)
+
+    def units(self, is_changed: Flags) -> Flags:
+        return is_changed.reshape(-1)
+
+    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
+        decimals: int | Bytes = self.decimals
+        if self._is_whole.any():
+            columns = np.where(self._is_whole, 0, self.decimals).astype(np.uint8)
+            decimals = np.tile(columns, len(values))[units]
+        return print_numbers(values.reshape(-1)[units], decimals)
+
+    def rounded(self, values: Floats) -> tuple[Floats, float]:
+        if self._is_whole.any():
+            values = np.where(self._is_whole, np.rint(values), values)
+        return values, tolerance(self.decimals)
+
+
+@dataclass(eq=False)
+class Tokens(TextSlots):
+    """Numbers that are tokens: ``starts`` and ``stops`` (n * width,), row by row."""
+
+    starts: Longs = field(repr=False)
+    stops: Longs = field(repr=False)
+    width: int = 3
+
+    def __post_init__(self) -> None:
+        if self.values is _UNREAD:
+            self.values = parse_floats(self.data, self.starts, self.stops).reshape(-1, self.width)
+
+
+@dataclass(eq=False)
+class Statements(TextSlots):
+    """Three numbers each, with blanks between them.
 
     Attributes
     ----------
     at : (n,) int64, ascending, first byte of each; ``skipped`` bytes of it are a keyword.
-    old, new : (n, 3) float64; a number that is the same in both keeps its bytes.
-    decimals : (n,) uint8, digits behind the point of the new numbers.
+    used : (n,) uint8, the most decimals of each one's numbers.
     """
 
-    at: Longs
-    skipped: int
-    old: Floats
-    new: Floats
+    at: Longs = field(repr=False)
+    used: Bytes = field(repr=False)
+    skipped: int = 0
+
+    def used_decimals(self) -> Bytes:
+        return self.used
+
+    @functools.cached_property
+    def _spans(self) -> tuple[Longs, Longs]:
+        from msal_cli.kernels.fast_patch import find_tokens
+
+        starts = np.empty(3 * len(self.at), dtype=np.int64)
+        stops = np.empty_like(starts)
+        find_tokens(self.data, self.at, self.skipped, starts, stops)
+        return starts, stops
+
+    @property
+    def starts(self) -> Longs:
+        return self._spans[0]
+
+    @property
+    def stops(self) -> Longs:
+        return self._spans[1]
+
+    def row_decimals(self, values: Floats) -> Bytes | None:
+        """Decimals (n,) for new ``values`` (n, 3); None where they take another way."""
+        if self._is_whole.any():
+            return None
+        if self.unit_length:
+            return row_decimals(np.zeros_like(self.used), self.decimals, 1.0)
+        largest = max(float(values.max()), -float(values.min()))
+        return row_decimals(self.used, self.decimals, largest)
+
+
+class Patch(NamedTuple):
+    """Statements, their new ``values`` (n, 3), and the ``decimals`` (n,) of each one's."""
+
+    slots: Statements
+    values: Floats
     decimals: Bytes
 
 
-def usual_decimals(decimals: Bytes) -> int:
-    """The fewest decimals that all but one in a hundred of ``decimals`` (n,) do not exceed.
-
-    A few numbers that some program wrote with all 17 digits say nothing about the others.
-    """
-    if not len(decimals):
-        return 0
-    counts = np.bincount(decimals, minlength=256)
-    above = len(decimals) - np.cumsum(counts)
-    return int(np.argmax(above * 100 <= len(decimals)))
-
-
-def row_decimals(decimals: Bytes, least: int, largest: float) -> Bytes | None:
-    """The digits behind the point for each new position: its own, and at least ``least``.
-
-    ``decimals`` (n,) are those that the file has, ``largest`` the largest magnitude of a new
-    number.  They are cut down to what float64 tells apart, about 15 digits in all; None where
-    ``least`` are more than that.
-    """
-    from msal_cli.kernels.fast_numbers import MOST_DECIMALS, MOST_SCALED
-
-    most = MOST_DECIMALS
-    while most >= 0 and not largest * 10.0**most < MOST_SCALED:
-        most -= 1
-    if least > most:
-        return None
-    return np.clip(decimals, least, most).astype(np.uint8)
-
-
-def patched(data: Bytes, groups: Sequence[Statements]) -> memoryview | None:
+def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview | None:
     """The file with its statements' changed numbers replaced; None where it takes another way."""
-    from msal_cli.kernels import fast_patch as plain_patch
+    from msal_cli.kernels import fast_patch
 
-    runs = _runs(groups)
+    runs = _runs(patches)
     if runs is None:
         return None
-    out = np.empty(len(data) + sum(map(_room, groups)) + 8, dtype=np.uint8)
+    out = np.empty(len(data) + sum(map(_room, patches)) + 8, dtype=np.uint8)
     done = to = 0
     for which, start, stop in runs:
-        one = groups[which]
-        done, to = plain_patch.patched(
-            data, done, start, stop, one.at, one.skipped, one.old, one.new, one.decimals, out, to
+        slots, values, decimals = patches[which]
+        done, to = fast_patch.patched(
+            data,
+            done,
+            start,
+            stop,
+            slots.at,
+            slots.skipped,
+            slots.values,
+            values,
+            decimals,
+            out,
+            to,
         )
     size = to + len(data) - done
     out[to:size] = data[done:]
     return out[:size].data
 
 
-def _room(one: Statements) -> int:
+def _room(patch: Patch) -> int:
     """Most bytes that new numbers take: sign, point, decimals, and digits before the point."""
-    if not len(one.at):
+    if not len(patch.values):
         return 0
-    largest = max(float(one.new.max()), -float(one.new.min()))
-    return 3 * len(one.at) * (len(str(int(largest))) + int(one.decimals.max()) + 2)
+    largest = max(float(patch.values.max()), -float(patch.values.min()))
+    return 3 * len(patch.values) * (len(str(int(largest))) + int(patch.decimals.max()) + 2)
 
 
-def compared(data: Bytes, result: Bytes, groups: Sequence[Statements]) -> tuple[int, int, int]:
-    """Whether ``result`` is the file with just that replaced: what ``plain_patch.compared`` says.
+def is_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> bool:
+    """Whether ``result`` is the file with just that replaced.
 
-    It is ODD too where this is not the way to compare them.  Also the group and the statement.
+    False where this is not the way to compare them; raises InternalError where it is not.
     """
-    from msal_cli.kernels import fast_patch as plain_patch
+    from msal_cli.kernels import fast_patch
 
-    runs = _runs(groups)
+    runs = _runs(patches)
     if runs is None:
-        return plain_patch.ODD, 0, 0
+        return False
     tolerances = 0.5 * 10.0 ** -np.arange(256.0) * (1.0 + 1e-9)
-    done = result_done = at = which = 0
+    done = result_done = row = which = 0
     for which, start, stop in runs:
-        one = groups[which]
-        status, at, done, result_done = plain_patch.compared(
+        slots, values, decimals = patches[which]
+        status, row, done, result_done = fast_patch.compared(
             data,
             result,
             done,
             result_done,
             start,
             stop,
-            one.at,
-            one.skipped,
-            one.old,
-            one.new,
-            one.decimals,
+            slots.at,
+            slots.skipped,
+            slots.values,
+            values,
+            decimals,
             tolerances,
         )
-        if status != plain_patch.DONE:
-            return status, which, at
+        where = f"{'normal' if slots.unit_length else 'vertex'} {row + 1}"
+        if status == fast_patch.ODD:
+            return False
+        if status == fast_patch.WRONG_VALUE:
+            raise InternalError("the output holds another number than it should", where=where)
+        if status == fast_patch.DIFFERENT:
+            raise InternalError(
+                "the output differs from the input in more than positions and normals",
+                where=f"near {where}",
+            )
     if not is_same(data[done:], result[result_done:]):
-        return plain_patch.DIFFERENT, which, at
-    return plain_patch.DONE, which, at
+        raise InternalError("the output differs from the input in more than positions and normals")
+    return True
 
 
 def is_same(a: Bytes, b: Bytes) -> bool:
@@ -137,16 +243,16 @@ def is_same(a: Bytes, b: Bytes) -> bool:
     )
 
 
-def _runs(groups: Sequence[Statements]) -> list[tuple[int, int, int]] | None:
-    """Group, first statement and end of each run without one of another group between, in order.
+def _runs(patches: Sequence[Patch]) -> list[tuple[int, int, int]] | None:
+    """Patch, first statement and end of each run without one of another patch between, in order.
 
     None for more runs than ``_MOST_RUNS``.
     """
-    runs = list(_merged([one.at for one in groups], _MOST_RUNS + 1))
+    runs = list(_merge([one.slots.at for one in patches], _MOST_RUNS + 1))
     return runs if len(runs) <= _MOST_RUNS else None
 
 
-def _merged(at: Sequence[Longs], most: int) -> Iterator[tuple[int, int, int]]:
+def _merge(at: Sequence[Longs], most: int) -> Iterator[tuple[int, int, int]]:
     """The first ``most`` runs of ascending lists merged: list, first item, end."""
     next_ones = [0] * len(at)
     for _ in range(most):

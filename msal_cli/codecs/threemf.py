@@ -238,7 +238,7 @@ def _decimals(
     surface: Surface, values: Floats, text: bytes, starts: Longs, stops: Longs
 ) -> NDArray[np.uint8]:
     """Decimals (k,) of the new numbers of a mesh; the old ones lie at these bytes."""
-    from msal_cli.codecs.text_slots import usual_decimals
+    from msal_cli.codecs.decimals import usual_decimals
     from msal_cli.kernels import text as texts
     from msal_cli.kernels.digits import MOST_DECIMALS
 
