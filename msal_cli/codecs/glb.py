@@ -13,13 +13,7 @@ from msal_cli.codecs.gltf_json import as_dict, as_list, parse_json, require_shor
 from msal_cli.codecs.gltf_scene import Scene
 from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slots import EXPORT_AGAIN
-from msal_cli.errors import (
-    FormatError,
-    InternalError,
-    MsalError,
-    TruncatedError,
-    UnsupportedError,
-)
+from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 
 _HEAD = 20
 """Bytes before the description: the header of the file and that of its first chunk."""
@@ -106,53 +100,20 @@ class GlbFile(SceneFile):
 
     def __init__(self, data: Buffer) -> None:
         parts = _split(data)
-        super().__init__(data, _parse(*parts), parts[0])
+        super().__init__(data, parts[0], _parse(*parts))
 
-    def replaced(self, vertices: Floats) -> Buffer:
-        """The file with other positions (n, 3), and the normals of what moved recomputed.
+    def _pack(self, data: memoryview) -> bytes:
+        """The file with other data behind the description, whose padding is made to fit."""
+        begin = _HEAD + len(self.text)
+        head = memoryview(self.data).cast("B")[:begin]
+        text = self.text_of(data)
+        if text != head[_HEAD:]:
+            padding = len(text) - len(text.rstrip(b" "))
+            text = text[: len(text) - min(padding, 3)]
+            text += b" " * (-len(text) % 4)
+            size = _HEAD + len(text) + len(data)
+            head = memoryview(struct.pack("<4sIIII", b"glTF", 2, size, len(text), _JSON) + text)
+        return b"".join([head, data])
 
-        Raises
-        ------
-        ContentError
-            with code ``E_RANGE`` if a position does not fit into float32.
-        """
-        if not (vertices != self.vertices).any():
-            return self.data
-        return self._pack(self.replace_data(vertices))
-
-    def _pack(self, data: memoryview) -> Buffer:
-        """The file with other data behind the description; its padding is made to fit."""
-        from msal_cli.kernels.text import as_bytes
-
-        old = self.text.encode("latin-1")
-        text = self.text_of(as_bytes(data)).encode("latin-1")
-        if text == old:
-            return b"".join([memoryview(self.data).cast("B")[: _HEAD + len(old)], data])
-        padding = len(text) - len(text.rstrip(b" "))
-        text = text[: len(text) - min(padding, 3)]
-        text += b" " * (-len(text) % 4)
-        size = _HEAD + len(text) + len(data)
-        head = struct.pack("<4sIIII", b"glTF", 2, size, len(text), _JSON)
-        return b"".join([head, text, data])
-
-    def check(self, output: Buffer, vertices: Floats) -> None:
-        """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
-        from msal_cli.kernels.text import as_bytes
-
-        try:
-            text, rest, _ = _split(output)
-            parse_json(text, "JSON chunk")
-        except MsalError as failure:
-            raise InternalError(f"the GLB file that was made cannot be read: {failure}") from None
-        self.check_data(as_bytes(rest), text.decode("latin-1"), vertices)
-
-    def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
-        """The file with ``vertices`` (n, 3); GLB has one encoding and one precision.
-
-        Raises
-        ------
-        UnsupportedError
-            for another encoding or precision.
-        """
-        self.require_encoding(encoding, precision)
-        return self.replaced(vertices)
+    def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
+        return _split(output)[:2]

@@ -170,22 +170,14 @@ class GltfFile(SceneFile):
     format = "gltf"
 
     def __init__(self, data: Buffer, text: bytes, buffers: _Buffers, path: str) -> None:
-        super().__init__(data, buffers.scene, text)
+        super().__init__(data, text, buffers.scene)
         self.buffers = buffers
         self._path = path
 
-    def replaced(self, vertices: Floats) -> Buffer:
-        """The text with other positions (n, 3), as far as they are in it; the files that hold the
-        others come from ``beside``."""
-        if not (vertices != self.vertices).any():
-            return self.data
-        return self._pack(self.replace_data(vertices))
-
     def _pack(self, data: memoryview) -> bytes:
-        """The text with the bounds of positions in ``data``, and with the buffers inside it."""
-        from msal_cli.kernels.text import as_bytes
-
-        text = self.text_of(as_bytes(data))
+        """The text with other data, as far as they are in it; the files that hold the others come
+        from ``beside``."""
+        text = self.text_of(data).decode("latin-1")
         spans = find_entries(text, "buffers")
         edits = []
         for number in self.buffers.changed(data) - set(self.buffers.names):
@@ -195,17 +187,12 @@ class GltfFile(SceneFile):
             edits.append((spans[number]["uri"], json.dumps(new)))
         return replace_spans(text, edits).encode("latin-1")
 
-    def check(self, output: Buffer, vertices: Floats) -> None:
-        """Raise InternalError unless ``output`` is this text with only ``vertices`` replaced, and
-        the files beside it are to be the old ones with only these replaced."""
-        from msal_cli.kernels.text import as_bytes
-
+    def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
+        """The text with the buffers inside it as they were, and the data; those beside it are not
+        written yet."""
         data = self.replace_data(vertices)
         text = bytes(output).decode("latin-1")
-        try:
-            content = parse_json(bytes(output), "description")
-        except MsalError as failure:
-            raise InternalError(f"the .gltf file that was made cannot be read: {failure}") from None
+        content = parse_json(bytes(output), "description")
         restored = []
         original = find_entries(self.text, "buffers")
         for number, spans in enumerate(find_entries(text, "buffers")):
@@ -213,11 +200,11 @@ class GltfFile(SceneFile):
                 continue
             at, size = self.buffers.spans[number]
             uri = content["buffers"][number]["uri"]
-            if gltf_buffers.decode_data_uri(uri, "") != bytes(data[at : at + size]):
+            if gltf_buffers.decode_data_uri(uri, "") != data[at : at + size]:
                 raise InternalError("a buffer of a .gltf file was not written right")
             start, stop = original[number]["uri"]
             restored.append((spans["uri"], self.text[start:stop]))
-        self.check_data(as_bytes(data), replace_spans(text, restored), vertices)
+        return replace_spans(text, restored).encode("latin-1"), data
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The text with ``vertices`` (n, 3); glTF has one encoding and one precision.
@@ -227,13 +214,12 @@ class GltfFile(SceneFile):
         UnsupportedError
             for another encoding or precision, and for a file with others beside it.
         """
-        self.require_encoding(encoding, precision)
         if self.buffers.names:
             raise UnsupportedError(
                 "a .gltf with buffers of its own has one encoding",
                 hint="leave --encoding and --precision away",
             )
-        return self.replaced(vertices)
+        return super().encoded(vertices, encoding, precision)
 
     def beside(
         self, output: Buffer, vertices: Floats, path: str | None
@@ -265,7 +251,7 @@ class GltfFile(SceneFile):
                 "a .gltf and the file of its mesh cannot be replaced at once",
                 hint="write to another folder, or convert it to .glb first",
             )
-        data = self.replace_data(vertices) if is_moved else self.scene.data
+        data = self.replace_data(vertices) if is_moved else memoryview(self.scene.data)
         changed = self.buffers.changed(data)
         names = self._new_names(path, changed)
         companions: dict[str, Companion] = {}

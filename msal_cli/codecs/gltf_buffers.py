@@ -49,7 +49,9 @@ def decode_data_uri(uri: str, where: str) -> bytes | None:
         return base64.b64decode(uri[comma + 1 :], validate=True)
     except (binascii.Error, ValueError) as failure:
         said = str(failure)[:100]
-        raise FormatError(f"the data are not base64: {said}", where=where, hint=EXPORT_AGAIN) from None
+        raise FormatError(
+            f"the data are not base64: {said}", where=where, hint=EXPORT_AGAIN
+        ) from None
 
 
 def encode_data_uri(uri: str, content: Buffer) -> str:

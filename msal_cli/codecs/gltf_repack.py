@@ -21,14 +21,10 @@ def repack(file: SceneFile, vertices: Floats, to: str) -> bytes | None:
     None where that would lose something: for buffers that could not be read, and for views that
     are described a second time in an extension.
     """
-    from msal_cli.kernels.text import as_bytes
-
-    data: Buffer = memoryview(file.scene.data)
-    text = file.text
-    if (vertices != file.vertices).any():
-        data = file.replace_data(vertices)
-        text = file.text_of(as_bytes(data))
-    content = json.loads(text.encode("latin-1").decode().removeprefix("\ufeff"))
+    is_moved = bool((vertices != file.vertices).any())
+    data = file.replace_data(vertices)
+    text = file.text_of(data) if is_moved else file.text.encode("latin-1")
+    content = json.loads(text.decode().removeprefix("\ufeff"))
     try:
         binary = _merge_buffers(content, file.scene.buffers, data)
     except (TypeError, ValueError, LookupError, AttributeError):

@@ -13,7 +13,6 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats, Longs
 from msal_cli.codecs.frames import can_be_undone
@@ -50,9 +49,10 @@ class Accessor:
     stride: int
     count: int
 
-    def rows(self, data: Bytes) -> NDArray[np.float32]:
-        """The rows (count, 3), a view into ``data``."""
-        return np.ndarray((self.count, 3), "<f4", data, self.at, (self.stride, 4))
+    @property
+    def place(self) -> tuple[int, int, int, tuple[int, ...], tuple[str, ...]]:
+        """What ``record_slots.Strided`` is to know of it."""
+        return self.at, self.count, self.stride, (0, 4, 8), ("<f4", "<f4", "<f4")
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +72,12 @@ class Part:
     mesh: int
     normals: Accessor | None
     source: tuple[object, object] = (None, None)
+
+    def bounds(self, data: Bytes) -> dict[str, list[float]]:
+        """The least and the largest of each coordinate in ``data``."""
+        at = self.positions
+        rows = np.ndarray((at.count, 3), "<f4", data, at.at, (at.stride, 4))
+        return {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,9 +279,7 @@ class Scene:
         except (TypeError, ValueError, OverflowError, FormatError):
             return [np.eye(4) for _ in parts]
 
-    def _frame(
-        self, parents: dict[int, int], known: dict[int, Floats], node: int | None
-    ) -> Floats:
+    def _frame(self, parents: dict[int, int], known: dict[int, Floats], node: int | None) -> Floats:
         """The product of a node's transform and those above it; ``known`` remembers them."""
         path: list[int] = []
         while node is not None and node not in known and len(path) < _DEEPEST:
