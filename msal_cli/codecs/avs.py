@@ -8,13 +8,12 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN
+from msal_cli.codecs.slots import TextNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
-from msal_cli.codecs.text_slots import Tokens
 from msal_cli.codecs.tokens import Words, indices_of
-from msal_cli.errors import FormatError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _FLAT = {b"tri": ("triangle", 3), b"quad": ("quad", 4)}
 _OTHERS = {
@@ -57,7 +56,7 @@ def _parse(data: Buffer) -> Content:
         raise FormatError("a node has no three coordinates", where=words.where(at))
     tags = words.integers(nodes)
     places = (nodes[:, None] + np.arange(1, 4)).reshape(-1)
-    positions = Tokens(words.data, words.starts[places], words.stops[places])
+    positions = TextNumbers(words.data, words.starts[places], words.stops[places])
     cells = _cells(words, of_cells, lengths[1 + n_nodes : 1 + n_nodes + n_cells])
     n_data = [int(words.word(k)) for k in (2, 3) if k < lengths[0] and words.word(k).isdigit()]
     names = ("data of nodes", "data of cells")

@@ -14,13 +14,12 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.dae_scene import frames_of
 from msal_cli.codecs.frames import PLACEMENT, is_placed
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, float_rows, integer_rows
-from msal_cli.codecs.text_slots import Tokens
+from msal_cli.codecs.slots import TextNumbers, float_rows, integer_rows
 from msal_cli.codecs.tokens import Words, require_indices
 from msal_cli.codecs.xml_offsets import Element, parse_tree
-from msal_cli.errors import FormatError, MsalError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, MsalError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _SURFACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
 _WORDS = {"TEXCOORD": "texture coordinates", "COLOR": "vertex colours"}
@@ -98,7 +97,7 @@ def _is_placed(data: Buffer, root: Element, name: str) -> bool:
 def _empty(root: Element) -> Content:
     kinds = sorted({one.name for one in root.inner() if one.name in ("lines", "linestrips")})
     none = np.zeros(0, dtype=np.int64)
-    empty = Tokens(np.zeros(0, dtype=np.uint8), none, none)
+    empty = TextNumbers(np.zeros(0, dtype=np.uint8), none, none)
     return Content("ascii", "text", (empty,), none, none, held=", ".join(kinds))
 
 
@@ -121,9 +120,9 @@ class _Mesh:
     def __init__(self, data: Buffer, element: Element) -> None:
         self._data = data
         self._sources = {one.attributes.get("id", ""): one for one in element.all("source")}
-        self._arrays: dict[str, Tokens] = {}
+        self._arrays: dict[str, TextNumbers] = {}
         self._normal_starts: dict[str, int] = {}
-        self.normals: list[Tokens] = []
+        self.normals: list[TextNumbers] = []
         self.properties: list[str] = []
         self.warnings: list[str] = []
         vertices = element.find("vertices")
@@ -147,7 +146,7 @@ class _Mesh:
         if surfaces:
             require_indices(self.corners, len(self.positions.values))
 
-    def _array(self, name: str, *, is_normals: bool) -> Tokens:
+    def _array(self, name: str, *, is_normals: bool) -> TextNumbers:
         """The rows of a source of three numbers each."""
         if name in self._arrays:
             return self._arrays[name]
@@ -166,7 +165,7 @@ class _Mesh:
         words.require(offset + count * stride if count else 0, f"{count} rows of {name[:40]!r}")
         places = offset + np.arange(count, dtype=np.int64)[:, None] * stride + np.arange(3)
         places = places.reshape(-1)
-        self._arrays[name] = Tokens(
+        self._arrays[name] = TextNumbers(
             words.data, words.starts[places], words.stops[places], unit_length=is_normals
         )
         return self._arrays[name]

@@ -11,9 +11,8 @@ from msal_cli.arrays import Floats
 from msal_cli.codecs.gltf_file import SceneFile
 from msal_cli.codecs.gltf_json import as_dict, as_list, parse_json, require_short
 from msal_cli.codecs.gltf_scene import Scene
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import EXPORT_AGAIN
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _HEAD = 20
 """Bytes before the description: the header of the file and that of its first chunk."""

@@ -15,7 +15,6 @@ from urllib.parse import quote
 
 from msal_cli.arrays import Floats
 from msal_cli.codecs import gltf_buffers
-from msal_cli.codecs.companions import Companion
 from msal_cli.codecs.gltf_file import SceneFile
 from msal_cli.codecs.gltf_json import (
     as_dict,
@@ -26,9 +25,9 @@ from msal_cli.codecs.gltf_json import (
     require_short,
 )
 from msal_cli.codecs.gltf_scene import Scene
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import EXPORT_AGAIN
+from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import (
+    EXPORT_AGAIN,
     FormatError,
     InternalError,
     MsalError,
@@ -37,7 +36,9 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
-from msal_cli.storage.gzip_streams import is_gzip_name, memory_bytes
+from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.gzip_streams import is_gzip_name
+from msal_cli.storage.limits import memory_bytes
 from msal_cli.storage.urls import is_url
 
 _MOST_BUFFERS = 10_000
@@ -159,7 +160,7 @@ class _Buffers:
 
     def changed(self, data: Buffer) -> set[int]:
         """The buffers that differ in ``data``, that of the scene with new positions."""
-        new, old = memoryview(data), memoryview(self.scene.data)
+        new, old = memoryview(data), self.scene.data.data
         spans = self.spans.items()
         return {number for number, (at, n) in spans if new[at : at + n] != old[at : at + n]}
 
@@ -200,7 +201,7 @@ class GltfFile(SceneFile):
                 continue
             at, size = self.buffers.spans[number]
             uri = content["buffers"][number]["uri"]
-            if gltf_buffers.decode_data_uri(uri, "") != data[at : at + size]:
+            if gltf_buffers.decode_data_uri(uri, "") != bytes(data[at : at + size]):
                 raise InternalError("a buffer of a .gltf file was not written right")
             start, stop = original[number]["uri"]
             restored.append((spans["uri"], self.text[start:stop]))
@@ -251,7 +252,7 @@ class GltfFile(SceneFile):
                 "a .gltf and the file of its mesh cannot be replaced at once",
                 hint="write to another folder, or convert it to .glb first",
             )
-        data = self.replace_data(vertices) if is_moved else memoryview(self.scene.data)
+        data = self.replace_data(vertices) if is_moved else self.scene.data.data
         changed = self.buffers.changed(data)
         names = self._new_names(path, changed)
         companions: dict[str, Companion] = {}

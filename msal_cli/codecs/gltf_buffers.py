@@ -14,9 +14,15 @@ from pathlib import Path, PureWindowsPath
 from urllib.parse import unquote
 
 from msal_cli.codecs.gltf_scene import has_scheme
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import EXPORT_AGAIN
-from msal_cli.errors import FormatError, InputError, TooLargeError, TruncatedError, UnsupportedError
+from msal_cli.errors import (
+    EXPORT_AGAIN,
+    FormatError,
+    InputError,
+    TooLargeError,
+    TruncatedError,
+    UnsupportedError,
+)
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.regular import NotRegularError, open_regular
 from msal_cli.storage.urls import is_url
 
@@ -91,7 +97,7 @@ def file_name(uri: str, where: str) -> str:
 
 
 def read_buffer(name: str, folder: Path, declared: int, room: int, where: str) -> bytes:
-    """The bytes of the file ``name`` in ``folder``: ``declared`` at the least, ``room`` at the most.
+    """The bytes of the file ``name`` in ``folder``: from ``declared`` to ``room`` of them.
 
     Raises
     ------

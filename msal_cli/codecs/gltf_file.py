@@ -10,15 +10,14 @@ import json
 
 import numpy as np
 
-from msal_cli.arrays import Bytes, Flags, Floats
+from msal_cli.arrays import Flags, Floats
 from msal_cli.codecs.frames import PLACEMENT, is_placed
 from msal_cli.codecs.gltf_json import find_entries, replace_spans, write_bound
 from msal_cli.codecs.gltf_scene import Part, Scene, are_usable
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.record_slots import Strided
 from msal_cli.codecs.slot_file import Layout, SlotFile
 from msal_cli.errors import ContentError, InternalError, MsalError
 from msal_cli.kernels.text import as_bytes
+from msal_cli.storage.buffers import Buffer
 
 
 class SceneFile(SlotFile):
@@ -108,7 +107,7 @@ def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layou
         properties = (*properties, PLACEMENT)
     if len(parts) == 1 or not are_usable(frames):
         frames = [np.eye(4) for _ in parts]
-    positions = tuple(Strided(scene.data, *part.positions.place) for part in parts)
+    positions = tuple(part.positions.slots(scene.data) for part in parts)
     for part, slots in zip(parts, positions, strict=True):
         is_finite = np.isfinite(slots.values).all(axis=1)
         if not is_finite.all():
@@ -123,7 +122,7 @@ def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layou
         [part.faces + first for part, first in zip(parts, starts.tolist(), strict=False)]
     ).astype(np.int32)
     normals = [
-        (part, Strided(scene.data, *part.normals.place, whole_rows=True), frame, int(first))
+        (part, part.normals.slots(scene.data), frame, int(first))
         for part, frame, first in zip(parts, frames, starts, strict=False)
         if part.normals is not None
     ]
@@ -131,7 +130,7 @@ def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layou
         "binary_little_endian",
         "float32",
         positions,
-        faces.reshape(-1),
+        faces.reshape(-1).astype(np.int64),
         np.broadcast_to(np.int64(3), len(faces)),
         normals=tuple(slots for _, slots, _, _ in normals),
         renew_normals=lambda old, new: [

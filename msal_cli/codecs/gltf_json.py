@@ -11,8 +11,7 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from msal_cli.codecs.slots import EXPORT_AGAIN
-from msal_cli.errors import FormatError, TooLargeError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TooLargeError
 
 Span = tuple[int, int]
 """The first character of a value, and the one behind its last."""
@@ -45,7 +44,7 @@ def parse_json(data: bytes, where: str) -> dict[str, Any]:
     return content
 
 
-def require_short(size: int, where: str | None = None) -> None:
+def require_short(size: int, where: str = "") -> None:
     """Raise TooLargeError for a description of ``size`` bytes that is too long."""
     if size > _LONGEST:
         raise TooLargeError(

@@ -12,7 +12,7 @@ from typing import Any
 from msal_cli.arrays import Floats
 from msal_cli.codecs.gltf_buffers import EMPTY_URI, encode_data_uri
 from msal_cli.codecs.gltf_file import SceneFile
-from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.storage.buffers import Buffer
 
 
 def repack(file: SceneFile, vertices: Floats, to: str) -> bytes | None:

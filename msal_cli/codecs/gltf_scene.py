@@ -17,8 +17,9 @@ import numpy as np
 from msal_cli.arrays import Bytes, Floats, Longs
 from msal_cli.codecs.frames import can_be_undone
 from msal_cli.codecs.gltf_json import as_dict, as_list
-from msal_cli.codecs.slots import EXPORT_AGAIN
+from msal_cli.codecs.record_slots import Strided
 from msal_cli.errors import (
+    EXPORT_AGAIN,
     ContentError,
     FormatError,
     MsalError,
@@ -49,10 +50,10 @@ class Accessor:
     stride: int
     count: int
 
-    @property
-    def place(self) -> tuple[int, int, int, tuple[int, ...], tuple[str, ...]]:
-        """What ``record_slots.Strided`` is to know of it."""
-        return self.at, self.count, self.stride, (0, 4, 8), ("<f4", "<f4", "<f4")
+    def slots(self, data: Bytes) -> Strided:
+        """The rows in ``data``."""
+        codes = ("<f4", "<f4", "<f4")
+        return Strided(data, self.at, self.count, self.stride, (0, 4, 8), codes, whole_rows=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +76,8 @@ class Part:
 
     def bounds(self, data: Bytes) -> dict[str, list[float]]:
         """The least and the largest of each coordinate in ``data``."""
-        at = self.positions
-        rows = np.ndarray((at.count, 3), "<f4", data, at.at, (at.stride, 4))
+        own = self.positions
+        rows = np.ndarray((own.count, 3), "<f4", data, own.at, (own.stride, 4))
         return {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
 
 
@@ -103,11 +104,10 @@ class Scene:
 
     def entry(self, kind: str, index: object) -> dict[str, Any]:
         """The entry ``index`` of the list ``kind``; FormatError if there is none."""
-        entries = self.content.get(kind)
-        is_number = isinstance(index, int) and not isinstance(index, bool)
-        if isinstance(entries, list) and is_number and 0 <= index < len(entries):
+        entries = as_list(self.content.get(kind))
+        if isinstance(index, int) and not isinstance(index, bool) and 0 <= index < len(entries):
             # Not a copy: a large entry may be named very often.
-            entry: object = entries[index]
+            entry = entries[index]
             if isinstance(entry, dict):
                 return entry
         raise FormatError(f"there is no entry {index!r} in {kind}", where=kind, hint=EXPORT_AGAIN)
@@ -120,7 +120,7 @@ class Scene:
         view = self.entry("bufferViews", accessor.get("bufferView"))
         if "EXT_meshopt_compression" in as_dict(view.get("extensions")):
             raise UnsupportedError("compressed data are not read", where=where, hint=_PLAIN)
-        number = view.get("buffer")
+        number: Any = view.get("buffer")
         self.entry("buffers", number)
         place = self.buffers.get(number)
         if isinstance(place, MsalError):

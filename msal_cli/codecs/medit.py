@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, BinaryNumbers
+from msal_cli.codecs.slots import BinaryNumbers, TextNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
-from msal_cli.codecs.text_slots import Tokens
 from msal_cli.codecs.tokens import Words
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _FLAT = {"triangles": ("triangle", 3), "quadrilaterals": ("quad", 4)}
 _CURVED = ("trianglesp2", "quadrilateralsq2", "trianglesp3", "trianglesp4")
@@ -62,7 +61,7 @@ def read(data: Buffer, format: str) -> PatchedFile:
 
 
 def _content(
-    cells: SurfaceCells, positions: Tokens | BinaryNumbers, precision: str, has_normals: bool
+    cells: SurfaceCells, positions: TextNumbers | BinaryNumbers, precision: str, has_normals: bool
 ) -> Content:
     warnings = cells.warnings()
     if has_normals:
@@ -108,7 +107,7 @@ def _parse_text(data: Buffer) -> Content:
             _refuse_plane(dimension)
             rows = _rows(words, keyword, stop, 4, "vertices")
             places = (rows[:, None] + np.arange(3)).reshape(-1)
-            positions = Tokens(words.data, words.starts[places], words.stops[places])
+            positions = TextNumbers(words.data, words.starts[places], words.stops[places])
         elif name in _FLAT:
             kind, size = _FLAT[name]
             rows = _rows(words, keyword, stop, size + 1, name)

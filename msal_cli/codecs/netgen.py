@@ -9,13 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN
+from msal_cli.codecs.slots import TextNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
-from msal_cli.codecs.text_slots import Tokens
 from msal_cli.codecs.tokens import Words
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _SURFACE = (b"surfaceelements", b"surfaceelementsgi", b"surfaceelementsuv")
 _CORNERS_BEHIND = 5
@@ -66,7 +65,7 @@ def _parse(data: Buffer) -> Content:
         elif name == b"points":
             _require_length(words, rows, sizes, 3, "point")
             places = (rows[:, None] + np.arange(3)).reshape(-1)
-            positions = Tokens(words.data, words.starts[places], words.stops[places])
+            positions = TextNumbers(words.data, words.starts[places], words.stops[places])
         else:
             _add_surface(words, rows, sizes, cells)
     if positions is None:

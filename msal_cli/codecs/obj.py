@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats
 from msal_cli.codecs import obj_description as obj_words
 from msal_cli.codecs import text_slots_old as plain_text
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.obj_parser import Content, content
 from msal_cli.errors import ContentError, InternalError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 NORMAL_DECIMALS = 6
 """Decimals that a recomputed unit normal has at the least."""

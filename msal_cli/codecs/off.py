@@ -18,12 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN
-from msal_cli.codecs.text_slots import Tokens
+from msal_cli.codecs.slots import TextNumbers
 from msal_cli.codecs.tokens import Words, require_indices
-from msal_cli.errors import ContentError, FormatError, InputError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, InputError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _HEADER = re.compile(
     rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+(ST)?(C)?(N)?(4?)(n?)OFF\b(?:[ \t]+(BINARY))?"
@@ -82,13 +81,15 @@ def _parse(data: Buffer) -> Content:
             raise by_lines from None
     at, corners, sizes, extra = parsed.at, parsed.corners, parsed.sizes, parsed.n_extra
     places = (at[:, None] + np.arange(3)).reshape(-1)
-    positions = Tokens(words.data, words.starts[places], words.stops[places])
-    normals: tuple[Tokens, ...] = ()
+    positions = TextNumbers(words.data, words.starts[places], words.stops[places])
+    normals: tuple[TextNumbers, ...] = ()
     if has_normals:
         if extra < 3:
             raise FormatError("a NOFF file without normals", hint=EXPORT_AGAIN)
         places += 3
-        normals = (Tokens(words.data, words.starts[places], words.stops[places], unit_length=True),)
+        normals = (
+            TextNumbers(words.data, words.starts[places], words.stops[places], unit_length=True),
+        )
     announced = width - 3
     properties = [
         word

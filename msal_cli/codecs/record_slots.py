@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ _CHUNK = 1 << 20
 """Bytes compared at a time, so that a comparison needs no temporary as large as the file."""
 
 
-class RecordSlots(Slots, Protocol):
+class RecordSlots(Slots):
     """An array whose numbers have a place and a size of their own in binary data.
 
     Attributes
@@ -36,29 +36,30 @@ class RecordSlots(Slots, Protocol):
     data: Bytes
 
     @property
-    def span(self) -> tuple[int, int]: ...
+    def span(self) -> tuple[int, int]:
+        raise NotImplementedError
 
     def read(self, data: Bytes, origin: int = 0) -> Floats:
         """The numbers (n, k) that ``data``, from byte ``origin`` of the file on, holds."""
-        ...
+        raise NotImplementedError
 
     def write(self, out: Bytes, values: Floats, where: Flags, origin: int = 0) -> None:
         """Store ``values`` (n, k) where ``where`` (n, k)."""
-        ...
+        raise NotImplementedError
 
     def restore(self, out: Bytes, where: Flags, origin: int = 0) -> None:
         """Store the file's own bytes where ``where`` (n, k).
 
         Bytes, not values: 64-bit whole numbers need not fit a double.
         """
-        ...
+        raise NotImplementedError
 
     def parts(self) -> Iterator[tuple[RecordSlots, slice]]:
         """Arrays of some records each that make up this one, and which rows they have."""
         yield self, slice(None)
 
     @property
-    def values(self) -> Floats:
+    def values(self) -> Floats:  # type: ignore[override]
         """The numbers (n, k), read anew each time: it takes as long as a copy."""
         return self.read(self.data)
 

@@ -15,19 +15,18 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.record_slots import Overwrite, RecordSlots, check_overwritten, overwrite
-from msal_cli.codecs.slots import EXPORT_AGAIN, Slots, UnitSlots, require_range, splice
+from msal_cli.codecs.slots import Slots, TextSlots, UnitSlots, require_range, splice
 from msal_cli.codecs.text_slots import (
     Patch,
     Statements,
-    TextSlots,
     is_replaced,
     replace_statements,
 )
 from msal_cli.codecs.tokens import require_indices
-from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, ContentError, InternalError, MsalError, UnsupportedError
 from msal_cli.kernels.text import as_bytes
+from msal_cli.storage.buffers import Buffer
 
 _NONE = np.zeros(0, dtype=np.int64)
 
@@ -157,7 +156,7 @@ class SlotFile:
         if not changes:
             return self._data
         if self._is_binary:
-            return overwrite(as_bytes(self._data), cast("list[Overwrite]", changes))
+            return overwrite(as_bytes(self._data), _overwrites(changes))
         patches = _patches(changes)
         output = replace_statements(as_bytes(self._data), patches) if patches else None
         return output or self._spliced(changes, vertices)
@@ -189,7 +188,7 @@ class SlotFile:
         changes = self._changes(vertices)
         data, result = as_bytes(self._data), as_bytes(output)
         if self._is_binary or not changes:
-            check_overwritten(data, result, cast("list[Overwrite]", changes))
+            check_overwritten(data, result, _overwrites(changes))
             return
         _require_unit_length(changes)
         patches = _patches(changes)
@@ -286,6 +285,8 @@ class SlotFile:
         changes = []
         for slots, values in zip(layout.positions, self._to_file(vertices), strict=True):
             is_changed = values != slots.values
+            if slots.whole_rows:
+                is_changed = np.broadcast_to(is_changed.any(axis=1)[:, None], values.shape)
             if slots.codes:
                 require_range(values, is_changed, slots.codes)
             if isinstance(slots, TextSlots):
@@ -376,6 +377,13 @@ class SlotFile:
         return list(zip(np.split(normals, cuts), np.split(rows, cuts), strict=True))
 
 
+def _overwrites(changes: Sequence[Change]) -> list[Overwrite]:
+    return [
+        Overwrite(cast("RecordSlots", slots), values, is_changed)
+        for slots, values, is_changed in changes
+    ]
+
+
 def _patches(changes: Sequence[Change]) -> list[Patch]:
     """The changes where all are statements whose lines keep their own decimals, else none."""
     patches = []
@@ -413,7 +421,7 @@ def _shift(growths: Iterable[tuple[Longs, Longs]]) -> Shift:
     return lambda at: int(growth[stops <= at].sum())
 
 
-def _triangles(layout: Layout, vertices: Floats) -> tuple[Ints, Ints]:
+def _triangles(layout: Layout, vertices: Floats) -> tuple[Ints, Longs]:
     """Triangles (m, 3), and the places of their corners among those of the polygons.
 
     Raises ContentError for a layout that is no mesh.

@@ -8,19 +8,27 @@ module ``record_slots`` has arrays whose numbers are overwritten in place, witho
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.errors import ContentError, FormatError
+from msal_cli.codecs.decimals import (
+    SIGNIFICANT_DIGITS,
+    print_numbers,
+    tolerance,
+    uniform_decimals,
+)
+from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError
+from msal_cli.storage.buffers import Buffer
+
+_UNREAD = np.empty((0, 0))
 
 
-class Slots(Protocol):
+class Slots:
     """An array (n, k) inside a file.
 
     Attributes
@@ -30,36 +38,100 @@ class Slots(Protocol):
     whole_rows : where one number of a row changes, all of them are written anew.
     """
 
+    values: Floats
     codes: tuple[str, ...] = ()
     whole_rows: bool = False
 
-    @property
-    def values(self) -> Floats: ...
-
     def rounded(self, values: Floats) -> tuple[Floats, float]:
         """New values (n, k) as they will be read back, and how far off a number may be."""
-        ...
+        raise NotImplementedError
 
 
-class UnitSlots(Slots, Protocol):
+class UnitSlots(Slots):
     """An array whose new bytes take the place of the old ones, which may be longer or shorter.
 
     ``starts`` and ``stops`` (q,) int64, disjoint, are the units.
     """
 
-    @property
-    def starts(self) -> Longs: ...
-
-    @property
-    def stops(self) -> Longs: ...
+    starts: Longs
+    stops: Longs
 
     def units(self, is_changed: Flags) -> Flags:
         """Which units (q,) hold one of these numbers (n, k)."""
-        ...
+        raise NotImplementedError
 
     def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
         """The bytes of these units with new values (n, k), one behind the other, and their ends."""
-        ...
+        raise NotImplementedError
+
+
+@dataclass(eq=False)
+class TextSlots(UnitSlots):
+    """What all numbers in a text have in common.
+
+    Attributes
+    ----------
+    data : (size,) uint8, the file.
+    values : (n, k) float64; read from the text where they are not given.
+    unit_length : the numbers are normals.
+    significant : digits that the file may ask for before the shortest text is written instead.
+    """
+
+    data: Bytes = field(repr=False)
+    values: Floats = field(default_factory=lambda: _UNREAD, repr=False, kw_only=True)
+    unit_length: bool = field(default=False, kw_only=True)
+    significant: int = field(default=SIGNIFICANT_DIGITS, kw_only=True)
+    codes: tuple[str, ...] = field(default=(), kw_only=True)
+    whole_rows: bool = field(default=False, kw_only=True)
+
+    def used_decimals(self) -> Bytes:
+        """Decimals that each of the file's numbers, or the finest of a row, has."""
+        from msal_cli.kernels.text import decimals_used
+
+        return decimals_used(self.data, self.starts, self.stops)
+
+    @functools.cached_property
+    def decimals(self) -> int:
+        """Decimals of new numbers, or ``SHORTEST``; see ``decimals.uniform_decimals``."""
+        return uniform_decimals(
+            self.used_decimals(),
+            self.values,
+            unit_length=self.unit_length,
+            significant=self.significant,
+        )
+
+    @property
+    def _is_whole(self) -> Flags:
+        """Which columns hold whole numbers."""
+        return np.array([code[-2] in "iu" for code in self.codes], dtype=bool)
+
+    def units(self, is_changed: Flags) -> Flags:
+        return is_changed.reshape(-1)
+
+    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
+        decimals: int | Bytes = self.decimals
+        if self._is_whole.any():
+            columns = np.where(self._is_whole, 0, self.decimals).astype(np.uint8)
+            decimals = np.tile(columns, len(values))[units]
+        return print_numbers(values.reshape(-1)[units], decimals)
+
+    def rounded(self, values: Floats) -> tuple[Floats, float]:
+        if self._is_whole.any():
+            values = np.where(self._is_whole, np.rint(values), values)
+        return values, tolerance(self.decimals)
+
+
+@dataclass(eq=False)
+class Tokens(TextSlots):
+    """Numbers that are tokens: ``starts`` and ``stops`` (n * width,), row by row."""
+
+    starts: Longs = field(repr=False)
+    stops: Longs = field(repr=False)
+    width: int = 3
+
+    def __post_init__(self) -> None:
+        if self.values is _UNREAD:
+            self.values = parse_floats(self.data, self.starts, self.stops).reshape(-1, self.width)
 
 
 @dataclass(eq=False)
@@ -141,6 +213,31 @@ def to_type(values: Floats, code: str) -> NDArray[np.generic]:
         return (values if dtype.kind == "f" else np.rint(values)).astype(dtype)
 
 
+def as_float32(positions: Floats, first: int = 0) -> NDArray[np.float32]:
+    """Positions (m, 9) or (n, 3) rounded to float32; ``first`` is the number of the first row.
+
+    Raises
+    ------
+    ContentError
+        with code ``E_RANGE`` if one is beyond float32's range.
+    """
+    with np.errstate(over="ignore", under="ignore"):
+        rounded = positions.astype(np.float32)
+    if not np.isfinite(rounded).all():
+        bad = int(np.argmin(np.isfinite(rounded).reshape(len(rounded), -1).all(axis=1)))
+        raise too_large_for_float32(f"row {first + bad}")
+    return rounded
+
+
+def too_large_for_float32(where: str) -> ContentError:
+    return ContentError(
+        "a position is too large for float32",
+        code="E_RANGE",
+        where=where,
+        hint="scale the mesh, or write it to a format with float64",
+    )
+
+
 def require_range(values: Floats, is_changed: Flags, codes: Sequence[str]) -> None:
     """Raise ContentError (``E_RANGE``) where a changed number (n, k) does not fit its type.
 
@@ -210,9 +307,6 @@ def _no_number(data: Bytes, at: int, word: bytes) -> FormatError:
     )
 
 
-EXPORT_AGAIN = "the file is damaged; export it again"
-
-
 def number_hint(word: bytes, otherwise: str = EXPORT_AGAIN) -> str:
     """What to do about a word that is no number: it may have the comma of another language."""
     return "numbers need a decimal point, not a comma" if b"," in word else otherwise
@@ -264,5 +358,6 @@ def integer_rows(values: NDArray[np.int32]) -> str:
     return rows.lines(digits, stops, ends, b"").tobytes().decode()
 
 
-# The name of before, until all codecs use the new one.
+# The names of before, until all codecs use the new ones.
 Numbers = UnitSlots
+TextNumbers = Tokens

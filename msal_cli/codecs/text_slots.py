@@ -1,8 +1,6 @@
-"""Arrays of numbers in a text, new ones put in, and the check of the result.
+"""Numbers in a text of which three are one behind the other, as nearly all text meshes have them.
 
-``Tokens`` can lie anywhere; ``Statements`` are three numbers one behind the other, as nearly all
-text meshes have them: of these no place per number is kept, and one walk over the file replaces
-or compares them.
+No place per number is kept, and one walk over the file replaces or compares them.
 """
 
 from __future__ import annotations
@@ -14,15 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.decimals import (
-    SIGNIFICANT_DIGITS,
-    print_numbers,
-    row_decimals,
-    tolerance,
-    uniform_decimals,
-)
-from msal_cli.codecs.slots import UnitSlots, parse_floats
+from msal_cli.arrays import Bytes, Floats, Longs
+from msal_cli.codecs.decimals import row_decimals
+from msal_cli.codecs.slots import TextSlots
 from msal_cli.errors import InternalError
 
 _MOST_RUNS = 4096
@@ -31,77 +23,6 @@ one; a file with more of them takes another way."""
 
 _BLOCK = 1 << 18
 """Bytes compared at a time; what they differ in fits the cache."""
-
-_UNREAD = np.empty((0, 0))
-
-
-@dataclass(eq=False)
-class TextSlots(UnitSlots):
-    """What all numbers in a text have in common.
-
-    Attributes
-    ----------
-    data : (size,) uint8, the file.
-    values : (n, k) float64; read from the text where they are not given.
-    unit_length : the numbers are normals.
-    significant : digits that the file may ask for before the shortest text is written instead.
-    """
-
-    data: Bytes = field(repr=False)
-    values: Floats = field(default=_UNREAD, repr=False, kw_only=True)
-    unit_length: bool = field(default=False, kw_only=True)
-    significant: int = field(default=SIGNIFICANT_DIGITS, kw_only=True)
-    codes: tuple[str, ...] = field(default=(), kw_only=True)
-    whole_rows: bool = field(default=False, kw_only=True)
-
-    def used_decimals(self) -> Bytes:
-        """Decimals that each of the file's numbers, or the finest of a row, has."""
-        from msal_cli.kernels.text import decimals_used
-
-        return decimals_used(self.data, self.starts, self.stops)
-
-    @functools.cached_property
-    def decimals(self) -> int:
-        """Decimals of new numbers, or ``SHORTEST``; see ``decimals.uniform_decimals``."""
-        return uniform_decimals(
-            self.used_decimals(),
-            self.values,
-            unit_length=self.unit_length,
-            significant=self.significant,
-        )
-
-    @property
-    def _is_whole(self) -> Flags:
-        """Which columns hold whole numbers."""
-        return np.array([code[-2] in "iu" for code in self.codes], dtype=bool)
-
-    def units(self, is_changed: Flags) -> Flags:
-        return is_changed.reshape(-1)
-
-    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
-        decimals: int | Bytes = self.decimals
-        if self._is_whole.any():
-            columns = np.where(self._is_whole, 0, self.decimals).astype(np.uint8)
-            decimals = np.tile(columns, len(values))[units]
-        return print_numbers(values.reshape(-1)[units], decimals)
-
-    def rounded(self, values: Floats) -> tuple[Floats, float]:
-        if self._is_whole.any():
-            values = np.where(self._is_whole, np.rint(values), values)
-        return values, tolerance(self.decimals)
-
-
-@dataclass(eq=False)
-class Tokens(TextSlots):
-    """Numbers that are tokens: ``starts`` and ``stops`` (n * width,), row by row."""
-
-    starts: Longs = field(repr=False)
-    stops: Longs = field(repr=False)
-    width: int = 3
-
-    def __post_init__(self) -> None:
-        if self.values is _UNREAD:
-            self.values = parse_floats(self.data, self.starts, self.stops).reshape(-1, self.width)
 
 
 @dataclass(eq=False)
@@ -131,11 +52,11 @@ class Statements(TextSlots):
         return starts, stops
 
     @property
-    def starts(self) -> Longs:
+    def starts(self) -> Longs:  # type: ignore[override]
         return self._spans[0]
 
     @property
-    def stops(self) -> Longs:
+    def stops(self) -> Longs:  # type: ignore[override]
         return self._spans[1]
 
     def row_decimals(self, values: Floats) -> Bytes | None:

@@ -13,13 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import EXPORT_AGAIN, BinaryNumbers, Numbers, UnitSlots, to_type
-from msal_cli.codecs.text_slots import Tokens
+from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers, UnitSlots, to_type
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element
-from msal_cli.errors import FormatError, TooLargeError, TruncatedError, UnsupportedError
-from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, LARGEST_RATIO, memory_bytes
+from msal_cli.errors import (
+    EXPORT_AGAIN,
+    FormatError,
+    TooLargeError,
+    TruncatedError,
+    UnsupportedError,
+)
+from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, LARGEST_RATIO
+from msal_cli.storage.limits import memory_bytes
 
 _CODES = {
     f"{sign}Int{bits}": f"{code}{bits // 8}"
@@ -109,7 +115,7 @@ def numbers(array: Element, coding: Coding, count: int, *, are_normals: bool = F
     if array.attributes.get("format", "ascii") == "ascii":
         words = Words(data, array.inside, array.text_stop)
         _require_count(len(words), 3 * count, array)
-        return Tokens(data, words.starts, words.stops, unit_length=are_normals)
+        return TextNumbers(data, words.starts, words.stops, unit_length=are_normals)
     content, start, stop = _decoded(array, coding)
     size = 3 * np.dtype(code).itemsize
     _require_count(len(content), size * count, array)

@@ -7,11 +7,10 @@ import re
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import EXPORT_AGAIN, BinaryNumbers, Numbers, line_of
-from msal_cli.codecs.text_slots import Tokens
+from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers, line_of
 from msal_cli.codecs.tokens import Words
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _CODES = {
     "char": ">i1",
@@ -114,7 +113,7 @@ class Stream:
         if self._words is not None:
             chosen = self._next_words(3 * count)
             starts, stops = self._words.starts[chosen], self._words.stops[chosen]
-            return Tokens(self._data, starts, stops, unit_length=is_normals)
+            return TextNumbers(self._data, starts, stops, unit_length=is_normals)
         size = 3 * np.dtype(code).itemsize
         at = self._next_bytes(size * count)
         return BinaryNumbers(self._data, at + np.arange(count, dtype=np.int64) * size, code)

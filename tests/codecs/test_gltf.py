@@ -14,10 +14,12 @@ from msal_cli import codecs as files
 from msal_cli.analysis.added_noise import AddedNoise
 from msal_cli.codecs import conversion as convert
 from msal_cli.codecs import gltf, open_mesh
-from msal_cli.codecs.companions import Companion, write_companions
+from msal_cli.codecs.companions import write_companions
+from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import InternalError, MsalError, UnsupportedError
 from msal_cli.job import noise_file as corruption
 from msal_cli.job import pipeline
+from msal_cli.job.settings import Task
 from tests.codecs import test_glb
 from tests.codecs.plain_glb import content_of
 from tests.job.test_pipeline import settings
@@ -64,7 +66,7 @@ def opened(path: Path) -> files.MeshFile:
 
 
 def denoised(source: Path, target: Path, iterations: int = 2):
-    task = pipeline.Task(str(source), str(target), source.name)
+    task = Task(str(source), str(target), source.name)
     return pipeline.denoise_file(task, settings(iterations=iterations))
 
 
@@ -166,7 +168,7 @@ def test_a_buffer_is_named_as_its_output_is(tmp_path, target, buffer, expected):
     assert {name: tree(tmp_path)[name] for name in before} == before
     assert (tmp_path / target).parent.joinpath(expected).is_file()
     moved = opened(tmp_path / target)
-    assert moved.pieces.names == {0: expected}
+    assert moved.buffers.names == {0: expected}
     assert not np.array_equal(moved.vertices, opened(source).vertices)
 
 
@@ -213,7 +215,7 @@ def test_streams_hold_embedded_buffers_only(tmp_path):
     assert "without its folder" in record.error.message
     output, record = pipeline.denoise_bytes(source.read_bytes(), str(source), settings())
     assert record.error is not None and "a folder only" in record.error.message
-    task = pipeline.Task(str(source), "s3://bucket/scan.gltf", "scan.gltf")
+    task = Task(str(source), "s3://bucket/scan.gltf", "scan.gltf")
     record = pipeline.denoise_file(task, settings())
     assert record.error is not None and "a folder only" in record.error.message
 
@@ -251,10 +253,8 @@ def test_from_one_container_to_the_other(tmp_path):
     assert first.error is None
     assert np.array_equal(opened(tmp_path / "out" / "x.gltf").vertices, glb.vertices)
     for key in ("accessors", "meshes", "nodes", "images", "extras"):
-        assert key in text.document.content
-        assert (
-            glb.document.content[key] == json.loads((tmp_path / "out" / "x.gltf").read_text())[key]
-        )
+        assert key in text.scene.content
+        assert glb.scene.content[key] == json.loads((tmp_path / "out" / "x.gltf").read_text())[key]
 
 
 def test_several_buffers_become_one(tmp_path):
