@@ -221,6 +221,31 @@ def test_frames_that_cannot_be_undone_are_left_out(frame):
     file.check(file.replaced(vertices), vertices)
 
 
+@pytest.mark.parametrize("second", [48, 8])
+def test_parts_whose_rows_alternate(second):
+    """Positions and normals of two meshes in one view, number by number beside one another."""
+    scene = Scene()
+    vertices, faces = torus(8, 6)
+    rows = np.concatenate([vertices, cube()[0] if second == 8 else vertices + 9])
+    normals = np.tile([1.0, 0.0, 0.0], (len(rows), 1))
+    scene.accessor(np.hstack([rows, normals]), "<f4", "VEC3")
+    view = {"bufferView": 0, "componentType": 5126, "type": "VEC3"}
+    scene.content["bufferViews"][0]["byteStride"] = 24
+    scene.content["accessors"] = [
+        {**view, "byteOffset": at, "count": count}
+        for at, count in ((0, 48), (12, 48), (48 * 24, second), (48 * 24 + 12, second))
+    ]
+    for first, triangles in ((0, faces), (2, cube()[1] if second == 8 else faces)):
+        indices = scene.accessor(triangles.reshape(-1), "<u2", "SCALAR")
+        attributes = {"POSITION": first, "NORMAL": first + 1}
+        scene.mesh({"attributes": attributes, "indices": indices})
+    file = glb.read(scene.data(), "")
+    moved = noisy(file.vertices)
+    output = file.replaced(moved)
+    file.check(output, moved)
+    assert np.allclose(glb.read(output, "").vertices, moved, atol=1e-5)
+
+
 def test_primitives_that_share_positions_are_one_part():
     vertices, faces = cube()
     scene = Scene()
