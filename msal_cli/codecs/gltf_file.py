@@ -35,10 +35,9 @@ class SceneFile(SlotFile):
         self.data = data
         self.scene = scene
         self.text = text.decode("latin-1")
-        self._parts, warnings = scene.parts()
-        super().__init__(
-            scene.data.data, self.format, lambda _: _layout(scene, self._parts, warnings)
-        )
+        parts, warnings = scene.parts()
+        self._parts = parts
+        super().__init__(scene.data.data, self.format, lambda _: _layout(scene, parts, warnings))
 
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with other positions (n, 3), and the normals of what moved recomputed.
@@ -105,7 +104,8 @@ def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layou
         properties = (f"{len(parts)} parts", *properties)
     elif is_placed(frames[0]):
         properties = (*properties, PLACEMENT)
-    if len(parts) == 1 or not are_usable(frames):
+    is_framed = len(parts) > 1 and are_usable(frames)
+    if not is_framed:
         frames = [np.eye(4) for _ in parts]
     positions = tuple(part.positions.slots(scene.data) for part in parts)
     for part, slots in zip(parts, positions, strict=True):
@@ -137,7 +137,7 @@ def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layou
             _renew_normals(part, slots.values, frame[:3, :3], old[first:], new[first:])
             for part, slots, frame, first in normals
         ],
-        frames=tuple(frames),
+        frames=tuple(frames) if is_framed else (),
         properties=properties,
         warnings=warnings,
         references=scene.references(),

@@ -239,7 +239,11 @@ class SlotFile:
             if len(new.starts) != len(slots.starts):
                 raise InternalError(f"the {self.format} file that was made has other numbers")
             if not (
-                _are_close(new.values[is_changed], expected[is_changed], slack)
+                _are_close(
+                    new.values[is_changed],
+                    expected[is_changed],
+                    np.broadcast_to(slack, expected.shape)[is_changed],
+                )
                 and np.array_equal(
                     new.values[~is_changed], slots.values[~is_changed], equal_nan=True
                 )
@@ -477,10 +481,9 @@ def _fans(sizes: Longs) -> tuple[Longs, Longs, Longs]:
     return first, first + inside + 1, first + inside + 2
 
 
-def _are_close(values: Floats, expected: Floats, slack: float) -> bool:
-    return bool(
-        (np.abs(values - expected) <= slack + 4.5e-16 * np.abs(expected) * (slack > 0)).all()
-    )
+def _are_close(values: Floats, expected: Floats, slack: Floats) -> bool:
+    last_place = 4.5e-16 * np.abs(expected) * (slack > 0)
+    return bool((np.abs(values - expected) <= slack + last_place).all())
 
 
 def _in_order(pieces: list[tuple[Longs, Longs]]) -> tuple[Longs, Longs]:
