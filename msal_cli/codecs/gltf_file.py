@@ -14,8 +14,8 @@ from msal_cli.arrays import Flags, Floats
 from msal_cli.codecs.frames import PLACEMENT, is_placed
 from msal_cli.codecs.gltf_json import find_entries, replace_spans, write_bound
 from msal_cli.codecs.gltf_scene import Part, Scene, are_usable
-from msal_cli.codecs.slot_file import Layout, SlotFile
-from msal_cli.errors import ContentError, InternalError, MsalError
+from msal_cli.codecs.slot_file import Layout, SlotFile, require_finite
+from msal_cli.errors import InternalError, MsalError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
 
@@ -109,14 +109,7 @@ def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layou
         frames = [np.eye(4) for _ in parts]
     positions = tuple(part.positions.slots(scene.data) for part in parts)
     for part, slots in zip(parts, positions, strict=True):
-        is_finite = np.isfinite(slots.values).all(axis=1)
-        if not is_finite.all():
-            raise ContentError(
-                "a position is not finite",
-                code="E_NONFINITE",
-                where=f"accessor {part.positions.index}, vertex {int(np.argmin(is_finite))}",
-                hint="remove the vertex, or export the mesh again",
-            )
+        require_finite(slots.values, f"accessor {part.positions.index}, vertex {{}}".format)
     starts = np.cumsum([0, *(slots.count for slots in positions)])
     faces = np.concatenate(
         [part.faces + first for part, first in zip(parts, starts.tolist(), strict=False)]
@@ -130,8 +123,6 @@ def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layou
         "binary_little_endian",
         "float32",
         positions,
-        faces.reshape(-1).astype(np.int64),
-        np.broadcast_to(np.int64(3), len(faces)),
         normals=tuple(slots for _, slots, _, _ in normals),
         renew_normals=lambda old, new: [
             _renew_normals(part, slots.values, frame[:3, :3], old[first:], new[first:])

@@ -16,17 +16,21 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Bytes, Floats, Longs
 from msal_cli.codecs import ply_fast as ply_plain
 from msal_cli.codecs.ply_fast import Numbers
-from msal_cli.codecs.ply_header import Element, Header
-from msal_cli.codecs.slots import number_hint
+from msal_cli.codecs.ply_header import NORMAL, Element, Header
+from msal_cli.codecs.slots import TextSlots, Tokens, number_hint
+from msal_cli.codecs.text_slots import Statements
 from msal_cli.errors import FormatError, TruncatedError
 
 _SAMPLE = 4_096
 """Bytes behind an ascii header that are searched for signs of binary data when a line is wrong."""
 
+_ALL_DIGITS = 1_000
+"""Significant digits of which a file has never too many for fixed-point text."""
+
 CUT_HINT = "the file was cut short or its header counts are wrong; copy or export it again"
 
 
-class Tokens(NamedTuple):
+class Places(NamedTuple):
     """Words of ascii records: ``starts`` and ``stops`` (count, c) are those of the properties in
     ``columns`` (of a list: of its count), ``lengths`` (count, c) their items."""
 
@@ -53,7 +57,7 @@ class Lines:
     read: Numbers | None
 
     @functools.cached_property
-    def tokens(self) -> Tokens:
+    def tokens(self) -> Places:
         """The places of all words of the properties ``kept``."""
         return _tokens(self.data, self.header, self.element, self.start, self.kept)[0]
 
@@ -82,16 +86,38 @@ class Lines:
             hint=number_hint(token),
         )
 
-    def numbers(self, names: Sequence[str]) -> Floats:
-        """The scalars of ``names`` as (count, len(names)) float64; FormatError with the line."""
+    def slots(self, names: Sequence[str]) -> TextSlots:
+        """Where the scalars of ``names`` are.
+
+        Raises FormatError with the line of one that is no number.
+        """
+        slots: TextSlots
+        read = self.read
+        if read is not None and names in read.word_at:
+            values = np.require(self._read_values(names), None, ("C", "W"))
+            slots = Statements(self.data, read.word_at[names], read.decimals[names], values=values)
+        else:
+            starts, stops = self.spans(names)
+            values = self._values(names, starts, stops)
+            slots = Tokens(self.data, starts, stops, len(names), values=values)
+        slots.codes = tuple(one.code for one in self.element.find_all(names))
+        slots.unit_length = slots.whole_rows = names == NORMAL
+        slots.significant = _ALL_DIGITS
+        return slots
+
+    def _read_values(self, names: Sequence[str]) -> Floats:
+        assert self.read is not None
+        pick = [self.read.names.index(name) for name in names]
+        if pick == list(range(len(self.read.names))):
+            return self.read.values
+        return self.read.values[:, pick]
+
+    def _values(self, names: Sequence[str], starts: Longs, stops: Longs) -> Floats:
+        """The scalars of ``names``, whose tokens are there, as (count, len(names))."""
         from msal_cli.kernels.text import numbers_at
 
         if self.read is not None and set(names) <= set(self.read.names):
-            pick = [self.read.names.index(name) for name in names]
-            if pick == list(range(len(self.read.names))):
-                return self.read.values
-            return self.read.values[:, pick]
-        starts, stops = self.spans(names)
+            return self._read_values(names)
         values, bad = numbers_at(self.data, starts, stops)
         if bad >= 0:
             raise self.not_a_number(int(starts[bad]), "a number")
@@ -169,11 +195,11 @@ def can_hold(data: Bytes, element: Element, at: int) -> bool:
 
 def _tokens(
     data: Bytes, header: Header, element: Element, at: int, kept: Sequence[str]
-) -> tuple[Tokens, int]:
+) -> tuple[Places, int]:
     """The places of the words of the properties ``kept``, and the end of the element."""
     names = kept if can_hold(data, element, at) else ()
     shape = (element.count if names else 0, len(names))
-    tokens = Tokens(
+    tokens = Places(
         {name: k for k, name in enumerate(names)},
         np.empty(shape, dtype=np.int64),
         np.empty(shape, dtype=np.int64),
@@ -190,7 +216,7 @@ def _walked(
     header: Header,
     element: Element,
     at: int,
-    tokens: Tokens,
+    tokens: Places,
 ) -> int:
     """Fill ``tokens`` and return the end of the element's last line."""
     from msal_cli.kernels.ply_scan import BAD_COUNT, CUT, TOO_FEW, TOO_MANY, WHOLE, walk_text

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Longs
-from msal_cli.codecs.ply_ascii import Lines, Tokens, can_hold, kept_names
+from msal_cli.codecs.ply_ascii import Lines, Places, can_hold, kept_names
 from msal_cli.codecs.ply_header import Element, Header
 
 _IS_SPACE = np.zeros(256, dtype=bool)
@@ -130,7 +130,7 @@ def _section(
         words,
         {name: chosen[:, k] for name, k in columns.items()},
     )
-    section.__dict__["tokens"] = Tokens(
+    section.__dict__["tokens"] = Places(
         columns, words.starts[chosen], words.stops[chosen], lengths[:, pick]
     )
     return section

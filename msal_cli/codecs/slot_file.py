@@ -9,8 +9,8 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, cast
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from msal_cli.codecs.text_slots import (
     replace_statements,
 )
 from msal_cli.codecs.tokens import require_indices
-from msal_cli.errors import EXPORT_AGAIN, ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
 
@@ -49,6 +49,10 @@ class Dependent:
     text: Callable[[bytes, Sequence[Floats], Shift], bytes]
 
 
+def _empty() -> Longs:
+    return _NONE
+
+
 @dataclass(eq=False)
 class Layout:
     """What a parser makes of a file.
@@ -61,7 +65,9 @@ class Layout:
     corners : (c,) int64, the vertices of all surface polygons, one polygon behind the other.
     sizes : (p,) int64, how many corners each polygon has, at least 3.
     faces : (m, 3) int32, the triangles, where the parser has made them and checked them and the
-        positions; then ``corners`` and ``sizes`` are for the codec alone.
+        positions; then ``corners`` and ``sizes`` are for the codec alone, empty where all polygons
+        are triangles.
+    vertices : (n, 3), where the parser has read them; the file takes them over.
     normals : arrays of normals (g_i, 3).
     normal_of_corner : (c,) int64, the normal that each corner uses, -1 for none; None where each
         vertex has its own.
@@ -76,8 +82,8 @@ class Layout:
     encoding: str
     precision: str
     positions: tuple[Slots, ...]
-    corners: Longs
-    sizes: Longs
+    corners: Longs = field(default_factory=_empty)
+    sizes: Longs = field(default_factory=_empty)
     normals: tuple[Slots, ...] = ()
     normal_of_corner: Longs | None = None
     frames: tuple[Floats, ...] = ()
@@ -87,6 +93,7 @@ class Layout:
     held: str = ""
     dependents: tuple[Dependent, ...] = ()
     faces: Ints | None = None
+    vertices: Floats | None = None
     renew_normals: Callable[[Floats, Floats], Sequence[tuple[Floats, Flags]]] | None = None
 
 
@@ -116,13 +123,13 @@ class SlotFile:
         self._parse = parse
         layout = self._layout = parse(data)
         self.encoding, self.precision = layout.encoding, layout.precision
-        self._vertices: Floats | None = None
+        self._vertices, layout.vertices = layout.vertices, None
         self._last_normals: tuple[bytes, Sequence[tuple[Floats, Flags]]] = (b"", ())
         if layout.faces is None:
             self.faces, self._fans = _triangles(layout, self.vertices)
         else:
             self.faces = layout.faces
-        self.n_polygons = len(layout.sizes)
+        self.n_polygons = len(layout.sizes) or len(self.faces)
         self.properties = layout.properties
         self.references = layout.references
         self.warnings = layout.warnings
@@ -141,6 +148,8 @@ class SlotFile:
     def polygons(self) -> list[Any] | Ints:
         """The faces as the file has them: an (m, k) array or a list of (k,) arrays."""
         corners, sizes = self._layout.corners.astype(np.int32), self._layout.sizes
+        if not len(sizes):
+            return self.faces
         if (sizes == sizes[0]).all():
             return corners.reshape(-1, int(sizes[0]))
         return np.split(corners, np.cumsum(sizes[:-1]))
@@ -155,6 +164,12 @@ class SlotFile:
         changes = self._changes(vertices)
         if not changes:
             return self._data
+        for slots, values, is_changed in changes:
+            if slots in self._layout.positions and slots.codes:
+                require_range(values, is_changed, slots.codes)
+        # Infinity and what is no number show in the sum of the extremes.
+        if not math.isfinite(float(vertices.max()) + float(vertices.min())):
+            raise InternalError("a new position is not finite")
         if self._is_binary:
             return overwrite(as_bytes(self._data), _overwrites(changes))
         patches = _patches(changes)
@@ -283,23 +298,20 @@ class SlotFile:
     def _changes(self, vertices: Floats) -> list[Change]:
         """The arrays that change; none where no vertex moves."""
         self._require_shape(vertices)
-        if not (vertices != self.vertices).any():
+        is_moved = vertices != self.vertices
+        if not is_moved.any():
             return []
         layout = self._layout
+        is_one = len(layout.positions) == 1 and not layout.frames
         changes = []
         for slots, values in zip(layout.positions, self._to_file(vertices), strict=True):
-            is_changed = values != slots.values
+            is_changed = is_moved if is_one else values != slots.values
             if slots.whole_rows:
                 is_changed = np.broadcast_to(is_changed.any(axis=1)[:, None], values.shape)
-            if slots.codes:
-                require_range(values, is_changed, slots.codes)
             if isinstance(slots, TextSlots):
                 values, _ = slots.rounded(values)
                 is_changed = values != slots.values
             changes.append(Change(slots, values, is_changed))
-        # Infinity and what is no number show in the sum of the extremes.
-        if not math.isfinite(float(vertices.max()) + float(vertices.min())):
-            raise InternalError("a new position is not finite")
         changes += self._changed_normals(vertices)
         return [one for one in changes if one.is_changed.any()]
 
@@ -383,8 +395,9 @@ class SlotFile:
 
 def _overwrites(changes: Sequence[Change]) -> list[Overwrite]:
     return [
-        Overwrite(cast("RecordSlots", slots), values, is_changed)
-        for slots, values, is_changed in changes
+        Overwrite(slots, values, where)
+        for slots, values, where in changes
+        if isinstance(slots, RecordSlots)
     ]
 
 
@@ -393,10 +406,9 @@ def _patches(changes: Sequence[Change]) -> list[Patch]:
     patches = []
     for slots, values, _ in changes:
         decimals = slots.row_decimals(values) if isinstance(slots, Statements) else None
-        if decimals is None:
+        if decimals is None or not isinstance(slots, Statements):
             return []
-        new = np.require(values, np.float64, ("C", "W"))
-        patches.append(Patch(cast("Statements", slots), new, decimals))
+        patches.append(Patch(slots, np.require(values, np.float64, ("C", "W")), decimals))
     return patches
 
 
@@ -462,14 +474,23 @@ def _transformed(points: Floats, frame: Floats) -> Floats:
     return result
 
 
-def require_finite(vertices: Floats) -> None:
+def require_finite(vertices: Floats, where: Callable[[int], str] = "vertex {}".format) -> None:
+    """Raise ContentError (``E_NONFINITE``) where a position (n, 3) is NaN or infinite.
+
+    ``where`` says in words where a vertex is stored.
+    """
+    # A sum is finite only if all are, and quicker; it may overflow, too.
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.isfinite(vertices.sum()):
+            return
     is_finite = np.isfinite(vertices).all(axis=1)
     if not is_finite.all():
+        vertex = int(np.argmin(is_finite))
         raise ContentError(
-            "a position is not finite",
+            f"vertex {vertex} has a coordinate that is not a finite number",
+            where=where(vertex),
+            hint="remove such vertices, or export the scan again",
             code="E_NONFINITE",
-            where=f"vertex {int(np.argmin(is_finite))}",
-            hint=EXPORT_AGAIN,
         )
 
 

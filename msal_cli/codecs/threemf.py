@@ -101,7 +101,7 @@ class ThreeMfFile(SlotFile):
         def parse(content: Buffer) -> Layout:
             models: Mapping[str, Model] = package.models
             if content is not text:
-                texts = bytes(content).split(_BETWEEN)
+                texts = [bytes(content)] if len(models) == 1 else bytes(content).split(_BETWEEN)
                 models = {n: parse_model(t, n) for n, t in zip(models, texts, strict=True)}
             return _layout(package, models, content)
 
@@ -173,14 +173,15 @@ class ThreeMfFile(SlotFile):
 
     def _pack(self, content: Buffer) -> bytes:
         """The archive with other texts of the model parts, those that changed."""
-        texts = dict(zip(self.package.models, bytes(content).split(_BETWEEN), strict=True))
-        before = bytes(self._data).split(_BETWEEN)
-        changed = {
-            name: text
-            for (name, text), old in zip(texts.items(), before, strict=True)
-            if text != old
-        }
-        return self.package.archive.replace(changed)
+        if content is self._data:
+            return bytes(self.data)
+        names = list(self.package.models)
+        if len(names) == 1:
+            return self.package.archive.replace({names[0]: content})
+        pairs = zip(bytes(self._data).split(_BETWEEN), bytes(content).split(_BETWEEN), strict=True)
+        return self.package.archive.replace(
+            {name: new for name, (old, new) in zip(names, pairs, strict=True) if new != old}
+        )
 
     def _require_free(self) -> None:
         stale = [word for model in self.package.models.values() for word in model.stale]
@@ -224,7 +225,6 @@ def _layout(package: Package, models: Mapping[str, Model], text: Buffer) -> Layo
                 faces.append(mesh.faces + n_vertices)
                 n_vertices += len(mesh.vertices)
         begin += model.size + len(_BETWEEN)
-    corners = np.concatenate(faces)
     properties = [f"{len(positions)} parts"] if len(positions) > 1 else []
     unit = next(iter(models.values())).unit
     if unit != "millimeter":
@@ -238,9 +238,7 @@ def _layout(package: Package, models: Mapping[str, Model], text: Buffer) -> Layo
         "binary",
         "text",
         tuple(positions),
-        corners.reshape(-1),
-        np.broadcast_to(np.int64(3), len(corners)),
         frames=package.frames,
         properties=tuple(dict.fromkeys(properties)),
-        faces=corners.astype(np.int32),
+        faces=np.concatenate(faces).astype(np.int32),
     )
