@@ -77,10 +77,8 @@ def row_decimals(used: Bytes, least: int, largest: float) -> Bytes | None:
     number.  They are cut down to what float64 tells apart, about 15 digits in all; None where
     ``least`` are more than that.
     """
-    from msal_cli.kernels.fast_numbers import MOST_DECIMALS, MOST_SCALED
-
-    most = MOST_DECIMALS
-    while most >= 0 and not largest * 10.0**most < MOST_SCALED:
+    most = 16
+    while most >= 0 and not largest * 10.0**most < 2.0**52:
         most -= 1
     if least > most:
         return None
@@ -98,14 +96,12 @@ def print_numbers(values: Floats, decimals: int | Bytes) -> tuple[Bytes, Longs]:
     ``decimals``, for all or for each (k,), are digits behind the point, ``SHORTEST`` or
     ``SHORTEST_SINGLE``.
     """
-    from msal_cli.kernels.text import printed, printed_shortest
+    from msal_cli.kernels.text import printed
 
     if isinstance(decimals, int):
-        if decimals >= SHORTEST:
-            return printed_shortest(values, decimals == SHORTEST_SINGLE)
         return printed(values, decimals)
     if not len(decimals) or (decimals == decimals[0]).all():
-        return print_numbers(values, int(decimals[0]) if len(decimals) else 0)
+        return printed(values, int(decimals[0]) if len(decimals) else 0)
     pieces, ends, size = [], [], 0
     for at in range(0, len(values), _BLOCK):
         text, stops = _print_mixed(values[at : at + _BLOCK], decimals[at : at + _BLOCK])

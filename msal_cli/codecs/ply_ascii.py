@@ -13,10 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Bytes, Floats, Longs
-from msal_cli.codecs import ply_fast as ply_plain
-from msal_cli.codecs.ply_fast import Numbers
-from msal_cli.codecs.ply_header import NORMAL, Element, Header
+from msal_cli.arrays import Bytes, Floats, Ints, Longs
+from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header
 from msal_cli.codecs.slots import TextSlots, Tokens, number_hint
 from msal_cli.codecs.text_slots import Statements
 from msal_cli.errors import FormatError, TruncatedError
@@ -26,6 +24,9 @@ _SAMPLE = 4_096
 
 _ALL_DIGITS = 1_000
 """Significant digits of which a file has never too many for fixed-point text."""
+
+_MOST_UNUSUAL = 5_000
+"""Records with numbers that are not plain, up to which each line keeps its own decimals."""
 
 CUT_HINT = "the file was cut short or its header counts are wrong; copy or export it again"
 
@@ -38,6 +39,27 @@ class Places(NamedTuple):
     starts: Longs
     stops: Longs
     lengths: Longs
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """What was read of an element.
+
+    Attributes
+    ----------
+    names, values : scalars, and their values (count, len(names)).
+    statements : for positions and normals, if their three scalars are one behind the other, where
+        the first token of each record's is (count,), and the most decimals of the three (count,).
+    list_name, items, lengths : a list, all its items one record behind another, and the number
+        of each record's (count,); an empty name for none.
+    """
+
+    names: tuple[str, ...]
+    values: Floats
+    statements: dict[tuple[str, ...], tuple[Longs, Bytes]]
+    list_name: str
+    items: Ints
+    lengths: Ints
 
 
 @dataclass(frozen=True)
@@ -54,7 +76,7 @@ class Lines:
     start: int
     stop: int
     kept: tuple[str, ...]
-    read: Numbers | None
+    read: Values | None
 
     @functools.cached_property
     def tokens(self) -> Places:
@@ -93,9 +115,9 @@ class Lines:
         """
         slots: TextSlots
         read = self.read
-        if read is not None and names in read.word_at:
+        if read is not None and names in read.statements:
             values = np.require(self._read_values(names), None, ("C", "W"))
-            slots = Statements(self.data, read.word_at[names], read.decimals[names], values=values)
+            slots = Statements(self.data, *read.statements[names], values=values)
         else:
             starts, stops = self.spans(names)
             values = self._values(names, starts, stops)
@@ -162,10 +184,94 @@ def plain_lines(
     """The section of an element whose records are plain; None for others."""
     if not can_hold(data, element, at):
         return None
-    found = ply_plain.numbers(data, element, at, wanted)
+    found = _read_quickly(data, element, at, wanted)
     if found is None:
         return None
     return Lines(data, header, element, at, found[1], kept_names(element, wanted), found[0])
+
+
+def _read_quickly(
+    data: Bytes, element: Element, at: int, wanted: Sequence[str]
+) -> tuple[Values, int] | None:
+    """The ``wanted`` properties of the element that begins at byte ``at``, and its end.
+
+    Nothing where its records are not plain, or not of the kind that is read here: scalars, or one
+    list among properties that are not wanted.
+    """
+    listed = element.properties
+    lists = [one.name for one in listed if one.is_list]
+    if not listed or not element.count or element.count > len(data):
+        return None
+    if lists:
+        return _read_lists(data, element, at, wanted)
+    return _read_scalars(data, element, at, wanted)
+
+
+def _read_scalars(
+    data: Bytes, element: Element, at: int, wanted: Sequence[str]
+) -> tuple[Values, int] | None:
+    from msal_cli.kernels.ply_scan import WHOLE, read_scalars
+
+    all_names = [one.name for one in element.properties]
+    names = tuple(name for name in all_names if name in wanted)
+    columns = np.array([names.index(name) if name in names else -1 for name in all_names])
+    together: list[tuple[str, ...]] = [
+        group
+        for group in (POSITION, NORMAL)
+        if set(group) <= set(names) and tuple(all_names[all_names.index(group[0]) :][:3]) == group
+    ]
+    groups = np.array(
+        [next((g for g, one in enumerate(together) if name in one), -1) for name in all_names]
+    )
+    values = np.empty((element.count, len(names)))
+    first_at = np.empty((len(together), element.count), dtype=np.int64)
+    decimals = np.empty((len(together), element.count), dtype=np.uint8)
+    stop, n_unusual, status = read_scalars(
+        data, at, element.count, columns, groups, values, first_at, decimals
+    )
+    if status != WHOLE or n_unusual > _MOST_UNUSUAL:
+        return None
+    none = np.empty(0, dtype=np.int32)
+    statements: dict[tuple[str, ...], tuple[Longs, Bytes]] = {
+        group: (first_at[g], decimals[g]) for g, group in enumerate(together)
+    }
+    return Values(names, values, statements, "", none, none), int(stop)
+
+
+def _read_lists(
+    data: Bytes, element: Element, at: int, wanted: Sequence[str]
+) -> tuple[Values, int] | None:
+    from msal_cli.kernels.ply_scan import FULL, WHOLE, read_lists
+
+    listed = element.properties
+    names = [one.name for one in listed if one.name in wanted]
+    if len(names) > 1 or not all(one.is_list for one in listed if one.name in wanted):
+        return None
+    is_list = np.array([one.is_list for one in listed])
+    which = element.index(names[0]) if names else -1
+    # An item is one digit and one blank at the least.
+    most = (len(data) - at) // 2 + 1
+    items = np.empty(min(3 * element.count, most) if names else 0, dtype=np.int32)
+    lengths = np.empty(element.count if names else 0, dtype=np.int32)
+    done = n_items = 0
+    while True:
+        done, at, n_items, status = read_lists(
+            data, at, done, element.count, is_list, which, items, n_items, lengths
+        )
+        if status == WHOLE:
+            break
+        if status != FULL or len(items) >= most:
+            return None
+        # As many for each record to come as those so far have.
+        alike = (n_items // max(done, 1) + 1) * element.count
+        larger = np.empty(min(max(alike, len(items) * 3 // 2 + 64), most), dtype=np.int32)
+        larger[:n_items] = items[:n_items]
+        items = larger
+    if len(lengths) and (lengths == lengths[0]).all():
+        # One number instead of one for each record.
+        lengths = np.broadcast_to(lengths[:1].copy(), lengths.shape)
+    name = names[0] if names else ""
+    return Values((), np.empty((element.count, 0)), {}, name, items[:n_items], lengths), int(at)
 
 
 def find_lines(

@@ -58,10 +58,8 @@ def row_decimals(decimals: Bytes, least: int, largest: float) -> Bytes | None:
     number.  They are cut down to what float64 tells apart, about 15 digits in all; None where
     ``least`` are more than that.
     """
-    from msal_cli.kernels.fast_numbers import MOST_DECIMALS, MOST_SCALED
-
-    most = MOST_DECIMALS
-    while most >= 0 and not largest * 10.0**most < MOST_SCALED:
+    most = 16
+    while most >= 0 and not largest * 10.0**most < 2.0**52:
         most -= 1
     if least > most:
         return None

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from msal_cli.kernels.byte_words import count_before, load_eight, store_eight
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.fast_numbers import eight, n_before, put_eight, put_plain, read_plain
+from msal_cli.kernels.digits import EXACT, read_number, write_fixed
 
 DONE = 0
 """All statements are dealt with."""
@@ -38,13 +39,13 @@ def _past_blanks(buf, at):  # type: ignore[no-untyped-def]
 def _past_number(buf, at):  # type: ignore[no-untyped-def]
     """The end of the number at ``at``: a blank, the end of a line, or a backslash."""
     while at < len(buf):
-        word = eight(buf, at)
+        word = load_eight(buf, at)
         slashes = word ^ np.uint64(0x5C5C5C5C5C5C5C5C)
         found = (word - np.uint64(0x2121212121212121)) & ~word
         found |= (slashes - np.uint64(0x0101010101010101)) & ~slashes
         found &= np.uint64(0x8080808080808080)
         if found != 0:
-            return min(at + n_before(found), len(buf))
+            return min(at + count_before(found), len(buf))
         at += 8
     return len(buf)
 
@@ -85,11 +86,11 @@ def patched(buf, done, start, stop, at, skipped, old, new, decimals, out, to):  
             end = _past_number(buf, begin)
             if new[i, axis] != old[i, axis]:
                 while done < begin:
-                    put_eight(out, to, eight(buf, done))
+                    store_eight(out, to, load_eight(buf, done))
                     count = min(begin - done, 8)
                     done += count
                     to += count
-                to = put_plain(new[i, axis], np.int64(decimals[i]), out, to)
+                to = write_fixed(new[i, axis], np.int64(decimals[i]), out, to)
                 done = end
             begin = end
     return done, to
@@ -121,19 +122,21 @@ def compared(  # type: ignore[no-untyped-def]
                     return DIFFERENT, i, a_done, b_done
                 different = np.uint64(0)
                 while count > 8:
-                    different |= eight(a, a_done) ^ eight(b, b_done)
+                    different |= load_eight(a, a_done) ^ load_eight(b, b_done)
                     a_done += 8
                     b_done += 8
                     count -= 8
                 if count > 0:
                     # Shifted to the top, the last bytes are left without those behind them.
-                    different |= (eight(a, a_done) ^ eight(b, b_done)) << np.uint64(64 - 8 * count)
+                    different |= (load_eight(a, a_done) ^ load_eight(b, b_done)) << np.uint64(
+                        64 - 8 * count
+                    )
                 a_done += count
                 b_done += count
                 if different != 0:
                     return DIFFERENT, i, a_done, b_done
-                value, b_end, _ = read_plain(b, b_done)
-                if b_end < 0:
+                value, status, b_end, _ = read_number(b, b_done, len(b))
+                if status != EXACT:
                     return ODD, i, a_done, b_done
                 if not abs(value - wanted) <= tolerance + 4.5e-16 * abs(wanted):
                     return WRONG_VALUE, i, a_done, b_done

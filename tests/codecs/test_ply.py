@@ -494,9 +494,7 @@ def test_the_same_encoding_and_precision_is_a_replacement():
 def test_the_header_changes_in_the_format_line_and_the_types_only():
     file = replace(plain_ply.cube(), comments=["comment property float x", "obj_info  a  b "])
     data = plain_ply.written(file).replace(b"property float y", b"property\tfloat32   y ")
-    output = bytes(
-        ply.read(data).encoded(ply.read(data).vertices, "ascii", "float64")
-    )
+    output = bytes(ply.read(data).encoded(ply.read(data).vertices, "ascii", "float64"))
     expected = data[: data.index(b"end_header") + 11].replace(LE.encode(), b"ascii")
     for old, new in (
         (b"\nproperty float x", b"\nproperty double x"),
