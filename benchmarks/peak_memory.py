@@ -20,13 +20,14 @@ import numpy as np
 
 from msal_cli import codecs as files
 from msal_cli import methods
-from msal_cli.job.pipeline import AUTO, Settings, Task, forecast
+from msal_cli.job.settings import AUTO, Settings, Task, forecast
 
 _CHILD = """
 import sys
 from dataclasses import asdict
 from msal_cli import methods, selection
-from msal_cli.job.pipeline import AUTO, Settings, Task, denoise_file
+from msal_cli.job.pipeline import denoise_file
+from msal_cli.job.settings import AUTO, Settings, Task
 source, target, name = sys.argv[1:]
 given = asdict(selection.Wishes()) if name == AUTO else methods.find(name).settled({})
 record = denoise_file(Task(source, target, "x"), Settings(name, given))

@@ -26,8 +26,8 @@ from msal_cli.analysis.correspondence import moved_statistics, used_vertices, ve
 from msal_cli.analysis.surface import normal_statistics
 from msal_cli.analysis.surface_distance import distances_to_surface
 from msal_cli.auto import Wishes
-from msal_cli.job.pipeline import ADAPTIVE, AUTO, denoise_bytes
-from msal_cli.job.settings import Settings
+from msal_cli.job.pipeline import denoise_bytes
+from msal_cli.job.settings import ADAPTIVE, AUTO, Settings
 from msal_cli.mesh import Mesh
 
 Floats = NDArray[np.float64]

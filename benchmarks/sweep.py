@@ -20,12 +20,12 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks import machine, scans
-from msal_cli.cores import usable_cores
 from msal_cli.kernels.bilateral import RingBilateral
 from msal_cli.kernels.operators import AnisotropicLaplacian, RingOperator
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.schedules import Multiscale, Plain, Schedule
 from msal_cli.kernels.sweeps import swept
+from msal_cli.machine import usable_cores
 from msal_cli.mesh import Mesh
 
 

@@ -26,9 +26,9 @@ def count_entries(call: list[str]) -> tuple[list[str], list[str], list[tuple[str
 
     def note(frame: FrameType, event: str, argument: Any) -> None:
         code = frame.f_code
-        if event == "call" and code.co_filename.startswith(PACKAGE):
-            if not code.co_name.startswith("<") and code.co_flags & 0x2:
-                functions.add((code.co_filename.removeprefix(PACKAGE), code.co_qualname))
+        is_function = not code.co_name.startswith("<") and code.co_flags & 0x2
+        if event == "call" and is_function and code.co_filename.startswith(PACKAGE):
+            functions.add((code.co_filename.removeprefix(PACKAGE), code.co_qualname))
 
     sys.setprofile(note)
     try:

@@ -24,8 +24,8 @@ from kernel_build.numba_kernels import numba_type, result_types, to_dispatcher
 from kernel_build.signatures import LIST, arg_types_of, kernel_of
 from kernel_build.targets import Target
 from kernel_build.written import written_arguments
-from msal_cli.cores import usable_cores
 from msal_cli.kernels.compiled import Kernel
+from msal_cli.machine import usable_cores
 
 CACHE = Path(__file__).parents[1] / "build" / "kernels"
 

@@ -21,6 +21,9 @@ a ``hint`` on what to do, and the ``path``.  Only ``cli`` turns it into words an
 
 from __future__ import annotations
 
+EXPORT_AGAIN = "the file is damaged; export it again"
+"""The hint for a file whose own counts or indices contradict each other."""
+
 
 class MsalError(Exception):
     """Base of all errors; ``str(error)`` is the message alone.
@@ -126,3 +129,34 @@ class InternalError(MsalError):
     """A check on our own result failed; please report it."""
 
     code = "E_INTERNAL"
+
+
+DISTRIBUTION = "msal-cli"
+
+
+def install_hint(extra: str) -> str:
+    """What to do where a package of an extra, such as ``msal-cli[cloud]``, is missing.
+
+    It names the packages that the extra stands for: msal may have come from a checkout or a wheel,
+    and pip would look for ``msal-cli`` itself on an index that does not have it.
+    """
+    import shlex
+
+    packages = " ".join(map(shlex.quote, _packages(extra)))
+    if not packages:
+        return f"install {DISTRIBUTION}[{extra}]; in its checkout: pip install '.[{extra}]'"
+    return f"pip install {packages} (that is {DISTRIBUTION}[{extra}])"
+
+
+def _packages(extra: str) -> list[str]:
+    """The requirements of an extra, as the installed distribution has them; none if it is not."""
+    import re
+    from importlib import metadata
+
+    try:
+        requirements = metadata.requires(DISTRIBUTION) or []
+    except metadata.PackageNotFoundError:
+        return []
+    marker = re.compile(rf"""extra\s*==\s*['"]{re.escape(extra)}['"]""")
+    found = (one.partition(";") for one in requirements)
+    return [name.strip() for name, _, condition in found if marker.search(condition)]

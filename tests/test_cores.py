@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from msal_cli import cores
+from msal_cli import machine
 from msal_cli.kernels import parallel
 
 
@@ -16,7 +16,7 @@ def made(tmp_path, membership, **files):
         path = tmp_path / "groups" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
-    return cores._quota(tmp_path / "groups", tmp_path / "membership")
+    return machine._quota(tmp_path / "groups", tmp_path / "membership")
 
 
 def test_a_quota_of_the_second_version(tmp_path):
@@ -48,7 +48,7 @@ def test_no_quota(tmp_path, text):
 
 
 def test_nothing_to_read(tmp_path):
-    assert cores._quota(tmp_path, tmp_path / "none") is None
+    assert machine._quota(tmp_path, tmp_path / "none") is None
     assert made(tmp_path, "nonsense\n\n::\n") is None
 
 
@@ -56,13 +56,13 @@ def test_nothing_to_read(tmp_path):
 def test_the_smaller_of_affinity_and_quota_counts(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(8)))
     for quota, expected in ((None, 8), (1500, 2), (300, 1), (64_000, 8), (3000, 3)):
-        monkeypatch.setattr(cores, "_quota", lambda groups, membership, quota=quota: quota)
-        assert cores.usable_cores() == expected
+        monkeypatch.setattr(machine, "_quota", lambda groups, membership, quota=quota: quota)
+        assert machine.usable_cores() == expected
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="needs affinity")
 def test_one_file_has_as_many_threads_as_the_container_has_cores(monkeypatch):
     monkeypatch.delenv("MSAL_THREADS", raising=False)
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(8)))
-    monkeypatch.setattr(cores, "_quota", lambda groups, membership: 1500)
+    monkeypatch.setattr(machine, "_quota", lambda groups, membership: 1500)
     assert parallel.threads() == 2

@@ -4,7 +4,7 @@ from importlib import metadata
 
 import pytest
 
-from msal_cli.extras import install_hint
+from msal_cli.errors import install_hint
 
 REQUIREMENTS = [
     "numpy>=1.26",

@@ -12,6 +12,7 @@ import pytest
 
 from msal_cli import codecs as files
 from msal_cli.job import pipeline
+from msal_cli.job.settings import is_mesh_name
 from msal_cli.mesh import prepared
 from tests.codecs import plain_ply
 from tests.fuzz import mutants
@@ -22,7 +23,7 @@ SAMPLES = Path(__file__).parents[1] / "sample_meshes"
 
 
 def meshes_in(folder: Path) -> list[Path]:
-    known = (path for path in sorted(folder.rglob("*")) if pipeline.is_mesh_name(path.name))
+    known = (path for path in sorted(folder.rglob("*")) if is_mesh_name(path.name))
     return [path for path in known if files.format_of_name(path.name) in files.OWN_FORMATS]
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from msal_cli import codecs as files
 from msal_cli.job import pipeline
+from msal_cli.job.settings import Task
 from tests.job.test_pipeline import WRITERS, settings
 from tests.shapes import noisy, torus
 
@@ -52,7 +53,7 @@ def campaign(name: str, folder, number: int, start: int) -> tuple[int, int]:
     chosen = settings(iterations=2)
     for data in mutants(seed, number, start):
         source.write_bytes(data)
-        record = pipeline.denoise_file(pipeline.Task(str(source), str(target), name), chosen)
+        record = pipeline.denoise_file(Task(str(source), str(target), name), chosen)
         if record.error is None:
             written += 1
             before = files.open_mesh(data, name)

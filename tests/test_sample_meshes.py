@@ -214,7 +214,8 @@ def test_particulars(script: ModuleType) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_denoising_comes_nearer_to_the_truth(name: str, tmp_path: Path) -> None:
-    from msal_cli.job.pipeline import Settings, Task, denoise_file
+    from msal_cli.job.pipeline import denoise_file
+    from msal_cli.job.settings import Settings, Task
     from msal_cli.methods import find
 
     source = one(name, "noisy")
@@ -235,7 +236,8 @@ def test_denoising_comes_nearer_to_the_truth(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_sweeps_give_the_file_back(name: str) -> None:
-    from msal_cli.job.pipeline import Settings, denoise_bytes
+    from msal_cli.job.pipeline import denoise_bytes
+    from msal_cli.job.settings import Settings
     from msal_cli.methods import find
 
     path = one(name, "noisy")

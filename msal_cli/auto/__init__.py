@@ -8,23 +8,26 @@ the same file comes out the same everywhere.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from msal_cli.auto.wishes import ALL, FAMILY, NONE, Choice, Wishes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from msal_cli.analysis.noise_estimate import NoiseLevel
+    from msal_cli.auto.wishes import OnStep
     from msal_cli.mesh import Mesh
 
-    OnStep = Callable[[int, int], None]
-    """Called as ``on_step(done, total)`` while candidates are looked at."""
-
-NONE = "none"
-"""In place of a method: the mesh stays as it is."""
-
-FAMILY, ALL = "family", "all"
-"""Among what was chosen: AL and MSAL with the schedules of equation (2), or all methods."""
+__all__ = [
+    "ALL",
+    "BYTES",
+    "FAMILY",
+    "FAMILY_BYTES",
+    "LARGEST_OF_FAMILY",
+    "METHODS",
+    "NONE",
+    "Choice",
+    "Wishes",
+    "chosen",
+]
 
 METHODS = (
     "al",
@@ -51,53 +54,6 @@ FAMILY_BYTES = 6_000_000
 BYTES = 25_000_000
 """Memory that choosing takes at most beyond what methods do, however large the mesh is: candidates
 run on a part of it.  Measured by benchmarks/peak_memory.py, as ``auto``."""
-
-
-@dataclass(frozen=True)
-class Wishes:
-    """What the user cares for.
-
-    Attributes
-    ----------
-    prefer : ``balanced``, ``positions``, ``normals`` or ``volume``: what is to come out best.
-    keep : ``texture``, ``edges`` or ``shape``, what must not suffer; None if nothing was said.
-    strength : -2 to 2, around the automatic choice: greater is smoother.
-    budget : most time for choosing and denoising, in default MSAL runs over the same mesh, by what
-        candidates are known to cost and not by a clock.
-    """
-
-    prefer: str = "balanced"
-    keep: str | None = None
-    strength: float = 0.0
-    budget: float = 60.0
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What was chosen for a mesh, and why.
-
-    Attributes
-    ----------
-    method : name of a method, or ``NONE``.
-    parameters : its settled parameters, every one of them; empty for ``NONE``.
-    reason : a sentence, such as ``noise 0.11 e; textured; MSAL, K = 0.6, 3 sweeps``.
-    surface : ``machined``, ``organic``, ``textured`` or ``clean``; None where that was not asked.
-    noise : the estimated noise.
-    risk : estimated error of the result, mean edge lengths; None if nothing was estimated.
-    tried : candidates that were looked at.
-    runners_up : label and risk of the next best, best first, at most 3.
-    among : ``ALL`` or ``FAMILY``.
-    """
-
-    method: str
-    parameters: dict[str, Any]
-    reason: str
-    surface: str | None
-    noise: NoiseLevel
-    risk: float | None = None
-    tried: int = 0
-    runners_up: tuple[tuple[str, float], ...] = ()
-    among: str = ALL
 
 
 def chosen(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:

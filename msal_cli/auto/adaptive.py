@@ -22,7 +22,6 @@ from msal_cli import methods
 from msal_cli.analysis.noise_estimate import SURE, NoiseLevel, estimated
 from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.arrays import Floats
-from msal_cli.auto import FAMILY, NONE, Choice
 from msal_cli.auto.blend_weights import FLOOR
 from msal_cli.auto.candidates import Candidate, wiener_al
 from msal_cli.auto.evidence_words import describe_noise
@@ -31,12 +30,13 @@ from msal_cli.auto.noise_model import ISOTROPIC, NoiseModel, build_model
 from msal_cli.auto.recipe import recipe
 from msal_cli.auto.risk import Risk, Stein
 from msal_cli.auto.sample_patch import Part, representative
+from msal_cli.auto.wishes import FAMILY, NONE, Choice
 from msal_cli.methods._triangles import even_out
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from msal_cli.auto import OnStep
+    from msal_cli.auto.wishes import OnStep
     from msal_cli.mesh import Mesh
 
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import SURE
-from msal_cli.auto import NONE, Choice, Wishes
 from msal_cli.auto.candidates import wiener_al
+from msal_cli.auto.wishes import NONE, Choice, Wishes
 
 if TYPE_CHECKING:
     from msal_cli.analysis.noise_estimate import NoiseLevel

@@ -10,8 +10,8 @@ import numpy as np
 
 from msal_cli import methods
 from msal_cli.arrays import Floats
-from msal_cli.auto import NONE
 from msal_cli.auto.candidates import Candidate
+from msal_cli.auto.wishes import NONE
 from msal_cli.methods.blend import written, written_levels
 
 

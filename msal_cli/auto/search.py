@@ -25,7 +25,6 @@ from msal_cli import methods
 from msal_cli.analysis.noise_estimate import NoiseLevel, estimated
 from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.arrays import Flags, Floats
-from msal_cli.auto import NONE, Choice, Wishes
 from msal_cli.auto.blend_weights import FLOOR, best_weights, rounded
 from msal_cli.auto.candidates import CANDIDATES, FARTHER, LEARNED, ROBUST, SMOOTHER, Candidate
 from msal_cli.auto.evidence_words import describe_noise
@@ -44,13 +43,14 @@ from msal_cli.auto.surface_kind import (
     kind_of,
 )
 from msal_cli.auto.trials import Trials
+from msal_cli.auto.wishes import NONE, Choice, Wishes
 from msal_cli.mesh import Mesh
 from msal_cli.methods._triangles import even_out
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from msal_cli.auto import OnStep
+    from msal_cli.auto.wishes import OnStep
 
 
 RUN = 1.7

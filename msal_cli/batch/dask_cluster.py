@@ -26,8 +26,7 @@ from msal_cli.batch.dask_worker import (
     objection_to_blindness,
     objection_to_version,
 )
-from msal_cli.errors import ResourceError, UsageError
-from msal_cli.extras import install_hint
+from msal_cli.errors import ResourceError, UsageError, install_hint
 
 LOCAL = "local"
 

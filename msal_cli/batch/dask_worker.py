@@ -27,7 +27,7 @@ from msal_cli.batch.schedule import Schedule
 from msal_cli.batch.worker_messages import Advanced, Lost, Message, Returned
 from msal_cli.batch.worker_pool import Crew, Interrupt
 from msal_cli.errors import ResourceError
-from msal_cli.job.pipeline import Limits
+from msal_cli.job.settings import Limits
 
 TOPIC = "msal"
 """The topic of Dask's events under which workers tell what happens, file by file."""

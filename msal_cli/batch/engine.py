@@ -6,11 +6,11 @@ from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
-from msal_cli.job.pipeline import NO_LIMITS, Limits
+from msal_cli.job.settings import NO_LIMITS, Limits
 
 if TYPE_CHECKING:
     from msal_cli.batch.worker_messages import Message
-    from msal_cli.job.pipeline import Task
+    from msal_cli.job.settings import Task
 
 
 class Engine(Protocol):

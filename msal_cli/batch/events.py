@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from msal_cli.job.pipeline import Task
     from msal_cli.job.records import MeshRecord
+    from msal_cli.job.settings import Task
 
 
 @dataclass(frozen=True, slots=True)

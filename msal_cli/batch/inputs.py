@@ -90,7 +90,7 @@ def found(
     NothingMatched : nothing is left.
     """
     if is_mesh_name is None:
-        from msal_cli.job.pipeline import is_mesh_name as known_suffix
+        from msal_cli.job.settings import is_mesh_name as known_suffix
 
         is_mesh_name = known_suffix
     included, excluded = Patterns(include), Patterns(exclude)
@@ -103,7 +103,7 @@ def found(
         if kind == "folder"
     }
     output = None if output is None else settled(output)
-    own_output = _real(Path(output)) if output is not None and not is_url(output) else None
+    own_output = resolve(Path(output)) if output is not None and not is_url(output) else None
     everything: dict[tuple[str, str], Found] = {}
     empty: list[str] = []
     for text, kind in zip(inputs, kinds, strict=True):
@@ -173,7 +173,7 @@ def _kind(text: str) -> str:
 
 
 def _folder_name(folder: Path) -> str:
-    return folder.name if folder.name not in ("", "..") else _real(folder).name or "root"
+    return folder.name if folder.name not in ("", "..") else resolve(folder).name or "root"
 
 
 def _in_folder(
@@ -230,7 +230,7 @@ def _walked(
     with_hidden: bool = False,
 ) -> Iterator[_Entry]:
     """Files and folders below ``root``, by name; a folder comes before what it holds."""
-    real_root = str(_real(root))
+    real_root = str(resolve(root))
     # What lies in a searched folder that itself lies in the output was asked for by name.
     passed_over = None if own_output is None else str(own_output)
     if passed_over is not None and _holds(passed_over, real_root):
@@ -256,7 +256,7 @@ def _walked(
                 below.append((_Entry(path, one.name, relative, False), "", is_beyond_link))
             elif kind != "special" and is_entered(relative):
                 is_link = kind == "linked folder"
-                real = str(_real(Path(path))) if is_link else os.path.join(holder, one.name)
+                real = str(resolve(Path(path))) if is_link else os.path.join(holder, one.name)
                 if passed_over is not None and _holds(passed_over, real):
                     continue
                 if is_link and not _holds(real_root, real):
@@ -325,7 +325,8 @@ def _holds(folder: str, path: str) -> bool:
     return path == folder or path.startswith(folder.rstrip(os.sep) + os.sep)
 
 
-def _real(path: Path) -> Path:
+def resolve(path: Path) -> Path:
+    """The absolute path with links followed, as far as the system can follow them."""
     try:
         return path.resolve()
     except (OSError, RuntimeError):

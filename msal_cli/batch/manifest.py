@@ -35,8 +35,8 @@ from msal_cli import __version__
 from msal_cli.batch.shard import Shard
 from msal_cli.batch.temporary_files import temporary_name
 from msal_cli.errors import OutputError
-from msal_cli.job.pipeline import Settings
 from msal_cli.job.records import MeshRecord, ObjectMark, as_data, from_data
+from msal_cli.job.settings import Settings
 from msal_cli.storage.regular import is_regular, open_regular
 
 NAME = ".msal-manifest.jsonl"

@@ -10,8 +10,8 @@ from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import Manifest
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import InputError, OutputError
-from msal_cli.job.pipeline import Task
 from msal_cli.job.records import ObjectMark
+from msal_cli.job.settings import Task
 from msal_cli.storage import urls
 from msal_cli.storage.urls import is_url
 

@@ -6,8 +6,8 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from msal_cli.batch.memory import available_bytes
-from msal_cli.job.pipeline import (
+from msal_cli.job.records import Failure
+from msal_cli.job.settings import (
     FORECAST,
     Limits,
     Settings,
@@ -16,8 +16,7 @@ from msal_cli.job.pipeline import (
     least_memory_bytes,
     method_bytes_per_face,
 )
-from msal_cli.job.records import Failure
-from msal_cli.memory import megabytes
+from msal_cli.machine import available_bytes, megabytes
 
 LARGE_BYTES = 4 << 20
 """Files from this size on are looked into and go first; the rest differ too little to matter."""

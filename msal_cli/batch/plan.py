@@ -8,20 +8,19 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
-from msal_cli.batch.inputs import Found
+from msal_cli.batch.inputs import Found, resolve
 from msal_cli.batch.manifest import names_in
 from msal_cli.batch.manifest_dirs import manifest_of, objects_at
 from msal_cli.batch.shard import Shard
 from msal_cli.batch.temporary_files import is_own
 from msal_cli.errors import UsageError
-from msal_cli.job.pipeline import Task, refuse_unknown_format
-from msal_cli.job.pipeline import is_mesh_name as known_suffix
-from msal_cli.job.pipeline import output_name as with_suffix_of
 from msal_cli.job.records import ObjectMark
+from msal_cli.job.settings import DEFAULT_BACKUP, Task, refuse_unknown_format
+from msal_cli.job.settings import is_mesh_name as known_suffix
+from msal_cli.job.settings import output_name as with_suffix_of
 from msal_cli.storage import urls
 from msal_cli.storage.urls import is_url
 
-DEFAULT_BACKUP = ".orig"
 _OTHER_OUTPUT = "choose another output; only msal denoise --in-place replaces inputs"
 
 
@@ -37,7 +36,7 @@ class Plan:
         or holds the file.
     fresh : do every file again, even where its output is current.
     retry_failed : do files again that failed before, even where they would fail again.
-    shard, whole : which part this is, and of what, where it is a part (see ``shards.part``).
+    shard, whole : which part this is, and of what, where it is a part (see ``select_shard``).
     objects : where the outputs go to a store, the marks of those that are there, by URL.
     """
 
@@ -143,6 +142,12 @@ def built(
     return plan
 
 
+def select_shard(plan: Plan, shard: Shard) -> Plan:
+    """The part of a checked plan that ``shard`` is to do; it may be empty."""
+    kept = (index for index, task in enumerate(plan.tasks) if shard.has(task.relative))
+    return replace(_subset(plan, kept), shard=shard, whole=plan)
+
+
 def _in_place(
     found: Sequence[Found],
     output: str | None,
@@ -174,9 +179,9 @@ def _in_place(
                 path=one.path,
             )
         path = Path(one.path)
-        real = _real(path)
+        real = resolve(path)
         root = Path(one.root) if one.root else None
-        if root is not None and os.path.islink(path) and not real.is_relative_to(_real(root)):
+        if root is not None and os.path.islink(path) and not real.is_relative_to(resolve(root)):
             raise UsageError(
                 f"{one.path!r} leads out of {one.root!r} to {str(real)!r}",
                 hint="leave it out with --exclude, or name it as an input itself",
@@ -186,7 +191,7 @@ def _in_place(
         # the folder that was searched, so that there is one manifest for all in it.
         target = path
         if os.path.islink(path):
-            target = real if root is None else root / real.relative_to(_real(root))
+            target = real if root is None else root / real.relative_to(resolve(root))
         tasks.append(Task(str(target), str(target), one.relative, in_place=True, backup=backup))
         # Also a single file has a manifest: without it a second run would denoise it twice.
         homes.append(str(target.parent if root is None else root))
@@ -254,13 +259,6 @@ def _mirrored(
     return Task(one.path, str(Path(output) / relative), one.relative)
 
 
-def _real(path: Path) -> Path:
-    try:
-        return path.resolve()
-    except (OSError, RuntimeError):
-        return Path.cwd() / path
-
-
 def _identity(name: str) -> tuple[int, int] | str | None:
     """What tells files apart, links of both kinds followed; None where there is no file."""
     if is_url(name):
@@ -270,7 +268,7 @@ def _identity(name: str) -> tuple[int, int] | str | None:
         status = path.stat()
     except (OSError, ValueError):
         return None
-    return (status.st_dev, status.st_ino) if status.st_ino else str(_real(path))
+    return (status.st_dev, status.st_ino) if status.st_ino else str(resolve(path))
 
 
 def _without_repeats(plan: Plan) -> Plan:
@@ -281,14 +279,15 @@ def _without_repeats(plan: Plan) -> Plan:
     kept: dict[tuple[object, ...], int] = {}
     for index, task in enumerate(plan.tasks):
         source = _identity(task.input) or task.input
-        target = _folded(str(_real(Path(task.input)))) if task.in_place else task.output
+        target = _folded(str(resolve(Path(task.input)))) if task.in_place else task.output
         kept.setdefault((source, target), index)
-    chosen = tuple(kept.values())
-    return Plan(
-        tuple(plan.tasks[index] for index in chosen),
-        tuple(plan.homes[index] for index in chosen),
-        plan.fresh,
-    )
+    return _subset(plan, kept.values())
+
+
+def _subset(plan: Plan, indices: Iterable[int]) -> Plan:
+    kept = tuple(indices)
+    tasks, homes = plan.tasks, plan.homes
+    return replace(plan, tasks=tuple(tasks[i] for i in kept), homes=tuple(homes[i] for i in kept))
 
 
 def _refuse_collisions(plan: Plan) -> None:
@@ -317,7 +316,8 @@ def _refuse_collisions(plan: Plan) -> None:
                 task, other, f"cannot both be written: {task.output!r} is to be file and folder"
             )
     for first, second in twins:
-        if _ignores_case(_nearest_folder(Path(first.output))):
+        folder = next((one for one in Path(first.output).parents if os.path.isdir(one)), Path())
+        if _ignores_case(folder):
             raise _collision(
                 first, second, f"would both be written to {second.output!r}: case does not count"
             )
@@ -349,10 +349,6 @@ def _folded(path: str) -> str:
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", path).casefold())
 
 
-def _nearest_folder(path: Path) -> Path:
-    return next((one for one in path.parents if os.path.isdir(one)), Path())
-
-
 def _ignores_case(folder: Path) -> bool:
     """Whether the file system of ``folder`` takes a name in capitals for the same name."""
     import tempfile
@@ -370,10 +366,10 @@ def _ignores_case(folder: Path) -> bool:
 def _refuse_inputs_as_outputs(plan: Plan) -> None:
     inputs = {}
     for task in plan.tasks:
-        inputs[_identity(task.input) or str(_real(Path(task.input)))] = task.input
+        inputs[_identity(task.input) or str(resolve(Path(task.input)))] = task.input
     for task in plan.tasks:
         output = Path(task.output)
-        victim = inputs.get(_identity(task.output) or str(_real(output)))
+        victim = inputs.get(_identity(task.output) or str(resolve(output)))
         if victim is None:
             continue
         if victim == task.input:
@@ -408,14 +404,14 @@ def _refuse_folders_as_outputs(plan: Plan) -> None:
 
 def _refuse_escapes(plan: Plan, output: str) -> None:
     """A link within the output folder must not carry an output out of it."""
-    home = _real(Path(output))
+    home = resolve(Path(output))
     checked: set[Path] = set()
     for task in plan.tasks:
         parent = Path(task.output).parent
         if parent in checked:
             continue
         checked.add(parent)
-        real = _real(parent)
+        real = resolve(parent)
         if not real.is_relative_to(home):
             raise UsageError(
                 f"the output {task.output!r} would leave the output folder: {str(parent)!r} "

@@ -14,8 +14,8 @@ from msal_cli.batch.manifest import Entry, FileMark, Manifest, file_sha256
 from msal_cli.batch.plan import Plan
 from msal_cli.batch.temporary_files import temporary_name
 from msal_cli.errors import OutputError
-from msal_cli.job.pipeline import Task, suffix
-from msal_cli.job.records import Failure, MeshRecord, MethodUsed, ObjectMark
+from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, ObjectMark
+from msal_cli.job.settings import Task, suffix
 from msal_cli.storage.urls import is_url
 
 # What a file brings on itself comes again with the same file, settings and version.  All other
@@ -121,7 +121,7 @@ class _Judge:
     def _is_current(self, task: Task, entry: Entry) -> bool:
         if not entry.is_done or entry.settings != self._settings:
             return False
-        if entry.status not in ("written", "unchanged"):
+        if entry.status not in DONE:
             return False
         if is_url(task.output):
             there = self._plan.objects.get(task.output)

@@ -26,18 +26,11 @@ from msal_cli.batch.memory_budget import Weights, weighed
 from msal_cli.batch.plan import Plan
 from msal_cli.batch.resume import restore, standings, undone
 from msal_cli.batch.run_history import RunNote
-from msal_cli.cores import usable_cores
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.job.pipeline import (
-    FORECAST,
-    NO_LIMITS,
-    Limits,
-    Settings,
-    Task,
-    denoise_file,
-    least_memory_bytes,
-)
+from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.records import Failure, MeshRecord, MethodUsed
+from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task, least_memory_bytes
+from msal_cli.machine import usable_cores
 
 if TYPE_CHECKING:
     from msal_cli.batch.engine import EngineFor

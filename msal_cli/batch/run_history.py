@@ -20,7 +20,7 @@ from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
     from msal_cli.batch.plan import Plan
-    from msal_cli.job.pipeline import Settings
+    from msal_cli.job.settings import Settings
 
 
 @dataclass(frozen=True)

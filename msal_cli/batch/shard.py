@@ -9,13 +9,9 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 from msal_cli.errors import UsageError
-
-if TYPE_CHECKING:
-    from msal_cli.batch.plan import Plan
 
 MOST = 1_000_000
 """Shards at most; more would be fewer files a shard than the largest folders have."""
@@ -52,18 +48,6 @@ def stable_hash(relative: str) -> int:
         # No file has such a name, but an address may.
         name = relative.encode("utf-8", "surrogatepass")
     return int.from_bytes(hashlib.sha256(name).digest()[:8], "big")
-
-
-def part(plan: Plan, shard: Shard) -> Plan:
-    """What ``shard`` is to do of a plan that was checked as a whole; it may be nothing."""
-    kept = [index for index, task in enumerate(plan.tasks) if shard.has(task.relative)]
-    return replace(
-        plan,
-        tasks=tuple(plan.tasks[index] for index in kept),
-        homes=tuple(plan.homes[index] for index in kept),
-        shard=shard,
-        whole=plan,
-    )
 
 
 def settled(text: str, environment: Mapping[str, str]) -> Shard:

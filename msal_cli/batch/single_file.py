@@ -14,10 +14,11 @@ from msal_cli import __version__
 from msal_cli.batch.engine import Work, crew_for
 from msal_cli.batch.run import LOSS_CODES, check_limits, do_one
 from msal_cli.batch.worker_messages import Advanced, Lost, Returned
-from msal_cli.cores import usable_cores
 from msal_cli.errors import ResourceError
-from msal_cli.job.pipeline import Limits, Settings, Task, denoise_copy
+from msal_cli.job.pipeline import denoise_copy
 from msal_cli.job.records import Failure, MeshRecord, MethodUsed
+from msal_cli.job.settings import Limits, Settings, Task
+from msal_cli.machine import usable_cores
 
 if TYPE_CHECKING:
     from msal_cli.job.pipeline import OnProgress

@@ -6,16 +6,14 @@ and random part being eight hexadecimal digits each.
 
 from __future__ import annotations
 
-import functools
 import os
-import platform
 import re
 import time
-import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from msal_cli.batch.process_status import is_alive, started_at
+from msal_cli.storage.atomic import machine_tag
 
 _OWN_FILES = ".msal-"
 _TEMPORARY = re.compile(
@@ -37,7 +35,7 @@ def is_own(name: str) -> bool:
 
 def temporary_name(stem: str) -> str:
     """A new name for a temporary file of this process; ``stem`` should be short."""
-    return f".{stem}.msal-{os.getpid()}-{_machine()}{os.urandom(4).hex()}.tmp"
+    return f".{stem}.msal-{os.getpid()}-{machine_tag()}{os.urandom(4).hex()}.tmp"
 
 
 def sweep(folders: Iterable[str | Path]) -> int:
@@ -45,7 +43,7 @@ def sweep(folders: Iterable[str | Path]) -> int:
 
     def is_stale(match: re.Match[str], path: Path) -> bool:
         written = path.lstat().st_mtime
-        is_ours = match["machine"] == _machine()
+        is_ours = match["machine"] == machine_tag()
         is_dead = is_ours and not _may_be_writing(int(match["pid"]), written)
         return is_dead or time.time() - written > _SURELY_STALE_S
 
@@ -56,7 +54,7 @@ def sweep_after(pid: int, folder: str | Path) -> int:
     """Remove what process ``pid``, which has ended, left in a folder; how many files."""
 
     def is_its(match: re.Match[str], path: Path) -> bool:
-        return match["machine"] == _machine() and int(match["pid"]) == pid
+        return match["machine"] == machine_tag() and int(match["pid"]) == pid
 
     return _swept(Path(folder), is_its)
 
@@ -67,19 +65,6 @@ def _may_be_writing(pid: int, written: float) -> bool:
         return False
     began = started_at(pid)
     return began is None or began < written + _SURELY_LATER_S
-
-
-@functools.cache
-def _machine() -> str:
-    """Eight hexadecimal digits that tell machines that share a file system apart.
-
-    Containers may have one host name and yet not see each other's processes.
-    """
-    try:
-        processes = os.readlink("/proc/self/ns/pid")
-    except OSError:
-        processes = ""
-    return f"{zlib.crc32((platform.node() + processes).encode('utf-8', 'replace')):08x}"
 
 
 def _swept(folder: Path, is_to_go: Callable[[re.Match[str], Path], bool]) -> int:

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from msal_cli.batch.process_status import memory_bytes
+from msal_cli.machine import peak_bytes
 
 _LENGTH = struct.Struct("<Q")
 
@@ -166,41 +167,9 @@ def _end_beyond(limit: int, outgoing: _Outgoing) -> None:
     """Where the system cannot refuse memory: end this process once it has held too much."""
     while True:
         time.sleep(_BETWEEN_LOOKS_S)
-        if peak_bytes() > limit:
+        if (peak_bytes() or 0) > limit:
             outgoing.send("exhausted")
             os._exit(1)
-
-
-def peak_bytes() -> int:
-    """The most memory that this process has held so far; 0 where the system does not tell."""
-    if sys.platform == "win32":
-        return _peak_on_windows()
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else 1024 * peak
-
-
-def _peak_on_windows() -> int:
-    import ctypes
-
-    class Counters(ctypes.Structure):
-        _fields_ = (
-            ("size", ctypes.c_ulong),
-            ("page_faults", ctypes.c_ulong),
-            *((f"field_{n}", ctypes.c_size_t) for n in range(8)),
-        )
-
-    counters = Counters()
-    counters.size = ctypes.sizeof(Counters)
-    kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
-    kernel.GetCurrentProcess.restype = ctypes.c_void_p
-    ask = kernel.K32GetProcessMemoryInfo
-    ask.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ulong)
-    if not ask(kernel.GetCurrentProcess(), ctypes.byref(counters), counters.size):
-        return 0
-    # The first of the eight is the peak of the working set.
-    return int(counters.field_0)
 
 
 def resident_bytes() -> int:

@@ -20,14 +20,14 @@ from collections.abc import Callable, Generator
 from typing import Any
 
 from msal_cli.batch import worker_process
-from msal_cli.batch.memory import oom_kills
 from msal_cli.batch.process_status import ending, is_near_memory_limit
 from msal_cli.batch.schedule import Schedule
 from msal_cli.batch.worker import Assignment
 from msal_cli.batch.worker_messages import Advanced, Again, Began, Lost, Message, Returned
 from msal_cli.batch.worker_process import Heard, WorkerProcess
 from msal_cli.errors import ResourceError
-from msal_cli.job.pipeline import NO_LIMITS, Limits
+from msal_cli.job.settings import NO_LIMITS, Limits
+from msal_cli.machine import oom_kills
 
 _FALSE_STARTS = 3
 _GONE_WITHIN_S = 2.0

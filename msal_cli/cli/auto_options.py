@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msal_cli.errors import UsageError
+from msal_cli.job.settings import ADAPTIVE, AUTO
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from msal_cli.cli.denoise_options import Request
-
-AUTO, ADAPTIVE = "auto", "adaptive"
-"""What ``--method`` takes for ``--auto``, and for what is done without any method."""
+    from msal_cli.cli.denoise_arguments import Request
 
 _STRONGEST = 2.0
 

@@ -10,7 +10,8 @@ import click
 from msal_cli.cli import console as talk
 from msal_cli.cli import denoise_request, exit_codes
 from msal_cli.cli import option_types as words
-from msal_cli.cli.denoise_options import PATH, Request, options
+from msal_cli.cli.denoise_arguments import Request
+from msal_cli.cli.denoise_options import PATH, options
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
 
 if TYPE_CHECKING:
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
     from msal_cli.batch.events import Event
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.stream_denoise import Pipe
-    from msal_cli.job.pipeline import Settings
     from msal_cli.job.records import MeshRecord
+    from msal_cli.job.settings import Settings
     from msal_cli.report.document import Run
     from msal_cli.report.gates import Gate
 

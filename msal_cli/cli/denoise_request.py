@@ -7,17 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli.cli import auto_options
 from msal_cli.cli import option_types as words
-from msal_cli.cli.denoise_options import DEFAULT_BACKUP
 from msal_cli.cli.stream_denoise import STREAM
 from msal_cli.errors import UsageError
+from msal_cli.job.settings import (
+    ADAPTIVE,
+    AUTO,
+    DEFAULT_BACKUP,
+    NEGLIGIBLE,
+    SELF_INTERSECTIONS,
+    Limits,
+    Settings,
+    writable_formats,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from msal_cli.batch.plan import Plan
-    from msal_cli.cli.denoise_options import Request
+    from msal_cli.cli.denoise_arguments import Request
     from msal_cli.cli.stream_denoise import Pipe
-    from msal_cli.job.pipeline import Limits, Settings
     from msal_cli.methods import Method
     from msal_cli.report.gates import Gate
 
@@ -138,22 +146,19 @@ def references_of(request: Request, names: Sequence[str]) -> tuple[str, ...]:
 
 def limits_of(request: Request) -> Limits:
     """What one file may take."""
-    from msal_cli.job.pipeline import Limits
-
     return Limits(request.timeout, request.memory_limit, request.max_faces)
 
 
 def settings_of(request: Request) -> Settings:
     """What decides the bytes of the outputs; UsageError for what no method or format knows."""
     from msal_cli import codecs as files
-    from msal_cli.job import pipeline
 
     method, parameters = _method_of(request)
     max_move, lock = _moves_of(request)
-    return pipeline.Settings(
+    return Settings(
         method=method,
         parameters=parameters,
-        to=words.settled_format(request.to, pipeline.writable_formats, "--to"),
+        to=words.settled_format(request.to, writable_formats, "--to"),
         encoding=request.encoding,
         precision=request.precision,
         strict=request.strict,
@@ -172,12 +177,11 @@ def _method_of(request: Request) -> tuple[str, dict[str, Any]]:
     """The method's name and its settled parameters; with --auto, what is wished for."""
     from msal_cli import methods
     from msal_cli.cli import method_parameters as parameters
-    from msal_cli.job import pipeline
 
     if auto_options.is_asked(request):
-        return pipeline.AUTO, auto_options.wishes_of(request)
+        return AUTO, auto_options.wishes_of(request)
     if not auto_options.is_by_hand(request):
-        return pipeline.ADAPTIVE, {}
+        return ADAPTIVE, {}
     method = methods.find(request.method or _DEFAULT_METHOD)
     shortcuts = (
         ("-n", "iterations", request.iterations),
@@ -225,10 +229,9 @@ def _moves_of(request: Request) -> tuple[str | None, tuple[str, ...]]:
 
 def _min_noise_of(request: Request) -> str | None:
     """--min-noise in one spelling; UsageError for what means nothing."""
-    from msal_cli.job import pipeline
 
     least = request.min_noise
-    if least is None or least == pipeline.NEGLIGIBLE:
+    if least is None or least == NEGLIGIBLE:
         return least
     from msal_cli.job import constraints
 
@@ -237,14 +240,13 @@ def _min_noise_of(request: Request) -> str | None:
 
 def _checks_of(request: Request) -> tuple[str, ...]:
     """What is counted for the options, or because a gate names it."""
-    from msal_cli.job import pipeline
 
-    is_asked = pipeline.SELF_INTERSECTIONS in request.checks
+    is_asked = SELF_INTERSECTIONS in request.checks
     if request.fail_on and not is_asked:
         from msal_cli.report import gates
 
         is_asked = gates.names_field(gates_of(request), "self_intersections")
-    return (pipeline.SELF_INTERSECTIONS,) if is_asked else ()
+    return (SELF_INTERSECTIONS,) if is_asked else ()
 
 
 def _fields_of(request: Request) -> tuple[str, ...]:
@@ -298,4 +300,4 @@ def plan_of(request: Request, settings: Settings) -> Plan:
     if settings.fields:
         _refuse_taken_names(everything)
     # Everything is checked first, so that each shard refuses what a whole run would.
-    return everything if shard is None else shards.part(everything, shard)
+    return everything if shard is None else plan.select_shard(everything, shard)

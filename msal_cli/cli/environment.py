@@ -10,12 +10,12 @@ def described() -> dict[str, str]:
     """System, cores and versions by name; nothing that tells who the user or the host is."""
     from importlib import metadata
 
-    from msal_cli import cores
+    from msal_cli.machine import usable_cores
 
     told = {
         "system": f"{platform.system()} {platform.release()}".strip(),
         "processor": platform.machine(),
-        "cores": f"{cores.usable_cores()} of {os.cpu_count() or 1}",
+        "cores": f"{usable_cores()} of {os.cpu_count() or 1}",
         "python": platform.python_version(),
     }
     for name in ("numpy", "trimesh", "meshio"):

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from msal_cli.job.settings import SELF_INTERSECTIONS
 from msal_cli.job.units import METRES
 
 UNIT = click.option(
@@ -15,9 +16,6 @@ UNIT = click.option(
     metavar="UNIT",
     help="What the numbers in the files are: mm, m, in, ... Then lengths may have a unit (0.01mm).",
 )
-
-SELF_INTERSECTIONS = "self-intersections"
-"""That of ``tasks``, whose module takes long to import; a test holds them together."""
 
 CHECK = click.option(
     "--check",

@@ -14,7 +14,7 @@ from msal_cli.job.display_names import padded, shortened, shown
 
 if TYPE_CHECKING:
     from msal_cli.batch.events import Event
-    from msal_cli.job.pipeline import Task
+    from msal_cli.job.settings import Task
 
 _NAME_WIDTH = 32
 _FORMAT = "{desc} {percentage:3.0f} %|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from msal_cli import report
 from msal_cli.cli import github
 from msal_cli.errors import OutputError, UsageError
+from msal_cli.job.settings import DEFAULT_BACKUP
 
 if TYPE_CHECKING:
     from msal_cli.job.records import MeshRecord
@@ -115,7 +116,7 @@ def _gallery(records: Sequence[MeshRecord], backup: str | None, is_quiet: bool) 
 
     with progress.picture_bar(quiet=is_quiet) as tell:
         return gallery.made(
-            records, backup=gallery.BACKUP if backup is None else backup, on_file=tell
+            records, backup=DEFAULT_BACKUP if backup is None else backup, on_file=tell
         )
 
 

@@ -266,7 +266,7 @@ def _unknown(rows: Sequence[Row], *, is_finished: bool) -> Run:
     if newest is not None and newest.method is not None:
         settings = {"method": newest.method.name, "parameters": newest.method.parameters}
     if newest is not None and newest.choice is not None:
-        from msal_cli.job.pipeline import ADAPTIVE, AUTO
+        from msal_cli.job.settings import ADAPTIVE, AUTO
 
         method = AUTO if newest.choice.wishes else ADAPTIVE
         settings = {"method": method, "parameters": newest.choice.wishes}

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from msal_cli.analysis.simulation import ScannerSettings
     from msal_cli.analysis.simulation.volume_files import VolumeSettings
     from msal_cli.cli.stream_denoise import Pipe
-    from msal_cli.codecs import Buffer
     from msal_cli.job.scan_file import Scanned
+    from msal_cli.storage.buffers import Buffer
 
 _PATH = click.Path(readable=False, allow_dash=True)
 # Those of simulation.SCANNERS and volume_files.TYPES, whose modules take numpy to import; a test

@@ -14,7 +14,7 @@ from msal_cli.errors import InputError, MsalError, OutputError, ResourceError, T
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from msal_cli.codecs import Buffer
+    from msal_cli.storage.buffers import Buffer
 
 _PIECE = 1 << 20
 
@@ -92,8 +92,8 @@ class _Most:
 
 
 def _most_bytes(memory_limit: int | None = None) -> _Most:
-    from msal_cli.batch.memory import available_bytes
-    from msal_cli.storage.gzip_streams import largest_bytes
+    from msal_cli.machine import available_bytes
+    from msal_cli.storage.limits import largest_bytes
 
     def beyond_limit(what: str) -> MsalError:
         return ResourceError(

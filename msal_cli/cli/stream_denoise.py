@@ -12,9 +12,10 @@ from msal_cli.cli.standard_input import copy_stream, read_stream
 from msal_cli.errors import MsalError, OutputError, UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.codecs import Buffer
-    from msal_cli.job.pipeline import Limits, OnProgress, Settings
+    from msal_cli.job.pipeline import OnProgress
     from msal_cli.job.records import MeshRecord
+    from msal_cli.job.settings import Limits, Settings
+    from msal_cli.storage.buffers import Buffer
 
 STREAM = "-"
 
@@ -63,7 +64,7 @@ def pipe(inputs: tuple[str, ...], output: str | None) -> Pipe | None:
             hint="name a file with -o",
         )
     if output is not None and output != STREAM:
-        from msal_cli.job.pipeline import refuse_unknown_format
+        from msal_cli.job.settings import refuse_unknown_format
 
         refuse_unknown_format(output)
     return Pipe(source, output or STREAM)
@@ -77,7 +78,7 @@ def target_format(one: Pipe, to: str | None) -> str | None:
     UsageError
         if the two contradict each other.
     """
-    from msal_cli.job.pipeline import is_mesh_name, output_name
+    from msal_cli.job.settings import is_mesh_name, output_name
 
     if one.target == STREAM or not is_mesh_name(one.target):
         return to
@@ -157,7 +158,7 @@ def _made_by_worker(
     from msal_cli import codecs as files
     from msal_cli.batch import interrupts as signals
     from msal_cli.batch import single_file as single
-    from msal_cli.job.pipeline import Task
+    from msal_cli.job.settings import Task
 
     single.check_limits(limits)
     # The folder is to go, whatever ends this.

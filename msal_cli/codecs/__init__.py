@@ -8,20 +8,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.codecs.detection import (
+    OWN_FORMATS,
+    SCENES,
+    content_format,
+    format_of_name,
+    readable_suffixes,
+)
 from msal_cli.codecs.header_check import read_input
-from msal_cli.codecs.mesh_file import Buffer, MeshFile, corner_count
+from msal_cli.codecs.mesh_file import MeshFile, corner_count
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.allocator import give_back_large_arrays
 from msal_cli.storage.atomic import write_whole
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.digests import sha256_meanwhile
 from msal_cli.storage.gzip_streams import compressed, expanded, is_gzip_name, read_whole
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
-    from msal_cli.codecs.companions import Companion
+    from msal_cli.codecs.mesh_file import Companion
 
 __all__ = [
-    "Buffer",
+    "OWN_FORMATS",
+    "SCENES",
     "MeshFile",
     "compressed",
     "content_format",
@@ -45,93 +54,12 @@ __all__ = [
     "write_whole",
 ]
 
-OWN_FORMATS = ("ply", "obj", "stl", "glb", "gltf", "3mf")
-"""Formats with a codec of our own, which keeps everything but positions and normals."""
-
-SCENES = {"glb", "gltf"}
-"""Containers of one format, which hold the same."""
-
-_LOOKED_AT = 1 << 16
-_NUMBER = rb"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
-_OBJ_VERTEX = rb"(?m)^[ \t]*v(?:[ \t]+" + _NUMBER + rb"){3}"
-_OBJ_LINE = (
-    rb"(?:\#.*|v|vt|vn|vp|f|l|p|o|g|s|mg|usemtl|mtllib|usemap|maplib|vertexcolor)?(?:[ \t].*)?"
-)
-_XML = (
-    rb"(?s)(?:\xef\xbb\xbf)?\s*+(?:<\?xml[^>]*+>\s*+)?"
-    rb"(?:(?:<!--(?:(?!-->).)*+-->|<![A-Z][^>]*+>)\s*+)*+"
-)
-"""What may come before the root element: a declaration, comments and a document type."""
-
-_BEGINNINGS = (
-    (rb"ply[ \t]*[\r\n]", "ply"),
-    (rb"glTF", "glb"),
-    (rb"PK\x03\x04", "3mf"),
-    (
-        rb'(?:\xef\xbb\xbf)?\s*\{\s*"(?:asset|accessors|animations|buffers|bufferViews|cameras|'
-        rb'extensions|extensionsUsed|images|materials|meshes|nodes|samplers|scenes?|skins|textures)"',
-        "gltf",
-    ),
-    (rb"# vtk DataFile", "vtk"),
-    (rb"\s*\$MeshFormat", "msh"),
-    (rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+(?:ST)?C?N?4?n?OFF\b", "off"),
-    (rb"\s*MeshVersionFormatted", "mesh"),
-    (rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile[^>]*[\"']PolyData[\"']", "vtp"),
-    (rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile", "vtu"),
-    (_XML + rb"<COLLADA\b", "dae"),
-    (_XML + rb"<Xdmf\b", "xdmf"),
-    (rb"(?is)(?:\xef\xbb\xbf)?\s*solid\b.*?\b(?:facet|endsolid)\b", "stl"),
-)
-
-
-def readable_suffixes() -> tuple[str, ...]:
-    """Suffixes, with their dot, of the files that can be read; each may be followed by ``.gz``."""
-    from msal_cli.codecs import library_formats as other
-
-    return tuple(f".{name}" for name in (*OWN_FORMATS, *other.readable()))
-
 
 def writable_formats() -> tuple[str, ...]:
     """Formats that ``converted`` can write here; some depend on packages that are installed."""
     from msal_cli.codecs import conversion as convert
 
     return convert.writable()
-
-
-def format_of_name(name: str) -> str:
-    """The format that a file name stands for, ``.gz`` disregarded; empty if none that is known."""
-    stem = name[: -len(".gz")] if is_gzip_name(name) else name
-    suffix = re.search(r"\.[^./\\]*$", stem)
-    known = suffix is not None and suffix[0].lower() in readable_suffixes()
-    return suffix[0][1:].lower() if suffix and known else ""
-
-
-def content_format(data: Buffer, expected: str = "") -> str:
-    """The format that the bytes themselves look like; empty if none can be told.
-
-    ``expected`` is the format that the name says.  An OBJ is known by all of its lines, which takes
-    longer than the rest, so that where one is expected its reader has to find out.
-    """
-    head = bytes(memoryview(data)[:_LOOKED_AT])
-    if len(data) >= 134 and len(data) == 84 + 50 * int.from_bytes(head[80:84], "little"):
-        return "stl"
-    for pattern, name in _BEGINNINGS:
-        if re.match(pattern, head):
-            return name
-    is_obj = expected != "obj" and _looks_like_obj(head, is_cut=len(data) > _LOOKED_AT)
-    return "obj" if is_obj else ""
-
-
-def _looks_like_obj(head: bytes, *, is_cut: bool) -> bool:
-    """Whether every line begins with a keyword of OBJ: the last one looked at may be cut off, and
-    the rest of a continued line is no line of its own."""
-    head = re.sub(rb"\\\r?\n", b" ", head.removeprefix(b"\xef\xbb\xbf"))
-    lines = head.splitlines()
-    if is_cut:
-        lines = lines[:-1]
-    return re.search(_OBJ_VERTEX, head) is not None and all(
-        re.fullmatch(_OBJ_LINE, line.strip()) for line in lines
-    )
 
 
 def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:

@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, TextNumbers, line_of
+from msal_cli.codecs.slots import TextNumbers, line_of
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words, indices_of
-from msal_cli.errors import FormatError, TooLargeError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TooLargeError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _MOST_KEYWORDS = 1_000_000
 _KEYWORD = re.compile(rb"(?m)^[ \t]*\*[^\r\n]*")

@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, TextNumbers
+from msal_cli.codecs.slots import TextNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words, indices_of
-from msal_cli.errors import FormatError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _FLAT = {b"tri": ("triangle", 3), b"quad": ("quad", 4)}
 _OTHERS = {

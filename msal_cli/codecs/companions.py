@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.codecs.gltf import names_of_buffers
+from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import MsalError, OutputError
 from msal_cli.storage.atomic import write_whole
 from msal_cli.storage.gzip_streams import expanded, read_whole
-
-
-@dataclass(frozen=True, eq=False)
-class Companion:
-    """A file to be written: its path relative to the output's folder, with slashes."""
-
-    name: str
-    data: Buffer
 
 
 def write_companions(companions: Sequence[Companion], output_path: str) -> tuple[str, ...]:
@@ -71,8 +63,6 @@ def _write(companion: Companion, folder: Path, earlier: Collection[str]) -> str:
 
 def _names_of_earlier(output_path: str) -> set[str]:
     """The buffers of the .gltf that is at the output's place."""
-    from msal_cli.codecs.gltf import names_of_buffers
-
     if not os.path.isfile(output_path):
         return set()
     try:

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
-from msal_cli.codecs.mesh_file import Buffer, MeshFile
+from msal_cli.codecs.detection import SCENES
+from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.vertex_colours import vertex_colours
 from msal_cli.errors import UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _NORMAL_PROPERTIES = re.compile(
     r"vertex\.(n[xyz]( |$)|normal$)|normals$|point\.normals?$", re.IGNORECASE
@@ -93,9 +95,7 @@ def converted(
     if to == mesh_file.format:
         encode = getattr(mesh_file, "encoded")  # noqa: B009 - not part of the protocol
         return encode(vertices, encoding, precision), ()
-    from msal_cli import codecs as files
-
-    if {to, mesh_file.format} == files.SCENES and encoding != "ascii" and precision != "float64":
+    if {to, mesh_file.format} == SCENES and encoding != "ascii" and precision != "float64":
         from msal_cli.codecs.gltf_file import SceneFile
         from msal_cli.codecs.gltf_repack import repacked
 
@@ -250,7 +250,7 @@ def polygon_bytes(mesh_file: MeshFile) -> tuple[memoryview, int, str]:
 
 def _as_ply(content: _Content, encoding: str, single: bool) -> Buffer:
     """PLY, little endian; ascii through the codec, which knows how to print."""
-    from msal_cli.codecs.stl import as_float32
+    from msal_cli.codecs.slots import as_float32
 
     n = len(content.vertices)
     real, word = ("<f4", "float") if single else ("<f8", "double")
@@ -321,7 +321,7 @@ def _number_lines(values: Floats, single: bool, prefix: bytes) -> bytes:
 
 
 def _positions(content: _Content, single: bool) -> Floats:
-    from msal_cli.codecs.stl import as_float32
+    from msal_cli.codecs.slots import as_float32
 
     return as_float32(content.vertices).astype(np.float64) if single else content.vertices
 
@@ -359,14 +359,14 @@ def _as_off(content: _Content, single: bool) -> Buffer:
 
 
 def _as_stl(content: _Content, encoding: str, single: bool) -> Buffer:
-    from msal_cli.codecs import stl, stl_ascii
+    from msal_cli.codecs.stl_writer import ascii_stl, binary_stl
     from msal_cli.kernels.geometry import face_normals
 
     corners = content.vertices[content.faces].reshape(-1, 9)
     normals = face_normals(content.vertices, content.faces)
     if encoding == "ascii":
-        return stl_ascii.written(corners, normals, "", single=single)
-    return stl.written(corners, normals, "")
+        return ascii_stl(corners, normals, "", single=single)
+    return binary_stl(corners, normals, "")
 
 
 def _through_library(content: _Content, to: str, encoding: str, single: bool) -> Buffer:

@@ -14,12 +14,12 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.dae_scene import frames_of
 from msal_cli.codecs.frames import PLACEMENT, is_placed
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, TextNumbers, float_rows, integer_rows
+from msal_cli.codecs.slots import TextNumbers, float_rows, integer_rows
 from msal_cli.codecs.tokens import Words, require_indices
 from msal_cli.codecs.xml_offsets import Element, parse_tree
-from msal_cli.errors import FormatError, MsalError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, MsalError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _SURFACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
 _WORDS = {"TEXCOORD": "texture coordinates", "COLOR": "vertex colours"}

@@ -8,11 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from msal_cli.arrays import Floats
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import EXPORT_AGAIN
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element
-from msal_cli.errors import FormatError
+from msal_cli.errors import EXPORT_AGAIN, FormatError
+from msal_cli.storage.buffers import Buffer
 
 _SIZES = {"matrix": 16, "translate": 3, "rotate": 4, "scale": 3}
 _MOST_VISITS = 100_000

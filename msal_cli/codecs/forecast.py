@@ -14,15 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from msal_cli.codecs import content_format, format_of_name, ply_header
+from msal_cli.codecs import ply_header
+from msal_cli.codecs.detection import content_format, format_of_name
 from msal_cli.codecs.ply_header import Element, Header
 from msal_cli.errors import MsalError
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, GZIP_MAGIC, LARGEST_RATIO
+from msal_cli.storage.limits import LOOKED_AT
 from msal_cli.storage.regular import open_regular
 from msal_cli.storage.urls import is_url
-
-LOOKED_AT = 1 << 16
-"""Bytes of a file's beginning that are read, and that a compressed beginning is expanded to."""
 
 BASE_BYTES = 50_000_000
 """Resident memory of a worker that has denoised a mesh of next to nothing: the interpreter, the

@@ -11,8 +11,8 @@ from msal_cli.arrays import Floats
 from msal_cli.codecs.glb_chunks import parsed, with_text
 from msal_cli.codecs.gltf_file import SceneFile
 from msal_cli.codecs.gltf_frames import placed
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import InternalError, MsalError
+from msal_cli.storage.buffers import Buffer
 
 
 def read(data: Buffer, name: str) -> GlbFile:

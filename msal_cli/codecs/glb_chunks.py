@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import struct
 
-from msal_cli.codecs.gltf_document import (
-    HINT,
-    MOST_JSON,
-    Document,
-    as_dict,
-    as_list,
-    parsed_description,
+from msal_cli.codecs.gltf_document import MOST_JSON, Document, as_dict, as_list, parsed_description
+from msal_cli.errors import (
+    EXPORT_AGAIN,
+    FormatError,
+    TooLargeError,
+    TruncatedError,
+    UnsupportedError,
 )
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.errors import FormatError, TooLargeError, TruncatedError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 JSON_AT = 20
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
@@ -45,10 +44,12 @@ def wanted_bytes(head: memoryview, total: int) -> int:
     FormatError, TruncatedError, TooLargeError, UnsupportedError
     """
     if total < JSON_AT:
-        raise TruncatedError(f"the file has only {total} bytes", hint=HINT)
+        raise TruncatedError(f"the file has only {total} bytes", hint=EXPORT_AGAIN)
     magic, version, length, size, kind = struct.unpack_from("<4sIIII", head)
     if magic != b"glTF" or (version == 2 and kind != _JSON):
-        raise FormatError("the file does not begin as a GLB file does", where="byte 0", hint=HINT)
+        raise FormatError(
+            "the file does not begin as a GLB file does", where="byte 0", hint=EXPORT_AGAIN
+        )
     if version != 2:
         raise UnsupportedError(
             f"glTF version {version} is not read", hint="convert it to version 2"

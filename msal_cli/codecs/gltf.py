@@ -15,20 +15,13 @@ from urllib.parse import quote
 
 from msal_cli.arrays import Floats
 from msal_cli.codecs import gltf_buffers
-from msal_cli.codecs.companions import Companion
-from msal_cli.codecs.gltf_document import (
-    HINT,
-    MOST_JSON,
-    Document,
-    as_dict,
-    as_list,
-    parsed_description,
-)
+from msal_cli.codecs.gltf_document import MOST_JSON, Document, as_dict, as_list, parsed_description
 from msal_cli.codecs.gltf_file import SceneFile
 from msal_cli.codecs.gltf_frames import placed
 from msal_cli.codecs.gltf_text import edited, entry_spans
-from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import (
+    EXPORT_AGAIN,
     FormatError,
     InternalError,
     MsalError,
@@ -37,7 +30,9 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
-from msal_cli.storage.gzip_streams import is_gzip_name, memory_bytes
+from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.gzip_streams import is_gzip_name
+from msal_cli.storage.limits import memory_bytes
 from msal_cli.storage.urls import is_url
 
 _MOST_BUFFERS = 10_000
@@ -123,9 +118,11 @@ class _Pieces:
         where = f"buffer {number}"
         uri, wanted = entry.get("uri"), entry.get("byteLength")
         if not isinstance(uri, str) or not uri:
-            raise FormatError("the buffer names no data", where=where, hint=HINT)
+            raise FormatError("the buffer names no data", where=where, hint=EXPORT_AGAIN)
         if not isinstance(wanted, int) or isinstance(wanted, bool) or wanted < 0:
-            raise FormatError(f"byteLength is {wanted!r}, not a count", where=where, hint=HINT)
+            raise FormatError(
+                f"byteLength is {wanted!r}, not a count", where=where, hint=EXPORT_AGAIN
+            )
         content = gltf_buffers.embedded(uri, where)
         if content is None:
             name = gltf_buffers.file_name(uri, where)

@@ -13,9 +13,16 @@ import os
 from pathlib import Path, PureWindowsPath
 from urllib.parse import unquote
 
-from msal_cli.codecs.gltf_document import HINT, has_scheme
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.errors import FormatError, InputError, TooLargeError, TruncatedError, UnsupportedError
+from msal_cli.codecs.gltf_document import has_scheme
+from msal_cli.errors import (
+    EXPORT_AGAIN,
+    FormatError,
+    InputError,
+    TooLargeError,
+    TruncatedError,
+    UnsupportedError,
+)
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.regular import NotRegularError, open_regular
 from msal_cli.storage.urls import is_url
 
@@ -48,7 +55,9 @@ def embedded(uri: str, where: str) -> bytes | None:
         return base64.b64decode(uri[comma + 1 :], validate=True)
     except (binascii.Error, ValueError) as failure:
         said = str(failure)[:100]
-        raise FormatError(f"the data are not base64: {said}", where=where, hint=HINT) from None
+        raise FormatError(
+            f"the data are not base64: {said}", where=where, hint=EXPORT_AGAIN
+        ) from None
 
 
 def as_embedded(uri: str, content: Buffer) -> str:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
 from msal_cli.codecs.gltf_text import Edit, bound_edits, edited, entry_spans, kept_bound
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import (
+    EXPORT_AGAIN,
     ContentError,
     FormatError,
     MsalError,
@@ -27,6 +27,7 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
+from msal_cli.storage.buffers import Buffer
 
 _FLOAT32 = 5126
 _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
@@ -38,7 +39,6 @@ it may take thirty times its size."""
 _ALWAYS_READ = 1 << 16
 """Corners that are read however often the same ones are named; see ``_require_room``."""
 
-HINT = "the file is damaged; export it again"
 _PLAIN = "export it without compression, or convert it to PLY"
 
 
@@ -143,7 +143,9 @@ class Document:
             or not 0 <= index < len(entries)
             or not isinstance(entries[index], dict)
         ):
-            raise FormatError(f"there is no entry {index!r} in {kind}", where=kind, hint=HINT)
+            raise FormatError(
+                f"there is no entry {index!r} in {kind}", where=kind, hint=EXPORT_AGAIN
+            )
         # Not a copy: a large entry may be named very often.
         found: dict[str, Any] = entries[index]
         return found
@@ -182,7 +184,7 @@ class Document:
             raise TruncatedError(
                 f"{count} rows of {width} bytes do not fit where they are said to lie",
                 where=where,
-                hint=HINT,
+                hint=EXPORT_AGAIN,
             )
         return begin + offset + within, stride, count
 
@@ -206,7 +208,7 @@ class Document:
         component = self.entry("accessors", index).get("componentType")
         code = _INDEX_TYPES.get(component) if isinstance(component, int) else None
         if code is None:
-            raise FormatError("the indices have no integer type", where=where, hint=HINT)
+            raise FormatError("the indices have no integer type", where=where, hint=EXPORT_AGAIN)
         width = np.dtype(code).itemsize
         at, stride, length = self._region(index, width, where)
         _require_room(length, room, where)
@@ -216,7 +218,7 @@ class Document:
                 f"a face names vertex {int(found.max())} of {count}",
                 code="E_INDEX",
                 where=where,
-                hint=HINT,
+                hint=EXPORT_AGAIN,
             )
         return found
 
@@ -403,9 +405,11 @@ def parsed_description(data: bytes, where: str) -> tuple[str, dict[str, Any]]:
         json.dumps(content)  # what is nested too deeply to be written is refused at once
     except (ValueError, RecursionError) as failure:
         said = str(failure)[:200]
-        raise FormatError(f"the description is not JSON: {said}", where=where, hint=HINT) from None
+        raise FormatError(
+            f"the description is not JSON: {said}", where=where, hint=EXPORT_AGAIN
+        ) from None
     if not isinstance(content, dict):
-        raise FormatError("the description is not a JSON object", where=where, hint=HINT)
+        raise FormatError("the description is not a JSON object", where=where, hint=EXPORT_AGAIN)
     return text, content
 
 
@@ -420,7 +424,7 @@ def as_list(value: object) -> list[Any]:
 def _whole(entry: dict[str, Any], key: str, where: str, default: int | None = None) -> int:
     value = entry.get(key, default)
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**40:
-        raise FormatError(f"{key} is {value!r}, not a count", where=where, hint=HINT)
+        raise FormatError(f"{key} is {value!r}, not a count", where=where, hint=EXPORT_AGAIN)
     return value
 
 

@@ -17,9 +17,9 @@ from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs.frames import PLACEMENT, moved_by
 from msal_cli.codecs.gltf_document import Accessor, Document, Part
 from msal_cli.codecs.gltf_frames import is_sole_part_placed
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.stl import as_float32
+from msal_cli.codecs.slots import as_float32
 from msal_cli.errors import InternalError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 
 @dataclass(eq=False)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from msal_cli.codecs.gltf_buffers import EMPTY_URI, as_embedded
 from msal_cli.codecs.gltf_file import SceneFile
-from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.storage.buffers import Buffer
 
 _HEAD = struct.Struct("<4sII")
 

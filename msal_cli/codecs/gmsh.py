@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Bytes, Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, BinaryNumbers, Numbers, TextNumbers
+from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words, indices_of
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _HEADER = re.compile(rb"\$MeshFormat\s+(\d+)(?:\.(\d+))?\s+([01])\s+(\d+)[ \t]*\r?\n")
 _SIZES = {1: 2, 2: 3, 3: 4, 4: 4, 5: 8, 6: 6, 7: 5, 8: 3, 9: 6, 10: 9, 11: 10, 12: 27, 13: 18}

@@ -11,25 +11,15 @@ import errno
 import os
 from typing import BinaryIO
 
-from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.codecs.detection import OWN_FORMATS, content_format, format_of_name
 from msal_cli.errors import FormatError, TooLargeError, TruncatedError
-from msal_cli.storage.gzip_streams import (
-    GZIP_MAGIC,
-    largest_bytes,
-    read_in_large_pages,
-    read_whole,
-    too_large,
-)
+from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.gzip_streams import GZIP_MAGIC, read_in_large_pages, read_whole
+from msal_cli.storage.limits import LARGE_BYTES, LOOKED_AT, largest_bytes, too_large
 from msal_cli.storage.regular import open_regular
-
-LOOKED_AT = 1 << 16
-"""Bytes of the beginning that are read; a file no larger is left to its codec."""
 
 MOST_BEHIND = 256 << 20
 """Bytes behind the mesh that are carried along whatever the mesh's own size."""
-
-LARGE_BYTES = 4 << 20
-"""Bytes from which on the system may give large pages of memory."""
 
 
 def read_input(
@@ -47,8 +37,6 @@ def read_input(
     FormatError, TruncatedError, TooLargeError, UnsupportedError
         as ``open_mesh``, and TooLargeError for a file that can never fit into memory.
     """
-    from msal_cli.codecs import OWN_FORMATS, format_of_name
-
     is_large = False
     try:
         with open_regular(path) as file:
@@ -66,8 +54,6 @@ def read_input(
 
 def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
     """Raise for a file of ``size`` bytes that cannot be what it says."""
-    from msal_cli.codecs import content_format, format_of_name
-
     if size > largest_bytes():
         raise too_large(size)
     head = file.read(LOOKED_AT)

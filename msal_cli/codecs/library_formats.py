@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs.library_guard import guarded
-from msal_cli.codecs.mesh_file import Buffer, MeshFile
+from msal_cli.codecs.mesh_file import MeshFile
+from msal_cli.storage.buffers import Buffer
 
 _CODECS = {
     "off": "off",

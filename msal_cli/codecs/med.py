@@ -13,11 +13,11 @@ import numpy as np
 
 from msal_cli.arrays import Bytes, Longs
 from msal_cli.codecs.med_sandbox import answer_of
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, ColumnNumbers
+from msal_cli.codecs.slots import ColumnNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _FLAT = {"TR3": "triangle", "QU4": "quad"}
 _OTHERS = {

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from msal_cli.codecs.library_guard import time_limit_s
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import FormatError, ResourceError, TooLargeError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _CONVERT = "check the file in another program, or convert it to PLY, OBJ or STL"
 

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, BinaryNumbers, TextNumbers
+from msal_cli.codecs.slots import BinaryNumbers, TextNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _FLAT = {"triangles": ("triangle", 3), "quadrilaterals": ("quad", 4)}
 _CURVED = ("trianglesp2", "quadrilateralsq2", "trianglesp3", "trianglesp4")

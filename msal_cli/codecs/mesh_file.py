@@ -6,12 +6,21 @@ A codec parses what it must (positions, faces), keeps the original bytes, and re
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-Buffer = bytes | bytearray | memoryview
+from msal_cli.storage.buffers import Buffer
+
+
+@dataclass(frozen=True, eq=False)
+class Companion:
+    """A file that an output needs in its folder: the relative path, with slashes, and the bytes."""
+
+    name: str
+    data: Buffer
 
 
 class MeshFile(Protocol):

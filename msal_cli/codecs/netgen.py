@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, TextNumbers
+from msal_cli.codecs.slots import TextNumbers
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _SURFACE = (b"surfaceelements", b"surfaceelementsgi", b"surfaceelementsuv")
 _CORNERS_BEHIND = 5

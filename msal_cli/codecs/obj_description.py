@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.obj_parser import Content, line_of
+from msal_cli.storage.buffers import Buffer
 
 _PROPERTY_OF = {
     b"usemtl": "materials",

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats, Ints, Longs
-from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.codecs.slots import number_hint
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError, TruncatedError
+from msal_cli.storage.buffers import Buffer
 
 _T = TypeVar("_T", bound=np.generic)
 
-BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 _LOOKED_AT = 4096
 _ZEROS_LOOKED_AT = 1 << 16
@@ -82,7 +82,7 @@ def line_of(data: Buffer, at: int) -> int:
     return 1 + before.count(b"\n") + before.count(b"\r") - before.count(b"\r\n")
 
 
-def content(data: Buffer) -> Content:
+def parse_content(data: Buffer) -> Content:
     """Parse the bytes of an OBJ file.
 
     Raises FormatError (binary data, a word that is no number or corner, a statement that is too

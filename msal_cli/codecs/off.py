@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, TextNumbers
+from msal_cli.codecs.slots import TextNumbers
 from msal_cli.codecs.tokens import Words, require_indices
-from msal_cli.errors import ContentError, FormatError, InputError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, InputError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _HEADER = re.compile(
     rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+(ST)?(C)?(N)?(4?)(n?)OFF\b(?:[ \t]+(BINARY))?"

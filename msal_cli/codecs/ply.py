@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats
 from msal_cli.codecs import ply_sections as ply_layout
-from msal_cli.codecs import text_slots as plain_text
-from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.codecs import text_slots_old as plain_text
 from msal_cli.codecs.ply_ascii import Lines
 from msal_cli.codecs.ply_description import (
     NORMAL,
@@ -45,6 +44,7 @@ from msal_cli.codecs.ply_text import (
     position_decimals,
 )
 from msal_cli.errors import ContentError, InputError, InternalError
+from msal_cli.storage.buffers import Buffer
 
 _CHUNK = 1 << 20
 """Bytes compared at a time, so that a comparison needs no temporary as large as the file."""

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
-from msal_cli.codecs.mesh_file import Buffer, MeshFile
+from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.errors import InternalError
+from msal_cli.storage.buffers import Buffer
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TAKEN = frozenset({"x", "y", "z", "red", "green", "blue"})
@@ -40,7 +41,7 @@ def with_fields(
     comments : lines of the header; what is no printable ASCII in them is escaped.
     """
     from msal_cli.codecs.conversion import polygon_bytes
-    from msal_cli.codecs.stl import as_float32
+    from msal_cli.codecs.slots import as_float32
 
     n = len(vertices)
     is_single = mesh_file.precision == "float32"

@@ -10,6 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.errors import FormatError, TooLargeError, TruncatedError, UnsupportedError
 
 MOST_BYTES = 65_536
@@ -206,7 +207,7 @@ def _first_line_end(head: bytes) -> bytes:
     match = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
     if match:
         return match.group(1)
-    if head.startswith(b"\xef\xbb\xbf"):
+    if head.startswith(BYTE_ORDER_MARK):
         raise FormatError(
             "the file begins with a byte-order mark instead of the word 'ply'",
             where="byte 0",

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
+from msal_cli.codecs.decimals import usual_decimals
 from msal_cli.codecs.ply_ascii import Lines
-from msal_cli.codecs.text_slots import usual_decimals
 
 NORMAL_DECIMALS = 6
 """Decimals that a recomputed unit normal has at the least."""

@@ -14,19 +14,21 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs import stl_ascii
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.stl_checks import check_countable, check_not_empty, not_finite
+from msal_cli.codecs.slots import too_large_for_float32
+from msal_cli.codecs.stl_checks import (
+    FACET,
+    HEADER_BYTES,
+    check_countable,
+    check_not_empty,
+    not_finite,
+)
+from msal_cli.codecs.stl_writer import ascii_stl, refuse_float64
 from msal_cli.errors import (
-    ContentError,
     FormatError,
     InternalError,
     TruncatedError,
-    UnsupportedError,
 )
-
-HEADER_BYTES = 80
-FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u2")])
-"""One facet, 50 bytes without padding."""
+from msal_cli.storage.buffers import Buffer
 
 _FIRST_FACET = HEADER_BYTES + 4
 _LOOKED_AT = 1024
@@ -245,7 +247,7 @@ class StlFile:
             too_large = np.asarray(np.isinf(vertices.astype(np.float32)).any(axis=1))
         if too_large.any():
             facet = int(np.argmax(too_large[self.faces].any(axis=1)))
-            raise _too_large(f"facet {facet}")
+            raise too_large_for_float32(f"facet {facet}")
 
     def check(self, output: Buffer, vertices: Floats) -> None:
         """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
@@ -304,20 +306,7 @@ class StlFile:
         stored = self.normals
         normals, _ = renewed_facet_normals(self.vertices, vertices, self.faces, stored)
         corners = vertices[self.faces].reshape(-1, 9)
-        return stl_ascii.written(corners, normals, self.solids[0], single=precision != "float64")
-
-
-def written(corners: Floats, normals: Floats, name: str) -> bytes:
-    """A binary STL file of corners (m, 9) and normals (m, 3)."""
-    facets = np.zeros(len(corners), dtype=FACET)
-    facets["corners"] = as_float32(corners)
-    with np.errstate(over="ignore", invalid="ignore"):
-        single = normals.astype(np.float32)
-    facets["normal"] = np.where(np.isfinite(single), single, np.float32(0.0))
-    # A header that begins with "solid" would make readers take the file for text.
-    header = b"binary STL " + name.encode("ascii", "replace")
-    count = len(corners).to_bytes(4, "little")
-    return header[:HEADER_BYTES].ljust(HEADER_BYTES) + count + facets.tobytes()
+        return ascii_stl(corners, normals, self.solids[0], single=precision != "float64")
 
 
 def _words(facets: NDArray[np.void]) -> NDArray[np.uint16]:
@@ -331,37 +320,3 @@ def _as_float64(stored: NDArray[np.float32]) -> Floats:
 
 def _bits(stored: NDArray[np.float32]) -> NDArray[np.uint32]:
     return stored.view("<u4")
-
-
-def as_float32(positions: Floats, first: int = 0) -> NDArray[np.float32]:
-    """Positions (m, 9) or (n, 3) rounded to float32; ``first`` is the number of the first row.
-
-    Raises
-    ------
-    ContentError
-        with code ``E_RANGE`` if one is beyond float32's range.
-    """
-    with np.errstate(over="ignore", under="ignore"):
-        rounded = positions.astype(np.float32)
-    if not np.isfinite(rounded).all():
-        bad = int(np.argmin(np.isfinite(rounded).reshape(len(rounded), -1).all(axis=1)))
-        raise _too_large(f"row {first + bad}")
-    return rounded
-
-
-def _too_large(where: str) -> ContentError:
-    return ContentError(
-        "a position is too large for float32",
-        code="E_RANGE",
-        where=where,
-        hint="scale the mesh, or write it to a format with float64",
-    )
-
-
-def refuse_float64(precision: str) -> None:
-    """Raise UnsupportedError if binary STL is asked for float64."""
-    if precision == "float64":
-        raise UnsupportedError(
-            "binary STL has no float64",
-            hint="use --encoding ascii, or --to ply",
-        )

@@ -11,17 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import number_hint
+from msal_cli.codecs.detection import BYTE_ORDER_MARK
+from msal_cli.codecs.slots import as_float32, number_hint
 from msal_cli.codecs.stl_checks import check_countable, check_not_empty, not_finite
-from msal_cli.errors import FormatError, InputError, InternalError, TooLargeError, TruncatedError
+from msal_cli.codecs.stl_writer import binary_stl, refuse_float64
+from msal_cli.errors import (
+    EXPORT_AGAIN,
+    FormatError,
+    InputError,
+    InternalError,
+    TooLargeError,
+    TruncatedError,
+)
+from msal_cli.storage.buffers import Buffer
 
 SHORTEST_FACET = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
 """Bytes of text that a facet takes at least."""
 
 _USUAL_FACET = 200
 _AT_ONCE = 1 << 14
-_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _NORMAL_DECIMALS = 6
 _NOISE = 1e-9
 """Decimals of tiny numbers with an exponent count only down to this part of the extent."""
@@ -130,8 +138,8 @@ def _scanned(data: Buffer) -> tuple[_Scan, Floats]:
     end = len(bytes(buf[-4096:]).rstrip(b"\0\x1a")) - min(len(buf), 4096) + len(buf)
     buf = buf[:end]
     state = np.zeros(stl_scan.N_STATE, dtype=np.int64)
-    if bytes(buf[:3]) == _BYTE_ORDER_MARK:
-        state[stl_scan.AT] = len(_BYTE_ORDER_MARK)
+    if bytes(buf[:3]) == BYTE_ORDER_MARK:
+        state[stl_scan.AT] = len(BYTE_ORDER_MARK)
     room = min(len(buf) // _USUAL_FACET, len(buf) // SHORTEST_FACET) + 1
     facet_at = np.empty(room, dtype=np.int64)
     offsets = np.empty((room, 12), dtype=np.int32)
@@ -201,7 +209,7 @@ def _error(buf: NDArray[np.uint8], status: int, at: int, word: int, facet: int) 
         )
     if status == stl_scan.TOO_LONG:
         return TooLargeError("a single facet takes more than 2 GiB of text", where=where)
-    hint = "the file is damaged; export it again"
+    hint = EXPORT_AGAIN
     if word == stl_scan.ENDLOOP and token.lower() == b"vertex":
         hint = "a facet of STL has three corners; triangulate the mesh first"
     return FormatError(f"expected '{wanted}', found {text!r}", where=where, hint=hint)
@@ -379,37 +387,10 @@ class StlTextFile:
         UnsupportedError
             for a binary file of float64, which STL does not have.
         """
-        from msal_cli.codecs import stl
-
         if encoding in ("same", "ascii"):
             if precision == "float32":
-                vertices = stl.as_float32(vertices).astype(np.float64)
+                vertices = as_float32(vertices).astype(np.float64)
             return self.replaced(vertices)
-        stl.refuse_float64(precision)
+        refuse_float64(precision)
         numbers, _ = self._changes(vertices)
-        return stl.written(numbers[:, 3:], numbers[:, :3], self.solids[0])
-
-
-def written(corners: Floats, normals: Floats, name: str, *, single: bool) -> Buffer:
-    """An ascii STL file of corners (m, 9) and normals (m, 3), in the shortest exact digits.
-
-    ``single`` writes what float32 holds.
-    """
-    from msal_cli.kernels import stl_scan, text
-
-    numbers = np.concatenate([np.where(np.isfinite(normals), normals, 0.0), corners], axis=1)
-    numbers[:, :3] = numbers[:, :3].astype(np.float32)
-    digits, stops = text.printed_shortest(numbers.reshape(-1), single)
-    space = " "
-    corner = ["\n      vertex ", space, space]
-    pieces = ["  facet normal ", space, space, "\n    outer loop" + corner[0], space, space]
-    pieces += corner * 2 + ["\n    endloop\n  endfacet\n"]
-    fixed = np.frombuffer("".join(pieces).encode(), dtype=np.uint8)
-    fixed_stops = np.cumsum([len(piece) for piece in pieces], dtype=np.int64)
-    out = np.empty(len(digits) + len(corners) * len(fixed), dtype=np.uint8)
-    length = stl_scan.facets_as_text(
-        text.as_bytes(fixed), fixed_stops, text.as_bytes(digits), stops, out
-    )
-    line = " ".join(name.split())
-    head, tail = (f"{word} {line}".rstrip().encode() + b"\n" for word in ("solid", "endsolid"))
-    return b"".join([head, out[:length].data, tail])
+        return binary_stl(numbers[:, 3:], numbers[:, :3], self.solids[0])

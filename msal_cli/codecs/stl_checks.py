@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from msal_cli.errors import ContentError, TooLargeError
+
+HEADER_BYTES = 80
+FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u2")])
+"""One facet, 50 bytes without padding."""
 
 MOST_FACETS = (2**31 - 1) // 3
 """Facets whose corners can be numbered with 32 bits."""

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.frames import PLACEMENT, moved_by
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.threemf_model import Model, Surface, parsed
 from msal_cli.codecs.threemf_package import Package, Part
 from msal_cli.codecs.zip_archive import Archive
 from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _SAME = "same"
 _FINEST = 1e-7
@@ -238,7 +238,7 @@ def _decimals(
     surface: Surface, values: Floats, text: bytes, starts: Longs, stops: Longs
 ) -> NDArray[np.uint8]:
     """Decimals (k,) of the new numbers of a mesh; the old ones lie at these bytes."""
-    from msal_cli.codecs.text_slots import usual_decimals
+    from msal_cli.codecs.decimals import usual_decimals
     from msal_cli.kernels import text as texts
     from msal_cli.kernels.digits import MOST_DECIMALS
 

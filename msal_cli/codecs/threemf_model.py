@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
 from msal_cli.codecs.threemf_fast import plain_lists, quoted
-from msal_cli.errors import ContentError, FormatError, TooLargeError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, UnsupportedError
 
 _MICROSOFT = "http://schemas.microsoft.com/3dmanufacturing/"
 _CORES = (_MICROSOFT + "core/2015/02", _MICROSOFT + "2013/01")
@@ -48,7 +48,6 @@ MOST_USES = 100_000
 
 UNITS = ("micron", "millimeter", "centimeter", "inch", "foot", "meter")
 
-_DAMAGED = "the file is damaged; export it again"
 _ATTRIBUTE = re.compile(rb"\s+([^\s=<>\"'/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 _TAG_NAME = re.compile(rb"<[^\s<>/]+")
 _DECIMAL = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
@@ -150,7 +149,7 @@ def start_parser(text: bytes, name: str) -> expat.XMLParserType:
 
     def refuse(*_: object) -> None:
         raise FormatError(
-            "the XML has a document type, which 3MF forbids", where=name, hint=_DAMAGED
+            "the XML has a document type, which 3MF forbids", where=name, hint=EXPORT_AGAIN
         )
 
     parser.XmlDeclHandler = declare
@@ -226,14 +225,14 @@ class _Reader:
             raise TooLargeError(
                 f"elements lie in one another more than {_DEEPEST} deep",
                 where=self._where(),
-                hint=_DAMAGED,
+                hint=EXPORT_AGAIN,
             )
         if not above:
             if word != "model" or not is_core:
                 raise FormatError(
                     f"the root element is {word[:40]!r}, not a model of 3MF",
                     where=self._where(),
-                    hint=_DAMAGED,
+                    hint=EXPORT_AGAIN,
                 )
             self._open_model(_pairs(attributes))
         elif space in _STALE:
@@ -286,7 +285,7 @@ class _Reader:
             self._close_mesh()
 
     def _damaged(self, message: str) -> FormatError:
-        return FormatError(message, where=self._where(), hint=_DAMAGED)
+        return FormatError(message, where=self._where(), hint=EXPORT_AGAIN)
 
     def _open_model(self, attributes: dict[str, str]) -> None:
         self.model.unit = attributes.get("unit", "millimeter")
@@ -343,7 +342,7 @@ class _Reader:
             raise FormatError(
                 f"{word[:40].decode('ascii', 'replace')!r} is not a number",
                 where=self._where(at),
-                hint=_DAMAGED,
+                hint=EXPORT_AGAIN,
             )
         return values.reshape(-1, 3)
 
@@ -417,7 +416,7 @@ class _Reader:
                 f"a triangle names vertex {int(self._faces[row].max())} of {len(vertices)}",
                 code="E_INDEX",
                 where=f"{self._where()}, object {self._object}, triangle {row}",
-                hint=_DAMAGED,
+                hint=EXPORT_AGAIN,
             )
         self.model.surfaces[self._object] = Surface(vertices, starts, stops, self._faces)
 

@@ -10,11 +10,12 @@ import numpy as np
 
 from msal_cli.arrays import Floats
 from msal_cli.codecs.frames import can_be_undone, is_placed, moved_by
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.threemf_model import Model, Surface, Use, parsed, place_of, start_parser
 from msal_cli.codecs.zip_archive import Archive, Member
-from msal_cli.errors import ContentError, FormatError, UnsupportedError
-from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, memory_bytes
+from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED
+from msal_cli.storage.limits import memory_bytes
 
 LARGEST_RATIO = 40
 """Expanded bytes of XML per byte of the archive; see docs/formats.md."""
@@ -29,7 +30,6 @@ _ORIGIN_TYPE = (
     "http://schemas.openxmlformats.org/package/2006/relationships/digital-signature/origin"
 )
 _ROOT = "_rels/.rels"
-_DAMAGED = "the file is damaged; export it again"
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class Package:
         member = self.archive.find(path)
         if member is None:
             raise FormatError(
-                f"there is no member {path[:200]!r} in the archive", where=where, hint=_DAMAGED
+                f"there is no member {path[:200]!r} in the archive", where=where, hint=EXPORT_AGAIN
             )
         return member
 
@@ -127,11 +127,11 @@ class Package:
             raise FormatError(
                 f"the XML is damaged: {expat.ErrorString(failure.code)}",
                 where=place_of(content, _ROOT, parser.ErrorByteIndex),
-                hint=_DAMAGED,
+                hint=EXPORT_AGAIN,
             ) from None
         if len(targets) != 1:
             raise FormatError(
-                f"the package names {len(targets)} models, not one", where=_ROOT, hint=_DAMAGED
+                f"the package names {len(targets)} models, not one", where=_ROOT, hint=EXPORT_AGAIN
             )
         return targets[0]
 
@@ -161,7 +161,7 @@ class Package:
 
     def _missing(self, name: str, use: Use, what: str) -> FormatError:
         where = place_of(self.models[name].text, name, use.at)
-        return FormatError(f"{what} is not in the package", where=where, hint=_DAMAGED)
+        return FormatError(f"{what} is not in the package", where=where, hint=EXPORT_AGAIN)
 
     def _frames(self) -> tuple[dict[tuple[str, int], Floats], bool]:
         """The frame of each object that is built, by the first way to it; if one has several.

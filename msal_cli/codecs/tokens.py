@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import EXPORT_AGAIN, line_of, parse_floats
-from msal_cli.errors import ContentError, FormatError, TooLargeError, TruncatedError
+from msal_cli.codecs.slots import line_of, parse_floats
+from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, TruncatedError
+from msal_cli.storage.buffers import Buffer
 
 _MOST_KEYWORDS = 1_000_000
 _BLOCK = 1 << 22

@@ -12,12 +12,12 @@ import re
 from dataclasses import dataclass, field
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, Numbers
+from msal_cli.codecs.slots import Numbers
 from msal_cli.codecs.vtk_cells import Surface, surface_of
 from msal_cli.codecs.vtk_stream import Stream
-from msal_cli.errors import FormatError, InputError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, InputError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _HEADER = re.compile(
     rb"# vtk DataFile Version[ \t]+(\d+)\.(\d+)[^\r\n]*\r?\n([^\r\n]*)\r?\n"

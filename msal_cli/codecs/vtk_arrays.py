@@ -13,12 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import EXPORT_AGAIN, BinaryNumbers, Numbers, TextNumbers, to_type
+from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers, UnitSlots, to_type
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element
-from msal_cli.errors import FormatError, TooLargeError, TruncatedError, UnsupportedError
-from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, LARGEST_RATIO, memory_bytes
+from msal_cli.errors import (
+    EXPORT_AGAIN,
+    FormatError,
+    TooLargeError,
+    TruncatedError,
+    UnsupportedError,
+)
+from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, LARGEST_RATIO
+from msal_cli.storage.limits import memory_bytes
 
 _CODES = {
     f"{sign}Int{bits}": f"{code}{bits // 8}"
@@ -129,7 +136,7 @@ def _require_count(there: int, wanted: int, array: Element) -> None:
 
 
 @dataclass(eq=False)
-class EncodedNumbers:
+class EncodedNumbers(UnitSlots):
     """An array that is one unit, since it is compressed or written in base64."""
 
     coding: Coding = field(repr=False)
@@ -151,16 +158,16 @@ class EncodedNumbers:
     def units(self, is_changed: Flags) -> Flags:
         return np.array([is_changed.any()])
 
-    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
+    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
         rows = np.frombuffer(self.content, dtype=self.code).reshape(-1, 3)
         # Rows that did not move keep their bits, the signs of zeros included.
         is_same = (values == self.values).all(axis=1)[:, None]
-        new = np.where(is_same, rows, to_type(values, self.code, np.arange(len(values))))
+        new = np.where(is_same, rows, to_type(values, self.code))
         text = np.frombuffer(_encoded(new.astype(self.code).tobytes(), self), dtype=np.uint8)
         return text, np.array([len(text)], dtype=np.int64)
 
-    def stored(self, values: Floats) -> tuple[Floats, float]:
-        return to_type(values, self.code, np.arange(len(values))).astype(np.float64), 0.0
+    def rounded(self, values: Floats) -> tuple[Floats, float]:
+        return to_type(values, self.code).astype(np.float64), 0.0
 
 
 def _decoded(array: Element, coding: Coding) -> tuple[Buffer, int, int]:

@@ -7,8 +7,7 @@ from collections import Counter
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slots import EXPORT_AGAIN
-from msal_cli.errors import FormatError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
 
 _NAMES = {
     1: "vertex",

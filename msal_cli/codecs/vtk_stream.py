@@ -7,10 +7,10 @@ import re
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.codecs.slots import EXPORT_AGAIN, BinaryNumbers, Numbers, TextNumbers, line_of
+from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers, line_of
 from msal_cli.codecs.tokens import Words
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _CODES = {
     "char": ">i1",

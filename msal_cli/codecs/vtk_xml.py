@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, Dependent, PatchedFile, Shift
-from msal_cli.codecs.slots import EXPORT_AGAIN, Numbers
+from msal_cli.codecs.slots import Numbers
 from msal_cli.codecs.vtk_arrays import Coding, code_of, integers, numbers
 from msal_cli.codecs.vtk_cells import Surface, surface_of
 from msal_cli.codecs.xml_offsets import Element, parse_tree
-from msal_cli.errors import ContentError, FormatError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _TYPES = {"vtu": "UnstructuredGrid", "vtp": "PolyData"}
 _COMPRESSORS = ("", "vtkZLibDataCompressor", "vtkLZMADataCompressor")

@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import EXPORT_AGAIN, TextNumbers, float_rows, integer_rows
+from msal_cli.codecs.slots import TextNumbers, float_rows, integer_rows
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element, parse_tree
-from msal_cli.errors import FormatError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _FLAT = {"triangle": 3, "quadrilateral": 4}
 _OTHERS = {

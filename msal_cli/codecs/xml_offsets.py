@@ -7,15 +7,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.errors import FormatError, TooLargeError, UnsupportedError
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TooLargeError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 MOST_ELEMENTS = 1_000_000
 """A file of more elements would take more memory as a tree than meshes take."""
 
 _MOST_DEPTH = 100
 _TAG = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>")
-_EXPORT = "the file is damaged; export it again"
 
 
 @dataclass(slots=True, eq=False)
@@ -96,14 +95,14 @@ def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
         raise FormatError(
             f"it is not well-formed XML: {expat.errors.messages[failure.code]}",
             where=f"line {failure.lineno}",
-            hint=_EXPORT,
+            hint=EXPORT_AGAIN,
         ) from None
     except (LookupError, ValueError) as failure:
         raise UnsupportedError(
             f"the XML is written in another way than UTF-8: {failure}", hint="save it as UTF-8"
         ) from None
     if builder.root is None:
-        raise FormatError(f"there is no {what} in the file", hint=_EXPORT)
+        raise FormatError(f"there is no {what} in the file", hint=EXPORT_AGAIN)
     return builder.root
 
 
@@ -137,7 +136,7 @@ class _Builder:
         at = self.parser.CurrentByteIndex
         tag = _TAG.match(self._data, at)
         if tag is None:
-            raise FormatError("a tag does not end", where=f"byte {at}", hint=_EXPORT)
+            raise FormatError("a tag does not end", where=f"byte {at}", hint=EXPORT_AGAIN)
         one = Element(name.rpartition(":")[2], attributes, at, tag.end(), tag.end())
         if self._open:
             self._open[-1].children.append(one)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from msal_cli import __version__
 from msal_cli.errors import InternalError, MsalError, ResourceError
 from msal_cli.job.records import (
+    WITH_OUTPUT,
     Area,
     ComparisonRecord,
     Displacement,
@@ -31,16 +32,16 @@ if TYPE_CHECKING:
     from msal_cli.analysis.displacement import DisplacementStatistics
     from msal_cli.analysis.enclosure import Enclosure
     from msal_cli.analysis.surface_distance import DistanceStatistics
-    from msal_cli.codecs.mesh_file import Buffer, MeshFile
+    from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.records import MeshRecord
     from msal_cli.mesh import Mesh, Prepared
+    from msal_cli.storage.buffers import Buffer
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int32]
 
 log = logging.getLogger("msal")
 
-_WITH_OUTPUT = ("written", "unchanged", "up-to-date")
 
 HEATMAP_QUANTILE = 0.99
 """Share of the vertices that the range of a heat map's colours covers."""
@@ -107,7 +108,7 @@ def with_references(
     """
     return [
         replace(record, reference=_against(path, record.output, format))
-        if record.output is not None and record.status in _WITH_OUTPUT
+        if record.output is not None and record.status in WITH_OUTPUT
         else record
         for record, path in zip(records, references, strict=True)
     ]
@@ -153,8 +154,8 @@ def compared(
     """
     from msal_cli.analysis import correspondence as metrics
 
-    first = _prepared(before, before_name)
-    second = _prepared(after, after_name)
+    first = prepare_surface(before, before_name)
+    second = prepare_surface(after, after_name)
     is_same = metrics.correspond(before.vertices, before.faces, after.vertices, after.faces)
     record = ComparisonRecord(
         before=before_name,
@@ -200,7 +201,7 @@ def deviations(before: Surface, after: Surface) -> Floats:
 
     if metrics.correspond(before.vertices, before.faces, after.vertices, after.faces):
         return metrics.vertex_distances(before.vertices, after.vertices)
-    reference = _prepared(before, "")
+    reference = prepare_surface(before, "")
     return distances_to_surface(after.vertices - reference.origin, reference.mesh)
 
 
@@ -242,7 +243,8 @@ def heatmap(before: MeshFile, after: MeshFile, before_name: str) -> Heatmap:
     return Heatmap(data, low, high)
 
 
-def _prepared(surface: Surface, name: str) -> Prepared:
+def prepare_surface(surface: Surface, name: str) -> Prepared:
+    """The mesh of a surface and its vertex map; an error has the path ``name``."""
     from msal_cli.mesh import prepared
 
     try:

@@ -7,14 +7,13 @@ as fixed during their sweeps, and trust goes into the data term of those that ha
 from __future__ import annotations
 
 import math
-import operator
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.errors import ContentError, UsageError
-from msal_cli.job.units import NAMES, in_file_units
+from msal_cli.job.units import COMPARISONS, UNIT_PATTERN, in_file_units
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,17 +28,8 @@ if TYPE_CHECKING:
 BOUNDARY = "boundary"
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_UNITS = "|".join(sorted(NAMES, key=len, reverse=True))
-_LENGTH = re.compile(rf"(?a)\s*({_NUMBER})\s*(e|{_UNITS})?\s*")
+_LENGTH = re.compile(rf"(?a)\s*({_NUMBER})\s*(e|{UNIT_PATTERN})?\s*")
 _LOCK = re.compile(rf"(?a)\s*([^\s<>=!]+)\s*(<=|>=|==|!=|<|>)\s*({_NUMBER})\s*")
-_COMPARED: dict[str, Callable[[Any, Any], Any]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-    "==": operator.eq,
-    "!=": operator.ne,
-}
 
 
 # Of a sum of coordinates, and of the distance between two points, relative to the largest of them.
@@ -85,7 +75,7 @@ class Lock:
             single = np.float32(value)
             if np.isfinite(single) and (values.astype(np.float32) == values).all():
                 value = float(single)
-        result: Flags = _COMPARED[self.comparison](values, value)
+        result: Flags = COMPARISONS[self.comparison](values, value)
         return result
 
 

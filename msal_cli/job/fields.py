@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from msal_cli.codecs.mesh_file import Buffer, MeshFile
+    from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.mesh import Prepared
+    from msal_cli.storage.buffers import Buffer
 
     Floats = NDArray[np.float64]
 

@@ -13,8 +13,9 @@ from msal_cli.job.records import Failure, InfoRecord, NoiseEstimate
 
 if TYPE_CHECKING:
     from msal_cli.analysis.noise_estimate import NoiseLevel
-    from msal_cli.codecs.mesh_file import Buffer, MeshFile
+    from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.mesh import Mesh
+    from msal_cli.storage.buffers import Buffer
 
 log = logging.getLogger("msal")
 

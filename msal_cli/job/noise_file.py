@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from msal_cli.analysis.added_noise import AddedNoise
-    from msal_cli.codecs.companions import Companion
-    from msal_cli.codecs.mesh_file import Buffer, MeshFile
+    from msal_cli.codecs.mesh_file import Companion, MeshFile
     from msal_cli.mesh import Prepared
+    from msal_cli.storage.buffers import Buffer
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from msal_cli.codecs.companions import Companion
-    from msal_cli.codecs.mesh_file import Buffer, MeshFile
+    from msal_cli.codecs.mesh_file import Companion, MeshFile
+    from msal_cli.storage.buffers import Buffer
 
     Floats = NDArray[np.float64]
 

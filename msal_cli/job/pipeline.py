@@ -13,44 +13,33 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import __version__, memory
+from msal_cli import __version__, machine
 from msal_cli.errors import InternalError, MsalError, ResourceError
 from msal_cli.job import advice, changes, output
 from msal_cli.job.preparation import looks_at_mesh, prepare, reject_choice
 from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, ObjectMark, Seconds
-
-# Whoever runs files needs these with it, from one place.
-from msal_cli.job.settings import ADAPTIVE as ADAPTIVE
-from msal_cli.job.settings import AUTO as AUTO
-from msal_cli.job.settings import CHOOSING as CHOOSING
-from msal_cli.job.settings import FORECAST as FORECAST
-from msal_cli.job.settings import NEGLIGIBLE as NEGLIGIBLE
-from msal_cli.job.settings import NO_LIMITS as NO_LIMITS
-from msal_cli.job.settings import SELF_INTERSECTIONS as SELF_INTERSECTIONS
-from msal_cli.job.settings import Limits as Limits
-from msal_cli.job.settings import Settings as Settings
-from msal_cli.job.settings import Task as Task
-from msal_cli.job.settings import forecast as forecast
-from msal_cli.job.settings import is_mesh_name as is_mesh_name
-from msal_cli.job.settings import least_memory_bytes as least_memory_bytes
-from msal_cli.job.settings import method_bytes_per_face as method_bytes_per_face
-from msal_cli.job.settings import output_name as output_name
-from msal_cli.job.settings import refuse_faces, refuse_oversized
-from msal_cli.job.settings import refuse_unknown_format as refuse_unknown_format
-from msal_cli.job.settings import suffix as suffix
-from msal_cli.job.settings import writable_formats as writable_formats
+from msal_cli.job.settings import (
+    NO_LIMITS,
+    SELF_INTERSECTIONS,
+    Limits,
+    Settings,
+    Task,
+    forecast,
+    refuse_faces,
+    refuse_oversized,
+)
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from msal_cli.analysis.noise_estimate import NoiseLevel
-    from msal_cli.codecs.companions import Companion
-    from msal_cli.codecs.mesh_file import Buffer, MeshFile
+    from msal_cli.codecs.mesh_file import Companion, MeshFile
     from msal_cli.job.constraints import Constraints
     from msal_cli.job.preparation import Preparation
     from msal_cli.mesh import Mesh, Prepared
     from msal_cli.methods import Method
+    from msal_cli.storage.buffers import Buffer
 
     Floats = NDArray[np.float64]
 
@@ -410,13 +399,13 @@ class _Run:
             sidecars=sidecars,
             seconds=seconds,
             vertices_per_second=n / seconds.total if seconds.total > 0.0 else None,
-            peak_memory_bytes=memory.peak_bytes(),
+            peak_memory_bytes=machine.peak_bytes(),
         )
         return self._record
 
     def failed(self, error: Exception) -> MeshRecord:
         """The record of a file that was not written, for any error."""
-        if memory.is_want_of_memory(error):
+        if machine.is_want_of_memory(error):
             known: MsalError = ResourceError(
                 error.message if isinstance(error, MsalError) else "not enough memory",
                 code="E_MEMORY",
@@ -434,6 +423,6 @@ class _Run:
             status="failed",
             error=Failure(known.code, known.message, known.hint, known.where),
             seconds=self._spent(),
-            peak_memory_bytes=memory.peak_bytes(),
+            peak_memory_bytes=machine.peak_bytes(),
         )
         return self._record

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from msal_cli.auto.wishes import NONE
 from msal_cli.job.records import ChoiceMade, MethodUsed
 from msal_cli.job.settings import AUTO, CHOOSING, Settings
 
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
     from msal_cli.analysis.noise_estimate import NoiseLevel
     from msal_cli.mesh import Mesh
     from msal_cli.methods import Method
-
-NO_METHOD = "none"
-"""The method of a record whose mesh stays as it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +71,7 @@ def _judge_noise(so_far: Preparation, min_noise: str) -> Preparation:
 
     noise = estimated(so_far.mesh)
     why = too_little(noise, so_far.mesh, min_noise)
-    known = {"left_alone": why, "method": MethodUsed(NO_METHOD, {})} if why else {}
+    known = {"left_alone": why, "method": MethodUsed(NONE, {})} if why else {}
     return replace(so_far, noise=noise, known=known)
 
 
@@ -130,7 +128,7 @@ def reject_choice(choice: ChoiceMade, despiked: int | None, harm: Harm) -> dict[
     from msal_cli.job import choice as automatic
 
     return {
-        "method": MethodUsed(NO_METHOD, {}),
+        "method": MethodUsed(NONE, {}),
         "despiked": None if despiked is None else 0,
         "choice": replace(
             choice,

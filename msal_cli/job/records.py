@@ -23,6 +23,12 @@ _LONGEST_WORD = 24
 
 Status = Literal["written", "unchanged", "up-to-date", "planned", "failed"]
 
+DONE = ("written", "unchanged")
+"""Statuses of files that the run itself has done."""
+
+WITH_OUTPUT = (*DONE, "up-to-date")
+"""Statuses of files whose output is in place."""
+
 
 @dataclass(frozen=True, slots=True)
 class Volume:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from msal_cli.analysis.simulation import ScannerSettings
     from msal_cli.analysis.simulation.volume_files import VolumeSettings
-    from msal_cli.codecs.mesh_file import Buffer
+    from msal_cli.storage.buffers import Buffer
 
     Floats = NDArray[np.float64]
     Ints = NDArray[np.int32]

@@ -7,11 +7,11 @@ import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.job.records import ObjectMark
 from msal_cli.storage.urls import is_url, split
 
 if TYPE_CHECKING:
     from msal_cli.codecs.forecast import Forecast
+    from msal_cli.job.records import ObjectMark
 
 AUTO = "auto"
 """In place of a method's name: each mesh gets the one that suits it, see ``selection``."""
@@ -25,6 +25,9 @@ CHOOSING = (ADAPTIVE, AUTO)
 
 NEGLIGIBLE = "auto"
 """In place of a least noise: as the estimate judges it."""
+
+DEFAULT_BACKUP = ".orig"
+"""What is added to the name of an original that is replaced in place."""
 
 SELF_INTERSECTIONS = "self-intersections"
 """What a check is called that counts pairs of faces which intersect each other."""
@@ -174,7 +177,7 @@ def refuse_unknown_format(output: str) -> None:
 def refuse_oversized(told: Forecast, limits: Limits) -> None:
     """Refuse a file that is expected to exceed the limits: ResourceError or TooLargeError."""
     from msal_cli.errors import ResourceError
-    from msal_cli.memory import megabytes
+    from msal_cli.machine import megabytes
 
     refuse_faces(told.faces, limits)
     limit = limits.memory_bytes

@@ -5,6 +5,10 @@ Most mesh files are numbers without a unit, so the user has to say which it is.
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Callable
+from typing import Any
+
 from msal_cli.errors import UsageError
 
 METRES: dict[str, tuple[int, int]] = {
@@ -26,6 +30,19 @@ METRES: dict[str, tuple[int, int]] = {
 _MICRO = ("\N{MICRO SIGN}m", "\N{GREEK SMALL LETTER MU}m")
 
 NAMES = (*METRES, *_MICRO)
+
+UNIT_PATTERN = "|".join(sorted(NAMES, key=len, reverse=True))
+"""A regular expression for the name of a unit."""
+
+COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+}
+"""What a user may write between a quantity and a length or number."""
 
 
 def in_file_units(number: str, unit: str, file_unit: str | None) -> float:

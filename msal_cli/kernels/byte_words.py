@@ -9,7 +9,6 @@ import numpy as np
 
 from msal_cli.kernels.compiled import compiled
 
-
 # As constants, so that the compiler sees eight neighbours and makes one load or store of them.
 _ONE, _TWO, _THREE, _FOUR, _FIVE, _SIX, _SEVEN = (np.uint64(count) for count in range(1, 8))
 _BITS_8, _BITS_16, _BITS_24, _BITS_32, _BITS_40, _BITS_48, _BITS_56 = (

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from msal_cli.cores import usable_cores
+from msal_cli.machine import usable_cores
 
 SMALLEST_RANGE = 32_768
 """Items per thread below which starting a thread costs more than it saves."""

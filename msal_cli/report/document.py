@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from msal_cli.job.display_names import portable
-from msal_cli.job.records import SCHEMA, MeshRecord, as_data
+from msal_cli.job.records import DONE, SCHEMA, MeshRecord, as_data
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def totals(records: Sequence[MeshRecord]) -> Totals:
     import statistics
 
     states = Counter(record.status for record in records)
-    fresh = [record for record in records if record.status in ("written", "unchanged")]
+    fresh = [record for record in records if record.status in DONE]
     changes = [
         record.volume.change_percent
         for record in records

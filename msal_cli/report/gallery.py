@@ -15,7 +15,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from msal_cli.job.records import MeshRecord
+from msal_cli.job.records import WITH_OUTPUT, MeshRecord
+from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.report.ranking import worst_first
 from msal_cli.view.illustrations import Gallery, Pictures, Scale
 
@@ -32,10 +33,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("msal")
 
-BACKUP = ".orig"
-"""What is added to the name of an original that was replaced, unless a run said otherwise."""
-
-_DONE = ("written", "unchanged", "up-to-date")
 _SIZE = 240, 180
 _POSTER = 480, 320
 _SHADES = 24
@@ -64,7 +61,7 @@ class Bounds:
 def made(
     records: Sequence[MeshRecord],
     *,
-    backup: str = BACKUP,
+    backup: str = DEFAULT_BACKUP,
     bounds: Bounds | None = None,
     on_file: Callable[[int, int], None] | None = None,
 ) -> Gallery:
@@ -123,7 +120,7 @@ def made(
 def _is_shown(record: MeshRecord) -> bool:
     """Whether both meshes may be found again on this machine's disks."""
     names = (record.input, record.output or "-")
-    return record.status in _DONE and not any(one == "-" or "://" in one for one in names)
+    return record.status in WITH_OUTPUT and not any(one == "-" or "://" in one for one in names)
 
 
 def _is_too_large(record: MeshRecord, bounds: Bounds) -> bool:
@@ -213,7 +210,7 @@ def _reach(records: Sequence[MeshRecord]) -> float:
         record.displacement.p95_edges
         for record in records
         if record.displacement is not None
-        and record.status in _DONE
+        and record.status in WITH_OUTPUT
         and math.isfinite(record.displacement.p95_edges)
         and record.displacement.p95_edges > _ROUNDING_EDGES
     ]

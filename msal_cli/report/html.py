@@ -23,7 +23,7 @@ from string import Template
 from typing import Any
 
 from msal_cli.job.display_names import shown
-from msal_cli.job.records import MeshRecord
+from msal_cli.job.records import DONE, MeshRecord
 from msal_cli.report import histogram
 from msal_cli.report import rows as table
 from msal_cli.report.document import Run, Totals, plain, totals
@@ -253,11 +253,7 @@ def _histograms(records: Sequence[MeshRecord]) -> str:
         if one.volume is not None and one.volume.change_percent is not None
     ]
     moves = [one.displacement.max_edges for one in records if one.displacement is not None]
-    times = [
-        one.seconds.total
-        for one in records
-        if one.seconds is not None and one.status in ("written", "unchanged")
-    ]
+    times = [one.seconds.total for one in records if one.seconds is not None and one.status in DONE]
     several: tuple[tuple[str, str, list[float], Callable[[float], str]], ...] = (
         ("Volume change", "closed files", changes, _percent),
         ("Largest displacement", "mean edge lengths", moves, _figure),

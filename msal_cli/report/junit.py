@@ -17,7 +17,7 @@ from typing import Any
 from xml.etree import ElementTree as Xml
 
 from msal_cli.job.display_names import shown
-from msal_cli.job.records import MeshRecord
+from msal_cli.job.records import DONE, MeshRecord
 from msal_cli.report.document import Run
 from msal_cli.report.ranking import broken_gates
 from msal_cli.report.text import defects_text, despiked_text, percent_text, reason, vertices_text
@@ -159,7 +159,7 @@ def _count(cases: Sequence[Xml.Element], tag: str) -> str:
 
 def _duration(record: MeshRecord) -> float:
     seconds = record.seconds.total if record.seconds is not None else 0.0
-    return seconds if record.status in ("written", "unchanged") and seconds > 0.0 else 0.0
+    return seconds if record.status in DONE and seconds > 0.0 else 0.0
 
 
 def _seconds(seconds: float) -> str:

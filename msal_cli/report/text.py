@@ -8,6 +8,7 @@ from typing import Literal
 
 from msal_cli.job.display_names import columns, padded, shortened, shown
 from msal_cli.job.records import (
+    DONE,
     ChoiceMade,
     Failure,
     GateResult,
@@ -273,7 +274,7 @@ def _of_many(run: Run, records: Sequence[MeshRecord], width: int, verbose: bool)
     listed = [
         record
         for record in records
-        if record.status in ("written", "unchanged") or (verbose and record.status == "up-to-date")
+        if record.status in DONE or (verbose and record.status == "up-to-date")
     ]
     if listed and (verbose or len(listed) <= MOST_ROWS):
         yield from _table(listed, width)
@@ -338,7 +339,7 @@ def _warnings(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
     texts = [
         f"  {file_name(record.input)}: {shown(warning)}"
         for record in records
-        if record.status in ("written", "unchanged")
+        if record.status in DONE
         for warning in record.warnings
     ]
     kept = texts if verbose else texts[:MOST_WARNINGS]

@@ -14,8 +14,8 @@ import zlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import OutputError
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.urls import is_url
 
 LONGEST_NAME = 140
@@ -185,7 +185,7 @@ def _permissions(target: Path, mode_like: str | os.PathLike[str] | None) -> int 
 
 def _temporary_name(name: str) -> str:
     """A name that says whose it is: process, machine, and eight random digits."""
-    suffix = f".msal-{os.getpid()}-{_machine()}{os.urandom(4).hex()}.tmp"
+    suffix = f".msal-{os.getpid()}-{machine_tag()}{os.urandom(4).hex()}.tmp"
     room = LONGEST_NAME - 1 - len(suffix)
     while len(os.fsencode(name)) > room:
         name = name[:-1]
@@ -193,7 +193,7 @@ def _temporary_name(name: str) -> str:
 
 
 @functools.cache
-def _machine() -> str:
+def machine_tag() -> str:
     """Eight hexadecimal digits that tell machines that share a file system apart.
 
     Containers may have one host name and yet not see each other's processes.

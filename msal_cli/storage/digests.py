@@ -6,7 +6,7 @@ import hashlib
 import threading
 from collections.abc import Callable
 
-from msal_cli.codecs.mesh_file import Buffer
+from msal_cli.storage.buffers import Buffer
 
 LARGE_BYTES = 1 << 20
 """Bytes from which on a thread is worth its start."""

@@ -6,8 +6,9 @@ import os
 import zlib
 from typing import BinaryIO
 
-from msal_cli.codecs.mesh_file import Buffer
 from msal_cli.errors import FormatError, InputError, TooLargeError, TruncatedError
+from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.limits import largest_bytes, too_large
 from msal_cli.storage.regular import NotRegularError, open_regular
 from msal_cli.storage.urls import is_url
 
@@ -23,28 +24,6 @@ text files about 100; deflate itself ends at 1032, which only a file made to do 
 
 _FIRST_PIECE = 1 << 10
 _LARGEST_PIECE = 1 << 20
-
-
-def memory_bytes() -> int:
-    """Physical memory of this machine; more than any machine has where it is not known."""
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return 1 << 62
-
-
-def largest_bytes() -> int:
-    """The most bytes that a file may have to be held in memory: half of the machine's."""
-    return memory_bytes() // 2
-
-
-def too_large(size: int) -> TooLargeError:
-    """The error for a file of ``size`` bytes that is beyond ``largest_bytes``."""
-    return TooLargeError(
-        f"the file has {size:,} bytes, and more than {largest_bytes():,} cannot be held in the "
-        "memory of this machine",
-        hint="cut the mesh into parts, or use a machine with more memory",
-    )
 
 
 def read_whole(path: str | os.PathLike[str], size: int | None = None) -> bytes:

@@ -17,11 +17,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
 
-from msal_cli.codecs.mesh_file import Buffer
-from msal_cli.errors import InputError, MsalError, OutputError, UsageError
-from msal_cli.extras import install_hint
+from msal_cli.errors import InputError, MsalError, OutputError, UsageError, install_hint
 from msal_cli.storage import urls
-from msal_cli.storage.gzip_streams import largest_bytes, too_large
+from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.limits import largest_bytes, too_large
 from msal_cli.storage.urls import is_url
 
 __all__ = [
@@ -59,8 +58,6 @@ _OBJECT_STORES = (
 # a store that cannot be reached costs minutes a file.
 _TRIES_AROUND_BOTOCORE = 2
 
-_WEB = ("http", "https")
-
 _PIECE = 1 << 20
 _AT_THE_SAME_TIME = 16
 _MOST_IN_ONE_REMOVAL = 1000
@@ -95,7 +92,7 @@ def read_whole(url: str, size: int | None = None) -> bytes:
     """
     try:
         system, path = _opened(url)
-        if urls.split(url)[0] in _WEB:
+        if urls.split(url)[0] in urls.WEB:
             return _read_from_web(system, path)
         if size is None or size < 0:
             there = _mark(system, path)
@@ -141,7 +138,7 @@ def beginning(url: str, length: int) -> tuple[bytes, int]:
     data: bytes
     try:
         system, path = _opened(url)
-        if urls.split(url)[0] in _WEB:
+        if urls.split(url)[0] in urls.WEB:
             # A server may send all of it, whatever range is asked for, and in small pieces.
             data = b""
             with system.open(path, "rb", block_size=0) as stream:

@@ -19,7 +19,7 @@ SECRETS = "MSAL_URL_SECRETS"
 
 _URL = re.compile(r"(?P<protocol>[A-Za-z][A-Za-z0-9+.-]+)://(?P<rest>.*)", re.DOTALL)
 _FILES = ("file", "local")
-_WEB = ("http", "https")
+WEB = ("http", "https")
 _ALIASES = {"s3a": "s3", "gcs": "gs", "https": "http"}
 _PASSWORD = re.compile(r"(://[^/@\s:]*):[^/\s]*@")
 _QUERY = re.compile(r"(https?://[^?\s]*)\?\S*", re.IGNORECASE)
@@ -49,7 +49,7 @@ def settled(text: str) -> str:
     if at and colon:
         place = f"{name}@{host}"
         _keep(f"{protocol}://{place}", password)
-    if protocol in _WEB and "?" in path:
+    if protocol in WEB and "?" in path:
         path, _, query = path.partition("?")
         _keep(f"{protocol}://{place}/{path}", query)
     return f"{protocol}://{place}{slash}{path}"

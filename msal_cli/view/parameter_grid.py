@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.errors import ContentError, UsageError
+from msal_cli.job.comparison import prepare_surface
 
 if TYPE_CHECKING:
     import numpy as np
@@ -167,7 +168,7 @@ def subject(
     from msal_cli.analysis import correspondence as metrics
     from msal_cli.view import pictures
 
-    ready = pictures.ready_surface(surface, name)
+    ready = prepare_surface(surface, name)
     truth = None
     if reference is not None:
         if not metrics.correspond(
@@ -178,7 +179,7 @@ def subject(
                 path=reference_name,
                 hint="give the mesh from which the noisy one was made",
             )
-        pictures.ready_surface(reference, reference_name)
+        prepare_surface(reference, reference_name)
         truth = metrics.at_other_positions(ready, reference.vertices)
     camera = pictures.camera_of(pictures.Scene((name,), ready.mesh), view)
     return Subject(name, ready, truth, camera)

@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.errors import MsalError
+from msal_cli.job.comparison import prepare_surface
 
 if TYPE_CHECKING:
     import numpy as np
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from msal_cli.job.comparison import Surface
     from msal_cli.job.records import ComparisonRecord
-    from msal_cli.mesh import Mesh, Prepared
+    from msal_cli.mesh import Mesh
     from msal_cli.view.camera import Camera
     from msal_cli.view.deviation import Scale
     from msal_cli.view.panels import Panel
@@ -91,7 +91,7 @@ def scene_of(
     from msal_cli.analysis.enclosure import enclosure
     from msal_cli.job import comparison
 
-    first = ready_surface(before, names[0])
+    first = prepare_surface(before, names[0])
     if after is None:
         return Scene(names, first.mesh)
     if metrics.correspond(before.vertices, before.faces, after.vertices, after.faces):
@@ -103,23 +103,12 @@ def scene_of(
         return Scene(names, first.mesh, moved, along, True, record)
     to_surface = to_surface and surface_distance.is_available()
     record = comparison.compared(before, after, *names, to_surface=to_surface)
-    second = ready_surface(after, names[1])
+    second = prepare_surface(after, names[1])
     there = second.mesh.moved(second.mesh.vertices + (second.origin - first.origin))
     distances = None
     if to_surface:
         distances = surface_distance.distances_to_surface(there.vertices, first.mesh)
     return Scene(names, first.mesh, there, distances, False, record)
-
-
-def ready_surface(surface: Surface, name: str) -> Prepared:
-    """A surface made ready to be drawn; an error names its file."""
-    from msal_cli.mesh import prepared
-
-    try:
-        return prepared(surface.vertices, surface.faces, are_distinct=surface.merged_vertices > 0)
-    except MsalError as error:
-        error.path = error.path or name
-        raise
 
 
 def camera_of(scene: Scene, view: View) -> Camera:

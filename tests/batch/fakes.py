@@ -17,8 +17,8 @@ import time
 from pathlib import Path
 
 from msal_cli.batch.temporary_files import temporary_name
-from msal_cli.job.pipeline import FORECAST
 from msal_cli.job.records import Failure, MeshRecord
+from msal_cli.job.settings import FORECAST
 
 DEATHS = {
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),

@@ -11,7 +11,7 @@ import pytest
 from msal_cli import codecs as files
 from msal_cli.batch import memory_budget as weights
 from msal_cli.batch.memory_budget import LARGE_BYTES, weighed
-from msal_cli.job.pipeline import FORECAST, NO_LIMITS, Limits, Settings, Task
+from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task
 from tests.cli.scans import closed_scan, folder_of, msal
 
 PLY = (

@@ -23,7 +23,7 @@ from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import built
 from msal_cli.batch.run import run
 from msal_cli.errors import ResourceError, UsageError
-from msal_cli.job.pipeline import Limits, Settings, Task
+from msal_cli.job.settings import Limits, Settings, Task
 from tests.batch import fakes
 from tests.batch.conftest import ROOT
 from tests.batch.test_whole import obj, outputs

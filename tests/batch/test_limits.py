@@ -24,7 +24,7 @@ from msal_cli.batch.worker_messages import Again, Began, Lost, Returned
 from msal_cli.batch.worker_pool import Crew
 from msal_cli.codecs.forecast import BASE_BYTES
 from msal_cli.errors import UsageError
-from msal_cli.job.pipeline import Limits, Settings
+from msal_cli.job.settings import Limits, Settings
 from tests.batch import fakes
 from tests.batch.test_whole import children_of, obj
 

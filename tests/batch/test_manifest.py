@@ -25,8 +25,8 @@ from msal_cli.batch.manifest import (
 )
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError
-from msal_cli.job.pipeline import Settings
 from msal_cli.job.records import MeshRecord, ObjectMark, Volume
+from msal_cli.job.settings import Settings
 
 SETTINGS = Settings("msal", {"K": 0.5, "iterations": 4})
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch import memory
+from msal_cli import machine
 
 
 def laid_out(tmp_path, membership="", meminfo="", vmstat="", **files):
@@ -27,12 +27,12 @@ MEMINFO = "MemTotal: 100 kB\nMemFree: 10 kB\nMemAvailable:    50 kB\n"
 
 
 def test_the_machine_alone(tmp_path):
-    assert memory.available_bytes(*laid_out(tmp_path, meminfo=MEMINFO)) == 50 * 1024
+    assert machine.available_bytes(*laid_out(tmp_path, meminfo=MEMINFO)) == 50 * 1024
 
 
 def test_nobody_tells(tmp_path):
-    assert memory.available_bytes(tmp_path / "none", tmp_path / "none") is None
-    assert memory.oom_kills(tmp_path / "none", tmp_path / "none") == 0
+    assert machine.available_bytes(tmp_path / "none", tmp_path / "none") is None
+    assert machine.oom_kills(tmp_path / "none", tmp_path / "none") == 0
 
 
 def test_a_group_leaves_its_limit_less_what_is_used_and_not_cached(tmp_path):
@@ -42,7 +42,7 @@ def test_a_group_leaves_its_limit_less_what_is_used_and_not_cached(tmp_path):
         "a/memory.stat": "anon 1\ninactive_file 4000\nactive_file 700\n",
     }
     laid = laid_out(tmp_path, "0::/a\n", MEMINFO, **files)
-    assert memory.available_bytes(*laid) == 9000
+    assert machine.available_bytes(*laid) == 9000
 
 
 def test_the_tightest_of_nested_groups_counts(tmp_path):
@@ -53,7 +53,7 @@ def test_the_tightest_of_nested_groups_counts(tmp_path):
         "a/memory.current": "500\n",
     }
     laid = laid_out(tmp_path, "0::/a/b\n", MEMINFO, **files)
-    assert memory.available_bytes(*laid) == 1500
+    assert machine.available_bytes(*laid) == 1500
 
 
 def test_groups_of_the_first_version(tmp_path):
@@ -67,8 +67,8 @@ def test_groups_of_the_first_version(tmp_path):
         "cpu/x/memory.max": "1\n",
     }
     laid = laid_out(tmp_path, "4:memory:/x\n3:cpu:/x\n", MEMINFO, **files)
-    assert memory.available_bytes(*laid) == 1500
-    assert memory.oom_kills(*laid) == 3
+    assert machine.available_bytes(*laid) == 1500
+    assert machine.oom_kills(*laid) == 3
 
 
 @pytest.mark.parametrize("used", ["40000", "0"])
@@ -79,27 +79,27 @@ def test_never_less_than_nothing_nor_more_than_the_limit(tmp_path, used):
         "memory.stat": "inactive_file 5000\n",
     }
     laid = laid_out(tmp_path, "0::/\n", **files)
-    assert memory.available_bytes(*laid) == (0 if used == "40000" else 30000)
+    assert machine.available_bytes(*laid) == (0 if used == "40000" else 30000)
 
 
 def test_kills_are_counted_by_the_group_and_else_by_the_machine(tmp_path):
     events = "low 0\nhigh 0\nmax 9\noom 8\noom_kill 7\noom_group_kill 0\n"
     laid = laid_out(tmp_path, "0::/a\n", vmstat="oom_kill 99\n", **{"a/memory.events": events})
-    assert memory.oom_kills(*laid) == 7
+    assert machine.oom_kills(*laid) == 7
     (tmp_path / "groups/a/memory.events").unlink()
-    assert memory.oom_kills(*laid) == 99
+    assert machine.oom_kills(*laid) == 99
 
 
 @pytest.mark.parametrize("text", ["", "x", "MemAvailable:", "MemAvailable: x kB", "\udcff"])
 def test_nonsense_is_nothing(tmp_path, text):
     proc, groups = laid_out(tmp_path, "0::/a\n\n:\n")
     (proc / "meminfo").write_text(text, errors="surrogateescape")
-    assert memory.available_bytes(proc, groups) is None
+    assert machine.available_bytes(proc, groups) is None
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_this_machine_tells():
-    told = memory.available_bytes()
+    told = machine.available_bytes()
     assert told is not None and 0 < told < 1 << 50
-    assert memory.oom_kills() >= 0
+    assert machine.oom_kills() >= 0
     assert Path("/proc/self/cgroup").exists()

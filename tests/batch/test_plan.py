@@ -13,7 +13,7 @@ from msal_cli.batch.inputs import Found, found
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import built
 from msal_cli.errors import UsageError
-from msal_cli.job.pipeline import refuse_unknown_format
+from msal_cli.job.settings import refuse_unknown_format
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
 

@@ -22,13 +22,14 @@ from msal_cli.batch import (
 )
 from msal_cli.batch.inputs import Found, NothingMatched, found
 from msal_cli.batch.manifest import Manifest, done, intent
-from msal_cli.batch.plan import built
+from msal_cli.batch.plan import built, select_shard
 from msal_cli.batch.remote_manifest import FOLDER, RemoteManifest
 from msal_cli.batch.run import run
 from msal_cli.errors import InputError, OutputError, UsageError
 from msal_cli.job.inspection import inspect_file
-from msal_cli.job.pipeline import Settings, denoise_bytes
+from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.records import MeshRecord, ObjectMark
+from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
 from msal_cli.storage.objects import listed, read_whole, write_whole
 from tests.batch.test_whole import obj
@@ -310,7 +311,7 @@ def test_an_object_at_fault_is_remembered_until_it_changes(scans):
 def test_shards_share_a_prefix(scans):
     for number in (1, 2, 1, 2):
         plan = built(found(["memory://scans"]), "memory://out")
-        run(shards.part(plan, shards.Shard(number, 2)), settings())
+        run(select_shard(plan, shards.Shard(number, 2)), settings())
     assert outputs() == expected()
     assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date")
 

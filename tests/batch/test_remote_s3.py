@@ -14,7 +14,8 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.errors import OutputError
-from msal_cli.job.pipeline import Settings, denoise_bytes
+from msal_cli.job.pipeline import denoise_bytes
+from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
 from msal_cli.storage.objects import listed, read_whole, write_whole
 from tests.batch.test_whole import obj

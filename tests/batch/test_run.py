@@ -23,8 +23,8 @@ from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import built
 from msal_cli.batch.run import run
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.job.pipeline import Settings
 from msal_cli.job.records import SCHEMA
+from msal_cli.job.settings import Settings
 from tests.batch import fakes
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
@@ -438,7 +438,7 @@ from msal_cli.batch.plan import built
 from msal_cli.batch.run import run
 from msal_cli.batch.interrupts import Terminated
 from msal_cli.batch.events import Finished, Started
-from msal_cli.job.pipeline import Settings
+from msal_cli.job.settings import Settings
 from tests.batch import fakes
 
 def tell(event):

@@ -14,9 +14,10 @@ import pytest
 import msal_cli
 from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.shard import Shard, part, settled
+from msal_cli.batch.plan import select_shard
+from msal_cli.batch.shard import Shard, settled
 from msal_cli.errors import UsageError
-from msal_cli.job.pipeline import Settings
+from msal_cli.job.settings import Settings
 from tests.batch import fakes
 from tests.batch.test_run import SETTINGS, fill, plan_of, ran, statuses, tree, tried
 
@@ -81,7 +82,7 @@ class TestRememberedFailures:
 
 class TestShards:
     def ran(self, folders, text, settings=SETTINGS, **options):
-        return ran(folders, settings, part(plan_of(folders), settled(text, {})), **options)
+        return ran(folders, settings, select_shard(plan_of(folders), settled(text, {})), **options)
 
     def test_together_they_do_what_one_run_does(self, folders):
         fill(folders, 12, f03="fail E_INDEX")

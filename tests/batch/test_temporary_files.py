@@ -42,7 +42,7 @@ def test_what_the_dead_left_goes(tmp_path, dead):
 
 
 def test_of_another_machine_only_what_is_old_goes(tmp_path, dead, monkeypatch):
-    monkeypatch.setattr(temporaries, "_machine", lambda: "00000000")
+    monkeypatch.setattr(temporaries, "machine_tag", lambda: "00000000")
     names = [of(dead, "new"), of(dead, "old")]
     monkeypatch.undo()
     for name in names:

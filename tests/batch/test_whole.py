@@ -23,7 +23,8 @@ from msal_cli.batch.run import run
 from msal_cli.batch.worker_pool import Crew
 from msal_cli.codecs import open_mesh
 from msal_cli.errors import UsageError
-from msal_cli.job.pipeline import Settings, denoise_bytes
+from msal_cli.job.pipeline import denoise_bytes
+from msal_cli.job.settings import Settings
 from tests.batch import fakes
 from tests.shapes import noisy, torus
 

@@ -22,9 +22,8 @@ from jsonschema import Draft202012Validator
 from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import estimated
-from msal_cli.cli import auto_options
 from msal_cli.cli.denoise import command
-from msal_cli.job.pipeline import AUTO
+from msal_cli.job.settings import AUTO
 from msal_cli.report.schema import report_schema
 from tests.cli.scans import (
     MSAL,
@@ -168,7 +167,6 @@ def test_other_commands_say_where_auto_is(scan, tmp_path):
 
 
 def test_the_words_on_the_command_line_are_those_of_the_pipeline():
-    assert auto_options.AUTO == AUTO
     assert AUTO not in methods.names() and selection.NONE not in methods.names()
     defaults = selection.Wishes()
     said = {one.name: one.help for one in command.params if hasattr(one, "help")}

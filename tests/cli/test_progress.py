@@ -13,7 +13,7 @@ import pytest
 from msal_cli.batch.events import Finished, Progress, Started
 from msal_cli.cli import console as talk
 from msal_cli.cli import progress
-from msal_cli.job.pipeline import Task
+from msal_cli.job.settings import Task
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of
 from tests.report.made import failed, written
 

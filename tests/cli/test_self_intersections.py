@@ -6,8 +6,6 @@ import json
 
 import pytest
 
-from msal_cli.cli import file_options
-from msal_cli.job import pipeline
 from tests.cli.scans import folder_of, msal, msal_on, ply_text
 from tests.shapes import torus
 
@@ -103,7 +101,3 @@ def test_other_faces_have_no_new_ones(scans, tmp_path):
     counts = json.loads(made.stdout)["self_intersections"]
     assert counts["created"] is None
     assert counts["before"] >= counts["after"] > 0
-
-
-def test_the_word_is_that_of_the_settings():
-    assert file_options.SELF_INTERSECTIONS == pipeline.SELF_INTERSECTIONS

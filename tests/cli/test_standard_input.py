@@ -12,10 +12,10 @@ import time
 
 import pytest
 
-from msal_cli.batch import memory
+from msal_cli import machine
 from msal_cli.cli.standard_input import copy_stream, read_stream
 from msal_cli.errors import InputError, OutputError, ResourceError, TooLargeError
-from msal_cli.storage import gzip_streams as streams
+from msal_cli.storage import limits
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, msal_on
 
 SCAN = closed_scan()
@@ -65,14 +65,14 @@ def scratch(tmp_path, monkeypatch):
 
 
 def test_more_than_half_of_the_memory_is_not_read(endless, monkeypatch):
-    monkeypatch.setattr(streams, "memory_bytes", lambda: 32 << 20)
+    monkeypatch.setattr(limits, "memory_bytes", lambda: 32 << 20)
     with pytest.raises(TooLargeError, match="memory of this machine"):
         read_stream()
     assert endless.n_read <= 18 << 20
 
 
 def test_more_than_is_left_of_the_memory_is_not_read(endless, monkeypatch):
-    monkeypatch.setattr(memory, "available_bytes", lambda: 8 << 20)
+    monkeypatch.setattr(machine, "available_bytes", lambda: 8 << 20)
     with pytest.raises(ResourceError, match="no more memory is left") as caught:
         read_stream()
     assert caught.value.code == "E_MEMORY"
@@ -81,7 +81,7 @@ def test_more_than_is_left_of_the_memory_is_not_read(endless, monkeypatch):
 
 @pytest.mark.parametrize("words", [("denoise", "-", "-o", "-"), ("info", "-")])
 def test_the_commands_read_no_more_either(words, monkeypatch):
-    monkeypatch.setattr(streams, "memory_bytes", lambda: 4 << 20)
+    monkeypatch.setattr(limits, "memory_bytes", lambda: 4 << 20)
     made = msal_on(b"y\n" * (3 << 20), *words)
     assert made.exit_code == 1
     assert made.stdout == ""

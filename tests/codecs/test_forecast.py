@@ -13,8 +13,8 @@ from msal_cli import codecs as files
 from msal_cli import methods
 from msal_cli.codecs import forecast
 from msal_cli.codecs.forecast import BASE_BYTES, LOOKED_AT, of_beginning
-from msal_cli.job import pipeline
-from msal_cli.job.pipeline import Settings, Task
+from msal_cli.job.settings import Settings, Task
+from msal_cli.job.settings import forecast as forecast_task
 from tests.codecs import test_gltf
 from tests.shapes import noisy, torus
 
@@ -182,7 +182,8 @@ def test_a_file_that_is_not_there_is_not_told(tmp_path):
 _CHILD = """
 import sys
 from msal_cli import methods
-from msal_cli.job.pipeline import Settings, Task, denoise_file
+from msal_cli.job.pipeline import denoise_file
+from msal_cli.job.settings import Settings, Task
 record = denoise_file(Task(*sys.argv[1:3], "x"), Settings("msal", methods.find("msal").settled({})))
 assert record.error is None, record.error
 print(next(int(line.split()[1]) * 1024 for line in open("/proc/self/status") if "VmHWM" in line))
@@ -233,5 +234,5 @@ def test_the_peak_is_within_half_and_all_of_what_is_foreseen(form, around, tmp_p
     target = tmp_path / f"out{''.join(path.suffixes)}"
     peak(path, target)  # compiles the kernels
     real = peak(path, target)
-    foreseen = pipeline.forecast(Task(str(path), str(target), "x"), Settings("msal")).memory_bytes
+    foreseen = forecast_task(Task(str(path), str(target), "x"), Settings("msal")).memory_bytes
     assert real <= foreseen <= 2 * real

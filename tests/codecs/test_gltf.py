@@ -14,10 +14,12 @@ from msal_cli import codecs as files
 from msal_cli.analysis.added_noise import AddedNoise
 from msal_cli.codecs import conversion as convert
 from msal_cli.codecs import gltf, open_mesh
-from msal_cli.codecs.companions import Companion, write_companions
+from msal_cli.codecs.companions import write_companions
+from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import InternalError, MsalError, UnsupportedError
 from msal_cli.job import noise_file as corruption
 from msal_cli.job import pipeline
+from msal_cli.job.settings import Task
 from tests.codecs import test_glb
 from tests.codecs.plain_glb import content_of
 from tests.job.test_pipeline import settings
@@ -64,7 +66,7 @@ def opened(path: Path) -> files.MeshFile:
 
 
 def denoised(source: Path, target: Path, iterations: int = 2):
-    task = pipeline.Task(str(source), str(target), source.name)
+    task = Task(str(source), str(target), source.name)
     return pipeline.denoise_file(task, settings(iterations=iterations))
 
 
@@ -213,7 +215,7 @@ def test_streams_hold_embedded_buffers_only(tmp_path):
     assert "without its folder" in record.error.message
     output, record = pipeline.denoise_bytes(source.read_bytes(), str(source), settings())
     assert record.error is not None and "a folder only" in record.error.message
-    task = pipeline.Task(str(source), "s3://bucket/scan.gltf", "scan.gltf")
+    task = Task(str(source), "s3://bucket/scan.gltf", "scan.gltf")
     record = pipeline.denoise_file(task, settings())
     assert record.error is not None and "a folder only" in record.error.message
 

@@ -7,7 +7,8 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.codecs import normal_warnings, obj, open_mesh
-from msal_cli.job.pipeline import Settings, denoise_bytes
+from msal_cli.job.pipeline import denoise_bytes
+from msal_cli.job.settings import Settings
 from tests.codecs import plain_ply
 
 AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])

@@ -15,6 +15,7 @@ from msal_cli import methods
 from msal_cli.codecs import stl
 from msal_cli.errors import ContentError, InternalError, UnsupportedError
 from msal_cli.job import comparison, inspection, pipeline
+from msal_cli.job.settings import Settings, Task
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import right_hand_normals, tetrahedron
 
@@ -370,9 +371,9 @@ def test_vertices_are_counted_after_welding_and_corners_beside_them(tmp_path):
     record = inspection.inspect_file(str(path))
     assert (record.vertices, record.corners, record.welded_vertices) == (4, 12, 8)
     assert record.unreferenced_vertices == 0
-    task = pipeline.Task(str(path), str(tmp_path / "b.stl"), "a.stl")
+    task = Task(str(path), str(tmp_path / "b.stl"), "a.stl")
     done = pipeline.denoise_file(
-        task, pipeline.Settings("al", methods.find("al").settled({"iterations": 1}))
+        task, Settings("al", methods.find("al").settled({"iterations": 1}))
     )
     assert done.status == "written"
     assert (done.vertices, done.corners, done.welded_vertices) == (4, 12, 8)

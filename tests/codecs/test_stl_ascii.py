@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli.codecs import stl
+from msal_cli.codecs.stl_checks import FACET
 from msal_cli.errors import ContentError, FormatError, InternalError, TruncatedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron
@@ -276,6 +277,6 @@ def test_a_normal_beyond_float32_becomes_none_in_a_binary_file():
     lines = [line.split(" #")[0] for line in data.splitlines()]
     file = read("\n".join(lines))
     output = file.encoded(file.vertices, "binary", "same")
-    facets = np.frombuffer(bytes(output), dtype=stl.FACET, offset=84)
+    facets = np.frombuffer(bytes(output), dtype=FACET, offset=84)
     assert (facets["normal"] == 0.0).all()
     assert len(facets) == 4

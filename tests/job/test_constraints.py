@@ -9,7 +9,8 @@ from msal_cli import codecs as files
 from msal_cli import methods
 from msal_cli.errors import InputError, UnsupportedError, UsageError
 from msal_cli.job import constraints
-from msal_cli.job.pipeline import Settings, denoise_bytes
+from msal_cli.job.pipeline import denoise_bytes
+from msal_cli.job.settings import Settings
 from msal_cli.kernels.geometry import distances
 from msal_cli.mesh import prepared
 from tests.shapes import grid, torus

@@ -16,7 +16,8 @@ import pytest
 from msal_cli import codecs as files
 from msal_cli import methods
 from msal_cli.job import inspection, pipeline
-from msal_cli.job.pipeline import Limits, Settings, Task, denoise_bytes, denoise_file
+from msal_cli.job.pipeline import denoise_bytes, denoise_file
+from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_name
 from tests.shapes import cube, grid, noisy, torus
 
 
@@ -226,7 +227,7 @@ def test_a_pipe_gives_what_a_file_gives(scan, tmp_path):
 
 @pytest.mark.parametrize("target", ["ply", "obj", "stl", "off", "vtk"])
 def test_conversion_by_option_and_by_name(scan, tmp_path, target):
-    by_option = tmp_path / "a" / pipeline.output_name(scan.name, target)
+    by_option = tmp_path / "a" / output_name(scan.name, target)
     record = denoised(scan, by_option, to=target)
     assert record.error is None
     by_name = tmp_path / "b" / by_option.name
@@ -376,15 +377,15 @@ def test_inspection(scan):
     ],
 )
 def test_output_names(name, to, expected):
-    assert pipeline.output_name(name, to) == expected
+    assert output_name(name, to) == expected
 
 
 def test_mesh_names():
-    assert pipeline.is_mesh_name("a.PLY")
-    assert pipeline.is_mesh_name("a.stl.gz")
-    assert pipeline.is_mesh_name("a.off")
+    assert is_mesh_name("a.PLY")
+    assert is_mesh_name("a.stl.gz")
+    assert is_mesh_name("a.off")
     for name in ("a.txt", "a.mtl", "a", ".ply", "a.gz", "ply"):
-        assert not pipeline.is_mesh_name(name)
+        assert not is_mesh_name(name)
 
 
 REAL = [

@@ -270,7 +270,7 @@ def test_the_name_that_writing_uses_is_the_one_that_sweeping_knows():
         assert temporaries.is_own(made) and len(os.fsencode(made)) <= writing.LONGEST_NAME
         found = temporaries._TEMPORARY.fullmatch(made)
         assert int(found["pid"]) == os.getpid()
-        assert found["machine"] == temporaries._machine()
+        assert found["machine"] == temporaries.machine_tag()
 
 
 def test_a_killed_writer_leaves_the_old_file_and_is_swept(tmp_path):

@@ -13,9 +13,8 @@ import pytest
 from msal_cli import codecs as files
 from msal_cli.codecs.forecast import forecast
 from msal_cli.errors import InputError, OutputError, TooLargeError, UsageError
-from msal_cli.storage import gzip_streams as streams
+from msal_cli.storage import limits, sidecars
 from msal_cli.storage import objects as remote
-from msal_cli.storage import sidecars
 from msal_cli.storage.objects import Mark, listed, mark, read_many, read_whole, removed, write_whole
 
 pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
@@ -266,7 +265,7 @@ class TestBounds:
 
     @pytest.fixture(autouse=True)
     def little_memory(self, monkeypatch):
-        monkeypatch.setattr(streams, "memory_bytes", lambda: 8 << 20)
+        monkeypatch.setattr(limits, "memory_bytes", lambda: 8 << 20)
 
     @pytest.fixture
     def server(self):

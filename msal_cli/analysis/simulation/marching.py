@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
-from msal_cli.errors import ContentError, UnsupportedError
-from msal_cli.extras import install_hint
+from msal_cli.errors import ContentError, UnsupportedError, install_hint
 
 Volume = NDArray[np.float32]
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from msal_cli.errors import UsageError
-from msal_cli.job.units import in_file_units
+from msal_cli.job.units import COMPARISONS, in_file_units
 from msal_cli.report.gates.grammar import Tree, refused
 from msal_cli.report.gates.quantities import (
     CONSTANT,
@@ -33,14 +33,6 @@ from msal_cli.report.gates.quantities import (
 Value = float | bool | None
 Known = Mapping[str, Quantity]
 
-_COMPARED: dict[str, Callable[[Any, Any], bool]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-    "==": operator.eq,
-    "!=": operator.ne,
-}
 _ADDED: dict[str, Callable[[float, float], float]] = {"+": operator.add, "-": operator.sub}
 _JOINED: dict[str, Callable[..., float]] = {"min": min, "max": max}
 _LITERALS = {"": CONSTANT, "%": PERCENT, "e": EDGES}
@@ -131,7 +123,7 @@ class _Check:
             return self._name(part) if sign == "name" else self._is_known(part)
         if sign in ("and", "or", "not"):
             return self._logic(part)
-        if sign in _COMPARED:
+        if sign in COMPARISONS:
             return self._comparison(part)
         if sign in ("*", "/"):
             return self._product(part)
@@ -193,7 +185,7 @@ class _Check:
     def _comparison(self, part: Tree) -> Meaning:
         left, right = self._number(part.parts[0]), self._number(part.parts[1])
         _, first, second = self._common(part, left, right)
-        return Meaning(TRUTH, _applied(_COMPARED[part.sign], first, second))
+        return Meaning(TRUTH, _applied(COMPARISONS[part.sign], first, second))
 
     def _alike(self, part: Tree, effect: Callable[..., float]) -> Meaning:
         """Sums, and the least and greatest of several."""

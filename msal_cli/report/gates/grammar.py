@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from msal_cli.errors import UsageError
-from msal_cli.job.units import NAMES
+from msal_cli.job.units import UNIT_PATTERN
 
 LONGEST = 300
 """Characters of an expression; a tree is at most half as high."""
@@ -28,10 +28,9 @@ _WORDS = ("and", "or", "not")
 _COMPARISONS = ("<=", ">=", "==", "!=", "<", ">")
 _HINT = "write what breaks the gate, such as 'abs(volume_change) > 1%'; see docs/gates.md"
 
-_LENGTH_UNITS = "|".join(sorted(NAMES, key=len, reverse=True))
 # An e that no digits follow is the unit of mean edge lengths, else an exponent.
 _TOKEN = re.compile(
-    rf"(?a)\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?P<unit>%|(?:e|{_LENGTH_UNITS})\b)?"
+    rf"(?a)\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?P<unit>%|(?:e|{UNIT_PATTERN})\b)?"
     r"|(?P<name>[A-Za-z_][\w.]*)|(?P<sign><=|>=|==|!=|[<>()+\-*/,]))"
 )
 

@@ -1,0 +1,67 @@
+"""What is asked of a choice of method and parameters, and what it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from msal_cli.analysis.noise_estimate import NoiseLevel
+
+    OnStep = Callable[[int, int], None]
+    """Called as ``on_step(done, total)`` while candidates are looked at."""
+
+NONE = "none"
+"""In place of a method: the mesh stays as it is."""
+
+FAMILY, ALL = "family", "all"
+"""Among what was chosen: AL and MSAL with the schedules of equation (2), or all methods."""
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the user cares for.
+
+    Attributes
+    ----------
+    prefer : ``balanced``, ``positions``, ``normals`` or ``volume``: what is to come out best.
+    keep : ``texture``, ``edges`` or ``shape``, what must not suffer; None if nothing was said.
+    strength : -2 to 2, around the automatic choice: greater is smoother.
+    budget : most time for choosing and denoising, in default MSAL runs over the same mesh, by what
+        candidates are known to cost and not by a clock.
+    """
+
+    prefer: str = "balanced"
+    keep: str | None = None
+    strength: float = 0.0
+    budget: float = 60.0
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was chosen for a mesh, and why.
+
+    Attributes
+    ----------
+    method : name of a method, or ``NONE``.
+    parameters : its settled parameters, every one of them; empty for ``NONE``.
+    reason : a sentence, such as ``noise 0.11 e; textured; MSAL, K = 0.6, 3 sweeps``.
+    surface : ``machined``, ``organic``, ``textured`` or ``clean``; None where that was not asked.
+    noise : the estimated noise.
+    risk : estimated error of the result, mean edge lengths; None if nothing was estimated.
+    tried : candidates that were looked at.
+    runners_up : label and risk of the next best, best first, at most 3.
+    among : ``ALL`` or ``FAMILY``.
+    """
+
+    method: str
+    parameters: dict[str, Any]
+    reason: str
+    surface: str | None
+    noise: NoiseLevel
+    risk: float | None = None
+    tried: int = 0
+    runners_up: tuple[tuple[str, float], ...] = ()
+    among: str = ALL

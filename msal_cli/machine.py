@@ -1,0 +1,199 @@
+"""What this process may use and has used: cores, memory, and the control groups that limit both."""
+
+from __future__ import annotations
+
+import errno
+import functools
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+GROUPS = Path("/sys/fs/cgroup")
+MEMBERSHIP = Path("/proc/self/cgroup")
+
+
+def group_folders(
+    controller: str, groups: Path = GROUPS, membership: Path = MEMBERSHIP
+) -> Iterator[Path]:
+    """The folders of the groups that ``controller`` (``"cpu"``, ``"memory"``) holds this process
+    to, innermost first; both versions of control groups, and nothing where there are none."""
+    try:
+        lines = membership.read_text(errors="replace").splitlines()
+    except OSError:
+        return
+    for line in lines:
+        _, controllers, path = (line.split(":", 2) + ["", ""])[:3]
+        base = groups if not controllers else groups / controllers
+        if controllers and controller not in controllers.split(","):
+            continue
+        inner = base / path.lstrip("/")
+        # A container often sees its own group at the top although it is told the host's path.
+        for folder in [inner, *inner.parents]:
+            if not folder.is_relative_to(base):
+                break
+            yield folder
+
+
+def usable_cores() -> int:
+    """Cores by affinity and by the quota of the control group (containers), at least 1."""
+    if hasattr(os, "sched_getaffinity"):
+        cores = len(os.sched_getaffinity(0))
+    else:
+        cores = os.cpu_count() or 1
+    quota = _quota(GROUPS, MEMBERSHIP)
+    # A quota of 1.5 cores is used up better by two workers than by one.
+    return max(1, cores if quota is None else min(cores, -(-quota // 1000)))
+
+
+# Every large kernel asks for it, and a quota is not changed while a process runs.
+@functools.cache
+def _quota(groups: Path, membership: Path) -> int | None:
+    """The tightest quota of this process's control groups in thousandths of a core, if any."""
+    quotas = (_quota_of(folder) for folder in group_folders("cpu", groups, membership))
+    return min((one for one in quotas if one is not None), default=None)
+
+
+def _quota_of(folder: Path) -> int | None:
+    try:
+        if (folder / "cpu.max").exists():
+            quota, period = (folder / "cpu.max").read_text().split()
+        else:
+            quota = (folder / "cpu.cfs_quota_us").read_text()
+            period = (folder / "cpu.cfs_period_us").read_text()
+        microseconds, per = int(quota), int(period)
+    except (OSError, ValueError):
+        return None
+    return 1000 * microseconds // per if microseconds > 0 and per > 0 else None
+
+
+_PROC = Path("/proc")
+
+
+def available_bytes(
+    proc: Path = _PROC,
+    groups: Path = GROUPS,
+) -> int | None:
+    """Memory that may be taken without anything being killed or swapped; None if nobody tells.
+
+    The least of what the machine has left and what every control group leaves.  Cached files
+    count as free: the system drops them when memory is asked for.
+    """
+    told = [_of_machine(proc / "meminfo")]
+    told += [
+        _of_group(folder) for folder in group_folders("memory", groups, proc / "self" / "cgroup")
+    ]
+    return min((one for one in told if one is not None), default=None)
+
+
+def oom_kills(proc: Path = _PROC, groups: Path = GROUPS) -> int:
+    """Processes of this one's groups that the system has killed for want of memory so far.
+
+    Where no group counts them, those of the whole machine; 0 where nobody counts.
+    """
+    counter = _counter(proc, groups)
+    kills = None if counter is None else _entry(counter, "oom_kill")
+    return (_entry(proc / "vmstat", "oom_kill") or 0) if kills is None else kills
+
+
+# It is asked before every file, and looking for it takes longer than reading it.
+@functools.cache
+def _counter(proc: Path, groups: Path) -> Path | None:
+    """The file in which the innermost group that does so counts its kills."""
+    for folder in group_folders("memory", groups, proc / "self" / "cgroup"):
+        for name in ("memory.events", "memory.oom_control"):
+            if _entry(folder / name, "oom_kill") is not None:
+                return folder / name
+    return None
+
+
+def _of_machine(meminfo: Path) -> int | None:
+    kilobytes = _entry(meminfo, "MemAvailable:")
+    return None if kilobytes is None else 1024 * kilobytes
+
+
+def _of_group(folder: Path) -> int | None:
+    for most, used, cached in (
+        ("memory.max", "memory.current", "inactive_file"),
+        ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+    ):
+        limit, usage = _number(folder / most), _number(folder / used)
+        if limit is not None and usage is not None:
+            free = limit - usage + (_entry(folder / "memory.stat", cached) or 0)
+            return max(0, min(limit, free))
+    return None
+
+
+def _number(path: Path) -> int | None:
+    try:
+        return int(path.read_text())
+    except (OSError, ValueError):
+        # "max" is no limit.
+        return None
+
+
+def _entry(path: Path, name: str) -> int | None:
+    """The number behind ``name`` in a file of names and numbers."""
+    try:
+        lines = path.read_text(errors="replace").splitlines()
+    except OSError:
+        return None
+    for line in lines:
+        words = line.split()
+        if len(words) >= 2 and words[0] == name and words[1].isdigit():
+            return int(words[1])
+    return None
+
+
+def peak_bytes() -> int | None:
+    """The largest resident size of this process so far; None where the system does not tell."""
+    if sys.platform == "win32":
+        return _peak_on_windows()
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
+
+
+def _peak_on_windows() -> int | None:
+    import ctypes
+
+    class Counters(ctypes.Structure):
+        _fields_ = (
+            ("size", ctypes.c_ulong),
+            ("page_faults", ctypes.c_ulong),
+            *((f"field_{n}", ctypes.c_size_t) for n in range(8)),
+        )
+
+    counters = Counters()
+    counters.size = ctypes.sizeof(Counters)
+    kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
+    kernel.GetCurrentProcess.restype = ctypes.c_void_p
+    ask = kernel.K32GetProcessMemoryInfo
+    ask.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ulong)
+    if not ask(kernel.GetCurrentProcess(), ctypes.byref(counters), counters.size):
+        return None
+    # The first of the eight is the peak of the working set.
+    return int(counters.field_0)
+
+
+def is_want_of_memory(error: BaseException | None) -> bool:
+    """Whether an error, or what it was raised from, comes of memory that was not given."""
+    while error is not None:
+        said = str(error)
+        if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
+            return True
+        if isinstance(error, ImportError) and "allocate memory" in said:
+            return True
+        if isinstance(error, RuntimeError) and "can't start new thread" in said:
+            return True
+        error = error.__cause__
+    return False
+
+
+def megabytes(n_bytes: int, *, rounded_up: bool = True) -> str:
+    """``499 MB`` or ``3.21 GB``, rounded so that what is refused never looks as if it fitted."""
+    unit, digits = (10**6, 0) if n_bytes <= 999 * 10**6 else (10**9, 2)
+    step = unit // 10**digits
+    steps = -(-n_bytes // step) if rounded_up else n_bytes // step
+    return f"{steps} MB" if unit == 10**6 else f"{steps / 100:.2f} GB"

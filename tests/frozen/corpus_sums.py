@@ -1,0 +1,482 @@
+"""What the codecs make of known files and of damaged ones, as sums made once and compared since.
+
+    python -m tests.frozen.corpus_sums                          everything, 3,000 mutants per format
+    python -m tests.frozen.corpus_sums --format ply,obj         two formats
+    python -m tests.frozen.corpus_sums --mutants 300            faster; 0 for ordinary files alone
+    python -m tests.frozen.corpus_sums --against OLD_CHECKOUT   show the first outcome that differs
+    python -m tests.frozen.corpus_sums --write                  replace the sums
+
+Each file is read, displaced, written, re-encoded and, unless it is a mutant, converted.  There are
+two sums: ``data`` (error codes, arrays, bytes, how many warnings) and ``texts`` (messages, places,
+hints, warnings, losses).  A change of words changes ``texts`` alone; ``--only data`` ignores it.
+
+Inputs are the sample meshes, the corpus of fuzzing, ``inputs.tar.xz`` (malformed files, and files
+that the tests of the readers made when it was written) and mutants of the seeds in that archive.
+With MSAL_DATA real meshes are compared too.  ``--against`` needs a checkout that has this module
+and built kernels; it runs there in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import gzip
+import hashlib
+import json
+import multiprocessing
+import os
+import random
+import re
+import subprocess
+import sys
+import tarfile
+import time
+import warnings
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from msal_cli.codecs import (
+    converted,
+    expanded,
+    normal_warnings,
+    open_mesh,
+    vertex_property,
+    writable_formats,
+)
+from msal_cli.codecs.forecast import of_beginning
+from msal_cli.errors import MsalError
+from tests.frozen.sums import REAL, ROOT, environment
+from tests.fuzz import corpus, mutants
+
+KEPT = Path(__file__).with_name("corpus_sums.json")
+INPUTS = Path(__file__).with_name("inputs.tar.xz")
+
+FUZZED = ("ply", "obj", "stl", "glb", "gltf", "3mf", "gz")
+"""Formats with mutants and a corpus of their own; for all others bytes and numbers are changed."""
+
+BLOCK = 100
+"""Mutants of one sum."""
+
+HEAD_BYTES = 1 << 16
+LARGE_BYTES = 1 << 16
+"""Larger files are converted to ``PLAIN`` formats only, and mutants are smaller."""
+
+PLAIN = ("ply", "obj", "stl", "gltf", "3mf", "off")
+
+ENCODINGS = ("same", "ascii", "binary")
+PRECISIONS = ("same", "float32", "float64")
+
+Step = tuple[str, str, str]
+"""What was done, its data, its texts."""
+
+
+# What is called of the code under test: these few lines follow its names.
+
+
+def read(data: Any, name: str, format: str | None) -> Any:
+    return open_mesh(data, name, format)
+
+
+def replace(file: Any, vertices: Any) -> Any:
+    return file.replaced(vertices)
+
+
+def encode(file: Any, vertices: Any, encoding: str, precision: str) -> Any:
+    return file.encoded(vertices, encoding, precision)
+
+
+def convert(file: Any, vertices: Any, to: str) -> tuple[Any, tuple[str, ...]]:
+    return converted(file, vertices, to)
+
+
+def forecast(data: bytes, name: str) -> Any:
+    return of_beginning(data[:HEAD_BYTES], len(data), name)
+
+
+# ----
+
+
+def digest(*parts: Any) -> str:
+    """A short sum of bytes, arrays and texts; lengths are in it."""
+    total = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            total.update(f"{part.dtype.str} {part.shape} ".encode())
+            part = np.ascontiguousarray(part).tobytes()
+        elif isinstance(part, str):
+            part = part.encode("utf-8", "surrogatepass")
+        part = memoryview(part).cast("B")
+        total.update(f"{len(part)} ".encode())
+        total.update(part)
+    return total.hexdigest()[:16]
+
+
+def plain_bytes(data: Any) -> Any:
+    """Content without gzip, whose bytes depend on the system's zlib."""
+    head = bytes(memoryview(data)[:2])
+    return gzip.decompress(data) if head == b"\x1f\x8b" else data
+
+
+def displaced(vertices: Any) -> Any:
+    """Every third vertex moved by up to a hundredth of the extent."""
+    moved = vertices.copy()
+    extent = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
+    index = np.arange(0, len(vertices), 3, dtype=np.float64)
+    moved[::3] += 0.01 * extent * np.sin(index[:, None] + np.arange(3.0))
+    return moved
+
+
+def attempt(steps: list[Step], label: str, work: Callable[[], tuple[str, str]]) -> bool:
+    """Do ``work`` and keep its data and texts, or its error."""
+    try:
+        data, texts = work()
+    except MsalError as error:
+        words = [str(getattr(error, name, "") or "") for name in ("message", "where", "hint")]
+        # What HDF5 says of a damaged file is not the same at each run.
+        texts = re.sub(r"Unable to synchronously .*?\)", "HDF5 fails", " | ".join(words))
+        steps.append((label, error.code, texts))
+        return False
+    except Exception as error:
+        steps.append((label, f"!{type(error).__name__}", ""))
+        return False
+    steps.append((label, data, texts))
+    return True
+
+
+def outcome(data: bytes, format: str, *, is_mutant: bool) -> list[Step]:
+    """All that is made of the content of one file."""
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return _outcome(data, format, is_mutant)
+
+
+def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
+    steps: list[Step] = [("input", digest(data), "")]
+    name = f"scan.{format}" if format else "scan"
+    known: dict[str, Any] = {}
+
+    def load() -> tuple[str, str]:
+        whole, notes = expanded(data, name)
+        known["file"] = read(whole, name if format != "gz" else "scan", None)
+        known["whole"] = whole
+        return digest(whole), str(notes)
+
+    def describe() -> tuple[str, str]:
+        file = known["file"]
+        told = [file.format, file.encoding, file.precision, file.n_polygons, file.merged_vertices]
+        told += [file.properties, file.references, len(file.warnings)]
+        sums = digest(file.vertices, file.faces)
+        return f"{sums} {[str(one) for one in told]}", "\n".join(file.warnings)
+
+    def polygons() -> tuple[str, str]:
+        return digest(*(np.asarray(one) for one in known["file"].polygons())), ""
+
+    def same() -> tuple[str, str]:
+        output = replace(known["file"], known["file"].vertices.copy())
+        return ("same" if bytes(output) == bytes(known["whole"]) else digest(output)), ""
+
+    def replaced() -> tuple[str, str]:
+        known["output"] = replace(known["file"], moved)
+        return digest(plain_bytes(known["output"])), ""
+
+    def check() -> tuple[str, str]:
+        known["file"].check(known["output"], moved)
+        return "ok", ""
+
+    def check_another() -> tuple[str, str]:
+        known["file"].check(known["whole"], moved)
+        return "ok", ""
+
+    def encoded(encoding: str, precision: str) -> tuple[str, str]:
+        return digest(plain_bytes(encode(known["file"], moved, encoding, precision))), ""
+
+    def conversion(to: str) -> tuple[str, str]:
+        output, losses = convert(known["file"], moved, to)
+        return f"{digest(output)} {len(losses)}", "\n".join(losses)
+
+    def property_of(name: str) -> tuple[str, str]:
+        return digest(vertex_property(known["file"], name)), ""
+
+    def about_normals() -> tuple[str, str]:
+        told = normal_warnings(known["file"], moved)
+        return str(len(told)), "\n".join(told)
+
+    attempt(steps, "forecast", lambda: (str(forecast(data, name)), ""))
+    if not attempt(steps, "read", load) or not attempt(steps, "arrays", describe):
+        return steps
+    moved = displaced(known["file"].vertices)
+    attempt(steps, "polygons", polygons)
+    attempt(steps, "same", same)
+    if attempt(steps, "replaced", replaced):
+        attempt(steps, "check", check)
+    attempt(steps, "check of another", check_another)
+    attempt(steps, "normals", about_normals)
+    for encoding in ENCODINGS:
+        for precision in PRECISIONS:
+            label = f"encoded {encoding} {precision}"
+            attempt(steps, label, functools.partial(encoded, encoding, precision))
+    for name in ("x", "quality", "nothing"):
+        attempt(steps, f"property {name}", functools.partial(property_of, name))
+    if not is_mutant:
+        for to in PLAIN if len(data) > LARGE_BYTES else writable_formats():
+            # HDF5 keeps times.
+            if to != "med":
+                attempt(steps, f"to {to}", functools.partial(conversion, to))
+    return steps
+
+
+@functools.cache
+def archived() -> dict[str, bytes]:
+    """The files of ``inputs.tar.xz`` by name: ``seeds/FORMAT/...``, ``malformed/...`` and
+    ``made/FORMAT/...``."""
+    with tarfile.open(INPUTS) as archive:
+        entries = [(entry.name, archive.extractfile(entry)) for entry in archive]
+        return {name: file.read() for name, file in entries if file is not None}
+
+
+@functools.cache
+def seeds(format: str) -> tuple[bytes, ...]:
+    """The good files of which the mutants of a format are made."""
+    start = f"seeds/{format}/"
+    return tuple(data for name, data in sorted(archived().items()) if name.startswith(start))
+
+
+def formats() -> tuple[str, ...]:
+    """All formats that are compared."""
+    found = {name.split("/")[1] for name in archived() if name.startswith(("seeds/", "made/"))}
+    return (*FUZZED, *sorted(found - set(FUZZED)))
+
+
+def mutant(format: str, number: int) -> bytes:
+    """The mutant of that number, made of the archived seeds."""
+    with mock.patch.object(mutants, "seeds", seeds):
+        return _mutant(format, number)
+
+
+def _mutant(format: str, number: int) -> bytes:
+    if format in FUZZED:
+        return mutants.mutant(format, number)
+    dice = random.Random(f"{format} {number}")
+    data = dice.choice(seeds(format))
+    for _ in range(dice.choice((1, 1, 1, 2, 3))):
+        change = dice.choice((mutants._number, mutants._number, mutants._lines, mutants._bytes))
+        data = change(format, data, dice)
+    return data
+
+
+def format_of(name: str) -> str:
+    """The format under which a file is listed."""
+    suffix = name.rpartition(".")[2] if "." in name else ""
+    return suffix if suffix in formats() else "none"
+
+
+def ordinary_files(format: str) -> dict[str, bytes]:
+    """All files of a format but mutants, by name."""
+    found: dict[str, bytes] = {}
+    for path in sorted((ROOT / "sample_meshes").iterdir()):
+        if "_" in path.name and path.suffix != ".py" and format_of(path.name) == format:
+            found[f"sample/{path.name}"] = path.read_bytes()
+    if format in FUZZED:
+        found |= {f"fuzz/{name[:10]}": data for name, data in corpus.kept(format).items()}
+    for name, data in archived().items():
+        kind, _, rest = name.partition("/")
+        listed = kind == "malformed" and format_of(rest) == format
+        if listed or (kind != "malformed" and rest.startswith(f"{format}/")):
+            found[name] = data
+    return found
+
+
+def real_files(format: str) -> Iterator[tuple[str, bytes]]:
+    """The files of the folder MSAL_DATA, none where it is not set."""
+    folder = os.environ.get("MSAL_DATA", "")
+    for file in REAL if folder else ():
+        if format_of(file) == format:
+            yield f"data/{file}", Path(folder, file).read_bytes()
+
+
+Task = tuple[str, str, int]
+"""A format, and the name of a group of ordinary files or of mutants with its number."""
+
+Sums = dict[str, tuple[str, str]]
+
+MOST_MUTANTS = {"dae": 100}
+"""Formats whose mutants take long, and how many there are at most: nodes that name one another."""
+
+GROUPS = 4
+"""Into how many tasks the ordinary files of a format go."""
+
+
+def contents(task: Task) -> Iterator[tuple[str, bytes]]:
+    """The files of a task by name."""
+    format, kind, number = task
+    if kind == "mutants":
+        for one in range(number * BLOCK, (number + 1) * BLOCK):
+            yield f"mutant {one}", mutant(format, one)
+    elif kind == "real":
+        yield from real_files(format)
+    else:
+        yield from list(ordinary_files(format).items())[number::GROUPS]
+
+
+def outcomes(task: Task) -> Iterator[tuple[str, list[Step]]]:
+    """What is made of each file of a task."""
+    for name, data in contents(task):
+        format = task[0]
+        if format == "none" or name.startswith(("malformed/", "sample/", "data/")):
+            # The suffixes are a part of what is tested.
+            suffixes = name.rpartition("/")[2].partition(".")[2]
+            format = suffixes if format != "none" or suffixes else ""
+        yield name, outcome(data, format, is_mutant=task[1] == "mutants")
+
+
+def sums_of(task: Task) -> tuple[Task, Sums, float]:
+    """Sums of data and of texts: one pair per ordinary file, or one for all mutants of a block."""
+    began = time.perf_counter()
+    lines: dict[str, list[Step]] = dict(outcomes(task))
+    if task[1] == "mutants":
+        lines = {
+            str(task[2]): [
+                (f"{name} {step[0]}", *step[1:]) for name, steps in lines.items() for step in steps
+            ]
+        }
+    sums = {
+        name: (
+            digest(*(f"{label}: {data}" for label, data, _ in steps))[:12],
+            digest(*(f"{label}: {texts}" for label, _, texts in steps))[:12],
+        )
+        for name, steps in lines.items()
+    }
+    return task, sums, time.perf_counter() - began
+
+
+def tasks(chosen: tuple[str, ...], n_mutants: int) -> list[Task]:
+    """The tasks for some formats."""
+    found: list[Task] = []
+    for format in chosen:
+        found += [(format, "files", number) for number in range(GROUPS)]
+        if os.environ.get("MSAL_DATA"):
+            found.append((format, "real", 0))
+        if format != "none" and seeds(format):
+            count = min(n_mutants, MOST_MUTANTS.get(format, n_mutants))
+            found += [(format, "mutants", number) for number in range(count // BLOCK)]
+    return found
+
+
+def different(task: Task, sums: Sums, kept: Any, columns: tuple[int, ...]) -> dict[str, str]:
+    """The files, or blocks, of a task that differ, and in what."""
+    format, kind, _ = task
+    known = kept.get(format, {}).get(kind, {})
+    found = {}
+    for name, pair in sums.items():
+        before = known.get(name)
+        if before is None:
+            found[name] = "new"
+            continue
+        words = [("data", "texts")[k] for k in columns if pair[k] != before[k]]
+        if words:
+            found[name] = " and ".join(words)
+    return found
+
+
+def explained(task: Task, checkout: str, columns: tuple[int, ...]) -> Iterator[str]:
+    """Each file of a task that comes out otherwise in another checkout, with its first step."""
+    command = [sys.executable, "-m", "tests.frozen.corpus_sums", "--outcomes", json.dumps(task)]
+    done = subprocess.run(
+        command,
+        cwd=checkout,
+        env={**os.environ, "PYTHONPATH": str(Path(checkout).resolve())},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        yield f"    {checkout} fails: {done.stderr.strip().splitlines()[-1]}"
+        return
+    then = dict(json.loads(line) for line in done.stdout.splitlines())
+    for name, steps in outcomes(task):
+        before = then.get(name, [])
+        for now, old in zip(steps, before, strict=False):
+            columns_here = [k + 1 for k in columns if now[k + 1] != old[k + 1]]
+            if now[0] != old[0] or columns_here:
+                yield f"    {name}, {old[0]}:"
+                for k in columns_here or [1]:
+                    yield f"      was: {old[k]}\n      now: {now[k]}"
+                break
+        else:
+            if len(steps) != len(before):
+                yield f"    {name}: {len(before)} steps became {len(steps)}"
+
+
+def compare(chosen: tuple[str, ...], n_mutants: int, arguments: argparse.Namespace) -> int:
+    """Compare, and write if asked; returns how many sums differ."""
+    document = json.loads(KEPT.read_text()) if KEPT.exists() else {"formats": {}}
+    kept = document["formats"]
+    columns = {"data": (0,), "texts": (1,)}.get(arguments.only, (0, 1))
+    seconds: dict[str, float] = {}
+    written: dict[str, Any] = {}
+    n_compared = n_different = 0
+    work = tasks(chosen, n_mutants)
+    with multiprocessing.Pool(arguments.jobs) as pool:
+        run = pool.imap(sums_of, work) if arguments.jobs > 1 else map(sums_of, work)
+        for task, sums, took in run:
+            seconds[task[0]] = seconds.get(task[0], 0.0) + took
+            n_compared += len(sums)
+            if arguments.write:
+                format, kind, _ = task
+                written.setdefault(format, {}).setdefault(kind, {}).update(sums)
+                continue
+            found = different(task, sums, kept, columns)
+            n_different += len(found)
+            for name, words in found.items():
+                print(f"{task[0]} {task[1]} {name}: {words}", flush=True)
+            if found and arguments.against:
+                for line in explained(task, arguments.against, columns):
+                    print(line, flush=True)
+    print(", ".join(f"{format} {took:.1f} s" for format, took in seconds.items()))
+    if arguments.write:
+        for format, kinds in written.items():
+            kept[format] = kept.get(format, {}) | kinds
+        document = {"environment": here(), "formats": kept}
+        KEPT.write_text(json.dumps(document, separators=(",", ":")).replace("],", "],\n") + "\n")
+        return 0
+    print(f"{n_compared} sums compared, {n_different} different")
+    return n_different
+
+
+def here() -> dict[str, str]:
+    """What the sums depend on beside the code."""
+    from importlib.metadata import version
+
+    names = ("meshio", "trimesh", "h5py")
+    return environment() | {"zlib": zlib.ZLIB_VERSION} | {name: version(name) for name in names}
+
+
+def main(words: list[str] | None = None) -> None:
+    """Compare or write the sums."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--format", default="", help="formats, separated by commas")
+    parser.add_argument("--mutants", type=int, default=3000, help="per format, in steps of 100")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--only", choices=("data", "texts"))
+    parser.add_argument("--write", action="store_true")
+    parser.add_argument("--against", metavar="CHECKOUT")
+    parser.add_argument("--outcomes", metavar="TASK", help=argparse.SUPPRESS)
+    arguments = parser.parse_args(words)
+    if arguments.outcomes:
+        for one in outcomes(tuple(json.loads(arguments.outcomes))):  # type: ignore[arg-type]
+            print(json.dumps(one))
+        return
+    chosen = tuple(arguments.format.split(",")) if arguments.format else (*formats(), "none")
+    if compare(chosen, arguments.mutants, arguments):
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    main()
