@@ -115,7 +115,7 @@ class ObjFile(SlotFile):
             return self.replaced(vertices)
         style, code = (SHORTEST_SINGLE, "<f4") if precision == "float32" else (SHORTEST, "<f8")
         changes = self._changes(vertices)
-        require_range(vertices, np.ones(vertices.shape, dtype=bool), (code,) * 3)
+        require_range(vertices, np.ones(vertices.shape, dtype=bool), (code,) * 3, first=1)
         positions = self._layout.positions[0]
         new = [(positions, vertices)]
         new += [(slots, values) for slots, values, _ in changes if slots is not positions]

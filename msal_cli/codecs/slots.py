@@ -243,10 +243,12 @@ def too_large_for_float32(where: str) -> ContentError:
     )
 
 
-def require_range(values: Floats, is_changed: Flags, codes: Sequence[str]) -> None:
+def require_range(
+    values: Floats, is_changed: Flags, codes: Sequence[str], first: int = 0
+) -> None:
     """Raise ContentError (``E_RANGE``) where a changed number (n, k) does not fit its type.
 
-    ``codes`` are numpy's types of the columns.
+    ``codes`` are numpy's types of the columns, ``first`` the number of the file's first vertex.
     """
     dtypes = [np.dtype(code) for code in codes]
     # Where all fit, two numbers say so; NaN does not.
@@ -262,7 +264,7 @@ def require_range(values: Floats, is_changed: Flags, codes: Sequence[str]) -> No
         # Written so that NaN counts as outside.
         is_outside = is_changed[:, k] & ~((column >= low) & (column <= high))
         if is_outside.any():
-            vertex = int(np.argmax(is_outside))
+            vertex = int(np.argmax(is_outside)) + first
             raise ContentError(
                 f"the new {'xyz'[k]} of vertex {vertex} does not fit the file's number type",
                 where=f"vertex {vertex}",
