@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.ply_ascii import Lines, read_stream
+from msal_cli.codecs.ply_ascii import Lines
 from msal_cli.codecs.ply_header import Element, Header, Property, retyped
 from msal_cli.codecs.ply_sections import Section, section_at
 from msal_cli.codecs.slots import to_type
@@ -97,14 +97,10 @@ class Recoding:
         written in place of the file's; ``end`` is the byte behind the last element."""
         output = bytearray(self.header())
         at = self._header.size
-        streamed: tuple[Mapping[str, Section], int] | None = None
-        if self._is_stream:
-            streamed = read_stream(self._data, self._header, _all_names)
         for element in self._header.elements:
-            if streamed is not None:
-                section = streamed[0][element.name]
-            else:
-                section = section_at(self._data, self._header, element, at, _all_names(element))
+            section = section_at(
+                self._data, self._header, element, at, _all_names(element), self._is_stream
+            )
             at = section.stop
             is_touched = any(
                 (element.name, one.name) in values or one.line in self._codes

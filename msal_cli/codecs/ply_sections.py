@@ -163,15 +163,21 @@ def _in_turn(
 
 
 def section_at(
-    data: Bytes, header: Header, element: Element, at: int, names: Sequence[str]
+    data: Bytes,
+    header: Header,
+    element: Element,
+    at: int,
+    names: Sequence[str],
+    is_stream: bool = False,
 ) -> Section:
-    """The section of one element that begins at byte ``at``; its ascii records have lines.
+    """The section of one element that begins at byte ``at``; its ascii records are one to a line,
+    unless ``is_stream``.
 
     ``names`` are the properties whose places are to be kept where that costs memory.
     Errors as in ``located``.
     """
     if header.encoding == "ascii":
-        return find_lines(data, header, element, at, names)
+        return find_lines(data, header, element, at, names, is_stream)
     return _records(data, header, element, at, names)
 
 
