@@ -127,7 +127,7 @@ def converted(
         from msal_cli.codecs import threemf_writer
 
         points = _positions(content, single)
-        return threemf_writer.written(points, content.faces, single=single), tuple(losses)
+        return threemf_writer.to_3mf(points, content.faces, single=single), tuple(losses)
     return _through_library(content, to, encoding, single), tuple(losses)
 
 

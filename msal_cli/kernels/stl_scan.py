@@ -15,7 +15,7 @@ import numpy as np
 
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.digits import EXACT, UNDECIDED, read_number, write_fixed
-from msal_cli.kernels.text import is_same
+from msal_cli.kernels.text import is_same, skip_token
 
 WHOLE = 0
 """All of the text is read."""
@@ -57,13 +57,6 @@ def _past_spaces(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _token_stop(buf, at):  # type: ignore[no-untyped-def]
-    while at < len(buf) and not _is_space(buf[at]):
-        at += 1
-    return at
-
-
-@compiled
 def _past_word(buf, at, word):  # type: ignore[no-untyped-def]
     """The end of ``word``, in any case, if it stands whole at ``at``; else -1."""
     stop = at + _LENGTHS[word]
@@ -80,10 +73,10 @@ def _past_word(buf, at, word):  # type: ignore[no-untyped-def]
 @compiled
 def _past_two_words(buf, at, word):  # type: ignore[no-untyped-def]
     """The end of ``word`` where it stands in two, as in ``end facet``; else -1."""
-    middle = _token_stop(buf, at)
+    middle = skip_token(buf, at)
     tail = _past_spaces(buf, middle)
     stop = tail + _LENGTHS[word] - 3
-    if middle - at != 3 or stop > len(buf) or _token_stop(buf, tail) != stop:
+    if middle - at != 3 or stop > len(buf) or skip_token(buf, tail) != stop:
         return -1
     for k in range(_LENGTHS[word]):
         c = buf[at + k] if k < 3 else buf[tail + k - 3]
@@ -109,7 +102,7 @@ def _number(buf, at):  # type: ignore[no-untyped-def]
     value, status, stop, decimals = read_number(buf, at, len(buf))
     if status == EXACT and (stop == len(buf) or _is_space(buf[stop])):
         return value, stop, decimals
-    end = _token_stop(buf, at)
+    end = skip_token(buf, at)
     if status == UNDECIDED and stop == end:
         return np.inf, end, decimals
     first = at
@@ -195,7 +188,7 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
                         break
                     if word != NORMAL or _is_bare(buf, at, word):
                         return BAD_NUMBER, at, word
-                    value, stop, used = np.nan, _token_stop(buf, at), 0
+                    value, stop, used = np.nan, skip_token(buf, at), 0
                 if stop - facet > 0x7FFFFFFF:
                     return TOO_LONG, facet, word
                 offsets[n, token] = at - facet
@@ -233,7 +226,7 @@ def patched(buf, facet_at, offsets, replace, numbers, decimals, out):  # type: i
                 out[to + k - copied] = buf[k]
             to += start - copied
             to = write_fixed(numbers[f, token], decimals[0 if token < 3 else 1], out, to)
-            copied = _token_stop(buf, start)
+            copied = skip_token(buf, start)
     for k in range(copied, len(buf)):
         out[to + k - copied] = buf[k]
     return to + len(buf) - copied
@@ -256,28 +249,6 @@ def same_but_for(  # type: ignore[no-untyped-def]
                 continue
             if a_stop - a != b_stop - b or not is_same(buf, a, other, b, a_stop - a):
                 return False
-            a = _token_stop(buf, a_stop)
-            b = _token_stop(other, b_stop)
+            a = skip_token(buf, a_stop)
+            b = skip_token(other, b_stop)
     return True
-
-
-@compiled
-def facets_as_text(pieces, piece_stops, text, text_stops, out):  # type: ignore[no-untyped-def]
-    """Write facets to ``out``: the 13 fixed ``pieces`` around the 12 texts of each; its length."""
-    to = 0
-    read = 0
-    for token in range(len(text_stops)):
-        place = token % 12
-        first = 0 if place == 0 else piece_stops[place - 1]
-        for k in range(first, piece_stops[place]):
-            out[to] = pieces[k]
-            to += 1
-        while read < text_stops[token]:
-            out[to] = text[read]
-            to += 1
-            read += 1
-        if place == 11:
-            for k in range(piece_stops[11], piece_stops[12]):
-                out[to] = pieces[k]
-                to += 1
-    return to
