@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
+from msal_cli.codecs.frames import transform
 from msal_cli.codecs.record_slots import Overwrite, RecordSlots, check_overwritten, overwrite
 from msal_cli.codecs.slots import Slots, TextSlots, UnitSlots, require_range, splice
 from msal_cli.codecs.text_slots import (
@@ -356,8 +357,8 @@ class SlotFile:
             return rows
         result = []
         for new, own, frame in zip(rows, stored, layout.frames, strict=True):
-            is_moved = (new != _transformed(own, frame)).any(axis=1)
-            back = _transformed(new, np.linalg.inv(frame).astype(np.float64))
+            is_moved = (new != transform(own, frame)).any(axis=1)
+            back = transform(new, np.linalg.inv(frame).astype(np.float64))
             result.append(np.where(is_moved[:, None], back, own))
         return result
 
@@ -461,18 +462,10 @@ def _vertices(layout: Layout) -> Floats:
         return values[0] if len(values) == 1 else np.concatenate(values)
     return np.concatenate(
         [
-            _transformed(one.values, frame)
+            transform(one.values, frame)
             for one, frame in zip(layout.positions, layout.frames, strict=True)
         ]
     )
-
-
-def _transformed(points: Floats, frame: Floats) -> Floats:
-    """Points (n, 3) after a transform (4, 4); bit for bit the same for the identity."""
-    if np.array_equal(frame, np.eye(4)):
-        return points
-    result: Floats = points @ frame[:3, :3].T + frame[:3, 3]
-    return result
 
 
 def require_finite(vertices: Floats, where: Callable[[int], str] = "vertex {}".format) -> None:
