@@ -109,13 +109,13 @@ def is_text(head: bytes, size: int) -> bool:
 
 
 def _read_binary(data: Buffer, count: int) -> StlFile:
-    from msal_cli.kernels.corner_welding import indexed
+    from msal_cli.kernels.corner_welding import weld_corners
 
     trailing = len(memoryview(data).cast("B")) - _FIRST_FACET - FACET.itemsize * count
     check_not_empty(count, trailing)
     check_countable(count)
     facets = _facets(data, count)
-    vertices, faces, bad = indexed(facets["corners"])
+    vertices, faces, bad = weld_corners(facets["corners"])
     if bad >= 0:
         raise not_finite(bad, int(np.isfinite(facets["corners"][bad]).argmin()) // 3)
     warnings: list[str] = []
@@ -180,7 +180,7 @@ class StlFile(FacetFile):
         """
         if np.array_equal(self.vertices, vertices):
             return self.data
-        from msal_cli.kernels.facet_normals import replaced
+        from msal_cli.kernels.facet_normals import replace_facets
         from msal_cli.kernels.parallel import over_ranges
 
         require_range(vertices, np.broadcast_to(True, vertices.shape), ("<f4",) * 3)
@@ -200,7 +200,9 @@ class StlFile(FacetFile):
                 )
                 # Just copied, the bytes are near when they are changed.
                 output[part] = before[part]
-                replaced(first, last, self.vertices, vertices, self.faces, normals, corners, none)
+                replace_facets(
+                    first, last, self.vertices, vertices, self.faces, normals, corners, none
+                )
 
         over_ranges(write, len(facets))
         return output.data
@@ -220,7 +222,7 @@ class StlFile(FacetFile):
 
         def look(start: int, stop: int) -> None:
             found.append(
-                facets.checked(
+                facets.check_facets(
                     start,
                     stop,
                     self.vertices,
@@ -257,9 +259,9 @@ class StlFile(FacetFile):
         if encoding in ("same", "binary", self.encoding):
             refuse_float64(precision)
             return self.replaced(vertices)
-        from msal_cli.kernels.facet_normals import renewed_facet_normals
+        from msal_cli.kernels.facet_normals import renew_facet_normals
 
-        normals, _ = renewed_facet_normals(self.vertices, vertices, self.faces, self.normals)
+        normals, _ = renew_facet_normals(self.vertices, vertices, self.faces, self.normals)
         corners = vertices[self.faces].reshape(-1, 9)
         header = bytes(memoryview(self.data).cast("B")[:HEADER_BYTES])
         name = header.split(b"\0")[0].decode("ascii", "replace")

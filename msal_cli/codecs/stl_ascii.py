@@ -63,34 +63,34 @@ def read(data: Buffer, name: str) -> StlTextFile:
     ContentError
         ``E_NO_FACES`` or ``E_NONFINITE``.
     """
-    from msal_cli.kernels.corner_welding import indexed
+    from msal_cli.kernels.corner_welding import weld_corners
 
-    scan, numbers = _numbers(data)
-    vertices, faces, _ = indexed(numbers[:, 3:])
+    scan, numbers = _read_numbers(data)
+    vertices, faces, _ = weld_corners(numbers[:, 3:])
     normals = np.ascontiguousarray(numbers[:, :3])
     return StlTextFile(data, scan, vertices, normals, faces)
 
 
-def _numbers(data: Buffer) -> tuple[_Scan, Floats]:
+def _read_numbers(data: Buffer) -> tuple[_Scan, Floats]:
     """All facets of a text and their numbers (m, 12), positions finite; raises as ``read``."""
-    scan, numbers = _scanned(data)
+    scan, numbers = _scan_text(data)
     check_not_empty(len(numbers))
     check_countable(len(numbers))
     doubtful = np.argwhere(~np.isfinite(numbers[:, 3:]))
     view = memoryview(data).cast("B")
     for facet, token in doubtful:
         start = int(scan.facet_at[facet] + scan.offsets[facet, token + 3])
-        value = _slow_number(view, start)
+        value = _read_number(view, start)
         if not np.isfinite(value):
             raise not_finite(int(facet), int(token) // 3, _line(data, start))
         numbers[facet, token + 3] = value
     for facet, token in np.argwhere(np.isinf(numbers[:, :3])):
         start = int(scan.facet_at[facet] + scan.offsets[facet, token])
-        numbers[facet, token] = _slow_number(view, start)
+        numbers[facet, token] = _read_number(view, start)
     return scan, numbers
 
 
-def _slow_number(view: memoryview, start: int) -> float:
+def _read_number(view: memoryview, start: int) -> float:
     token = bytes(view[start : start + 4096]).split(None, 1)[0]
     try:
         return float(token)
@@ -109,11 +109,11 @@ def _warnings(data: Buffer, scan: _Scan, normals: Floats) -> tuple[str, ...]:
     warnings: list[str] = []
     if scan.n_bare:
         warnings.append(
-            f"{_counted(scan.n_bare, 'facet has', 'facets have')} no normal, and none is added"
+            f"{_count_text(scan.n_bare, 'facet has', 'facets have')} no normal, and none is added"
         )
     if n_bad:
         warnings.append(
-            f"{_counted(n_bad, 'facet has', 'facets have')} a normal that is not three finite "
+            f"{_count_text(n_bad, 'facet has', 'facets have')} a normal that is not three finite "
             "numbers: it is kept, not recomputed"
         )
     if trailing:
@@ -121,11 +121,11 @@ def _warnings(data: Buffer, scan: _Scan, normals: Floats) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-def _counted(number: int, one: str, many: str) -> str:
+def _count_text(number: int, one: str, many: str) -> str:
     return f"{number} {one if number == 1 else many}"
 
 
-def _scanned(data: Buffer) -> tuple[_Scan, Floats]:
+def _scan_text(data: Buffer) -> tuple[_Scan, Floats]:
     """All facets of a text and their numbers (m, 12), infinite where they are in doubt.
 
     The arrays grow with what is scan, never with what is claimed.
@@ -258,11 +258,11 @@ class StlTextFile(FacetFile):
 
     def _changes(self, vertices: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """The new numbers (m, 12) and which of them are to be written."""
-        from msal_cli.kernels.facet_normals import renewed_facet_normals
+        from msal_cli.kernels.facet_normals import renew_facet_normals
 
         m = len(self.faces)
         numbers, replace = np.empty((m, 12)), np.empty((m, 12), dtype=bool)
-        numbers[:, :3], changed = renewed_facet_normals(
+        numbers[:, :3], changed = renew_facet_normals(
             self.vertices, vertices, self.faces, self.normals
         )
         numbers[:, 3:] = vertices[self.faces].reshape(m, 9)
@@ -287,13 +287,15 @@ class StlTextFile(FacetFile):
         )
         if largest >= FIXED_BELOW:
             starts = (scan.facet_at[:, None] + scan.offsets)[replace]
-            return self._replaced_slowly(starts, numbers[replace])
+            return self._write_shortest(starts, numbers[replace])
         width = text.fixed_width(largest, int(decimals.max()))
         out = np.empty(len(buf) + int(np.count_nonzero(replace)) * width, dtype=np.uint8)
-        length = stl_scan.patched(buf, scan.facet_at, scan.offsets, replace, numbers, decimals, out)
+        length = stl_scan.write_tokens(
+            buf, scan.facet_at, scan.offsets, replace, numbers, decimals, out
+        )
         return out[:length].data
 
-    def _replaced_slowly(self, starts: NDArray[np.int64], numbers: Floats) -> bytes:
+    def _write_shortest(self, starts: NDArray[np.int64], numbers: Floats) -> bytes:
         """The text with tokens replaced by the shortest text of numbers of any size."""
         view = memoryview(self.data).cast("B")
         pieces: list[bytes | memoryview] = []
@@ -309,7 +311,7 @@ class StlTextFile(FacetFile):
         from msal_cli.kernels.text import as_bytes
 
         try:
-            other, there = _numbers(output)
+            other, there = _read_numbers(output)
         except InputError as failure:
             raise InternalError(
                 f"the STL text that was made cannot be read: {failure}", where=failure.where
@@ -318,7 +320,7 @@ class StlTextFile(FacetFile):
             raise InternalError("the number of facets changed")
         _, replace = self._changes(vertices)
         scan = self._scan
-        if not stl_scan.same_but_for(
+        if not stl_scan.is_same_outside(
             as_bytes(self.data),
             scan.facet_at,
             scan.offsets,

@@ -50,14 +50,14 @@ def _is_space(c):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _past_spaces(buf, at):  # type: ignore[no-untyped-def]
+def _skip_spaces(buf, at):  # type: ignore[no-untyped-def]
     while at < len(buf) and _is_space(buf[at]):
         at += 1
     return at
 
 
 @compiled
-def _past_word(buf, at, word):  # type: ignore[no-untyped-def]
+def _skip_word(buf, at, word):  # type: ignore[no-untyped-def]
     """The end of ``word``, in any case, if it stands whole at ``at``; else -1."""
     stop = at + _LENGTHS[word]
     if stop > len(buf):
@@ -71,10 +71,10 @@ def _past_word(buf, at, word):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _past_two_words(buf, at, word):  # type: ignore[no-untyped-def]
+def _skip_two_words(buf, at, word):  # type: ignore[no-untyped-def]
     """The end of ``word`` where it stands in two, as in ``end facet``; else -1."""
     middle = skip_token(buf, at)
-    tail = _past_spaces(buf, middle)
+    tail = _skip_spaces(buf, middle)
     stop = tail + _LENGTHS[word] - 3
     if middle - at != 3 or stop > len(buf) or skip_token(buf, tail) != stop:
         return -1
@@ -89,7 +89,7 @@ def _past_two_words(buf, at, word):  # type: ignore[no-untyped-def]
 def _is_bare(buf, at, word):  # type: ignore[no-untyped-def]
     """Whether the outer loop begins at ``at``, where ``word`` or its numbers should be: a facet
     without a normal."""
-    return word == NORMAL and _past_word(buf, at, OUTER) >= 0
+    return word == NORMAL and _skip_word(buf, at, OUTER) >= 0
 
 
 @compiled
@@ -134,14 +134,14 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
     at, n, n_solids = state[AT], state[FACETS], state[SOLIDS]
     inside = state[INSIDE] != 0
     while True:
-        at = _past_spaces(buf, at)
+        at = _skip_spaces(buf, at)
         state[AT], state[FACETS], state[SOLIDS], state[INSIDE] = at, n, n_solids, inside
         if at >= len(buf):
             return (CUT if inside else WHOLE), at, FACET
         word = ENDSOLID if inside else SOLID
-        stop = _past_word(buf, at, word)
+        stop = _skip_word(buf, at, word)
         if stop < 0 and inside and (buf[at] | 32) == 101:
-            stop = _past_two_words(buf, at, ENDSOLID)
+            stop = _skip_two_words(buf, at, ENDSOLID)
         if stop >= 0:
             if not inside:
                 if n_solids < len(solid_at):
@@ -154,18 +154,18 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
             continue
         if not inside:
             return OUTSIDE, at, SOLID
-        if n == len(facet_at) and _past_word(buf, at, FACET) >= 0:
+        if n == len(facet_at) and _skip_word(buf, at, FACET) >= 0:
             return FULL, at, FACET
         facet = at
         token = 0
         for word in (FACET, NORMAL, OUTER, LOOP, VERTEX, VERTEX, VERTEX, ENDLOOP, ENDFACET):
-            at = _past_spaces(buf, at)
+            at = _skip_spaces(buf, at)
             if at >= len(buf):
                 return CUT, at, word
-            stop = _past_word(buf, at, word)
+            stop = _skip_word(buf, at, word)
             if stop < 0:
                 if word >= ENDLOOP:
-                    stop = _past_two_words(buf, at, word)
+                    stop = _skip_two_words(buf, at, word)
                 elif _is_bare(buf, at, word):
                     stop = at
                 if stop < 0:
@@ -174,7 +174,7 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
             if word != NORMAL and word != VERTEX:
                 continue
             for _ in range(3):
-                at = _past_spaces(buf, at)
+                at = _skip_spaces(buf, at)
                 if at >= len(buf):
                     return CUT, at, word
                 value, stop, used = _number(buf, at)
@@ -209,7 +209,7 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
 
 
 @compiled
-def patched(buf, facet_at, offsets, replace, numbers, decimals, out):  # type: ignore[no-untyped-def]
+def write_tokens(buf, facet_at, offsets, replace, numbers, decimals, out):  # type: ignore[no-untyped-def]
     """Copy ``buf`` to ``out`` with the tokens that ``replace`` (n, 12) marks printed anew.
 
     decimals (2,) int64 : of normals and of corners.  The numbers must fit fixed-point text and
@@ -233,7 +233,7 @@ def patched(buf, facet_at, offsets, replace, numbers, decimals, out):  # type: i
 
 
 @compiled
-def same_but_for(  # type: ignore[no-untyped-def]
+def is_same_outside(  # type: ignore[no-untyped-def]
     buf, facet_at, offsets, other, other_facet_at, other_offsets, replace
 ):
     """Whether two texts of n facets each are equal outside the tokens that ``replace`` marks."""
