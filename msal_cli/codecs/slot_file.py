@@ -311,8 +311,9 @@ class SlotFile:
             if slots.whole_rows:
                 is_changed = np.broadcast_to(is_changed.any(axis=1)[:, None], values.shape)
             if isinstance(slots, TextSlots):
-                values, _ = slots.rounded(values)
-                is_changed = values != slots.values
+                rounded, _ = slots.rounded(values)
+                if rounded is not values:
+                    values, is_changed = rounded, rounded != slots.values
             changes.append(Change(slots, values, is_changed))
         changes += self._changed_normals(vertices)
         return [one for one in changes if one.is_changed.any()]

@@ -338,26 +338,5 @@ def splice(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> m
     return text.spliced(data, starts[order], stops[order], words, np.cumsum(sizes)).data
 
 
-def float_rows(values: Floats, *, single: bool) -> str:
-    """Numbers (n, 3) as lines of the shortest text that is read back as the same numbers."""
-    from msal_cli.kernels import text
-    from msal_cli.kernels import text_rows as rows
-
-    digits, stops = text.printed_shortest(values.reshape(-1), single)
-    ends = values.shape[1] * np.arange(1, len(values) + 1, dtype=np.int64)
-    return rows.lines(digits, stops, ends, b"").tobytes().decode()
-
-
-def integer_rows(values: NDArray[np.int32]) -> str:
-    """Whole numbers (n, 3) as lines of text."""
-    from msal_cli.kernels import text
-    from msal_cli.kernels import text_rows as rows
-
-    digits, stops = text.printed(values.reshape(-1).astype(np.float64), 0)
-    ends = values.shape[1] * np.arange(1, len(values) + 1, dtype=np.int64)
-    return rows.lines(digits, stops, ends, b"").tobytes().decode()
-
-
-# The names of before, until all codecs use the new ones.
 Numbers = UnitSlots
 TextNumbers = Tokens

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers, UnitSlots, to_type
+from msal_cli.codecs.slots import BinaryNumbers, Tokens, UnitSlots, to_type
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element
 from msal_cli.errors import (
@@ -100,7 +100,7 @@ def integers(array: Element, coding: Coding) -> NDArray[np.int64]:
     return np.frombuffer(content, dtype=code).astype(np.int64)
 
 
-def numbers(array: Element, coding: Coding, count: int, *, are_normals: bool = False) -> Numbers:
+def numbers(array: Element, coding: Coding, count: int, *, are_normals: bool = False) -> UnitSlots:
     """The rows (count, 3) of an array of floating-point numbers."""
     from msal_cli.kernels.text import as_bytes
 
@@ -115,7 +115,7 @@ def numbers(array: Element, coding: Coding, count: int, *, are_normals: bool = F
     if array.attributes.get("format", "ascii") == "ascii":
         words = Words(data, array.inside, array.text_stop)
         _require_count(len(words), 3 * count, array)
-        return TextNumbers(data, words.starts, words.stops, unit_length=are_normals)
+        return Tokens(data, words.starts, words.stops, unit_length=are_normals)
     content, start, stop = _decoded(array, coding)
     size = 3 * np.dtype(code).itemsize
     _require_count(len(content), size * count, array)

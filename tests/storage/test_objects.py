@@ -44,7 +44,7 @@ class Refusing:
 @pytest.fixture
 def failing(monkeypatch):
     def with_failure(failure):
-        monkeypatch.setattr(remote, "_opened", lambda url: (Refusing(failure), "a.ply"))
+        monkeypatch.setattr(remote, "_open", lambda url: (Refusing(failure), "a.ply"))
 
     return with_failure
 
