@@ -178,6 +178,8 @@ class _Reader:
         self._values, self._starts, self._stops = array("d"), array("q"), array("q")
         self._corners = array("q")
         self._parse()
+        # It names this reader, so that neither would be freed before long.
+        del self._parser
 
     def _parse(self) -> None:
         self._parser = parser = start_parser(self._text, self._name)
