@@ -253,7 +253,7 @@ def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
         rows_of_faces = integer_lines(corners, sizes, b"3 ")
         return b"".join([head, float_lines(points, single=single), rows_of_faces])
     writers = {
-        "3mf": threemf_writer.written,
+        "3mf": threemf_writer.to_3mf,
         "dae": dae.written,
         "xdmf": xdmf.written,
         "vtp": vtk_xml.written,

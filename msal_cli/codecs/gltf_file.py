@@ -11,9 +11,9 @@ import json
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats
-from msal_cli.codecs.frames import PLACEMENT, is_placed
+from msal_cli.codecs.frames import PLACEMENT, is_placed, is_usable
 from msal_cli.codecs.gltf_json import find_entries, replace_spans, write_bound
-from msal_cli.codecs.gltf_scene import Part, Scene, are_usable
+from msal_cli.codecs.gltf_scene import Part, Scene
 from msal_cli.codecs.layout import Layout, require_finite
 from msal_cli.codecs.slot_file import SlotFile
 from msal_cli.errors import InternalError, MsalError
@@ -105,7 +105,7 @@ def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layou
         properties = (f"{len(parts)} parts", *properties)
     elif is_placed(frames[0]):
         properties = (*properties, PLACEMENT)
-    is_framed = len(parts) > 1 and are_usable(frames)
+    is_framed = len(parts) > 1 and all(map(is_usable, frames))
     if not is_framed:
         frames = [np.eye(4) for _ in parts]
     positions = tuple(part.positions.slots(scene.data) for part in parts)

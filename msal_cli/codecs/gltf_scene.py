@@ -15,7 +15,6 @@ from urllib.parse import unquote
 import numpy as np
 
 from msal_cli.arrays import Bytes, Floats, Longs
-from msal_cli.codecs.frames import can_be_undone
 from msal_cli.codecs.gltf_json import as_dict, as_list
 from msal_cli.codecs.record_slots import Strided
 from msal_cli.errors import (
@@ -294,15 +293,6 @@ class Scene:
             frame = frame @ _transform(self.entry("nodes", node))
             known[node] = frame
         return frame
-
-
-def are_usable(frames: list[Floats]) -> bool:
-    """Whether positions can be taken through all these frames and back without harm."""
-    try:
-        with np.errstate(all="ignore"):
-            return all(map(can_be_undone, frames))
-    except np.linalg.LinAlgError:
-        return False
 
 
 def _transform(node: dict[str, Any]) -> Floats:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
+from msal_cli.codecs.frames import transform
 from msal_cli.codecs.slots import Slots
 from msal_cli.codecs.tokens import require_indices
 from msal_cli.errors import ContentError
@@ -108,14 +109,6 @@ def build_vertices(layout: Layout) -> Floats:
             for one, frame in zip(layout.positions, layout.frames, strict=True)
         ]
     )
-
-
-def transform(points: Floats, frame: Floats) -> Floats:
-    """Points (n, 3) after a transform (4, 4); bit for bit the same for the identity."""
-    if np.array_equal(frame, np.eye(4)):
-        return points
-    result: Floats = points @ frame[:3, :3].T + frame[:3, 3]
-    return result
 
 
 def require_finite(vertices: Floats, where: Callable[[int], str] = "vertex {}".format) -> None:

@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
+from msal_cli.codecs.frames import transform
 from msal_cli.codecs.layout import (
     Dependent,
     Parse,
     Shift,
     build_triangles,
     build_vertices,
-    transform,
 )
 from msal_cli.codecs.record_slots import Overwrite, RecordSlots, check_overwritten, overwrite
 from msal_cli.codecs.slots import Slots, TextSlots, UnitSlots, require_range, splice

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
-from msal_cli.codecs.threemf_fast import plain_lists, quoted
+from msal_cli.codecs.threemf_fast import find_plain_lists, find_quoted
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, UnsupportedError
 
 _MICROSOFT = "http://schemas.microsoft.com/3dmanufacturing/"
@@ -167,7 +167,7 @@ class _Reader:
         self._fed: list[int] = []
         """Bytes that Expat had got when a list was left out, and all bytes left out until then."""
         self._left_out: list[int] = [0]
-        self._lists = dict(plain_lists(text))
+        self._lists = dict(find_plain_lists(text))
         self._prefixes: dict[str, str] = {}
         self._path: list[str] = []
         self._object = -1
@@ -178,6 +178,8 @@ class _Reader:
         self._values, self._starts, self._stops = array("d"), array("q"), array("q")
         self._corners = array("q")
         self._parse()
+        # It names this reader, so that neither would be freed before long.
+        del self._parser
 
     def _parse(self) -> None:
         self._parser = parser = start_parser(self._text, self._name)
@@ -316,7 +318,7 @@ class _Reader:
             return
         begin, stop = self._lists[start]
         region = np.frombuffer(self._text, dtype=np.uint8)[begin:stop]
-        starts, stops = quoted(region, begin)
+        starts, stops = find_quoted(region, begin)
         if word == "vertices":
             self._vertices = self._numbers(starts, stops), starts, stops
             finite = np.isfinite(self._vertices[0]).all(axis=1)

@@ -8,10 +8,9 @@ from xml.parsers import expat
 import numpy as np
 
 from msal_cli.arrays import Floats
-from msal_cli.codecs.frames import can_be_undone, is_placed, moved_by
+from msal_cli.codecs.frames import is_placed, is_usable, transform
 from msal_cli.codecs.threemf_model import (
     Model,
-    ThreeMfMesh,
     Use,
     parse_model,
     place_of,
@@ -80,7 +79,10 @@ class Package:
                 hint="msal denoises surfaces; this file has none",
             )
         self.is_sole_part_placed = len(meshes) == 1 and is_placed(meshes[0][1])
-        is_framed = len(meshes) > 1 and all(_is_usable(mesh, frame) for mesh, frame in meshes)
+        is_framed = len(meshes) > 1 and all(
+            is_usable(frame) and np.isfinite(transform(mesh.vertices, frame)).all()
+            for mesh, frame in meshes
+        )
         self.frames = tuple(frame for _, frame in meshes) if is_framed else ()
 
     def _member(self, path: str, where: str) -> Member:
@@ -191,10 +193,3 @@ class Package:
 
 def _uses(model: Model) -> list[Use]:
     return [*model.items, *(use for uses in model.components.values() for use in uses)]
-
-
-def _is_usable(mesh: ThreeMfMesh, frame: Floats) -> bool:
-    """Whether a mesh can be put into its frame, and taken back."""
-    if not np.isfinite(frame).all() or not can_be_undone(frame):
-        return False
-    return bool(np.isfinite(moved_by(frame, mesh.vertices)).all())

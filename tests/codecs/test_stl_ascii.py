@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli.codecs import stl
-from msal_cli.codecs.stl_checks import FACET
+from msal_cli.codecs.stl_facets import FACET
 from msal_cli.errors import ContentError, FormatError, InternalError, TruncatedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron
@@ -153,7 +153,7 @@ def test_several_solids_with_names():
     one, two = plain_stl.text(tetrahedron(), name="left leg"), plain_stl.text(tetrahedron() + 5)
     file = read(one + "\n" + two.replace("part", "") + "solid empty\nendsolid empty\n")
     assert file.n_polygons == 8
-    assert file.solids == ("left leg", "", "empty")
+    assert file.properties[-2:] == ("solid 'left leg'", "solid 'empty'")
     assert "3 solids" in file.properties
     assert "solid 'left leg'" in file.properties
     vertices = moved(file)
