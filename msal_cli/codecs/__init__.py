@@ -94,7 +94,7 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
     if wanted == "ply":
         from msal_cli.codecs import ply
 
-        return ply.read(data, name)
+        return ply.read(data)
     if wanted == "obj":
         from msal_cli.codecs import obj
 

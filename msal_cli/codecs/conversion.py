@@ -144,7 +144,7 @@ def encode_mesh(vertices: Floats, faces: Ints, to: str) -> Buffer:
     data = _as_ply(content, "binary", single)
     if to == "ply":
         return data
-    mesh_file = ply.read(data, "")
+    mesh_file = ply.read(data)
     return converted(mesh_file, mesh_file.vertices, to, "same", "same")[0]
 
 
@@ -287,7 +287,7 @@ def _as_ply(content: _Content, encoding: str, single: bool) -> Buffer:
         return data
     from msal_cli.codecs import ply
 
-    file = ply.read(data, "")
+    file = ply.read(data)
     return file.encoded(file.vertices, "ascii", "same")
 
 

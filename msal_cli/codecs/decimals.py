@@ -101,7 +101,7 @@ def print_numbers(values: Floats, decimals: int | Bytes) -> tuple[Bytes, Longs]:
     if isinstance(decimals, int):
         return printed(values, decimals)
     if not len(decimals) or (decimals == decimals[0]).all():
-        return print_numbers(values, int(decimals[0]) if len(decimals) else 0)
+        return printed(values, int(decimals[0]) if len(decimals) else 0)
     pieces, ends, size = [], [], 0
     for at in range(0, len(values), _BLOCK):
         text, stops = _print_mixed(values[at : at + _BLOCK], decimals[at : at + _BLOCK])

@@ -29,7 +29,7 @@ from msal_cli.arrays import Flags, Floats
 from msal_cli.codecs import obj_description
 from msal_cli.codecs.decimals import SHORTEST, SHORTEST_SINGLE, extent_decimals, usual_decimals
 from msal_cli.codecs.obj_parser import Content, parse_content
-from msal_cli.codecs.slot_file import Layout, SlotFile
+from msal_cli.codecs.slot_file import Layout, SlotFile, require_finite_result
 from msal_cli.codecs.slots import require_range
 from msal_cli.codecs.text_slots import Patch, Statements, replace_statements
 from msal_cli.errors import UnsupportedError
@@ -115,6 +115,7 @@ class ObjFile(SlotFile):
             return self.replaced(vertices)
         style, code = (SHORTEST_SINGLE, "<f4") if precision == "float32" else (SHORTEST, "<f8")
         changes = self._changes(vertices)
+        require_finite_result(vertices)
         require_range(vertices, np.ones(vertices.shape, dtype=bool), (code,) * 3, first=1)
         positions = self._layout.positions[0]
         new = [(positions, vertices)]

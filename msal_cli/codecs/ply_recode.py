@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.ply_ascii import Lines
+from msal_cli.codecs.ply_ascii import Lines, read_stream
 from msal_cli.codecs.ply_header import Element, Header, Property, retyped
-from msal_cli.codecs.ply_sections import Section, section_at, stored
-from msal_cli.codecs.ply_stream import read_stream
+from msal_cli.codecs.ply_sections import Section, section_at
+from msal_cli.codecs.slots import to_type
 from msal_cli.errors import ContentError, UsageError
 
 _ENCODINGS = {"ascii": "ascii", "binary": "binary_little_endian"}
@@ -139,7 +139,7 @@ class Recoding:
         else:
             given = section.column(one.name)
         if given.dtype.kind == "f" and dtype != given.dtype.newbyteorder("="):
-            column = stored(_as_float64(given), dtype)
+            column = to_type(_as_float64(given), dtype.str)
             if dtype.kind == "f":
                 _require_all(np.isfinite(column) | ~np.isfinite(given), section, one)
             return Column(one, column, lengths)
@@ -186,7 +186,7 @@ def _read_tokens(section: Lines, one: Property, dtype: np.dtype[Any]) -> Column:
         raise section.not_a_number(int(starts[bad]), "a number")
     column: NDArray[Any]
     if dtype.kind == "f":
-        column = stored(values, dtype)
+        column = to_type(values, dtype.str)
         fits = np.isfinite(column) | ~np.isfinite(values)
     elif dtype.itemsize == 8:
         column, fits = _long_integers(section, starts, stops, dtype)

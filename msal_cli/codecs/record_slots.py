@@ -177,7 +177,7 @@ def gather(data: Bytes, at: Longs, code: str) -> NDArray[np.generic]:
 
 
 def _scatter(out: Bytes, at: Longs, numbers: NDArray[np.generic]) -> None:
-    rows = np.ascontiguousarray(numbers).view(np.uint8).reshape(len(at), -1)
+    rows = np.ascontiguousarray(numbers).view(np.uint8).reshape(len(at), numbers.itemsize)
     for k in range(rows.shape[1]):
         out[at + k] = rows[:, k]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, cast
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from msal_cli.codecs.text_slots import (
     require_replaced,
 )
 from msal_cli.codecs.tokens import require_indices
-from msal_cli.errors import EXPORT_AGAIN, ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
 
@@ -50,6 +50,10 @@ class Dependent:
     text: Callable[[bytes, Sequence[Floats], Shift], bytes]
 
 
+def _empty() -> Longs:
+    return _NONE
+
+
 @dataclass(eq=False)
 class Layout:
     """What a parser makes of a file.
@@ -63,6 +67,7 @@ class Layout:
     sizes : (p,) int64, how many corners each polygon has, at least 3.
     faces : (m, 3) int32, the triangles, where the parser has made them and checked them and the
         positions; then ``corners`` and ``sizes`` are for the codec alone.
+    vertices : (n, 3), where the parser has read them; the file takes them over.
     normals : arrays of normals (g_i, 3).
     normal_of_corner : (c,) int64, the normal that each corner uses, -1 for none; None where each
         vertex has its own.
@@ -77,8 +82,8 @@ class Layout:
     encoding: str
     precision: str
     positions: tuple[Slots, ...]
-    corners: Longs | Ints
-    sizes: Longs | Ints
+    corners: Longs | Ints = field(default_factory=_empty)
+    sizes: Longs | Ints = field(default_factory=_empty)
     normals: tuple[Slots, ...] = ()
     normal_of_corner: Longs | None = None
     frames: tuple[Floats, ...] = ()
@@ -88,6 +93,7 @@ class Layout:
     held: str = ""
     dependents: tuple[Dependent, ...] = ()
     faces: Ints | None = None
+    vertices: Floats | None = None
     renew_normals: Callable[[Floats, Floats], Sequence[tuple[Floats, Flags]]] | None = None
 
 
@@ -117,7 +123,7 @@ class SlotFile:
         self._parse = parse
         layout = self._layout = parse(data)
         self.encoding, self.precision = layout.encoding, layout.precision
-        self._vertices: Floats | None = None
+        self._vertices, layout.vertices = layout.vertices, None
         self._last_normals: tuple[bytes, Sequence[tuple[Floats, Flags]]] = (b"", ())
         if layout.faces is None:
             self.faces, self._fans = _triangles(layout, self.vertices)
@@ -157,8 +163,12 @@ class SlotFile:
         changes = self._changes(vertices)
         if not changes:
             return self._data
+        for slots, values, is_changed in changes:
+            if slots in self._layout.positions and slots.codes:
+                require_range(values, is_changed, slots.codes)
+        require_finite_result(vertices)
         if self._is_binary:
-            return overwrite(as_bytes(self._data), cast("list[Overwrite]", changes))
+            return overwrite(as_bytes(self._data), _overwrites(changes))
         patches = _patches(changes)
         if patches:
             return replace_statements(as_bytes(self._data), patches)
@@ -191,7 +201,7 @@ class SlotFile:
         changes = self._changes(vertices)
         data, result = as_bytes(self._data), as_bytes(output)
         if self._is_binary or not changes:
-            check_overwritten(data, result, cast("list[Overwrite]", changes))
+            check_overwritten(data, result, _overwrites(changes))
             return
         _require_unit_length(changes)
         patches = _patches(changes)
@@ -284,21 +294,19 @@ class SlotFile:
     def _changes(self, vertices: Floats) -> list[Change]:
         """The arrays that change; none where no vertex moves."""
         self._require_shape(vertices)
-        if not (vertices != self.vertices).any():
+        is_moved = vertices != self.vertices
+        if not is_moved.any():
             return []
         layout = self._layout
+        is_one = len(layout.positions) == 1 and not layout.frames
         changes = []
         for slots, values in zip(layout.positions, self._to_file(vertices), strict=True):
-            is_changed = values != slots.values
-            if slots.codes:
-                require_range(values, is_changed, slots.codes)
+            is_changed = is_moved if is_one else values != slots.values
             if isinstance(slots, TextSlots):
-                values, _ = slots.rounded(values)
-                is_changed = values != slots.values
+                rounded, _ = slots.rounded(values)
+                if rounded is not values:
+                    values, is_changed = rounded, rounded != slots.values
             changes.append(Change(slots, values, is_changed))
-        # Infinity and what is no number show in the sum of the extremes.
-        if not math.isfinite(float(vertices.max()) + float(vertices.min())):
-            raise InternalError("a new position is not finite")
         changes += self._changed_normals(vertices)
         return [one for one in changes if one.is_changed.any()]
 
@@ -383,6 +391,20 @@ class SlotFile:
             normals, rows = regrouped_normals(old, new, self.faces, entries, normals)
         cuts = np.cumsum([len(one) for one in arrays])[:-1]
         return list(zip(np.split(normals, cuts), np.split(rows, cuts), strict=True))
+
+
+def require_finite_result(vertices: Floats) -> None:
+    # Infinity and what is no number show in the sum of the extremes.
+    if not math.isfinite(float(vertices.max()) + float(vertices.min())):
+        raise InternalError("a new position is not finite")
+
+
+def _overwrites(changes: Sequence[Change]) -> list[Overwrite]:
+    return [
+        Overwrite(slots, values, where)
+        for slots, values, where in changes
+        if isinstance(slots, RecordSlots)
+    ]
 
 
 def _patches(changes: Sequence[Change]) -> list[Patch]:
@@ -471,14 +493,23 @@ def _transformed(points: Floats, frame: Floats) -> Floats:
     return result
 
 
-def require_finite(vertices: Floats) -> None:
+def require_finite(vertices: Floats, where: Callable[[int], str] = "vertex {}".format) -> None:
+    """Raise ContentError (``E_NONFINITE``) where a position (n, 3) is NaN or infinite.
+
+    ``where`` says in words where a vertex is stored.
+    """
+    # A sum is finite only if all are, and quicker; it may overflow, too.
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.isfinite(vertices.sum()):
+            return
     is_finite = np.isfinite(vertices).all(axis=1)
     if not is_finite.all():
+        vertex = int(np.argmin(is_finite))
         raise ContentError(
-            "a position is not finite",
+            f"vertex {vertex} has a coordinate that is not a finite number",
+            where=where(vertex),
+            hint="remove such vertices, or export the scan again",
             code="E_NONFINITE",
-            where=f"vertex {int(np.argmin(is_finite))}",
-            hint=EXPORT_AGAIN,
         )
 
 

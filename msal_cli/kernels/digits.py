@@ -206,7 +206,7 @@ def _long(buf, start, stop, decimals):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _read_plain(buf, at):  # type: ignore[no-untyped-def]
+def read_plain(buf, at):  # type: ignore[no-untyped-def]
     """``read_number`` for the numbers that nearly all files consist of: value, end, decimals.
 
     Digits with a point or without and perhaps a minus, which make a whole number up to 2**53, so
@@ -302,7 +302,7 @@ def read_number(buf, start, stop):  # type: ignore[no-untyped-def]
     ``end`` is the first byte that does not belong to it; whether a token may end there is the
     caller's to say.  ``decimals`` are the digits behind the point, the exponent counted in.
     """
-    value, end, decimals = _read_plain(buf, start)
+    value, end, decimals = read_plain(buf, start)
     # A letter may be an exponent or the beginning of a word.
     if 0 <= end <= stop and (end == stop or buf[np.uint64(end)] < 65):
         return value, EXACT, end, decimals
