@@ -243,9 +243,7 @@ def too_large_for_float32(where: str) -> ContentError:
     )
 
 
-def require_range(
-    values: Floats, is_changed: Flags, codes: Sequence[str], first: int = 0
-) -> None:
+def require_range(values: Floats, is_changed: Flags, codes: Sequence[str], first: int = 0) -> None:
     """Raise ContentError (``E_RANGE``) where a changed number (n, k) does not fit its type.
 
     ``codes`` are numpy's types of the columns, ``first`` the number of the file's first vertex.
