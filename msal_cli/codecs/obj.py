@@ -30,7 +30,7 @@ from msal_cli.codecs import obj_description
 from msal_cli.codecs.decimals import SHORTEST, SHORTEST_SINGLE, extent_decimals, usual_decimals
 from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.obj_parser import Content, parse_content
-from msal_cli.codecs.slot_file import SlotFile
+from msal_cli.codecs.slot_file import Change, SlotFile, require_finite_result
 from msal_cli.codecs.slots import require_range
 from msal_cli.codecs.text_slots import Patch, Statements, replace_statements
 from msal_cli.errors import UnsupportedError
@@ -115,17 +115,17 @@ class ObjFile(SlotFile):
         if precision == "same":
             return self.replaced(vertices)
         style, code = (SHORTEST_SINGLE, "<f4") if precision == "float32" else (SHORTEST, "<f8")
-        changes = self._changes(vertices)
-        require_range(vertices, np.ones(vertices.shape, dtype=bool), (code,) * 3, first=1)
         positions = self._layout.positions[0]
-        new = [(positions, vertices)]
-        new += [(slots, values) for slots, values, _ in changes if slots is not positions]
+        changes = [one for one in self._changes(vertices) if one.slots is not positions]
+        require_finite_result(vertices)
+        is_all = np.broadcast_to(True, vertices.shape)
+        require_range(vertices, is_all, (code,) * 3, first=1)
         patches = []
-        for slots, values in new:
+        for slots, values, is_changed in (Change(positions, vertices, is_all), *changes):
             assert isinstance(slots, Statements)
             styles = np.full(len(values), style, dtype=np.uint8)
             values = values.astype(code).astype(np.float64, order="C", copy=False)
-            patches.append(Patch(slots, values, styles, is_forced=slots is positions))
+            patches.append(Patch(slots, values, styles, is_changed))
         return replace_statements(patches[0].slots.data, patches)
 
     def normal_warnings(self, vertices: Floats) -> tuple[str, ...]:

@@ -109,9 +109,7 @@ class SlotFile:
         for slots, values, is_changed in changes:
             if slots in self._layout.positions and slots.codes:
                 require_range(values, is_changed, slots.codes)
-        # Infinity and what is no number show in the sum of the extremes.
-        if not math.isfinite(float(vertices.max()) + float(vertices.min())):
-            raise InternalError("a new position is not finite")
+        require_finite_result(vertices)
         if self._is_binary:
             return overwrite(as_bytes(self._data), _overwrites(changes))
         patches = _patches(changes)
@@ -343,6 +341,12 @@ class SlotFile:
             normals, rows = regrouped_normals(old, new, self.faces, entries, normals)
         cuts = np.cumsum([len(one) for one in arrays])[:-1]
         return list(zip(np.split(normals, cuts), np.split(rows, cuts), strict=True))
+
+
+def require_finite_result(vertices: Floats) -> None:
+    # Infinity and what is no number show in the sum of the extremes.
+    if not math.isfinite(float(vertices.max()) + float(vertices.min())):
+        raise InternalError("a new position is not finite")
 
 
 def _overwrites(changes: Sequence[Change]) -> list[Overwrite]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msal_cli.arrays import Bytes, Floats, Longs
+from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.codecs.decimals import SHORTEST_SINGLE, row_decimals
 from msal_cli.codecs.slots import TextSlots
 from msal_cli.errors import InternalError
@@ -74,13 +74,13 @@ class Statements(TextSlots):
 class Patch(NamedTuple):
     """Statements, their new ``values`` (n, 3), and the ``decimals`` (n,) of each one's.
 
-    Numbers that are the same keep their bytes unless ``is_forced``.
+    ``is_changed`` (n, 3) are the numbers to write, None for those that differ.
     """
 
     slots: Statements
     values: Floats
     decimals: Bytes
-    is_forced: bool = False
+    is_changed: Flags | None = None
 
 
 class _Block(NamedTuple):
@@ -190,10 +190,10 @@ def _blocks(patches: Sequence[Patch]) -> Iterator[_Block]:
     """The statements in the order of the file, a block at a time."""
     for spans in _rows_in_order(patches):
         blocks = []
-        for _, (slots, values, decimals, is_forced), rows in spans:
+        for _, (slots, values, decimals, is_changed), rows in spans:
             old = slots.values[rows]
-            if is_forced:
-                old = np.full_like(old, np.nan)
+            if is_changed is not None:
+                old = np.where(is_changed[rows], np.nan, values[rows])
             blocks.append(_Block(slots.at[rows] + slots.skipped, old, values[rows], decimals[rows]))
         block = blocks[0]
         if len(blocks) > 1:
