@@ -154,7 +154,9 @@ class BinaryNumbers(UnitSlots):
         rows = np.empty((len(self.at), size), dtype=np.uint8)
         for k in range(size):
             rows[:, k] = self.data[self.at + k]
-        self.values = rows.view(self.code).astype(np.float64)
+        # A signalling NaN is reported elsewhere, as what it is.
+        with np.errstate(invalid="ignore"):
+            self.values = rows.view(self.code).astype(np.float64)
 
     def units(self, is_changed: Flags) -> Flags:
         return np.asarray(is_changed.any(axis=1))
