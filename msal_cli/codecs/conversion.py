@@ -111,9 +111,9 @@ def converted(
         return encode(vertices, encoding, precision), ()
     if {to, mesh_file.format} == SCENES and encoding != "ascii" and precision != "float64":
         from msal_cli.codecs.gltf_file import SceneFile
-        from msal_cli.codecs.gltf_repack import repacked
+        from msal_cli.codecs.gltf_repack import repack
 
-        scene = repacked(mesh_file, vertices, to) if isinstance(mesh_file, SceneFile) else None
+        scene = repack(mesh_file, vertices, to) if isinstance(mesh_file, SceneFile) else None
         if scene is not None:
             return scene, ()
     if to not in writable():
@@ -303,9 +303,9 @@ def _as_obj(mesh: _Mesh, points: Floats, single: bool) -> Buffer:
 
 def _as_gltf(scene: bytes) -> Buffer:
     from msal_cli.codecs import glb
-    from msal_cli.codecs.gltf_repack import repacked
+    from msal_cli.codecs.gltf_repack import repack
 
     made = glb.read(scene, "")
-    data = repacked(made, made.vertices, "gltf")
+    data = repack(made, made.vertices, "gltf")
     assert data is not None
     return data

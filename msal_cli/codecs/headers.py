@@ -131,9 +131,9 @@ def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
 
 
 def _read_glb(head: bytes, size: int, is_packed: bool) -> Header:
-    from msal_cli.codecs import glb_chunks
+    from msal_cli.codecs import glb
 
-    most = size if is_packed else glb_chunks.wanted_bytes(memoryview(head), size)
+    most = size if is_packed else glb.expected_bytes(memoryview(head), size)
     stop = _GLB_CHUNK + int.from_bytes(head[12:16], "little")
     counts = _described(head[_GLB_CHUNK:stop], size) if stop <= len(head) else {}
     return Header("glb", False, most_bytes=most, **counts)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats
+from msal_cli.codecs.ply_ascii import Lines
 from msal_cli.codecs.ply_description import (
     check_strays,
     has_normals,
@@ -27,12 +28,11 @@ from msal_cli.codecs.ply_description import (
     wanted_names,
     warnings_of,
 )
-from msal_cli.codecs.ply_faces import Surface, surface
+from msal_cli.codecs.ply_faces import Surface, find_surface
 from msal_cli.codecs.ply_header import NORMAL, POSITION, Header, parsed
 from msal_cli.codecs.ply_sections import Section, located
-from msal_cli.codecs.ply_stream import Stream
 from msal_cli.codecs.slot_file import Layout, SlotFile, require_finite
-from msal_cli.codecs.slots import require_range
+from msal_cli.codecs.slots import Slots, require_range
 from msal_cli.errors import InputError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
@@ -56,8 +56,11 @@ def read(data: Buffer) -> PlyFile:
 class PlyLayout(Layout):
     """What the parser makes of a PLY file.
 
-    ``sections`` are the elements by name, ``end`` is the byte behind the last one;
-    ``normal_elements`` are the elements that the arrays of normals belong to.
+    Attributes
+    ----------
+    sections : the elements by name; ``end`` is the byte behind the last one.
+    normal_elements : those that the arrays of normals belong to.
+    is_stream : ascii records are not one to a line.
     """
 
     header: Header
@@ -65,6 +68,7 @@ class PlyLayout(Layout):
     end: int
     surface: Surface
     normal_elements: tuple[str, ...]
+    is_stream: bool
 
 
 def parse(data: Buffer) -> PlyLayout:
@@ -83,18 +87,20 @@ def parse(data: Buffer) -> PlyLayout:
         if name in ("vertex", "face") and has_normals(section.element)
     ]
     normals = {name: sections[name].slots(NORMAL) for name in elements}
-    found = surface(sections, len(vertices))
+    found = find_surface(sections, len(vertices))
     if not found.n_faces:
         normals.pop("face", None)
     rest = content[end:]
     n_behind = len(rest.tobytes().strip()) if header.encoding == "ascii" else len(rest)
     check_strays(header, n_behind)
-    is_stream = isinstance(sections["vertex"], Stream)
-    layout = PlyLayout(
+    first = sections["vertex"]
+    is_stream = isinstance(first, Lines) and first.is_stream
+    return PlyLayout(
         encoding=header.encoding,
         precision=precision_of(header, vertex),
         positions=(positions,),
         normals=tuple(normals.values()),
+        renew_normals=functools.partial(_renew_normals, found, normals),
         vertices=vertices,
         faces=found.triangles,
         properties=properties_of(header),
@@ -110,22 +116,23 @@ def parse(data: Buffer) -> PlyLayout:
         end=end,
         surface=found,
         normal_elements=tuple(normals),
+        is_stream=is_stream,
     )
-    layout.renew_normals = functools.partial(_renew_normals, layout)
-    return layout
 
 
-def _renew_normals(layout: PlyLayout, old: Floats, new: Floats) -> list[tuple[Floats, Flags]]:
+def _renew_normals(
+    surface: Surface, normals: Mapping[str, Slots], old: Floats, new: Floats
+) -> list[tuple[Floats, Flags]]:
     """The normals of each element for new vertices, and which rows changed."""
     from msal_cli.kernels.geometry import regrouped_normals
 
     result = []
-    for element, slots in zip(layout.normal_elements, layout.normals, strict=True):
+    for element, slots in normals.items():
         if element == "face":
             moved = np.asarray((old != new).any(axis=1))
-            result.append(layout.surface.face_normals(old, new, moved, slots.values))
+            result.append(surface.face_normals(old, new, moved, slots.values))
         else:
-            faces = layout.surface.triangles
+            faces = surface.triangles
             result.append(regrouped_normals(old, new, faces, faces, slots.values))
     return result
 
@@ -190,7 +197,7 @@ class PlyFile(SlotFile):
         retypable: dict[str, tuple[str, ...]] = dict.fromkeys(layout.normal_elements, NORMAL)
         retypable["vertex"] = POSITION + retypable.get("vertex", ())
         data = as_bytes(self._data)
-        is_stream = isinstance(layout.sections["vertex"], Stream)
+        is_stream = layout.is_stream
         recoding = Recoding(data, layout.header, encoding, precision, retypable, is_stream)
         if recoding.is_same:
             return self.replaced(vertices)

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.ply_ascii import Lines
+from msal_cli.codecs.ply_ascii import Lines, read_stream
 from msal_cli.codecs.ply_header import Element, Header, Property, retyped
 from msal_cli.codecs.ply_sections import Section, section_at
-from msal_cli.codecs.ply_stream import read_stream
 from msal_cli.codecs.slots import to_type
 from msal_cli.errors import ContentError, UsageError
 

@@ -2,7 +2,7 @@
 
 Each element becomes a section: ``Fixed`` (binary records of one size, reached through strided
 views, nothing is copied), ``Varied`` (binary records that differ in size because of their lists)
-or ``Lines`` (ascii, in ``ply_ascii`` and ``ply_stream``).  No section is made before every byte
+or ``Lines`` (ascii, in ``ply_ascii``).  No section is made before every byte
 that its counts promise is known to be there.
 """
 
@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Longs
-from msal_cli.codecs.ply_ascii import CUT_HINT, Lines, find_lines, plain_lines
+from msal_cli.codecs.ply_ascii import CUT_HINT, Lines, find_lines, plain_lines, read_stream
 from msal_cli.codecs.ply_header import NORMAL, Element, Header, Property
-from msal_cli.codecs.ply_stream import read_stream
 from msal_cli.codecs.record_slots import Scattered, Strided
 from msal_cli.errors import FormatError, TruncatedError
 

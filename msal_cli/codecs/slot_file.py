@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
+from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.codecs.record_slots import Overwrite, RecordSlots, check_overwritten, overwrite
 from msal_cli.codecs.slots import Slots, TextSlots, UnitSlots, require_range, splice
 from msal_cli.codecs.text_slots import (
@@ -65,7 +65,8 @@ class Layout:
     corners : (c,) int64, the vertices of all surface polygons, one polygon behind the other.
     sizes : (p,) int64, how many corners each polygon has, at least 3.
     faces : (m, 3) int32, the triangles, where the parser has made them and checked them and the
-        positions; then ``corners`` and ``sizes`` are for the codec alone.
+        positions; then ``corners`` and ``sizes`` are for the codec alone, empty where all polygons
+        are triangles.
     vertices : (n, 3), where the parser has read them; the file takes them over.
     normals : arrays of normals (g_i, 3).
     normal_of_corner : (c,) int64, the normal that each corner uses, -1 for none; None where each
@@ -128,7 +129,7 @@ class SlotFile:
             self.faces, self._fans = _triangles(layout, self.vertices)
         else:
             self.faces = layout.faces
-        self.n_polygons = len(layout.sizes)
+        self.n_polygons = len(layout.sizes) or len(self.faces)
         self.properties = layout.properties
         self.references = layout.references
         self.warnings = layout.warnings
@@ -147,6 +148,8 @@ class SlotFile:
     def polygons(self) -> list[Any] | Ints:
         """The faces as the file has them: an (m, k) array or a list of (k,) arrays."""
         corners, sizes = self._layout.corners.astype(np.int32), self._layout.sizes
+        if not len(sizes):
+            return self.faces
         if (sizes == sizes[0]).all():
             return corners.reshape(-1, int(sizes[0]))
         return np.split(corners, np.cumsum(sizes[:-1]))
@@ -205,7 +208,7 @@ class SlotFile:
         _require_unit_length(changes)
         patches = _patches(changes)
         if not patches or not is_replaced(data, result, patches):
-            self._check_parsed(result, changes, vertices)
+            self._check_parsed(output, changes, vertices)
 
     @property
     def _is_binary(self) -> bool:
@@ -227,10 +230,11 @@ class SlotFile:
             edits.append((*_span(one), np.frombuffer(word, np.uint8), np.array([len(word)])))
         return splice(as_bytes(self._data), edits)
 
-    def _check_parsed(self, result: Bytes, changes: Sequence[Change], vertices: Floats) -> None:
+    def _check_parsed(self, output: Buffer, changes: Sequence[Change], vertices: Floats) -> None:
         """``check`` for units of any size: the output is parsed again."""
+        result = as_bytes(output)
         try:
-            there = self._parse(result.data)
+            there = self._parse(output)
         except MsalError as failure:
             raise InternalError(
                 f"the {self.format} file that was made cannot be read: {failure}"
@@ -251,7 +255,11 @@ class SlotFile:
             if len(new.starts) != len(slots.starts):
                 raise InternalError(f"the {self.format} file that was made has other numbers")
             if not (
-                _are_close(new.values[is_changed], expected[is_changed], slack)
+                _are_close(
+                    new.values[is_changed],
+                    expected[is_changed],
+                    np.broadcast_to(slack, expected.shape)[is_changed],
+                )
                 and np.array_equal(
                     new.values[~is_changed], slots.values[~is_changed], equal_nan=True
                 )
@@ -299,9 +307,12 @@ class SlotFile:
         changes = []
         for slots, values in zip(layout.positions, self._to_file(vertices), strict=True):
             is_changed = is_moved if is_one else values != slots.values
+            if slots.whole_rows:
+                is_changed = np.broadcast_to(is_changed.any(axis=1)[:, None], values.shape)
             if isinstance(slots, TextSlots):
-                values, _ = slots.rounded(values)
-                is_changed = values != slots.values
+                rounded, _ = slots.rounded(values)
+                if rounded is not values:
+                    values, is_changed = rounded, rounded != slots.values
             changes.append(Change(slots, values, is_changed))
         changes += self._changed_normals(vertices)
         return [one for one in changes if one.is_changed.any()]
@@ -493,15 +504,16 @@ def _fans(sizes: Longs) -> tuple[Longs, Longs, Longs]:
     return first, first + inside + 1, first + inside + 2
 
 
-def _are_close(values: Floats, expected: Floats, slack: float) -> bool:
-    return bool(
-        (np.abs(values - expected) <= slack + 4.5e-16 * np.abs(expected) * (slack > 0)).all()
-    )
+def _are_close(values: Floats, expected: Floats, slack: Floats) -> bool:
+    last_place = 4.5e-16 * np.abs(expected) * (slack > 0)
+    return bool((np.abs(values - expected) <= slack + last_place).all())
 
 
 def _in_order(pieces: list[tuple[Longs, Longs]]) -> tuple[Longs, Longs]:
     starts = np.concatenate([_NONE, *(piece[0] for piece in pieces)])
     stops = np.concatenate([_NONE, *(piece[1] for piece in pieces)])
+    if (starts[1:] > starts[:-1]).all():
+        return starts, stops
     order = np.argsort(starts, kind="stable")
     return starts[order], stops[order]
 

@@ -42,7 +42,7 @@ class Slots:
     codes: tuple[str, ...] = ()
     whole_rows: bool = False
 
-    def rounded(self, values: Floats) -> tuple[Floats, float]:
+    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
         """New values (n, k) as they will be read back, and how far off a number may be."""
         raise NotImplementedError
 
@@ -115,7 +115,7 @@ class TextSlots(UnitSlots):
             decimals = np.tile(columns, len(values))[units]
         return print_numbers(values.reshape(-1)[units], decimals)
 
-    def rounded(self, values: Floats) -> tuple[Floats, float]:
+    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
         if self._is_whole.any():
             values = np.where(self._is_whole, np.rint(values), values)
         return values, tolerance(self.decimals)
@@ -167,7 +167,7 @@ class BinaryNumbers(UnitSlots):
         size = np.dtype(self.code).itemsize * self.width
         return text, np.arange(1, len(rows) + 1, dtype=np.int64) * size
 
-    def rounded(self, values: Floats) -> tuple[Floats, float]:
+    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
         return to_type(values, self.code).astype(np.float64), 0.0
 
 
@@ -200,7 +200,7 @@ class ColumnNumbers(UnitSlots):
         size = np.dtype(self.code).itemsize
         return new.view(np.uint8), size * np.arange(1, len(new) + 1, dtype=np.int64)
 
-    def rounded(self, values: Floats) -> tuple[Floats, float]:
+    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
         return to_type(values, self.code).astype(np.float64), 0.0
 
 

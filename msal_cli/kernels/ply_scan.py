@@ -89,6 +89,11 @@ def _next_record(data, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _next_token(data, at, is_stream):  # type: ignore[no-untyped-def]
+    return _next_record(data, at) if is_stream else skip_blanks(data, at)
+
+
+@compiled
 def _is_line_end(data, at):  # type: ignore[no-untyped-def]
     return at >= len(data) or data[np.uint64(at)] == 10 or data[np.uint64(at)] == 13
 
@@ -99,8 +104,9 @@ def _is_token_end(data, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def walk_text(data, at, count, is_list, columns, starts, stops, lengths):  # type: ignore[no-untyped-def]
-    """Find the fields of ``count`` ascii records, one to a line; blank lines are skipped.
+def walk_text(data, at, count, is_stream, is_list, columns, starts, stops, lengths):  # type: ignore[no-untyped-def]
+    """Find the fields of ``count`` ascii records, one to a line, or if ``is_stream`` on whatever
+    lines; blank lines are skipped.
 
     Parameters as in ``walk_binary``; a list's ``starts`` and ``stops`` are those of its count.
     Returns (records walked, end, status); the end is that of the last token, and after a fault
@@ -113,8 +119,7 @@ def walk_text(data, at, count, is_list, columns, starts, stops, lengths):  # typ
         if at == end:
             return record, at, CUT
         for p in range(n_properties):
-            at = skip_blanks(data, at)
-            start = at
+            start = at = _next_token(data, at, is_stream)
             at = skip_token(data, at)
             if at == start:
                 return record, at, TOO_FEW
@@ -127,14 +132,14 @@ def walk_text(data, at, count, is_list, columns, starts, stops, lengths):  # typ
                 if status != 0 or length < 0:
                     return record, start, BAD_COUNT
                 for _ in range(length):
-                    item = skip_blanks(data, at)
+                    item = _next_token(data, at, is_stream)
                     at = skip_token(data, item)
                     if at == item:
                         return record, at, TOO_FEW
             if columns[p] >= 0:
                 lengths[record, columns[p]] = length
         rest = skip_blanks(data, at)
-        if not _is_line_end(data, rest):
+        if not is_stream and not _is_line_end(data, rest):
             return record, rest, TOO_MANY
     return count, at, WHOLE
 
@@ -245,7 +250,7 @@ def list_tokens(data, stops, lengths, item_starts, item_stops):  # type: ignore[
     for record in range(len(stops)):
         at = stops[record]
         for _ in range(lengths[record]):
-            start = skip_blanks(data, at)
+            start = _next_record(data, at)
             at = skip_token(data, start)
             item_starts[k] = start
             item_stops[k] = at
@@ -253,21 +258,12 @@ def list_tokens(data, stops, lengths, item_starts, item_stops):  # type: ignore[
 
 
 @compiled
-def list_integers(data, stops, lengths, items):  # type: ignore[no-untyped-def]
-    """The whole numbers of lists that ``walk_text`` found, into ``items`` (sum of lengths,).
-
-    Returns the place of the first token that is not a whole number, or -1.
-    """
-    k = 0
-    for record in range(len(stops)):
-        at = stops[record]
-        for _ in range(lengths[record]):
-            start = skip_blanks(data, at)
-            at = skip_token(data, start)
-            items[k], status = parse_integer(data, start, at)
-            if status != 0:
-                return start
-            k += 1
+def read_integers(data, starts, stops, values):  # type: ignore[no-untyped-def]
+    """The whole numbers (k,) that are these tokens; returns the first that is none, or -1."""
+    for k in range(len(starts)):
+        values[k], status = parse_integer(data, starts[k], stops[k])
+        if status != EXACT:
+            return k
     return -1
 
 

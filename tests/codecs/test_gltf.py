@@ -168,7 +168,7 @@ def test_a_buffer_is_named_as_its_output_is(tmp_path, target, buffer, expected):
     assert {name: tree(tmp_path)[name] for name in before} == before
     assert (tmp_path / target).parent.joinpath(expected).is_file()
     moved = opened(tmp_path / target)
-    assert moved.pieces.names == {0: expected}
+    assert moved.buffers.names == {0: expected}
     assert not np.array_equal(moved.vertices, opened(source).vertices)
 
 
@@ -253,10 +253,8 @@ def test_from_one_container_to_the_other(tmp_path):
     assert first.error is None
     assert np.array_equal(opened(tmp_path / "out" / "x.gltf").vertices, glb.vertices)
     for key in ("accessors", "meshes", "nodes", "images", "extras"):
-        assert key in text.document.content
-        assert (
-            glb.document.content[key] == json.loads((tmp_path / "out" / "x.gltf").read_text())[key]
-        )
+        assert key in text.scene.content
+        assert glb.scene.content[key] == json.loads((tmp_path / "out" / "x.gltf").read_text())[key]
 
 
 def test_several_buffers_become_one(tmp_path):
