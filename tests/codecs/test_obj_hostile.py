@@ -163,13 +163,3 @@ def test_normals_of_any_length_are_replaced_without_a_word() -> None:
     output = bytes(file.replaced(vertices))
     file.check(output, vertices)
     assert b"308" not in output
-
-
-SEEDS = (
-    V + F,
-    b"\xef\xbb\xbf# s\r\nmtllib a b.mtl\r\no x\r\n" + (V + F).replace(b"\n", b"\r\n"),
-    V
-    + b"vt 0 0\nvt 1 0\nvn 0 0 1\nvn 0 1 0\nusemtl m\nf 1/1/1 2/2/1 3/1/2\nf -1/-1/-1 -2//-2 1/2\n",
-    b"v 0 0 0 1 0 0\nv 1e0 .5 -0 1\nv 1 1 1 0.5 0.5 0.5 1\nv 0 1 0\nf 1 2 \\\n 3 4\ns 1\nl 1 2\n",
-    b"\tv 1.00000000000000000000001 1e-300 1e30\rv 0\t1 0\rv 1 0 0\rg a\rf 1 2 3\rfo 3 2 1 2\r",
-)

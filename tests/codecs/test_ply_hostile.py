@@ -532,52 +532,6 @@ def test_whole_numbers_that_no_double_holds_are_replaced_and_kept(extra):
 # Damage at random
 
 
-def seeds() -> list[bytes]:
-    """Small good files that between them use every path of the reader."""
-    files = [
-        plain_ply.cube(encoding, kind)
-        for encoding in ("ascii", LE, BE)
-        for kind in ("float", "double")
-    ]
-    normals = [(name, "float", "") for name in ("nx", "ny", "nz")]
-    rows = [[*corner, 0.0, 0.6, 0.8] for corner in CORNERS]
-    faces = [[[0, 1, 2], 0.0, 0.0, 1.0], [[0, 1, 2, 3], 1.0, 0.0, 0.0], [[1, 3], 0.0, 0.0, 0.0]]
-    strips = [[[0, 1, 2, 3, -1, 3, 2, 1]], [[]]]
-    for encoding in ("ascii", LE, BE):
-        files.append(
-            Ply(
-                encoding,
-                [
-                    Element("tristrips", [("vertex_indices", "int", "int")], strips),
-                    Element("user", [("a", "int64", ""), ("b", "short", "ushort")], [[5, [1, 2]]]),
-                    Element("face", [("vertex_index", "short", "char"), *normals], faces),
-                    Element("vertex", [*normals, *XYZ], [row[3:] + row[:3] for row in rows]),
-                ],
-                ["comment TextureFile a b.png"],
-                "\r\n",
-            )
-        )
-        files.append(
-            Ply(
-                encoding,
-                [
-                    Element(
-                        "vertex",
-                        [
-                            ("z", "short", ""),
-                            ("near", "int", "uchar"),
-                            ("x", "int", ""),
-                            ("y", "char", ""),
-                        ],
-                        [[k, [k] * k, 2 * k, k * k] for k in range(4)],
-                    ),
-                    Element("face", LIST, [[[0, 1, 2]], [[3, 2, 1]]]),
-                ],
-            )
-        )
-    return [plain_ply.written(file) for file in files]
-
-
 @pytest.mark.filterwarnings("ignore:overflow")
 @pytest.mark.parametrize("encoding", plain_ply.ENCODINGS)
 def test_no_kernel_reads_beyond_the_end(encoding, monkeypatch):
