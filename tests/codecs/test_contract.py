@@ -106,8 +106,8 @@ def test_the_check_sees_every_wrong_byte_that_matters(format, data):
         except Exception:  # archives and descriptions are not understood at all
             continue
         n_passed += 1
-        if format == "3mf":
-            continue  # its reader looks at more of the archive than the check does
+        if format in ("3mf", "glb"):
+            continue  # their readers look at more of the container than the check does
         again = open_mesh(bytes(wrong), f"a.{format}")
         assert np.abs(again.vertices - vertices).max() <= 2 * tolerance(file, vertices)
         assert np.array_equal(again.faces, file.faces)
