@@ -15,7 +15,7 @@ from msal_cli.cli.file_options import CHECK, UNIT, file_options
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.batch.inputs import Found
+    from msal_cli.batch.inputs import DiscoveredInput
     from msal_cli.cli.gates_check import Measure
     from msal_cli.job.records import ComparisonRecord, Failure
 
@@ -139,7 +139,7 @@ def _compared(request: Request) -> int:
     from functools import partial
 
     from msal_cli import codecs as files
-    from msal_cli.batch.inputs import found
+    from msal_cli.batch.inputs import discover_inputs
     from msal_cli.cli import option_types as words
     from msal_cli.cli.gates_check import measure_of
     from msal_cli.job import comparison
@@ -147,7 +147,8 @@ def _compared(request: Request) -> int:
     measure = measure_of(request.fail_on, request.baseline, request.tolerance, request.unit)
     format = words.settled_format(request.format, files.readable_suffixes, "--format")
     before, after = (
-        found((one,), request.include, request.exclude) for one in (request.before, request.after)
+        discover_inputs((one,), request.include, request.exclude)
+        for one in (request.before, request.after)
     )
     is_checked = bool(request.checks) or measure.names_field("self_intersections")
     compare = partial(comparison.compare_files, format=format, with_intersections=is_checked)
@@ -172,8 +173,8 @@ def _compared(request: Request) -> int:
 
 
 def _with_partners(
-    request: Request, before: tuple[Found, ...], after: tuple[Found, ...]
-) -> tuple[tuple[Found, ...], tuple[Found, ...]]:
+    request: Request, before: tuple[DiscoveredInput, ...], after: tuple[DiscoveredInput, ...]
+) -> tuple[tuple[DiscoveredInput, ...], tuple[DiscoveredInput, ...]]:
     """The files of both folders that have a partner; the number of the others is reported.
 
     Raises
@@ -198,8 +199,8 @@ def _with_partners(
 
 def _pairs(
     request: Request,
-    before: tuple[Found, ...],
-    after: tuple[Found, ...],
+    before: tuple[DiscoveredInput, ...],
+    after: tuple[DiscoveredInput, ...],
     compare: Callable[[str, str], ComparisonRecord],
 ) -> Iterator[tuple[str, ComparisonRecord]]:
     """Every relative path that one of the folders has and its record, those of A first."""
@@ -217,11 +218,11 @@ def _pairs(
             yield one.relative, lonely
 
 
-def _place(folder: str, one: Found) -> str:
+def _place(folder: str, one: DiscoveredInput) -> str:
     return f"{folder.rstrip('/')}/{one.relative}"
 
 
-def _lonely(one: Found, before: str, after: str, folder: str) -> ComparisonRecord:
+def _lonely(one: DiscoveredInput, before: str, after: str, folder: str) -> ComparisonRecord:
     from msal_cli import __version__
     from msal_cli.job.records import ComparisonRecord, Failure
 

@@ -17,7 +17,7 @@ from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from msal_cli.batch.engine import EngineFor
+    from msal_cli.batch.engine import EngineFactory
     from msal_cli.batch.events import Event
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.stream_denoise import Pipe
@@ -112,7 +112,7 @@ class _Session:
 
     # Files
 
-    def _run(self, plan: Plan, settings: Settings, engine: EngineFor | None) -> int:
+    def _run(self, plan: Plan, settings: Settings, engine: EngineFactory | None) -> int:
         from msal_cli.batch import interrupts as signals
         from msal_cli.batch.events import Finished
         from msal_cli.batch.run import run

@@ -285,9 +285,9 @@ def plan_of(request: Request, settings: Settings) -> Plan:
     from msal_cli.batch import shard as shards
 
     output = request.output
-    shard = None if request.shard is None else shards.settled(request.shard, os.environ)
-    found = inputs.found(request.inputs, request.include, request.exclude, output=output)
-    everything = plan.built(
+    shard = None if request.shard is None else shards.parse_shard(request.shard, os.environ)
+    found = inputs.discover_inputs(request.inputs, request.include, request.exclude, output=output)
+    everything = plan.build_plan(
         found,
         output,
         to=settings.to,

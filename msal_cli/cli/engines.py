@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.batch.engine import EngineFor
+    from msal_cli.batch.engine import EngineFactory
 
 _ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"
 
@@ -58,7 +58,7 @@ def _refuse_without_dask() -> None:
         raise not_installed()
 
 
-def chosen(engine: str, scheduler: str | None) -> EngineFor | None:
+def chosen(engine: str, scheduler: str | None) -> EngineFactory | None:
     """What makes the engine; None is the ordinary one."""
     if engine == "workers" or scheduler is None:
         return None

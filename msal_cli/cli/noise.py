@@ -202,8 +202,10 @@ def _run(request: Request) -> int:
         return _piped(request, one, noise, format)
     if request.output is None:
         raise UsageError("there is no output", hint="name a file or a folder with -o")
-    found = inputs.found(request.inputs, request.include, request.exclude, output=request.output)
-    tasks = plan.built(found, request.output, force=request.force).tasks
+    found = inputs.discover_inputs(
+        request.inputs, request.include, request.exclude, output=request.output
+    )
+    tasks = plan.build_plan(found, request.output, force=request.force).tasks
     n_failed = 0
     for task in tasks:
         try:

@@ -13,7 +13,7 @@ from msal_cli.cli.file_options import UNIT
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.cli.run_summary import Account
+    from msal_cli.cli.run_summary import RunSummary
 
 _PATH = click.Path(readable=False, allow_dash=True)
 
@@ -80,9 +80,8 @@ def command(**options: Any) -> int:
 def _reported(request: Request) -> int:
     from dataclasses import replace
 
-    from msal_cli.cli import github
+    from msal_cli.cli import github, run_summary
     from msal_cli.cli import report_files as reports
-    from msal_cli.cli import run_summary as earlier
     from msal_cli.job.records import MeshRecord
     from msal_cli.report import json_report as as_json
     from msal_cli.report import text as as_text
@@ -91,7 +90,7 @@ def _reported(request: Request) -> int:
     # What says nothing is cheaper to refuse before a large folder is read.
     reports.check(request.outputs, ())
     gates = parsed(request.fail_on, MeshRecord, request.unit)
-    account = earlier.account(request.runs)
+    account = run_summary.summarize(request.runs)
     done = [record for record in account.records if record.error is None and record.output]
     if done and all(record.reference is None for record in done):
         refuse_without_reference(gates, "name a JSON report of msal denoise --reference")
@@ -117,7 +116,7 @@ def _reported(request: Request) -> int:
     return _status(account) if request.check or gates else exit_codes.SUCCESS
 
 
-def _status(account: Account) -> int:
+def _status(account: RunSummary) -> int:
     """The status of a run that left this behind; what is not finished counts as failed."""
     from msal_cli.report.gates import is_any_broken
 

@@ -225,11 +225,13 @@ def _run(request: Request) -> int:
     if request.output is None:
         raise UsageError("there is no output", hint="name a file or a folder with -o")
     _refuse_stream_as_truth(request)
-    found = inputs.found(request.inputs, request.include, request.exclude, output=request.output)
-    tasks = plan.built(found, request.output, to=to, force=request.force).tasks
+    found = inputs.discover_inputs(
+        request.inputs, request.include, request.exclude, output=request.output
+    )
+    tasks = plan.build_plan(found, request.output, to=to, force=request.force).tasks
     truths: tuple[str | None, ...] = (None,) * len(tasks)
     if request.truth is not None:
-        truth_plan = plan.built(found, request.truth, to=to, force=request.force)
+        truth_plan = plan.build_plan(found, request.truth, to=to, force=request.force)
         truths = tuple(task.output for task in truth_plan.tasks)
         outputs = {_place(task.output) for task in tasks}
         if not outputs.isdisjoint(_place(task.output) for task in truth_plan.tasks):

@@ -157,10 +157,11 @@ def _made_by_worker(
 
     from msal_cli import codecs as files
     from msal_cli.batch import interrupts as signals
-    from msal_cli.batch import single_file as single
+    from msal_cli.batch.run import check_limits
+    from msal_cli.batch.single_file import denoise_in_pool
     from msal_cli.job.settings import Task
 
-    single.check_limits(limits)
+    check_limits(limits)
     # The folder is to go, whatever ends this.
     with (
         signals.noticed(signals.raise_for),
@@ -171,7 +172,7 @@ def _made_by_worker(
             source = os.path.join(folder, "input")
             left_s = copy_stream(source, limits.timeout_s, limits.memory_bytes)
         task = Task(source, os.path.join(folder, "output"), relative=one.source)
-        record = single.denoised(task, settings, limits, left_s, on_progress)
+        record = denoise_in_pool(task, settings, limits, left_s, on_progress)
         return (None if record.error is not None else files.read_whole(task.output)), record
 
 
