@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.slots import Tokens, line_of
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words, indices_of

@@ -14,8 +14,8 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.dae_scene import frames_of
 from msal_cli.codecs.frames import PLACEMENT, is_placed
+from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.ply_writer import corners_of
-from msal_cli.codecs.slot_file import Layout
 from msal_cli.codecs.slots import Tokens
 from msal_cli.codecs.surface_cells import strip_triangles
 from msal_cli.codecs.text_lines import float_lines, integer_lines

@@ -14,7 +14,8 @@ from msal_cli.arrays import Flags, Floats
 from msal_cli.codecs.frames import PLACEMENT, is_placed
 from msal_cli.codecs.gltf_json import find_entries, replace_spans, write_bound
 from msal_cli.codecs.gltf_scene import Part, Scene, are_usable
-from msal_cli.codecs.slot_file import Layout, SlotFile, require_finite
+from msal_cli.codecs.layout import Layout, require_finite
+from msal_cli.codecs.slot_file import SlotFile
 from msal_cli.errors import InternalError, MsalError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer

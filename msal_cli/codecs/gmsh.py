@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Bytes, Longs
-from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.slots import BinaryNumbers, UnitSlots
 from msal_cli.codecs.surface_cells import CURVED, SurfaceCells, runs_of
 from msal_cli.codecs.tokens import Words, indices_of

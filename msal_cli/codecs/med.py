@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from msal_cli.arrays import Bytes, Longs
+from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.med_sandbox import answer_of
-from msal_cli.codecs.slot_file import Layout
 from msal_cli.codecs.slots import ColumnNumbers
 from msal_cli.codecs.surface_cells import CURVED, SurfaceCells
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Bytes, Longs
-from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.slots import BinaryNumbers, UnitSlots
 from msal_cli.codecs.surface_cells import CORNERS, CURVED, SurfaceCells
 from msal_cli.codecs.tokens import Words

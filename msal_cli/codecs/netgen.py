@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.surface_cells import SurfaceCells, runs_of
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError

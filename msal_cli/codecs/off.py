@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.slots import Tokens
 from msal_cli.codecs.tokens import Words, require_indices
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, InputError, UnsupportedError

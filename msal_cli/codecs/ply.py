@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats
+from msal_cli.codecs.layout import Layout, require_finite
 from msal_cli.codecs.ply_ascii import Lines
 from msal_cli.codecs.ply_description import (
     check_strays,
@@ -31,7 +32,7 @@ from msal_cli.codecs.ply_description import (
 from msal_cli.codecs.ply_faces import Surface, find_surface
 from msal_cli.codecs.ply_header import NORMAL, POSITION, Header, parsed
 from msal_cli.codecs.ply_sections import Section, located
-from msal_cli.codecs.slot_file import Layout, SlotFile, require_finite
+from msal_cli.codecs.slot_file import SlotFile
 from msal_cli.codecs.slots import Slots, require_range
 from msal_cli.errors import InputError
 from msal_cli.kernels.text import as_bytes

@@ -8,23 +8,30 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
+from msal_cli.codecs.layout import (
+    Dependent,
+    Parse,
+    Shift,
+    build_triangles,
+    build_vertices,
+    transform,
+)
 from msal_cli.codecs.record_slots import Overwrite, RecordSlots, check_overwritten, overwrite
 from msal_cli.codecs.slots import Slots, TextSlots, UnitSlots, require_range, splice
 from msal_cli.codecs.text_slots import (
     Patch,
     Statements,
-    is_replaced,
+    is_interleaved,
     replace_statements,
+    require_replaced,
 )
-from msal_cli.codecs.tokens import require_indices
-from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.errors import InternalError, MsalError, UnsupportedError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
 
@@ -32,72 +39,6 @@ _NONE = np.zeros(0, dtype=np.int64)
 
 _NORMAL_SLACK = 1e-5
 """How far the length of a new normal may be from one."""
-
-Shift = Callable[[int], int]
-"""By how many bytes a place of the input moves, new positions and normals being written."""
-
-
-@dataclass(frozen=True, eq=False)
-class Dependent:
-    """Bytes that depend on positions: counts of bytes up to a place, or bounds.
-
-    ``text(old, positions, shift)`` are the bytes that stand for ``old``.
-    """
-
-    start: int
-    stop: int
-    text: Callable[[bytes, Sequence[Floats], Shift], bytes]
-
-
-def _empty() -> Longs:
-    return _NONE
-
-
-@dataclass(eq=False)
-class Layout:
-    """What a parser makes of a file.
-
-    Attributes
-    ----------
-    encoding, precision : as in ``mesh_file.MeshFile``.
-    positions : arrays of positions (n_i, 3), whose rows one behind the other are the vertices;
-        ``RecordSlots`` in binary files, in which nothing else depends on them, else ``UnitSlots``.
-    corners : (c,) int64, the vertices of all surface polygons, one polygon behind the other.
-    sizes : (p,) int64, how many corners each polygon has, at least 3.
-    faces : (m, 3) int32, the triangles, where the parser has made them and checked them and the
-        positions; then ``corners`` and ``sizes`` are for the codec alone, empty where all polygons
-        are triangles.
-    vertices : (n, 3), where the parser has read them; the file takes them over.
-    normals : arrays of normals (g_i, 3).
-    normal_of_corner : (c,) int64, the normal that each corner uses, -1 for none; None where each
-        vertex has its own.
-    renew_normals : makes of the old and the new vertices each array of normals (g_i, 3), and says
-        which rows changed (g_i,); None for the usual way.
-    frames : for each array of positions, the transform (4, 4) from it to the vertices; empty where
-        they are the same.
-    held : what cells the file has, for the message where none is a surface.
-    dependents : what else changes with positions, none of it inside a unit of theirs.
-    """
-
-    encoding: str
-    precision: str
-    positions: tuple[Slots, ...]
-    corners: Longs = field(default_factory=_empty)
-    sizes: Longs = field(default_factory=_empty)
-    normals: tuple[Slots, ...] = ()
-    normal_of_corner: Longs | None = None
-    frames: tuple[Floats, ...] = ()
-    properties: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    references: tuple[str, ...] = ()
-    held: str = ""
-    dependents: tuple[Dependent, ...] = ()
-    faces: Ints | None = None
-    vertices: Floats | None = None
-    renew_normals: Callable[[Floats, Floats], Sequence[tuple[Floats, Flags]]] | None = None
-
-
-Parse = Callable[[Buffer], Layout]
 
 
 class Change(NamedTuple):
@@ -126,7 +67,7 @@ class SlotFile:
         self._vertices, layout.vertices = layout.vertices, None
         self._last_normals: tuple[bytes, Sequence[tuple[Floats, Flags]]] = (b"", ())
         if layout.faces is None:
-            self.faces, self._fans = _triangles(layout, self.vertices)
+            self.faces, self._fans = build_triangles(layout, self.vertices)
         else:
             self.faces = layout.faces
         self.n_polygons = len(layout.sizes) or len(self.faces)
@@ -138,7 +79,7 @@ class SlotFile:
     def vertices(self) -> Floats:
         """The positions (n, 3)."""
         if self._vertices is None:
-            self._vertices = _vertices(self._layout)
+            self._vertices = build_vertices(self._layout)
         return self._vertices
 
     def forget_vertices(self) -> None:
@@ -147,7 +88,8 @@ class SlotFile:
 
     def polygons(self) -> list[Any] | Ints:
         """The faces as the file has them: an (m, k) array or a list of (k,) arrays."""
-        corners, sizes = self._layout.corners.astype(np.int32), self._layout.sizes
+        corners = self._layout.corners.astype(np.int32, copy=False)
+        sizes = self._layout.sizes
         if not len(sizes):
             return self.faces
         if (sizes == sizes[0]).all():
@@ -173,8 +115,9 @@ class SlotFile:
         if self._is_binary:
             return overwrite(as_bytes(self._data), _overwrites(changes))
         patches = _patches(changes)
-        output = replace_statements(as_bytes(self._data), patches) if patches else None
-        return output or self._spliced(changes, vertices)
+        if patches:
+            return replace_statements(as_bytes(self._data), patches)
+        return self._spliced(changes, vertices)
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with ``vertices`` (n, 3); its encoding and its precision cannot be changed.
@@ -207,7 +150,9 @@ class SlotFile:
             return
         _require_unit_length(changes)
         patches = _patches(changes)
-        if not patches or not is_replaced(data, result, patches):
+        if patches:
+            require_replaced(data, result, patches)
+        else:
             self._check_parsed(output, changes, vertices)
 
     @property
@@ -318,24 +263,29 @@ class SlotFile:
         return [one for one in changes if one.is_changed.any()]
 
     def _changed_normals(self, vertices: Floats) -> list[Change]:
-        """The normals of what moved.
-
-        Remembered for the last positions, which writing and checking ask for in turn.
-        """
+        """The normals of what moved."""
         if not self._layout.normals:
             return []
-        key = hashlib.sha256(np.ascontiguousarray(vertices).data).digest()
-        if self._last_normals[0] != key:
-            renew = self._layout.renew_normals or self._renew_normals
-            self._last_normals = key, list(renew(self.vertices, vertices))
         changes = []
-        for slots, (values, rows) in zip(self._layout.normals, self._last_normals[1], strict=True):
+        renewed = self._new_normals(vertices)
+        for slots, (values, rows) in zip(self._layout.normals, renewed, strict=True):
             is_changed = np.broadcast_to(rows[:, None], values.shape)
             if not slots.whole_rows:
                 stored = slots.values
                 is_changed = is_changed & (values != stored) & ~np.isnan(stored)
             changes.append(Change(slots, values, is_changed))
         return changes
+
+    def _new_normals(self, vertices: Floats) -> Sequence[tuple[Floats, Flags]]:
+        """What ``Layout.renew_normals`` makes of new vertices (n, 3).
+
+        Remembered for the last positions, which writing and checking ask for in turn.
+        """
+        key = hashlib.sha256(np.ascontiguousarray(vertices).data).digest()
+        if self._last_normals[0] != key:
+            renew = self._layout.renew_normals or self._renew_normals
+            self._last_normals = key, list(renew(self.vertices, vertices))
+        return self._last_normals[1]
 
     def _dependent_texts(self, vertices: Floats, shift: Shift) -> Iterator[tuple[Dependent, bytes]]:
         """What depends on positions, and the bytes that it should have."""
@@ -357,8 +307,8 @@ class SlotFile:
             return rows
         result = []
         for new, own, frame in zip(rows, stored, layout.frames, strict=True):
-            is_moved = (new != _transformed(own, frame)).any(axis=1)
-            back = _transformed(new, np.linalg.inv(frame).astype(np.float64))
+            is_moved = (new != transform(own, frame)).any(axis=1)
+            back = transform(new, np.linalg.inv(frame).astype(np.float64))
             result.append(np.where(is_moved[:, None], back, own))
         return result
 
@@ -404,14 +354,27 @@ def _overwrites(changes: Sequence[Change]) -> list[Overwrite]:
 
 
 def _patches(changes: Sequence[Change]) -> list[Patch]:
-    """The changes where all are statements whose lines keep their own decimals, else none."""
-    patches = []
+    """The changes where all are statements, else none.
+
+    New numbers have the decimals of their own lines where that is possible for all arrays, else the
+    same ones in each array.
+    """
+    patches, has_own = [], True
     for slots, values, _ in changes:
-        decimals = slots.row_decimals(values) if isinstance(slots, Statements) else None
-        if decimals is None or not isinstance(slots, Statements):
+        if not isinstance(slots, Statements) or slots.has_whole_numbers:
             return []
-        patches.append(Patch(slots, np.require(values, np.float64, ("C", "W")), decimals))
-    return patches
+        new = np.require(values, np.float64, ("C", "W"))
+        decimals = slots.row_decimals(values)
+        has_own = has_own and decimals is not None
+        patches.append(Patch(slots, new, slots.used if decimals is None else decimals))
+    if has_own and not is_interleaved(patches):
+        return patches
+    if any(one.slots.whole_rows for one in patches):
+        return []
+    return [
+        one._replace(decimals=np.full(len(one.values), one.slots.decimals, dtype=np.uint8))
+        for one in patches
+    ]
 
 
 def _require_unit_length(changes: Sequence[Change]) -> None:
@@ -439,71 +402,6 @@ def _shift(growths: Iterable[tuple[Longs, Longs]]) -> Shift:
     return lambda at: int(growth[stops <= at].sum())
 
 
-def _triangles(layout: Layout, vertices: Floats) -> tuple[Ints, Longs]:
-    """Triangles (m, 3), and the places of their corners among those of the polygons.
-
-    Raises ContentError for a layout that is no mesh.
-    """
-    if not len(layout.sizes):
-        raise ContentError(
-            f"the file has no surface faces; it holds {layout.held or 'nothing'}",
-            code="E_NO_FACES",
-            hint="msal denoises surfaces; extract the surface of a volume mesh first",
-        )
-    require_finite(vertices)
-    require_indices(layout.corners, len(vertices))
-    fans = np.stack(_fans(layout.sizes), axis=1)
-    return layout.corners[fans].astype(np.int32), fans
-
-
-def _vertices(layout: Layout) -> Floats:
-    if not layout.frames:
-        values = [one.values for one in layout.positions]
-        return values[0] if len(values) == 1 else np.concatenate(values)
-    return np.concatenate(
-        [
-            _transformed(one.values, frame)
-            for one, frame in zip(layout.positions, layout.frames, strict=True)
-        ]
-    )
-
-
-def _transformed(points: Floats, frame: Floats) -> Floats:
-    """Points (n, 3) after a transform (4, 4); bit for bit the same for the identity."""
-    if np.array_equal(frame, np.eye(4)):
-        return points
-    result: Floats = points @ frame[:3, :3].T + frame[:3, 3]
-    return result
-
-
-def require_finite(vertices: Floats, where: Callable[[int], str] = "vertex {}".format) -> None:
-    """Raise ContentError (``E_NONFINITE``) where a position (n, 3) is NaN or infinite.
-
-    ``where`` says in words where a vertex is stored.
-    """
-    # A sum is finite only if all are, and quicker; it may overflow, too.
-    with np.errstate(over="ignore", invalid="ignore"):
-        if np.isfinite(vertices.sum()):
-            return
-    is_finite = np.isfinite(vertices).all(axis=1)
-    if not is_finite.all():
-        vertex = int(np.argmin(is_finite))
-        raise ContentError(
-            f"vertex {vertex} has a coordinate that is not a finite number",
-            where=where(vertex),
-            hint="remove such vertices, or export the scan again",
-            code="E_NONFINITE",
-        )
-
-
-def _fans(sizes: Longs) -> tuple[Longs, Longs, Longs]:
-    """Places among the corners of triangles that share each polygon's first corner."""
-    n_triangles = sizes - 2
-    first = np.repeat(np.cumsum(sizes) - sizes, n_triangles)
-    inside = np.arange(len(first)) - np.repeat(np.cumsum(n_triangles) - n_triangles, n_triangles)
-    return first, first + inside + 1, first + inside + 2
-
-
 def _are_close(values: Floats, expected: Floats, slack: Floats) -> bool:
     last_place = 4.5e-16 * np.abs(expected) * (slack > 0)
     return bool((np.abs(values - expected) <= slack + last_place).all())
@@ -516,8 +414,3 @@ def _in_order(pieces: list[tuple[Longs, Longs]]) -> tuple[Longs, Longs]:
         return starts, stops
     order = np.argsort(starts, kind="stable")
     return starts[order], stops[order]
-
-
-# The names of before, until all codecs use the new ones.
-PatchedFile = SlotFile
-Content = Layout

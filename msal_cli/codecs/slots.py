@@ -105,18 +105,23 @@ class TextSlots(UnitSlots):
         """Which columns hold whole numbers."""
         return np.array([code[-2] in "iu" for code in self.codes], dtype=bool)
 
+    @property
+    def has_whole_numbers(self) -> bool:
+        """Whether a column holds whole numbers."""
+        return bool(self._is_whole.any())
+
     def units(self, is_changed: Flags) -> Flags:
         return is_changed.reshape(-1)
 
     def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
         decimals: int | Bytes = self.decimals
-        if self._is_whole.any():
+        if self.has_whole_numbers:
             columns = np.where(self._is_whole, 0, self.decimals).astype(np.uint8)
             decimals = np.tile(columns, len(values))[units]
         return print_numbers(values.reshape(-1)[units], decimals)
 
     def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
-        if self._is_whole.any():
+        if self.has_whole_numbers:
             values = np.where(self._is_whole, np.rint(values), values)
         return values, tolerance(self.decimals)
 
@@ -240,10 +245,10 @@ def too_large_for_float32(where: str) -> ContentError:
     )
 
 
-def require_range(values: Floats, is_changed: Flags, codes: Sequence[str]) -> None:
+def require_range(values: Floats, is_changed: Flags, codes: Sequence[str], first: int = 0) -> None:
     """Raise ContentError (``E_RANGE``) where a changed number (n, k) does not fit its type.
 
-    ``codes`` are numpy's types of the columns.
+    ``codes`` are numpy's types of the columns, ``first`` the number of the file's first vertex.
     """
     dtypes = [np.dtype(code) for code in codes]
     # Where all fit, two numbers say so; NaN does not.
@@ -259,7 +264,7 @@ def require_range(values: Floats, is_changed: Flags, codes: Sequence[str]) -> No
         # Written so that NaN counts as outside.
         is_outside = is_changed[:, k] & ~((column >= low) & (column <= high))
         if is_outside.any():
-            vertex = int(np.argmax(is_outside))
+            vertex = int(np.argmax(is_outside)) + first
             raise ContentError(
                 f"the new {'xyz'[k]} of vertex {vertex} does not fit the file's number type",
                 where=f"vertex {vertex}",

@@ -10,7 +10,7 @@ from collections import Counter
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.slots import UnitSlots
 from msal_cli.errors import UnsupportedError
 

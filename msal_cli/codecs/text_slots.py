@@ -13,13 +13,16 @@ from typing import NamedTuple
 import numpy as np
 
 from msal_cli.arrays import Bytes, Floats, Longs
-from msal_cli.codecs.decimals import row_decimals
+from msal_cli.codecs.decimals import SHORTEST_SINGLE, row_decimals
 from msal_cli.codecs.slots import TextSlots
 from msal_cli.errors import InternalError
 
-_MOST_RUNS = 4096
-"""Changes between positions and normals, on the way through a file, that are dealt with one by
-one; a file with more of them takes another way."""
+_MOST_TURNS = 4096
+"""Changes between positions and normals, on the way through a file, from which on all of its new
+numbers have the same decimals."""
+
+_ROWS = 1 << 16
+"""Statements of one kind that are replaced or compared at a time."""
 
 _BLOCK = 1 << 18
 """Bytes compared at a time; what they differ in fits the cache."""
@@ -44,11 +47,11 @@ class Statements(TextSlots):
 
     @functools.cached_property
     def _spans(self) -> tuple[Longs, Longs]:
-        from msal_cli.kernels.fast_patch import find_tokens
+        from msal_cli.kernels.statements import find_tokens
 
         starts = np.empty(3 * len(self.at), dtype=np.int64)
         stops = np.empty_like(starts)
-        find_tokens(self.data, self.at, self.skipped, starts, stops)
+        find_tokens(self.data, self.at + self.skipped, starts, stops)
         return starts, stops
 
     @property
@@ -60,9 +63,8 @@ class Statements(TextSlots):
         return self._spans[1]
 
     def row_decimals(self, values: Floats) -> Bytes | None:
-        """Decimals (n,) for new ``values`` (n, 3); None where they take another way."""
-        if self._is_whole.any():
-            return None
+        """Decimals (n,) for new ``values`` (n, 3), those of their own lines among them; None where
+        all have the same."""
         if self.unit_length:
             return row_decimals(np.zeros_like(self.used), self.decimals, 1.0)
         largest = max(float(values.max()), -float(values.min()))
@@ -70,91 +72,87 @@ class Statements(TextSlots):
 
 
 class Patch(NamedTuple):
-    """Statements, their new ``values`` (n, 3), and the ``decimals`` (n,) of each one's."""
+    """Statements, their new ``values`` (n, 3), and the ``decimals`` (n,) of each one's.
+
+    Numbers that are the same keep their bytes unless ``is_forced``.
+    """
 
     slots: Statements
     values: Floats
     decimals: Bytes
+    is_forced: bool = False
 
 
-def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview | None:
-    """The file with its statements' changed numbers replaced; None where it takes another way."""
-    from msal_cli.kernels import fast_patch
+class _Block(NamedTuple):
+    """Statements one behind the other: see ``kernels.statements.replace``."""
 
-    runs = _runs(patches)
-    if runs is None:
-        return None
+    begins: Longs
+    old: Floats
+    new: Floats
+    decimals: Bytes
+
+
+def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview:
+    """The file with its statements' changed numbers replaced."""
+    from msal_cli.kernels.statements import replace
+    from msal_cli.kernels.text import shortest
+
     out = np.empty(len(data) + sum(map(_room, patches)) + 8, dtype=np.uint8)
     done = to = 0
-    for which, start, stop in runs:
-        slots, values, decimals = patches[which]
-        done, to = fast_patch.patched(
-            data,
-            done,
-            start,
-            stop,
-            slots.at,
-            slots.skipped,
-            slots.values,
-            values,
-            decimals,
-            out,
-            to,
-        )
+    for block in _blocks(patches):
+        row = axis = 0
+        while True:
+            done, to, row, axis = replace(data, done, out, to, row, axis, *block)
+            if row == len(block.begins):
+                break
+            is_single = block.decimals[row] == SHORTEST_SINGLE
+            text = shortest(float(block.new[row, axis]), is_single).encode()
+            out[to : to + len(text)] = np.frombuffer(text, dtype=np.uint8)
+            to, axis = to + len(text), axis + 1
     size = to + len(data) - done
     out[to:size] = data[done:]
     return out[:size].data
 
 
 def _room(patch: Patch) -> int:
-    """Most bytes that new numbers take: sign, point, decimals, and digits before the point."""
+    """Most bytes that new numbers take."""
+    from msal_cli.kernels.text import fixed_width
+
     if not len(patch.values):
         return 0
     largest = max(float(patch.values.max()), -float(patch.values.min()))
-    return 3 * len(patch.values) * (len(str(int(largest))) + int(patch.decimals.max()) + 2)
+    return 3 * len(patch.values) * fixed_width(largest, int(patch.decimals.max()))
 
 
-def is_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> bool:
-    """Whether ``result`` is the file with just that replaced.
+def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> None:
+    """Raise InternalError unless ``result`` is the file with just that replaced."""
+    from msal_cli.kernels import statements
 
-    False where this is not the way to compare them; raises InternalError where it is not.
-    """
-    from msal_cli.kernels import fast_patch
-
-    runs = _runs(patches)
-    if runs is None:
-        return False
-    tolerances = 0.5 * 10.0 ** -np.arange(256.0) * (1.0 + 1e-9)
-    done = result_done = row = which = 0
-    for which, start, stop in runs:
-        slots, values, decimals = patches[which]
-        status, row, done, result_done = fast_patch.compared(
-            data,
-            result,
-            done,
-            result_done,
-            start,
-            stop,
-            slots.at,
-            slots.skipped,
-            slots.values,
-            values,
-            decimals,
-            tolerances,
-        )
-        where = f"{'normal' if slots.unit_length else 'vertex'} {row + 1}"
-        if status == fast_patch.ODD:
-            return False
-        if status == fast_patch.WRONG_VALUE:
+    tolerances = np.append(0.5 * 10.0 ** -np.arange(18.0) * (1.0 + 1e-9), [0.0, 0.0])
+    done = result_done = row = axis = 0
+    for block in _blocks(patches):
+        row = axis = 0
+        status = statements.ASIDE
+        while status == statements.ASIDE:
+            status, done, result_done, row, axis = statements.compare(
+                data, done, result, result_done, row, axis, *block, tolerances
+            )
+            if status == statements.ASIDE:
+                token = result[result_done : result_done + 64].tobytes().split()[0]
+                expected = float(block.new[row, axis])
+                slack = tolerances[block.decimals[row]] + 4.5e-16 * abs(expected)
+                if not abs(float(token) - expected) <= slack:
+                    status = statements.WRONG_VALUE
+                result_done, axis = result_done + len(token), axis + 1
+        where = f"near byte {done}"
+        if status == statements.WRONG_VALUE:
             raise InternalError("the output holds another number than it should", where=where)
-        if status == fast_patch.DIFFERENT:
+        if status == statements.DIFFERENT:
             raise InternalError(
-                "the output differs from the input in more than positions and normals",
-                where=f"near {where}",
+                "the output differs from the input in more than positions and normals", where=where
             )
     if not is_same(data[done:], result[result_done:]):
         raise InternalError("the output differs from the input in more than positions and normals")
-    return True
 
 
 def is_same(a: Bytes, b: Bytes) -> bool:
@@ -164,25 +162,41 @@ def is_same(a: Bytes, b: Bytes) -> bool:
     )
 
 
-def _runs(patches: Sequence[Patch]) -> list[tuple[int, int, int]] | None:
-    """Patch, first statement and end of each run without one of another patch between, in order.
+def is_interleaved(patches: Sequence[Patch]) -> bool:
+    """Whether statements of different patches take turns more than ``_MOST_TURNS`` times."""
+    if len(patches) == 1:
+        return False
+    n_turns, last = 0, -1
+    for spans in _rows_in_order(patches):
+        order = np.argsort(np.concatenate([one.slots.at[rows] for _, one, rows in spans]))
+        sizes = [rows.stop - rows.start for _, _, rows in spans]
+        owners = np.repeat([which for which, _, _ in spans], sizes)[order]
+        n_turns += int(np.count_nonzero(np.diff(owners, prepend=last)))
+        last = owners[-1]
+    return n_turns > _MOST_TURNS
 
-    None for more runs than ``_MOST_RUNS``.
-    """
-    runs = list(_merge([one.slots.at for one in patches], _MOST_RUNS + 1))
-    return runs if len(runs) <= _MOST_RUNS else None
+
+def _rows_in_order(patches: Sequence[Patch]) -> Iterator[list[tuple[int, Patch, slice]]]:
+    """The statements in the order of the file, as rows of each patch, a block at a time."""
+    at = [patch.slots.at for patch in patches]
+    firsts = np.unique(np.concatenate([one[::_ROWS] for one in at]))
+    cuts = [np.append(np.searchsorted(one, firsts), len(one)).tolist() for one in at]
+    for k in range(len(firsts)):
+        rows = [slice(cut[k], cut[k + 1]) for cut in cuts]
+        yield [(i, patches[i], one) for i, one in enumerate(rows) if one.start < one.stop]
 
 
-def _merge(at: Sequence[Longs], most: int) -> Iterator[tuple[int, int, int]]:
-    """The first ``most`` runs of ascending lists merged: list, first item, end."""
-    next_ones = [0] * len(at)
-    for _ in range(most):
-        left = [k for k, one in enumerate(at) if next_ones[k] < len(one)]
-        if not left:
-            return
-        first = min(left, key=lambda k: at[k][next_ones[k]])
-        start = next_ones[first]
-        others = [at[k][next_ones[k]] for k in left if k != first]
-        stop = int(np.searchsorted(at[first], min(others))) if others else len(at[first])
-        next_ones[first] = stop
-        yield first, start, stop
+def _blocks(patches: Sequence[Patch]) -> Iterator[_Block]:
+    """The statements in the order of the file, a block at a time."""
+    for spans in _rows_in_order(patches):
+        blocks = []
+        for _, (slots, values, decimals, is_forced), rows in spans:
+            old = slots.values[rows]
+            if is_forced:
+                old = np.full_like(old, np.nan)
+            blocks.append(_Block(slots.at[rows] + slots.skipped, old, values[rows], decimals[rows]))
+        block = blocks[0]
+        if len(blocks) > 1:
+            order = np.argsort(np.concatenate([one.begins for one in blocks]), kind="stable")
+            block = _Block(*(np.concatenate(parts)[order] for parts in zip(*blocks, strict=True)))
+        yield block

@@ -23,7 +23,8 @@ from msal_cli.codecs.decimals import (
     usual_decimals,
 )
 from msal_cli.codecs.frames import PLACEMENT
-from msal_cli.codecs.slot_file import Layout, SlotFile
+from msal_cli.codecs.layout import Layout
+from msal_cli.codecs.slot_file import SlotFile
 from msal_cli.codecs.slots import Tokens, require_range, splice
 from msal_cli.codecs.threemf_model import Model, parse_model
 from msal_cli.codecs.threemf_package import Package

@@ -12,7 +12,7 @@ import re
 from dataclasses import dataclass, field
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Layout
+from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.slots import UnitSlots
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.vtk_cells import add_cells, add_cells_of_types, add_layer

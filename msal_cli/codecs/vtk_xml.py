@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
-from msal_cli.codecs.slot_file import Dependent, Layout, Shift
+from msal_cli.codecs.layout import Dependent, Layout, Shift
 from msal_cli.codecs.slots import UnitSlots
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.vtk_arrays import Coding, code_of, integers, numbers

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.ply_writer import corners_of
-from msal_cli.codecs.slot_file import Layout
 from msal_cli.codecs.slots import Tokens
 from msal_cli.codecs.surface_cells import CORNERS, SurfaceCells
 from msal_cli.codecs.text_lines import float_lines, integer_lines

@@ -138,8 +138,9 @@ def fixed_width(largest: float, decimals: int) -> int:
     """Most bytes that any number up to ``largest`` takes in ``printed``, its fallback included."""
     if decimals > MOST_DECIMALS:
         return WIDEST_SHORTEST
-    whole = len(str(int(largest))) if largest < FIXED_BELOW else 19
-    return max(whole + decimals + 3, WIDEST_SHORTEST)
+    if largest < FIXED_BELOW:
+        return len(str(int(largest))) + decimals + 3
+    return max(decimals + 22, WIDEST_SHORTEST)
 
 
 def printed(values: Floats, decimals: int) -> tuple[Bytes, Longs]:
