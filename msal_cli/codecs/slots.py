@@ -343,7 +343,3 @@ def splice(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> m
         inside = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         words = words[np.repeat(first, sizes) + inside]
     return text.spliced(data, starts[order], stops[order], words, np.cumsum(sizes)).data
-
-
-Numbers = UnitSlots
-TextNumbers = Tokens
