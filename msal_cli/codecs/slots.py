@@ -159,7 +159,9 @@ class BinaryNumbers(UnitSlots):
         rows = np.empty((len(self.at), size), dtype=np.uint8)
         for k in range(size):
             rows[:, k] = self.data[self.at + k]
-        self.values = rows.view(self.code).astype(np.float64)
+        # A signalling NaN is reported elsewhere, as what it is.
+        with np.errstate(invalid="ignore"):
+            self.values = rows.view(self.code).astype(np.float64)
 
     def units(self, is_changed: Flags) -> Flags:
         return np.asarray(is_changed.any(axis=1))
@@ -341,7 +343,3 @@ def splice(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> m
         inside = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         words = words[np.repeat(first, sizes) + inside]
     return text.spliced(data, starts[order], stops[order], words, np.cumsum(sizes)).data
-
-
-Numbers = UnitSlots
-TextNumbers = Tokens
