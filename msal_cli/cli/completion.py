@@ -5,9 +5,8 @@ from __future__ import annotations
 import click
 from click.shell_completion import get_completion_class
 
-from msal_cli.cli import console as talk
-from msal_cli.cli import exit_codes
-from msal_cli.cli.option_types import COMPLETE_VARIABLE
+from msal_cli.cli import console, exit_codes
+from msal_cli.cli.options import COMPLETE_VARIABLE
 
 
 @click.command(
@@ -25,5 +24,5 @@ def command(context: click.Context, shell: str) -> int:
     kind = get_completion_class(shell)
     if kind is None:
         raise click.UsageError(f"there is no completion for {shell}")
-    talk.put(kind(context.find_root().command, {}, "msal", COMPLETE_VARIABLE).source())
+    console.put(kind(context.find_root().command, {}, "msal", COMPLETE_VARIABLE).source())
     return exit_codes.SUCCESS

@@ -17,9 +17,8 @@ from click.exceptions import Exit
 
 from msal_cli import __version__
 from msal_cli.batch import interrupts as signals
-from msal_cli.cli import console as talk
-from msal_cli.cli import exit_codes
-from msal_cli.cli.option_types import COMPLETE_VARIABLE
+from msal_cli.cli import console, exit_codes
+from msal_cli.cli.options import COMPLETE_VARIABLE
 from msal_cli.errors import MsalError, OutputError
 
 _COMMANDS = (
@@ -139,7 +138,7 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
         context = group.make_context("msal", list(arguments), obj=arguments)
         with context:
             if not arguments:
-                talk.say(context.get_help())
+                console.say(context.get_help())
                 return exit_codes.USAGE
             _check_environment()
             return int(group.invoke(context) or exit_codes.SUCCESS)
@@ -149,19 +148,19 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
         _say_usage(error)
         return exit_codes.USAGE
     except click.ClickException as error:
-        talk.say(f"msal: error: {error.format_message()}", "bad")
+        console.say(f"msal: error: {error.format_message()}", "bad")
         return exit_codes.FATAL
     except MsalError as error:
-        talk.say_error(error)
+        console.say_error(error)
         return exit_codes.of_error(error)
     except KeyboardInterrupt as interrupt:
-        talk.say("msal: interrupted")
+        console.say("msal: interrupted")
         return exit_codes.of_interrupt(interrupt)
     except BrokenPipeError:
         _abandon_output()
         return exit_codes.READER_GONE
     except MemoryError:
-        talk.say("msal: error: not enough memory (E_MEMORY)", "bad")
+        console.say("msal: error: not enough memory (E_MEMORY)", "bad")
         return exit_codes.FATAL
     except Exception as error:
         return _internal_error(error)
@@ -181,31 +180,31 @@ def _say_usage(error: click.UsageError) -> None:
     command = error.ctx.command_path if error.ctx is not None else "msal"
     # Click lists choices one below the other.
     message = error.format_message().replace("\n\t", " ")
-    talk.say(f"msal: error: {shown(message)}", "bad")
-    talk.say(f"hint: {command} --help tells how it is used")
+    console.say(f"msal: error: {shown(message)}", "bad")
+    console.say(f"hint: {command} --help tells how it is used")
 
 
 def _internal_error(error: Exception) -> int:
     from msal_cli.job.display_names import shown
 
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
-        talk.say(f"msal: error: the output cannot be written: {error.strerror} (E_WRITE)", "bad")
+        console.say(f"msal: error: the output cannot be written: {error.strerror} (E_WRITE)", "bad")
         return exit_codes.FATAL
     words = f"{type(error).__name__}: {error}"
-    talk.say(f"msal: internal error: {shown(words)}; please report it (-v shows where)", "bad")
+    console.say(f"msal: internal error: {shown(words)}; please report it (-v shows where)", "bad")
     return exit_codes.FATAL
 
 
 def _flushed(status: int) -> int:
     """``status``, or the one that tells that what was printed cannot be delivered."""
     try:
-        talk.flush()
+        console.flush()
     except BrokenPipeError:
         _abandon_output()
         return exit_codes.worst(status, exit_codes.READER_GONE)
     except OutputError as error:
         if status == exit_codes.SUCCESS:
-            talk.say_error(error)
+            console.say_error(error)
         _abandon_output()
         return exit_codes.worst(status, exit_codes.FATAL)
     return status

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.cli import console as talk
+from msal_cli.cli import console
 from msal_cli.job.display_names import padded, shortened, shown
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ Bar = Silent | SweepBar | FileBar
 
 def bar(tasks: Sequence[Task], *, quiet: bool) -> Bar:
     """The bar for a run; Silent with ``quiet`` or where standard error is no terminal."""
-    if quiet or not tasks or not talk.is_terminal(sys.stderr):
+    if quiet or not tasks or not console.is_terminal(sys.stderr):
         return Silent()
     if len(tasks) > 1:
         return FileBar(tasks)
@@ -131,7 +131,7 @@ def bar(tasks: Sequence[Task], *, quiet: bool) -> Bar:
 
 def stream_bar(name: str, *, quiet: bool) -> Bar:
     """The bar for a single mesh from a stream."""
-    if quiet or not talk.is_terminal(sys.stderr):
+    if quiet or not console.is_terminal(sys.stderr):
         return Silent()
     return SweepBar(name)
 
@@ -139,7 +139,7 @@ def stream_bar(name: str, *, quiet: bool) -> Bar:
 @contextmanager
 def picture_bar(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
     """A bar for the pictures of a report; what it gives is told how many of how many are done."""
-    if quiet or not talk.is_terminal(sys.stderr):
+    if quiet or not console.is_terminal(sys.stderr):
         yield lambda done, total: None
         return
     shown = _bar(desc="pictures", bar_format=_FORMAT, delay=_DELAY_S)

@@ -190,7 +190,7 @@ def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
     from msal_cli.analysis import correspondence as metrics
     from msal_cli.analysis.enclosure import enclosure
     from msal_cli.analysis.surface import normal_statistics, surface_change
-    from msal_cli.job.comparison import volume_changed
+    from msal_cli.job.changes import volume_changed
 
     mesh, objection = on.ready.mesh, on.ready.defects.volume_objection
     enclosed = enclosure(on.ready)

@@ -31,7 +31,7 @@ from click.testing import CliRunner
 
 from msal_cli.cli import environment
 from msal_cli.cli.main import _COMMANDS, program
-from msal_cli.cli.stopwatch import Clock
+from msal_cli.cli.environment import Clock
 from tests.frozen.corpus_sums import digest, here
 from tests.frozen.sums import ROOT
 from tests.report.made import HOSTILE_NAMES
@@ -236,7 +236,7 @@ def outcomes(chosen: list[str]) -> Iterator[tuple[str, str, str]]:
     with (
         mock.patch.object(Clock, "now", staticmethod(lambda: "2026-01-02T03:04:05.678Z")),
         mock.patch.object(Clock, "seconds", lambda self: 1.0),
-        mock.patch.object(environment, "described", lambda: {"system": "Linux"}),
+        mock.patch.object(environment, "describe_machine", lambda: {"system": "Linux"}),
         mock.patch.dict(os.environ, COLUMNS="100", NO_COLOR="1", TERM="dumb"),
     ):
         yield from _outcomes(chosen)

@@ -27,7 +27,7 @@ def mesh():
 def settled_as(monkeypatch, mesh, name, given):
     choice = selection.Choice(name, given, "because", "organic", estimated(mesh))
     monkeypatch.setattr("msal_cli.job.choice.chosen", lambda *ignored: choice)
-    return automatic.settled(mesh, {}, lambda done, total: None)
+    return automatic.choose(mesh, {}, lambda done, total: None)
 
 
 @pytest.mark.parametrize("name", methods.names())
