@@ -72,7 +72,7 @@ def errors(mesh: Mesh, true: Mesh, wishes: dict[str, Any] | None) -> str:
     made = automatic.choose(mesh, wishes, lambda done, total: None)
     vertices = mesh.vertices
     if made.method is not None:
-        run = made.method.denoised(mesh, made.used.parameters, lambda done, total: None)
+        run = made.method.denoised(mesh, made.parameters, lambda done, total: None)
         vertices = run.vertices
     result = true.moved(vertices)
     angle = surface_change(true, result).normals.mean_angular_error_deg

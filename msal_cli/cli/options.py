@@ -298,7 +298,7 @@ METHOD_PARAMETER = click.option(
     help="Any parameter of the method; `msal methods NAME` lists them. Repeatable.",
 )
 
-FORCE = click.option("--force", is_flag=True, help="Replace files in OUT that msal did not write.")
+FORCE = click.option("--force", is_flag=True, help="Replace files in OUT that no run of msal denoise wrote.")
 
 JSON_REPORT = click.option(
     "--json", "as_json", is_flag=True, help="Print the JSON report to standard output."

@@ -11,7 +11,7 @@ import sys
 
 import pytest
 
-from msal_cli.cli.stream_denoise import Pipe, pipe, target_format
+from msal_cli.cli.streams import Stream, choose_format, find_stream
 from msal_cli.errors import UsageError
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, msal_on, process
 
@@ -142,13 +142,13 @@ def test_a_mesh_does_not_go_to_a_terminal_unasked(monkeypatch):
 
     monkeypatch.setattr(sys, "stdout", Terminal())
     with pytest.raises(UsageError, match="would go to the terminal"):
-        pipe(("-",), None)
-    assert pipe(("-",), "-") == Pipe("-", "-")
+        find_stream(("-",), None)
+    assert find_stream(("-",), "-") == Stream("-", "-")
 
 
 def test_what_is_no_pipe():
-    assert pipe(("a.ply", "b.ply"), "out") is None
-    assert pipe(("./-",), "out") is None
+    assert find_stream(("a.ply", "b.ply"), "out") is None
+    assert find_stream(("./-",), "out") is None
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ def test_what_is_no_pipe():
     + [("o.PLY", "ply", "ply"), ("o.dat", None, None), ("o.dat", "stl", "stl")],
 )
 def test_the_format_of_the_target(target, to, format):
-    assert target_format(Pipe("-", target), to) == format
+    assert choose_format(Stream("-", target), to) == format
 
 
 def test_real_pipes(tmp_path, denoised):

@@ -13,7 +13,7 @@ import time
 import pytest
 
 from msal_cli import machine
-from msal_cli.cli.standard_input import copy_stream, read_stream
+from msal_cli.cli.streams import copy_stream, read_stream
 from msal_cli.errors import InputError, OutputError, ResourceError, TooLargeError
 from msal_cli.storage import limits
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, msal_on

@@ -9,7 +9,7 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.analysis.added_noise import noisy
-from msal_cli.job.advice import is_ruled_by_spike
+from msal_cli.job.changes import is_ruled_by_spike
 from msal_cli.mesh import prepared
 from tests.cli.scans import msal, ply_text
 from tests.shapes import torus
