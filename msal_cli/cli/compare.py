@@ -22,7 +22,6 @@ _NO_PARTNER = "E_NO_PARTNER"
 
 @click.command(
     "compare",
-    short_help="Measure a mesh against another.",
     epilog="""\b
 Examples:
   msal compare truth.ply denoised.ply --heatmap deviation.ply

@@ -6,12 +6,11 @@ import click
 from click.shell_completion import get_completion_class
 
 from msal_cli.cli import console, exit_codes
-from msal_cli.cli.options import COMPLETE_VARIABLE
+from msal_cli.cli.main import COMPLETE_VARIABLE
 
 
 @click.command(
     "completion",
-    short_help="Print the completion script of a shell.",
     epilog="""\b
 bash:  msal completion bash > ~/.local/share/bash-completion/completions/msal
 zsh:   msal completion zsh > ~/.zfunc/_msal     (a folder of your fpath)

@@ -28,7 +28,6 @@ _log = logging.getLogger("msal.denoise")
 
 @click.command(
     "denoise",
-    short_help="Denoise files, folders or a stream.",
     epilog="Exit status: see msal --help.",
 )
 @options.INPUTS

@@ -15,9 +15,7 @@ if TYPE_CHECKING:
     from msal_cli.job.records import InfoRecord
 
 
-@click.command(
-    "info", short_help="Report what is in mesh files.", epilog="Exit status: see msal --help."
-)
+@click.command("info", epilog="Exit status: see msal --help.")
 @options.INPUTS
 @options.FILES
 @options.FORMAT

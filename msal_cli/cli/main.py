@@ -18,21 +18,24 @@ from click.exceptions import Exit
 from msal_cli import __version__
 from msal_cli.batch import interrupts as signals
 from msal_cli.cli import console, exit_codes
-from msal_cli.cli.options import COMPLETE_VARIABLE
 from msal_cli.errors import MsalError, OutputError
 
-_COMMANDS = (
-    "denoise",
-    "info",
-    "compare",
-    "view",
-    "sweep",
-    "noise",
-    "scan",
-    "methods",
-    "report",
-    "completion",
-)
+COMPLETE_VARIABLE = "_MSAL_COMPLETE"
+"""The environment variable through which a shell asks for completions."""
+
+COMMANDS = {
+    "denoise": "Denoise files, folders or a stream.",
+    "info": "Report what is in mesh files.",
+    "compare": "Measure a mesh against another.",
+    "view": "Make a picture, or a page, of one or two meshes.",
+    "sweep": "Try many values of two parameters on one mesh.",
+    "noise": "Add known noise to meshes.",
+    "scan": "Scan meshes by simulation, or mesh a volume.",
+    "methods": "List the methods, or explain one.",
+    "report": "Report on earlier runs.",
+    "completion": "Print the completion script of a shell.",
+}
+"""Each is a module of this folder; what help says of it, without importing it."""
 
 
 class Msal(click.Group):
@@ -40,24 +43,29 @@ class Msal(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """The commands in the order in which help shows them."""
-        return list(_COMMANDS)
+        return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The command of that very name."""
-        if cmd_name not in _COMMANDS:
+        """The command of exactly that name."""
+        if cmd_name not in COMMANDS:
             return None
         command: click.Command = import_module(f"msal_cli.cli.{cmd_name}").command
         return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The list of commands in the help."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """The command that the first argument names; an unknown one gets a suggestion."""
         name = args[0]
-        if name not in _COMMANDS and not name.startswith("-"):
+        if name not in COMMANDS and not name.startswith("-"):
             import difflib
 
-            close = difflib.get_close_matches(name, _COMMANDS, n=1)
+            close = difflib.get_close_matches(name, COMMANDS, n=1)
             hint = f"; did you mean '{close[0]}'?" if close else ""
             ctx.fail(f"there is no command '{name}'{hint}")
         return super().resolve_command(ctx, args)

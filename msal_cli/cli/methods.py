@@ -23,7 +23,7 @@ SHORTCUTS = {
 """Options of ``msal denoise`` that set a parameter."""
 
 
-@click.command("methods", short_help="List the methods, or explain one.")
+@click.command("methods")
 @click.argument("name", metavar="[NAME]", required=False, shell_complete=options.complete_method)
 @click.option("--json", "as_json", is_flag=True, help="Print everything as one JSON document.")
 def command(name: str | None, as_json: bool) -> int:

@@ -35,7 +35,6 @@ _KINDS = (
 
 @click.command(
     "noise",
-    short_help="Add known noise to meshes.",
     epilog="""\b
 Examples:
   msal noise clean.ply -o noisy.ply --kind gaussian-normal --level 0.2 --seed 7

@@ -16,9 +16,6 @@ from msal_cli.errors import UsageError
 from msal_cli.job.settings import SELF_INTERSECTIONS
 from msal_cli.job.units import METRES
 
-COMPLETE_VARIABLE = "_MSAL_COMPLETE"
-"""The environment variable through which a shell asks for completions."""
-
 STREAM = "-"
 """The name of standard input and standard output."""
 
@@ -298,7 +295,9 @@ METHOD_PARAMETER = click.option(
     help="Any parameter of the method; `msal methods NAME` lists them. Repeatable.",
 )
 
-FORCE = click.option("--force", is_flag=True, help="Replace files in OUT that no run of msal denoise wrote.")
+FORCE = click.option(
+    "--force", is_flag=True, help="Replace files in OUT that no msal denoise wrote."
+)
 
 JSON_REPORT = click.option(
     "--json", "as_json", is_flag=True, help="Print the JSON report to standard output."

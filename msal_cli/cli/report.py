@@ -13,9 +13,7 @@ if TYPE_CHECKING:
     from msal_cli.cli.run_summary import Account
 
 
-@click.command(
-    "report", short_help="Report on earlier runs.", epilog="Exit status: see msal --help."
-)
+@click.command("report", epilog="Exit status: see msal --help.")
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=options.PATH)
 @click.option(
     "-o",

@@ -26,7 +26,6 @@ _TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "flo
 
 @click.command(
     "scan",
-    short_help="Scan meshes by simulation, or mesh a volume.",
     epilog="""\b
 Examples:
   msal scan part.stl -o scan.ply --scanner ct --level 0.1 --truth truth.ply

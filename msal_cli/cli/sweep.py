@@ -21,7 +21,6 @@ SCHEMA = "msal.sweep/1"
 
 @click.command(
     "sweep",
-    short_help="Try many values of two parameters on one mesh.",
     epilog="""\b
 Examples:
   msal sweep scan.ply -o grid.png

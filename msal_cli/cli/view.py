@@ -93,7 +93,6 @@ def view_options(size: int) -> Callable[[Any], Any]:
 
 @click.command(
     "view",
-    short_help="Make a picture, or a page, of one or two meshes.",
     epilog="""\b
 Examples:
   msal view scan.ply -o scan.png

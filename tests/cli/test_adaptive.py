@@ -85,23 +85,6 @@ def test_any_parameter_is_the_filter_of_the_paper(scans, tmp_path, words):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--method", "adaptive", "-n", "3"), "--method adaptive and -n contradict"),
-        (("--method", "adaptive", "--auto"), "--auto and --method adaptive contradict"),
-        (
-            ("--method", "adaptive", "--keep", "edges"),
-            "--keep, which implies --auto, and --method adaptive contradict",
-        ),
-    ],
-)
-def test_contradictions_are_refused(scans, tmp_path, words, said):
-    made = msal("denoise", scans, "-o", tmp_path / "out", *words)
-    assert (made.exit_code, (tmp_path / "out").exists()) == (2, False)
-    assert said in made.stderr
-
-
 def test_a_stream(scans):
     clean = (scans / "clean.ply").read_bytes()
     assert msal_on(clean, "denoise", "-").stdout_bytes == clean

@@ -17,7 +17,6 @@ from msal_cli.codecs import gltf, open_mesh
 from msal_cli.codecs.companions import write_companions
 from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import InternalError, MsalError, UnsupportedError
-from msal_cli.job import noise_file as corruption
 from msal_cli.job import pipeline
 from msal_cli.job.settings import Task
 from tests.codecs import test_glb

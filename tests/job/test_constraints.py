@@ -133,15 +133,15 @@ def test_what_is_no_lock_is_refused(text):
 )
 def test_comparisons(text, expected):
     one = constraints.parse_lock(text)
-    assert one.of(np.array([1.0, 2.0, 3.0])).tolist() == expected
+    assert one.select(np.array([1.0, 2.0, 3.0])).tolist() == expected
     assert constraints.parse_lock(str(one)) == one
 
 
 def test_a_single_precision_property_is_compared_in_single_precision():
     stored = np.array([0.2, 0.3], dtype=np.float32).astype(float)
     assert stored[0] > 0.2
-    assert constraints.parse_lock("q <= 0.2").of(stored).tolist() == [True, False]
-    assert constraints.parse_lock("q == 0.2").of(np.array([0.2, 0.3])).tolist() == [True, False]
+    assert constraints.parse_lock("q <= 0.2").select(stored).tolist() == [True, False]
+    assert constraints.parse_lock("q == 0.2").select(np.array([0.2, 0.3])).tolist() == [True, False]
 
 
 # The limit
