@@ -327,7 +327,7 @@ def test_the_end_waits_for_threads_that_python_waits_for():
         "import threading, time\n"
         "threading.Thread(target=lambda: (time.sleep(0.3), print('late'))).start()"
     )
-    assert (ended.returncode, ended.stdout.splitlines()[-1]) == (0, "late")
+    assert (ended.returncode, "late" in ended.stdout) == (0, True)
 
 
 def test_a_setting_for_blas_is_left_alone():
