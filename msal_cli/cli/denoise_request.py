@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.cli.conflicts import AUTOMATIC, BY_HAND, refuse_conflicts
@@ -22,6 +21,8 @@ from msal_cli.job.settings import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from msal_cli.batch.engine import EngineFor
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.streams import Stream
@@ -32,63 +33,9 @@ _DEFAULT_METHOD = "msal"
 _ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"
 
 
-@dataclass(frozen=True)
-class Request:
-    """The command line of ``msal denoise``; ``given`` is what ``conflicts.find_given`` found."""
-
-    inputs: tuple[str, ...]
-    output: str | None
-    method: str | None
-    iterations: str | None
-    factor: str | None
-    mollify: str | None
-    schedule: str | None
-    assignments: tuple[str, ...]
-    auto: bool
-    keep: str | None
-    strength: float | None
-    prefer: str | None
-    auto_budget: float | None
-    max_move: str | None
-    lock: tuple[str, ...]
-    despike: bool | None
-    weights: str | None
-    min_noise: str | None
-    unit: str | None
-    include: tuple[str, ...]
-    exclude: tuple[str, ...]
-    in_place: bool
-    backup: str | None
-    no_backup: bool
-    to: str | None
-    encoding: str
-    precision: str
-    strict: bool
-    format: str | None
-    jobs: int | None
-    timeout: float | None
-    memory_limit: int | None
-    max_faces: int | None
-    retries: int | None
-    fail_fast: bool
-    max_failures: int | None
-    engine: str
-    scheduler: str | None
-    dry_run: bool
-    force: bool
-    fresh: bool
-    retry_failed: bool
-    shard: str | None
-    fields: tuple[str, ...] | None
-    checks: tuple[str, ...]
-    reference: str | None
-    fail_on: tuple[str, ...]
-    reports: tuple[str, ...]
-    as_json: bool
-    quiet: bool
-    verbose: int
-    log_file: str | None
-    given: Mapping[str, str]
+class Request(SimpleNamespace):
+    """The command line of ``msal denoise``: a field for each of ``denoise_options``, and ``given``,
+    which is what ``conflicts.find_given`` found."""
 
 
 def check_request(request: Request, stream: Stream | None) -> None:
