@@ -53,7 +53,6 @@ class _Session:
 
     def __init__(self, request: Request, arguments: tuple[str, ...]) -> None:
         from msal_cli.cli.environment import Clock
-        from msal_cli.cli.streams import find_stream
         from msal_cli.job.settings import Limits
         from msal_cli.storage import urls
 
@@ -62,7 +61,11 @@ class _Session:
         self._command = ("msal", *map(urls.redacted, arguments))
         self._clock = Clock()
         self._limits = Limits(request.timeout, request.memory_limit, request.max_faces)
-        self._stream = find_stream(request.inputs, request.output)
+        self._stream: Stream | None = None
+        if options.STREAM in (*request.inputs, request.output):
+            from msal_cli.cli.streams import find_stream
+
+            self._stream = find_stream(request.inputs, request.output)
         denoise_request.check_request(request, self._stream)
         options.check_threads_variable()
         self._gates = denoise_request.parse_gates(request)

@@ -41,10 +41,11 @@ def find_inputs(
     from msal_cli.batch.inputs import found
     from msal_cli.cli.streams import find_stream
 
-    if find_stream(inputs, output) is None:
+    if STREAM not in (*inputs, output):
         if output is None:
             raise UsageError("there is no output", hint="name a file or a folder with -o")
         return found(inputs, include, exclude, output=output)
+    find_stream(inputs, output)
     if include or exclude:
         raise UsageError("--include and --exclude are for files, not for standard input or output")
     return None

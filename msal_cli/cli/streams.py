@@ -42,8 +42,8 @@ class Stream:
     target: str
 
 
-def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream | None:
-    """The stream that these inputs and this output ask for; None if they are all files.
+def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream:
+    """The stream that these inputs and this output, one of which is ``-``, ask for.
 
     Raises
     ------
@@ -51,8 +51,6 @@ def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream | None:
         if a stream is to be shared by several files, or would fill a terminal with a mesh; if the
         output is called like a file of no known format.
     """
-    if STREAM not in inputs and output != STREAM:
-        return None
     if len(inputs) > 1:
         raise UsageError(
             "standard input and standard output hold one mesh, not several",

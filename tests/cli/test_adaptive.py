@@ -13,7 +13,7 @@ from msal_cli.analysis.added_noise import noisy
 from msal_cli.analysis.noise_estimate import estimated
 from msal_cli.auto import adaptive
 from msal_cli.mesh import prepared
-from tests.cli.scans import closed_scan, folder_of, msal, msal_on, ply_text
+from tests.cli.scans import closed_scan, folder_of, msal, msal_on, ply_text, records_of
 from tests.shapes import torus
 
 
@@ -32,7 +32,7 @@ def scans(tmp_path_factory):
 def run(*words):
     made = msal("denoise", *words, "--json")
     assert made.exit_code == 0, made.stderr
-    return {one["input"].split("/")[-1]: one for one in json.loads(made.stdout)["records"]}, made
+    return records_of(made), made
 
 
 def test_the_record_has_the_choice(scans, tmp_path):
