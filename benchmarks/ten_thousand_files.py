@@ -82,11 +82,11 @@ def peak_bytes_of(pid: int) -> int:
 
 def discovery_seconds(folder: Path) -> float:
     """Seconds to find the files, without starting the program."""
-    from msal_cli.batch.inputs import found
+    from msal_cli.batch.inputs import discover_inputs
 
-    found([str(folder)])
+    discover_inputs([str(folder)])
     began = time.perf_counter()
-    found([str(folder)])
+    discover_inputs([str(folder)])
     return time.perf_counter() - began
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch.shard import COUNT_VARIABLE, settled
+from msal_cli.batch.shard import COUNT_VARIABLE, parse_shard
 from tests.cli.scans import closed_scan, folder_of
 
 PAGE = (Path(__file__).parents[1] / "docs/many_machines.md").read_text("utf-8")
@@ -101,7 +101,7 @@ def test_kubernetes():
     command = re.search(r"command: \[(.*)\]", text)[1].split(", ")
     assert command == recipe("aws").split()
     for index in (0, completions - 1):
-        shard = settled("auto", {"JOB_COMPLETION_INDEX": str(index), name: value})
+        shard = parse_shard("auto", {"JOB_COMPLETION_INDEX": str(index), name: value})
         assert str(shard) == f"{index + 1}/{completions}"
     try:
         import yaml

@@ -1,6 +1,6 @@
-"""A Dask cluster at hand: one that somebody runs behind an address, or one of our own.
+"""A Dask cluster: one behind an address, or one of our own.
 
-Nothing here blocks but ``open`` and ``close``; what the cluster has to say goes to ``tell``, which
+Nothing here blocks but ``open`` and ``close``; events of the cluster go to ``on_event``, which
 Dask's own thread calls.
 """
 
@@ -23,8 +23,8 @@ from typing import Any
 
 from msal_cli.batch.dask_worker import (
     TOPIC,
-    objection_to_blindness,
-    objection_to_version,
+    storage_access_error,
+    version_mismatch,
 )
 from msal_cli.errors import ResourceError, UsageError, install_hint
 
@@ -41,28 +41,28 @@ _ALLOWED_FAILURES = 1
 _log = logging.getLogger("msal.dask")
 
 
-class Cluster:
+class DaskCluster:
     """The way to a Dask scheduler and its workers.
 
     Parameters
     ----------
     scheduler : the scheduler's address, or ``local`` for processes on this machine.
     jobs : workers of one thread each, if it is ``local``.
-    tell : called from another thread with ``("threads", n)`` every second (n is None while the
-        scheduler does not answer), ``("news", address, run, bytes)`` and ``("answer", number,
+    on_event : called from another thread with ``("threads", n)`` every second (n is None while the
+        scheduler does not answer), ``("messages", address, run, bytes)`` and ``("answer", number,
         bytes or exception)``.
     """
 
-    def __init__(self, scheduler: str, jobs: int, tell: Callable[..., None]) -> None:
+    def __init__(self, scheduler: str, jobs: int, on_event: Callable[..., None]) -> None:
         self.is_local = scheduler == LOCAL
         self._scheduler = scheduler
         self._jobs = jobs
-        self._tell = tell
+        self._on_event = on_event
         self._is_closed = False
         self._undo = contextlib.ExitStack()
         self._client: Any = None
         self._cluster: Any = None
-        self._strangers: list[Any] = []
+        self._other_children: list[Any] = []
 
     # Beginning
 
@@ -85,7 +85,7 @@ class Cluster:
             import distributed
         except ImportError as error:
             raise not_installed() from error
-        self._undo.enter_context(_heard_by_our_log())
+        self._undo.enter_context(_captured_logs())
         if self.is_local:
             self._start(dask, distributed)
         try:
@@ -121,7 +121,7 @@ class Cluster:
                 }
             )
         )
-        self._strangers = multiprocessing.active_children()
+        self._other_children = multiprocessing.active_children()
         # Workers come afterwards, so that there is something to close while they start.
         self._cluster = distributed.LocalCluster(
             n_workers=0,
@@ -141,18 +141,18 @@ class Cluster:
 
     def _wait_for_workers(self, patience_s: float) -> None:
         started = time.monotonic()
-        is_told = False
+        is_reported = False
         while not self._is_closed:
             waited = time.monotonic() - started
             try:
-                if self._asked(self._client.scheduler.ncores()):
+                if self._request(self._client.scheduler.ncores()):
                     return
             except (OSError, TimeoutError) as error:
                 _log.debug("the scheduler does not answer: %s", error)
             if waited > patience_s:
                 raise no_workers(self._scheduler, waited)
-            if waited > _SILENCE_S and not is_told:
-                is_told = True
+            if waited > _SILENCE_S and not is_reported:
+                is_reported = True
                 _log.warning("waiting for workers at the Dask scheduler %s", self._scheduler)
             time.sleep(0.1)
 
@@ -165,7 +165,7 @@ class Cluster:
         """
 
         # Sent by value: a worker may not have msal at all.
-        def told(paths: tuple[str, ...]) -> tuple[str | None, list[str]]:
+        def probe(paths: tuple[str, ...]) -> tuple[str | None, list[str]]:
             import os
 
             try:
@@ -175,8 +175,8 @@ class Cluster:
             return __version__, [path for path in paths if not os.path.exists(path)]
 
         try:
-            answers = self._asked(
-                self._client.run(told, must_exist, on_error="return", asynchronous=True)
+            answers = self._request(
+                self._client.run(probe, must_exist, on_error="return", asynchronous=True)
             )
         except (OSError, TimeoutError) as error:
             raise ResourceError(f"the Dask workers do not answer: {error}") from error
@@ -188,40 +188,40 @@ class Cluster:
             theirs, missing = answer
             if theirs != version:
                 raise UsageError(
-                    objection_to_version(address, theirs, version),
+                    version_mismatch(address, theirs, version),
                     hint="install the same version of msal-cli everywhere",
                 )
             if missing:
                 raise UsageError(
-                    objection_to_blindness(address, missing[0]),
+                    storage_access_error(address, missing[0]),
                     hint="inputs and outputs must lie where all machines see them by the same path",
                 )
 
     def watch(self) -> None:
-        """Begin to tell about workers and news."""
-        self._client.subscribe_topic(TOPIC, self._on_event)
-        self._soon(self._look())
+        """Begin to report workers and messages."""
+        self._client.subscribe_topic(TOPIC, self._forward)
+        self._call_soon(self._poll_workers())
 
     # Work
 
     def submit(self, key: str, number: int, version: str, payload: bytes) -> Any:
-        """Hand a batch to Dask; the future must be kept until the answer is told."""
+        """Hand a batch to Dask; the future must be kept until the answer is there."""
 
         # Sent by value: the scheduler looks at the function, and needs not have msal.
         def msal(version: str, payload: bytes) -> bytes:
-            from msal_cli.batch.dask_worker import do_batch
+            from msal_cli.batch.dask_worker import run_batch
 
-            return do_batch(version, payload)
+            return run_batch(version, payload)
 
         future = self._client.submit(msal, version, payload, key=key, pure=False)
-        self._soon(self._follow(future, number))
+        self._call_soon(self._watch_future(future, number))
         return future
 
     def cancel(self, future: Any) -> None:
         """Take a batch back; if it has begun, its worker gives it up soon."""
         self._client.cancel([future], asynchronous=False)
 
-    async def _follow(self, future: Any, number: int) -> None:
+    async def _watch_future(self, future: Any, number: int) -> None:
         answer: Any
         try:
             (answer,) = await self._client.gather([future], asynchronous=True)
@@ -229,18 +229,18 @@ class Cluster:
             answer = error
         except Exception as error:
             answer = error
-        self._tell("answer", number, answer)
+        self._on_event("answer", number, answer)
 
-    async def _look(self) -> None:
+    async def _poll_workers(self) -> None:
         while not self._is_closed:
             try:
                 threads = await asyncio.wait_for(self._client.scheduler.ncores(), _CONNECT_S)
-                self._tell("threads", sum(threads.values()))
+                self._on_event("threads", sum(threads.values()))
             except (Exception, asyncio.CancelledError) as error:
                 if self._is_closed:
                     return
                 _log.debug("the scheduler does not answer: %s", error)
-                self._tell("threads", None)
+                self._on_event("threads", None)
             if self.is_local:
                 self._replace_lost()
             await asyncio.sleep(_BETWEEN_LOOKS_S)
@@ -257,24 +257,24 @@ class Cluster:
         if lost and not self._is_closed:
             self._cluster.scale(self._jobs)
 
-    def _on_event(self, event: tuple[float, Any]) -> None:
+    def _forward(self, event: tuple[float, Any]) -> None:
         _, message = event
-        if isinstance(message, dict) and "news" in message:
-            self._tell("news", message["address"], message["run"], message["news"])
+        if isinstance(message, dict) and "messages" in message:
+            self._on_event("messages", message["address"], message["run"], message["messages"])
 
-    def _soon(self, coroutine: Any) -> Any:
+    def _call_soon(self, coroutine: Any) -> Any:
         return asyncio.run_coroutine_threadsafe(coroutine, self._client.loop.asyncio_loop)
 
-    def _asked(self, awaitable: Any) -> Any:
+    def _request(self, awaitable: Any) -> Any:
         async def answer() -> Any:
             return await asyncio.wait_for(awaitable, _ANSWER_S)
 
-        return self._soon(answer()).result()
+        return self._call_soon(answer()).result()
 
     # Ending
 
     def close(self) -> None:
-        """Let go of the cluster; our own workers are killed.  Takes two seconds at most."""
+        """Close the connection and kill our own workers; two seconds at most."""
         self._is_closed = True
         closing = threading.Thread(target=self._close_dask, daemon=True)
         closing.start()
@@ -299,13 +299,13 @@ class Cluster:
             _log.debug("at the end of the Dask client: %s", error)
 
     def _kill_workers(self) -> None:
-        """At once: whoever asks them to end waits for the batches that they have in hand."""
+        """At once: a request to end would wait for their current batches."""
         if self._cluster is None:
             return
         for nanny in list(self._cluster.workers.values()):
             nanny.auto_restart = False
         for process in multiprocessing.active_children():
-            if process not in self._strangers:
+            if process not in self._other_children:
                 process.kill()
 
 
@@ -315,7 +315,7 @@ def not_installed() -> UsageError:
 
 
 def no_workers(scheduler: str, waited_s: float) -> ResourceError:
-    """The error for a scheduler that nobody works for."""
+    """The error for a scheduler without workers."""
     return ResourceError(
         f"no worker at the Dask scheduler {scheduler} for {waited_s:.0f} s",
         hint="start some with `dask worker ADDRESS`, then run the same command again",
@@ -334,20 +334,20 @@ def _environment() -> Any:
         os.environ.update(before)
 
 
-class _Overheard(logging.Handler):
+class _LogCapture(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         _log.debug("%s: %s", record.name, record.getMessage())
 
 
 @contextlib.contextmanager
-def _heard_by_our_log() -> Any:
+def _captured_logs() -> Any:
     """Dask's loggers print to standard error; have them write to our log meanwhile."""
     names = ("distributed", "distributed.client", "tornado", "tornado.application", "asyncio")
-    overheard = _Overheard()
+    capture = _LogCapture()
     before = []
     for logger in map(logging.getLogger, names):
         before.append((logger, logger.handlers[:], logger.propagate))
-        logger.handlers[:] = [overheard]
+        logger.handlers[:] = [capture]
         logger.propagate = False
     try:
         yield

@@ -1,4 +1,4 @@
-"""Many files on a Dask cluster: batches of some seconds' work, and a judgement on every death.
+"""Many files on a Dask cluster, in batches of some seconds' work.
 
 Dask gives a batch to another worker when one dies, and gives up (``KilledWorker``) when several
 did.  One file may be at fault, or none; so the files of such a batch are handed out singly, and
@@ -8,6 +8,7 @@ one that seems to kill workers even then gets its second try when nothing else i
 from __future__ import annotations
 
 import collections
+import contextlib
 import itertools
 import logging
 import math
@@ -24,15 +25,15 @@ from pathlib import Path
 from typing import Any
 
 from msal_cli import __version__
-from msal_cli.batch import manifest_dirs as homes
-from msal_cli.batch import temporary_files as temporaries
-from msal_cli.batch.dask_cluster import Cluster, no_workers
+from msal_cli.batch import temporary_files
+from msal_cli.batch.dask_cluster import DaskCluster, no_workers
 from msal_cli.batch.dask_worker import Answer, Order
-from msal_cli.batch.engine import Work
-from msal_cli.batch.worker_messages import Again, Began, Lost, Message, Returned
-from msal_cli.batch.worker_pool import Interrupt
+from msal_cli.batch.engine import Interrupt, Work
+from msal_cli.batch.events import Failed, Losses, Message, Retried, Returned, Started
+from msal_cli.batch.manifest_dirs import output_folders
 from msal_cli.errors import MsalError, ResourceError, UsageError
 from msal_cli.job.records import MeshRecord
+from msal_cli.storage.atomic import temporary_name
 from msal_cli.storage.urls import is_url
 
 _FIRST_FILES = 4
@@ -73,22 +74,21 @@ class DaskEngine:
         self._work = work
         self._run = secrets.token_hex(8)
         self._scheduler = scheduler
-        self._heard: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
         jobs = max(1, min(work.jobs, len(work.tasks)))
-        self._cluster = Cluster(scheduler, jobs, lambda *heard: self._heard.put(heard))
+        self._cluster = DaskCluster(scheduler, jobs, lambda *event: self._inbox.put(event))
         self._probes: list[str] = []
         # What is not done yet, and of it: not handed out, the large ones apart, which go first and
-        # singly; suspected; suspected even singly.
+        # singly; of a batch that killed its workers; of a batch of one that did.
         self._open = set(work.tasks)
         large = [index for index in work.weights if index in work.tasks]
         self._large = collections.deque(sorted(large, key=work.weights.__getitem__, reverse=True))
         self._waiting = collections.deque(sorted(self._open.difference(large)))
         self._suspects: collections.deque[int] = collections.deque()
-        self._again: collections.deque[int] = collections.deque()
-        self._deaths: collections.Counter[int] = collections.Counter()
-        self._earlier: dict[int, str] = {}
-        self._begun: set[int] = set()
-        self._flying: dict[int, _Batch] = {}
+        self._retries: collections.deque[int] = collections.deque()
+        self._losses = Losses(work.retries)
+        self._started: set[int] = set()
+        self._submitted: dict[int, _Batch] = {}
         self._numbers = itertools.count()
         self._threads = 0
         self._seen_workers = time.monotonic()
@@ -97,40 +97,40 @@ class DaskEngine:
         self._is_connected = False
 
     def stop(self) -> None:
-        """Hand out no more; batches that some worker has in hand go on, second tries too."""
+        """See ``Engine.stop``; batches that have begun go on."""
         self._large.clear()
         self._waiting.clear()
-        for number, batch in list(self._flying.items()):
-            if not self._begun.intersection(batch.indices):
-                del self._flying[number]
+        for number, batch in list(self._submitted.items()):
+            if not self._started.intersection(batch.indices):
+                del self._submitted[number]
                 self._cluster.cancel(batch.future)
 
     def interrupt(self) -> None:
-        """Give up what is in hand and end; may be called from a signal handler."""
-        self._heard.put(("interrupt",))
+        """See ``Engine.interrupt``."""
+        self._inbox.put(("interrupt",))
 
     def batches(self) -> Generator[list[Message], None, None]:
         """See ``Engine.batches``."""
         try:
-            self._leave_probes()
+            self._create_probes()
             threading.Thread(target=self._connect, name="msal-dask", daemon=True).start()
             while True:
                 messages: list[Message] = []
                 fault: Exception | None = None
-                for kind, *rest in self._all_heard():
+                for kind, *rest in self._receive():
                     try:
                         if kind == "interrupt":
                             raise Interrupt
-                        messages += self._understood(kind, rest)
+                        messages += self._handle_event(kind, rest)
                     except (Interrupt, MsalError) as error:
                         fault = fault or error
                 if fault is None:
-                    self._hand_out()
+                    self._submit_batches()
                 if messages:
                     yield messages
                 if fault is not None:
                     raise fault
-                if self._is_connected and not (self._flying or self._waiting_any()):
+                if self._is_connected and not (self._submitted or self._has_waiting()):
                     return
         finally:
             self._end()
@@ -143,20 +143,20 @@ class DaskEngine:
             self._cluster.open(_PATIENCE_S)
             if not self._cluster.is_local:
                 self._cluster.check(__version__, self._must_exist())
-            self._heard.put(("connected",))
+            self._inbox.put(("connected",))
             self._cluster.watch()
         except MsalError as error:
-            self._heard.put(("fault", error))
+            self._inbox.put(("fault", error))
         except Exception as error:
             _log.debug("the way to the Dask cluster", exc_info=True)
-            self._heard.put(("fault", _failed(error)))
+            self._inbox.put(("fault", _dask_error(error)))
 
-    def _leave_probes(self) -> None:
-        """A new file in every folder with a manifest: who sees them shares the file system."""
+    def _create_probes(self) -> None:
+        """Make a file in every folder with a manifest; workers on shared storage see them."""
         if self._cluster.is_local:
             return
         for folder in self._work.folders:
-            probe = os.path.join(os.path.abspath(folder), temporaries.temporary_name("probe"))
+            probe = os.path.join(os.path.abspath(folder), temporary_name("probe"))
             Path(probe).touch()
             self._probes.append(probe)
 
@@ -173,16 +173,16 @@ class DaskEngine:
         self._cluster.close()
         for probe in self._probes:
             Path(probe).unlink(missing_ok=True)
-        # A worker of this machine that was killed with its Dask worker has nobody to sweep for it.
-        temporaries.sweep(homes.folders(self._work.tasks.values()))
+        # A worker of this machine that was killed with its Dask worker cannot do that itself.
+        temporary_files.sweep(output_folders(self._work.tasks.values()))
 
     # Handing out
 
-    def _waiting_any(self) -> bool:
-        return bool(self._large or self._waiting or self._suspects or self._again)
+    def _has_waiting(self) -> bool:
+        return bool(self._large or self._waiting or self._suspects or self._retries)
 
-    def _hand_out(self) -> None:
-        while self._threads and len(self._flying) < _PER_THREAD * self._threads:
+    def _submit_batches(self) -> None:
+        while self._threads and len(self._submitted) < _PER_THREAD * self._threads:
             if self._large:
                 self._submit([self._large.popleft()])
             elif self._waiting:
@@ -190,8 +190,8 @@ class DaskEngine:
                 self._submit([self._waiting.popleft() for _ in range(n)])
             elif self._suspects:
                 self._submit([self._suspects.popleft()])
-            elif self._again and not self._flying:
-                self._submit([self._again.popleft()])
+            elif self._retries and not self._submitted:
+                self._submit([self._retries.popleft()])
                 return
             else:
                 return
@@ -223,20 +223,19 @@ class DaskEngine:
         payload = pickle.dumps((order, {index: work.tasks[index] for index in indices}))
         key = f"msal-{self._run}-{number}"
         future = self._cluster.submit(key, number, __version__, payload)
-        self._flying[number] = _Batch(tuple(indices), future)
-        self._begun.difference_update(indices)
+        self._submitted[number] = _Batch(tuple(indices), future)
+        self._started.difference_update(indices)
 
-    # Listening
+    # Events
 
-    def _all_heard(self) -> list[tuple[Any, ...]]:
-        heard = [self._heard.get()]
-        while True:
-            try:
-                heard.append(self._heard.get_nowait())
-            except queue.Empty:
-                return heard
+    def _receive(self) -> list[tuple[Any, ...]]:
+        events = [self._inbox.get()]
+        with contextlib.suppress(queue.Empty):
+            while True:
+                events.append(self._inbox.get_nowait())
+        return events
 
-    def _understood(self, kind: str, rest: list[Any]) -> list[Message]:
+    def _handle_event(self, kind: str, rest: list[Any]) -> list[Message]:
         if kind == "connected":
             self._is_connected = True
             self._seen_workers = time.monotonic()
@@ -244,11 +243,11 @@ class DaskEngine:
             raise rest[0]
         elif kind == "threads":
             self._note_threads(*rest)
-        elif kind == "news":
-            address, run, news = rest
-            return self._told(address, pickle.loads(news)) if run == self._run else []
+        elif kind == "messages":
+            address, run, messages = rest
+            return self._new_messages(address, pickle.loads(messages)) if run == self._run else []
         elif kind == "answer":
-            return self._answered(*rest)
+            return self._handle_answer(*rest)
         return []
 
     def _note_threads(self, threads: int | None) -> None:
@@ -260,30 +259,30 @@ class DaskEngine:
         if waited > _PATIENCE_S:
             raise no_workers(self._scheduler, waited)
 
-    def _told(self, address: str, messages: list[Message]) -> list[Message]:
-        """What is new of what a worker says; it says everything twice, now and with the batch."""
+    def _new_messages(self, address: str, messages: list[Message]) -> list[Message]:
+        """The messages that are new: workers send each twice, at once and with the batch."""
         new: list[Message] = []
         for one in messages:
             index = one.index
             if index not in self._open:
                 continue
-            if isinstance(one, Returned | Lost):
+            if isinstance(one, Returned | Failed):
                 self._open.remove(index)
-                if index not in self._begun:
-                    new.append(Began(index))
-                new.append(self._signed(address, one))
-            elif not (isinstance(one, Began) and index in self._begun):
-                self._begun.add(index)
+                if index not in self._started:
+                    new.append(Started(index))
+                new.append(self._complete(address, one))
+            elif not (isinstance(one, Started) and index in self._started):
+                self._started.add(index)
                 new.append(one)
-                if isinstance(one, Again):
-                    self._begun.discard(index)
+                if isinstance(one, Retried):
+                    self._started.discard(index)
         return new
 
-    def _signed(self, address: str, message: Returned | Lost) -> Message:
-        """The message, with what only this side knows."""
+    def _complete(self, address: str, message: Returned | Failed) -> Message:
+        """The message with what only this process knows."""
         if not isinstance(message, Returned):
             return message
-        earlier = self._earlier.get(message.index, message.earlier)
+        earlier = self._losses.reasons.get(message.index, message.earlier)
         record = message.result
         if isinstance(record, MeshRecord) and record.error and record.error.code == "E_READ":
             path = self._work.tasks[message.index].input
@@ -295,14 +294,14 @@ class DaskEngine:
                 record = replace(record, error=replace(record.error, hint=hint))
         return replace(message, earlier=earlier, result=record)
 
-    def _answered(self, number: int, answer: object) -> list[Message]:
-        batch = self._flying.pop(number, None)
+    def _handle_answer(self, number: int, answer: object) -> list[Message]:
+        batch = self._submitted.pop(number, None)
         if batch is None:
             return []
         if isinstance(answer, bytes):
-            return self._done(batch, pickle.loads(answer))
+            return self._handle_result(batch, pickle.loads(answer))
         if type(answer).__name__ == "KilledWorker":
-            return self._killed(batch, answer)
+            return self._handle_killed(batch, answer)
         if isinstance(answer, MsalError):
             raise answer
         if isinstance(answer, CancelledError):
@@ -310,9 +309,9 @@ class DaskEngine:
                 f"the Dask scheduler {self._scheduler} was lost, or took the work back",
                 hint="finished files are kept; the same command goes on from there",
             )
-        raise _failed(answer)
+        raise _dask_error(answer)
 
-    def _done(self, batch: _Batch, answer: Answer) -> list[Message]:
+    def _handle_result(self, batch: _Batch, answer: Answer) -> list[Message]:
         for name, level, text in answer.lines:
             logging.getLogger(name).log(level, "%s", text)
         if not self._work.weights.keys() & set(batch.indices):
@@ -320,12 +319,12 @@ class DaskEngine:
             known = self._seconds_per_file
             self._seconds_per_file = pace if known is None else 0.5 * (known + pace)
         self._largest_batch = max(self._largest_batch, len(batch.indices))
-        messages = self._told(answer.address, answer.messages)
-        # A batch that its worker gave up although nobody asked for that.
+        messages = self._new_messages(answer.address, answer.messages)
+        # What is left of a batch that its worker gave up by itself.
         self._waiting.extend(index for index in batch.indices if index in self._open)
         return messages
 
-    def _killed(self, batch: _Batch, error: object) -> list[Message]:
+    def _handle_killed(self, batch: _Batch, error: object) -> list[Message]:
         left = [index for index in batch.indices if index in self._open]
         deaths = getattr(error, "allowed_failures", 0) + 1
         workers = "a Dask worker" if deaths == 1 else f"{deaths} Dask workers"
@@ -334,24 +333,19 @@ class DaskEngine:
             _log.info("%s with a batch of %d files; they go singly now", workers, len(left))
             self._suspects.extend(left)
             return []
-        return [self._lost(index, reason) for index in left]
-
-    def _lost(self, index: int, reason: str) -> Message:
-        """A file alone in its batch has lost its workers."""
-        self._deaths[index] += 1
-        if self._deaths[index] <= self._work.retries:
-            self._earlier[index] = reason
-            self._again.append(index)
-            return Again(index, reason)
-        self._open.remove(index)
-        tries = self._deaths[index]
-        if tries > 1:
-            reason += ", as at the first try" if tries == 2 else f" ({tries} tries)"
         hint = "a library broke on this file, or the machines ran out of memory"
-        return Lost(index, "crash", reason, hint)
+        outcomes: list[Message] = []
+        for index in left:
+            outcome = self._losses.add(index, "crash", reason, hint)
+            if isinstance(outcome, Retried):
+                self._retries.append(index)
+            else:
+                self._open.remove(index)
+            outcomes.append(outcome)
+        return outcomes
 
 
-def _failed(error: object) -> ResourceError:
+def _dask_error(error: object) -> ResourceError:
     return ResourceError(
         f"Dask cannot go on: {type(error).__name__}: {error}",
         hint="finished files are kept; the same command goes on from there",

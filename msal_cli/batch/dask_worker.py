@@ -1,13 +1,14 @@
 """The inside of a Dask worker: a batch of files, done by a supervised child process.
 
 What a file does to the process that works on it (a segfault, memory that runs out) must not cost
-the Dask worker, which others may share.  So every batch goes to a ``Crew`` of one worker, which
-stays for the next batch of the same run, because starting it takes half a second.
+the Dask worker, which others may share.  So every batch goes to a ``WorkerPool`` of one worker,
+which stays for the next batch of the same run, because starting it takes half a second.
 """
 
 from __future__ import annotations
 
 import collections
+import contextlib
 import logging
 import os
 import pickle
@@ -15,22 +16,21 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from msal_cli import __version__
-from msal_cli.batch import manifest_dirs as homes
-from msal_cli.batch import temporary_files as temporaries
-from msal_cli.batch.schedule import Schedule
-from msal_cli.batch.worker_messages import Advanced, Lost, Message, Returned
-from msal_cli.batch.worker_pool import Crew, Interrupt
+from msal_cli.batch import temporary_files
+from msal_cli.batch.engine import Interrupt, Work
+from msal_cli.batch.events import Failed, Message, Progress, Returned
+from msal_cli.batch.manifest_dirs import output_folders
+from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.errors import ResourceError
 from msal_cli.job.settings import Limits
 
 TOPIC = "msal"
-"""The topic of Dask's events under which workers tell what happens, file by file."""
+"""The topic of Dask's events under which workers report, file by file."""
 
 _IDLE_S = 30.0
 _BETWEEN_CHECKS_S = 0.2
@@ -47,7 +47,7 @@ class Order:
     function, common : as in ``engine.Work``.
     cores : cores for one child process.
     limits, retries : as in ``engine.Work``; a second try is alone in its own worker only.
-    log_level : what the parent wants to hear.
+    log_level : of the parent.
     folder : the parent's current folder, to which relative paths belong.
     must_exist : files and folders that a worker sees if it shares the file system.
     """
@@ -73,7 +73,7 @@ class Answer:
     lines: list[tuple[str, int, str]]
 
 
-def in_folder(
+def run_in_folder(
     task: Any, common: tuple[str, Callable[..., Any], Any], on_progress: Callable[..., None]
 ) -> Any:
     """Do a task in the folder from which msal was started, as relative paths want it."""
@@ -83,7 +83,7 @@ def in_folder(
     return function(task, its_common, on_progress)
 
 
-def do_batch(version: str, payload: bytes) -> bytes:
+def run_batch(version: str, payload: bytes) -> bytes:
     """Do some files; the Dask task.  ``payload`` is a pickled (Order, tasks by index), and what
     comes back a pickled Answer, so that Dask never looks into either.
 
@@ -96,12 +96,12 @@ def do_batch(version: str, payload: bytes) -> bytes:
     worker = get_worker()
     address = worker.address
     if version != __version__:
-        raise ResourceError(objection_to_version(address, __version__, version))
+        raise ResourceError(version_mismatch(address, __version__, version))
     order: Order
     order, tasks = pickle.loads(payload)
     for path in order.must_exist:
         if not os.path.exists(path):
-            raise ResourceError(objection_to_blindness(address, path))
+            raise ResourceError(storage_access_error(address, path))
     key = worker.get_current_task()
 
     def is_wanted() -> bool:
@@ -109,33 +109,33 @@ def do_batch(version: str, payload: bytes) -> bytes:
         task = worker.state.tasks.get(key)
         return task is not None and task.state not in ("cancelled", "released", "forgotten")
 
-    def tell(messages: list[Message]) -> None:
-        news = {"run": order.run, "address": address, "news": pickle.dumps(messages)}
-        worker.log_event(TOPIC, news)
+    def send(messages: list[Message]) -> None:
+        event = {"run": order.run, "address": address, "messages": pickle.dumps(messages)}
+        worker.log_event(TOPIC, event)
 
     started = time.perf_counter()
-    with _borrowed(order) as bench:
-        messages = bench.done(tasks, is_wanted, tell)
+    with _borrow_pool(order) as pool:
+        messages = pool.done(tasks, is_wanted, send)
     spent = time.perf_counter() - started
-    return pickle.dumps(Answer(address, spent, messages, _lines.drained()))
+    return pickle.dumps(Answer(address, spent, messages, _log_queue.drain()))
 
 
-def objection_to_version(address: str, theirs: str | None, ours: str) -> str:
-    """In words: this worker runs another msal."""
+def version_mismatch(address: str, theirs: str | None, ours: str) -> str:
+    """The message for a worker with another version of msal."""
     has = "has no msal" if theirs is None else f"has msal {theirs}"
     return f"the Dask worker at {address} {has}, and here is {ours}"
 
 
-def objection_to_blindness(address: str, path: str) -> str:
-    """In words: this worker does not see the files of the run."""
+def storage_access_error(address: str, path: str) -> str:
+    """The message for a worker that does not see the files of the run."""
     return f"the Dask worker at {address} does not see {os.path.dirname(path) or path!r}"
 
 
-class _Bench:
-    """A crew of one worker that stays, and the thread that leads it.
+class _StayingPool:
+    """A pool of one worker that stays, and the thread that runs it.
 
     The system ends a child with the very thread that has started it, and Dask's threads come and
-    go; so the crew has a thread of its own, which lives as long as the crew.
+    go; so the pool has a thread of its own, which lives as long as the pool.
     """
 
     def __init__(self, order: Order) -> None:
@@ -143,100 +143,68 @@ class _Bench:
         self.is_broken = False
         self._folder = order.folder
         self._tasks: dict[int, Any] = {}
-        self._heard: queue.SimpleQueue[list[Message] | BaseException] = queue.SimpleQueue()
-        self._crew = Crew(
+        self._inbox: queue.SimpleQueue[list[Message] | BaseException] = queue.SimpleQueue()
+        work = Work(
             {},
-            in_folder,
+            run_in_folder,
             (order.folder, order.function, order.common),
-            jobs=1,
             cores=order.cores,
             limits=order.limits,
-            schedule=Schedule((), retries=order.retries),
-            on_death=self._clear_away,
-            stays=True,
+            retries=order.retries,
+            on_death=self._sweep_after,
         )
-        self._thread = threading.Thread(target=self._lead, name="msal", daemon=True)
-        self._thread.start()
+        self._pool = WorkerPool(work, stays=True)
+        threading.Thread(target=self._run, name="msal", daemon=True).start()
 
     def done(
         self,
         tasks: dict[int, Any],
         is_wanted: Callable[[], bool],
-        tell: Callable[[list[Message]], None],
+        send: Callable[[list[Message]], None],
     ) -> list[Message]:
         """Do tasks; stop in the middle once they are not wanted any more."""
         self._tasks = tasks
-        self._crew.add(tasks)
+        self._pool.add(tasks)
         everything: list[Message] = []
         left = set(tasks)
         while left:
-            try:
-                heard = self._heard.get(timeout=_BETWEEN_CHECKS_S)
-            except queue.Empty:
-                heard = []
+            received: list[Message] | BaseException = []
+            with contextlib.suppress(queue.Empty):
+                received = self._inbox.get(timeout=_BETWEEN_CHECKS_S)
             if not is_wanted():
                 self.end()
                 break
-            if isinstance(heard, BaseException):
+            if isinstance(received, BaseException):
                 self.is_broken = True
-                raise heard
-            news: list[Message] = [one for one in heard if not isinstance(one, Advanced)]
-            if news:
-                tell(news)
-            everything += news
-            left -= {one.index for one in news if isinstance(one, Returned | Lost)}
+                raise received
+            new: list[Message] = [one for one in received if not isinstance(one, Progress)]
+            if new:
+                send(new)
+            everything += new
+            left -= {one.index for one in new if isinstance(one, Returned | Failed)}
         return everything
 
     def end(self) -> None:
-        """Let the worker go; harmless if that has been done."""
+        """End the worker; harmless if that has been done."""
         self.is_broken = True
-        self._crew.interrupt()
+        self._pool.interrupt()
 
-    def _lead(self) -> None:
+    def _run(self) -> None:
         try:
-            for messages in self._crew.batches():
-                self._heard.put(messages)
+            for messages in self._pool.batches():
+                self._inbox.put(messages)
         except Interrupt:
             return
         except BaseException as error:
-            self._heard.put(error)
+            self._inbox.put(error)
 
-    def _clear_away(self, pid: int, index: int) -> None:
-        for folder in homes.folders([self._tasks[index]]):
-            temporaries.sweep_after(pid, Path(self._folder, folder))
-
-
-class _Idle:
-    """Benches that wait for the next batch of their run; those that wait too long are let go."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._benches: dict[_Bench, threading.Timer] = {}
-
-    def taken(self, run: str) -> _Bench | None:
-        with self._lock:
-            for bench in self._benches:
-                if bench.run == run:
-                    self._benches.pop(bench).cancel()
-                    return bench
-        return None
-
-    def put(self, bench: _Bench) -> None:
-        timer = threading.Timer(_IDLE_S, self._expire, [bench])
-        timer.daemon = True
-        with self._lock:
-            self._benches[bench] = timer
-        timer.start()
-
-    def _expire(self, bench: _Bench) -> None:
-        with self._lock:
-            is_idle = self._benches.pop(bench, None) is not None
-        if is_idle:
-            bench.end()
+    def _sweep_after(self, pid: int, index: int) -> None:
+        for folder in output_folders([self._tasks[index]]):
+            temporary_files.sweep_after(pid, Path(self._folder, folder))
 
 
-class _Lines(logging.Handler):
-    """The last lines of msal's log in this process, to be sent home with the next answer."""
+class _LogQueue(logging.Handler):
+    """The last lines of msal's log in this process, sent to the run with the next answer."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -245,30 +213,45 @@ class _Lines(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         self._kept.append((record.name, record.levelno, self.format(record)))
 
-    def drained(self) -> list[tuple[str, int, str]]:
-        lines = []
-        while self._kept:
-            lines.append(self._kept.popleft())
-        return lines
+    def drain(self) -> list[tuple[str, int, str]]:
+        return [self._kept.popleft() for _ in range(len(self._kept))]
 
 
-_idle = _Idle()
-_lines = _Lines()
+_log_queue = _LogQueue()
+
+# Pools that wait for the next batch of their run, each with the timer that ends it.
+_idle: dict[_StayingPool, threading.Timer] = {}
+_idle_lock = threading.Lock()
 
 
-@contextmanager
-def _borrowed(order: Order) -> Iterator[_Bench]:
-    """A bench for one batch: one that stayed from the last batch of the run, or a new one."""
+@contextlib.contextmanager
+def _borrow_pool(order: Order) -> Iterator[_StayingPool]:
+    """A pool for one batch: one that stayed from the last batch of the run, or a new one."""
     logger = logging.getLogger("msal")
-    if _lines not in logger.handlers:
-        logger.addHandler(_lines)
+    if _log_queue not in logger.handlers:
+        logger.addHandler(_log_queue)
         logger.propagate = False
     logger.setLevel(order.log_level)
-    bench = _idle.taken(order.run) or _Bench(order)
+    with _idle_lock:
+        pool = next((one for one in _idle if one.run == order.run), None)
+        if pool is not None:
+            _idle.pop(pool).cancel()
+    pool = pool or _StayingPool(order)
     try:
-        yield bench
+        yield pool
     except BaseException:
-        bench.end()
+        pool.end()
         raise
-    if not bench.is_broken:
-        _idle.put(bench)
+    if not pool.is_broken:
+        timer = threading.Timer(_IDLE_S, _end_idle, [pool])
+        timer.daemon = True
+        with _idle_lock:
+            _idle[pool] = timer
+        timer.start()
+
+
+def _end_idle(pool: _StayingPool) -> None:
+    with _idle_lock:
+        is_idle = _idle.pop(pool, None) is not None
+    if is_idle:
+        pool.end()

@@ -1,6 +1,6 @@
-"""Which files the inputs of a command stand for: files, folders and glob patterns.
+"""Which files the inputs of a command name: files, folders and glob patterns.
 
-The order of what is found is that of the inputs and, within a folder, that of the names; it does
+The order of the files is that of the inputs and, within a folder, that of the names; it does
 not depend on the file system.  Names are only ever compared and joined, never interpreted, so any
 name that the system allows (line breaks, bytes that are no UTF-8, a leading dash) is fine.
 """
@@ -13,16 +13,17 @@ import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 from msal_cli.batch.patterns import Patterns, has_magic
 from msal_cli.batch.temporary_files import is_own
-from msal_cli.errors import MsalError, UsageError
+from msal_cli.errors import InputError, MsalError, UsageError
 from msal_cli.job.records import ObjectMark
-from msal_cli.storage.urls import is_url, name, settled
+from msal_cli.job.settings import is_mesh_name
+from msal_cli.storage import urls
+from msal_cli.storage.urls import is_url
 
-if TYPE_CHECKING:
-    from msal_cli.batch.remote_inputs import Place
+T = TypeVar("T")
 
 _LINKS_NAMED = 3
 
@@ -36,12 +37,12 @@ class NothingMatched(MsalError):  # noqa: N818 - a signal to the command line, n
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class DiscoveredInput:
     """One input file.
 
     ``path`` opens it; ``relative`` is where it belongs below an output folder, written with ``/``;
     ``root`` is the folder that was searched, or ``""`` for a file that was named itself.  An
-    object in a store has the ``mark`` that the store told when it was found.
+    object in a store has the ``mark`` that the store gave when it was found.
     """
 
     path: str
@@ -50,35 +51,53 @@ class Found:
     mark: ObjectMark | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    path: str
-    name: str
-    relative: str
-    is_folder: bool
+class _Selection:
+    """Which files below a folder an input takes: those with mesh names, or those of a pattern.
+
+    A pattern for names of files takes any name; another may match a folder, of which it takes
+    the meshes.  ``depth`` is how many parts a name has at most, None where there is no limit.
+    """
+
+    def __init__(self, parts: Sequence[str]) -> None:
+        self._matcher = Patterns(["/".join(parts)] if parts else [], whole=True)
+        last = parts[-1] if parts else ""
+        self._takes_any_name = "." in last and not has_magic(last.rpartition(".")[2])
+        self._depth = len(parts) if parts and "**" not in parts else None
+        self.is_pattern = bool(parts)
+        self.depth = self._depth if self._takes_any_name else None
+        self.with_hidden = any(part.startswith(".") for part in parts)
+
+    def takes(self, relative: str) -> bool:
+        if self._matcher and not self._matcher.matches(relative):
+            return False
+        is_named = self._takes_any_name and self._matcher.is_exact(relative)
+        return is_named or is_mesh_name(relative.rpartition("/")[2])
+
+    def may_lie_below(self, relative: str) -> bool:
+        """Whether files below this folder may be taken."""
+        if self._depth is None or relative.count("/") + 1 < self._depth:
+            return True
+        return self._matcher.matches(relative)
 
 
-def found(
+def discover_inputs(
     inputs: Sequence[str],
     include: Iterable[str] = (),
     exclude: Iterable[str] = (),
-    is_mesh_name: Callable[[str], bool] | None = None,
     *,
     output: str | None = None,
-) -> tuple[Found, ...]:
-    """The files that ``inputs`` stand for, each once, in a fixed order.
+) -> tuple[DiscoveredInput, ...]:
+    """The files that ``inputs`` name, each once, in a fixed order.
 
-    What is written as ``protocol://...`` is an object, a folder of objects or a pattern in a store
-    (see `remote_inputs`).
+    What is written as ``protocol://...`` is an object, a folder of objects or a pattern in a store.
 
     A file is taken as it is, whatever its name.  A folder is searched through all its subfolders
-    for names that ``is_mesh_name`` accepts (default: every suffix that msal reads); hidden files
-    and folders, special files, msal's own files and the folder ``output`` are passed over.  A
-    symbolic link to a folder is followed when it leads elsewhere within the searched folder, but
-    not from there through another link, so a loop ends; a link that leads out of it is passed
-    over.  A pattern (``*``, ``?``, ``[...]``, ``**``) is expanded here unless a file of that very
-    name exists: a pattern that ends in a plain suffix takes every file it matches, another only
-    mesh names, and a folder that it matches is searched.
+    for names with a suffix that msal reads; hidden files and folders, special files, msal's own
+    files and the folder ``output`` are skipped.  A symbolic link to a folder is followed when it
+    leads elsewhere within the searched folder, but not from there through another link, so a loop
+    ends; a link that leads out of it is skipped.  A pattern (``*``, ``?``, ``[...]``, ``**``) is
+    expanded here unless a file of that very name exists: a pattern that ends in a plain suffix
+    takes every file it matches, another only mesh names, and a folder that it matches is searched.
 
     ``include`` and ``exclude`` are patterns on the relative path, the name, or a folder on the way
     (see `patterns.Patterns`); a file is kept if some ``include`` (where there is any) and no
@@ -89,45 +108,38 @@ def found(
     UsageError : an input does not exist or is neither file nor folder; a folder cannot be listed.
     NothingMatched : nothing is left.
     """
-    if is_mesh_name is None:
-        from msal_cli.job.settings import is_mesh_name as known_suffix
-
-        is_mesh_name = known_suffix
     included, excluded = Patterns(include), Patterns(exclude)
-    inputs = [settled(text) for text in inputs]
-    places = {text: _place(text, is_mesh_name) for text in inputs if is_url(text)}
-    kinds = [places[text].kind if text in places else _kind(text) for text in inputs]
+    output = None if output is None else urls.settled(output)
+    own_output = None if output is None or is_url(output) else str(resolve(Path(output)))
+    inputs = [urls.settled(text) for text in inputs]
+    types = [_input_type(text) for text in inputs]
     folders = {
-        text if text in places else str(Path(text))
-        for text, kind in zip(inputs, kinds, strict=True)
-        if kind == "folder"
+        text if is_url(text) else str(Path(text))
+        for text, (input_type, _) in zip(inputs, types, strict=True)
+        if input_type == "folder"
     }
-    output = None if output is None else settled(output)
-    own_output = resolve(Path(output)) if output is not None and not is_url(output) else None
-    everything: dict[tuple[str, str], Found] = {}
+    everything: dict[tuple[str, str], DiscoveredInput] = {}
     empty: list[str] = []
-    for text, kind in zip(inputs, kinds, strict=True):
-        if text in places:
-            from msal_cli.batch import remote_inputs
-
-            prefix = f"{name(text)}/" if kind == "folder" and len(folders) > 1 else ""
-            objects = remote_inputs.found(places[text], prefix, is_mesh_name, output)
-            some = [Found(one.url, one.relative, one.root, one.mark) for one in objects]
-        elif kind == "file":
-            some = [Found(str(Path(text)), Path(text).name, "")]
-        elif kind == "folder":
-            prefix = f"{_folder_name(Path(text))}/" if len(folders) > 1 else ""
-            some = _in_folder(Path(text), prefix, is_mesh_name, excluded, own_output)
+    for text, (input_type, mark) in zip(inputs, types, strict=True):
+        prefix = f"{_folder_name(text)}/" if input_type == "folder" and len(folders) > 1 else ""
+        root, parts = _split_pattern(text) if input_type == "pattern" else (text, ())
+        selection = _Selection(parts)
+        found: Iterable[DiscoveredInput]
+        if input_type == "file":
+            path = text if is_url(text) else str(Path(text))
+            name = urls.name(text) if is_url(text) else Path(text).name
+            found = [DiscoveredInput(path, name, "", mark)]
+        elif is_url(text):
+            found = _list_store(root, prefix, selection, output)
         else:
-            some = _by_pattern(text, is_mesh_name, excluded, own_output)
+            found = _list_tree(Path(root), prefix, selection, excluded, own_output)
         kept = [
             one
-            for one in some
+            for one in found
             if (not included or included.matches(one.relative))
             and not excluded.matches(one.relative)
         ]
-        if not kept:
-            empty.append(text)
+        empty += [] if kept else [text]
         for one in kept:
             everything.setdefault((one.path, one.relative), one)
     if not everything:
@@ -140,13 +152,24 @@ def found(
     return tuple(everything.values())
 
 
-def _place(url: str, is_mesh_name: Callable[[str], bool]) -> Place:
-    from msal_cli.batch.remote_inputs import place
+def _input_type(text: str) -> tuple[str, ObjectMark | None]:
+    """``file``, ``folder`` or ``pattern``, and the mark of an object.
 
-    return place(url, is_mesh_name)
+    In a store only what may be a single object is looked up; a folder is listed later.
+    Raises UsageError if there is nothing, or the store does not answer.
+    """
+    if not is_url(text):
+        return _local_type(text), None
+    path = urls.split(text)[1]
+    if not path.strip("/"):
+        raise UsageError(f"{text!r} names no bucket or folder", path=text)
+    other = "pattern" if has_magic(path) else "folder"
+    may_be_object = not text.endswith("/") and (other == "pattern" or is_mesh_name(urls.name(text)))
+    mark = _object_mark(text) if may_be_object else None
+    return (other, None) if mark is None else ("file", mark)
 
 
-def _kind(text: str) -> str:
+def _local_type(text: str) -> str:
     if not text:
         raise UsageError("an input is the empty string")
     path = Path(text)
@@ -172,103 +195,131 @@ def _kind(text: str) -> str:
     )
 
 
-def _folder_name(folder: Path) -> str:
+def _folder_name(text: str) -> str:
+    if is_url(text):
+        return urls.name(text)
+    folder = Path(text)
     return folder.name if folder.name not in ("", "..") else resolve(folder).name or "root"
 
 
-def _in_folder(
-    folder: Path,
-    prefix: str,
-    is_mesh_name: Callable[[str], bool],
-    excluded: Patterns,
-    own_output: Path | None,
-) -> list[Found]:
-    def is_entered(relative: str) -> bool:
-        return not excluded.matches(prefix + relative)
-
-    return [
-        Found(entry.path, prefix + entry.relative, str(folder))
-        for entry in _walked(folder, own_output, is_entered)
-        if not entry.is_folder and is_mesh_name(entry.name)
-    ]
-
-
-def _by_pattern(
-    text: str,
-    is_mesh_name: Callable[[str], bool],
-    excluded: Patterns,
-    own_output: Path | None,
-) -> list[Found]:
-    parts = Path(text).parts
+def _split_pattern(text: str) -> tuple[str, Sequence[str]]:
+    """The folder without wildcards that a pattern begins with, and the parts behind it."""
+    protocol, path = urls.split(text) if is_url(text) else ("", text)
+    parts = path.rstrip("/").split("/") if protocol else Path(text).parts
     n_fixed = next(at for at, part in enumerate(parts) if has_magic(part))
-    folder, rest = Path(*parts[:n_fixed]), parts[n_fixed:]
-    if not folder.is_dir():
-        return []
-    matcher = Patterns(["/".join(rest)], whole=True)
-    takes_any_name = "." in rest[-1] and not has_magic(rest[-1].rpartition(".")[2])
-    depth = None if "**" in rest else len(rest)
+    if not protocol:
+        return str(Path(*parts[:n_fixed])), parts[n_fixed:]
+    if not any(parts[:n_fixed]):
+        raise UsageError(f"the pattern {text!r} names no bucket or folder", path=text)
+    return f"{protocol}://{'/'.join(parts[:n_fixed])}", parts[n_fixed:]
 
-    def is_entered(relative: str) -> bool:
-        if excluded.matches(relative):
+
+# In a store
+
+
+def _list_store(
+    url: str, prefix: str, selection: _Selection, output: str | None
+) -> list[DiscoveredInput]:
+    """The objects below a URL that are taken, by name; a single one if it is no folder.
+
+    One listing brings size and tag of every object.  Hidden objects, msal's own and those below
+    ``output`` are skipped, the latter unless the URL is below it, too.
+    """
+    from msal_cli.storage import objects
+
+    marks = _ask_store(lambda: objects.listed(url, selection.depth))
+    if not marks and not selection.is_pattern:
+        # It may be an object whose name has no suffix of a mesh.
+        mark = None if url.endswith("/") else _object_mark(url)
+        if mark is not None:
+            return [DiscoveredInput(url, urls.name(url), "", mark)]
+        raise UsageError(
+            f"there is no object or folder {url!r}",
+            hint="check the bucket, the name, and AWS_ENDPOINT_URL or its like",
+            path=url,
+        )
+    root = urls.identity(urls.folder(url))
+    own = urls.identity(urls.folder(output)) if output is not None and is_url(output) else root
+    own_output = own[len(root) :] if own.startswith(root) else ""
+
+    def is_taken(name: str) -> bool:
+        if not name or (own_output and name.startswith(own_output)):
             return False
-        return depth is None or relative.count("/") + 1 < depth or matcher.matches(relative)
+        # ``.`` and ``..`` are odd names, but not hidden ones.
+        parts = [part for part in name.split("/") if part not in (".", "..")]
+        is_hidden = any(_is_skipped(part, selection.with_hidden) for part in parts)
+        return not is_hidden and selection.takes(name)
 
-    entries = _walked(folder, own_output, is_entered, any(p.startswith(".") for p in rest))
     return [
-        Found(entry.path, entry.relative, str(folder))
-        for entry in entries
-        if not entry.is_folder
-        and matcher.matches(entry.relative)
-        and ((takes_any_name and matcher.is_exact(entry.relative)) or is_mesh_name(entry.name))
+        DiscoveredInput(urls.joined(url, name), prefix + name, url, ObjectMark(*marks[name]))
+        for name in sorted(filter(is_taken, marks), key=lambda name: name.split("/"))
     ]
 
 
-def _walked(
-    root: Path,
-    own_output: Path | None,
-    is_entered: Callable[[str], bool],
-    with_hidden: bool = False,
-) -> Iterator[_Entry]:
-    """Files and folders below ``root``, by name; a folder comes before what it holds."""
+def _object_mark(url: str) -> ObjectMark | None:
+    from msal_cli.storage import objects
+
+    mark = _ask_store(lambda: objects.mark(url))
+    return None if mark is None else ObjectMark(*mark)
+
+
+def _ask_store(request: Callable[[], T]) -> T:
+    """The answer of a store; a UsageError, before the run begins, if there is none."""
+    try:
+        return request()
+    except InputError as error:
+        raise UsageError(error.message, hint=error.hint, path=error.path) from None
+
+
+# On this machine
+
+
+def _list_tree(
+    root: Path, prefix: str, selection: _Selection, excluded: Patterns, own_output: str | None
+) -> Iterator[DiscoveredInput]:
+    """The files below a folder that are taken, by name; links as in `discover_inputs`."""
+    if selection.is_pattern and not root.is_dir():
+        return
     real_root = str(resolve(root))
-    # What lies in a searched folder that itself lies in the output was asked for by name.
-    passed_over = None if own_output is None else str(own_output)
-    if passed_over is not None and _holds(passed_over, real_root):
-        passed_over = None
-    # Each folder waits with its real path, which costs too much to ask for at every depth, and with
+    # A searched folder that itself lies in the output was named by the user.
+    if own_output is not None and _is_below(own_output, real_root):
+        own_output = None
+    # Each folder waits with its real path, which costs too much to find at every depth, and with
     # the answer to: was a link followed on the way to it?
-    waiting: list[tuple[_Entry, str, bool]] = [(_Entry(str(root), "", "", True), real_root, False)]
+    waiting: list[tuple[str, str, str | None, bool]] = [(str(root), "", real_root, False)]
     outside: list[str] = []
     while waiting:
-        entry, holder, is_beyond_link = waiting.pop()
-        if entry.relative:
-            yield entry
-        if not entry.is_folder:
+        folder, relative, holder, is_beyond_link = waiting.pop()
+        if holder is None:
+            if selection.takes(relative):
+                yield DiscoveredInput(folder, prefix + relative, str(root))
             continue
-        below: list[tuple[_Entry, str, bool]] = []
-        for one in _listed(entry.path):
-            if _is_passed_over(one.name, with_hidden):
+        below: list[tuple[str, str, str | None, bool]] = []
+        for one in _scan(folder):
+            if _is_skipped(one.name, selection.with_hidden):
                 continue
-            path = one.name if entry.path == "." else os.path.join(entry.path, one.name)
-            relative = f"{entry.relative}/{one.name}" if entry.relative else one.name
-            kind = _entry_kind(one)
-            if kind == "file":
-                below.append((_Entry(path, one.name, relative, False), "", is_beyond_link))
-            elif kind != "special" and is_entered(relative):
-                is_link = kind == "linked folder"
+            path = one.name if folder == "." else os.path.join(folder, one.name)
+            name = f"{relative}/{one.name}" if relative else one.name
+            file_type = _file_type(one)
+            if file_type == "file":
+                below.append((path, name, None, is_beyond_link))
+            elif (
+                file_type != "special"
+                and not excluded.matches(prefix + name)
+                and selection.may_lie_below(name)
+            ):
+                is_link = file_type == "linked folder"
                 real = str(resolve(Path(path))) if is_link else os.path.join(holder, one.name)
-                if passed_over is not None and _holds(passed_over, real):
+                if own_output is not None and _is_below(own_output, real):
                     continue
-                if is_link and not _holds(real_root, real):
+                if is_link and not _is_below(real_root, real):
                     outside.append(path)
                     continue
-                # A link to a folder that holds it leads round.
-                if is_link and (is_beyond_link or _holds(real, holder)):
+                # A link to a folder above it leads round.
+                if is_link and (is_beyond_link or _is_below(real, holder)):
                     continue
-                folder = _Entry(path, one.name, relative, True)
-                below.append((folder, real, is_beyond_link or is_link))
-        below.sort(key=lambda triple: triple[0].name, reverse=True)
-        waiting.extend(below)
+                below.append((path, name, real, is_beyond_link or is_link))
+        waiting += sorted(below, key=lambda item: item[1], reverse=True)
     _warn_outside(sorted(outside), root)
 
 
@@ -284,11 +335,11 @@ def _warn_outside(links: Sequence[str], root: Path) -> None:
         _log.warning("%d more links lead out of it", len(links) - _LINKS_NAMED)
 
 
-def _is_passed_over(name: str, with_hidden: bool) -> bool:
+def _is_skipped(name: str, with_hidden: bool) -> bool:
     return is_own(name) or (name.startswith(".") and not with_hidden)
 
 
-def _listed(folder: str) -> list[os.DirEntry[str]]:
+def _scan(folder: str) -> list[os.DirEntry[str]]:
     try:
         with os.scandir(folder) as entries:
             return list(entries)
@@ -302,7 +353,7 @@ def _listed(folder: str) -> list[os.DirEntry[str]]:
         ) from None
 
 
-def _entry_kind(entry: os.DirEntry[str]) -> str:
+def _file_type(entry: os.DirEntry[str]) -> str:
     try:
         if entry.is_dir(follow_symlinks=False):
             return "folder"
@@ -313,14 +364,14 @@ def _entry_kind(entry: os.DirEntry[str]) -> str:
         mode = entry.stat().st_mode
     except OSError:
         # A link to nothing, or in a circle, is taken for a file so that it ends as a failed row
-        # with its reason, and not as a scan that nobody misses.
+        # with its reason, and not as a missing scan.
         return "file"
     if stat.S_ISDIR(mode):
         return "linked folder"
     return "file" if stat.S_ISREG(mode) else "special"
 
 
-def _holds(folder: str, path: str) -> bool:
+def _is_below(folder: str, path: str) -> bool:
     """Whether a path is that of a folder, or lies below it; both are real paths."""
     return path == folder or path.startswith(folder.rstrip(os.sep) + os.sep)
 

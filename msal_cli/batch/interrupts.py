@@ -19,7 +19,7 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 class Terminated(KeyboardInterrupt):
     """SIGTERM or SIGHUP asked the run to end; ``exit_status`` is 128 + ``signum``.
 
-    It is a KeyboardInterrupt so that whoever cleans up after Ctrl-C cleans up after this too.
+    It is a KeyboardInterrupt so that code which cleans up after Ctrl-C cleans up after this too.
     """
 
     def __init__(self, signum: int) -> None:
@@ -38,10 +38,10 @@ def raise_for(signum: int) -> NoReturn:
 def end_at_once(signum: int, frame: FrameType | None = None) -> NoReturn:
     """End the process with one line and status 128 + ``signum``; nothing is cleaned up.
 
-    As a handler it cannot be held up: an exception, which is the other way, is lost if it is
+    As a handler it cannot be delayed: an exception, which is the other way, is lost if it is
     raised in a destructor or in code that passes over all exceptions, as imports do at places.
     """
-    # What Python has buffered may be locked by whoever was interrupted.
+    # What Python has buffered may be locked by the code that was interrupted.
     start = b"\n" if os.isatty(2) else b""
     try:
         os.write(2, start + b"msal: interrupted\n")
@@ -60,8 +60,8 @@ def obeyed_at_once() -> Iterator[None]:
 def noticed(on_signal: Callable[[int], None]) -> Iterator[None]:
     """Call ``on_signal(number)`` at the first SIGINT, SIGTERM or SIGHUP; the second ends at once.
 
-    Only signals that nobody else handles are taken over, only in the main thread (Python offers no
-    other), and all are given back at the end.
+    Only signals that no other code handles are taken over, only in the main thread (Python offers
+    no other), and all are given back at the end.
     """
     is_noticed = False
 
@@ -81,7 +81,7 @@ def ended_late(clean: Callable[[], object]) -> Iterator[None]:
     """End the process ``AT_LATEST_S`` after a signal if the block is not left until then.
 
     A handler runs only when the main thread comes back to Python, and a kernel on a large mesh
-    takes its time.  The system itself tells of a signal through a pipe, and a thread that waits
+    takes its time.  The system itself reports a signal through a pipe, and a thread that waits
     there calls ``clean()`` and ends the process.  To be used within ``noticed``.
     """
     if threading.current_thread() is not threading.main_thread():
@@ -126,15 +126,15 @@ def _numbers() -> tuple[int, ...]:
 
 @contextmanager
 def _taken(handle: Callable[[int, FrameType | None], Any]) -> Iterator[None]:
-    """Let ``handle`` have the signals that nobody else handles."""
+    """Give ``handle`` the signals that no other code handles."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    nobodys = (signal.SIG_DFL, signal.default_int_handler, end_at_once)
+    unhandled = (signal.SIG_DFL, signal.default_int_handler, end_at_once)
     taken: dict[int, Any] = {}
     try:
         for number in _numbers():
-            if signal.getsignal(number) in nobodys:
+            if signal.getsignal(number) in unhandled:
                 taken[number] = signal.signal(number, handle)
         yield
     finally:

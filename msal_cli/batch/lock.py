@@ -1,16 +1,16 @@
 """One run at a time on an output folder, or the shards of one N together.
 
-A run that is no shard holds the folder's lock ``.msal-lock`` alone.  A shard holds a lock of its
-own, ``.msal-lock-K-of-N``, and shares the folder's.  Whoever holds what it needs then looks for
-others that it does not get along with, and gives up what it holds if it finds one.  As everybody
-takes before looking, of two that do not get along at least one sees the other.  Two that start in
-the same instant may both give up; so each tries again a few times, after pauses of random length.
+A run that is no shard locks the folder's ``.msal-lock`` exclusively.  A shard locks a file of its
+own, ``.msal-lock-K-of-N``, and the folder's in shared mode.  A run that has its locks then looks
+for runs that it conflicts with, and releases its locks if there is one.  As all lock before they
+look, of two runs in conflict at least one sees the other.  Two that start in the same instant may
+both give up; so each tries again a few times, after pauses of random length.
 
-The locks are the system's own locks on open files, so they end with the process that holds them,
-however that ends; nothing stale can stay behind.  The files also tell who holds them.  Where locks
-cannot be shared (Windows), a shard holds its own lock only, and the looking alone keeps shards and
-whole runs apart.  On a file system without locks the word in the file is all there is: it counts
-while its process lives, and words of other machines do not count.
+The locks are the system's own locks on open files, so they end with the process that has them,
+however that ends; nothing stale can stay behind.  The files also contain who has them.  Where locks
+cannot be shared (Windows), a shard locks its own file only, and the look alone keeps shards and
+whole runs apart.  On a file system without locks the text in the file is all there is: it counts
+while its process lives, and texts of other machines do not count.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _CAN_SHARE: bool = os.name != "nt"
 # Windows keeps others from reading what is locked, so there a byte far behind the text is locked.
 _WINDOWS_LOCK_AT = 1 << 30
 
-# A lock that somebody took only to look is free again at once.
+# A lock that was taken only to look is free again at once.
 _TRIES = 5
 _PAUSE_S = (0.02, 0.1)
 
@@ -51,31 +51,36 @@ _log = logging.getLogger("msal.batch")
 
 
 class FolderLock:
-    """Hold a folder for this process; use it with ``with`` or call ``release``.
+    """Lock a folder for this process; use it with ``with`` or call ``release``.
 
     ``shard`` shares the folder with the other shards of the same N.
 
     Raises
     ------
-    UsageError : another run holds the folder (code ``E_LOCKED``); its process id is in the message.
+    UsageError : another run has locked the folder (code ``E_LOCKED``); the message has its process.
     OutputError : a lock file cannot be opened.
     """
 
     def __init__(self, folder: str, shard: Shard | None = None) -> None:
         self._folder = Path(folder)
         self._shard = shard
-        self._held: list[_Held] = []
-        for left in reversed(range(_TRIES)):
+        self._locks: list[_LockFile] = []
+        for tries_left in reversed(range(_TRIES)):
             try:
-                rival = self._rival()
+                rival = self._acquire()
             except BaseException:
                 self.release()
                 raise
             if rival is None:
                 return
             self.release()
-            if not left:
-                raise self._refusal(rival)
+            if not tries_left:
+                raise UsageError(
+                    f"{rival} is already working on the folder {folder!r}",
+                    hint="wait until it is done, stop it, or choose another output folder",
+                    path=folder,
+                    code="E_LOCKED",
+                )
             time.sleep(random.uniform(*_PAUSE_S))
 
     def __enter__(self) -> FolderLock:
@@ -90,81 +95,61 @@ class FolderLock:
         self.release()
 
     def release(self) -> None:
-        """Give the folder back; harmless if that has been done."""
-        while self._held:
-            self._held.pop().release()
+        """Release the folder; harmless if that has been done."""
+        while self._locks:
+            self._locks.pop().release()
 
-    def _rival(self) -> _Holder | None:
-        """Take what this run needs; None, or who is in the way."""
+    def _acquire(self) -> _LockOwner | None:
+        """Lock what this run needs; None, or the owner of a lock in its way."""
         whole = self._folder / NAME
         if self._shard is None:
-            # What the folder's lock says may be old while shards share it.
-            holder = self._taken(whole)
-            return self._shard_at_work() or holder
-        own = self._folder / f"{NAME}-{self._shard.file_part}"
-        holder = self._taken(own)
-        if holder is None:
-            holder = self._taken(whole, is_shared=True) if _CAN_SHARE else _looked_at(whole)
-        return holder or self._shard_at_work()
+            # While shards share the folder's lock, its text may be old.
+            owner = self._lock(whole)
+            return self._conflicting_shard() or owner
+        owner = self._lock(self._folder / f"{NAME}-{self._shard.file_part}")
+        if owner is None:
+            owner = self._lock(whole, is_shared=True) if _CAN_SHARE else _probe_lock(whole)
+        return owner or self._conflicting_shard()
 
-    def _taken(self, path: Path, *, is_shared: bool = False) -> _Holder | None:
-        """Open and lock a file and keep it so; None, or who holds it."""
+    def _lock(self, path: Path, *, is_shared: bool = False) -> _LockOwner | None:
+        """Open and lock a file and keep it so; None, or the owner of its lock."""
         while True:
-            handle = _opened(path)
-            is_kept = False
-            try:
-                if not _is_free(handle, path, is_shared=is_shared):
-                    return _holder(handle, path)
-                # Its last holder may have removed it while we waited for it.
-                is_kept = _is_still_there(handle, path)
-                if is_kept:
-                    if not is_shared:
-                        _say_who(handle, path)
-                    self._held.append(_Held(path, handle, is_shared))
-                    return None
-            except BaseException:
-                is_kept = False
-                raise
-            finally:
-                if not is_kept:
-                    os.close(handle)
+            file = _LockFile.open(path)
+            with contextlib.ExitStack() as stack:
+                stack.callback(os.close, file.handle)
+                if not file.try_lock(is_shared=is_shared):
+                    return file.owner()
+                # Its last owner may have removed it while we waited for it.
+                if not file.has_name():
+                    continue
+                if not is_shared:
+                    file.write_owner()
+                self._locks.append(file)
+                stack.pop_all()
+                return None
 
-    def _shard_at_work(self) -> _Holder | None:
-        """Who works on a shard that this run does not get along with."""
+    def _conflicting_shard(self) -> _LockOwner | None:
+        """The owner of a shard's lock that this run conflicts with."""
         for path, count in _shard_locks(self._folder):
             if self._shard is None or count != self._shard.count:
-                holder = _looked_at(path, is_removed=self._shard is None)
-                if holder is not None:
-                    return holder
+                owner = _probe_lock(path, is_removed=self._shard is None)
+                if owner is not None:
+                    return owner
         return None
 
-    def _refusal(self, rival: _Holder) -> UsageError:
-        return UsageError(
-            f"{rival} is already working on the folder {str(self._folder)!r}",
-            hint="wait until it is done, stop it, or choose another output folder",
-            path=str(self._folder),
-            code="E_LOCKED",
-        )
 
-
-def who_works(folder: str) -> tuple[str, ...]:
+def lock_owners(folder: str) -> tuple[str, ...]:
     """Who works on a folder now, in words such as ``process 17 on host``; touches nothing."""
-    paths = [Path(folder) / NAME, *(path for path, _ in _shard_locks(Path(folder)))]
-    found = []
-    for path in paths:
-        try:
-            holder = _looked_at(path)
-        except OutputError:
-            continue
-        # Of the folder's own lock, while shards share it, nobody is the holder.
-        if holder is not None:
-            found.append(str(holder))
-    return tuple(found)
+    owners = []
+    for path in (Path(folder) / NAME, *(path for path, _ in _shard_locks(Path(folder)))):
+        with contextlib.suppress(OutputError):
+            owners.append(_probe_lock(path))
+    return tuple(str(owner) for owner in owners if owner is not None)
 
 
 @dataclass(frozen=True, slots=True)
-class _Holder:
-    """Process id and machine of who holds a lock, empty where that is not told."""
+class _LockOwner:
+    """Process id and machine of a lock's owner, empty where they are not known."""
 
     pid: str
     host: str
@@ -182,117 +167,109 @@ class _Holder:
         return is_here and is_alive(int(self.pid))
 
 
-@dataclass(frozen=True, slots=True)
-class _Held:
-    """A lock file that this process holds open and locked."""
+@dataclass(slots=True)
+class _LockFile:
+    """A lock file that is open."""
 
     path: Path
     handle: int
-    is_shared: bool
+    is_shared: bool = False
+
+    @classmethod
+    def open(cls, path: Path, flags: int = os.O_CREAT) -> _LockFile:
+        flags |= os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
+        try:
+            # Without it, opening a pipe would wait for a writer.
+            handle = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o644)
+            if not stat.S_ISREG(os.fstat(handle).st_mode):
+                os.close(handle)
+                raise OSError(errno.EINVAL, "it is not a regular file")
+        except OSError as error:
+            raise OutputError(
+                f"the lock file {str(path)!r} cannot be opened: {error.strerror}",
+                hint="the output folder must be writable",
+                path=str(path),
+            ) from error
+        return cls(path, handle)
+
+    def try_lock(self, *, is_shared: bool) -> bool:
+        """Lock it, or where that is impossible see whether the process in its text is gone."""
+        self.is_shared = is_shared
+        try:
+            return _flock(self.handle, is_shared=is_shared)
+        except OSError as error:
+            _warn_once(str(self.path.parent), str(error))
+            return not self.owner().is_alive()
+
+    def owner(self) -> _LockOwner:
+        os.lseek(self.handle, 0, os.SEEK_SET)
+        pid, _, host = os.read(self.handle, 300).decode(errors="replace").strip().partition(" ")
+        shard = _OF_SHARD.fullmatch(self.path.name)
+        return _LockOwner(pid, host, f"{shard[1]}/{shard[2]}" if shard else "")
+
+    def write_owner(self) -> None:
+        """Make this process the owner in the text."""
+        try:
+            os.truncate(self.handle, 0)
+            os.lseek(self.handle, 0, os.SEEK_SET)
+            os.write(self.handle, f"{os.getpid()} {platform.node()}\n".encode())
+        except OSError as error:
+            raise OutputError(
+                f"the lock file {str(self.path)!r} cannot be written: {error.strerror}",
+                hint="the output folder must be writable, and its disk not be full",
+                path=str(self.path),
+            ) from None
+
+    def has_name(self) -> bool:
+        """Whether the open file is still the one of this name."""
+        try:
+            return os.path.samestat(os.fstat(self.handle), self.path.stat())
+        except OSError:
+            return False
 
     def release(self) -> None:
         if os.name == "nt":
             os.close(self.handle)
             _remove(self.path)
             return
-        # Removed while held alone: who opened it meanwhile sees that it is gone and starts again.
-        if not self.is_shared or self._is_last():
-            _remove(self.path)
-        # Closed it is, whatever the system says about it, and nothing in it is of worth.
+        # It is removed under an exclusive lock: a process that opened it meanwhile sees that it is
+        # gone and starts again.
+        with contextlib.suppress(OSError):
+            if not self.is_shared or _flock(self.handle):
+                _remove(self.path)
+        # After an error of the system it is closed, too, and its content does not matter.
         with contextlib.suppress(OSError):
             os.close(self.handle)
 
-    def _is_last(self) -> bool:
-        try:
-            return _is_locked_by_us(self.handle)
-        except OSError:
-            return False
 
-
-def _looked_at(path: Path, *, is_removed: bool = False) -> _Holder | None:
-    """Who holds a lock file; None if nobody does.  A file that nobody holds can be removed."""
-    handle = _opened(path, is_made=False)
-    if handle < 0:
-        return None
+def _probe_lock(path: Path, *, is_removed: bool = False) -> _LockOwner | None:
+    """The owner of a lock file; None if it is free, and then it can be removed."""
     try:
-        # Looking with a shared lock leaves others free to do the same.
-        if not _is_free(handle, path, is_shared=_CAN_SHARE and not is_removed):
-            return _holder(handle, path)
+        file = _LockFile.open(path, 0)
+    except OutputError as error:
+        if isinstance(error.__cause__, FileNotFoundError | NotADirectoryError):
+            return None
+        raise
+    try:
+        # A shared lock lets others probe at the same time.
+        if not file.try_lock(is_shared=_CAN_SHARE and not is_removed):
+            return file.owner()
         if is_removed:
             _remove(path)
         return None
     finally:
-        os.close(handle)
-
-
-def _opened(path: Path, *, is_made: bool = True) -> int:
-    flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | (os.O_CREAT if is_made else 0)
-    try:
-        # To read who holds it would wait for a pipe.
-        handle = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o644)
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
-            os.close(handle)
-            raise OSError(errno.EINVAL, "it is not a regular file")
-        return handle
-    except OSError as error:
-        if isinstance(error, FileNotFoundError | NotADirectoryError) and not is_made:
-            return -1
-        raise OutputError(
-            f"the lock file {str(path)!r} cannot be opened: {error.strerror}",
-            hint="the output folder must be writable",
-            path=str(path),
-        ) from None
-
-
-def _is_free(handle: int, path: Path, *, is_shared: bool) -> bool:
-    """Lock an open file, or else see whether the process that it names is gone."""
-    try:
-        return _is_locked_by_us(handle, is_shared=is_shared)
-    except OSError as error:
-        _warn(str(path.parent), str(error))
-        return not _holder(handle, path).is_alive()
+        os.close(file.handle)
 
 
 @functools.cache
-def _warn(folder: str, reason: str) -> None:
-    """Said once; a lock is tried several times."""
+def _warn_once(folder: str, reason: str) -> None:
     _log.warning("the folder %r cannot be locked: %s", folder, reason)
 
 
-def _holder(handle: int, path: Path) -> _Holder:
-    os.lseek(handle, 0, os.SEEK_SET)
-    pid, _, host = os.read(handle, 300).decode(errors="replace").strip().partition(" ")
-    named = _OF_SHARD.fullmatch(path.name)
-    return _Holder(pid, host, f"{named[1]}/{named[2]}" if named else "")
-
-
-def _say_who(handle: int, path: Path) -> None:
-    """Write into a lock file who holds it."""
-    try:
-        os.truncate(handle, 0)
-        os.lseek(handle, 0, os.SEEK_SET)
-        os.write(handle, f"{os.getpid()} {platform.node()}\n".encode())
-    except OSError as error:
-        raise OutputError(
-            f"the lock file {str(path)!r} cannot be written: {error.strerror}",
-            hint="the output folder must be writable, and its disk not be full",
-            path=str(path),
-        ) from None
-
-
-def _is_still_there(handle: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(handle), path.stat())
-    except OSError:
-        return False
-
-
 def _remove(path: Path) -> None:
-    try:
+    # A free lock file that stays is no obstacle to the next run.
+    with contextlib.suppress(OSError):
         path.unlink(missing_ok=True)
-    except OSError:
-        # A lock file that nobody holds is no obstacle to the next run.
-        return
 
 
 def _shard_locks(folder: Path) -> Iterator[tuple[Path, int]]:
@@ -303,14 +280,14 @@ def _shard_locks(folder: Path) -> Iterator[tuple[Path, int]]:
     except OSError:
         return
     for name in names:
-        if found := _OF_SHARD.fullmatch(name):
-            yield folder / name, int(found[2])
+        if shard := _OF_SHARD.fullmatch(name):
+            yield folder / name, int(shard[2])
 
 
-def _is_locked_by_us(handle: int, *, is_shared: bool = False) -> bool:
-    """Try to lock; False if another process is in the way; OSError if there are no locks.
+def _flock(handle: int, *, is_shared: bool = False) -> bool:
+    """Try to lock; False if another process has the lock; OSError if there are no locks.
 
-    Where there are no shared locks it is always locked alone."""
+    Where there are no shared locks it is always exclusive."""
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -321,8 +298,8 @@ def _is_locked_by_us(handle: int, *, is_shared: bool = False) -> bool:
         else:
             import fcntl
 
-            kind = fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX
-            fcntl.flock(handle, kind | fcntl.LOCK_NB)
+            operation = fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX
+            fcntl.flock(handle, operation | fcntl.LOCK_NB)
     except OSError as error:
         if error.errno in (errno.EACCES, errno.EAGAIN, errno.EWOULDBLOCK, errno.EDEADLK):
             return False

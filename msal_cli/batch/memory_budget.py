@@ -1,4 +1,4 @@
-"""How much memory the files of a run will take, and how much there is for them."""
+"""How much memory the files of a run will need, and how much there is for them."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ _PER_BYTE = 14.0
 _BYTES_PER_FACE = 24.0
 
 _GUESSED = 2
-"""How many times too much may be foreseen where the counts are not told."""
+"""By what factor a forecast without counts may be too high."""
 
 _COUNTED = ("ply", "stl", "glb")
-"""Formats whose files tell their counts, or are damaged, which the reader will say."""
+"""Formats whose headers have counts, or are damaged, which the reader will report."""
 
 
 @dataclass(frozen=True)
-class Weights:
-    """What the files of a run ask for, and what there is.
+class MemoryBudget:
+    """What the files of a run need, and what there is.
 
     Attributes
     ----------
-    large : bytes foreseen for each large file.
+    large : bytes expected for each large file.
     light : ... for any other.
-    least : ... for each large file of which so much is certain.
-    available : bytes that this process may take now; None where nobody tells.
+    least : ... for each large file for which so much is certain.
+    available : bytes that this process may take now; None where that is not known.
     """
 
     large: Mapping[int, int]
@@ -52,12 +52,12 @@ class Weights:
     available: int | None
 
     @property
-    def budget(self) -> int | None:
-        """What all files in hand may take together; None where nobody tells."""
+    def total(self) -> int | None:
+        """What all current files together may need; None where that is not known."""
         return None if self.available is None else int(_SHARE * self.available)
 
-    def beyond(self) -> dict[int, Failure]:
-        """Why a file cannot be done here, for each that takes more than there is."""
+    def oversized(self) -> dict[int, Failure]:
+        """Why a file cannot be done here, for each that needs more than there is."""
         if self.available is None:
             return {}
         return {
@@ -74,33 +74,32 @@ class Weights:
         }
 
 
-def weighed(tasks: Mapping[int, Task], settings: Settings, limits: Limits) -> Weights:
-    """The weights of all tasks; 10,000 small files cost a question after the size of each."""
+def estimate_memory(tasks: Mapping[int, Task], settings: Settings, limits: Limits) -> MemoryBudget:
+    """The needs of all tasks; for 10,000 small files that costs one stat each."""
+
+    def limited(n_bytes: int) -> int:
+        return n_bytes if limits.memory_bytes is None else min(n_bytes, limits.memory_bytes)
+
     large: dict[int, int] = {}
     least: dict[int, int] = {}
     largest_light = 0
     for index, task in tasks.items():
         try:
-            # A store told the size when the object was found.
+            # A listing of a store includes sizes.
             size = task.input_mark.size if task.input_mark else os.stat(task.input).st_size
         except (OSError, ValueError):
-            # It is gone; whoever reads it will know.
+            # It is gone; the reader will report that.
             continue
         if size < LARGE_BYTES:
             largest_light = max(largest_light, size)
         else:
-            told = forecast(task, settings)
-            needed = told.memory_bytes or 0
-            large[index] = _held_to(limits, needed)
-            if told.faces is not None:
+            expected = forecast(task, settings)
+            needed = expected.memory_bytes or 0
+            large[index] = limited(needed)
+            if expected.faces is not None:
                 least[index] = needed
-            elif told.format not in _COUNTED:
+            elif expected.format not in _COUNTED:
                 least[index] = needed // _GUESSED
     per_byte = _PER_BYTE + method_bytes_per_face(settings) / _BYTES_PER_FACE
-    light = _held_to(limits, least_memory_bytes() + int(per_byte * largest_light))
-    return Weights(large, light, least, available_bytes())
-
-
-def _held_to(limits: Limits, n_bytes: int) -> int:
-    """No worker takes more than its limit."""
-    return n_bytes if limits.memory_bytes is None else min(n_bytes, limits.memory_bytes)
+    light = limited(least_memory_bytes() + int(per_byte * largest_light))
+    return MemoryBudget(large, light, least, available_bytes())

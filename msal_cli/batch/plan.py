@@ -1,27 +1,27 @@
-"""Which output each input gets, and every reason to refuse a run before it touches anything."""
+"""Which output each input gets."""
 
 from __future__ import annotations
 
 import os
-import unicodedata
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
-from msal_cli.batch.inputs import Found, resolve
-from msal_cli.batch.manifest import names_in
-from msal_cli.batch.manifest_dirs import manifest_of, objects_at
+from msal_cli.batch.inputs import DiscoveredInput, resolve
+from msal_cli.batch.manifest_dirs import list_objects, written_names
+from msal_cli.batch.plan_checks import check_outputs, distinct_tasks, refuse_escapes
 from msal_cli.batch.shard import Shard
-from msal_cli.batch.temporary_files import is_own
 from msal_cli.errors import UsageError
 from msal_cli.job.records import ObjectMark
-from msal_cli.job.settings import DEFAULT_BACKUP, Task, refuse_unknown_format
-from msal_cli.job.settings import is_mesh_name as known_suffix
-from msal_cli.job.settings import output_name as with_suffix_of
+from msal_cli.job.settings import (
+    DEFAULT_BACKUP,
+    Task,
+    is_mesh_name,
+    output_name,
+    refuse_unknown_format,
+)
 from msal_cli.storage import urls
 from msal_cli.storage.urls import is_url
-
-_OTHER_OUTPUT = "choose another output; only msal denoise --in-place replaces inputs"
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Plan:
     fresh : do every file again, even where its output is current.
     retry_failed : do files again that failed before, even where they would fail again.
     shard, whole : which part this is, and of what, where it is a part (see ``select_shard``).
-    objects : where the outputs go to a store, the marks of those that are there, by URL.
+    objects : where the outputs go to a store, size and tag of those that are there, by URL.
     """
 
     tasks: tuple[Task, ...]
@@ -54,7 +54,7 @@ class Plan:
         return sorted({home for home in homes if home is not None})
 
     @property
-    def stays_here(self) -> bool:
+    def is_in_process(self) -> bool:
         """Whether no other process could do the work: the objects live in this one."""
         objects = [
             path for task in self.tasks for path in (task.input, task.output) if is_url(path)
@@ -65,7 +65,7 @@ class Plan:
 
         return any(map(remote.is_in_process, objects))
 
-    def key(self, index: int) -> str:
+    def manifest_key(self, index: int) -> str:
         """The name by which the manifest knows a task: its output below its home, with ``/``."""
         home = self.homes[index]
         if home is None:
@@ -78,8 +78,8 @@ class Plan:
         return Path(self.tasks[index].output).relative_to(home).as_posix()
 
 
-def built(
-    found: Sequence[Found],
+def build_plan(
+    found: Sequence[DiscoveredInput],
     output: str | None,
     *,
     to: str | None = None,
@@ -88,8 +88,6 @@ def built(
     force: bool = False,
     fresh: bool = False,
     retry_failed: bool = False,
-    is_mesh_name: Callable[[str], bool] = known_suffix,
-    output_name: Callable[[str, str | None], str] = with_suffix_of,
 ) -> Plan:
     """The plan that writes every file of ``found`` to its place; nothing is touched.
 
@@ -111,32 +109,33 @@ def built(
         output folder or would replace a file that is not ours; options contradict each other.
     """
     output = None if output is None else urls.settled(output)
+    homes: Sequence[str | None]
     if in_place:
-        plan = _in_place(found, output, to, backup, fresh, is_mesh_name)
+        _check_in_place(found, output, to, backup)
+        tasks = [_in_place_task(one, backup) for one in found]
+        # Also a single file has a manifest: without it a second run would denoise it twice.
+        homes = [
+            str(Path(one.root) if one.root else Path(task.input).parent)
+            for one, task in zip(found, tasks, strict=True)
+        ]
     elif output is None:
         raise UsageError("there is no output", hint="name one with -o, or give --in-place")
-    elif _is_file_output(found, output, is_mesh_name):
-        if not is_mesh_name(output):
-            refuse_unknown_format(output)
-        _refuse_contradiction(output, to, is_mesh_name, output_name)
-        task = Task(found[0].path, output, found[0].relative, input_mark=found[0].mark)
-        plan = Plan((task,), (None,), fresh)
+    elif _is_file_output(found, output):
+        _check_file_output(output, to)
+        tasks = [Task(found[0].path, output, found[0].relative, input_mark=found[0].mark)]
+        homes = [None]
     else:
-        _refuse_file_names(found, output, is_mesh_name)
-        tasks = tuple(_mirrored(one, output, to, output_name) for one in found)
-        plan = Plan(tasks, (output,) * len(tasks), fresh)
-    plan = replace(_without_repeats(plan), retry_failed=retry_failed)
-    _refuse_collisions(plan)
-    _refuse_own_names(plan)
-    if not in_place:
-        _refuse_inputs_as_outputs(plan)
-        if output is None or not is_url(output):
-            _refuse_folders_as_outputs(plan)
-    if plan.homes[:1] != (None,) and not in_place and output is not None:
+        _check_folder_output(found, output)
+        tasks = [_mirror(one, output, to) for one in found]
+        homes = [output] * len(tasks)
+    plan = Plan(tuple(tasks), tuple(homes), fresh, retry_failed)
+    plan = _subset(plan, distinct_tasks(plan.tasks))
+    check_outputs(plan.tasks)
+    if output is not None and homes[:1] != [None]:
         if is_url(output):
-            plan = replace(plan, objects=objects_at(output, plan.tasks))
+            plan = replace(plan, objects=list_objects(output, plan.tasks))
         else:
-            _refuse_escapes(plan, output)
+            refuse_escapes(plan.tasks, output)
         if not force:
             _refuse_foreign_files(plan, output)
     return plan
@@ -148,14 +147,15 @@ def select_shard(plan: Plan, shard: Shard) -> Plan:
     return replace(_subset(plan, kept), shard=shard, whole=plan)
 
 
-def _in_place(
-    found: Sequence[Found],
-    output: str | None,
-    to: str | None,
-    backup: str | None,
-    fresh: bool,
-    is_mesh_name: Callable[[str], bool],
-) -> Plan:
+def _subset(plan: Plan, indices: Iterable[int]) -> Plan:
+    kept = tuple(indices)
+    tasks, homes = plan.tasks, plan.homes
+    return replace(plan, tasks=tuple(tasks[i] for i in kept), homes=tuple(homes[i] for i in kept))
+
+
+def _check_in_place(
+    found: Sequence[DiscoveredInput], output: str | None, to: str | None, backup: str | None
+) -> None:
     if output is not None:
         raise UsageError("--in-place and an output were both given", hint="give one of them")
     if to is not None:
@@ -170,7 +170,6 @@ def _in_place(
                 f"backups named *{backup} would be inputs of the next run",
                 hint=f"take a suffix that is no mesh format, such as {DEFAULT_BACKUP}",
             )
-    tasks, homes = [], []
     for one in found:
         if is_url(one.path):
             raise UsageError(
@@ -178,42 +177,48 @@ def _in_place(
                 hint="name another place with -o: a store cannot keep the original safe",
                 path=one.path,
             )
-        path = Path(one.path)
-        real = resolve(path)
-        root = Path(one.root) if one.root else None
-        if root is not None and os.path.islink(path) and not real.is_relative_to(resolve(root)):
+
+
+def _in_place_task(one: DiscoveredInput, backup: str | None) -> Task:
+    target = Path(one.path)
+    if os.path.islink(target):
+        # A link stays a link: the file that it leads to is the one to replace.  It is named from
+        # the folder that was searched, so that there is one manifest for all in it.
+        real, real_root = resolve(target), resolve(Path(one.root))
+        if one.root and not real.is_relative_to(real_root):
             raise UsageError(
                 f"{one.path!r} leads out of {one.root!r} to {str(real)!r}",
                 hint="leave it out with --exclude, or name it as an input itself",
                 path=one.path,
             )
-        # A link stays a link: the file that it leads to is the one to replace.  It is named from
-        # the folder that was searched, so that there is one manifest for all in it.
-        target = path
-        if os.path.islink(path):
-            target = real if root is None else root / real.relative_to(resolve(root))
-        tasks.append(Task(str(target), str(target), one.relative, in_place=True, backup=backup))
-        # Also a single file has a manifest: without it a second run would denoise it twice.
-        homes.append(str(target.parent if root is None else root))
-    return Plan(tuple(tasks), tuple(homes), fresh)
+        target = Path(one.root) / real.relative_to(real_root) if one.root else real
+    return Task(str(target), str(target), one.relative, in_place=True, backup=backup)
 
 
-def _is_file_output(
-    found: Sequence[Found], output: str, is_mesh_name: Callable[[str], bool]
-) -> bool:
+def _is_file_output(found: Sequence[DiscoveredInput], output: str) -> bool:
     if len(found) != 1 or found[0].root or output.endswith(("/", os.sep)):
         return False
     if is_url(output):
         return is_mesh_name(urls.name(output))
-    path = Path(output)
-    if os.path.isdir(path):
+    if os.path.isdir(output):
         return False
-    return os.path.lexists(path) or is_mesh_name(path.name)
+    return os.path.lexists(output) or is_mesh_name(Path(output).name)
 
 
-def _refuse_file_names(
-    found: Sequence[Found], output: str, is_mesh_name: Callable[[str], bool]
-) -> None:
+def _check_file_output(output: str, to: str | None) -> None:
+    if not is_mesh_name(output):
+        refuse_unknown_format(output)
+    name = Path(output).name
+    if to is None or not is_mesh_name(name):
+        return
+    if output_name(name, to).casefold() != name.casefold():
+        raise UsageError(
+            f"--to {to} contradicts the suffix of the output {output!r}",
+            hint="leave --to out: the suffix of the output decides",
+        )
+
+
+def _check_folder_output(found: Sequence[DiscoveredInput], output: str) -> None:
     """Refuse a folder that is to be made and is called like a file."""
     if output.endswith(("/", os.sep)) or (not is_url(output) and os.path.isdir(output)):
         return
@@ -227,25 +232,7 @@ def _refuse_file_names(
         )
 
 
-def _refuse_contradiction(
-    output: str,
-    to: str | None,
-    is_mesh_name: Callable[[str], bool],
-    output_name: Callable[[str, str | None], str],
-) -> None:
-    name = Path(output).name
-    if to is None or not is_mesh_name(name):
-        return
-    if output_name(name, to).casefold() != name.casefold():
-        raise UsageError(
-            f"--to {to} contradicts the suffix of the output {output!r}",
-            hint="leave --to out: the suffix of the output decides",
-        )
-
-
-def _mirrored(
-    one: Found, output: str, to: str | None, output_name: Callable[[str, str | None], str]
-) -> Task:
+def _mirror(one: DiscoveredInput, output: str, to: str | None) -> Task:
     if is_url(one.path) or is_url(output):
         name = urls.harmless(one.relative, is_local=not is_url(output))
         folder, slash, last = name.rpartition("/")
@@ -259,189 +246,20 @@ def _mirrored(
     return Task(one.path, str(Path(output) / relative), one.relative)
 
 
-def _identity(name: str) -> tuple[int, int] | str | None:
-    """What tells files apart, links of both kinds followed; None where there is no file."""
-    if is_url(name):
-        return urls.identity(name)
-    path = Path(name)
-    try:
-        status = path.stat()
-    except (OSError, ValueError):
-        return None
-    return (status.st_dev, status.st_ino) if status.st_ino else str(resolve(path))
-
-
-def _without_repeats(plan: Plan) -> Plan:
-    """One task for a file that was found twice (by two inputs, or in place by a link).
-
-    Hard links are as many files in place: each is replaced by a file of its own.
-    """
-    kept: dict[tuple[object, ...], int] = {}
-    for index, task in enumerate(plan.tasks):
-        source = _identity(task.input) or task.input
-        target = _folded(str(resolve(Path(task.input)))) if task.in_place else task.output
-        kept.setdefault((source, target), index)
-    return _subset(plan, kept.values())
-
-
-def _subset(plan: Plan, indices: Iterable[int]) -> Plan:
-    kept = tuple(indices)
-    tasks, homes = plan.tasks, plan.homes
-    return replace(plan, tasks=tuple(tasks[i] for i in kept), homes=tuple(homes[i] for i in kept))
-
-
-def _refuse_collisions(plan: Plan) -> None:
-    seen: dict[str, Task] = {}
-    folded: dict[str, Task] = {}
-    twins: list[tuple[Task, Task]] = []
-    holders: dict[Path, Task] = {}
-    for task in plan.tasks:
-        other = seen.setdefault(task.output, task)
-        if other is not task:
-            raise _collision(other, task, f"would both be written to {task.output!r}")
-        if is_url(task.output):
-            # A store has no folders, and every letter of a name counts.
-            continue
-        twin = folded.setdefault(_folded(task.output), task)
-        if twin is not task:
-            twins.append((twin, task))
-        for parent in Path(task.output).parents:
-            if parent in holders:
-                break
-            holders[parent] = task
-    for task in plan.tasks:
-        other = holders.get(Path(task.output), task)
-        if other is not task:
-            raise _collision(
-                task, other, f"cannot both be written: {task.output!r} is to be file and folder"
-            )
-    for first, second in twins:
-        folder = next((one for one in Path(first.output).parents if os.path.isdir(one)), Path())
-        if _ignores_case(folder):
-            raise _collision(
-                first, second, f"would both be written to {second.output!r}: case does not count"
-            )
-
-
-def _refuse_own_names(plan: Plan) -> None:
-    """An input that was named itself may be called like the manifest, the lock or a temporary."""
-    for task in plan.tasks:
-        if is_own(
-            task.output.rpartition("/")[2] if is_url(task.output) else Path(task.output).name
-        ):
-            raise UsageError(
-                f"the output {task.output!r} would have the name of a file of msal's own",
-                hint="rename the input, or name another output",
-                path=task.input,
-            )
-
-
-def _collision(first: Task, second: Task, what: str) -> UsageError:
-    return UsageError(
-        f"the inputs {first.input!r} and {second.input!r} {what}",
-        hint="rename one, leave one out with --exclude, or run them into two output folders",
-        path=second.input,
-    )
-
-
-def _folded(path: str) -> str:
-    """Equal for paths that a file system without case and with one form of accents takes as one."""
-    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", path).casefold())
-
-
-def _ignores_case(folder: Path) -> bool:
-    """Whether the file system of ``folder`` takes a name in capitals for the same name."""
-    import tempfile
-
-    try:
-        # The one sure way is to ask for a file under its other name.
-        with tempfile.NamedTemporaryFile(prefix=".msal-case-", suffix=".tmp", dir=folder) as probe:
-            path = Path(probe.name)
-            return path.with_name(path.name.upper()).exists()
-    except OSError:
-        # Where nothing can be created, nothing will be written either: that error comes later.
-        return False
-
-
-def _refuse_inputs_as_outputs(plan: Plan) -> None:
-    inputs = {}
-    for task in plan.tasks:
-        inputs[_identity(task.input) or str(resolve(Path(task.input)))] = task.input
-    for task in plan.tasks:
-        output = Path(task.output)
-        victim = inputs.get(_identity(task.output) or str(resolve(output)))
-        if victim is None:
-            continue
-        if victim == task.input:
-            what = f"the input {task.input!r} would be overwritten by its own output"
-        else:
-            what = f"the output of {task.input!r} would overwrite the input {victim!r}"
-        if output != Path(victim):
-            what += f" (as {task.output!r})"
-        raise UsageError(what, hint=_OTHER_OUTPUT, path=task.input)
-
-
-def _refuse_folders_as_outputs(plan: Plan) -> None:
-    checked: set[Path] = set()
-    for task in plan.tasks:
-        output = Path(task.output)
-        if os.path.isdir(output) and not os.path.islink(output):
-            raise UsageError(
-                f"the output of {task.input!r} is the folder {task.output!r}",
-                hint="choose another output folder",
-                path=task.input,
-            )
-        for parent in output.parents:
-            if parent in checked:
-                break
-            checked.add(parent)
-            if os.path.lexists(parent) and not os.path.isdir(parent):
-                raise UsageError(
-                    f"the output {task.output!r} needs a folder where {str(parent)!r} is a file",
-                    path=task.input,
-                )
-
-
-def _refuse_escapes(plan: Plan, output: str) -> None:
-    """A link within the output folder must not carry an output out of it."""
-    home = resolve(Path(output))
-    checked: set[Path] = set()
-    for task in plan.tasks:
-        parent = Path(task.output).parent
-        if parent in checked:
-            continue
-        checked.add(parent)
-        real = resolve(parent)
-        if not real.is_relative_to(home):
-            raise UsageError(
-                f"the output {task.output!r} would leave the output folder: {str(parent)!r} "
-                f"leads to {str(real)!r}",
-                hint="remove the link, or make that folder the output",
-                path=task.input,
-            )
-
-
 def _refuse_foreign_files(plan: Plan, output: str) -> None:
     existing = [
         index
         for index, task in enumerate(plan.tasks)
         if task.output in plan.objects or (not is_url(output) and os.path.lexists(task.output))
     ]
-    if not existing:
-        return
-    explained = manifest_of(output).names() if is_url(output) else names_in(output)
-    foreign = [plan.tasks[index] for index in existing if plan.key(index) not in explained]
+    own = written_names(output) if existing else frozenset()
+    foreign = [plan.tasks[index] for index in existing if plan.manifest_key(index) not in own]
     if foreign:
+        names = ", ".join(repr(task.output) for task in foreign[:3])
+        more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
         raise UsageError(
-            f"{_listed(task.output for task in foreign)} in the output folder "
+            f"{names}{more} in the output folder "
             "would be overwritten, and no run of msal denoise put it there",
             hint="choose another output folder, or give --force to overwrite",
             path=foreign[0].input,
         )
-
-
-def _listed(names: Iterable[str], at_most: int = 3) -> str:
-    everything = list(names)
-    text = ", ".join(repr(name) for name in everything[:at_most])
-    more = len(everything) - at_most
-    return f"{text} and {more} more" if more > 0 else text

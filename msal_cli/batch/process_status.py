@@ -19,8 +19,8 @@ def is_alive(pid: int) -> bool:
         return False
     if sys.platform == "win32":
         return _is_alive_on_windows(pid)
-    if (told := _told_by_linux(pid)) is not None:
-        return told[0] not in "ZX"
+    if (fields := _linux_status(pid)) is not None:
+        return fields[0] not in "ZX"
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -30,20 +30,20 @@ def is_alive(pid: int) -> bool:
     return True
 
 
-def started_at(pid: int) -> float | None:
-    """When a process began, in seconds as of ``time.time``; None where that is not told."""
-    told = _told_by_linux(pid)
-    if told is None or len(told) < 20:
+def start_time(pid: int) -> float | None:
+    """When a process began, in seconds as of ``time.time``; None where that is not known."""
+    fields = _linux_status(pid)
+    if fields is None or len(fields) < 20:
         return None
     try:
-        ran_s = time.clock_gettime(time.CLOCK_BOOTTIME) - int(told[19]) / os.sysconf("SC_CLK_TCK")
+        ran_s = time.clock_gettime(time.CLOCK_BOOTTIME) - int(fields[19]) / os.sysconf("SC_CLK_TCK")
     except (AttributeError, OSError, ValueError):
         return None
     return time.time() - ran_s
 
 
-def _told_by_linux(pid: int) -> list[str] | None:
-    """What Linux tells of a process, beginning with its state; None if it does not."""
+def _linux_status(pid: int) -> list[str] | None:
+    """The fields of ``/proc/PID/stat`` from the state on; None if there are none."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(errors="replace")
     except OSError:
@@ -66,7 +66,7 @@ def _is_alive_on_windows(pid: int) -> bool:
     return bool(is_known) and code.value == still_active
 
 
-def ending(code: int) -> str:
+def describe_exit(code: int) -> str:
     """How a process ended, in words, from the exit code that ``subprocess`` gives."""
     if code < 0:
         try:
@@ -79,7 +79,7 @@ def ending(code: int) -> str:
 
 
 def is_near_memory_limit(pid: int) -> bool:
-    """Whether a process on Linux holds nearly all the memory that RLIMIT_DATA grants it."""
+    """Whether a process on Linux uses nearly all the memory that RLIMIT_DATA grants it."""
     if not sys.platform.startswith("linux"):
         return False
     import resource
@@ -92,7 +92,7 @@ def is_near_memory_limit(pid: int) -> bool:
 
 
 def memory_bytes(pid: int | str, name: str) -> int:
-    """A figure of ``/proc/PID/status`` such as ``VmRSS``; 0 where it is not told."""
+    """A figure of ``/proc/PID/status`` such as ``VmRSS``; 0 where it is not known."""
     try:
         with open(f"/proc/{pid}/status", "rb") as file:
             for line in file:

@@ -4,8 +4,8 @@
 being the time at which the run began and eight random digits.  A part is written whole and never
 again.  ``intent`` lines are there before the work starts; ``done`` lines follow every few seconds,
 so a run that is killed forgets what it finished in the last of them, and those files are done
-again.  Many parts are merged into one: first the new part is written, then the old ones go, so
-that at any moment every line is in some part.
+again.  Many parts are merged into one: first the new part is written, then the old ones are
+removed, so that at any moment every line is in some part.
 """
 
 from __future__ import annotations
@@ -15,12 +15,10 @@ import os
 import re
 import sys
 import threading
-import time
-from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
-from typing import Any
 
-from msal_cli.batch.manifest import RUN_KINDS, RUN_LINES_KEPT, Manifest, entry_of, kind_of, line_of
+from msal_cli.batch.manifest import RUN_LINES_KEPT, Manifest
+from msal_cli.batch.manifest_lines import LogView
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import InputError, MsalError, OutputError
 from msal_cli.storage import objects as remote
@@ -41,19 +39,21 @@ _PART = re.compile(r"\d{8}T\d{6}\.\d{6}Z-[0-9a-f]{8}-\d{5,}\.jsonl")
 _log = logging.getLogger("msal.batch")
 
 
-class RemoteManifest(Manifest):
-    """The manifest of one folder of a store; the interface is that of ``Manifest``.
+class ObjectManifest(Manifest):
+    """The manifest of one folder of a store; every run, shard or not, writes its own parts.
 
-    Shards need no names of their own: every run writes its own parts.
+    Raises OutputError if the store does not answer.
     """
 
-    def __init__(self, folder: str, shard: Shard | None = None) -> None:
-        super().__init__(folder, shard)
-        moment = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
+    def __init__(self, home: str, shard: Shard | None = None) -> None:
+        started = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
+        self._run = f"{started}-{os.urandom(4).hex()}"
+        parts = read_parts(home)
+        self._parts = list(parts)
+        self._view = view_of_parts(parts)
+        super().__init__(home, [self._view])
         # Of shards that start together one merges: else each would write a copy of everything.
         self._merges = shard is None or shard.number == 1
-        self._run = f"{moment}-{os.urandom(4).hex()}"
-        self._parts: list[str] = []
         self._n_written = 0
         self._n_failures = 0
         self._failure: MsalError | None = None
@@ -64,64 +64,17 @@ class RemoteManifest(Manifest):
         self._has_lines = threading.Event()
         self._thread: threading.Thread | None = None
 
-    @classmethod
-    def read(cls, folder: str, shard: Shard | None = None) -> RemoteManifest:
-        """The manifest of ``folder``; an empty one where there is none.
-
-        Raises OutputError if the store does not answer.
-        """
-        manifest = cls(folder, shard)
-        parts = parts_of(folder)
-        manifest._parts = list(parts)
-        for text in parts.values():
-            for line in filter(None, text.split(b"\n")):
-                manifest._take(line)
-        return manifest
-
-    def _take(self, line: bytes) -> None:
-        entry = entry_of(line)
-        if entry is None:
-            if kind_of(line) in RUN_KINDS:
-                self._own_runs.append(line)
-            return
-        self._newest = max(self._newest, entry.at)
-        other = self._entries.get(entry.name)
-        if other is None or (entry.at, entry.is_done) >= (other.at, other.is_done):
-            self._entries[entry.name] = entry
-
     def open(self) -> None:
-        """Get ready to append; merge what is in many parts.
-
-        Raises OutputError if the store does not take it.
-        """
+        """Prepare to append; merge what is in many parts."""
         if self._merges and len(self._parts) > MOST_PARTS:
             self._merge()
-        self._thread = threading.Thread(target=self._write_on, name="msal-manifest", daemon=True)
+        self._thread = threading.Thread(target=self._write_loop, name="msal-manifest", daemon=True)
         self._thread.start()
-
-    def append(self, lines: Iterable[Mapping[str, Any]]) -> None:
-        """Add lines: those made by ``intent`` are in the store when this returns, all others will
-        be within ``BETWEEN_PARTS_S``.
-
-        Raises OutputError if the store takes nothing any more.
-        """
-        some = list(lines)
-        if not some:
-            return
-        self._newest = at = max(time.time_ns(), self._newest + 1)
-        with self._lock:
-            self._waiting.extend(line_of({**line, "at": at}) for line in some)
-        if any(line["kind"] == "intent" for line in some):
-            self._flush()
-            return
-        self._has_lines.set()
-        if self._failure is not None and self._n_failures >= _MOST_FAILURES:
-            raise _unusable(self.folder, self._failure)
 
     def close(self) -> None:
         """Write what is left; harmless if it is not open.
 
-        Raises OutputError if that cannot be done; while another error is on its way, that is only
+        Raises OutputError if that fails; while another exception is being handled, that is only
         logged, and not waited for long.
         """
         if self._thread is None:
@@ -134,11 +87,21 @@ class RemoteManifest(Manifest):
         if not self._waiting:
             return
         if is_failing:
-            _log.warning("the last lines of the manifest of %r could not be written", self.folder)
+            _log.warning("the last lines of the manifest of %r could not be written", self.home)
             return
         self._flush()
 
-    def _write_on(self) -> None:
+    def _write_lines(self, lines: list[bytes], *, at_once: bool) -> None:
+        with self._lock:
+            self._waiting.extend(lines)
+        if at_once:
+            self._flush()
+            return
+        self._has_lines.set()
+        if self._failure is not None and self._n_failures >= _MOST_FAILURES:
+            raise _manifest_error(self.home, self._failure)
+
+    def _write_loop(self) -> None:
         while not self._is_closed.is_set():
             self._has_lines.wait()
             self._has_lines.clear()
@@ -159,55 +122,55 @@ class RemoteManifest(Manifest):
                 text, n_lines = b"".join(self._waiting), len(self._waiting)
             if not text:
                 return
-            self._write(self._n_written + 1, text)
+            self._write_part(self._n_written + 1, text)
             self._n_written += 1
             with self._lock:
                 del self._waiting[:n_lines]
 
-    def _write(self, number: int, text: bytes) -> None:
+    def _write_part(self, number: int, text: bytes) -> None:
         try:
-            remote.write_whole(_url(self.folder, f"{self._run}-{number:05d}.jsonl"), text)
+            remote.write_whole(_url(self.home, f"{self._run}-{number:05d}.jsonl"), text)
         except OutputError as error:
-            raise _unusable(self.folder, error) from None
+            raise _manifest_error(self.home, error) from None
 
     def _merge(self) -> None:
         """One part in the place of all that were read."""
-        lines = self._own_runs[-RUN_LINES_KEPT:] + [one.text for one in self._entries.values()]
-        self._write(0, b"".join(line + b"\n" for line in lines))
-        remote.removed([_url(self.folder, name) for name in self._parts])
-        _log.debug("manifest of %r: %d parts became one", self.folder, len(self._parts))
+        lines = [run.line for run in self._view.run_lines[-RUN_LINES_KEPT:]]
+        lines += [entry.line for entry in self._entries.values() if isinstance(entry.line, bytes)]
+        self._write_part(0, b"".join(line + b"\n" for line in lines))
+        remote.removed([_url(self.home, name) for name in self._parts])
+        _log.debug("manifest of %r: %d parts became one", self.home, len(self._parts))
 
 
-def parts_of(folder: str) -> dict[str, bytes]:
+def view_of_parts(parts: dict[str, bytes]) -> LogView:
+    """What the parts of a manifest say together."""
+    return LogView.of((line, None) for text in parts.values() for line in text.split(b"\n") if line)
+
+
+def read_parts(home: str) -> dict[str, bytes]:
     """The parts of a manifest by name, those of one run after another; empty if there is none.
 
     Raises OutputError if the store does not answer.
     """
     for is_last in (False, False, True):
         try:
-            there = remote.listed(_url(folder))
-            names = sorted(filter(_is_part, there))
-            texts = remote.read_many({_url(folder, name): there[name] for name in names})
+            objects = remote.listed(_url(home))
+            names = sorted(filter(_PART.fullmatch, objects))
+            texts = remote.read_many({_url(home, name): objects[name] for name in names})
         except InputError as error:
-            # Another run may just be merging what was listed.
+            # Another run may be merging what was listed.
             if is_last:
-                raise _unusable(folder, error) from None
+                raise _manifest_error(home, error) from None
         else:
             return dict(zip(names, texts, strict=True))
     return {}
 
 
-def _url(folder: str, name: str = "") -> str:
-    return urls.joined(folder, f"{FOLDER}/{name}")
+def _url(home: str, name: str = "") -> str:
+    return urls.joined(home, f"{FOLDER}/{name}")
 
 
-def _is_part(name: str) -> bool:
-    return _PART.fullmatch(name) is not None
-
-
-def _unusable(folder: str, error: MsalError) -> OutputError:
+def _manifest_error(home: str, error: MsalError) -> OutputError:
     return OutputError(
-        f"the manifest in {folder!r} cannot be used: {error.message}",
-        hint=error.hint,
-        path=folder,
+        f"the manifest in {home!r} cannot be used: {error.message}", hint=error.hint, path=home
     )

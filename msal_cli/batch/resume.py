@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
+import hashlib
+import json
 import os
 import stat
 import threading
-from collections.abc import Generator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Generator, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from msal_cli.batch.manifest import Entry, FileMark, Manifest, file_sha256
+from msal_cli import __version__
+from msal_cli.batch.manifest import Manifest
+from msal_cli.batch.manifest_lines import FileStat, ManifestEntry, to_builtin
 from msal_cli.batch.plan import Plan
-from msal_cli.batch.temporary_files import temporary_name
 from msal_cli.errors import OutputError
 from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, ObjectMark
-from msal_cli.job.settings import Task, suffix
+from msal_cli.job.settings import Settings, Task, suffix
+from msal_cli.storage.atomic import write_whole
+from msal_cli.storage.regular import open_regular
 from msal_cli.storage.urls import is_url
 
-# What a file brings on itself comes again with the same file, settings and version.  All other
-# failures (crashes, memory, time, disks, what is not installed) may go away by themselves.
+# Failures that the file itself causes come again with the same file, settings and version.  All
+# others (crashes, memory, time, disks, what is not installed) may not.
 _FAULTS_OF_FILES = frozenset(
     {
         "E_FORMAT",
@@ -35,160 +39,180 @@ _FAULTS_OF_FILES = frozenset(
 
 # Hashing is as fast as a disk; more threads than this only make the disk seek.
 _MOST_THREADS = 8
-_SHARE = 32
+_TASKS_PER_CALL = 32
+_LARGEST_BLOCK = 1 << 20
+
+
+def hash_settings(settings: Settings) -> str:
+    """SHA-256 of all that decides an output's bytes beside its input: the settings and msal's
+    version, in canonical JSON."""
+    data = {"version": __version__, "settings": asdict(settings)}
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"), default=to_builtin)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def hash_file(path: str, is_stopped: Callable[[], bool] = lambda: False) -> str:
+    """SHA-256 of a file; an empty string if it cannot be read or ``is_stopped`` became true."""
+    digest = hashlib.sha256()
+    try:
+        with open_regular(path, buffering=0) as file:
+            # A block of full size for each of many small files would cost more than the hashing.
+            block = bytearray(min(_LARGEST_BLOCK, os.fstat(file.fileno()).st_size + 1))
+            view = memoryview(block)
+            while length := file.readinto(view):  # type: ignore[attr-defined]
+                if is_stopped():
+                    return ""
+                digest.update(view[:length])
+    except (OSError, ValueError):
+        return ""
+    return digest.hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class FileState:
     """What is to be done about one task.
 
     ``record`` is set if there is nothing to do: the output is current, or the file cannot be done,
-    as may be known from an earlier run.
-    ``objection`` is a reason to refuse the whole run.  With ``restores`` the input is first to be
-    put back from its backup, because a run was killed right after it replaced it.
+    as may be known from an earlier run.  ``obstacle`` is a backup because of which the whole run
+    must be refused.  With ``restores`` the input is first to be put back from its backup, because
+    a run was killed right after it replaced it.
     """
 
     index: int
     record: MeshRecord | None = None
-    objection: str = ""
+    obstacle: str = ""
     restores: bool = False
 
 
-def standings(
+def file_states(
     plan: Plan, manifests: Mapping[str, Manifest], settings: str, *, threads: int
-) -> Generator[Standing, None, None]:
-    """The standing of every task, in the plan's order; ``settings`` is their hash.
+) -> Generator[FileState, None, None]:
+    """The state of every task, in the plan's order; ``settings`` is their hash.
 
     An output is current if input, output, settings and version are those of the manifest: files
     are read and hashed, their times are never trusted.  Closing the iterator stops the reading.
     """
     is_stopped = threading.Event()
-    judge = _Judge(plan, manifests, settings, is_stopped)
-    known = [index for index in range(len(plan.tasks)) if judge.needs_reading(index)]
-    if len(known) < 2 or threads < 2:
-        yield from map(judge.standing, range(len(plan.tasks)))
+    check = _FreshnessCheck(plan, manifests, settings, is_stopped)
+    indices = range(len(plan.tasks))
+    n_read = sum(plan.tasks[index].in_place or check.entry(index) is not None for index in indices)
+    if n_read < 2 or threads < 2:
+        yield from map(check.file_state, indices)
         return
     from concurrent.futures import ThreadPoolExecutor
 
-    pool = ThreadPoolExecutor(min(threads, _MOST_THREADS, len(known)))
+    pool = ThreadPoolExecutor(min(threads, _MOST_THREADS, n_read))
     try:
-        # A hand-over of each file by itself would take longer than the hashing of a small one.
-        shares = [
-            range(len(plan.tasks))[at : at + _SHARE] for at in range(0, len(plan.tasks), _SHARE)
-        ]
-        for some in pool.map(lambda share: list(map(judge.standing, share)), shares):
-            yield from some
+        # To pass on each file by itself would take longer than the hashing of a small one.
+        shares = [indices[at : at + _TASKS_PER_CALL] for at in indices[::_TASKS_PER_CALL]]
+        for states in pool.map(lambda share: list(map(check.file_state, share)), shares):
+            yield from states
     finally:
         is_stopped.set()
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-class _Judge:
-    def __init__(
-        self,
-        plan: Plan,
-        manifests: Mapping[str, Manifest],
-        settings: str,
-        is_stopped: threading.Event,
-    ) -> None:
-        self._plan = plan
-        self._manifests = manifests
-        self._settings = settings
-        self._is_stopped = is_stopped
+@dataclass
+class _FreshnessCheck:
+    plan: Plan
+    manifests: Mapping[str, Manifest]
+    settings: str
+    is_stopped: threading.Event
+
+    def __post_init__(self) -> None:
         self._methods: dict[str, MethodUsed] = {}
 
-    def _entry(self, index: int) -> Entry | None:
-        home = self._plan.homes[index]
-        return None if home is None else self._manifests[home].get(self._plan.key(index))
+    def entry(self, index: int) -> ManifestEntry | None:
+        home = self.plan.homes[index]
+        return None if home is None else self.manifests[home].get(self.plan.manifest_key(index))
 
-    def needs_reading(self, index: int) -> bool:
-        return self._entry(index) is not None or self._plan.tasks[index].in_place
+    def file_state(self, index: int) -> FileState:
+        task, entry = self.plan.tasks[index], self.entry(index)
+        if entry is not None and entry.is_done and not self.plan.fresh:
+            is_repeated = entry.settings == self.settings
+            if record := self._known_result(task, entry) if is_repeated else None:
+                return FileState(index, record=record)
+        return self._in_place_state(index, task, entry) if task.in_place else FileState(index)
 
-    def standing(self, index: int) -> Standing:
-        task, entry = self._plan.tasks[index], self._entry(index)
-        if entry is not None and not self._plan.fresh:
-            if self._is_current(task, entry):
-                record = _up_to_date(task, entry)
-                return Standing(index, record=replace(record, method=self._shared(record.method)))
-            if failed := self._failed_before(task, entry):
-                return Standing(index, record=failed)
-        return self._in_place_standing(index, task, entry) if task.in_place else Standing(index)
-
-    def _shared(self, method: MethodUsed | None) -> MethodUsed | None:
-        """The first of equal ones: thousands of copies would be much memory."""
-        return None if method is None else self._methods.setdefault(repr(method), method)
-
-    def _is_current(self, task: Task, entry: Entry) -> bool:
-        if not entry.is_done or entry.settings != self._settings:
-            return False
-        if entry.status not in DONE:
-            return False
-        if is_url(task.output):
-            there = self._plan.objects.get(task.output)
-            if not _is_same_object(there, entry.output_object):
-                return False
-        elif not self._is_same(task.output, entry.output_mark, entry.output_sha256):
-            return False
-        return task.in_place or self._is_same_input(task, entry)
-
-    def _failed_before(self, task: Task, entry: Entry) -> MeshRecord | None:
-        """The record of a failure that would come again, because the file itself is at fault."""
-        if self._plan.retry_failed or entry.status != "failed" or not entry.is_done:
+    def _known_result(self, task: Task, entry: ManifestEntry) -> MeshRecord | None:
+        """The record of an output that is current, or of a failure that would come again."""
+        if entry.status in DONE:
+            is_current = self._is_same(task.output, entry.output_version, entry.output_sha256)
+            if not is_current or not (task.in_place or self._is_same_input(task, entry)):
+                return None
+            record = entry.record() or MeshRecord(input=task.input, status="up-to-date")
+            return replace(
+                record,
+                input=task.input,
+                output=task.output,
+                status="up-to-date",
+                # The same text as in the entry, and not a copy.
+                input_sha256=entry.input_sha256 or record.input_sha256,
+                output_sha256=entry.output_sha256 or record.output_sha256,
+                method=self._shared(record.method),
+            )
+        if self.plan.retry_failed or entry.status != "failed":
             return None
-        if entry.settings != self._settings:
-            return None
-        record = entry.record()
-        if record is None or record.error is None or record.error.code not in _FAULTS_OF_FILES:
+        failed = entry.record()
+        if failed is None or failed.error is None or failed.error.code not in _FAULTS_OF_FILES:
             return None
         if not self._is_same_input(task, entry):
             return None
-        return replace(record, input=task.input, output=None, remembered=True)
+        return replace(failed, input=task.input, output=None, remembered=True)
 
-    def _is_same_input(self, task: Task, entry: Entry) -> bool:
+    def _shared(self, method: MethodUsed | None) -> MethodUsed | None:
+        """The first of equal ones: thousands of copies would need much memory."""
+        return None if method is None else self._methods.setdefault(repr(method), method)
+
+    def _is_same_input(self, task: Task, entry: ManifestEntry) -> bool:
         if suffix(task.input) == ".gltf":
             return False  # its mesh may be in another file, of which the manifest knows nothing
-        if is_url(task.input):
-            return _is_same_object(task.input_mark, entry.input_object)
-        return self._is_same(task.input, entry.input_mark, entry.input_sha256)
+        return self._is_same(
+            task.input, entry.input_version, entry.input_sha256, now=task.input_mark
+        )
 
-    def _is_same(self, path: str, mark: FileMark | None, sha256: str) -> bool:
-        now = FileMark.of(path)
-        if not sha256 or now is None or (mark is not None and mark.size != now.size):
+    def _is_same(
+        self,
+        path: str,
+        then: FileStat | ObjectMark | None,
+        sha256: str,
+        now: ObjectMark | None = None,
+    ) -> bool:
+        """Whether a file or object is as it was ``then``; ``now`` is what a listing said of it."""
+        if is_url(path):
+            now = now or self.plan.objects.get(path)
+            # Without a tag an object of the same size may be another.
+            return now is not None and now == then and bool(now.tag)
+        stat_now = FileStat.of(path)
+        if not sha256 or stat_now is None:
             return False
-        return self._sha256(path) == sha256
+        if isinstance(then, FileStat) and then.size != stat_now.size:
+            return False
+        return self._hash(path) == sha256
 
-    def _sha256(self, path: str) -> str:
-        return file_sha256(path, self._is_stopped.is_set)
+    def _hash(self, path: str) -> str:
+        return hash_file(path, self.is_stopped.is_set)
 
-    def _in_place_standing(self, index: int, task: Task, entry: Entry | None) -> Standing:
+    def _in_place_state(self, index: int, task: Task, entry: ManifestEntry | None) -> FileState:
+        original = entry.input_version if entry is not None else None
         was_interrupted = entry is not None and not entry.is_done
+        now = FileStat.of(task.input)
         if not task.backup:
-            if (
-                was_interrupted
-                and not self._plan.fresh
-                and FileMark.of(task.input) != (entry.input_mark if entry else None)
-            ):
-                return Standing(index, record=_maybe_done(task))
-            return Standing(index)
-        backup = backup_path(task)
+            is_changed = was_interrupted and not self.plan.fresh and now != original
+            return FileState(index, record=_maybe_done(task) if is_changed else None)
+        backup = str(backup_path(task))
         if not os.path.lexists(backup):
-            return Standing(index)
+            return FileState(index)
         if not stat.S_ISREG(os.lstat(backup).st_mode):
-            # What a link leads to would be put in the place of the input.
-            return Standing(index, objection=str(backup))
-        mark = FileMark.of(str(backup))
-        sizes_differ = mark is not None and mark.size != _size(task.input)
-        if not sizes_differ and self._sha256(str(backup)) == self._sha256(task.input) != "":
-            return Standing(index)
-        original = entry.input_mark if entry is not None else None
-        if was_interrupted and mark and original and mark.size == original.size:
-            return Standing(index, restores=True)
-        return Standing(index, objection=str(backup))
-
-
-def _is_same_object(now: ObjectMark | None, then: ObjectMark | None) -> bool:
-    # Without a tag an object of the same size may be another.
-    return now is not None and now == then and bool(now.tag)
+            # The target of a link would replace the input.
+            return FileState(index, obstacle=backup)
+        kept = FileStat.of(backup)
+        sizes_differ = kept is not None and (now is None or kept.size != now.size)
+        if not sizes_differ and self._hash(backup) == self._hash(task.input) != "":
+            return FileState(index)
+        if was_interrupted and kept and original and kept.size == original.size:
+            return FileState(index, restores=True)
+        return FileState(index, obstacle=backup)
 
 
 def backup_path(task: Task) -> Path:
@@ -196,33 +220,29 @@ def backup_path(task: Task) -> Path:
     return Path(task.input + (task.backup or ""))
 
 
-def restore(task: Task) -> None:
+def restore_backup(task: Task) -> None:
     """Put the original back from its backup, whole or not at all; OutputError if that fails."""
-    import shutil
 
-    target = Path(task.input)
-    temporary = target.with_name(temporary_name("restored"))
+    def blocks() -> Iterator[bytes]:
+        with open_regular(backup_path(task)) as file:
+            while block := file.read(_LARGEST_BLOCK):
+                yield block
+
     try:
-        try:
-            shutil.copyfile(backup_path(task), temporary)
-            shutil.copymode(target, temporary)
-            temporary.replace(target)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
-            raise
-    except OSError as error:
+        write_whole(task.input, blocks())
+    except OutputError as error:
+        reason = error.message.partition(": ")[2]
         raise OutputError(
-            f"{task.input!r} cannot be restored from its backup: {error.strerror}", path=task.input
+            f"{task.input!r} cannot be restored from its backup: {reason}", path=task.input
         ) from None
 
 
-def undone(task: Task, mark: FileMark | None) -> str:
+def roll_back(task: Task, before: FileStat | None) -> str:
     """Undo what a lost worker may have done to a file in place, which must never be denoised twice.
 
-    A file that was replaced is put back from its backup.  Without one, a file that has not the
-    ``mark`` that it had before the work began may be denoised already: the reason why it must not
-    be tried again is returned, and otherwise an empty string.
+    A file that was replaced is put back from its backup.  Without one, a file that is not as it was
+    ``before`` the work began may be denoised already: the reason why it must not be tried again is
+    returned, and otherwise an empty string.
 
     Raises
     ------
@@ -234,30 +254,12 @@ def undone(task: Task, mark: FileMark | None) -> str:
     if task.backup:
         backup = backup_path(task)
         is_file = os.path.isfile(backup) and not os.path.islink(backup)
-        if is_file and file_sha256(str(backup)) not in ("", file_sha256(task.input)):
-            restore(task)
+        if is_file and hash_file(str(backup)) not in ("", hash_file(task.input)):
+            restore_backup(task)
         return ""
-    if FileMark.of(task.input) == mark:
+    if FileStat.of(task.input) == before:
         return ""
     return "the file changed before its worker was lost, and may be denoised already"
-
-
-def _size(path: str) -> int | None:
-    mark = FileMark.of(path)
-    return None if mark is None else mark.size
-
-
-def _up_to_date(task: Task, entry: Entry) -> MeshRecord:
-    earlier = entry.record() or MeshRecord(input=task.input, status="up-to-date")
-    return replace(
-        earlier,
-        input=task.input,
-        output=task.output,
-        status="up-to-date",
-        # The same text as in the entry, and not a copy.
-        input_sha256=entry.input_sha256 or earlier.input_sha256,
-        output_sha256=entry.output_sha256 or earlier.output_sha256,
-    )
 
 
 def _maybe_done(task: Task) -> MeshRecord:

@@ -1,4 +1,4 @@
-"""Many files: carry out a plan, note every finished file, and tell what happens."""
+"""Many files: carry out a plan, record every finished file, and report what happens."""
 
 from __future__ import annotations
 
@@ -7,47 +7,41 @@ import logging
 import os
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, closing, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
-from msal_cli.batch import (
-    interrupts as signals,
-)
-from msal_cli.batch import (
-    manifest_dirs as homes,
-)
-from msal_cli.batch import (
-    temporary_files as temporaries,
-)
-from msal_cli.batch.events import Finished, Progress, Started
-from msal_cli.batch.manifest import FileMark, Manifest, done, intent, settings_hash
-from msal_cli.batch.memory_budget import Weights, weighed
-from msal_cli.batch.plan import Plan
-from msal_cli.batch.resume import restore, standings, undone
-from msal_cli.batch.run_history import RunNote
+from msal_cli.batch import interrupts, temporary_files
+from msal_cli.batch.events import Failed, Finished, Progress, Retried, Returned, Started
+from msal_cli.batch.manifest_dirs import lock_folder, open_manifest, output_folders
+from msal_cli.batch.manifest_lines import FileStat, done_line, intent_line
+from msal_cli.batch.memory_budget import MemoryBudget, estimate_memory
+from msal_cli.batch.resume import file_states, hash_settings, restore_backup, roll_back
+from msal_cli.batch.run_history import RunEntry
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.records import Failure, MeshRecord, MethodUsed
 from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task, least_memory_bytes
 from msal_cli.machine import usable_cores
+from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
-    from msal_cli.batch.engine import EngineFor
-    from msal_cli.batch.events import OnEvent
-    from msal_cli.batch.worker_messages import Message
+    from msal_cli.batch.engine import EngineFactory
+    from msal_cli.batch.events import Message, OnEvent
+    from msal_cli.batch.manifest import Manifest
+    from msal_cli.batch.plan import Plan
 
     OnProgress = Callable[[str, int, int], None]
     Denoise = Callable[..., MeshRecord]
 
-LOSS_CODES = {
+_LOSS_CODES = {
     "crash": "E_CRASH",
     "memory": "E_MEMORY",
     "timeout": "E_TIMEOUT",
     "exception": "E_INTERNAL",
     "changed": "E_CHANGED",
 }
-"""The code of a failure by the cause of a ``messages.Lost``."""
 
 _log = logging.getLogger("msal.batch")
 
@@ -64,14 +58,14 @@ def run(
     stop_after_failures: int | None = None,
     command: Sequence[str] = (),
     denoise: Denoise = denoise_file,
-    engine: EngineFor | None = None,
+    engine: EngineFactory | None = None,
 ) -> list[MeshRecord]:
     """One record per task, in the plan's order; the same bytes for any number of jobs.
 
     What an earlier run has written and is still current is not done again (status
-    ``up-to-date``), and neither is what failed through its own fault and would fail again.  A plan
-    of one task without limits of time and memory runs in this process, others, and parts of a plan,
-    in supervised workers.
+    ``up-to-date``), and neither is what failed because of the file itself and would fail again.
+    A plan of one task without limits of time and memory runs in this process, others, and parts of
+    a plan, in supervised workers.
 
     Parameters
     ----------
@@ -79,13 +73,13 @@ def run(
         files go first, and one that fits beside no other runs alone on all cores.
     on_event : called in this thread with events.Started, Progress and Finished.
     dry_run : touch nothing; records are ``planned`` or ``up-to-date``.
-    limits : what one file may take; beyond it the file fails with ``E_TIMEOUT``, ``E_MEMORY`` or
+    limits : what one file may use; beyond it the file fails with ``E_TIMEOUT``, ``E_MEMORY`` or
         ``E_TOO_LARGE``.
     retries : how often a file that was lost to a crash, memory or time is tried again, alone.
     stop_after_failures : hand out no more files once so many have failed; the rest is ``planned``.
-    command : how the run was called, for the manifests and the reports made of them.
+    command : the command line, for the manifests and the reports made of them.
     denoise : what does one file, a module-level function; takes ``limits=`` where there are any.
-    engine : hands out the files, a single one too; None is ``engine.crew_for``.
+    engine : processes the files, a single one too; None is ``worker_pool.WorkerPool``.
 
     Raises
     ------
@@ -93,8 +87,8 @@ def run(
         the file to be replaced is in the way, or the engine cannot be used; no file was touched.
     OutputError : the output folder or its manifest cannot be written.
     ResourceError : no worker process can be started.
-    KeyboardInterrupt, signals.Terminated : a signal asked to end; all workers are gone, finished
-        files are whole and noted, and running the plan again goes on from there.
+    KeyboardInterrupt, interrupts.Terminated : a signal asked to end; all workers are gone, finished
+        files are whole and recorded, and running the plan again goes on from there.
     """
     if jobs is not None and jobs < 1:
         raise UsageError(f"the number of jobs must be at least 1, not {jobs}")
@@ -108,130 +102,122 @@ def run(
     if limits != NO_LIMITS:
         denoise = functools.partial(denoise, limits=limits)
     with ExitStack() as stack:
-        one = _Run(plan, settings, jobs, on_event or (lambda event: None), denoise)
-        one.stop_after_failures = stop_after_failures
-        one.engine = engine
-        one.command = tuple(command)
-        one.limits, one.retries = limits, retries
-        return one.rehearsed() if dry_run else one.performed(stack)
+        one = _BatchRun(
+            plan,
+            settings,
+            denoise,
+            on_event or (lambda event: None),
+            jobs=jobs,
+            limits=limits,
+            retries=retries,
+            stop_after_failures=stop_after_failures,
+            engine=engine,
+        )
+        return one.dry_run() if dry_run else one.execute(stack, tuple(command))
 
 
-class _Run:
-    def __init__(
-        self,
-        plan: Plan,
-        settings: Settings,
-        jobs: int | None,
-        on_event: OnEvent,
-        denoise: Denoise,
-    ) -> None:
-        self.stop_after_failures: int | None = None
-        self.engine: EngineFor | None = None
-        self.command: tuple[str, ...] = ()
-        self.limits = NO_LIMITS
-        self.retries = 1
-        self._plan = plan
-        self._settings = settings
+@dataclass
+class _BatchRun:
+    plan: Plan
+    settings: Settings
+    denoise: Denoise
+    on_event: OnEvent
+    jobs: int | None
+    limits: Limits
+    retries: int
+    stop_after_failures: int | None
+    engine: EngineFactory | None
+
+    def __post_init__(self) -> None:
         self._cores = usable_cores()
-        self._jobs = jobs
-        self._on_event = on_event
-        self._denoise = denoise
-        self._hash = settings_hash(settings)
-        self._homes = plan.folders()
+        self._hash = hash_settings(self.settings)
         self._manifests: dict[str, Manifest] = {}
-        # Those that the start of this run is noted in.
+        # Those in which the start of this run is recorded.
         self._begun: list[Manifest] = []
         self._records: dict[int, MeshRecord] = {}
         self._n_failed = 0
-        # Why what was done cannot be noted.
+        # Why finished files cannot be recorded.
         self._failure: OutputError | None = None
-        self._marks: dict[int, FileMark | None] = {}
+        self._stats: dict[int, FileStat | None] = {}
 
-    def rehearsed(self) -> list[MeshRecord]:
+    def dry_run(self) -> list[MeshRecord]:
         """What would happen, with nothing touched."""
-        with signals.noticed(signals.raise_for):
-            self._manifests = {home: homes.manifest_of(home) for home in self._homes}
-            for index in self._unsettled():
-                self._settle(index, self._planned(index))
+        with interrupts.noticed(interrupts.raise_for):
+            self._manifests = {home: open_manifest(home) for home in self.plan.folders()}
+            for index in self._outdated()[0]:
+                self._emit_finished(index, self._planned_record(index))
         return self._in_order()
 
-    def performed(self, stack: ExitStack) -> list[MeshRecord]:
-        """What happened; ``stack`` lets go of locks and manifests, however this ends."""
-        note = RunNote.now(self._plan, self._settings, self.command)
+    def execute(self, stack: ExitStack, command: tuple[str, ...]) -> list[MeshRecord]:
+        """What happened; ``stack`` releases locks and manifests, however this ends."""
+        entry = RunEntry.start(self.plan, self.settings, command)
         try:
-            with signals.noticed(signals.raise_for):
-                todo = self._prepared(stack, note)
-                weights = self._weighed(todo)
-            todo = self._possible(todo, weights)
-            if self._is_single() or self._plan.stays_here:
-                self._work_here(todo)
-            elif todo and self._failure is None and not self._is_given_up():
-                self._work_elsewhere(todo, weights)
+            with interrupts.noticed(interrupts.raise_for):
+                todo = self._lock_and_plan(stack, entry)
+                tasks = {index: self.plan.tasks[index] for index in todo}
+                budget = estimate_memory(tasks, self.settings, self.limits)
+            todo = self._drop_oversized(todo, budget)
+            if self._is_single() or self.plan.is_in_process:
+                self._run_in_process(todo)
+            elif todo and self._failure is None and not self._has_too_many_failures():
+                self._run_engine(todo, budget)
             if self._failure is not None:
                 raise self._failure
         except BaseException:
-            # Why it ended matters more than that it cannot be noted.
+            # Why it ended matters more than that it cannot be recorded.
             with suppress(OutputError):
-                self._note_end(note, interrupted=True)
+                self._append_end(entry, interrupted=True)
             raise
-        self._note_end(note, interrupted=False)
+        self._append_end(entry, interrupted=False)
         return self._in_order()
 
     def _is_single(self) -> bool:
-        is_part = self._plan.shard is not None
         is_limited = (self.limits.timeout_s, self.limits.memory_bytes) != (None, None)
-        is_alone = len(self._plan.tasks) == 1 and not is_part
+        is_alone = len(self.plan.tasks) == 1 and self.plan.shard is None
         return is_alone and self.engine is None and not is_limited
 
-    def _note_end(self, note: RunNote, *, interrupted: bool) -> None:
+    def _append_end(self, entry: RunEntry, *, interrupted: bool) -> None:
         for manifest in self._begun:
-            manifest.append([note.end(interrupted=interrupted)])
+            manifest.append([entry.end_line(interrupted=interrupted)])
 
-    def _prepared(self, stack: ExitStack, note: RunNote) -> list[int]:
-        """Take hold of the folders, settle what is current; the indices of what is to be done."""
-        shard = self._plan.shard
-        for home in self._homes:
-            homes.hold(home, stack, shard)
-            manifest = homes.manifest_of(home, shard)
-            stack.callback(manifest.close)
-            self._manifests[home] = manifest
-        temporaries.sweep(homes.folders(self._plan.tasks, self._homes))
-        restored: list[Task] = []
-        todo = self._unsettled(restored)
+    def _lock_and_plan(self, stack: ExitStack, entry: RunEntry) -> list[int]:
+        """Lock the folders, report what is up to date; the indices of what is to be done."""
+        tasks, homes = self.plan.tasks, self.plan.folders()
+        for home in homes:
+            lock_folder(home, stack, self.plan.shard)
+            self._manifests[home] = open_manifest(home, self.plan.shard)
+            stack.callback(self._manifests[home].close)
+        temporary_files.sweep({*output_folders(tasks), *map(Path, _local(homes))})
+        todo, restored = self._outdated()
         for manifest in self._manifests.values():
             manifest.open()
-            manifest.append([note.line()])
+            manifest.append([entry.start_line()])
             self._begun.append(manifest)
-        for task in restored:
-            restore(task)
-        tasks = self._plan.tasks
-        self._note(
-            (index, intent(key, tasks[index].input, tasks[index].output))
-            for index, key in self._keys(todo)
+        for index in restored:
+            restore_backup(tasks[index])
+        self._append_lines(
+            todo, lambda index, key: intent_line(key, tasks[index].input, tasks[index].output)
         )
-        for index in todo:
-            if self._plan.tasks[index].in_place:
-                self._marks[index] = FileMark.of(self._plan.tasks[index].input)
+        self._stats = {n: FileStat.of(tasks[n].input) for n in todo if tasks[n].in_place}
         return todo
 
-    # What is to be done
-
-    def _unsettled(self, restored: list[Task] | None = None) -> list[int]:
-        """Settle what is current already; the indices of the rest."""
+    def _outdated(self) -> tuple[list[int], list[int]]:
+        """Report what is up to date; the indices of the rest, and which of it are to be restored
+        from their backups first."""
         todo: list[int] = []
+        restored: list[int] = []
         obstacles: list[str] = []
         with closing(
-            standings(self._plan, self._manifests, self._hash, threads=self._cores)
-        ) as everything:
-            for one in everything:
-                if one.objection:
-                    obstacles.append(one.objection)
-                elif one.record is not None:
-                    self._settle(one.index, one.record)
+            file_states(self.plan, self._manifests, self._hash, threads=self._cores)
+        ) as states:
+            for state in states:
+                if state.obstacle:
+                    obstacles.append(state.obstacle)
+                elif state.record is not None:
+                    self._emit_finished(state.index, state.record)
                 else:
-                    todo.append(one.index)
-                    if one.restores and restored is not None:
-                        restored.append(self._plan.tasks[one.index])
+                    todo.append(state.index)
+                    restored += [state.index] if state.restores else []
         if obstacles:
             more = f" and {len(obstacles) - 1} more" if len(obstacles) > 1 else ""
             raise UsageError(
@@ -239,103 +225,90 @@ class _Run:
                 hint="the original is in it: move it back, or choose another --backup suffix",
                 path=obstacles[0],
             )
-        return todo
+        return todo, restored
 
-    def _keys(self, indices: Iterable[int]) -> list[tuple[int, str]]:
-        homes = self._plan.homes
-        return [(index, self._plan.key(index)) for index in indices if homes[index] is not None]
-
-    # The work
-
-    def _work_here(self, todo: list[int]) -> None:
-        def clean() -> None:
-            for index in todo:
-                self._clear_away(os.getpid(), index)
-
-        with signals.noticed(signals.raise_for), signals.ended_late(clean):
-            for index in todo:
-                task = self._plan.tasks[index]
-                self._on_event(Started(index, task))
-                try:
-                    record = self._denoise(
-                        task,
-                        self._settings,
-                        lambda stage, n, total: self._on_event(Progress(0, stage, n, total)),
-                    )
-                except Exception as error:
-                    _log.exception("internal error at %r", task.input)
-                    record = self._lost(index, "exception", f"{type(error).__name__}: {error}")
-                self._finish([(index, record)])
-                if self._failure is not None:
-                    return
-
-    def _weighed(self, todo: list[int]) -> Weights:
-        tasks = {index: self._plan.tasks[index] for index in todo}
-        return weighed(tasks, self._settings, self.limits)
-
-    def _possible(self, todo: list[int], weights: Weights) -> list[int]:
+    def _drop_oversized(self, todo: list[int], budget: MemoryBudget) -> list[int]:
         """The files for which there is memory; the others fail before they are loaded.
 
-        Whoever sets a limit has thought of the memory, and other machines have their own.
+        A limit set by the user replaces this check, and other machines have their own memory.
         """
         if self.engine is not None or self.limits.memory_bytes is not None:
             return todo
-        beyond = weights.beyond()
-        for index, failure in beyond.items():
-            self._on_event(Started(index, self._plan.tasks[index]))
-            record = replace(self._planned(index), output=None, status="failed", error=failure)
-            self._finish([(index, record)])
-        return [index for index in todo if index not in beyond]
+        oversized = budget.oversized()
+        for index, failure in oversized.items():
+            self.on_event(Started(index))
+            self._finish({index: self._failed_record(index, failure)})
+        return [index for index in todo if index not in oversized]
 
-    def _work_elsewhere(self, todo: list[int], weights: Weights) -> None:
-        from msal_cli.batch.engine import Work, crew_for
-        from msal_cli.batch.worker_pool import Interrupt
+    # The work
+
+    def _run_in_process(self, todo: list[int]) -> None:
+        def clean() -> None:
+            for index in todo:
+                self._sweep_after(os.getpid(), index)
+
+        with interrupts.noticed(interrupts.raise_for), interrupts.ended_late(clean):
+            for index in todo:
+                task = self.plan.tasks[index]
+                self.on_event(Started(index))
+                try:
+                    record = self.denoise(
+                        task,
+                        self.settings,
+                        lambda stage, n, total: self.on_event(Progress(0, stage, n, total)),
+                    )
+                except Exception as error:
+                    _log.exception("internal error at %r", task.input)
+                    failed = Failed(index, "exception", f"{type(error).__name__}: {error}")
+                    record = self._failed_record(index, failure_of(failed))
+                self._finish({index: record})
+                if self._failure is not None:
+                    return
+
+    def _run_engine(self, todo: list[int], budget: MemoryBudget) -> None:
+        from msal_cli.batch.engine import Interrupt, Work
+        from msal_cli.batch.worker_pool import WorkerPool
 
         received: list[int] = []
-        tasks = {index: self._plan.tasks[index] for index in todo}
+        tasks = {index: self.plan.tasks[index] for index in todo}
         work = Work(
             tasks,
-            do_one,
-            (self._denoise, self._settings),
-            jobs=self._jobs or self._cores,
+            denoise_in_worker,
+            (self.denoise, self.settings),
+            jobs=self.jobs or self._cores,
             cores=self._cores,
-            folders=tuple(str(one) for one in homes.folders((), self._homes)),
-            on_death=self._clear_away,
-            on_loss=self._set_right,
+            folders=tuple(_local(self.plan.folders())),
+            on_death=self._sweep_after,
+            on_loss=self._roll_back,
             limits=self.limits,
             retries=self.retries,
-            weights={index: one for index, one in weights.large.items() if index in tasks},
-            light_bytes=weights.light,
-            # Whoever says how many files at once has thought of the memory.
-            budget_bytes=weights.budget if self._jobs is None else None,
-            tells_first=self.stop_after_failures is not None,
+            weights={index: size for index, size in budget.large.items() if index in tasks},
+            light_bytes=budget.light,
+            # A number of jobs set by the user replaces the budget.
+            budget_bytes=budget.total if self.jobs is None else None,
+            reports_first=self.stop_after_failures is not None,
         )
-        engine = (self.engine or crew_for)(work)
+        engine = (self.engine or WorkerPool)(work)
 
         def on_signal(signum: int) -> None:
             received.append(signum)
             engine.interrupt()
 
-        with signals.noticed(on_signal), closing(engine.batches()) as batches:
+        with interrupts.noticed(on_signal), closing(engine.batches()) as batches:
             try:
                 for messages in batches:
-                    self._hear(messages)
-                    # What the workers have begun they finish, and that is reported, too.
-                    if self._failure is not None or self._is_given_up():
+                    self._handle_messages(messages)
+                    # Tasks that have begun are finished, and that is reported, too.
+                    if self._failure is not None or self._has_too_many_failures():
                         engine.stop()
             except Interrupt:
-                signals.raise_for(received[0])
+                interrupts.raise_for(received[0])
 
-    def _hear(self, messages: list[Message]) -> None:
-        from msal_cli.batch.worker_messages import Advanced, Again, Began, Lost, Returned
-
-        finished: list[tuple[int, MeshRecord]] = []
+    def _handle_messages(self, messages: list[Message]) -> None:
+        finished: dict[int, MeshRecord] = {}
         for message in messages:
-            index = message.index
-            if isinstance(message, Began):
-                self._on_event(Started(index, self._plan.tasks[index]))
-            elif isinstance(message, Advanced):
-                self._on_event(Progress(index, message.stage, message.done, message.total))
+            if isinstance(message, Started | Progress):
+                self.on_event(message)
             elif isinstance(message, Returned):
                 record: MeshRecord = message.result
                 if message.earlier:
@@ -343,85 +316,100 @@ class _Run:
                     before = "at the first" if self.retries == 1 else "at the one before"
                     note = f"done at {which}: {message.earlier} {before}"
                     record = replace(record, warnings=(*record.warnings, note))
-                finished.append((index, record))
-            elif isinstance(message, Lost):
-                lost = self._lost(index, message.cause, message.reason, message.hint)
-                finished.append((index, lost))
-            elif isinstance(message, Again):
-                name = self._plan.tasks[index].input
+                finished[message.index] = record
+            elif isinstance(message, Failed):
+                finished[message.index] = self._failed_record(message.index, failure_of(message))
+            elif isinstance(message, Retried):
+                name = self.plan.tasks[message.index].input
                 _log.warning("%r: %s; it will be tried again", name, message.reason)
         self._finish(finished)
 
-    def _is_given_up(self) -> bool:
+    def _has_too_many_failures(self) -> bool:
         return self.stop_after_failures is not None and self._n_failed >= self.stop_after_failures
 
-    # What came of it
+    # The results
 
-    def _finish(self, finished: list[tuple[int, MeshRecord]]) -> None:
-        """Note files in the manifests, then report, also what could not be noted."""
-        records, tasks = dict(finished), self._plan.tasks
+    def _finish(self, finished: dict[int, MeshRecord]) -> None:
+        """Record files in the manifests, then report, also what could not be recorded."""
+        tasks = self.plan.tasks
         try:
-            self._note(
-                (
-                    index,
-                    done(key, self._hash, records[index], tasks[index].input, tasks[index].output),
-                )
-                for index, key in self._keys(records)
+            self._append_lines(
+                finished,
+                lambda index, key: done_line(
+                    key, self._hash, finished[index], tasks[index].input, tasks[index].output
+                ),
             )
         except OutputError as error:
             self._failure = self._failure or error
-        for index, record in finished:
-            # What an earlier run has failed at is no reason to give up this one.
+        for index, record in finished.items():
+            # Failures of earlier runs do not count for --max-failures.
             self._n_failed += record.status == "failed"
-            self._settle(index, record)
+            self._emit_finished(index, record)
 
-    def _note(self, lines: Iterable[tuple[int, dict[str, Any]]]) -> None:
-        by_home: dict[str, list[dict[str, Any]]] = {}
-        for index, line in lines:
-            by_home.setdefault(str(self._plan.homes[index]), []).append(line)
-        for home, some in by_home.items():
+    def _append_lines(
+        self, indices: Iterable[int], line: Callable[[int, str], dict[str, Any]]
+    ) -> None:
+        lines: dict[str, list[dict[str, Any]]] = {}
+        for index in indices:
+            home = self.plan.homes[index]
+            if home is not None:
+                lines.setdefault(home, []).append(line(index, self.plan.manifest_key(index)))
+        for home, some in lines.items():
             self._manifests[home].append(some)
 
-    def _settle(self, index: int, record: MeshRecord) -> None:
+    def _emit_finished(self, index: int, record: MeshRecord) -> None:
         self._records[index] = record
-        self._on_event(Finished(index, record))
+        self.on_event(Finished(index, record))
 
     def _in_order(self) -> list[MeshRecord]:
-        return [
-            self._records.get(index) or self._planned(index)
-            for index in range(len(self._plan.tasks))
-        ]
+        n_tasks = len(self.plan.tasks)
+        return [self._records.get(index) or self._planned_record(index) for index in range(n_tasks)]
 
-    def _planned(self, index: int) -> MeshRecord:
-        task = self._plan.tasks[index]
-        return MeshRecord(
-            input=task.input,
-            output=task.output,
-            status="planned",
-            version=__version__,
-            method=MethodUsed(self._settings.method, dict(self._settings.parameters)),
-        )
+    def _planned_record(self, index: int) -> MeshRecord:
+        task = self.plan.tasks[index]
+        return replace(unfinished_record(task.input, self.settings), output=task.output)
 
-    def _lost(self, index: int, cause: str, reason: str, hint: str = "") -> MeshRecord:
-        failure = Failure(LOSS_CODES[cause], reason, hint)
-        return replace(self._planned(index), output=None, status="failed", error=failure)
+    def _failed_record(self, index: int, failure: Failure) -> MeshRecord:
+        return unfinished_record(self.plan.tasks[index].input, self.settings, failure)
 
-    def _set_right(self, index: int) -> str:
+    def _roll_back(self, index: int) -> str:
         """Undo what a lost worker did in place; why the file must not be tried again, if so."""
         try:
-            return undone(self._plan.tasks[index], self._marks.get(index))
+            return roll_back(self.plan.tasks[index], self._stats.get(index))
         except OutputError as error:
             return error.message
 
-    def _clear_away(self, pid: int, index: int) -> None:
-        for folder in homes.folders([self._plan.tasks[index]]):
-            temporaries.sweep_after(pid, folder)
+    def _sweep_after(self, pid: int, index: int) -> None:
+        for folder in output_folders([self.plan.tasks[index]]):
+            temporary_files.sweep_after(pid, folder)
 
 
-def do_one(task: Task, common: tuple[Denoise, Settings], on_progress: OnProgress) -> MeshRecord:
-    """One file, in a worker.  Memory that ran out is raised again, so that the file gets its
-    second try alone and the worker, whose heap is in pieces, is replaced.  Memory that was foreseen
-    to run out would do so again."""
+def _local(homes: Iterable[str]) -> list[str]:
+    return [home for home in homes if not is_url(home)]
+
+
+def unfinished_record(name: str, settings: Settings, failure: Failure | None = None) -> MeshRecord:
+    """The record of an input that failed outside of the pipeline, or that is not done yet."""
+    return MeshRecord(
+        input=name,
+        status="planned" if failure is None else "failed",
+        version=__version__,
+        method=MethodUsed(settings.method, dict(settings.parameters)),
+        error=failure,
+    )
+
+
+def failure_of(message: Failed) -> Failure:
+    """The failure, with its code, of a task that was lost."""
+    return Failure(_LOSS_CODES[message.cause], message.reason, message.hint)
+
+
+def denoise_in_worker(
+    task: Task, common: tuple[Denoise, Settings], on_progress: OnProgress
+) -> MeshRecord:
+    """One file, in a worker.  MemoryError is raised again, so that the file gets its second try
+    alone and the worker, whose heap is fragmented, is replaced.  That there was not enough memory
+    by forecast would come again."""
     denoise, settings = common
     record = denoise(task, settings, on_progress)
     error = record.error

@@ -1,6 +1,6 @@
-"""Which task is handed out next: large ones first and never more at once than memory holds.
+"""The order of the tasks: large ones first, and no more at once than fit into memory.
 
-Nothing here starts or waits for anything; ``workers.Crew`` asks, and does.
+Nothing here starts or waits for anything; that is the part of ``worker_pool.WorkerPool``.
 """
 
 from __future__ import annotations
@@ -9,17 +9,16 @@ import collections
 from collections.abc import Iterable, Mapping
 
 
-class Schedule:
+class TaskQueue:
     """The tasks that are yet to be handed out.
 
     Parameters
     ----------
     tasks : indices, in the order of the plan.
-    weights : bytes of memory that the large ones among them are foreseen to take at their peak.
+    weights : bytes of memory that the large ones among them are expected to need at their peak.
         They go first, heaviest first, so that none is left to run alone at the end.
-    light_bytes : what any other is taken to need.
-    budget_bytes : what all tasks in hand may take together; None is no bound.
-    retries : how often a task that was lost with its worker is tried again.
+    light_bytes : what any other is expected to need.
+    budget_bytes : what all current tasks together may need; None is no bound.
     """
 
     def __init__(
@@ -29,99 +28,84 @@ class Schedule:
         weights: Mapping[int, int] | None = None,
         light_bytes: int = 0,
         budget_bytes: int | None = None,
-        retries: int = 1,
     ) -> None:
         self._weights = dict(weights or {})
         self._light_bytes = light_bytes
         self._budget = budget_bytes
-        self._retries = retries
-        self._losses: collections.Counter[int] = collections.Counter()
         indices = list(tasks)
         heavy = [index for index in indices if index in self._weights]
         heavy.sort(key=lambda index: -self._weights[index])
-        self._lonely = collections.deque(filter(self._fits_with_no_other, heavy))
-        self._heavy = collections.deque(heavy[len(self._lonely) :])
+        self._exclusive = collections.deque(filter(self._fits_with_no_other, heavy))
+        self._heavy = collections.deque(heavy[len(self._exclusive) :])
         self._light = collections.deque(index for index in indices if index not in self._weights)
-        self._again: collections.deque[int] = collections.deque()
+        self._retries: collections.deque[int] = collections.deque()
 
     def __len__(self) -> int:
         """How many tasks wait for their first try."""
-        return len(self._lonely) + len(self._heavy) + len(self._light)
+        return len(self._exclusive) + len(self._heavy) + len(self._light)
 
     @property
     def is_empty(self) -> bool:
         """Whether nothing waits, second tries included."""
-        return not len(self) and not self._again
+        return not len(self) and not self._retries
 
     def extend(self, tasks: Iterable[int]) -> None:
-        """Let more tasks wait, behind all others."""
+        """Add tasks behind all others."""
         self._light.extend(tasks)
-
-    def forget(self) -> None:
-        """Forget how often tasks were lost; their numbers may be used anew."""
-        self._losses.clear()
 
     def drop(self) -> None:
         """Give up the tasks that wait for their first try."""
-        for some in (self._lonely, self._heavy, self._light):
-            some.clear()
+        for queue in (self._exclusive, self._heavy, self._light):
+            queue.clear()
 
     def weight(self, index: int) -> int:
-        """Bytes that a task is taken to need."""
+        """Bytes that a task is expected to need."""
         return self._weights.get(index, self._light_bytes)
 
-    def lose(self, index: int) -> bool:
-        """Note that a task was lost; whether it waits to be tried again."""
-        self._losses[index] += 1
-        if self._losses[index] > self._retries:
-            return False
-        self._again.append(index)
-        return True
+    def retry(self, index: int) -> None:
+        """Add a task that was lost; it runs alone, after all others."""
+        self._retries.append(index)
 
-    def losses(self, index: int) -> int:
-        """How often a task was lost so far."""
-        return self._losses[index]
-
-    def put_back(self, index: int) -> None:
+    def put_back(self, index: int, *, is_retry: bool = False) -> None:
         """A task that was taken did not reach its worker: it is next again."""
-        if self._losses[index]:
-            self._again.appendleft(index)
+        if is_retry:
+            self._retries.appendleft(index)
         elif index not in self._weights:
             self._light.appendleft(index)
         elif self._fits_with_no_other(index):
-            self._lonely.appendleft(index)
+            self._exclusive.appendleft(index)
         else:
             self._heavy.appendleft(index)
 
     @property
-    def is_next_alone(self) -> bool:
+    def is_next_exclusive(self) -> bool:
         """Whether the next task must have the whole machine: it fits beside no other, or it was
-        lost once and the first try may have failed for want of memory."""
-        return bool(self._lonely) or (not len(self) and bool(self._again))
+        lost once, and the first try may have failed because memory ran out."""
+        return bool(self._exclusive) or (not len(self) and bool(self._retries))
 
-    def taken_alone(self) -> int:
+    def pop_exclusive(self) -> int:
         """Take the task that must be alone."""
-        return (self._lonely or self._again).popleft()
+        return (self._exclusive or self._retries).popleft()
 
-    def taken(self, in_hand: Iterable[int], held_bytes: int) -> int | None:
-        """Take a task that may run beside those ``in_hand``; None if none may now.
+    def pop(self, current: Iterable[int], idle_bytes: int) -> int | None:
+        """Take a task that may run beside the ``current`` ones; None if none may now.
 
-        ``held_bytes`` is what idle workers hold.
+        ``idle_bytes`` is the memory of idle workers.
         """
-        some = self._beside(in_hand, held_bytes)
-        return some.popleft() if some else None
+        queue = self._beside(current, idle_bytes)
+        return queue.popleft() if queue else None
 
-    def may_start(self, in_hand: Iterable[int], held_bytes: int) -> bool:
+    def may_start(self, current: Iterable[int], idle_bytes: int) -> bool:
         """Whether there is a task for one more worker."""
-        return self._beside(in_hand, held_bytes) is not None
+        return self._beside(current, idle_bytes) is not None
 
-    def _beside(self, in_hand: Iterable[int], held_bytes: int) -> collections.deque[int] | None:
-        beside = list(in_hand)
-        taken = held_bytes + sum(map(self.weight, beside))
+    def _beside(self, current: Iterable[int], idle_bytes: int) -> collections.deque[int] | None:
+        beside = list(current)
+        used = idle_bytes + sum(map(self.weight, beside))
 
         def fits(index: int) -> bool:
-            # Alone in hand anything goes: waiting for others to end would not help.
-            return not beside or self._budget is None or taken + self.weight(index) <= self._budget
+            # Without a current task anything goes: waiting for others to end would not help.
+            return not beside or self._budget is None or used + self.weight(index) <= self._budget
 
         if self._heavy and fits(self._heavy[0]):
             return self._heavy

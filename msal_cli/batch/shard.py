@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from msal_cli.errors import UsageError
@@ -32,7 +32,7 @@ class Shard:
 
     @property
     def file_part(self) -> str:
-        """How the shard's own files are told apart: ``2-of-4``."""
+        """How the shard's own files are distinguished: ``2-of-4``."""
         return f"{self.number}-of-{self.count}"
 
     def has(self, relative: str) -> bool:
@@ -50,143 +50,124 @@ def stable_hash(relative: str) -> int:
     return int.from_bytes(hashlib.sha256(name).digest()[:8], "big")
 
 
-def settled(text: str, environment: Mapping[str, str]) -> Shard:
-    """The shard that ``K/N``, ``auto`` or ``auto/N`` stands for in this environment.
+def parse_shard(text: str, environment: Mapping[str, str]) -> Shard:
+    """The shard that ``K/N``, ``auto`` or ``auto/N`` means in this environment.
 
-    ``auto`` is what Slurm (array tasks, else tasks of a step), AWS Batch (array jobs) or Kubernetes
-    (indexed jobs) says in the environment.  Where that has no N, as in Kubernetes, it comes from
-    ``auto/N`` or from the variable MSAL_SHARDS.
+    ``auto`` takes it from the variables of Slurm (array tasks, else tasks of a step), AWS Batch
+    (array jobs) or Kubernetes (indexed jobs).  Where these have no N, as in Kubernetes, it comes
+    from ``auto/N`` or from the variable MSAL_SHARDS.
 
     Raises
     ------
-    UsageError : it is none of these; nothing is found; what is found does not fit together.
+    UsageError : it is none of these; there are no such variables; they contradict one another.
     """
-    first, _, last = text.partition("/")
+    first, slash, last = text.partition("/")
     if first != "auto":
-        number, count = _whole(first), _whole(last)
+        number, count = _parse_int(first), _parse_int(last)
         if number is None or count is None or not 1 <= number <= count <= MOST:
             raise UsageError(
                 f"--shard {text}: a shard is K/N with 1 <= K <= N <= {MOST}, auto or auto/N",
                 hint="four processes take --shard 1/4, 2/4, 3/4 and 4/4",
             )
         return Shard(number, count)
-    wanted = _wanted(text, environment)
-    found = {one.place: one for one in _found(environment)}
-    if not found:
+    expected = None
+    value = last if slash else environment.get(COUNT_VARIABLE)
+    if value or slash:
+        expected = _parse_int(value or "")
+        if expected is None or not 1 <= expected <= MOST:
+            source = f"--shard {text}" if slash else f"{COUNT_VARIABLE}={value}"
+            raise UsageError(
+                f"{source}: the number of shards must be a whole number from 1 to {MOST}"
+            )
+    jobs = {(job.index, job.count): job for job in _read_environment(environment)}
+    if not jobs:
         raise UsageError(
-            f"--shard {text}: no variable of Slurm, AWS Batch or Kubernetes tells which shard this "
+            f"--shard {text}: no variable of Slurm, AWS Batch or Kubernetes says which shard this "
             "is",
             hint="give --shard K/N, or run it in an array job or an indexed job",
         )
-    if len(found) > 1:
-        told = " and ".join(sorted(f"{one.system} ({one.told})" for one in found.values()))
-        raise UsageError(f"--shard {text}: {told} say different things", hint="give --shard K/N")
-    return next(iter(found.values())).shard(text, wanted)
+    if len(jobs) > 1:
+        names = " and ".join(sorted(f"{job.system} ({job.variables})" for job in jobs.values()))
+        raise UsageError(f"--shard {text}: {names} say different things", hint="give --shard K/N")
+    (job,) = jobs.values()
+    return _shard_of(job, text, expected)
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
-    """What a system said: ``index`` from 0, and how many there are, where it says so."""
+class _JobIndex:
+    """What the variables of a system say: ``index`` from 0, and how many there are, if known."""
 
     system: str
-    told: str
+    variables: str
     index: int
     count: int | None
 
-    @property
-    def place(self) -> tuple[int, int | None]:
-        return self.index, self.count
 
-    def shard(self, text: str, wanted: int | None) -> Shard:
-        if self.count is not None and wanted is not None and self.count != wanted:
-            raise UsageError(
-                f"--shard {text}: {self.system} runs {self.count} processes ({self.told}), "
-                f"not {wanted}",
-                hint="leave the number out, or start as many",
-            )
-        count = self.count if wanted is None else wanted
-        if count is None:
-            raise UsageError(
-                f"--shard {text}: {self.system} does not tell how many shards there are",
-                hint=f"give --shard auto/N, or set {COUNT_VARIABLE}",
-            )
-        if not 0 <= self.index < count <= MOST:
-            raise UsageError(
-                f"--shard {text}: {self.system} says {self.told}, which is none of {count} shards",
-                hint="number the tasks without gaps, or give --shard K/N",
-            )
-        return Shard(self.index + 1, count)
+def _shard_of(job: _JobIndex, text: str, expected: int | None) -> Shard:
+    if job.count is not None and expected is not None and job.count != expected:
+        raise UsageError(
+            f"--shard {text}: {job.system} runs {job.count} processes ({job.variables}), "
+            f"not {expected}",
+            hint="leave the number out, or start as many",
+        )
+    count = job.count if expected is None else expected
+    if count is None:
+        raise UsageError(
+            f"--shard {text}: {job.system} does not say how many shards there are",
+            hint=f"give --shard auto/N, or set {COUNT_VARIABLE}",
+        )
+    if not 0 <= job.index < count <= MOST:
+        raise UsageError(
+            f"--shard {text}: {job.system} says {job.variables}, which is none of {count} shards",
+            hint="number the tasks without gaps, or give --shard K/N",
+        )
+    return Shard(job.index + 1, count)
 
 
-def _wanted(text: str, environment: Mapping[str, str]) -> int | None:
-    """N as the user gave it, by the option or by the variable."""
-    _, slash, last = text.partition("/")
-    source, given = (f"--shard {text}", last) if slash else ("", environment.get(COUNT_VARIABLE))
-    if not slash:
-        source = f"{COUNT_VARIABLE}={given}"
-    if not given and not slash:
-        return None
-    count = _whole(given or "")
-    if count is None or not 1 <= count <= MOST:
-        raise UsageError(f"{source}: the number of shards must be a whole number from 1 to {MOST}")
-    return count
-
-
-def _found(environment: Mapping[str, str]) -> Iterator[_Place]:
+def _read_environment(environment: Mapping[str, str]) -> Iterator[_JobIndex]:
     def number(name: str, default: int | None = None) -> int:
-        given = environment.get(name)
-        if given is None and default is not None:
+        text = environment.get(name)
+        if text is None and default is not None:
             return default
-        value = _whole(given or "")
+        value = _parse_int(text or "")
         if value is None:
             raise UsageError(
-                f"{name}={given or ''} is not a whole number",
+                f"{name}={text or ''} is not a whole number",
                 hint="give --shard K/N instead of auto",
             )
         return value
 
-    if environment.get("SLURM_ARRAY_TASK_ID"):
-        yield _slurm_array(number)
-    elif environment.get("SLURM_PROCID"):
-        yield _slurm_step(number, environment)
-    if environment.get("AWS_BATCH_JOB_ARRAY_INDEX"):
-        index = number("AWS_BATCH_JOB_ARRAY_INDEX")
-        size = "AWS_BATCH_JOB_ARRAY_SIZE"
-        count = number(size) if _is_set(environment, size) else None
-        yield _Place("AWS Batch", f"AWS_BATCH_JOB_ARRAY_INDEX={index}", index, count)
-    if environment.get("JOB_COMPLETION_INDEX"):
+    def is_set(name: str) -> bool:
+        return bool(environment.get(name))
+
+    if is_set("SLURM_ARRAY_TASK_ID"):
+        task = number("SLURM_ARRAY_TASK_ID")
+        lowest, step = number("SLURM_ARRAY_TASK_MIN"), number("SLURM_ARRAY_TASK_STEP", 1)
+        count = number("SLURM_ARRAY_TASK_COUNT")
+        variables = f"SLURM_ARRAY_TASK_ID={task}, _MIN={lowest}, _STEP={step}"
+        # Tasks with gaps (--array=1,2,7) have no index that could be counted.
+        index, rest = divmod(task - lowest, step) if step else (-1, 0)
+        yield _JobIndex("Slurm", variables, -1 if rest else index, count)
+    elif is_set("SLURM_PROCID"):
+        index = number("SLURM_PROCID")
+        in_step = is_set("SLURM_STEP_NUM_TASKS")
+        count = number("SLURM_STEP_NUM_TASKS" if in_step else "SLURM_NTASKS")
+        is_script = is_set("SLURM_JOB_ID") and not is_set("SLURM_STEP_ID")
+        if is_script and index == 0 and count > 1:
+            # It would take the first shard, and no process the others.
+            raise UsageError(
+                f"this is the batch script itself, not one of the {count} tasks of a step",
+                hint="start it with srun, or leave --shard away",
+            )
+        yield _JobIndex("Slurm", f"SLURM_PROCID={index}", index, count)
+    if is_set("AWS_BATCH_JOB_ARRAY_INDEX"):
+        index, size = number("AWS_BATCH_JOB_ARRAY_INDEX"), "AWS_BATCH_JOB_ARRAY_SIZE"
+        total = number(size) if is_set(size) else None
+        yield _JobIndex("AWS Batch", f"AWS_BATCH_JOB_ARRAY_INDEX={index}", index, total)
+    if is_set("JOB_COMPLETION_INDEX"):
         index = number("JOB_COMPLETION_INDEX")
-        yield _Place("Kubernetes", f"JOB_COMPLETION_INDEX={index}", index, None)
+        yield _JobIndex("Kubernetes", f"JOB_COMPLETION_INDEX={index}", index, None)
 
 
-def _slurm_array(number: Callable[..., int]) -> _Place:
-    task = number("SLURM_ARRAY_TASK_ID")
-    lowest, step = number("SLURM_ARRAY_TASK_MIN"), number("SLURM_ARRAY_TASK_STEP", 1)
-    count = number("SLURM_ARRAY_TASK_COUNT")
-    told = f"SLURM_ARRAY_TASK_ID={task}, _MIN={lowest}, _STEP={step}"
-    # Tasks with gaps (--array=1,2,7) have no place that could be counted out.
-    index, rest = divmod(task - lowest, step) if step else (-1, 0)
-    return _Place("Slurm", told, -1 if rest else index, count)
-
-
-def _slurm_step(number: Callable[..., int], environment: Mapping[str, str]) -> _Place:
-    index = number("SLURM_PROCID")
-    count = number(
-        "SLURM_STEP_NUM_TASKS" if _is_set(environment, "SLURM_STEP_NUM_TASKS") else "SLURM_NTASKS"
-    )
-    is_script = _is_set(environment, "SLURM_JOB_ID") and not _is_set(environment, "SLURM_STEP_ID")
-    if is_script and index == 0 and count > 1:
-        # It would take the first shard, and nobody the others.
-        raise UsageError(
-            f"this is the batch script itself, not one of the {count} tasks of a step",
-            hint="start it with srun, or leave --shard away",
-        )
-    return _Place("Slurm", f"SLURM_PROCID={index}", index, count)
-
-
-def _is_set(environment: Mapping[str, str], name: str) -> bool:
-    return bool(environment.get(name))
-
-
-def _whole(text: str) -> int | None:
+def _parse_int(text: str) -> int | None:
     return int(text) if text.isascii() and text.isdigit() and len(text) <= 9 else None

@@ -1,4 +1,4 @@
-"""Temporary files: whose they are, and the removal of those that dead processes left unfinished.
+"""Temporary files: who owns them, and the removal of those that dead processes left.
 
 Every temporary file of msal is named ``.<anything>.msal-<process>-<machine><random>.tmp``, machine
 and random part being eight hexadecimal digits each.
@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from msal_cli.batch.process_status import is_alive, started_at
+from msal_cli.batch.process_status import is_alive, start_time
 from msal_cli.storage.atomic import machine_tag
 
 _OWN_FILES = ".msal-"
@@ -20,8 +20,8 @@ _TEMPORARY = re.compile(
     r"\..*\.msal-(?P<pid>\d{1,10})-(?P<machine>[0-9a-f]{8})[0-9a-f]{8}\.tmp", re.DOTALL
 )
 
-# A process id may have been given to somebody else meanwhile, and of another machine's processes
-# nothing is known here; but nothing is written for so long without the file's time changing.
+# A process id may have been given to another process meanwhile, and the processes of other machines
+# are not known here; but nothing is written for so long without the file's time changing.
 _SURELY_STALE_S = 24 * 3600.0
 
 # A process that began so much later than a file cannot have made it; clocks are set by less.
@@ -33,11 +33,6 @@ def is_own(name: str) -> bool:
     return name.startswith(_OWN_FILES) or _TEMPORARY.fullmatch(name) is not None
 
 
-def temporary_name(stem: str) -> str:
-    """A new name for a temporary file of this process; ``stem`` should be short."""
-    return f".{stem}.msal-{os.getpid()}-{machine_tag()}{os.urandom(4).hex()}.tmp"
-
-
 def sweep(folders: Iterable[str | Path]) -> int:
     """Remove what dead processes left in these folders (not below them); how many files."""
 
@@ -47,7 +42,7 @@ def sweep(folders: Iterable[str | Path]) -> int:
         is_dead = is_ours and not _may_be_writing(int(match["pid"]), written)
         return is_dead or time.time() - written > _SURELY_STALE_S
 
-    return sum(_swept(Path(folder), is_stale) for folder in folders)
+    return sum(_remove_matching(Path(folder), is_stale) for folder in folders)
 
 
 def sweep_after(pid: int, folder: str | Path) -> int:
@@ -56,18 +51,18 @@ def sweep_after(pid: int, folder: str | Path) -> int:
     def is_its(match: re.Match[str], path: Path) -> bool:
         return match["machine"] == machine_tag() and int(match["pid"]) == pid
 
-    return _swept(Path(folder), is_its)
+    return _remove_matching(Path(folder), is_its)
 
 
 def _may_be_writing(pid: int, written: float) -> bool:
     """Whether process ``pid`` lives and is old enough to have changed a file at that time."""
     if not is_alive(pid):
         return False
-    began = started_at(pid)
+    began = start_time(pid)
     return began is None or began < written + _SURELY_LATER_S
 
 
-def _swept(folder: Path, is_to_go: Callable[[re.Match[str], Path], bool]) -> int:
+def _remove_matching(folder: Path, is_to_go: Callable[[re.Match[str], Path], bool]) -> int:
     count = 0
     try:
         with os.scandir(folder) as entries:
@@ -84,6 +79,6 @@ def _swept(folder: Path, is_to_go: Callable[[re.Match[str], Path], bool]) -> int
                 path.unlink()
                 count += 1
         except OSError:
-            # Somebody else was faster, or may not be disturbed; it is only litter.
+            # Another process was faster, or the file is locked; it does no harm.
             continue
     return count

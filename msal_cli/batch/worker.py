@@ -1,7 +1,7 @@
 """The inside of a worker process: take a task, do it, hand back the result, wait for the next.
 
-The parent talks through standard input and hears through what was standard output; both are
-taken away from everything else first, so that a library which prints or reads cannot break in.
+The parent writes to standard input and reads from what was standard output; both are hidden from
+everything else first, so that a library which prints or reads cannot interfere.
 A message is a pickle behind its length (8 bytes, little endian).
 """
 
@@ -27,17 +27,17 @@ from msal_cli.machine import peak_bytes
 
 _LENGTH = struct.Struct("<Q")
 
-# Progress is for eyes: more often than this (seconds) is a waste of both processes' time, and the
+# Progress is for people: more often than this (seconds) is a waste of both processes' time, and the
 # stages of a file that is done sooner are nothing to see.
 _BETWEEN_PROGRESS_S = 0.05
 
-_BETWEEN_LOOKS_S = 0.05
+_BETWEEN_CHECKS_S = 0.05
 
 
 @dataclass(frozen=True)
 class Assignment:
-    """What a worker is told once: ``function(task, common, on_progress)`` is its work, and
-    ``memory_bytes`` what it may hold while it does it."""
+    """The first message to a worker: ``function(task, common, on_progress)`` is its work, and
+    ``memory_bytes`` what it may use for it."""
 
     function: Callable[[Any, Any, Callable[[str, int, int], None]], Any]
     common: Any
@@ -46,7 +46,7 @@ class Assignment:
 
 
 def write_message(handle: int, message: object) -> None:
-    """Send one message to a pipe; OSError if nobody listens."""
+    """Send one message to a pipe; OSError if it has no reader."""
     body = pickle.dumps(message, protocol=5)
     rest = memoryview(_LENGTH.pack(len(body)) + body)
     while rest:
@@ -87,7 +87,7 @@ def serve() -> None:
         return
     limit = assignment.memory_bytes
     if limit is not None and not sys.platform.startswith("linux"):
-        threading.Thread(target=_end_beyond, args=(limit, outgoing), daemon=True).start()
+        threading.Thread(target=_watch_memory, args=(limit, outgoing), daemon=True).start()
     tasks: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(orders, tasks), daemon=True).start()
     outgoing.send("ready", os.getpid())
@@ -133,9 +133,9 @@ def _do(assignment: Assignment, index: int, task: Any, outgoing: _Outgoing) -> N
 
     try:
         if assignment.memory_bytes is not None:
-            _hold_to(assignment.memory_bytes)
+            _limit_memory(assignment.memory_bytes)
         result = assignment.function(task, assignment.common, on_progress)
-        outgoing.send("returned", index, result, resident_bytes())
+        outgoing.send("returned", index, result, memory_bytes("self", "VmRSS"))
     except MemoryError:
         outgoing.send("exhausted")
     except BaseException as error:
@@ -144,7 +144,7 @@ def _do(assignment: Assignment, index: int, task: Any, outgoing: _Outgoing) -> N
         outgoing.send("raised", index, f"{type(error).__name__}: {error}")
 
 
-def _hold_to(limit: int) -> None:
+def _limit_memory(limit: int) -> None:
     """Have Linux refuse memory once about ``limit`` bytes are resident.
 
     The system can bound private writable memory (RLIMIT_DATA), touched or not.  Some of it never
@@ -163,24 +163,13 @@ def _hold_to(limit: int) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (wanted, hard))
 
 
-def _end_beyond(limit: int, outgoing: _Outgoing) -> None:
-    """Where the system cannot refuse memory: end this process once it has held too much."""
+def _watch_memory(limit: int, outgoing: _Outgoing) -> None:
+    """Where the system cannot refuse memory: end this process once it has used too much."""
     while True:
-        time.sleep(_BETWEEN_LOOKS_S)
+        time.sleep(_BETWEEN_CHECKS_S)
         if (peak_bytes() or 0) > limit:
             outgoing.send("exhausted")
             os._exit(1)
-
-
-def resident_bytes() -> int:
-    """Memory that this process holds now; 0 where the system does not tell."""
-    if sys.platform == "win32":
-        return 0
-    try:
-        with open("/proc/self/statm", "rb") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except (OSError, ValueError, IndexError):
-        return 0
 
 
 def _private_pipes() -> tuple[int, int]:
@@ -209,7 +198,7 @@ def _die_with_parent() -> None:
         set_parent_death_signal = 1
         ctypes.CDLL(None).prctl(set_parent_death_signal, int(signal.SIGKILL), 0, 0, 0)
     except (ImportError, OSError, AttributeError):
-        # The end of the pipe tells as well, only a moment later.
+        # The end of the pipe has the same effect, only a moment later.
         return
 
 

@@ -108,7 +108,7 @@ def command(
     """
     from functools import partial
 
-    from msal_cli.batch.inputs import found
+    from msal_cli.batch.inputs import discover_inputs
     from msal_cli.cli.gates_check import build_checks
     from msal_cli.job.comparison import compare_files
     from msal_cli.report.gates import names_field
@@ -116,7 +116,7 @@ def command(
     refuse_conflicts(find_given(context))
     gates = build_checks(fail_on, baseline, tolerance, unit)
     format = options.resolve_format(format)
-    sides = [found((one,), include, exclude) for one in (before, after)]
+    sides = [discover_inputs((one,), include, exclude) for one in (before, after)]
     is_checked = bool(checks) or names_field(gates.gates, "self_intersections")
     compare = partial(compare_files, format=format, with_intersections=is_checked)
     are_folders = [any(one.root for one in side) for side in sides]

@@ -23,7 +23,7 @@ from msal_cli.job.settings import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from msal_cli.batch.engine import EngineFor
+    from msal_cli.batch.engine import EngineFactory
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.streams import Stream
     from msal_cli.methods import Method
@@ -65,7 +65,7 @@ def check_request(request: Request, stream: Stream | None) -> None:
             raise not_installed()
 
 
-def build_engine(request: Request) -> EngineFor | None:
+def build_engine(request: Request) -> EngineFactory | None:
     """What makes the engine that hands out the files; None is that of worker processes."""
     if request.engine == "workers" or request.scheduler is None:
         return None
@@ -228,10 +228,12 @@ def build_plan(request: Request, settings: Settings) -> Plan:
     from msal_cli.batch import inputs, plan
     from msal_cli.batch import shard as shards
 
-    shard = None if request.shard is None else shards.settled(request.shard, os.environ)
+    shard = None if request.shard is None else shards.parse_shard(request.shard, os.environ)
     backup = DEFAULT_BACKUP if request.backup is None else request.backup
-    everything = plan.built(
-        inputs.found(request.inputs, request.include, request.exclude, output=request.output),
+    everything = plan.build_plan(
+        inputs.discover_inputs(
+            request.inputs, request.include, request.exclude, output=request.output
+        ),
         request.output,
         to=settings.to,
         in_place=request.in_place,

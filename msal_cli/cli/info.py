@@ -50,10 +50,10 @@ def command(
 def _find_paths(
     inputs: tuple[str, ...], include: tuple[str, ...], exclude: tuple[str, ...]
 ) -> tuple[str, ...]:
-    from msal_cli.batch.inputs import found
+    from msal_cli.batch.inputs import discover_inputs
 
     if STREAM not in inputs:
-        return tuple(one.path for one in found(inputs, include, exclude))
+        return tuple(one.path for one in discover_inputs(inputs, include, exclude))
     if len(inputs) > 1 or include or exclude:
         raise UsageError("- stands alone: standard input is one mesh", hint="give - and no other")
     return inputs

@@ -14,7 +14,7 @@ from msal_cli.cli.options import STREAM
 from msal_cli.errors import MsalError, ResourceError, UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.batch.inputs import Found
+    from msal_cli.batch.inputs import DiscoveredInput
     from msal_cli.job.output import MadeFile
     from msal_cli.storage.buffers import Buffer
 
@@ -30,7 +30,7 @@ class Target:
 
 def find_inputs(
     inputs: tuple[str, ...], include: tuple[str, ...], exclude: tuple[str, ...], output: str | None
-) -> tuple[Found, ...] | None:
+) -> tuple[DiscoveredInput, ...] | None:
     """The files to work on; None if one mesh comes or goes through a standard stream.
 
     Raises
@@ -38,13 +38,13 @@ def find_inputs(
     UsageError
         if there is no output, or a pattern for a stream.
     """
-    from msal_cli.batch.inputs import found
+    from msal_cli.batch.inputs import discover_inputs
     from msal_cli.cli.streams import find_stream
 
     if STREAM not in (*inputs, output):
         if output is None:
             raise UsageError("there is no output", hint="name a file or a folder with -o")
-        return found(inputs, include, exclude, output=output)
+        return discover_inputs(inputs, include, exclude, output=output)
     find_stream(inputs, output)
     if include or exclude:
         raise UsageError("--include and --exclude are for files, not for standard input or output")

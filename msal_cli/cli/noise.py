@@ -150,7 +150,7 @@ def command(
     if found is None:
         targets = [Target(inputs[0], output or options.STREAM)]
     else:
-        tasks = plan.built(found, output, force=force).tasks
+        tasks = plan.build_plan(found, output, force=force).tasks
         targets = [Target(task.input, task.output) for task in tasks]
 
     def make(data: Buffer, target: Target) -> MadeFile:

@@ -88,6 +88,7 @@ class FileBar(Silent):
     """A bar over many files, with the current file and how many have failed."""
 
     def __init__(self, tasks: Sequence[Task]) -> None:
+        self._tasks = tasks
         self._n_failed = 0
         self._bar = _bar(total=len(tasks), bar_format=_FORMAT)
         self._shown = 0.0
@@ -97,7 +98,7 @@ class FileBar(Silent):
         from msal_cli.batch.events import Finished, Started
 
         if isinstance(event, Started):
-            name = padded(_short(event.task.relative), _NAME_WIDTH // 2)
+            name = padded(_short(self._tasks[event.index].relative), _NAME_WIDTH // 2)
             self._bar.set_description_str(name, refresh=False)
         elif isinstance(event, Finished):
             if event.record.status == "failed":

@@ -10,7 +10,7 @@ from msal_cli.cli import console, exit_codes, options
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
 
 if TYPE_CHECKING:
-    from msal_cli.cli.run_summary import Account
+    from msal_cli.cli.run_summary import RunSummary
 
 
 @click.command("report", epilog="Exit status: see msal --help.")
@@ -71,7 +71,7 @@ def command(
     # Checked before a large folder is read.
     report_files.check(outputs, ())
     gates = parsed(fail_on, MeshRecord, unit)
-    account = run_summary.account(runs)
+    account = run_summary.summarize(runs)
     done = [record for record in account.records if record.error is None and record.output]
     if done and all(record.reference is None for record in done):
         refuse_without_reference(gates, "name a JSON report of msal denoise --reference")
@@ -97,7 +97,7 @@ def command(
     return _exit_status(account) if check or gates else exit_codes.SUCCESS
 
 
-def _exit_status(account: Account) -> int:
+def _exit_status(account: RunSummary) -> int:
     """The status of a run that left this behind; what is not finished counts as failed."""
     from msal_cli.report.gates import is_any_broken
 

@@ -193,10 +193,12 @@ def command(
     if found is None:
         targets = [Target(inputs[0], output or options.STREAM, truth)]
     else:
-        outputs = [task.output for task in plan.built(found, output, to=to, force=force).tasks]
+        outputs = [task.output for task in plan.build_plan(found, output, to=to, force=force).tasks]
         truths: list[str] | list[None] = [None] * len(found)
         if truth is not None:
-            truths = [task.output for task in plan.built(found, truth, to=to, force=force).tasks]
+            truths = [
+                task.output for task in plan.build_plan(found, truth, to=to, force=force).tasks
+            ]
         sources = [one.path for one in found]
         targets = [Target(*paths) for paths in zip(sources, outputs, truths, strict=True)]
     _refuse_shared_names(targets)

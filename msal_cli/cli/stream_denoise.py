@@ -76,10 +76,12 @@ def _denoise_in_worker(
     import tempfile
 
     from msal_cli import codecs
-    from msal_cli.batch import interrupts, single_file
+    from msal_cli.batch import interrupts
+    from msal_cli.batch.run import check_limits
+    from msal_cli.batch.single_file import denoise_in_pool
     from msal_cli.job.settings import Task
 
-    single_file.check_limits(limits)
+    check_limits(limits)
     # The folder must be removed, whatever ends this.
     with (
         interrupts.noticed(interrupts.raise_for),
@@ -90,7 +92,7 @@ def _denoise_in_worker(
             source = os.path.join(folder, "input")
             left_s = copy_stream(source, limits.timeout_s, limits.memory_bytes)
         task = Task(source, os.path.join(folder, "output"), relative=stream.source)
-        record = single_file.denoised(task, settings, limits, left_s, on_progress)
+        record = denoise_in_pool(task, settings, limits, left_s, on_progress)
         return (None if record.error is not None else codecs.read_whole(task.output)), record
 
 

@@ -140,7 +140,7 @@ def _write(
     publish: Callable[[Path, Path], None],
 ) -> None:
     mode = _permissions(target, mode_like)
-    temporary = target.with_name(_temporary_name(target.name))
+    temporary = target.with_name(temporary_name(target.name))
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
     # Windows would translate line ends and hand the handle down to children.
     flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
@@ -166,7 +166,7 @@ def _write(
         with contextlib.suppress(OSError):
             temporary.unlink()
         raise
-    _flush_folder(target.parent)
+    flush_folder(target.parent)
 
 
 def _permissions(target: Path, mode_like: str | os.PathLike[str] | None) -> int | None:
@@ -183,7 +183,7 @@ def _permissions(target: Path, mode_like: str | os.PathLike[str] | None) -> int 
     return present.st_mode & 0o777
 
 
-def _temporary_name(name: str) -> str:
+def temporary_name(name: str) -> str:
     """A name that says whose it is: process, machine, and eight random digits."""
     suffix = f".msal-{os.getpid()}-{machine_tag()}{os.urandom(4).hex()}.tmp"
     room = LONGEST_NAME - 1 - len(suffix)
@@ -234,7 +234,7 @@ def _place(temporary: Path, target: Path) -> None:
         temporary.unlink()
 
 
-def _flush_folder(folder: Path) -> None:
+def flush_folder(folder: Path) -> None:
     """Make the new name durable where the system can; the file itself already is.
 
     The file is in its place, so a system that cannot do this gets a warning and no failure: whoever

@@ -12,13 +12,16 @@ import ctypes
 import hashlib
 import os
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
 
-from msal_cli.batch.temporary_files import temporary_name
+from msal_cli.batch.engine import Work
+from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.job.settings import FORECAST
+from msal_cli.storage.atomic import temporary_name
 
 DEATHS = {
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
@@ -42,8 +45,17 @@ def die(how):
     raise AssertionError(how)
 
 
+def pool(tasks, *, stays=False, files_per_worker=1000, growth_bytes=512 << 20, **options):
+    """A pool for tasks of `work`, two at once if nothing else is said."""
+    tasks = tasks if isinstance(tasks, dict) else dict(enumerate(tasks))
+    orders = Work(tasks, work, options.pop("common", None), **({"jobs": 2, "cores": 2} | options))
+    return WorkerPool(
+        orders, stays=stays, files_per_worker=files_per_worker, growth_bytes=growth_bytes
+    )
+
+
 def work(task, common, on_progress):
-    """For ``workers.Crew``: ``task`` is (action, argument)."""
+    """The work of a `pool`: ``task`` is (action, argument)."""
     action, argument = task
     if action == "double":
         return 2 * argument
@@ -182,3 +194,10 @@ def written(path, data):
         with contextlib.suppress(OSError):
             temporary.unlink()
         raise
+
+
+def children_of(pid):
+    """The processes that a process has started and that have not been waited for."""
+    text = subprocess.run(["ps", "-eo", "pid,ppid"], capture_output=True, text=True).stdout
+    pairs = [line.split() for line in text.splitlines()[1:]]
+    return [int(child) for child, parent in pairs if int(parent) == pid]

@@ -10,7 +10,7 @@ import pytest
 
 from msal_cli import codecs as files
 from msal_cli.batch import memory_budget as weights
-from msal_cli.batch.memory_budget import LARGE_BYTES, weighed
+from msal_cli.batch.memory_budget import LARGE_BYTES, estimate_memory
 from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task
 from tests.cli.scans import closed_scan, folder_of, msal
 
@@ -33,7 +33,9 @@ def sparse(path: Path, n_vertices: int, n_faces: int) -> Path:
 def beyond(path, available, monkeypatch, **limits):
     monkeypatch.setattr(weights, "available_bytes", lambda: available)
     tasks = {7: Task(str(path), "out", "in")}
-    return weighed(tasks, Settings("msal"), Limits(**limits) if limits else NO_LIMITS).beyond()
+    return estimate_memory(
+        tasks, Settings("msal"), Limits(**limits) if limits else NO_LIMITS
+    ).oversized()
 
 
 @pytest.mark.parametrize("least", [10**9, 10_200_000_000])

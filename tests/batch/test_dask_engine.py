@@ -18,14 +18,15 @@ from msal_cli.batch import dask_cluster, dask_engine
 from msal_cli.batch.dask_engine import DaskEngine
 from msal_cli.batch.engine import Work
 from msal_cli.batch.events import Finished, Started
-from msal_cli.batch.inputs import found
+from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.plan import built
+from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.errors import ResourceError, UsageError
 from msal_cli.job.settings import Limits, Settings, Task
 from tests.batch import fakes
 from tests.batch.conftest import ROOT
+from tests.batch.test_run import fill, statuses
 from tests.batch.test_whole import obj, outputs
 from tests.cli.scans import msal
 
@@ -84,25 +85,14 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def fill(folder, n, **special):
-    for index in range(n):
-        (folder / f"in/{index:02}.ply").write_text(f"mesh {index}")
-    for name, text in special.items():
-        (folder / f"in/{name.removeprefix('f')}.ply").write_text(text)
-
-
 def plan_of(output="out", **options):
-    return built(found(["in"], output=output), output, **options)
+    return build_plan(discover_inputs(["in"], output=output), output, **options)
 
 
 def ran(cluster, settings=FAKE, output="out", **options):
     options = {"denoise": fakes.denoise} | options
     engine = partial(DaskEngine, scheduler=cluster.scheduler_address)
     return run(plan_of(output), settings, engine=engine, **options)
-
-
-def statuses(records):
-    return [record.status for record in records]
 
 
 def workers_of(cluster):
@@ -214,7 +204,7 @@ class TestRefusals:
     def test_a_late_worker_of_another_version(self, folder, cluster, monkeypatch):
         fill(folder, 2)
         monkeypatch.setattr(dask_engine, "__version__", "99.0")
-        monkeypatch.setattr(dask_cluster.Cluster, "check", lambda *arguments: None)
+        monkeypatch.setattr(dask_cluster.DaskCluster, "check", lambda *arguments: None)
         with pytest.raises(ResourceError, match=r"has msal .*99\.0"):
             ran(cluster)
         assert outputs(folder / "out") == {}

@@ -9,15 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch.inputs import NothingMatched, found
-from msal_cli.batch.temporary_files import temporary_name
+from msal_cli.batch.inputs import NothingMatched, discover_inputs
 from msal_cli.errors import UsageError
+from msal_cli.storage.atomic import temporary_name
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
-
-
-def is_mesh_name(name):
-    return name.endswith((".ply", ".obj"))
 
 
 def made(folder, *names):
@@ -28,24 +24,19 @@ def made(folder, *names):
 
 
 def relatives(*inputs, **options):
-    return [
-        one.relative
-        for one in found([str(one) for one in inputs], is_mesh_name=is_mesh_name, **options)
-    ]
+    return [one.relative for one in discover_inputs([str(one) for one in inputs], **options)]
 
 
 def test_a_file_is_taken_whatever_its_name(tmp_path):
     made(tmp_path, "scan.xyz", ".hidden")
-    (one, other) = found(
-        [str(tmp_path / "scan.xyz"), str(tmp_path / ".hidden")], is_mesh_name=is_mesh_name
-    )
+    (one, other) = discover_inputs([str(tmp_path / "scan.xyz"), str(tmp_path / ".hidden")])
     assert (one.path, one.relative, one.root) == (str(tmp_path / "scan.xyz"), "scan.xyz", "")
     assert other.relative == ".hidden"
 
 
 def test_a_folder_is_searched_in_the_order_of_names(tmp_path):
     made(tmp_path, "b.ply", "a/z.obj", "a/y/x.ply", "c.txt", "a.ply", "B.ply")
-    some = found([str(tmp_path)], is_mesh_name=is_mesh_name)
+    some = discover_inputs([str(tmp_path)])
     assert [one.relative for one in some] == ["B.ply", "a/y/x.ply", "a/z.obj", "a.ply", "b.ply"]
     assert all(Path(one.path) == tmp_path / one.relative for one in some)
     assert {one.root for one in some} == {str(tmp_path)}
@@ -75,7 +66,7 @@ def test_a_folder_named_by_dots_is_known_by_its_real_name(tmp_path, monkeypatch)
     made(tmp_path, "one/a.ply", "two/a.ply")
     monkeypatch.chdir(tmp_path / "one")
     assert relatives(".", "../two") == ["one/a.ply", "two/a.ply"]
-    assert found(["."], is_mesh_name=is_mesh_name)[0].path == "a.ply"
+    assert discover_inputs(["."])[0].path == "a.ply"
 
 
 def test_a_missing_input_is_named(tmp_path):
@@ -172,7 +163,7 @@ class TestLinks:
         assert f"{str(tmp_path / 'in/v')!r} leads out of the input folder" in caplog.messages[0]
         assert caplog.messages[3] == "2 more links lead out of it"
         caplog.clear()
-        found([str(tmp_path / "in")], exclude=["[v-z]"], is_mesh_name=is_mesh_name)
+        discover_inputs([str(tmp_path / "in")], exclude=["[v-z]"])
         assert caplog.messages == []
 
     def test_loops_end(self, tmp_path):
@@ -227,7 +218,7 @@ class TestHostileNames:
 
     def test_every_name_is_found(self, tmp_path):
         made(tmp_path, *self.NAMES)
-        some = found([str(tmp_path)], is_mesh_name=is_mesh_name)
+        some = discover_inputs([str(tmp_path)])
         assert sorted(one.relative for one in some) == sorted(self.NAMES)
         assert all(Path(one.path).read_text() == "x" for one in some)
 

@@ -14,32 +14,27 @@ import pytest
 
 from msal_cli.batch import worker_pool as workers
 from msal_cli.batch import worker_process
-from msal_cli.batch.events import Started
-from msal_cli.batch.inputs import found
+from msal_cli.batch.events import Failed, Retried, Returned, Started
+from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.plan import built
+from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
-from msal_cli.batch.schedule import Schedule
-from msal_cli.batch.worker_messages import Again, Began, Lost, Returned
-from msal_cli.batch.worker_pool import Crew
 from msal_cli.codecs.forecast import BASE_BYTES
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import Limits, Settings
 from tests.batch import fakes
-from tests.batch.test_whole import children_of, obj
+from tests.batch.test_whole import obj
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs Linux")
 
 
 def heard(tasks, **options):
-    options = {"jobs": 2, "cores": 2} | options
-    crew = Crew(dict(enumerate(tasks)), fakes.work, None, **options)
-    return [message for batch in crew.batches() for message in batch]
+    return [message for batch in fakes.pool(tasks, **options).batches() for message in batch]
 
 
 def lost(messages):
-    return {one.index: one for one in messages if isinstance(one, Lost)}
+    return {one.index: one for one in messages if isinstance(one, Failed)}
 
 
 def results(messages):
@@ -58,19 +53,18 @@ class TestTime:
         (one,) = lost(messages).values()
         assert (one.index, one.cause) == (1, "timeout")
         assert "0.4 s" in one.reason and "--timeout" in one.hint
-        assert [type(m) for m in messages if m.index == 1] == [Began, Again, Began, Lost]
+        assert [type(m) for m in messages if m.index == 1] == [Started, Retried, Started, Failed]
         assert deaths == [1, 1]
 
     @posix
     def test_a_worker_that_is_stopped_is_killed_all_the_same(self):
-        crew = Crew({0: ("sleep", 60)}, fakes.work, None, jobs=1, cores=1,
-                    limits=Limits(timeout_s=0.5), schedule=Schedule([0], retries=0))  # fmt: skip
+        crew = fakes.pool([("sleep", 60)], limits=Limits(timeout_s=0.5), retries=0)
         messages = []
         for batch in crew.batches():
             messages += batch
-            if any(isinstance(one, Began) for one in batch):
+            if any(isinstance(one, Started) for one in batch):
                 os.kill(crew._workers[0].pid, signal.SIGSTOP)
-        assert [type(one) for one in messages] == [Began, Lost]
+        assert [type(one) for one in messages] == [Started, Failed]
 
     def test_time_in_the_queue_does_not_count(self):
         tasks = [("sleep", 0.3)] * 4
@@ -86,9 +80,9 @@ class TestTime:
 class TestRetries:
     @pytest.mark.parametrize("retries", [0, 2])
     def test_so_many_tries_there_are(self, retries):
-        messages = heard([("exit", 0), ("double", 1)], schedule=Schedule([0, 1], retries=retries))
-        assert len([one for one in messages if isinstance(one, Again)]) == retries
-        assert isinstance(messages[-1] if retries else lost(messages)[0], Lost)
+        messages = heard([("exit", 0), ("double", 1)], retries=retries)
+        assert len([one for one in messages if isinstance(one, Retried)]) == retries
+        assert isinstance(messages[-1] if retries else lost(messages)[0], Failed)
         assert results(messages) == {1: 2}
 
     def test_an_objection_ends_the_tries(self):
@@ -102,7 +96,7 @@ def test_a_kill_by_the_system_for_want_of_memory_is_told_apart(monkeypatch):
     counts = iter([4, 4, 4, 5])
     monkeypatch.setattr(workers, "oom_kills", lambda: next(counts))
     messages = heard([("kill", 0)])
-    assert [one.reason for one in messages if isinstance(one, Again)] == [
+    assert [one.reason for one in messages if isinstance(one, Retried)] == [
         "the worker was killed by SIGKILL"
     ]
     assert lost(messages)[0].cause == "memory"
@@ -143,26 +137,21 @@ class TestMemory:
 
     def test_heavy_tasks_do_not_meet(self):
         begun, ended, most = set(), set(), 0
-        schedule = Schedule(range(4), weights=dict.fromkeys(range(4), 60), budget_bytes=100)
-        crew = Crew(dict.fromkeys(range(4), ("sleep", 0.05)), fakes.work, None, jobs=3, cores=3,
-                    schedule=schedule)  # fmt: skip
+        weights = dict.fromkeys(range(4), 60)
+        crew = fakes.pool([("sleep", 0.05)] * 4, jobs=3, weights=weights, budget_bytes=100)
         for batch in crew.batches():
             for one in batch:
                 if isinstance(one, Returned):
                     ended.add(one.index)
-            begun |= {one.index for one in batch if isinstance(one, Began)}
+            begun |= {one.index for one in batch if isinstance(one, Started)}
             most = max(most, len(begun - ended))
         assert (len(ended), most) == (4, 1)
 
     def test_one_that_fits_with_no_other_has_all_cores(self):
-        schedule = Schedule(range(3), weights={1: 90}, light_bytes=20, budget_bytes=100)
-        messages = heard([("threads", 0)] * 3, schedule=schedule)
+        tasks = [("threads", 0)] * 3
+        messages = heard(tasks, weights={1: 90}, light_bytes=20, budget_bytes=100)
         assert results(messages) == {0: "1", 1: "2", 2: "1"}
-        assert next(one.index for one in messages if isinstance(one, Began)) == 1
-
-
-def is_mesh_name(name):
-    return name.endswith(".ply")
+        assert next(one.index for one in messages if isinstance(one, Started)) == 1
 
 
 def ran(folder, texts, *, in_place=False, backup=".orig", **options):
@@ -170,8 +159,8 @@ def ran(folder, texts, *, in_place=False, backup=".orig", **options):
     for name, text in texts.items():
         (folder / f"in/{name}.ply").write_text(text)
     output = None if in_place else str(folder / "out")
-    some = found([str(folder / "in")], is_mesh_name=is_mesh_name, output=output)
-    plan = built(some, output, is_mesh_name=is_mesh_name, in_place=in_place,
+    some = discover_inputs([str(folder / "in")], output=output)
+    plan = build_plan(some, output, in_place=in_place,
                  backup=backup if in_place else None)  # fmt: skip
     return run(plan, Settings("fake"), denoise=fakes.denoise, **({"jobs": 1} | options))
 
@@ -199,7 +188,7 @@ class TestRun:
 
         def on_event(event):
             if isinstance(event, Started):
-                begun.append(Path(event.task.input).stem)
+                begun.append("abcde"[event.index])
 
         records = ran(tmp_path, texts, stop_after_failures=most, on_event=on_event)
         assert begun == ["a", "b", "c"][: most + 1]
@@ -269,7 +258,7 @@ def test_the_command_survives_a_worker_that_is_stopped(scans):
     command += ["-j1", "--retries", "0", "-n", "1000", "--include", "slow*", "--include", "1*"]
     with subprocess.Popen(command, cwd=scans, stderr=subprocess.PIPE, text=True) as process:
         while process.poll() is None:
-            for pid in children_of(process.pid):
+            for pid in fakes.children_of(process.pid):
                 # Starting takes less, so whoever has worked so long has a file in hand.
                 if seconds_of_work(pid) > 1.2:
                     os.kill(pid, signal.SIGSTOP)

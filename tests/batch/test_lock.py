@@ -7,31 +7,41 @@ import signal
 import socket
 import subprocess
 import sys
+from contextlib import contextmanager
 
 import pytest
 
 from msal_cli.batch import lock
-from msal_cli.batch.lock import NAME, FolderLock, who_works
+from msal_cli.batch.lock import NAME, FolderLock, lock_owners
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError, UsageError
 
 HOLD = (
-    "import sys; from msal_cli.batch.lock import FolderLock; one = FolderLock(sys.argv[1]); "
-    "print('held', flush=True); sys.stdin.read()"
+    "import sys; from msal_cli.batch.lock import FolderLock; "
+    "from msal_cli.batch.shard import Shard; numbers = [int(n) for n in sys.argv[2:]]; "
+    "one = FolderLock(sys.argv[1], Shard(*numbers) if numbers else None); "
+    "print('locked', flush=True); sys.stdin.read()"
 )
 
 
-@pytest.fixture
-def holder(tmp_path):
+@contextmanager
+def locked_elsewhere(folder, *shard):
+    """Another process that has locked a folder, killed at the end."""
     with subprocess.Popen(
-        [sys.executable, "-c", HOLD, str(tmp_path)],
+        [sys.executable, "-c", HOLD, str(folder), *map(str, shard)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
     ) as process:
-        assert process.stdout.readline() == "held\n"
+        assert process.stdout.readline() == "locked\n"
         yield process
         process.kill()
+
+
+@pytest.fixture
+def holder(tmp_path):
+    with locked_elsewhere(tmp_path) as process:
+        yield process
 
 
 def test_the_second_is_told_who_is_first(tmp_path, holder):
@@ -61,7 +71,7 @@ def test_the_dead_hold_nothing(tmp_path, holder):
 
 
 def test_a_lock_file_removed_while_we_waited_is_not_the_lock(tmp_path, monkeypatch):
-    real = lock._is_locked_by_us
+    real = lock._flock
     calls = []
 
     def slow(handle, **how):
@@ -71,7 +81,7 @@ def test_a_lock_file_removed_while_we_waited_is_not_the_lock(tmp_path, monkeypat
             (tmp_path / NAME).unlink()
         return real(handle, **how)
 
-    monkeypatch.setattr(lock, "_is_locked_by_us", slow)
+    monkeypatch.setattr(lock, "_flock", slow)
     with FolderLock(str(tmp_path)):
         assert len(calls) == 2
         with pytest.raises(UsageError):
@@ -86,7 +96,7 @@ class TestWithoutLocks:
         def unsupported(handle, **how):
             raise OSError(38, "Function not implemented")
 
-        monkeypatch.setattr(lock, "_is_locked_by_us", unsupported)
+        monkeypatch.setattr(lock, "_flock", unsupported)
 
     def test_a_living_holder_counts(self, tmp_path, caplog):
         with FolderLock(str(tmp_path)):
@@ -114,13 +124,6 @@ def test_a_link_in_the_place_of_the_lock_does_not_harm_its_target(tmp_path):
     assert (tmp_path / "precious").read_text() == "keep"
 
 
-HOLD_SHARD = (
-    "import sys; from msal_cli.batch.lock import FolderLock; "
-    "from msal_cli.batch.shard import Shard; one = FolderLock(sys.argv[1], Shard(2, 4)); "
-    "print('held', flush=True); sys.stdin.read()"
-)
-
-
 def locks_in(folder):
     return sorted(path.name for path in folder.iterdir())
 
@@ -135,14 +138,14 @@ class TestShards:
         if request.param == "not shared":
             # As on Windows.
             monkeypatch.setattr(lock, "_CAN_SHARE", False)
-            real = lock._is_locked_by_us
-            monkeypatch.setattr(lock, "_is_locked_by_us", lambda handle, **how: real(handle))
+            real = lock._flock
+            monkeypatch.setattr(lock, "_flock", lambda handle, **how: real(handle))
         elif request.param == "no locks":
 
             def unsupported(handle, **how):
                 raise OSError(38, "Function not implemented")
 
-            monkeypatch.setattr(lock, "_is_locked_by_us", unsupported)
+            monkeypatch.setattr(lock, "_flock", unsupported)
         return request.param
 
     def test_shards_of_one_n_work_together(self, tmp_path):
@@ -190,14 +193,8 @@ class TestShards:
         FolderLock(str(tmp_path)).release()
 
     def test_the_dead_hold_nothing(self, tmp_path):
-        with subprocess.Popen(
-            [sys.executable, "-c", HOLD_SHARD, str(tmp_path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        ) as process:
-            assert process.stdout.readline() == "held\n"
-            process.kill()
+        with locked_elsewhere(tmp_path, 2, 4):
+            pass
         assert f"{NAME}-2-of-4" in locks_in(tmp_path)
         FolderLock(str(tmp_path), Shard(2, 4)).release()
         FolderLock(str(tmp_path), Shard(1, 3)).release()
@@ -206,29 +203,22 @@ class TestShards:
         assert locks_in(tmp_path) == []
 
     def test_who_works_is_told_without_a_trace(self, tmp_path):
-        assert who_works(str(tmp_path)) == who_works(str(tmp_path / "missing")) == ()
+        assert lock_owners(str(tmp_path)) == lock_owners(str(tmp_path / "missing")) == ()
         with FolderLock(str(tmp_path)):
-            assert who_works(str(tmp_path)) == (f"process {os.getpid()}",)
+            assert lock_owners(str(tmp_path)) == (f"process {os.getpid()}",)
         with FolderLock(str(tmp_path), Shard(1, 2)), FolderLock(str(tmp_path), Shard(2, 2)):
             before = locks_in(tmp_path)
             told = [f"process {os.getpid()} (shard {k}/2)" for k in (1, 2)]
-            assert list(who_works(str(tmp_path))) == told
+            assert list(lock_owners(str(tmp_path))) == told
             assert locks_in(tmp_path) == before
 
 
 def test_another_process_with_a_shard_is_named(tmp_path):
-    with subprocess.Popen(
-        [sys.executable, "-c", HOLD_SHARD, str(tmp_path)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
-        assert process.stdout.readline() == "held\n"
+    with locked_elsewhere(tmp_path, 2, 4) as process:
         for other in (None, Shard(2, 4), Shard(1, 3)):
             with pytest.raises(UsageError, match=rf"process {process.pid} \(shard 2/4\)"):
                 FolderLock(str(tmp_path), other)
         FolderLock(str(tmp_path), Shard(1, 4)).release()
-        process.kill()
 
 
 def test_many_shards_that_start_and_end_at_once_are_not_refused(tmp_path):

@@ -12,17 +12,17 @@ import pytest
 
 import msal_cli
 from msal_cli.batch import manifest as manifests
-from msal_cli.batch.manifest import (
-    NAME,
-    FileMark,
-    Manifest,
-    done,
-    entry_of,
-    file_sha256,
-    intent,
-    line_of,
-    settings_hash,
+from msal_cli.batch import manifest_lines, resume
+from msal_cli.batch.manifest import NAME, FolderManifest
+from msal_cli.batch.manifest_dirs import written_names
+from msal_cli.batch.manifest_lines import (
+    FileStat,
+    done_line,
+    encode_line,
+    intent_line,
+    parse_line,
 )
+from msal_cli.batch.resume import hash_file, hash_settings
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError
 from msal_cli.job.records import MeshRecord, ObjectMark, Volume
@@ -45,52 +45,52 @@ def record(tmp_path, name="a.ply", **changes):
     return MeshRecord(**(values | changes))
 
 
-def opened(tmp_path):
-    manifest = Manifest.read(str(tmp_path))
+def opened(folder, shard=None):
+    manifest = FolderManifest(str(folder), shard)
     manifest.open()
     return manifest
 
 
-def noted(tmp_path, *lines):
-    manifest = opened(tmp_path)
+def noted(folder, *lines, shard=None):
+    manifest = opened(folder, shard)
     manifest.append(lines)
     manifest.close()
-    return Manifest.read(str(tmp_path))
+    return FolderManifest(str(folder))
 
 
 def test_what_is_noted_is_read_back(tmp_path):
     one = record(tmp_path)
     (tmp_path / "in").write_bytes(b"input")
-    entry = noted(tmp_path, done("a.ply", "hash", one, str(tmp_path / "in"))).get("a.ply")
+    entry = noted(tmp_path, done_line("a.ply", "hash", one, str(tmp_path / "in"))).get("a.ply")
     assert entry.is_done and entry.settings == "hash" and entry.status == "written"
     assert (entry.input_sha256, entry.output_sha256) == ("i" * 64, "o" * 64)
-    assert entry.input_mark == FileMark.of(str(tmp_path / "in"))
-    assert entry.input_mark.size == 5 and entry.output_mark.size == 3
+    assert entry.input_version == FileStat.of(str(tmp_path / "in"))
+    assert entry.input_version.size == 5 and entry.output_version.size == 3
     assert entry.record() == one
 
 
 @pytest.mark.parametrize("name", ["new\nline", 'quote"', "bytes\udcff\udcfe", "\u2028", "=1", "\\"])
 def test_any_name_is_one_line(tmp_path, name):
-    assert noted(tmp_path, intent(name, "nowhere")).get(name) is not None
+    assert noted(tmp_path, intent_line(name, "nowhere")).get(name) is not None
     assert (tmp_path / NAME).read_bytes().count(b"\n") == 1
 
 
 def test_the_last_line_for_a_name_counts(tmp_path):
-    line = done("a.ply", "hash", record(tmp_path), "in")
-    assert not noted(tmp_path, line, intent("a.ply", "in")).get("a.ply").is_done
+    line = done_line("a.ply", "hash", record(tmp_path), "in")
+    assert not noted(tmp_path, line, intent_line("a.ply", "in")).get("a.ply").is_done
     assert noted(tmp_path, line).get("a.ply").is_done
 
 
 def test_a_torn_last_line_costs_itself_only_wherever_it_is_torn(tmp_path):
-    noted(tmp_path, *(done(name, "h", record(tmp_path), "in") for name in ("a", "b")))
+    noted(tmp_path, *(done_line(name, "h", record(tmp_path), "in") for name in ("a", "b")))
     whole = (tmp_path / NAME).read_bytes()
     first = whole.index(b"\n") + 1
     for length in [*range(first, len(whole) - 1, 29), len(whole) - 2]:
         (tmp_path / NAME).write_bytes(whole[:length])
-        assert Manifest.read(str(tmp_path)).names() == {"a"}
-        assert noted(tmp_path, intent("c", "in")).names() == {"a", "c"}
+        assert FolderManifest(str(tmp_path)).names() == {"a"}
+        assert noted(tmp_path, intent_line("c", "in")).names() == {"a", "c"}
     (tmp_path / NAME).write_bytes(whole[:-1])
-    assert noted(tmp_path, intent("c", "in")).names() == {"a", "b", "c"}
+    assert noted(tmp_path, intent_line("c", "in")).names() == {"a", "b", "c"}
 
 
 @pytest.mark.parametrize(
@@ -110,10 +110,10 @@ def test_a_torn_last_line_costs_itself_only_wherever_it_is_torn(tmp_path):
     ],
 )
 def test_a_line_without_sense_is_passed_over(tmp_path, line):
-    noted(tmp_path, intent("a", "in"))
+    noted(tmp_path, intent_line("a", "in"))
     with (tmp_path / NAME).open("ab") as file:
         file.write(line + b"\n")
-    assert noted(tmp_path, intent("b", "in")).names() == {"a", "b"}
+    assert noted(tmp_path, intent_line("b", "in")).names() == {"a", "b"}
 
 
 def test_lines_are_on_the_disk_before_append_returns(tmp_path, monkeypatch):
@@ -123,7 +123,7 @@ def test_lines_are_on_the_disk_before_append_returns(tmp_path, monkeypatch):
     monkeypatch.setattr(
         os, "fsync", lambda handle: synced.append((tmp_path / NAME).stat().st_size) or real(handle)
     )
-    manifest.append([intent("a", "in"), intent("b", "in")])
+    manifest.append([intent_line("a", "in"), intent_line("b", "in")])
     assert synced == [(tmp_path / NAME).stat().st_size] and synced[0] > 0
     manifest.append([])
     assert len(synced) == 1
@@ -143,11 +143,11 @@ def test_the_name_of_a_new_manifest_outlives_a_power_cut(tmp_path, monkeypatch):
 
 def test_outdated_lines_are_dropped_when_they_outweigh(tmp_path, monkeypatch):
     monkeypatch.setattr(manifests, "_SPARE_LINES", 10)
-    last = noted(tmp_path, *(intent(f"{n % 3}", "in") for n in range(13)))
+    last = noted(tmp_path, *(intent_line(f"{n % 3}", "in") for n in range(13)))
     assert last.names() == {"0", "1", "2"}
-    noted(tmp_path, done("0", "h", record(tmp_path), "in"))
+    noted(tmp_path, done_line("0", "h", record(tmp_path), "in"))
     assert (tmp_path / NAME).read_bytes().count(b"\n") == 14
-    after = noted(tmp_path, intent("3", "in"))
+    after = noted(tmp_path, intent_line("3", "in"))
     assert (tmp_path / NAME).read_bytes().count(b"\n") == 4
     assert after.names() == {"0", "1", "2", "3"} and after.get("0").is_done
     assert after.get("0").record() is not None
@@ -157,8 +157,8 @@ def test_outdated_lines_are_dropped_when_they_outweigh(tmp_path, monkeypatch):
 def test_a_manifest_that_cannot_be_written_is_an_output_error(tmp_path):
     (tmp_path / NAME).mkdir()
     with pytest.raises(OutputError):
-        Manifest.read(str(tmp_path))
-    manifest = Manifest(str(tmp_path / "no such folder"))
+        FolderManifest(str(tmp_path))
+    manifest = FolderManifest(str(tmp_path / "no such folder"))
     with pytest.raises(OutputError):
         manifest.open()
 
@@ -168,81 +168,75 @@ def test_a_full_disk_is_an_output_error(tmp_path):
     manifest = opened(tmp_path)
     manifest._file.close()
     with open("/dev/full", "wb", buffering=0) as manifest._file, pytest.raises(OutputError):
-        manifest.append([intent("a", "in")])
+        manifest.append([intent_line("a", "in")])
 
 
 class TestSeveral:
     """Shards write manifests of their own, and everybody reads all."""
 
-    def noted(self, folder, shard, *lines):
-        manifest = Manifest.read(str(folder), shard)
-        manifest.open()
-        manifest.append(lines)
-        manifest.close()
-
     def test_each_shard_writes_its_own_and_reads_all(self, tmp_path):
         for k in (1, 2, 3):
-            self.noted(tmp_path, Shard(k, 3), intent(f"{k}", "in"))
-        self.noted(tmp_path, None, intent("whole", "in"))
-        self.noted(tmp_path, Shard(1, 2), intent("other", "in"))
-        names = [path.name for path in manifests.paths_in(str(tmp_path))]
+            noted(tmp_path, intent_line(f"{k}", "in"), shard=Shard(k, 3))
+        noted(tmp_path, intent_line("whole", "in"))
+        noted(tmp_path, intent_line("other", "in"), shard=Shard(1, 2))
+        names = [path.name for path in manifests.list_manifests(str(tmp_path))]
         assert names == [
             ".msal-manifest-1-of-2.jsonl",
             *(f".msal-manifest-{k}-of-3.jsonl" for k in (1, 2, 3)),
             NAME,
         ]
         for shard in (None, Shard(2, 3), Shard(1, 7)):
-            known = Manifest.read(str(tmp_path), shard).names()
+            known = FolderManifest(str(tmp_path), shard).names()
             assert known == {"1", "2", "3", "whole", "other"}
-        assert manifests.names_in(str(tmp_path)) == known
+        assert written_names(str(tmp_path)) == known
 
     def test_the_newer_line_counts_whoever_wrote_it(self, tmp_path):
-        line = done("a.ply", "new", record(tmp_path), "in")
+        line = done_line("a.ply", "new", record(tmp_path), "in")
         for first, second in ((None, Shard(1, 2)), (Shard(1, 2), None)):
-            self.noted(tmp_path, first, line | {"settings": "old"})
-            self.noted(tmp_path, second, line)
-            assert Manifest.read(str(tmp_path)).get("a.ply").settings == "new"
-            self.noted(tmp_path, first, intent("a.ply", "in"))
-            assert not Manifest.read(str(tmp_path)).get("a.ply").is_done
+            noted(tmp_path, line | {"settings": "old"}, shard=first)
+            noted(tmp_path, line, shard=second)
+            assert FolderManifest(str(tmp_path)).get("a.ply").settings == "new"
+            noted(tmp_path, intent_line("a.ply", "in"), shard=first)
+            assert not FolderManifest(str(tmp_path)).get("a.ply").is_done
 
     def test_a_clock_that_is_slow_does_not_make_a_line_old(self, tmp_path, monkeypatch):
-        line = done("a.ply", "first", record(tmp_path), "in")
-        self.noted(tmp_path, Shard(1, 2), line)
+        line = done_line("a.ply", "first", record(tmp_path), "in")
+        noted(tmp_path, line, shard=Shard(1, 2))
         monkeypatch.setattr(time, "time_ns", lambda: 5)
-        self.noted(tmp_path, None, line | {"settings": "second"})
-        self.noted(tmp_path, None, line | {"settings": "third"})
-        assert Manifest.read(str(tmp_path)).get("a.ply").settings == "third"
+        noted(tmp_path, line | {"settings": "second"})
+        noted(tmp_path, line | {"settings": "third"})
+        assert FolderManifest(str(tmp_path)).get("a.ply").settings == "third"
 
     def test_lines_without_a_time_are_the_oldest(self, tmp_path):
-        old = done("a.ply", "old", record(tmp_path), "in")
+        old = done_line("a.ply", "old", record(tmp_path), "in")
         (tmp_path / NAME).write_text(json.dumps(old) + "\n")
-        assert Manifest.read(str(tmp_path)).get("a.ply").record() is not None
-        self.noted(tmp_path, Shard(1, 2), old | {"settings": "new"})
-        assert Manifest.read(str(tmp_path)).get("a.ply").settings == "new"
+        assert FolderManifest(str(tmp_path)).get("a.ply").record() is not None
+        noted(tmp_path, old | {"settings": "new"}, shard=Shard(1, 2))
+        assert FolderManifest(str(tmp_path)).get("a.ply").settings == "new"
         for at in ("soon", None, True, 1.5):
             (tmp_path / NAME).write_text(json.dumps(old | {"at": at}) + "\n")
-            assert Manifest.read(str(tmp_path)).get("a.ply").settings == "new"
+            assert FolderManifest(str(tmp_path)).get("a.ply").settings == "new"
 
     def test_compaction_drops_only_what_is_outdated_in_its_own(self, tmp_path, monkeypatch):
         monkeypatch.setattr(manifests, "_SPARE_LINES", 5)
         monkeypatch.setattr(manifests, "RUN_LINES_KEPT", 3)
-        line = done("a.ply", "h", record(tmp_path), "in")
+        line = done_line("a.ply", "h", record(tmp_path), "in")
         runs = [{"kind": "run", "format": 1, "number": n} for n in range(10)]
-        self.noted(tmp_path, None, *runs, line | {"settings": "old"}, line, intent("b", "in"))
-        self.noted(tmp_path, Shard(1, 2), line | {"settings": "newer"})
+        noted(tmp_path, *runs, line | {"settings": "old"}, line, intent_line("b", "in"))
+        noted(tmp_path, line | {"settings": "newer"}, shard=Shard(1, 2))
         other = (tmp_path / ".msal-manifest-1-of-2.jsonl").read_bytes()
-        self.noted(tmp_path, None)
+        noted(tmp_path)
         lines = [json.loads(one) for one in (tmp_path / NAME).read_text().splitlines()]
         assert [one.get("number", one.get("name")) for one in lines] == [7, 8, 9, "a.ply", "b"]
         assert lines[3]["settings"] == "h"
         assert (tmp_path / ".msal-manifest-1-of-2.jsonl").read_bytes() == other
-        after = Manifest.read(str(tmp_path))
+        after = FolderManifest(str(tmp_path))
         assert after.get("a.ply").settings == "newer" and after.get("a.ply").record() is not None
 
     def test_a_record_whose_file_was_rewritten_since_is_not_another_s(self, tmp_path):
-        lines = [done(name, "h", record(tmp_path, name), "in") for name in ("a.ply", "b.ply")]
-        self.noted(tmp_path, None, *lines)
-        read = Manifest.read(str(tmp_path))
+        lines = [done_line(name, "h", record(tmp_path, name), "in") for name in ("a.ply", "b.ply")]
+        noted(tmp_path, *lines)
+        read = FolderManifest(str(tmp_path))
         whole = (tmp_path / NAME).read_bytes().splitlines(keepends=True)
         (tmp_path / NAME).write_bytes(whole[1] + whole[0])
         assert read.get("a.ply").record() is None
@@ -251,22 +245,24 @@ class TestSeveral:
 
     def test_a_record_is_not_needed_to_know_the_rest(self, tmp_path):
         """The short way of reading a line must say what the long one says."""
-        line = done('x,"record":{"at":7', "h", record(tmp_path), "in") | {"at": 12}
-        short = manifests.line_of(line).rstrip()
+        line = done_line('x,"record":{"at":7', "h", record(tmp_path), "in") | {"at": 12}
+        short = encode_line(line).rstrip()
         long = json.dumps(line).encode()
-        assert manifests._USUAL_DONE.fullmatch(short) and not manifests._USUAL_DONE.fullmatch(long)
-        one, other = manifests.entry_of(short), manifests.entry_of(long)
-        assert dataclasses.replace(one, text=b"") == dataclasses.replace(other, text=b"")
+        assert manifest_lines._USUAL_DONE.fullmatch(
+            short
+        ) and not manifest_lines._USUAL_DONE.fullmatch(long)
+        one, other = parse_line(short), parse_line(long)
+        assert dataclasses.replace(one, line=b"") == dataclasses.replace(other, line=b"")
         assert one.at == 12 and one.record() == other.record() == record(tmp_path)
         for length in range(len(short)):
-            assert manifests.entry_of(short[:length]) is None
+            assert parse_line(short[:length]) is None
 
 
 class TestSettingsHash:
     def test_it_is_the_same_for_the_same_settings(self):
         other = Settings("msal", {"iterations": np.int64(4), "K": np.float64(0.5)})
-        assert settings_hash(SETTINGS) == settings_hash(other)
-        assert len(settings_hash(SETTINGS)) == 64
+        assert hash_settings(SETTINGS) == hash_settings(other)
+        assert len(hash_settings(SETTINGS)) == 64
 
     def test_it_changes_with_everything_that_decides_the_bytes(self, monkeypatch):
         changes = [
@@ -287,13 +283,13 @@ class TestSettingsHash:
             {"checks": ("self-intersections",)},
             {"despike": True},
         ]
-        hashes = [settings_hash(dataclasses.replace(SETTINGS, **change)) for change in changes]
+        hashes = [hash_settings(dataclasses.replace(SETTINGS, **change)) for change in changes]
         changed = {key for change in changes for key in change}
         assert changed == {field.name for field in dataclasses.fields(Settings)}
-        monkeypatch.setattr(manifests, "__version__", msal_cli.__version__ + ".1")
-        hashes += [settings_hash(SETTINGS)]
+        monkeypatch.setattr(resume, "__version__", msal_cli.__version__ + ".1")
+        hashes += [hash_settings(SETTINGS)]
         monkeypatch.undo()
-        assert len({settings_hash(SETTINGS), *hashes}) == len(changes) + 2
+        assert len({hash_settings(SETTINGS), *hashes}) == len(changes) + 2
 
 
 def test_file_sha256(tmp_path):
@@ -301,14 +297,14 @@ def test_file_sha256(tmp_path):
     path.write_bytes(b"abc" * 1_000_000)
     import hashlib
 
-    assert file_sha256(str(path)) == hashlib.sha256(b"abc" * 1_000_000).hexdigest()
-    assert file_sha256(str(path), lambda: True) == ""
-    assert file_sha256(str(tmp_path / "none")) == ""
-    assert file_sha256(str(tmp_path)) == ""
+    assert hash_file(str(path)) == hashlib.sha256(b"abc" * 1_000_000).hexdigest()
+    assert hash_file(str(path), lambda: True) == ""
+    assert hash_file(str(tmp_path / "none")) == ""
+    assert hash_file(str(tmp_path)) == ""
 
 
 def test_a_line_is_plain_ascii_json(tmp_path):
-    noted(tmp_path, done("\u00e9\udcff", "h", record(tmp_path), "in"))
+    noted(tmp_path, done_line("\u00e9\udcff", "h", record(tmp_path), "in"))
     data = json.loads((tmp_path / NAME).read_text("ascii"))
     assert data["name"] == "\u00e9\udcff" and data["version"] == msal_cli.__version__
 
@@ -323,9 +319,8 @@ def test_an_object_in_a_store_is_known_by_size_and_tag(tmp_path):
         input_object=ObjectMark(10, "in"),
         output_object=ObjectMark(20, "out"),
     )
-    line = line_of(done("a.ply", "settings", record, record.input))
-    entry = entry_of(line)
-    assert entry.input_object == ObjectMark(10, "in")
-    assert entry.output_object == ObjectMark(20, "out")
-    assert (entry.input_mark, entry.output_mark) == (None, None)
+    line = encode_line(done_line("a.ply", "settings", record, record.input))
+    entry = parse_line(line)
+    assert entry.input_version == ObjectMark(10, "in")
+    assert entry.output_version == ObjectMark(20, "out")
     assert entry.record() == record

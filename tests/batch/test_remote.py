@@ -20,10 +20,11 @@ from msal_cli.batch import (
 from msal_cli.batch import (
     shard as shards,
 )
-from msal_cli.batch.inputs import Found, NothingMatched, found
-from msal_cli.batch.manifest import Manifest, done, intent
-from msal_cli.batch.plan import built, select_shard
-from msal_cli.batch.remote_manifest import FOLDER, RemoteManifest
+from msal_cli.batch.inputs import DiscoveredInput, NothingMatched, discover_inputs
+from msal_cli.batch.manifest import FolderManifest
+from msal_cli.batch.manifest_lines import done_line, intent_line
+from msal_cli.batch.plan import build_plan, select_shard
+from msal_cli.batch.remote_manifest import FOLDER, ObjectManifest
 from msal_cli.batch.run import run
 from msal_cli.errors import InputError, OutputError, UsageError
 from msal_cli.job.inspection import inspect_file
@@ -59,7 +60,7 @@ def settings(**given):
 
 def denoised(inputs="memory://scans", output="memory://out", given=None, **options):
     some = [inputs] if isinstance(inputs, str) else inputs
-    plan = built(found(some, output=output), output, **options)
+    plan = build_plan(discover_inputs(some, output=output), output, **options)
     return run(plan, settings(**(given or {})), jobs=2)
 
 
@@ -81,7 +82,7 @@ def expected(**given):
 
 
 def paths(*inputs, **options):
-    return [one.path.partition("scans")[2] for one in found(list(inputs), **options)]
+    return [one.path.partition("scans")[2] for one in discover_inputs(list(inputs), **options)]
 
 
 # What is found
@@ -106,21 +107,21 @@ def test_urls_stand_for_objects_folders_and_patterns(scans):
         "/a/0.obj",
     ]
     with pytest.raises(NothingMatched):
-        found(["memory://scans/*.stl"])
+        discover_inputs(["memory://scans/*.stl"])
 
 
 def test_an_object_comes_with_its_mark(scans):
-    (one,) = found(["memory://scans/2.obj"])
+    (one,) = discover_inputs(["memory://scans/2.obj"])
     assert one.mark == ObjectMark(*remote.mark("memory://scans/2.obj"))
     assert (one.relative, one.root) == ("2.obj", "")
-    marks = {one.relative: one.mark for one in found(["memory://scans"])}
+    marks = {one.relative: one.mark for one in discover_inputs(["memory://scans"])}
     assert marks["2.obj"] == one.mark
 
 
 def test_folders_in_one_run_keep_their_names(scans, tmp_path):
     (tmp_path / "here").mkdir()
     (tmp_path / "here/x.obj").write_text(obj(7))
-    names = [one.relative for one in found(["memory://scans", str(tmp_path / "here")])]
+    names = [one.relative for one in discover_inputs(["memory://scans", str(tmp_path / "here")])]
     assert names == ["scans/2.obj", "scans/a/0.obj", "scans/a/b/1.obj", "here/x.obj"]
 
 
@@ -129,7 +130,7 @@ def test_folders_in_one_run_keep_their_names(scans, tmp_path):
 )
 def test_what_is_not_there_is_refused(url):
     with pytest.raises(UsageError):
-        found([url])
+        discover_inputs([url])
 
 
 def test_the_output_below_the_input_is_no_input(scans):
@@ -146,7 +147,7 @@ def test_an_input_is_never_replaced(scans):
         with pytest.raises(UsageError, match="own output"):
             denoised(output=output)
     with pytest.raises(UsageError, match="in-place"):
-        built(found(["memory://scans"]), None, in_place=True)
+        build_plan(discover_inputs(["memory://scans"]), None, in_place=True)
 
 
 def test_objects_of_others_are_not_replaced_without_force(scans):
@@ -183,10 +184,10 @@ def test_odd_names_leave_neither_the_prefix_nor_the_folder(tmp_path):
 
 def test_an_object_may_be_called_like_a_folder():
     names = ("a.obj", "a.obj/b.obj", "A.obj")
-    some = [Found(f"memory://scans/{name}", name, "memory://scans") for name in names]
-    assert len(built(some, "memory://out").tasks) == 3
+    some = [DiscoveredInput(f"memory://scans/{name}", name, "memory://scans") for name in names]
+    assert len(build_plan(some, "memory://out").tasks) == 3
     with pytest.raises(UsageError, match="file and folder"):
-        built(some, "out")
+        build_plan(some, "out")
 
 
 # What comes out
@@ -203,7 +204,7 @@ def test_from_store_to_store(scans):
 
 def test_to_another_format_and_packed(scans):
     write_whole("memory://scans/z.obj.gz", __import__("gzip").compress(obj(5).encode()))
-    plan = built(found(["memory://scans"]), "memory://out", to="ply")
+    plan = build_plan(discover_inputs(["memory://scans"]), "memory://out", to="ply")
     run(plan, Settings("msal", methods.find("msal").settled({}), to="ply"))
     assert sorted(outputs()) == ["2.ply", "a/0.ply", "a/b/1.ply", "z.ply.gz"]
 
@@ -245,7 +246,7 @@ def test_materials_stay_behind_with_a_warning(scans):
 
 
 def test_an_object_that_vanished_is_a_row(scans):
-    plan = built(found(["memory://scans"]), "memory://out")
+    plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
     remote.removed(["memory://scans/2.obj"])
     records = run(plan, settings())
     assert sorted(record.status for record in records) == ["failed", "written", "written"]
@@ -310,14 +311,14 @@ def test_an_object_at_fault_is_remembered_until_it_changes(scans):
 
 def test_shards_share_a_prefix(scans):
     for number in (1, 2, 1, 2):
-        plan = built(found(["memory://scans"]), "memory://out")
+        plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
         run(select_shard(plan, shards.Shard(number, 2)), settings())
     assert outputs() == expected()
     assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date")
 
 
 def test_an_object_that_changes_while_it_is_read_is_done_again(scans, monkeypatch):
-    plan = built(found(["memory://scans"]), "memory://out")
+    plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
     write_whole("memory://scans/2.obj", obj(9).encode())
     run(plan, settings())
     assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date") | {"2.obj": "written"}
@@ -334,7 +335,20 @@ def test_without_tags_nothing_is_believed(scans, monkeypatch):
 
 def line(name, status="written"):
     record = MeshRecord(input=f"memory://scans/{name}", status=status, input_sha256="1" * 64)
-    return done(name, "settings", record, record.input)
+    return done_line(name, "settings", record, record.input)
+
+
+def write(*batches, shard=None):
+    """Open a manifest, append these batches of lines, and close it."""
+    manifest = ObjectManifest("memory://out", shard)
+    manifest.open()
+    for lines in batches:
+        manifest.append(lines)
+    for _ in range(2):
+        manifest.close()
+
+
+INTENT = intent_line("a", "memory://scans/a")
 
 
 def parts():
@@ -343,13 +357,8 @@ def parts():
 
 def test_lines_of_all_parts_are_read_and_the_last_counts():
     for status in ("failed", "written"):
-        manifest = RemoteManifest.read("memory://out")
-        manifest.open()
-        manifest.append([intent("a", "memory://scans/a"), intent(status, "memory://scans/b")])
-        manifest.append([line("a", status)])
-        manifest.close()
-        manifest.close()
-    manifest = homes.manifest_of("memory://out")
+        write([INTENT, intent_line(status, "memory://scans/b")], [line("a", status)])
+    manifest = homes.open_manifest("memory://out")
     assert manifest.names() == {"a", "failed", "written"}
     assert manifest.get("a").status == "written"
     assert len(parts()) == 4
@@ -357,13 +366,13 @@ def test_lines_of_all_parts_are_read_and_the_last_counts():
 
 def test_intents_are_there_at_once_and_the_rest_within_seconds(monkeypatch):
     monkeypatch.setattr(remote_manifest, "BETWEEN_PARTS_S", 0.05)
-    manifest = RemoteManifest.read("memory://out")
+    manifest = ObjectManifest("memory://out")
     manifest.open()
-    manifest.append([intent("a", "memory://scans/a")])
-    assert RemoteManifest.read("memory://out").names() == {"a"}
+    manifest.append([INTENT])
+    assert ObjectManifest("memory://out").names() == {"a"}
     manifest.append([line("b")])
     for _ in range(200):
-        if "b" in RemoteManifest.read("memory://out").names():
+        if "b" in ObjectManifest("memory://out").names():
             break
         threading.Event().wait(0.05)
     else:
@@ -373,37 +382,34 @@ def test_intents_are_there_at_once_and_the_rest_within_seconds(monkeypatch):
 
 def test_what_makes_no_sense_is_passed_over():
     write_whole(f"memory://out/{FOLDER}/notes.txt", b"{")
-    manifest = RemoteManifest.read("memory://out")
-    manifest.open()
-    manifest.append([intent("a", "memory://scans/a")])
-    manifest.close()
+    write([INTENT])
     (part,) = [name for name in parts() if name.endswith(".jsonl")]
     url = f"memory://out/{FOLDER}/{part}"
     write_whole(url, b'{"torn\n\n' + read_whole(url) + b'{"kind": "do')
-    assert RemoteManifest.read("memory://out").names() == {"a"}
+    assert ObjectManifest("memory://out").names() == {"a"}
 
 
 def test_many_parts_become_one_and_no_line_is_lost(monkeypatch):
     monkeypatch.setattr(remote_manifest, "MOST_PARTS", 3)
     for n in range(4):
-        manifest = RemoteManifest.read("memory://out")
-        manifest.open()
-        manifest.append([intent(f"{n}", "memory://scans/a")])
-        manifest.append([line(f"{n}")])
-        manifest.close()
-    entries = RemoteManifest.read("memory://out")
+        write([intent_line(f"{n}", "memory://scans/a")], [line(f"{n}")])
+    entries = ObjectManifest("memory://out")
     assert len(parts()) < 8
     assert entries.names() == {"0", "1", "2", "3"}
     assert all(entries.get(str(n)).is_done for n in range(4))
 
 
 def test_what_runs_did_is_told_from_their_parts(scans):
-    assert history.of_folder("memory://out") is None
-    plan = built(found(["memory://scans"]), "memory://out")
+    assert history.read_home("memory://out") is None
+    plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
     run(plan, settings(), command=["msal", "one"])
     write_whole("memory://scans/2.obj", b"v 1 2\n")
-    run(built(found(["memory://scans"]), "memory://out"), settings(), command=["msal", "two"])
-    told = history.of_folder("memory://out")
+    run(
+        build_plan(discover_inputs(["memory://scans"]), "memory://out"),
+        settings(),
+        command=["msal", "two"],
+    )
+    told = history.read_home("memory://out")
     assert [one.command[-1] for one in told.runs] == ["one", "two"]
     assert not any(one.interrupted for one in told.runs)
     assert sorted(row.record.status for row in told.rows) == ["failed", "written", "written"]
@@ -411,31 +417,20 @@ def test_what_runs_did_is_told_from_their_parts(scans):
 
 def test_of_many_shards_one_merges(monkeypatch):
     monkeypatch.setattr(remote_manifest, "MOST_PARTS", 0)
-    manifest = RemoteManifest.read("memory://out")
-    manifest.open()
-    manifest.append([intent("a", "memory://scans/a")])
-    manifest.close()
+    write([INTENT])
     before = parts()
     for number in (2, 3):
-        other = RemoteManifest.read("memory://out", shards.Shard(number, 3))
-        other.open()
-        other.close()
+        write(shard=shards.Shard(number, 3))
     assert parts() == before
-    first = RemoteManifest.read("memory://out", shards.Shard(1, 3))
-    first.open()
-    first.close()
+    write(shard=shards.Shard(1, 3))
     assert len(parts()) == 1
     assert parts() != before
-    assert RemoteManifest.read("memory://out").names() == {"a"}
+    assert ObjectManifest("memory://out").names() == {"a"}
 
 
 @pytest.mark.parametrize("killed", ["before", "between"])
 def test_a_merge_that_is_killed_loses_nothing(monkeypatch, killed):
-    manifest = RemoteManifest.read("memory://out")
-    manifest.open()
-    for n in range(5):
-        manifest.append([intent(f"{n}", "memory://scans/a")])
-    manifest.close()
+    write(*([intent_line(f"{n}", "memory://scans/a")] for n in range(5)))
     monkeypatch.setattr(remote_manifest, "MOST_PARTS", 3)
 
     def kill(*arguments):
@@ -443,16 +438,13 @@ def test_a_merge_that_is_killed_loses_nothing(monkeypatch, killed):
 
     monkeypatch.setattr(remote, "write_whole" if killed == "before" else "removed", kill)
     with pytest.raises(KeyboardInterrupt):
-        RemoteManifest.read("memory://out").open()
+        ObjectManifest("memory://out").open()
     monkeypatch.undo()
-    assert RemoteManifest.read("memory://out").names() == set("01234")
+    assert ObjectManifest("memory://out").names() == set("01234")
 
 
 def test_a_part_that_another_run_merges_meanwhile_is_found_again(monkeypatch):
-    manifest = RemoteManifest.read("memory://out")
-    manifest.open()
-    manifest.append([intent("a", "memory://scans/a")])
-    manifest.close()
+    write([INTENT])
     real, calls = remote.read_many, []
 
     def late(some):
@@ -462,7 +454,7 @@ def test_a_part_that_another_run_merges_meanwhile_is_found_again(monkeypatch):
         return real(some)
 
     monkeypatch.setattr(remote, "read_many", late)
-    assert RemoteManifest.read("memory://out").names() == {"a"}
+    assert ObjectManifest("memory://out").names() == {"a"}
     assert len(calls) == 2
 
 
@@ -476,13 +468,13 @@ def test_a_store_that_fails_for_a_moment_costs_no_line(monkeypatch):
             raise OutputError("the store cannot be reached")
         return real(url, data)
 
-    manifest = RemoteManifest.read("memory://out")
+    manifest = ObjectManifest("memory://out")
     manifest.open()
     monkeypatch.setattr(remote, "write_whole", sometimes)
     manifest.append([line("a")])
     threading.Event().wait(0.2)
     manifest.close()
-    assert RemoteManifest.read("memory://out").names() == {"a"}
+    assert ObjectManifest("memory://out").names() == {"a"}
 
 
 def test_a_store_that_takes_no_manifest_ends_the_run(scans, monkeypatch):
@@ -500,7 +492,7 @@ def test_a_store_that_takes_no_manifest_ends_the_run(scans, monkeypatch):
 
 
 def test_the_end_of_a_run_that_is_failing_hides_nothing(monkeypatch):
-    manifest = RemoteManifest.read("memory://out")
+    manifest = ObjectManifest("memory://out")
     manifest.open()
 
     def refusing(url, data):
@@ -517,7 +509,7 @@ def test_the_end_of_a_run_that_is_failing_hides_nothing(monkeypatch):
     manifest.append([line("a")])
     with pytest.raises(KeyboardInterrupt):
         interrupted()
-    other = RemoteManifest("memory://out")
+    other = ObjectManifest("memory://out")
     other.open()
     other.append([line("a")])
     with pytest.raises(OutputError, match="access is denied"):
@@ -525,12 +517,9 @@ def test_the_end_of_a_run_that_is_failing_hides_nothing(monkeypatch):
 
 
 def test_the_lines_are_those_of_a_folder(tmp_path):
-    manifest = RemoteManifest.read("memory://out")
-    manifest.open()
-    manifest.append([intent("a", "memory://scans/a"), line("b")])
-    manifest.close()
+    write([INTENT, line("b")])
     (part,) = parts()
     text = read_whole(f"memory://out/{FOLDER}/{part}")
     assert [json.loads(one)["name"] for one in text.splitlines()] == ["a", "b"]
     (tmp_path / ".msal-manifest.jsonl").write_bytes(text)
-    assert Manifest.read(str(tmp_path)).names() == {"a", "b"}
+    assert FolderManifest(str(tmp_path)).names() == {"a", "b"}

@@ -17,10 +17,10 @@ import pytest
 import msal_cli
 from msal_cli.batch import resume
 from msal_cli.batch.events import Finished, Progress, Started
-from msal_cli.batch.inputs import found
+from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.plan import built
+from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.records import SCHEMA
@@ -29,10 +29,6 @@ from tests.batch import fakes
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 SETTINGS = Settings("fake", {"n": 1})
-
-
-def is_mesh_name(name):
-    return name.endswith(".ply")
 
 
 @pytest.fixture
@@ -49,9 +45,9 @@ def fill(folders, n, **special):
 
 
 def plan_of(folders, **options):
-    some = found([str(folders / "in")], is_mesh_name=is_mesh_name, output=str(folders / "in/out"))
+    some = discover_inputs([str(folders / "in")], output=str(folders / "in/out"))
     output = None if options.get("in_place") else str(folders / "out")
-    return built(some, options.pop("output", output), is_mesh_name=is_mesh_name, **options)
+    return build_plan(some, options.pop("output", output), **options)
 
 
 def ran(folders, settings=SETTINGS, plan=None, **options):
@@ -77,7 +73,7 @@ def tried(folders):
 
     def on_event(event):
         if isinstance(event, Started):
-            names.append(Path(event.task.input).stem)
+            names.append(Path(plan_of(folders, force=True).tasks[event.index].input).stem)
 
     return names, on_event
 
@@ -142,11 +138,7 @@ class TestOneTask:
 
     def test_a_file_into_a_file_leaves_no_traces(self, folders):
         fill(folders, 1)
-        plan = built(
-            found([str(folders / "in/00.ply")], is_mesh_name=is_mesh_name),
-            str(folders / "one.ply"),
-            is_mesh_name=is_mesh_name,
-        )
+        plan = build_plan(discover_inputs([str(folders / "in/00.ply")]), str(folders / "one.ply"))
         assert statuses(ran(folders, plan=plan)) == ["written"]
         assert statuses(ran(folders, plan=plan)) == ["written"]
         assert sorted(path.name for path in folders.iterdir()) == ["in", "one.ply"]
@@ -192,21 +184,6 @@ class TestFailures:
         records = ran(folders, on_event=on_event)
         assert records[1].error.code == "E_MEMORY"
         assert names.count("01") == 2 and names[-1] == "01"
-
-    def test_failed_files_are_tried_again_by_the_next_run(self, folders):
-        fill(folders, 4, f01="fail")
-        ran(folders)
-        (folders / "in/01.ply").write_text("well again")
-        names, on_event = tried(folders)
-        assert statuses(ran(folders, on_event=on_event)).count("up-to-date") == 3
-        assert names == ["01"]
-
-    def test_stop_after_failures(self, folders):
-        fill(folders, 30, f00="fail", f01="fail")
-        records = ran(folders, jobs=1, stop_after_failures=2)
-        assert statuses(records)[:2] == ["failed", "failed"]
-        assert "planned" in statuses(records)
-        assert statuses(records)[-1] == "planned"
 
 
 class TestRerun:
@@ -427,14 +404,14 @@ class TestInPlace:
         (task,) = plan_of(folders, in_place=True).tasks
         before = tree(folders)
         with pytest.raises(OutputError, match="cannot be restored"):
-            resume.restore(task)
+            resume.restore_backup(task)
         assert tree(folders) == before
 
 
 DRIVER = """
 import sys
-from msal_cli.batch.inputs import found
-from msal_cli.batch.plan import built
+from msal_cli.batch.inputs import discover_inputs
+from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.batch.interrupts import Terminated
 from msal_cli.batch.events import Finished, Started
@@ -446,8 +423,7 @@ def tell(event):
     if isinstance(event, Started | Finished):
         print(name, event.index, flush=True)
 
-named = lambda name: name.endswith(".ply")
-plan = built(found([sys.argv[1]], is_mesh_name=named), sys.argv[2], is_mesh_name=named)
+plan = build_plan(discover_inputs([sys.argv[1]]), sys.argv[2])
 try:
     run(plan, Settings("fake", {"n": 1}), jobs=2, denoise=fakes.denoise, on_event=tell)
 except Terminated as error:
@@ -470,18 +446,13 @@ class TestInterrupts:
             start_new_session=True,
         )
 
-    def children(self, pid):
-        text = subprocess.run(["ps", "-eo", "pid,ppid"], capture_output=True, text=True).stdout
-        pairs = [line.split() for line in text.splitlines()[1:]]
-        return [int(child) for child, parent in pairs if int(parent) == pid]
-
     def interrupted(self, folders, send, after):
         """Send a signal once ``after`` files are finished; exit status, workers, seconds."""
         with self.start(folders) as process:
             count = 0
             while count < after:
                 count += process.stdout.readline().startswith("finished")
-            workers = self.children(process.pid)
+            workers = fakes.children_of(process.pid)
             started = time.monotonic()
             send(process)
             process.stdout.read()
@@ -566,7 +537,8 @@ class TestInterrupts:
     def test_a_main_thread_that_does_not_listen_is_ended(self, tmp_path, hold):
         # Neither a kernel nor whoever swallows the exception keeps the process.
         code = (
-            "import hashlib, os, pathlib, signal, sys, time; from msal_cli.batch import signals\n"
+            "import hashlib, os, pathlib, signal, sys, time\n"
+            "from msal_cli.batch import interrupts as signals\n"
             "with signals.noticed(print), signals.ended_late(pathlib.Path(sys.argv[1]).touch):\n"
             "    os.kill(os.getpid(), signal.SIGTERM)\n"
             f"    {hold}\n"
@@ -590,38 +562,14 @@ class TestInterrupts:
         assert (seen, cleaned) == ([signal.SIGTERM], [])
         assert threading.active_count() == n_threads
 
-    @pytest.mark.slow
-    def test_fifty_kills_at_random_moments(self, folders):
-        import random
-
-        rng = random.Random(7)
-        fill(folders, 40)
-        ran(folders)
-        whole = tree(folders / "out")
-        for _ in range(50):
-            shutil.rmtree(folders / "out", ignore_errors=True)
-            with self.start(folders) as process:
-                time.sleep(rng.uniform(0.05, 0.5))
-                process.kill()
-            for name, data in tree(folders / "out").items():
-                if not name.startswith("."):
-                    assert data == whole[name]
-            assert "failed" not in statuses(ran(folders))
-            assert tree(folders / "out") == whole
-
 
 def test_a_scene_whose_mesh_is_in_another_file_is_never_current(folders):
     # The manifest has the hash of the .gltf alone, which stays when its buffer changes.
     for name in ("a.gltf", "b.ply"):
         (folders / "in" / name).write_text("mesh 1")
 
-    def is_scene_or_mesh(name):
-        return name.endswith((".ply", ".gltf"))
-
     def again():
-        some = found([str(folders / "in")], is_mesh_name=is_scene_or_mesh)
-        plan = built(some, str(folders / "out"), is_mesh_name=is_scene_or_mesh)
-        return statuses(ran(folders, plan=plan))
+        return statuses(ran(folders, plan=plan_of(folders)))
 
     assert again() == ["written", "written"]
     assert again() == ["written", "up-to-date"]

@@ -6,86 +6,92 @@ import random
 
 import pytest
 
-from msal_cli.batch.schedule import Schedule
+from msal_cli.batch.events import Failed, Losses, Retried
+from msal_cli.batch.schedule import TaskQueue
 
 
 def order(schedule, at_once=1):
     """The tasks in the order in which they go, ``at_once`` in hand, oldest ending first."""
-    gone, in_hand = [], []
-    while not schedule.is_empty or in_hand:
-        if schedule.is_next_alone and not in_hand:
-            in_hand.append(schedule.taken_alone())
-            gone.append([in_hand[-1], "alone"])
-        elif not schedule.is_next_alone and len(in_hand) < at_once:
-            index = schedule.taken(in_hand, 0)
+    gone, current_task = [], []
+    while not schedule.is_empty or current_task:
+        if schedule.is_next_exclusive and not current_task:
+            current_task.append(schedule.pop_exclusive())
+            gone.append([current_task[-1], "alone"])
+        elif not schedule.is_next_exclusive and len(current_task) < at_once:
+            index = schedule.pop(current_task, 0)
             if index is not None:
-                in_hand.append(index)
+                current_task.append(index)
                 gone.append(index)
                 continue
-        in_hand.pop(0)
+        current_task.pop(0)
     return gone
 
 
 def test_without_weights_they_go_as_they_come():
-    assert order(Schedule([3, 1, 2])) == [3, 1, 2]
+    assert order(TaskQueue([3, 1, 2])) == [3, 1, 2]
 
 
 def test_the_heaviest_go_first_and_the_rest_in_order():
-    schedule = Schedule(range(6), weights={1: 50, 4: 70, 5: 50}, light_bytes=10, budget_bytes=1000)
+    schedule = TaskQueue(range(6), weights={1: 50, 4: 70, 5: 50}, light_bytes=10, budget_bytes=1000)
     assert order(schedule) == [4, 1, 5, 0, 2, 3]
 
 
 def test_what_fits_beside_no_other_goes_alone_and_before_all():
-    schedule = Schedule(range(4), weights={2: 95, 3: 60}, light_bytes=10, budget_bytes=100)
+    schedule = TaskQueue(range(4), weights={2: 95, 3: 60}, light_bytes=10, budget_bytes=100)
     assert order(schedule, 4) == [[2, "alone"], 3, 0, 1]
 
 
 def test_small_ones_fill_what_a_large_one_leaves():
-    schedule = Schedule(range(5), weights={0: 60, 1: 60}, light_bytes=15, budget_bytes=100)
-    assert schedule.taken([], 0) == 0
-    assert schedule.taken([0], 0) == 2
-    assert schedule.taken([0, 2], 0) == 3
-    assert schedule.taken([0, 2, 3], 0) is None, "60 + 15 + 15 + 15 is more than 100"
-    assert schedule.taken([2, 3], 0) == 1, "the large one has ended, and the next fits"
+    schedule = TaskQueue(range(5), weights={0: 60, 1: 60}, light_bytes=15, budget_bytes=100)
+    assert schedule.pop([], 0) == 0
+    assert schedule.pop([0], 0) == 2
+    assert schedule.pop([0, 2], 0) == 3
+    assert schedule.pop([0, 2, 3], 0) is None, "60 + 15 + 15 + 15 is more than 100"
+    assert schedule.pop([2, 3], 0) == 1, "the large one has ended, and the next fits"
 
 
 def test_small_ones_do_not_keep_a_large_one_waiting_for_ever():
-    schedule = Schedule(range(5), weights={0: 80}, light_bytes=15, budget_bytes=100)
-    schedule.taken([], 0)
+    schedule = TaskQueue(range(5), weights={0: 80}, light_bytes=15, budget_bytes=100)
+    schedule.pop([], 0)
     schedule.put_back(0)
-    assert schedule.taken([1, 2], 0) is None
-    assert schedule.taken([2], 0) == 0
+    assert schedule.pop([1, 2], 0) is None
+    assert schedule.pop([2], 0) == 0
 
 
 def test_what_idle_workers_hold_counts():
-    schedule = Schedule(range(3), weights={0: 60}, light_bytes=15, budget_bytes=100)
-    assert schedule.taken([1], 30) is None
-    assert schedule.taken([1], 25) == 0
+    schedule = TaskQueue(range(3), weights={0: 60}, light_bytes=15, budget_bytes=100)
+    assert schedule.pop([1], 30) is None
+    assert schedule.pop([1], 25) == 0
 
 
-def test_with_nothing_in_hand_anything_goes():
-    schedule = Schedule(range(2), light_bytes=15, budget_bytes=5)
-    assert schedule.taken([], 100) == 0
-    assert schedule.taken([0], 0) is None
-    assert schedule.taken([], 100) == 1
+def test_with_nothing_current_task_anything_goes():
+    schedule = TaskQueue(range(2), light_bytes=15, budget_bytes=5)
+    assert schedule.pop([], 100) == 0
+    assert schedule.pop([0], 0) is None
+    assert schedule.pop([], 100) == 1
 
 
 @pytest.mark.parametrize("retries", [0, 1, 3])
-def test_a_lost_task_waits_for_all_others_and_goes_alone(retries):
-    schedule = Schedule(range(3), retries=retries)
-    assert schedule.taken([], 0) == 0
-    assert schedule.lose(0) is (retries > 0)
-    assert [schedule.taken([], 0), schedule.taken([], 0)] == [1, 2]
-    for n in range(retries):
-        assert schedule.is_next_alone and schedule.taken_alone() == 0
-        assert schedule.lose(0) is (n + 1 < retries)
-    assert schedule.is_empty and schedule.losses(0) == retries + 1
+def test_a_lost_task_is_retried_so_often_and_then_failed(retries):
+    losses = Losses(retries)
+    for _ in range(retries):
+        assert losses.add(7, "crash", "it died", "hint") == Retried(7, "it died")
+        assert losses.reasons == {7: "it died"}
+    ending = {0: "", 1: ", as at the first try", 3: " (4 tries)"}[retries]
+    assert losses.add(7, "crash", "it died", "hint") == Failed(
+        7, "crash", "it died" + ending, "hint"
+    )
+
+
+def test_a_retried_task_waits_for_all_others_and_goes_alone():
+    queue = TaskQueue(range(3))
+    queue.retry(queue.pop([], 0))
+    assert order(queue) == [1, 2, [0, "alone"]]
 
 
 def test_dropped_tasks_are_gone_but_second_tries_stay():
-    schedule = Schedule(range(3), weights={0: 9}, budget_bytes=8)
-    schedule.taken_alone()
-    schedule.lose(0)
+    schedule = TaskQueue(range(3), weights={0: 9}, budget_bytes=8)
+    schedule.retry(schedule.pop_exclusive())
     schedule.drop()
     assert order(schedule) == [[0, "alone"]]
 
@@ -95,18 +101,18 @@ def test_every_task_goes_once_and_never_beyond_the_budget():
     for _ in range(200):
         n, budget = generator.randrange(1, 30), generator.randrange(10, 200)
         weights = {k: generator.randrange(1, 250) for k in range(n) if generator.random() < 0.5}
-        schedule = Schedule(range(n), weights=weights, light_bytes=9, budget_bytes=budget)
-        done, in_hand = [], []
-        while not schedule.is_empty or in_hand:
-            if schedule.is_next_alone:
-                index = None if in_hand else schedule.taken_alone()
+        schedule = TaskQueue(range(n), weights=weights, light_bytes=9, budget_bytes=budget)
+        done, current_task = [], []
+        while not schedule.is_empty or current_task:
+            if schedule.is_next_exclusive:
+                index = None if current_task else schedule.pop_exclusive()
             else:
-                index = schedule.taken(in_hand, 0)
+                index = schedule.pop(current_task, 0)
             if index is None:
-                in_hand.remove(generator.choice(in_hand))
+                current_task.remove(generator.choice(current_task))
                 continue
-            in_hand.append(index)
+            current_task.append(index)
             done.append(index)
-            taken = sum(map(schedule.weight, in_hand))
-            assert taken <= budget or len(in_hand) == 1
+            taken = sum(map(schedule.weight, current_task))
+            assert taken <= budget or len(current_task) == 1
         assert sorted(done) == list(range(n))

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.batch.inputs import Found
-from msal_cli.batch.plan import built
-from msal_cli.batch.shard import MOST, Shard, part, settled, stable_hash
+from msal_cli.batch.inputs import DiscoveredInput
+from msal_cli.batch.plan import build_plan, select_shard
+from msal_cli.batch.shard import MOST, Shard, parse_shard, stable_hash
 from msal_cli.errors import UsageError
 
 NAMES = st.text(st.characters(exclude_categories=["Cs"])) | st.binary().map(os.fsdecode)
@@ -40,24 +40,24 @@ def test_shards_are_of_like_size():
 
 
 def test_a_part_of_a_plan_keeps_the_order_and_knows_the_whole():
-    found = [Found(f"in/{n}.ply", f"{n}.ply", "in") for n in range(40)]
-    plan = built(
-        found, "out", is_mesh_name=lambda name: name != "out", output_name=lambda name, to: name
-    )
-    parts = [part(plan, Shard(number, 3)) for number in (1, 2, 3)]
+    found = [DiscoveredInput(f"in/{n}.ply", f"{n}.ply", "in") for n in range(40)]
+    plan = build_plan(found, "out")
+    parts = [select_shard(plan, Shard(number, 3)) for number in (1, 2, 3)]
     assert {task for one in parts for task in one.tasks} == set(plan.tasks)
     assert sum(len(one.tasks) for one in parts) == 40
     for one in parts:
         places = [plan.tasks.index(task) for task in one.tasks]
         assert places == sorted(places) and len(one.homes) == len(one.tasks)
         assert one.whole is plan and one.folders() == ["out"]
-    empty = part(plan, next(Shard(k, 1000) for k in range(1, 1001) if not Shard(k, 1000).has("x")))
+    empty = select_shard(
+        plan, next(Shard(k, 1000) for k in range(1, 1001) if not Shard(k, 1000).has("x"))
+    )
     assert empty.folders() == ["out"]
 
 
 @pytest.mark.parametrize("text", ["1/1", "2/4", "4/4", f"{MOST}/{MOST}"])
 def test_a_shard_is_what_it_says(text):
-    assert str(settled(text, {})) == text
+    assert str(parse_shard(text, {})) == text
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_a_shard_is_what_it_says(text):
 )  # fmt: skip
 def test_what_is_no_shard_is_refused(text):
     with pytest.raises(UsageError):
-        settled(text, {"JOB_COMPLETION_INDEX": "0"})
+        parse_shard(text, {"JOB_COMPLETION_INDEX": "0"})
 
 
 def array(task, lowest=0, step=1, count=4):
@@ -112,7 +112,7 @@ AWS = {"AWS_BATCH_JOB_ARRAY_INDEX": "2", "AWS_BATCH_JOB_ARRAY_SIZE": "10"}
     ],
 )
 def test_systems_are_understood(text, environment, expected):
-    assert str(settled(text, environment)) == expected
+    assert str(parse_shard(text, environment)) == expected
 
 
 @pytest.mark.parametrize(
@@ -146,5 +146,5 @@ def test_systems_are_understood(text, environment, expected):
 )
 def test_what_does_not_fit_together_is_refused(text, environment, words):
     with pytest.raises(UsageError, match=words) as caught:
-        settled(text, environment)
+        parse_shard(text, environment)
     assert caught.value.hint or "MSAL_SHARDS=" in caught.value.message

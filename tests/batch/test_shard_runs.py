@@ -15,7 +15,7 @@ import msal_cli
 from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import select_shard
-from msal_cli.batch.shard import Shard, settled
+from msal_cli.batch.shard import Shard, parse_shard
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import Settings
 from tests.batch import fakes
@@ -82,7 +82,9 @@ class TestRememberedFailures:
 
 class TestShards:
     def ran(self, folders, text, settings=SETTINGS, **options):
-        return ran(folders, settings, select_shard(plan_of(folders), settled(text, {})), **options)
+        return ran(
+            folders, settings, select_shard(plan_of(folders), parse_shard(text, {})), **options
+        )
 
     def test_together_they_do_what_one_run_does(self, folders):
         fill(folders, 12, f03="fail E_INDEX")
@@ -155,13 +157,6 @@ class TestShards:
                 ran(folders)
             assert tree(folders / "out") == {}
             self.ran(folders, "2/2")
-
-    def test_a_shard_refuses_what_the_whole_run_would(self, folders):
-        fill(folders, 4)
-        (folders / "out").mkdir()
-        (folders / "out/02.ply").write_text("precious")
-        with pytest.raises(UsageError, match="no run of msal denoise put it there"):
-            plan_of(folders)
 
 
 class TestRunLines:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import time
 
 import pytest
 
-from msal_cli.batch import temporary_files as temporaries
-from msal_cli.batch.process_status import ending, is_alive, started_at
-from msal_cli.batch.temporary_files import is_own, sweep, sweep_after, temporary_name
+from msal_cli.batch.process_status import describe_exit, is_alive, start_time
+from msal_cli.batch.temporary_files import is_own, sweep, sweep_after
+from msal_cli.storage.atomic import temporary_name
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +42,8 @@ def test_what_the_dead_left_goes(tmp_path, dead):
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(keep)
 
 
-def test_of_another_machine_only_what_is_old_goes(tmp_path, dead, monkeypatch):
-    monkeypatch.setattr(temporaries, "machine_tag", lambda: "00000000")
-    names = [of(dead, "new"), of(dead, "old")]
-    monkeypatch.undo()
+def test_of_another_machine_only_what_is_old_goes(tmp_path, dead):
+    names = [re.sub(r"-[0-9a-f]{8}", "-00000000", of(dead, name)) for name in ("new", "old")]
     for name in names:
         (tmp_path / name).touch()
     os.utime(tmp_path / names[1], (0, 0))
@@ -65,10 +64,10 @@ def test_a_process_number_in_use_again_keeps_nothing(tmp_path):
     mine, earlier = tmp_path / temporary_name("mine"), tmp_path / temporary_name("earlier")
     for path in (mine, earlier):
         path.touch()
-    began = started_at(os.getpid()) or time.time()
+    began = start_time(os.getpid()) or time.time()
     os.utime(mine, (began - 5, began - 5))
     os.utime(earlier, (began - 100, began - 100))
-    is_told = started_at(os.getpid()) is not None
+    is_told = start_time(os.getpid()) is not None
     assert sweep([tmp_path]) == is_told
     assert mine.exists() and earlier.exists() != is_told
 
@@ -77,10 +76,10 @@ def test_a_process_number_in_use_again_keeps_nothing(tmp_path):
 def test_when_a_process_began():
     before = time.time()
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
-        began = started_at(process.pid)
+        began = start_time(process.pid)
         process.communicate(b"\n")
     assert before - 0.5 < began < time.time() + 0.5
-    assert started_at(10**30) is None
+    assert start_time(10**30) is None
 
 
 @pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="told by /proc")
@@ -109,8 +108,8 @@ def test_living_and_dead(dead):
     assert is_alive(10**30), "what cannot be told counts as alive"
 
 
-def test_endings_in_words():
-    assert ending(-9) == "was killed by SIGKILL"
-    assert ending(-200) == "was killed by signal 200"
-    assert ending(3) == "ended with exit status 3"
-    assert ending(0xC0000005) == "ended with the exception 0xC0000005"
+def test_describe_exits_in_words():
+    assert describe_exit(-9) == "was killed by SIGKILL"
+    assert describe_exit(-200) == "was killed by signal 200"
+    assert describe_exit(3) == "ended with exit status 3"
+    assert describe_exit(0xC0000005) == "ended with the exception 0xC0000005"

@@ -14,18 +14,15 @@ from pathlib import Path
 import pytest
 
 from msal_cli.batch import worker_process
+from msal_cli.batch.engine import Interrupt, Work
+from msal_cli.batch.events import Failed, Progress, Retried, Returned, Started
 from msal_cli.batch.worker import read_message, write_message
-from msal_cli.batch.worker_messages import Advanced, Again, Began, Lost, Returned
-from msal_cli.batch.worker_pool import Crew, Interrupt
+from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.errors import ResourceError
 from tests.batch import fakes
+from tests.batch.fakes import pool
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
-
-
-def crew(tasks, **options):
-    options = {"jobs": 2, "cores": 2} | options
-    return Crew(dict(enumerate(tasks)), fakes.work, options.pop("common", None), **options)
 
 
 def heard(some):
@@ -37,7 +34,7 @@ def results(messages):
 
 
 def lost(messages):
-    return {one.index: one for one in messages if isinstance(one, Lost)}
+    return {one.index: one for one in messages if isinstance(one, Failed)}
 
 
 STRANGERS = set()
@@ -67,26 +64,26 @@ def children():
 
 def test_every_task_is_done_once_and_workers_are_gone_afterwards():
     before = threading.active_count()
-    messages = heard(crew([("double", n) for n in range(20)]))
+    messages = heard(pool([("double", n) for n in range(20)]))
     assert results(messages) == {n: 2 * n for n in range(20)}
-    assert [one.index for one in messages if isinstance(one, Began)] == list(range(20))
+    assert [one.index for one in messages if isinstance(one, Started)] == list(range(20))
     assert children() == []
     assert threading.active_count() == before
 
 
 def test_no_more_workers_than_tasks_and_each_knows_its_threads():
-    assert len(set(results(heard(crew([("pid", 0)], jobs=8))).values())) == 1
-    assert results(heard(crew([("threads", 0)] * 2, jobs=2, cores=9))) == {0: "4", 1: "4"}
-    assert results(heard(crew([("threads", 0)], jobs=2, cores=9))) == {0: "9"}
-    assert results(heard(crew([("threads", 0)] * 2, jobs=2, cores=1))) == {0: "1", 1: "1"}
+    assert len(set(results(heard(pool([("pid", 0)], jobs=8))).values())) == 1
+    assert results(heard(pool([("threads", 0)] * 2, jobs=2, cores=9))) == {0: "4", 1: "4"}
+    assert results(heard(pool([("threads", 0)], jobs=2, cores=9))) == {0: "9"}
+    assert results(heard(pool([("threads", 0)] * 2, jobs=2, cores=1))) == {0: "1", 1: "1"}
 
 
 def test_common_and_progress_arrive():
-    messages = heard(crew([("common", 0), ("progress", 1000)], common={"a": 1}))
+    messages = heard(pool([("common", 0), ("progress", 1000)], common={"a": 1}))
     assert results(messages)[0] == {"a": 1}
-    steps = [one for one in messages if isinstance(one, Advanced)]
-    assert steps[0] == Advanced(1, "sweeps", 0, 1000)
-    assert steps[-1] == Advanced(1, "sweeps", 1000, 1000)
+    steps = [one for one in messages if isinstance(one, Progress)]
+    assert steps[0] == Progress(1, "sweeps", 0, 1000)
+    assert steps[-1] == Progress(1, "sweeps", 1000, 1000)
     assert len(steps) < 100, "progress is thinned out"
 
 
@@ -103,21 +100,21 @@ def test_common_and_progress_arrive():
 def test_a_task_that_kills_its_workers_is_lost_alone(how, cause, words):
     tasks = [("double", n) for n in range(12)]
     tasks[4] = (how, 0)
-    messages = heard(crew(tasks))
+    messages = heard(pool(tasks))
     assert results(messages) == {n: 2 * n for n in range(12) if n != 4}
     (one,) = lost(messages).values()
     assert (one.index, one.cause) == (4, cause)
     assert words in one.reason
-    assert [type(m) for m in messages if m.index == 4] == [Began, Again, Began, Lost]
+    assert [type(m) for m in messages if m.index == 4] == [Started, Retried, Started, Failed]
     assert messages[-1] is one, "the second try comes after everything else"
 
 
 @pytest.mark.parametrize("how", ["error", "sysexit", "unpicklable"])
 def test_an_exception_costs_one_task_and_no_worker(how):
-    messages = heard(crew([("pid", 0), (how, 0), ("pid", 0)], jobs=1))
+    messages = heard(pool([("pid", 0), (how, 0), ("pid", 0)], jobs=1))
     assert lost(messages)[1].cause == "exception"
     assert results(messages)[0] == results(messages)[2]
-    assert not [one for one in messages if isinstance(one, Again)]
+    assert not [one for one in messages if isinstance(one, Retried)]
 
 
 @posix
@@ -125,14 +122,14 @@ def test_a_worker_killed_from_outside_costs_nothing(tmp_path):
     tasks = [("pid", 0), ("sleep", 0.3), *[("double", n) for n in range(6)]]
     killed = False
     messages = []
-    one = crew(tasks, jobs=1)
+    one = pool(tasks, jobs=1)
     for batch in one.batches():
         messages += batch
         if not killed and results(batch):
             os.kill(results(batch)[0], signal.SIGKILL)
             killed = True
     assert len(results(messages)) == 8
-    retried = [message for message in messages if isinstance(message, Again)]
+    retried = [message for message in messages if isinstance(message, Retried)]
     assert [message.index for message in retried] == [1]
     (second,) = [m for m in messages if isinstance(m, Returned) and m.index == 1]
     assert "SIGKILL" in second.earlier
@@ -142,14 +139,14 @@ def test_a_worker_killed_from_outside_costs_nothing(tmp_path):
 @posix
 def test_the_second_try_is_alone_in_a_fresh_worker(tmp_path):
     others = [("present", str(tmp_path))] * 6
-    messages = heard(crew([("alone", str(tmp_path)), *others], jobs=3))
+    messages = heard(pool([("alone", str(tmp_path)), *others], jobs=3))
     assert results(messages)[0] == 1
     assert len([path for path in tmp_path.iterdir() if path.name.isdigit()]) >= 4
 
 
 def test_prints_of_a_library_reach_neither_the_protocol_nor_our_output(capfd, caplog):
     caplog.set_level("DEBUG", logger="msal")
-    messages = heard(crew([("chatter", 300_000), ("double", 4)], jobs=1))
+    messages = heard(pool([("chatter", 300_000), ("double", 4)], jobs=1))
     assert results(messages) == {0: "", 1: 8}
     assert capfd.readouterr() == ("", "")
     assert any("zzz" in record.getMessage() for record in caplog.records)
@@ -158,44 +155,44 @@ def test_prints_of_a_library_reach_neither_the_protocol_nor_our_output(capfd, ca
 
 def test_the_last_words_of_a_worker_are_logged(caplog):
     caplog.set_level("INFO", logger="msal")
-    heard(crew([("segfault", 0)]))
+    heard(pool([("segfault", 0)]))
     assert any("Segmentation fault" in record.getMessage() for record in caplog.records)
 
 
 class TestReplacement:
     def test_after_a_number_of_files(self):
-        pids = results(heard(crew([("pid", 0)] * 7, jobs=1, files_per_worker=3)))
+        pids = results(heard(pool([("pid", 0)] * 7, jobs=1, files_per_worker=3)))
         assert pids[0] == pids[2] != pids[3] == pids[5] != pids[6]
 
     @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is not told")
     def test_when_memory_has_grown(self):
         megabyte = 1 << 20
         tasks = [("grow", 0), *[("grow", 30 * megabyte)] * 3, *[("grow", 0)] * 2]
-        pids = results(heard(crew(tasks, jobs=1, growth_bytes=70 * megabyte)))
+        pids = results(heard(pool(tasks, jobs=1, growth_bytes=70 * megabyte)))
         assert pids[0] == pids[3] != pids[4] == pids[5]
 
 
 def test_stop_hands_out_nothing_more():
-    one = crew([("double", n) for n in range(50)], jobs=1)
+    one = pool([("double", n) for n in range(50)], jobs=1)
     messages = []
     for batch in one.batches():
         messages += batch
         if results(batch):
             one.stop()
     assert 1 <= len(results(messages)) < 50
-    assert len(results(messages)) == len([m for m in messages if isinstance(m, Began)])
+    assert len(results(messages)) == len([m for m in messages if isinstance(m, Started)])
 
 
 def test_interrupt_ends_all_within_two_seconds_and_keeps_what_was_done():
-    one = crew([("double", 1), ("sleep", 60), ("sleep", 60)])
     deaths = []
-    one._on_death = lambda pid, index: deaths.append(index)
+    tasks = [("double", 1), ("sleep", 60), ("sleep", 60)]
+    one = pool(tasks, on_death=lambda pid, index: deaths.append(index))
     messages = []
     started = 0.0
     with pytest.raises(Interrupt):
         for batch in one.batches():
             messages += batch
-            if len([m for m in messages if isinstance(m, Began)]) == 3 and not started:
+            if len([m for m in messages if isinstance(m, Started)]) == 3 and not started:
                 started = time.monotonic()
                 one.interrupt()
     assert time.monotonic() - started < 2.0
@@ -206,7 +203,7 @@ def test_interrupt_ends_all_within_two_seconds_and_keeps_what_was_done():
 
 @posix
 def test_a_crew_that_stays_keeps_its_worker_from_one_lot_of_tasks_to_the_next():
-    one = crew([("pid", 0)], jobs=1, stays=True)
+    one = pool([("pid", 0)], jobs=1, stays=True)
     lots = [{7: ("pid", 0), 8: ("double", 4)}, {7: ("kill", 0)}, {7: ("double", 5)}]
     wanted, results_of_lots, messages = 1, [], []
     with pytest.raises(Interrupt):
@@ -227,7 +224,7 @@ def test_a_crew_that_stays_keeps_its_worker_from_one_lot_of_tasks_to_the_next():
 
 
 def test_leaving_the_loop_ends_all():
-    batches = crew([("sleep", 60)] * 3).batches()
+    batches = pool([("sleep", 60)] * 3).batches()
     next(batches)
     assert len(children()) == 2 if Path("/proc").exists() else True
     batches.close()
@@ -240,7 +237,7 @@ def test_a_worker_that_dies_before_it_starts_is_not_the_files_fault(monkeypatch)
         worker_process, "_BOOT", "import sys; print('no way', file=sys.stderr); exit(7)"
     )
     with pytest.raises(ResourceError, match=r"exit status 7; no way"):
-        heard(crew([("double", 1)] * 5))
+        heard(pool([("double", 1)] * 5))
     assert children() == []
 
 
@@ -249,7 +246,7 @@ def test_a_worker_that_cannot_import_the_work_says_so(monkeypatch):
     exec("def work(task, common, on_progress): pass", here.__dict__)
     monkeypatch.setitem(sys.modules, "only_in_the_parent", here)
     with pytest.raises(ResourceError, match="No module named 'only_in_the_parent'"):
-        heard(Crew({0: 0}, here.work, None, jobs=1, cores=1))
+        heard(WorkerPool(Work({0: 0}, here.work, None)))
     assert children() == []
 
 
@@ -259,7 +256,7 @@ def test_no_worker_at_all_is_a_resource_error(monkeypatch):
 
     monkeypatch.setattr(subprocess, "Popen", refused)
     with pytest.raises(ResourceError, match="no worker can be started"):
-        heard(crew([("double", 1)]))
+        heard(pool([("double", 1)]))
 
 
 def test_fewer_workers_than_wanted_are_enough(monkeypatch):
@@ -273,18 +270,16 @@ def test_fewer_workers_than_wanted_are_enough(monkeypatch):
         return real(*arguments, **options)
 
     monkeypatch.setattr(subprocess, "Popen", miserly)
-    assert len(results(heard(crew([("double", n) for n in range(5)], jobs=4)))) == 5
+    assert len(results(heard(pool([("double", n) for n in range(5)], jobs=4)))) == 5
 
 
 @posix
 def test_workers_end_when_the_parent_is_killed(tmp_path):
     code = (
         "from tests.batch import fakes\n"
-        "from msal_cli.batch.worker_messages import Began\n"
-        "from msal_cli.batch.worker_pool import Crew\n"
-        "some = Crew({n: ('sleep', 60) for n in range(2)}, fakes.work, None, jobs=2, cores=2)\n"
+        "some = fakes.pool([('sleep', 60)] * 2)\n"
         "for batch in some.batches():\n"
-        "    if len([w for w in some._workers if w.in_hand is not None]) == 2:\n"
+        "    if len([w for w in some._workers if w.current_task is not None]) == 2:\n"
         "        print(*[w.pid for w in some._workers], flush=True)\n"
     )
     parent = subprocess.Popen(
@@ -313,9 +308,9 @@ def test_without_the_systems_help_the_end_of_the_pipe_ends_a_busy_worker(monkeyp
             "serve; import msal_cli.batch.worker as w; w._die_with_parent = lambda: None; serve()",
         ),
     )
-    one = crew([("sleep", 60)])
+    one = pool([("sleep", 60)])
     for batch in one.batches():
-        if batch and isinstance(batch[-1], Began):
+        if batch and isinstance(batch[-1], Started):
             (worker,) = one._workers
             worker.process.stdin.close()
             assert worker.process.wait(timeout=2) == 0
@@ -336,16 +331,3 @@ def test_messages_cross_a_pipe_whole():
             read_message(reading)
     finally:
         os.close(reading)
-
-
-@pytest.mark.slow
-def test_twenty_batches_with_a_worker_killed_in_each_lose_nothing():
-    for round_ in range(20):
-        one = crew([("sleep", 0.002)] * 200, jobs=2)
-        count, killed = 0, False
-        for batch in one.batches():
-            count += len(results(batch))
-            if not killed and count > 8 * round_:
-                os.kill(one._workers[0].pid, signal.SIGKILL)
-                killed = True
-        assert count == 200 and killed

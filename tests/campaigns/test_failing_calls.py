@@ -109,26 +109,8 @@ def test_whatever_call_fails_with_whatever_error(tmp_path, monkeypatch, number, 
 def every_call(tmp_path, monkeypatch, numbers, way, calls):
     """Make these calls fail, one a run, with the errors in turn; how many, and failed runs."""
     scans = folder_of(tmp_path / "in", a=open_scan())
-    words = [
-        "denoise",
-        scans,
-        "--method",
-        "msal",
-        "-o",
-        tmp_path / "out",
-        "--report",
-        tmp_path / "r.json",
-    ]
-    if way == "in place":
-        words = [
-            "denoise",
-            scans,
-            "--method",
-            "msal",
-            "--in-place",
-            "--report",
-            tmp_path / "r.json",
-        ]
+    target = ["--in-place"] if way == "in place" else ["-o", tmp_path / "out"]
+    words = ["denoise", scans, "--method", "msal", *target, "--report", tmp_path / "r.json"]
     output = tmp_path / ("in" if way == "in place" else "out")
     # What is to be in the folder in the end, and what it holds now.
     shutil.copytree(scans, tmp_path / "kept")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from msal_cli.batch.manifest import NAME as MANIFEST
-from msal_cli.batch.temporary_files import temporary_name
+from msal_cli.storage.atomic import temporary_name
 from tests.campaigns.runs import IS_LINUX, contents
 from tests.cli.scans import folder_of, msal, open_scan
 from tests.report.made import HOSTILE_NAMES

@@ -56,13 +56,13 @@ def test_a_bar_over_files_shows_the_file_in_hand_and_the_failures(monkeypatch):
     stream = on_a_terminal(monkeypatch)
     todo = tasks("folder/first\x1b.ply", "second.ply", "third.ply")
     bar = progress.bar(todo, quiet=False)
-    bar.on_event(Started(0, todo[0]))
+    bar.on_event(Started(0))
     assert "folder/first\\x1b.ply" in frames(stream)[-1]
     assert "0/3" in frames(stream)[-1]
     bar.on_event(Finished(0, written()))
     assert "1/3" in frames(stream)[-1]
     assert "failed" not in frames(stream)[-1]
-    bar.on_event(Started(1, todo[1]))
+    bar.on_event(Started(1))
     bar.on_event(Progress(1, "sweeps", 1, 4))
     bar.on_event(Finished(1, failed()))
     assert "second.ply" in frames(stream)[-1]
@@ -84,9 +84,9 @@ def test_words_come_above_the_bar(monkeypatch):
 
 def test_a_bar_over_sweeps(monkeypatch):
     stream = on_a_terminal(monkeypatch)
-    (task,) = todo = tasks("scan.ply")
+    todo = tasks("scan.ply")
     bar = progress.bar(todo, quiet=False)
-    bar.on_event(Started(0, task))
+    bar.on_event(Started(0))
     bar.on_event(Progress(0, "read", 0, 1))
     assert frames(stream)[-1] == "scan.ply: read"
     bar.on_event(Progress(0, "choose", 0, 1))

@@ -136,14 +136,15 @@ def test_links_to_meshes(place):
 
 def test_a_backup_that_is_a_link_is_never_put_in_place(place):
     """A hostile manifest says that a run was killed while it replaced the scan."""
-    from msal_cli.batch.manifest import NAME, intent, line_of
+    from msal_cli.batch.manifest import NAME
+    from msal_cli.batch.manifest_lines import encode_line, intent_line
 
     folder_of(place / "in", scan=closed_scan())
     secret = place / "secret"
     secret.write_bytes(b"the key is 1234")
     (place / "in/scan.ply.orig").symlink_to(secret)
-    line = intent("scan.ply", str(secret)) | {"at": 1}
-    (place / "in" / NAME).write_bytes(line_of(line))
+    line = intent_line("scan.ply", str(secret)) | {"at": 1}
+    (place / "in" / NAME).write_bytes(encode_line(line))
     made = msal("denoise", "in", "--in-place", "-j", "1")
     assert made.exit_code == 2
     assert "backup" in made.stderr

@@ -266,7 +266,7 @@ def test_write_new_reports_failures(tmp_path):
 
 def test_the_name_that_writing_uses_is_the_one_that_sweeping_knows():
     for name in ("a.ply", "x" * 255, ""):
-        made = writing._temporary_name(name)
+        made = writing.temporary_name(name)
         assert temporaries.is_own(made) and len(os.fsencode(made)) <= writing.LONGEST_NAME
         found = temporaries._TEMPORARY.fullmatch(made)
         assert int(found["pid"]) == os.getpid()
