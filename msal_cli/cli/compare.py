@@ -15,7 +15,7 @@ from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from msal_cli.cli.gates_check import Checks
-    from msal_cli.job.records import ComparisonRecord
+    from msal_cli.job.comparison_record import ComparisonRecord
 
 _NO_PARTNER = "E_NO_PARTNER"
 
@@ -172,7 +172,8 @@ def _drop_missing(sides: Mapping[str, dict[str, str]]) -> list[dict[str, str]]:
 
 def _no_partner(name: str, before: str, after: str, folder: str) -> ComparisonRecord:
     from msal_cli import __version__
-    from msal_cli.job.records import ComparisonRecord, Failure
+    from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.job.records import Failure
 
     failure = Failure(_NO_PARTNER, f"there is no {name!r} in {folder!r}")
     return ComparisonRecord(before, after, version=__version__, error=failure)
@@ -234,7 +235,7 @@ def _write_heatmap(before: str, after: str, target: str, format: str | None) -> 
     from msal_cli import codecs
     from msal_cli.batch import interrupts
     from msal_cli.job import comparison
-    from msal_cli.report.text import file_name
+    from msal_cli.report.phrases import file_name
 
     reference = comparison.opened(before, format)
     made = comparison.build_heatmap(reference, comparison.opened(after, format), before)
@@ -250,10 +251,11 @@ def _print_folders(
 
     ``is_all``: the folders were compared as a whole, so that the baseline may miss a file.
     """
-    from msal_cli.job.records import ComparisonRecord, as_data
+    from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.job.plain_data import as_data
     from msal_cli.report import baseline, comparison_text
     from msal_cli.report.gates import is_any_broken
-    from msal_cli.report.text import file_name
+    from msal_cli.report.phrases import file_name
 
     records = checks.judge_folders(pairs)
     present = [name for name, one in pairs.items() if not _is_without_partner(one)]

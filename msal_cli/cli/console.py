@@ -14,7 +14,7 @@ from msal_cli.errors import MsalError, OutputError
 
 if TYPE_CHECKING:
     from msal_cli.job.records import Failure
-    from msal_cli.report.text import Line
+    from msal_cli.report.phrases import Line
 
 _STYLES: dict[str, dict[str, object]] = {
     "good": {"fg": "green"},
@@ -45,7 +45,7 @@ def say_lines(lines: Iterable[Line]) -> None:
 
 def say_error(error: MsalError) -> None:
     """An error in words: ``msal: error: scan.ply: vertex 17: ... (E_NONFINITE)`` and its hint."""
-    from msal_cli.report.text import file_name, reason
+    from msal_cli.report.phrases import file_name, reason
 
     code = "" if error.code == "E_USAGE" else error.code
     words = reason(error.where, error.message, code)
@@ -57,7 +57,7 @@ def say_error(error: MsalError) -> None:
 
 def say_failure(name: str, failure: Failure) -> None:
     """The failure of a single file, in the words of an error."""
-    from msal_cli.report.text import file_name, reason
+    from msal_cli.report.phrases import file_name, reason
 
     why = reason(failure.where, failure.message, failure.code)
     _say_error_words(f"{file_name(name)}: {why}", failure.hint)

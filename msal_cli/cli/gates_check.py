@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.job.records import ComparisonRecord
+    from msal_cli.job.comparison_record import ComparisonRecord
     from msal_cli.report.gates import Gate
 
 DEFAULT_TOLERANCE = 0.01
@@ -77,7 +77,7 @@ def build_checks(
         if the baseline cannot be read, or is none.
     """
     from msal_cli import codecs
-    from msal_cli.job.records import ComparisonRecord
+    from msal_cli.job.comparison_record import ComparisonRecord
     from msal_cli.report.gates import parsed
     from msal_cli.report.read_comparison import comparisons
 

@@ -64,7 +64,7 @@ def make_files(
     """
     from msal_cli.batch import interrupts
     from msal_cli.job.display_names import shown
-    from msal_cli.report.text import file_name
+    from msal_cli.report.phrases import file_name
 
     n_files = n_failed = 0
     for target in targets:

@@ -96,9 +96,9 @@ def command(
     too. No mesh is written.
     """
     from msal_cli import codecs, methods
-    from msal_cli import view as render
     from msal_cli.job.comparison import open_surface
     from msal_cli.view import parameter_grid
+    from msal_cli.view.image_files import png_bytes
 
     if os.path.splitext(output)[1].lower() != ".png":
         raise UsageError(f"-o {output}: the picture is called NAME.png", hint="give it that suffix")
@@ -120,7 +120,7 @@ def command(
                 console.put(_describe_cell(cell))
                 console.flush()
         picture = parameter_grid.sheet(on, grid, done, view)
-        codecs.write_whole(output, render.png_bytes(picture))
+        codecs.write_whole(output, png_bytes(picture))
         if as_json:
             _print_json(source, reference, grid, [cell for cell, _ in done])
         if not quiet:

@@ -126,9 +126,9 @@ def command(
     a graphics card is needed.
     """
     from msal_cli import codecs
-    from msal_cli import view as render
     from msal_cli.job.comparison import open_surface
     from msal_cli.view import pictures
+    from msal_cli.view.image_files import png_bytes
 
     kind = _find_kind(output)
     format = options.resolve_format(format)
@@ -140,7 +140,7 @@ def command(
     if kind == "html":
         data = _build_page(output, scene, view)
     else:
-        data = render.png_bytes(pictures.drawn(scene, view))
+        data = png_bytes(pictures.drawn(scene, view))
     if output == STREAM:
         console.put_bytes(data)
         return exit_codes.SUCCESS

@@ -12,11 +12,12 @@ from msal_cli.job.records import (
     NoiseEstimate,
     NormalChange,
     SelfIntersections,
+    SurfaceDistance,
     Volume,
 )
 
 if TYPE_CHECKING:
-    from msal_cli.analysis.displacement import DisplacementStatistics
+    from msal_cli.analysis.displacement import DisplacementStatistics, DistanceStatistics
     from msal_cli.analysis.harm import Harm
     from msal_cli.analysis.noise_estimate import NoiseLevel
     from msal_cli.arrays import Floats
@@ -109,10 +110,18 @@ def noise_field(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate:
 
 def displacement_field(one: DisplacementStatistics, edge: float) -> Displacement:
     """How far vertices moved, ``edge`` being the mean edge length before."""
-    names = ("mean", "rms", "p95", "max")
-    lengths = {name: getattr(one, name) for name in names}
-    in_edges = {f"{name}_edges": length / edge for name, length in lengths.items()}
-    return Displacement(**lengths, **in_edges, moved_vertices=one.moved_vertices)
+    return Displacement(**_length_fields(one, edge), moved_vertices=one.moved_vertices)
+
+
+def distance_field(one: DistanceStatistics, edge: float) -> SurfaceDistance:
+    """Distances to a surface, ``edge`` being the mean edge length before."""
+    return SurfaceDistance(**_length_fields(one, edge))
+
+
+def _length_fields(one: DistanceStatistics, edge: float) -> dict[str, float]:
+    """Each in file units and, its name ending in ``_edges``, in mean edge lengths."""
+    lengths = {"mean": one.mean, "rms": one.rms, "p95": one.p95, "max": one.max}
+    return lengths | {f"{name}_edges": length / edge for name, length in lengths.items()}
 
 
 def volume_changed(before: float, after: float, area: float, objection: str) -> Volume:

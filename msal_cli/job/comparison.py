@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING, Any
 from msal_cli import __version__
 from msal_cli.errors import MsalError
 from msal_cli.job import changes
+from msal_cli.job.comparison_record import ComparisonRecord
 from msal_cli.job.opened_mesh import open_mesh, to_known_error
 from msal_cli.job.records import (
     WITH_OUTPUT,
     Area,
-    ComparisonRecord,
     Failure,
     Reference,
     SelfIntersections,
-    SurfaceDistance,
     Volume,
 )
 
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from msal_cli.analysis.enclosure import Enclosure
-    from msal_cli.analysis.surface_distance import DistanceStatistics
     from msal_cli.arrays import Floats, Ints
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.records import MeshRecord
@@ -340,8 +338,8 @@ def _with_distances(record: ComparisonRecord, reference: Mesh, moved: Mesh) -> C
     edge = reference.mean_edge_length
     record = replace(
         record,
-        distance_to_before=_distance_field(to_before, edge),
-        distance_to_after=_distance_field(to_after, edge),
+        distance_to_before=changes.distance_field(to_before, edge),
+        distance_to_after=changes.distance_field(to_after, edge),
         hausdorff=hausdorff,
         hausdorff_edges=hausdorff / edge,
     )
@@ -352,8 +350,3 @@ def _with_distances(record: ComparisonRecord, reference: Mesh, moved: Mesh) -> C
 
 def _warned(record: ComparisonRecord, warning: str) -> ComparisonRecord:
     return replace(record, warnings=(*record.warnings, warning))
-
-
-def _distance_field(one: DistanceStatistics, edge: float) -> SurfaceDistance:
-    lengths = (one.mean, one.rms, one.p95, one.max)
-    return SurfaceDistance(*lengths, *(length / edge for length in lengths))

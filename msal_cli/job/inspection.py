@@ -8,8 +8,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from msal_cli.job.changes import defect_fields, noise_field
+from msal_cli.job.info_record import InfoRecord
 from msal_cli.job.opened_mesh import open_mesh, prepare_mesh, to_known_error
-from msal_cli.job.records import Failure, InfoRecord
+from msal_cli.job.records import Failure
 
 if TYPE_CHECKING:
     from msal_cli.codecs.mesh_file import MeshFile

@@ -24,7 +24,6 @@ from msal_cli import methods
 from msal_cli.analysis.noise_estimate import estimated
 from msal_cli.cli.denoise import command
 from msal_cli.job.settings import AUTO
-from msal_cli.report.schema import report_schema
 from tests.cli.scans import (
     MSAL,
     closed_scan,
@@ -36,6 +35,7 @@ from tests.cli.scans import (
     process,
     record_of,
 )
+from tests.report.schemas import report_schema
 from tests.shapes import torus
 
 REASON = "noise 0.11 e; organic; MSAL, K = 0.7, 3 sweeps"

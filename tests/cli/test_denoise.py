@@ -19,8 +19,8 @@ from msal_cli.batch.events import Finished
 from msal_cli.batch.interrupts import Terminated
 from msal_cli.cli.denoise import command
 from msal_cli.errors import OutputError
-from msal_cli.report.schema import report_schema
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, open_scan, process
+from tests.report.schemas import report_schema
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ import json
 import pytest
 from jsonschema import Draft202012Validator
 
-from msal_cli.report.schema import info_schema
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on, open_scan, record_of
+from tests.report.schemas import info_schema
 
 
 @pytest.fixture
