@@ -98,7 +98,7 @@ def find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
     UsageError
         if what --reference names is neither file nor folder, or a folder for a stream.
     """
-    from msal_cli.codecs import is_url
+    from msal_cli.storage.urls import is_url
 
     truth = request.reference
     if truth is None:

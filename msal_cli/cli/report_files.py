@@ -116,7 +116,7 @@ def _render_page(
 
 
 def _refuse_unwritable(name: str) -> None:
-    from msal_cli.codecs import is_url
+    from msal_cli.storage.urls import is_url
 
     if is_url(name):
         return

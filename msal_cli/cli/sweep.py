@@ -95,8 +95,9 @@ def command(
     Each cell of the picture has its numbers and the words that make it; the commands are printed
     too. No mesh is written.
     """
-    from msal_cli import codecs, methods
+    from msal_cli import methods
     from msal_cli.job.comparison import open_surface
+    from msal_cli.storage import atomic
     from msal_cli.view import parameter_grid
     from msal_cli.view.image_files import png_bytes
 
@@ -120,7 +121,7 @@ def command(
                 console.put(_describe_cell(cell))
                 console.flush()
         picture = parameter_grid.sheet(on, grid, done, view)
-        codecs.write_whole(output, png_bytes(picture))
+        atomic.write_whole(output, png_bytes(picture))
         if as_json:
             _print_json(source, reference, grid, [cell for cell, _ in done])
         if not quiet:

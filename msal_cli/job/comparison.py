@@ -54,10 +54,10 @@ class Surface:
 
 def opened(path: str, format: str | None = None) -> MeshFile:
     """The mesh file at ``path``; MsalError, which names the path, if it cannot be read."""
-    from msal_cli import codecs
+    from msal_cli.codecs import header_check
 
     try:
-        return open_mesh(codecs.read_input(path, format), path, format)[0]
+        return open_mesh(header_check.read_input(path, format), path, format)[0]
     except MsalError as error:
         error.path = error.path or path
         raise

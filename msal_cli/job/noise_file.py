@@ -30,10 +30,12 @@ def add_noise_to_file(
 
     from msal_cli import codecs
     from msal_cli.analysis.added_noise import add_noise
+    from msal_cli.codecs import detection
     from msal_cli.job.opened_mesh import open_mesh, prepare_mesh
+    from msal_cli.storage import gzip_streams
 
     mesh_file, is_compressed = open_mesh(data, name, format)
-    wanted = codecs.format_of_name(target)
+    wanted = detection.format_of_name(target)
     if wanted and wanted != mesh_file.format:
         raise UnsupportedError(
             f"noise keeps the format, {mesh_file.format}, and the output's name says {wanted}",
@@ -54,12 +56,12 @@ def add_noise_to_file(
     if n_moved:
         output = _replace_positions(mesh_file, vertices)
     else:
-        output = data if is_kept else codecs.expanded(data, name)[0]
+        output = data if is_kept else gzip_streams.expanded(data, name)[0]
     path = None if target == "-" else target
     output, companions = codecs.with_companions(mesh_file, output, vertices, path)
     settings = noise.describe()
     return MadeFile(
-        output=codecs.compressed(output) if compress and not is_kept else output,
+        output=gzip_streams.compressed(output) if compress and not is_kept else output,
         description=f"{noise.kind} noise of {noise.level:g} mean edge lengths "
         f"({noise.level * ready.mesh.mean_edge_length:.4g}), {settings + ', ' if settings else ''}"
         f"{n_moved:,} of {len(original):,} vertices moved, seed {noise.seed}",
@@ -84,9 +86,9 @@ def read_weights(mesh_file: MeshFile, ready: Prepared, name: str) -> Floats:
     first in the file counts."""
     import numpy as np
 
-    from msal_cli import codecs as files
+    from msal_cli import codecs
 
-    values = files.vertex_property(mesh_file, name)
+    values = codecs.vertex_property(mesh_file, name)
     if ready.place is None:
         return values
     is_used = ready.place >= 0

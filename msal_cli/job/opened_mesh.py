@@ -19,8 +19,9 @@ log = logging.getLogger("msal")
 def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshFile, bool]:
     """The mesh file in ``data``, and whether gzip compressed it."""
     from msal_cli import codecs
+    from msal_cli.storage import gzip_streams
 
-    plain, is_compressed = codecs.expanded(data, name)
+    plain, is_compressed = gzip_streams.expanded(data, name)
     return codecs.open_mesh(plain, name, format), is_compressed
 
 

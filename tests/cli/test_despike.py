@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import auto as selection
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.analysis.added_noise import noisy
 from msal_cli.analysis.noise_estimate import estimated
 from msal_cli.auto import adaptive
@@ -38,7 +37,7 @@ def run(*words, code=0):
 
 
 def vertices_of(path):
-    return files.open_mesh(path.read_bytes(), path.name).vertices
+    return codecs.open_mesh(path.read_bytes(), path.name).vertices
 
 
 def true_vertices():

@@ -38,16 +38,10 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.codecs import (
-    converted,
-    expanded,
-    normal_warnings,
-    open_mesh,
-    vertex_property,
-    writable_formats,
-)
+from msal_cli.codecs import converted, normal_warnings, open_mesh, vertex_property, writable_formats
 from msal_cli.codecs.forecast import of_beginning
 from msal_cli.errors import MsalError
+from msal_cli.storage.gzip_streams import expanded
 from tests.frozen.sums import REAL, ROOT, environment
 from tests.fuzz import corpus, mutants
 from tests.fuzz.seeds import archived, seeds

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.errors import InputError, UnsupportedError, UsageError
 from msal_cli.job import constraints
 from msal_cli.job.pipeline import denoise_bytes
@@ -56,7 +55,7 @@ def settings(method="msal", **asked):
 def denoised(data, **asked):
     output, record = denoise_bytes(data, "a.ply", settings(**asked))
     assert record.error is None, record.error
-    return files.open_mesh(bytes(output), "a.ply").vertices, record
+    return codecs.open_mesh(bytes(output), "a.ply").vertices, record
 
 
 # Words
@@ -186,7 +185,7 @@ def test_a_limit_that_nobody_reaches_changes_no_byte():
 def test_single_precision_goes_beyond_the_limit_by_rounding_only():
     vertices, faces = noisy()
     data = ply(vertices + 1000.0, faces, kind="float")
-    start = files.open_mesh(data, "a.ply").vertices
+    start = codecs.open_mesh(data, "a.ply").vertices
     kept, _ = denoised(data, max_move="0.01")
     ulp = np.spacing(np.float32(1000.0))
     assert np.linalg.norm(kept - start, axis=1).max() <= 0.01 + np.sqrt(3.0) * ulp
@@ -228,7 +227,7 @@ def test_locked_vertices_keep_their_very_bytes(method, encoding):
     vertices, faces = noisy()
     quality = random().random(len(vertices))
     data = ply(vertices, faces, {"quality": quality}, encoding=encoding)
-    before = files.open_mesh(data, "a.ply").vertices
+    before = codecs.open_mesh(data, "a.ply").vertices
     after, record = denoised(data, method=method, lock=("quality < 0.3",))
     is_locked = quality < 0.3
     assert record.locked_vertices == is_locked.sum()
@@ -373,10 +372,10 @@ def test_trust_is_the_property_over_its_largest_value():
 def test_properties_are_read(encoding, kind):
     vertices, faces = grid()
     stored = {"confidence": np.arange(len(vertices)) / 8, "quality": np.ones(len(vertices))}
-    file = files.open_mesh(ply(vertices, faces, stored, kind, encoding), "a.ply")
-    assert np.array_equal(files.vertex_property(file, "confidence"), stored["confidence"])
-    assert np.allclose(files.vertex_property(file, "z"), vertices[:, 2])
-    assert files.vertex_property(file, "quality").dtype == np.float64
+    file = codecs.open_mesh(ply(vertices, faces, stored, kind, encoding), "a.ply")
+    assert np.array_equal(codecs.vertex_property(file, "confidence"), stored["confidence"])
+    assert np.allclose(codecs.vertex_property(file, "z"), vertices[:, 2])
+    assert codecs.vertex_property(file, "quality").dtype == np.float64
 
 
 def test_properties_behind_lists_are_read():
@@ -384,10 +383,10 @@ def test_properties_behind_lists_are_read():
     top = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
     top += "property float z\nproperty list uchar int near\nproperty float q\nelement face 1\n"
     top += "property list uchar int vertex_indices\nend_header\n"
-    file = files.open_mesh((top + "\n".join(rows) + "\n3 0 1 2\n").encode(), "a.ply")
-    assert files.vertex_property(file, "q").tolist() == [0.5, 1.5, 2.5]
+    file = codecs.open_mesh((top + "\n".join(rows) + "\n3 0 1 2\n").encode(), "a.ply")
+    assert codecs.vertex_property(file, "q").tolist() == [0.5, 1.5, 2.5]
     with pytest.raises(InputError, match="that is a number"):
-        files.vertex_property(file, "near")
+        codecs.vertex_property(file, "near")
 
 
 def test_a_property_that_is_not_there_is_an_error_that_lists_the_others():
@@ -411,6 +410,6 @@ def test_trust_that_means_nothing_is_an_error(values, code):
 
 
 def test_other_formats_have_no_properties():
-    file = files.open_mesh(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj")
+    file = codecs.open_mesh(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj")
     with pytest.raises(UnsupportedError, match="from PLY, not from OBJ"):
-        files.vertex_property(file, "confidence")
+        codecs.vertex_property(file, "confidence")
