@@ -193,7 +193,7 @@ class Prepared:
 
         A vertex whose mesh vertex did not move, or that has none, keeps ``original``'s very value.
         """
-        from msal_cli.kernels.scatter import scattered
+        from msal_cli.kernels.welding import scattered
 
         mesh = self.mesh
         return scattered(
@@ -204,7 +204,7 @@ class Prepared:
         """Largest distance between file positions (n_file, 3) that were one point before."""
         if self.place is None:
             return 0.0
-        from msal_cli.kernels.scatter import widest_gap
+        from msal_cli.kernels.welding import widest_gap
 
         return widest_gap(vertices, self.place, len(self.mesh.vertices))
 
@@ -225,12 +225,11 @@ def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Pr
     TooLargeError
         for more than ``MOST_FACES`` triangles.
     """
-    from msal_cli.kernels.concurrent import at_once, is_worth_it
-    from msal_cli.kernels.connectivity import (
-        connectivity,
-        count_components,
+    from msal_cli.kernels.components import count_components, faces_to_flip
+    from msal_cli.kernels.connectivity import connectivity
+    from msal_cli.kernels.parallel import at_once, is_worth_it
+    from msal_cli.kernels.welding import (
         duplicate_faces,
-        faces_to_flip,
         first_alike,
         repeated_corners,
         used_vertices,

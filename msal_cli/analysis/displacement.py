@@ -26,7 +26,7 @@ def displacement_statistics(
 ) -> DisplacementStatistics:
     """Statistics of the distances between (n, 3) positions over the ``counted`` (n,) vertices."""
     from msal_cli.kernels.geometry import distances
-    from msal_cli.kernels.medians import ranked
+    from msal_cli.kernels.quantiles import ranked
 
     lengths = distances(before, after)
     if counted is not None and not counted.all():

@@ -145,7 +145,7 @@ def _dotted(first: Floats, second: Floats) -> Floats:
 
 def distance_statistics(lengths: Floats) -> DistanceStatistics:
     """Statistics of distances (n,), n >= 1."""
-    from msal_cli.kernels.medians import ranked
+    from msal_cli.kernels.quantiles import ranked
 
     rank = min(len(lengths) - 1, int(np.ceil(0.95 * len(lengths))) - 1)
     return DistanceStatistics(

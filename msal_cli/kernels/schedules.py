@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 
-@dataclass(frozen=True)
-class Pace:
+class Pace(NamedTuple):
     """One sweep's tau and lambda: lambda_i = min(1, constant + per_sigma * sigma_i).
 
     ``per_sigma`` is in reciprocal file units, the others are pure numbers.
@@ -80,8 +79,7 @@ class Multiscale:
         """tau and 1 / scale."""
         scale = scale or 0.0
         return Pace(
-            self.time_step * self.decay**sweep,
-            per_sigma=1.0 / scale if scale > 0.0 else 0.0,
+            self.time_step * self.decay**sweep, per_sigma=1.0 / scale if scale > 0.0 else 0.0
         )
 
 

@@ -18,7 +18,7 @@ MOST_LOOKS = 4 * MOST_FOUND
 
 
 @compiled
-def room(start, stop, row_start):  # type: ignore[no-untyped-def]
+def room(start, stop, row_start):
     """Items that a flood from any of these vertices can find: first rows are taken whole."""
     widest = 0
     for i in range(start, stop):
@@ -27,7 +27,7 @@ def room(start, stop, row_start):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares):  # type: ignore[no-untyped-def]
+def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares):
     """Vertices that edges join to i through vertices no farther from it than the radius.
 
     x positions.  ``mark`` (n,) must not hold i; ``found`` and ``squares`` have room for all.
@@ -64,7 +64,7 @@ def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares)
 
 
 @compiled
-def faces_around(  # type: ignore[no-untyped-def]
+def faces_around(
     i,
     x,
     centroids,
