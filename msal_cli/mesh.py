@@ -95,7 +95,7 @@ class Mesh:
         return vertex_normals(self.vertices, self.faces, weighting) if left is None else left
 
     def forget_normals(self) -> None:
-        """Let go of all normals; they are computed anew for whoever asks again."""
+        """Free the memory of all normals; they are computed anew when needed."""
         self._known_normals.clear()
         self.__dict__.pop("_left_normals", None)
 
@@ -111,7 +111,7 @@ class Mesh:
         return flat
 
     def constrained(self, held: NDArray[np.bool_] | None, trust: Floats | None) -> Mesh:
-        """The same mesh with vertices that are held, or trusted more or less; see above."""
+        """The same mesh with vertices that are fixed, or trusted more or less; see above."""
         other = Mesh(self.vertices, self.faces, held, trust)
         own = {one: value for one, value in self.__dict__.items() if one not in other.__dict__}
         other.__dict__.update(own)

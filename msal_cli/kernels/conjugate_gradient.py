@@ -60,7 +60,7 @@ class RowMatrix:
     ----------
     diagonal : (n,).
     row_start, columns, values : the rest, (n + 1,), (e,) and (e,); row i has the ``values`` from
-        ``row_start[i]`` to ``row_start[i + 1]``.  An entry of the diagonal may stand there as
+        ``row_start[i]`` to ``row_start[i + 1]``.  An entry of the diagonal may be there as
         well; it is added.
     """
 

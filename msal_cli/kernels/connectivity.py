@@ -77,7 +77,7 @@ def _closed_rings(start, stop, faces, face_start, incident, ring, opened):
     """Fill the rings of vertices whose faces close one circle or several, wound one way.
 
     They are the vertices that follow i in its faces, in the places of these faces.  ``opened[i]``
-    becomes True for all other vertices; what stands in their places is of no use.
+    becomes True for all other vertices; what is in their places is of no use.
     """
     # Who follows vertex i is marked i, and, once it has been found to go before it too, -2 - i.
     mark = np.empty(len(opened), dtype=np.int32)
@@ -108,7 +108,7 @@ def _closed_rings(start, stop, faces, face_start, incident, ring, opened):
 def _open_ring(faces, face_start, incident, i, row, slot, ring, uses):
     """Fill the ring of any vertex from ``row`` on; its end.
 
-    ``uses`` tells how often each edge leaves the vertex, and how often it arrives.
+    ``uses`` counts how often each edge leaves the vertex, and how often it arrives.
     """
     filled = row
     for at in range(face_start[i], face_start[i + 1]):

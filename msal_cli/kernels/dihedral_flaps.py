@@ -8,6 +8,7 @@ from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.parallel import fill_array
+from msal_cli.kernels.ring_blocks import longest_row
 from msal_cli.kernels.vectors import edges_and_normal
 
 
@@ -16,9 +17,7 @@ def _flaps(faces, face_start, incident, ring_start, ring, result):
     n = len(ring_start) - 1
     # Positions in ``ring`` only grow, so a slot at or above a row's start belongs to that row.
     slot = np.full(n, -1, dtype=np.int32)
-    widest = 0
-    for i in range(n):
-        widest = max(widest, ring_start[i + 1] - ring_start[i])
+    widest = longest_row(0, n, ring_start)
     count = np.zeros(widest, dtype=np.int32)
     facing = np.empty((widest, 2), dtype=np.int32)
     found = 0

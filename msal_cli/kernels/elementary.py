@@ -76,7 +76,7 @@ def power_of_two(exponent):
     """2 to an exponent not above 1, within 1 ulp or so.
 
     For use inside loops over contiguous numbers, which then become vector code.  There is nothing
-    to reduce by a rounded ln 2: whoever needs exp puts ``LOG2_E`` into a factor that is there.
+    to reduce by a rounded ln 2: for exp put ``LOG2_E`` into a factor that is there.
     """
     t = exponent if exponent > SMALLEST_POWER else SMALLEST_POWER
     rounded = t + _ROUND

@@ -2,7 +2,7 @@
 
 Throughout: ``vertices`` (n, 3) float64 and ``faces`` (m, 3) int32, counter-clockwise from outside.
 A face whose doubled area is at most 1e-12 of its longest edge squared is *degenerate*: it has no
-normal, and a zero vector stands in its place.
+normal, and a zero vector takes its place.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ length, which every double is a multiple of a power of two of.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -99,23 +99,14 @@ def _apart(vertices: Floats, first: Ints, second: Ints) -> Longs:
     for axes in (_normals, _normals_of_edges, _normals_of_both):
         kept = kept[~_separated(axes, vertices, first[kept], second[kept])]
     a, b = _points(vertices, first[kept]), _points(vertices, second[kept])
-    meets = np.zeros(len(kept), dtype=np.bool_)
-    for one, other in ((a, b), (b, a)):
-        for k in range(3):
-            rest = np.flatnonzero(~meets)
-            triangle = [corner[rest] for corner in other]
-            meets[rest] = _segments_meet(one[k][rest], one[(k + 1) % 3][rest], triangle)
-    return kept[meets]
+    return kept[_edges_meet(a, b, ((0, 1), (1, 2), (2, 0)))]
 
 
 def _at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> Longs:
     """Which triangles whose first corner is the same meet elsewhere too."""
     kept = np.flatnonzero(~_separated_at_a_vertex(vertices, first, second))
     a, b = _points(vertices, first[kept]), _points(vertices, second[kept])
-    meets = _segments_meet(a[1], a[2], b)
-    rest = np.flatnonzero(~meets)
-    meets[rest] = _segments_meet(b[1][rest], b[2][rest], [corner[rest] for corner in a])
-    return kept[meets]
+    return kept[_edges_meet(a, b, ((1, 2),))]
 
 
 def _at_an_edge(vertices: Floats, first: Ints, second: Ints) -> Longs:
@@ -134,6 +125,17 @@ def _at_an_edge(vertices: Floats, first: Ints, second: Ints) -> Longs:
     p, q, a, b = (_flattened(one[kept], _dropped(p, q, a, kept)) for one in (p, q, a, b))
     folded: Longs = kept[plane_signs(p, q, a) == plane_signs(p, q, b)]
     return folded
+
+
+def _edges_meet(a: list[Floats], b: list[Floats], edges: Sequence[tuple[int, int]]) -> Flags:
+    """Of which triangles of either list any of the edges, by their corners, meet the other's."""
+    meets = np.zeros(len(a[0]), dtype=np.bool_)
+    for one, other in ((a, b), (b, a)):
+        for start, end in edges:
+            rest = np.flatnonzero(~meets)
+            triangle = [corner[rest] for corner in other]
+            meets[rest] = _segments_meet(one[start][rest], one[end][rest], triangle)
+    return meets
 
 
 def _segments_meet(p: Floats, q: Floats, triangle: list[Floats]) -> Flags:

@@ -1,10 +1,10 @@
 """Faces near a face side by side with those near others: blocks whose lanes are faces.
 
 Sums over the neighbours of one face are too short for vector code.  So ``LANES`` faces are worked
-on at a time, and what belongs to the k-th neighbour of each stands in a row.  No sum goes across
+on at a time, and what belongs to the k-th neighbour of each is in a row.  No sum goes across
 lanes, so that no bit depends on the block, the lane or the thread that a face falls to.
 
-Sums over the neighbours stand in rows of lanes too, and are called by the place of their first row.
+Sums over the neighbours are in rows of lanes too, and are named by the place of their first row.
 """
 
 from __future__ import annotations

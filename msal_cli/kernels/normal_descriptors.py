@@ -53,7 +53,7 @@ from msal_cli.kernels.near_blocks import (
     normalise,
     weigh_block,
 )
-from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, ZERO
+from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, ZERO, most_neighbours
 
 NARROW_RANGES = (0.35, 0.7, 1.1)
 WIDE_RANGES = (0.2, 0.4, 0.7, 1.2)
@@ -102,9 +102,7 @@ def describe(start, stop, records, per_reach, near_start, near, width, table, nu
     ``table`` has ``width`` vectors of each face, ``numbers`` NUMBERS, ``axes`` three vectors; all
     are flat and in single precision, as are ``records`` (double) otherwise; see ``lay_neighbours``.
     """
-    widest = ONE
-    for f in range(np.uint64(start), np.uint64(stop)):
-        widest = max(widest, near_start[f + ONE] - near_start[f] + ONE)
+    widest = most_neighbours(start, stop, near_start) + ONE
     block = np.empty(np.int64(widest * ENTRY), dtype=np.float32)
     sums = np.empty(np.int64(R16 * np.uint64(5)), dtype=np.float32)
     vectors = np.empty(np.int64(R3 * np.uint64(13)), dtype=np.float32)
@@ -238,9 +236,7 @@ def filter_jointly(
     ``n_read`` vectors of each face, and that of the first outcome in ``table``, which has
     ``width``.  Its row of ``ranges`` has 1 / s^2 of both.
     """
-    widest = ONE
-    for f in range(np.uint64(start), np.uint64(stop)):
-        widest = max(widest, near_start[f + ONE] - near_start[f] + ONE)
+    widest = most_neighbours(start, stop, near_start) + ONE
     block = np.empty(np.int64(widest * ENTRY), dtype=np.float32)
     sums = np.empty(np.int64(R6), dtype=np.float32)
     vectors = np.empty(np.int64(R6), dtype=np.float32)

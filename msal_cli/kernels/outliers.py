@@ -1,6 +1,6 @@
 """Single vertices far out of the surface that their neighbours make.
 
-A vertex is held against a fit to its two-ring without itself, and its faces against those around
+A vertex is compared with a fit to its two-ring without itself, and its faces with those around
 them.  Everything is local, and in units of local edges that the vertex itself has no part in.
 """
 

@@ -206,7 +206,7 @@ def _begin_equations(sums, along, own, equations, sums_of_squares):
 @compiled
 def _eliminate(equations, sums_of_squares, first, last):
     """Eliminate the monomials ``first`` ... ``last``, above the diagonal; how many of them the
-    patch can tell apart.  What is left of the heights stands in their rows then."""
+    patch can tell apart.  What is left of the heights is in their rows then."""
     rank = 0
     for pivot in range(first, last):
         if equations[pivot, pivot] <= DEPENDENT * sums_of_squares[pivot]:

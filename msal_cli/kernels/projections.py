@@ -143,9 +143,9 @@ class ProjectionAverage:
             positions, centroids, areas, own, everywhere, 0.5 * self.closeness, _CENTROIDS
         )
         normals, smooth_areas = face_normals_and_areas(smooth, self.faces)
-        told = smooth_areas > SMALLEST_AREA * self.mean_edge_length**2
-        told &= (normals != 0.0).any(axis=1)
-        normals = np.where(told[:, None], normals, own)
+        has_normal = smooth_areas > SMALLEST_AREA * self.mean_edge_length**2
+        has_normal &= (normals != 0.0).any(axis=1)
+        normals = np.where(has_normal[:, None], normals, own)
         return Step(
             self._average(
                 positions, centroids, areas, normals, self.free, self.closeness, _PROJECTIONS

@@ -45,7 +45,7 @@ def _alike(bits, leading, found):
 
 
 def ranked(values: Floats, *ranks: int) -> list[float]:
-    """Those of values (n,), none NaN, that would stand at ``ranks``, from 0 on, if sorted."""
+    """Those of values (n,), none NaN, that would be at ``ranks``, from 0 on, if sorted."""
     if len(values) < MANY:
         return [float(np.partition(values, rank)[rank]) for rank in ranks]
     bits = np.ascontiguousarray(values).view(np.uint64)

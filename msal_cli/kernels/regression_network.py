@@ -59,9 +59,9 @@ def _lay_inputs(first, last, width, table, per_face, numbers, axes, x):
 
 @compiled
 def _multiply(n_in, n_out, weights, at, x, y, leak):
-    """One layer: ``y`` of ``x``; at ``at`` stand n_out biases, then the rows of the matrix.
+    """One layer: ``y`` of ``x``; from ``at`` on are n_out biases, then the rows of the matrix.
 
-    Returns where the next layer stands.
+    Returns where the next layer begins.
     """
     row = at + n_out
     for o in range(n_out):

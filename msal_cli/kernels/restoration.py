@@ -62,7 +62,7 @@ def _squares(start, stop, levels, powers):
 
 @compiled
 def _averaged(start, stop, ring_start, ring, powers, averages):
-    """Means over the one-rings of the five powers of each vertex, which stand one after the other.
+    """Means over the one-rings of the five powers of each vertex, which are side by side.
 
     Five sums by name stay in registers, where a loop over the bands would go through memory, and
     unsigned places need no check for counting from the end.

@@ -3,7 +3,7 @@
 A loop over the five to seven neighbours of one vertex is too short for vector code.  So a sweep
 takes vertices by blocks that stay in the first-level cache, and groups those of a block by their
 number of neighbours m.  A group has a lane for every vertex, filled up to whole vectors, and what
-belongs to the k-th neighbour of all its lanes stands side by side: a row as wide as the group.
+belongs to the k-th neighbour of all its lanes is side by side: a row as wide as the group.
 Then every loop over lanes is vector code, and every sum over neighbours still runs from the first
 to the last, so that no bit depends on the block, the lane or the thread that a vertex falls to.
 
@@ -47,6 +47,15 @@ def most_neighbours(start, stop, ring_start):
     for i in range(np.uint64(start), np.uint64(stop)):
         widest = max(widest, ring_start[i + ONE] - ring_start[i])
     return widest
+
+
+@compiled
+def longest_row(start, stop, row_start):
+    """The same for rows whose starts are signed."""
+    longest = 0
+    for i in range(start, stop):
+        longest = max(longest, row_start[i + 1] - row_start[i])
+    return longest
 
 
 @compiled

@@ -17,6 +17,7 @@ from msal_cli.kernels.cotangent import ring_areas
 from msal_cli.kernels.elementary import exponentials
 from msal_cli.kernels.operators import SMALLEST_LENGTH, SMALLEST_SIGMA, Step
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.ring_blocks import longest_row
 
 WEIGHTS = ("gauss", "tukey", "lorentz", "huber", "none")
 DEVIATIONS = ("mean", "median")
@@ -126,9 +127,7 @@ def _robust_laplacian(
     sigma,
 ):
     """x positions, h heights of the ring over the tangent plane, l edge lengths, g weights."""
-    widest = 1
-    for i in range(start, stop):
-        widest = max(widest, ring_start[i + 1] - ring_start[i])
+    widest = max(1, longest_row(start, stop, ring_start))
     h = np.empty(widest)
     lengths = np.ones(widest)
     g = np.empty(widest)

@@ -66,7 +66,7 @@ class Multiscale:
     ``time_step``, is 1 in the paper.  On a mesh with sigma = 0 everywhere lambda is zero.
 
     max sigma may belong to a single spike, beside which every other lambda is next to nothing.
-    With a ``quantile`` q below 1 it is not asked: lambda = min(1, sigma / q-quantile of sigma),
+    With a ``quantile`` q below 1 it is not needed: lambda = min(1, sigma / q-quantile of sigma),
     the quantile being that of the sigma above zero, so that planes and vertices without faces do
     not count.  The smaller q is, the stronger the pull.
     """

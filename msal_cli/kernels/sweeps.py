@@ -131,7 +131,7 @@ def _pulls(pace: Pace, sigma: Floats) -> Floats:
 
 
 def _trusted(pace: Pace, sigma: Floats, trust: Floats) -> tuple[Pace, Floats]:
-    """The pace, and what stands in for sigma, by which lambda_i is ``trust`` (n,) times what it
+    """The pace, and what replaces sigma, by which lambda_i is ``trust`` (n,) times what it
     would be: the kernels need not know of it."""
     pulls: Floats = trust * _pulls(pace, sigma)
     return Pace(pace.time_step, per_sigma=1.0), pulls

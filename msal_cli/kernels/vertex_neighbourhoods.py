@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.ring_blocks import longest_row
 
 MOST_FOUND = 2048
 """Items at which a flood stops: vertices within 23 mean edge lengths of one on an even mesh."""
@@ -20,10 +21,7 @@ MOST_LOOKS = 4 * MOST_FOUND
 @compiled
 def room(start, stop, row_start):
     """Items that a flood from any of these vertices can find: first rows are taken whole."""
-    widest = 0
-    for i in range(start, stop):
-        widest = max(widest, row_start[i + 1] - row_start[i])
-    return np.int64(max(MOST_FOUND, widest) + 1)
+    return np.int64(max(MOST_FOUND, longest_row(start, stop, row_start)) + 1)
 
 
 @compiled
