@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.analysis.displacement import DisplacementStatistics, displacement_statistics
-from msal_cli.analysis.surface_distance import (
+from msal_cli.analysis.displacement import (
+    DisplacementStatistics,
     DistanceStatistics,
+    displacement_statistics,
     distance_statistics,
-    distances_to_surface,
 )
+from msal_cli.analysis.surface_distance import distances_to_surface
 from msal_cli.arrays import Floats, Ints
 from msal_cli.mesh import Mesh, Prepared
 

@@ -8,7 +8,6 @@ too long by at most some 1e-6 of the larger mesh's extent.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,16 +22,6 @@ ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
 
 AT_ONCE = 1 << 17
 """Points that are looked up at a time: the library answers with an object for each."""
-
-
-@dataclass(frozen=True)
-class DistanceStatistics:
-    """Mean, root mean square, 95th percentile and maximum of distances, file units."""
-
-    mean: float
-    rms: float
-    p95: float
-    max: float
 
 
 def is_available() -> bool:
@@ -141,16 +130,3 @@ def distances_to_triangles(points: Floats, corners: Floats) -> Floats:
 def _dotted(first: Floats, second: Floats) -> Floats:
     products: Floats = np.einsum("ij,ij->i", first, second)
     return products
-
-
-def distance_statistics(lengths: Floats) -> DistanceStatistics:
-    """Statistics of distances (n,), n >= 1."""
-    from msal_cli.kernels.quantiles import ranked
-
-    rank = min(len(lengths) - 1, int(np.ceil(0.95 * len(lengths))) - 1)
-    return DistanceStatistics(
-        mean=float(lengths.mean()),
-        rms=float(np.sqrt((lengths * lengths).mean())),
-        p95=ranked(lengths, rank)[0],
-        max=float(lengths.max()),
-    )

@@ -29,9 +29,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from msal_cli.analysis.displacement import DisplacementStatistics
+    from msal_cli.analysis.displacement import DisplacementStatistics, DistanceStatistics
     from msal_cli.analysis.enclosure import Enclosure
-    from msal_cli.analysis.surface_distance import DistanceStatistics
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.records import MeshRecord
     from msal_cli.mesh import Mesh, Prepared
@@ -370,31 +369,18 @@ def _warned(record: ComparisonRecord, warning: str) -> ComparisonRecord:
 
 
 def _distance(one: DistanceStatistics, edge: float) -> SurfaceDistance:
-    return SurfaceDistance(
-        one.mean,
-        one.rms,
-        one.p95,
-        one.max,
-        one.mean / edge,
-        one.rms / edge,
-        one.p95 / edge,
-        one.max / edge,
-    )
+    return SurfaceDistance(**_length_fields(one, edge))
 
 
 def displaced(one: DisplacementStatistics, edge: float) -> Displacement:
     """The record of how far vertices moved, ``edge`` being the mean edge length before."""
-    return Displacement(
-        mean=one.mean,
-        rms=one.rms,
-        p95=one.p95,
-        max=one.max,
-        mean_edges=one.mean / edge,
-        rms_edges=one.rms / edge,
-        p95_edges=one.p95 / edge,
-        max_edges=one.max / edge,
-        moved_vertices=one.moved_vertices,
-    )
+    return Displacement(**_length_fields(one, edge), moved_vertices=one.moved_vertices)
+
+
+def _length_fields(one: DistanceStatistics, edge: float) -> dict[str, float]:
+    """Each in file units and, its name ending in ``_edges``, in mean edge lengths."""
+    lengths = {"mean": one.mean, "rms": one.rms, "p95": one.p95, "max": one.max}
+    return lengths | {f"{name}_edges": length / edge for name, length in lengths.items()}
 
 
 def volume_changed(before: float, after: float, area: float, objection: str) -> Volume:
