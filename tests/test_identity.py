@@ -13,7 +13,7 @@ import pytest
 from msal_cli import codecs as files
 from msal_cli.job import pipeline
 from msal_cli.job.settings import is_mesh_name
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.codecs import plain_ply
 from tests.fuzz import mutants
 from tests.job.test_pipeline import WRITERS, settings
@@ -53,8 +53,8 @@ def require_same(name: str, data: bytes) -> None:
     assert output is not None and bytes(output) == data
     whole, _ = files.expanded(data, name)
     file = files.open_mesh(whole, name)
-    ready = prepared(file.vertices, file.faces)
-    back = ready.scattered(ready.mesh.vertices.copy(), file.vertices)
+    ready = prepare_mesh(file.vertices, file.faces)
+    back = ready.to_file_vertices(ready.mesh.vertices.copy(), file.vertices)
     assert np.array_equal(back, file.vertices)
     assert bytes(file.replaced(back)) == bytes(whole)
     file.check(whole, back)

@@ -62,7 +62,7 @@ def map_names() -> tuple[str, ...]:
 
 
 @functools.cache
-def table(map_name: str) -> Colours:
+def colour_table(map_name: str) -> Colours:
     """The colours of a map, (SHADES, 3) from the lowest to the highest; do not write to it."""
     places, lightness, chroma, hue = np.array(_CONTROL_POINTS[map_name]).T
     turned = np.radians(hue)
@@ -81,7 +81,7 @@ def table(map_name: str) -> Colours:
     return colours
 
 
-def mapped(
+def map_colours(
     values: NDArray[np.float64], low: float, high: float, map_name: str = "sequential"
 ) -> Colours:
     """Colours (n, 3) of values (n,): ``low`` gets the map's first one, ``high`` its last.
@@ -90,7 +90,7 @@ def mapped(
     ``low`` equal to ``high`` every value up to them gets the first colour (of the diverging map,
     the middle one), and those beyond the last.
     """
-    colours = table(map_name)
+    colours = colour_table(map_name)
     values = np.asarray(values, dtype=np.float64)
     if high > low:
         with np.errstate(invalid="ignore", over="ignore"):

@@ -17,7 +17,7 @@ def mean_curvature(mesh: Mesh) -> Floats:
     """
     from msal_cli.kernels.cotangent import cotangent_weights, mixed_areas
 
-    x, links = mesh.vertices, mesh.links
+    x, links = mesh.vertices, mesh.topology
     weights = cotangent_weights(x, mesh.faces, links)
     areas = mixed_areas(x, mesh.faces, links)
     owner = np.repeat(np.arange(len(x)), np.diff(links.ring_start))

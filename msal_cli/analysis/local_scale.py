@@ -17,7 +17,7 @@ def local_scale(mesh: Mesh, normals: Floats) -> Floats:
     """
     from msal_cli.kernels.operators import AnisotropicLaplacian
 
-    links = mesh.links
+    links = mesh.topology
     free = np.ones(len(mesh.vertices), dtype=bool)
     laplacian = AnisotropicLaplacian(
         normals, links.ring_start, links.ring, free, mesh.mean_edge_length

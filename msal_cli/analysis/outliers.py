@@ -103,16 +103,16 @@ class _Search:
         self.mesh = mesh
         self.positions = mesh.vertices
         self.agreements = np.ones(n)
-        self.may_move = mesh.links.has_ring.copy()
-        if mesh.held is not None:
-            self.may_move &= ~mesh.held
+        self.may_move = mesh.topology.has_ring.copy()
+        if mesh.fixed_vertices is not None:
+            self.may_move &= ~mesh.fixed_vertices
         self.scores = np.full(n, outliers.NOT_JUDGED)
         self.flags = np.zeros(n, dtype=np.bool_)
 
     def run(self) -> Outliers:
         """All passes."""
         mesh = self.mesh
-        n_used = max(int(np.count_nonzero(mesh.links.has_ring)), 1)
+        n_used = max(int(np.count_nonzero(mesh.topology.has_ring)), 1)
         self._score(np.ones(len(self.flags), dtype=np.bool_))
         if not (self.scores > BOUND).any():
             return Outliers(self.flags, mesh.vertices, False, 0.0)
@@ -120,7 +120,7 @@ class _Search:
         bound = BOUND
         self.positions = mesh.vertices.copy()
         for _ in range(MOST_PASSES):
-            found = outliers.pick(self.scores, bound, mesh.links)
+            found = outliers.pick(self.scores, bound, mesh.topology)
             if len(found):
                 are_certain = are_certain or bool((self.scores[found] > CERTAIN).any())
                 self.flags[found] = True
@@ -142,9 +142,9 @@ class _Search:
 
     def _noise(self) -> NoiseLevel:
         """The noise of all others."""
-        from msal_cli.analysis.noise_estimate import estimated
+        from msal_cli.analysis.noise_estimate import estimate_noise
 
-        return estimated(self.mesh.moved(self.positions))
+        return estimate_noise(self.mesh.with_vertices(self.positions))
 
     def _are_beyond(self, noise_edges: float) -> bool:
         """Whether the outliers went much further than noise of so many mean edge lengths does."""
@@ -154,7 +154,9 @@ class _Search:
     def _score(self, changed: Flags) -> None:
         """Set the scores of vertices whose surroundings have changed."""
         mesh = self.mesh
-        outliers.measure_agreement(self.positions, mesh.faces, mesh.links, changed, self.agreements)
+        outliers.measure_agreement(
+            self.positions, mesh.faces, mesh.topology, changed, self.agreements
+        )
         self.scores[changed] = outliers.NOT_JUDGED
         chosen = np.flatnonzero(changed & self.may_move & ~self.flags & (self.agreements < ROUGH))
         self.scores[chosen], _ = self._judge(chosen, is_known=False)
@@ -167,7 +169,7 @@ class _Search:
             mesh.vertices[chosen],
             self.positions,
             mesh.faces,
-            mesh.links,
+            mesh.topology,
             self.agreements,
             mesh.mean_edge_length,
             is_known,
@@ -189,7 +191,7 @@ class _Search:
 
     def _move(self, which: Longs, targets: Floats) -> None:
         self.positions[which] = targets
-        self._score(outliers.mark_two_rings(which, self.mesh.links))
+        self._score(outliers.mark_two_rings(which, self.mesh.topology))
 
 
 def _more_likely(share: float) -> float:

@@ -33,7 +33,7 @@ class SurfaceChange:
     normals: NormalStatistics
 
 
-def surface_change(before: Mesh, after: Mesh) -> SurfaceChange:
+def measure_surface_change(before: Mesh, after: Mesh) -> SurfaceChange:
     """The change between two meshes with the same faces."""
     from msal_cli.kernels import surface_change as core
 
@@ -54,4 +54,4 @@ def surface_change(before: Mesh, after: Mesh) -> SurfaceChange:
 
 def normal_statistics(before: Mesh, after: Mesh) -> NormalStatistics:
     """Angles between the face normals of two meshes with the same faces."""
-    return surface_change(before, after).normals
+    return measure_surface_change(before, after).normals

@@ -49,7 +49,7 @@ def choose_least(
     candidate = wiener_al(level)
     return Choice(
         candidate.method,
-        methods.find(candidate.method).settled(candidate.settings(level)),
+        methods.find(candidate.method).validate(candidate.settings(level)),
         f"{what}; smoothed as if it had {level:.2g} e, for that is wished; {candidate.label}",
         surface,
         noise,

@@ -151,7 +151,7 @@ def build_model(mesh: Mesh, noise: NoiseLevel) -> NoiseModel:
     # Along an axis, regions differ by their slope.
     if noise.is_uneven and not noise.is_impulsive and character.axis is None and level > 0.0:
         local = np.maximum(local_levels(mesh) * (mesh.mean_edge_length / level), QUIETEST)
-        used = local[mesh.links.has_ring]
+        used = local[mesh.topology.has_ring]
         shares = local / math.sqrt(float((used * used).mean()))
     return NoiseModel(
         level,

@@ -12,7 +12,7 @@ from msal_cli import methods
 from msal_cli.arrays import Floats
 from msal_cli.auto.candidates import Candidate
 from msal_cli.auto.wishes import NONE
-from msal_cli.methods.blend import written, written_levels
+from msal_cli.methods.blend import format_levels, format_members
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Recipe:
     label: str
 
 
-def recipe(
+def build_recipe(
     members: Sequence[Candidate],
     weights: Floats,
     noise_edges: float,
@@ -46,14 +46,14 @@ def recipe(
     settings = [members[k].settings(noise_edges) for k in used]
     first = members[used[0]]
     if (rows[:, used[0]] == 1.0).all() and not relax:
-        return Recipe(first.method, methods.find(first.method).settled(settings[0]), first.label)
+        return Recipe(first.method, methods.find(first.method).validate(settings[0]), first.label)
     if len(rows) > 1 and (rows == rows[0]).all():
         rows, levels = rows[:1], ()
     listed = [
         (rows[:, k].tolist(), members[k].method, given)
         for k, given in zip(used, settings, strict=True)
     ]
-    given = {"members": written(listed), "levels": written_levels(levels), "relax": relax}
+    given = {"members": format_members(listed), "levels": format_levels(levels), "relax": relax}
     label = " + ".join(f"{_percent(rows[:, k])} {members[k].label}" for k in used)
     rest = 1.0 - rows.sum(axis=1)
     if rest.max() > 0.005:
@@ -62,7 +62,7 @@ def recipe(
         label += " where the noise is " + "/".join(f"{level:.2g}" for level in levels) + " e"
     if relax:
         label += ", after triangles were evened out"
-    return Recipe("blend", methods.find("blend").settled(given), label)
+    return Recipe("blend", methods.find("blend").validate(given), label)
 
 
 def _percent(weights: Floats) -> str:

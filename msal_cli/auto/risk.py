@@ -143,7 +143,7 @@ def _slopes(
 ) -> _Slopes:
     """Lengths are those along the surface: across it edges are as long as the noise makes them,
     which would tie the slope to the very noise that is to be judged."""
-    links = mesh.links
+    links = mesh.topology
     counts = np.diff(links.ring_start)
     first = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     kept = (first < links.ring) & judged[first] & judged[links.ring]
@@ -173,7 +173,7 @@ def _gram(rows: Floats) -> Floats:
     return gram
 
 
-class Stein:
+class SteinRisk:
     """The risk by Stein's lemma, for filters that are added one after the other.
 
     ``normals`` (m, 3) are the directions that ``noise`` is along, if it is along normals: those of
@@ -191,7 +191,7 @@ class Stein:
             generator = np.random.Generator(np.random.PCG64(probe + 1))
             push = self._noise.probe(mesh, normals, generator)
             self._pushes.append(push)
-            self._probes.append(mesh.moved(mesh.vertices + PROBE_STEP * push))
+            self._probes.append(mesh.with_vertices(mesh.vertices + PROBE_STEP * push))
         self._moves: list[Floats] = []
         self._changes: list[list[Floats]] = []
 
@@ -238,7 +238,7 @@ class Stein:
         )
 
 
-class Rehearsal:
+class SimulatedRisk:
     """Filters on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with ``noise``.
 
     ``added`` says what is put on it: noise that is ``DRAWN``; or ``DEALT``, with heights that the
@@ -256,7 +256,7 @@ class Rehearsal:
         on_run: Callable[[], object],
     ) -> None:
         self._part, self._noise = part, _at_least(noise, part.mesh)
-        truth = part.mesh.moved(pilot)
+        truth = part.mesh.with_vertices(pilot)
         self._normals = truth.vertex_normals("uniform")
         generator = np.random.Generator(np.random.PCG64(PROBES + 1))
         taken = part.mesh.vertices - pilot
@@ -272,7 +272,7 @@ class Rehearsal:
                 )
             else:
                 moved = self._noise.draw(truth, self._normals, generator)
-        self._noisy = truth.moved(pilot + moved)
+        self._noisy = truth.with_vertices(pilot + moved)
         self._back = pilot - self._noisy.vertices
         self._moves = np.empty((len(runs), *pilot.shape))
         for k, run in enumerate(runs):
@@ -333,6 +333,6 @@ def _drift(mesh: Mesh, seen: Floats, noise: float) -> Floats:
     from msal_cli.kernels.geometry import area_and_volume
 
     area, volume = area_and_volume(mesh.vertices, mesh.faces)
-    inner = ~mesh.links.boundary[:, None]
+    inner = ~mesh.topology.boundary[:, None]
     swept = [area_and_volume(mesh.vertices + inner * move, mesh.faces)[1] - volume for move in seen]
     return np.array(swept) / max(area * noise, np.finfo(float).tiny)

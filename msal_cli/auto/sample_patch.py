@@ -43,7 +43,7 @@ class Part:
     numbers: Ints | None = None
 
 
-def representative(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
+def select_patch(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
     """Patches of about ``most`` vertices together; the whole mesh if it has hardly more.
 
     Patches grow from any vertex, or from one of about ``seeds`` vertices evenly over their numbers:
@@ -52,10 +52,16 @@ def representative(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
     Vertices that the mesh holds are not judged, nor are those that no face has.  The part itself
     neither holds nor trusts any.
     """
-    links, n = mesh.links, len(mesh.vertices)
-    judged = links.has_ring if mesh.held is None else links.has_ring & ~mesh.held
+    links, n = mesh.topology, len(mesh.vertices)
+    judged = (
+        links.has_ring if mesh.fixed_vertices is None else links.has_ring & ~mesh.fixed_vertices
+    )
     if n <= most + most // 4:
-        whole = mesh if mesh.held is None and mesh.trust is None else mesh.constrained(None, None)
+        whole = (
+            mesh
+            if mesh.fixed_vertices is None and mesh.trust is None
+            else mesh.with_constraints(None, None)
+        )
         return Part(whole, judged)
     # Where nobody is judged there is nothing to learn, and patches need not begin there.
     places = np.flatnonzero(judged if judged.any() else links.has_ring)
@@ -73,7 +79,7 @@ def representative(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
         # A vertex with more neighbours than a patch has room for may leave no face whole.
         chosen = np.flatnonzero(inside[mesh.faces].any(axis=1))[:most]
     used, corners = np.unique(mesh.faces[chosen], return_inverse=True)
-    kept = judged[used] & ~_near_cut(used, links)[used]
+    kept = judged[used] & ~_cut_rings(used, links)[used]
     part = Mesh(mesh.vertices[used], corners.reshape(-1, 3).astype(np.int32))
     return Part(part, kept if kept.any() else judged[used], used)
 
@@ -113,7 +119,7 @@ def _grow(
             front = reached[~inside[reached]][: size - marked]
 
 
-def _near_cut(used: Ints, links: Connectivity) -> Flags:
+def _cut_rings(used: Ints, links: Connectivity) -> Flags:
     """Which vertices (n,) are within ``MARGIN`` rings of one that is not ``used``."""
     near = np.ones(len(links.has_ring), dtype=np.bool_)
     near[used] = False

@@ -22,27 +22,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from msal_cli import methods
-from msal_cli.analysis.noise_estimate import NoiseLevel, estimated
+from msal_cli.analysis.noise_estimate import NoiseLevel, estimate_noise
 from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.arrays import Flags, Floats
-from msal_cli.auto.blend_weights import FLOOR, best_weights, rounded
+from msal_cli.auto.blend_weights import FLOOR, best_weights, round_weights
 from msal_cli.auto.candidates import CANDIDATES, FARTHER, LEARNED, ROBUST, SMOOTHER, Candidate
 from msal_cli.auto.evidence_words import describe_noise
 from msal_cli.auto.least import SHAPE, STRENGTH, choose_least
 from msal_cli.auto.levels import FEWEST_JUDGED, RELAX, level_masks, spread_levels
 from msal_cli.auto.noise_model import ISOTROPIC, build_model
-from msal_cli.auto.recipe import recipe
-from msal_cli.auto.risk import DEALT, DRAWN, MIRRORED, PROBES, Rehearsal, Risk, Stein
-from msal_cli.auto.sample_patch import Part, representative
+from msal_cli.auto.recipe import build_recipe
+from msal_cli.auto.risk import DEALT, DRAWN, MIRRORED, PROBES, Risk, SimulatedRisk, SteinRisk
+from msal_cli.auto.sample_patch import Part, select_patch
 from msal_cli.auto.surface_kind import (
     CLEAN,
     MACHINED,
     ORGANIC,
     TEXTURED,
     is_seen_from_one_side,
-    kind_of,
+    surface_kind,
 )
-from msal_cli.auto.trials import Trials
+from msal_cli.auto.trials import CandidateRuns
 from msal_cli.auto.wishes import NONE, Choice, Wishes
 from msal_cli.mesh import Mesh
 from msal_cli.methods._triangles import even_out
@@ -117,10 +117,10 @@ _DRIFT = {"volume": 1000.0}
 _KEEP = {"texture": (0.9, 0.5), "edges": (1.0, 0.7), "shape": (SHAPE, 0.4)}
 
 
-def chosen(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
+def search(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
     """See ``selection.chosen``."""
-    noise = estimated(mesh)
-    if noise.is_negligible or not mesh.links.has_ring.any():
+    noise = estimate_noise(mesh)
+    if noise.is_negligible or not mesh.topology.has_ring.any():
         if on_step is not None:
             on_step(1, 1)
         return choose_least(noise, wishes, CLEAN, CLEAN)
@@ -165,8 +165,8 @@ class _Search:
         self.local, self.levels = np.empty(0), ()
         if self.model.shares is not None and mesh.trust is None:
             self.local = local_levels(mesh)
-            self.levels = spread_levels(self.local[mesh.links.has_ring])
-        self._whole: Trials | None = None
+            self.levels = spread_levels(self.local[mesh.topology.has_ring])
+        self._whole: CandidateRuns | None = None
 
     def chosen(self) -> Choice:
         """The best blend, or single method, that the budget allows."""
@@ -184,7 +184,7 @@ class _Search:
         glance = self._trials(GLANCE)
         risk = self._look(glance, at_first)
         weights = self._best([risk])
-        surface = kind_of(glance.part.mesh.moved(glance.positions(at_first, weights)))
+        surface = surface_kind(glance.part.mesh.with_vertices(glance.positions(at_first, weights)))
         shortlist = self._shortlist(risk, weights, LONGER_LOOK)
         members = [at_first[k] for k in shortlist]
         weights = weights[shortlist]
@@ -206,7 +206,7 @@ class _Search:
         shortlist = self._shortlist(again.risk(), weights, SECOND_LOOK)
         rehearsed = len(members)
         members, weights = [members[k] for k in shortlist], weights[shortlist]
-        judges: list[tuple[Stein | Rehearsal, float]] = []
+        judges: list[tuple[SteinRisk | SimulatedRisk, float]] = []
         if self._is_gaussian and self._doubt > 0.0 and not is_sharp:
             judges.append((study.by_stein(members, first, PROBES), self._doubt))
             both = [judges[0][0].risk().counted(self._doubt), again.risk().of(shortlist)]
@@ -224,7 +224,7 @@ class _Search:
         self._finish()
         return self._choice(members, final, rows, risks, surface, tried)
 
-    def _look(self, glance: Trials, candidates: Sequence[Candidate]) -> Risk:
+    def _look(self, glance: CandidateRuns, candidates: Sequence[Candidate]) -> Risk:
         """The risk of all candidates, by Stein's lemma where it holds."""
         if self._is_gaussian:
             first = glance.positions([SMOOTHER], np.ones(1))
@@ -234,7 +234,7 @@ class _Search:
         return glance.by_rehearsal(candidates, first).risk()
 
     def _by_level(
-        self, part: Part, judges: Sequence[tuple[Stein | Rehearsal, float]], weights: Floats
+        self, part: Part, judges: Sequence[tuple[SteinRisk | SimulatedRisk, float]], weights: Floats
     ) -> Floats:
         """Weights (levels, k) of the members that ``weights`` (k,) has, for places of each level
         of local noise; one row where noise is the same everywhere."""
@@ -248,12 +248,12 @@ class _Search:
                 row[kept] = np.where(some >= LEAST_WEIGHT, some, 0.0)
         return rows
 
-    def _trials(self, size: int) -> Trials:
+    def _trials(self, size: int) -> CandidateRuns:
         """Trials on a part of about so many vertices; on the same one where it is the whole."""
-        part = representative(self.mesh, size)
+        part = select_patch(self.mesh, size)
         if self._whole is not None and part.numbers is None:
             return self._whole
-        trials = Trials(part, self.model.on_part(part.numbers), self.added, self._step)
+        trials = CandidateRuns(part, self.model.on_part(part.numbers), self.added, self._step)
         if part.numbers is None:
             self._whole = trials
         return trials
@@ -286,7 +286,7 @@ class _Search:
         """
         trials = self._trials(GLANCE)
         moved = trials.positions([LEARNED], np.ones(1))
-        surface = kind_of(trials.part.mesh.moved(moved))
+        surface = surface_kind(trials.part.mesh.with_vertices(moved))
         character, is_other = self.noise.character, self._is_of_other_kind
         is_doubtful = (
             is_other
@@ -341,7 +341,7 @@ class _Search:
         spare = self.allowance * (1.0 - SEARCH)
         if self.mesh.trust is not None:
             method = methods.find(candidate.method)
-            return method.has_data_term(method.settled(candidate.given))
+            return method.has_data_term(method.validate(candidate.given))
         return candidate.cost * len(self.mesh.vertices) <= spare
 
     def _noise_edges(self, mesh: Mesh) -> float:
@@ -355,7 +355,7 @@ class _Search:
             weights[int(np.argmin(self._scores(risks)))] = 1.0
             return weights
         # Rounded at once: what the last digits of a solver are must not show in what follows.
-        return rounded(best_weights(risks, self.slopes, self.drift))
+        return round_weights(best_weights(risks, self.slopes, self.drift))
 
     def _scores(self, risks: Sequence[Risk]) -> Floats:
         """How the candidates do by themselves; less is better."""
@@ -410,7 +410,7 @@ class _Search:
         together = max(*(risk.positions.at(weights) for risk in counted), 0.0)
         order = np.argsort(self._scores(risks), kind="stable").tolist()
         beside = [k for k in order if weights[k] < 1.0][:3]
-        made = recipe(members, rows, self._noise_edges(self.mesh), self.levels, self.relax)
+        made = build_recipe(members, rows, self._noise_edges(self.mesh), self.levels, self.relax)
         choice = Choice(
             made.method,
             made.parameters,
@@ -438,7 +438,7 @@ class _Search:
 
 
 def _risks(
-    judges: Sequence[tuple[Stein | Rehearsal, float]], judged: Flags | None = None
+    judges: Sequence[tuple[SteinRisk | SimulatedRisk, float]], judged: Flags | None = None
 ) -> list[Risk]:
     """The risks by judges of some importance each, over the vertices (m,) that are ``judged``."""
     return [judge.risk(judged).counted(importance) for judge, importance in judges]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from msal_cli import methods
 from msal_cli.arrays import Floats
-from msal_cli.auto.risk import Rehearsal, Stein
+from msal_cli.auto.risk import SimulatedRisk, SteinRisk
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ LEAST_SHARE = 0.01
 """Members of a first result below this weight are left out of it."""
 
 
-class Trials:
+class CandidateRuns:
     """Runs of candidates on a part, each of which is made once.
 
     Parameters
@@ -54,19 +54,19 @@ class Trials:
                 positions += weight * self.moves(candidate)
         return positions
 
-    def by_stein(self, candidates: Sequence[Candidate], first: Floats, probes: int) -> Stein:
+    def by_stein(self, candidates: Sequence[Candidate], first: Floats, probes: int) -> SteinRisk:
         """Candidates judged by Stein's lemma, with normals that the part has at ``first``
         (m, 3)."""
-        normals = self.part.mesh.moved(first).vertex_normals("uniform")
-        judge = Stein(self.part, self.noise, normals, probes)
+        normals = self.part.mesh.with_vertices(first).vertex_normals("uniform")
+        judge = SteinRisk(self.part, self.noise, normals, probes)
         for candidate in candidates:
             judge.add(self._run_once(candidate), self._on_run)
         return judge
 
-    def by_rehearsal(self, candidates: Sequence[Candidate], first: Floats) -> Rehearsal:
+    def by_rehearsal(self, candidates: Sequence[Candidate], first: Floats) -> SimulatedRisk:
         """Candidates judged on ``first`` (m, 3) with the noise put on it."""
         runs = [self._runner(candidate) for candidate in candidates]
-        return Rehearsal(self.part, first, runs, self.noise, self._added, self._on_run)
+        return SimulatedRisk(self.part, first, runs, self.noise, self._added, self._on_run)
 
     def _run_once(self, candidate: Candidate) -> Callable[[Mesh], Floats]:
         """The same as ``_runner``, that knows what becomes of the part itself."""
@@ -76,10 +76,10 @@ class Trials:
     def _runner(self, candidate: Candidate) -> Callable[[Mesh], Floats]:
         """What the candidate moves a mesh like the part by."""
         method = methods.find(candidate.method)
-        values = method.settled(candidate.settings(self._edges))
+        values = method.validate(candidate.settings(self._edges))
 
         def run(mesh: Mesh) -> Floats:
-            moves: Floats = method.denoised(mesh, values).vertices - mesh.vertices
+            moves: Floats = method.denoise(mesh, values).vertices - mesh.vertices
             return moves
 
         return run

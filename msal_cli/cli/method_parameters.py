@@ -34,14 +34,14 @@ def settled(method: Method, given: Iterable[Given]) -> dict[str, Any]:
     said: dict[str, str] = {}
     for words, word, value in given:
         spec = _spec(method, words, word)
-        one = spec.settled(value)
+        one = spec.validate(value)
         if values.setdefault(spec.name, one) != one:
             raise UsageError(
                 f"{said[spec.name]} and {words} give {spec.name} two different values",
                 hint="give it once",
             )
         said.setdefault(spec.name, words)
-    return method.settled(values)
+    return method.validate(values)
 
 
 def _spec(method: Method, words: str, word: str) -> ParameterSpec:

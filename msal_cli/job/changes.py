@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from msal_cli.analysis.harm import Harm
     from msal_cli.analysis.noise_estimate import NoiseLevel
-    from msal_cli.mesh import Defects, Prepared
+    from msal_cli.mesh import Defects, PreparedMesh
 
     Floats = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class Measured:
     harm: Harm | None
 
 
-def defects_told(ready: Prepared, merged: int) -> dict[str, Any]:
+def defects_told(ready: PreparedMesh, merged: int) -> dict[str, Any]:
     """Fields of the record: the defects; ``merged`` vertices were one before the mesh was made."""
     defects = ready.defects
     return {
@@ -59,7 +59,7 @@ def warnings_of(defects: Defects) -> tuple[str, ...]:
     )
 
 
-def measured(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> Measured:
+def measured(ready: PreparedMesh, moved: Floats, noise: NoiseLevel | None) -> Measured:
     """What changed when the mesh's positions became ``moved`` (n, 3).
 
     ``noise`` is the noise of the mesh where it is known already.
@@ -67,14 +67,14 @@ def measured(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> Measur
     from msal_cli.analysis.displacement import displacement_statistics
     from msal_cli.analysis.enclosure import enclosure_of
     from msal_cli.analysis.harm import harmful_change
-    from msal_cli.analysis.surface import surface_change
+    from msal_cli.analysis.surface import measure_surface_change
     from msal_cli.job.comparison import area_changed, displaced, volume_changed
     from msal_cli.job.inspection import noise_estimate
 
-    before, after = ready.mesh, ready.mesh.moved(moved)
-    used = before.links.has_ring
+    before, after = ready.mesh, ready.mesh.with_vertices(moved)
+    used = before.topology.has_ring
     one = displacement_statistics(before.vertices, after.vertices, used)
-    surface = surface_change(before, after)
+    surface = measure_surface_change(before, after)
     turned = surface.normals
     objection = ready.defects.volume_objection
     enclosed = enclosure_of(before, ready.defects, surface.area_before, surface.volume_before)
@@ -97,10 +97,10 @@ def measured(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> Measur
     return Measured(fields, tuple(warnings), harm)
 
 
-def self_intersections(ready: Prepared, moved: Floats) -> SelfIntersections:
+def self_intersections(ready: PreparedMesh, moved: Floats) -> SelfIntersections:
     """How many pairs of faces intersect, and how many of them since the mesh's positions became
     ``moved`` (n, 3)."""
     from msal_cli.analysis.self_intersections import self_intersection_change
 
-    change = self_intersection_change(ready.mesh, ready.mesh.moved(moved))
+    change = self_intersection_change(ready.mesh, ready.mesh.with_vertices(moved))
     return SelfIntersections(change.before, change.after, change.created)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.auto import NONE, Wishes, chosen
+from msal_cli.auto import NONE, Wishes, choose
 from msal_cli.job.records import ChoiceMade, MethodUsed, RunnerUp
 
 if TYPE_CHECKING:
@@ -36,12 +36,12 @@ def settled(
     if wishes is None:
         from msal_cli.auto import adaptive
 
-        choice = adaptive.chosen(mesh, on_step)
+        choice = adaptive.choose_adaptive(mesh, on_step)
     else:
-        choice = chosen(mesh, Wishes(**wishes), on_step)
+        choice = choose(mesh, Wishes(**wishes), on_step)
     method = None if choice.method == NONE else methods.find(choice.method)
     # Checked as if the user had given them.
-    values = {} if method is None else method.settled(choice.parameters)
+    values = {} if method is None else method.validate(choice.parameters)
     made = ChoiceMade(
         reason=choice.reason,
         surface=choice.surface,

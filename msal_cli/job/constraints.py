@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from msal_cli.codecs.mesh_file import MeshFile
-    from msal_cli.mesh import Mesh, Prepared
+    from msal_cli.mesh import Mesh, PreparedMesh
 
     Floats = NDArray[np.float64]
     Flags = NDArray[np.bool_]
@@ -138,7 +138,7 @@ class Constraints:
 
 
 def found(
-    ready: Prepared,
+    ready: PreparedMesh,
     mesh_file: MeshFile,
     max_move: str | None,
     locks: Sequence[str],
@@ -155,7 +155,7 @@ def found(
     held = _held(ready, mesh_file, [lock(one) for one in locks]) if locks else None
     trust = None if weights is None else _trust(ready, mesh_file, weights)
     limit = None if max_move is None else length(max_move).in_units(mesh.mean_edge_length)
-    return Constraints(mesh.constrained(held, trust), held, limit)
+    return Constraints(mesh.with_constraints(held, trust), held, limit)
 
 
 def clamped(before: Floats, after: Floats, limit: float) -> tuple[Floats, int]:
@@ -179,7 +179,7 @@ def clamped(before: Floats, after: Floats, limit: float) -> tuple[Floats, int]:
     return after, len(beyond)
 
 
-def _held(ready: Prepared, mesh_file: MeshFile, locks: Sequence[Lock | None]) -> Flags:
+def _held(ready: PreparedMesh, mesh_file: MeshFile, locks: Sequence[Lock | None]) -> Flags:
     """Which mesh vertices (n,) any lock pins: with one all that coincide with it."""
     import numpy as np
 
@@ -188,14 +188,14 @@ def _held(ready: Prepared, mesh_file: MeshFile, locks: Sequence[Lock | None]) ->
     held: Flags = np.zeros(len(ready.mesh.vertices), dtype=np.bool_)
     for one in locks:
         if one is None:
-            held |= ready.mesh.links.boundary
+            held |= ready.mesh.topology.boundary
         else:
             flags = one.of(files.vertex_property(mesh_file, one.name))
             held |= _largest(ready, flags.astype(np.float64)) > 0.0
     return held
 
 
-def _trust(ready: Prepared, mesh_file: MeshFile, name: str) -> Floats:
+def _trust(ready: PreparedMesh, mesh_file: MeshFile, name: str) -> Floats:
     """Trust (n,) from 0 to 1: the property over its largest value; below 0 there is none.
 
     Of vertices that coincide the most trusted counts.
@@ -221,14 +221,14 @@ def _trust(ready: Prepared, mesh_file: MeshFile, name: str) -> Floats:
     return _largest(ready, np.clip(values / largest, 0.0, 1.0))
 
 
-def _largest(ready: Prepared, values: Floats) -> Floats:
+def _largest(ready: PreparedMesh, values: Floats) -> Floats:
     """For values (n_file,) of at least 0 at the file's vertices, the largest at each of the mesh's
     (n,)."""
     import numpy as np
 
-    if ready.place is None:
+    if ready.vertex_map is None:
         return values
     largest = np.zeros(len(ready.mesh.vertices))
-    stands = ready.place >= 0
-    np.maximum.at(largest, ready.place[stands], values[stands])
+    stands = ready.vertex_map >= 0
+    np.maximum.at(largest, ready.vertex_map[stands], values[stands])
     return largest

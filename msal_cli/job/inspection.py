@@ -60,11 +60,11 @@ def _inspected(data: Buffer, name: str, format: str | None, with_intersections: 
     from msal_cli import codecs as files
     from msal_cli.analysis.enclosure import enclosure_of
     from msal_cli.analysis.volume import area_and_volume
-    from msal_cli.mesh import prepared
+    from msal_cli.mesh import prepare_mesh
 
     plain, is_compressed = files.expanded(data, name)
     mesh_file = files.open_mesh(plain, name, format)
-    ready = prepared(
+    ready = prepare_mesh(
         mesh_file.vertices,
         mesh_file.faces,
         are_distinct=mesh_file.merged_vertices > 0,
@@ -137,9 +137,9 @@ def _polygon_sizes(mesh_file: MeshFile) -> dict[str, int]:
 def noise_estimate(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate:
     """The noise, as records tell it (see ``noise_estimate``); ``known`` is what
     was estimated of this mesh before."""
-    from msal_cli.analysis.noise_estimate import estimated
+    from msal_cli.analysis.noise_estimate import estimate_noise
 
-    level = known or estimated(mesh)
+    level = known or estimate_noise(mesh)
     return NoiseEstimate(
         mean_edges=level.mean_edges,
         file_units=level.file_units,

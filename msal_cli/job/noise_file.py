@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from msal_cli.analysis.added_noise import AddedNoise
     from msal_cli.codecs.mesh_file import Companion, MeshFile
-    from msal_cli.mesh import Prepared
+    from msal_cli.mesh import PreparedMesh
     from msal_cli.storage.buffers import Buffer
 
 
@@ -74,7 +74,7 @@ def corrupted(
 
     from msal_cli import codecs as files
     from msal_cli.analysis.added_noise import add_noise
-    from msal_cli.mesh import prepared
+    from msal_cli.mesh import prepare_mesh
 
     plain, is_compressed = files.expanded(data, name)
     mesh_file = files.open_mesh(plain, name, format)
@@ -84,7 +84,7 @@ def corrupted(
             f"noise keeps the format, {mesh_file.format}, and the output's name says {wanted}",
             hint=f"name it .{mesh_file.format}, and convert with msal denoise --to",
         )
-    ready = prepared(
+    ready = prepare_mesh(
         mesh_file.vertices, mesh_file.faces, are_distinct=mesh_file.merged_vertices > 0
     )
     weights = None
@@ -94,7 +94,7 @@ def corrupted(
     if not np.isfinite(positions).all():
         raise InternalError("noise made a position that is not finite")
     original = mesh_file.vertices
-    vertices = ready.scattered(positions, original)
+    vertices = ready.to_file_vertices(positions, original)
     n_moved = int(np.count_nonzero((vertices != original).any(axis=1)))
     compress = target.lower().endswith(".gz") if target != "-" else is_compressed
     output: Buffer = data if not n_moved and compress == is_compressed else plain
@@ -125,7 +125,7 @@ def _replace_positions(mesh_file: MeshFile, vertices: NDArray[np.float64]) -> Bu
     return output
 
 
-def read_weights(mesh_file: MeshFile, ready: Prepared, name: str) -> NDArray[np.float64]:
+def read_weights(mesh_file: MeshFile, ready: PreparedMesh, name: str) -> NDArray[np.float64]:
     """A vertex property of the file at the mesh's vertices (n,); of vertices at one place the
     first in the file counts."""
     import numpy as np
@@ -133,10 +133,10 @@ def read_weights(mesh_file: MeshFile, ready: Prepared, name: str) -> NDArray[np.
     from msal_cli import codecs as files
 
     values = files.vertex_property(mesh_file, name)
-    if ready.place is None:
+    if ready.vertex_map is None:
         return values
-    is_used = ready.place >= 0
-    _, first = np.unique(ready.place[is_used], return_index=True)
+    is_used = ready.vertex_map >= 0
+    _, first = np.unique(ready.vertex_map[is_used], return_index=True)
     return values[is_used][first]
 
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from msal_cli.codecs.mesh_file import Companion, MeshFile
     from msal_cli.job.constraints import Constraints
     from msal_cli.job.preparation import Preparation
-    from msal_cli.mesh import Mesh, Prepared
+    from msal_cli.mesh import Mesh, PreparedMesh
     from msal_cli.methods import Method
     from msal_cli.storage.buffers import Buffer
 
@@ -256,11 +256,11 @@ class _Run:
     def _denoised(self, mesh_file: MeshFile) -> Floats:
         """The new positions of a file's vertices; what leads to them is let go of before the
         output is built, for that takes as much memory again."""
-        from msal_cli.mesh import prepared
+        from msal_cli.mesh import prepare_mesh
 
         settings = self.settings
         with self.stage("connectivity"):
-            ready = prepared(
+            ready = prepare_mesh(
                 mesh_file.vertices,
                 mesh_file.faces,
                 are_distinct=mesh_file.merged_vertices > 0,
@@ -277,7 +277,7 @@ class _Run:
         with self.stage("sweeps"):
             moved = mesh.vertices
             if method is not None:
-                result = method.denoised(
+                result = method.denoise(
                     mesh,
                     parameters,
                     lambda done, total: self._on_progress("sweeps", done, total),
@@ -321,8 +321,8 @@ class _Run:
                 )
             if SELF_INTERSECTIONS in settings.checks:
                 self.know(self_intersections=changes.self_intersections(ready, moved))
-            ready.mesh.forget_normals()
-            vertices = ready.scattered(moved, mesh_file.vertices)
+            ready.mesh.release_normals()
+            vertices = ready.to_file_vertices(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
 
@@ -346,7 +346,7 @@ class _Run:
         self._noise = found.noise
         return found
 
-    def _constraints(self, ready: Prepared, mesh_file: MeshFile) -> Constraints | None:
+    def _constraints(self, ready: PreparedMesh, mesh_file: MeshFile) -> Constraints | None:
         """What keeps vertices of this file near their place; None if nothing was asked for."""
         settings = self.settings
         asked = (settings.max_move, settings.lock, settings.weights)
@@ -372,7 +372,7 @@ class _Run:
         files.write_whole(told.path, [data])
         self.know(fields=told)
 
-    def _check_result(self, ready: Prepared, vertices: Floats) -> None:
+    def _check_result(self, ready: PreparedMesh, vertices: Floats) -> None:
         """A method must return finite positions for the same vertices."""
         import numpy as np
 

@@ -66,10 +66,10 @@ def prepare(
 
 def _judge_noise(so_far: Preparation, min_noise: str) -> Preparation:
     """With the noise; and with fields of the record, if the mesh is left alone for it."""
-    from msal_cli.analysis.noise_estimate import estimated
+    from msal_cli.analysis.noise_estimate import estimate_noise
     from msal_cli.job.min_noise import too_little
 
-    noise = estimated(so_far.mesh)
+    noise = estimate_noise(so_far.mesh)
     why = too_little(noise, so_far.mesh, min_noise)
     known = {"left_alone": why, "method": MethodUsed(NONE, {})} if why else {}
     return replace(so_far, noise=noise, known=known)
@@ -90,11 +90,11 @@ def _repair_outliers(so_far: Preparation, settings: Settings) -> Preparation:
         )
     if not found.count or not (is_asked or found.are_clear):
         return replace(so_far, known={"despiked": 0}, warnings=warnings)
-    mesh, noise = so_far.mesh.moved(found.vertices), so_far.noise
+    mesh, noise = so_far.mesh.with_vertices(found.vertices), so_far.noise
     if settings.method not in CHOOSING:
-        from msal_cli.analysis.noise_estimate import estimated
+        from msal_cli.analysis.noise_estimate import estimate_noise
 
-        noise = estimated(mesh)
+        noise = estimate_noise(mesh)
     known = {"despiked": found.count}
     return replace(so_far, mesh=mesh, noise=noise, known=known, warnings=warnings)
 

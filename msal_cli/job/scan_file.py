@@ -74,11 +74,11 @@ def scan_mesh(
     its true places as one of the format ``truth_to``, if that is given."""
     from msal_cli import codecs as files
     from msal_cli.analysis.simulation import find_truth, simulate_scan
-    from msal_cli.mesh import prepared
+    from msal_cli.mesh import prepare_mesh
 
     plain, _ = files.expanded(data, name)
     mesh_file = files.open_mesh(plain, name, format)
-    ready = prepared(
+    ready = prepare_mesh(
         mesh_file.vertices, mesh_file.faces, are_distinct=mesh_file.merged_vertices > 0
     )
     scan = simulate_scan(ready.mesh, settings)

@@ -4,7 +4,7 @@ A module of this folder whose name does not start with an underscore is a method
 
 - a docstring whose first line is the summary and which holds a ``Source:`` line,
 - a frozen dataclass ``Parameters`` whose fields are made by ``parameter``,
-- a function ``denoised(mesh, parameters, on_sweep) -> Result``,
+- a function ``denoise(mesh, parameters, on_sweep) -> Result``,
 - ``BYTES_PER_FACE``, if it needs more memory than ``al`` does (see ``Method.bytes_per_face``).
 
 Validation, ``--set``, ``msal methods``, the docs table and the reports are all made from these.
@@ -89,7 +89,7 @@ class ParameterSpec:
         high = "" if math.isinf(self.high) else f" {'<' if self.high_open else '<='} {self.high:g}"
         return f"{low}{self.name}{high}" + (" (whole number)" if self.kind is int else "")
 
-    def settled(self, given: object) -> Any:
+    def validate(self, given: object) -> Any:
         """``given``, text or value, as a valid value; UsageError says what is allowed."""
         value: Any = given
         if self.kind is str:
@@ -209,7 +209,7 @@ class Method:
             )
         return specs[word]
 
-    def settled(self, given: Mapping[str, object]) -> dict[str, Any]:
+    def validate(self, given: Mapping[str, object]) -> dict[str, Any]:
         """Every parameter, those in ``given`` (by name or symbol) checked and in their place.
 
         Raises UsageError for an unknown name, a value out of range, or values that do not go
@@ -218,7 +218,7 @@ class Method:
         values = {spec.name: spec.default for spec in self.parameters}
         for word, value in given.items():
             spec = self.spec(word)
-            values[spec.name] = spec.settled(value)
+            values[spec.name] = spec.validate(value)
         self.module.Parameters(**values)
         return values
 
@@ -235,9 +235,9 @@ class Method:
         """Whether lambda is scaled by the largest sigma (eq. 7), so that one spike can rule it."""
         return bool(getattr(self.module.Parameters(**parameters), "uses_largest_sigma", False))
 
-    def denoised(
+    def denoise(
         self, mesh: Mesh, parameters: Mapping[str, Any], on_sweep: OnSweep | None = None
     ) -> Result:
         """Run the method with settled ``parameters``; ``mesh`` is not changed."""
-        result: Result = self.module.denoised(mesh, self.module.Parameters(**parameters), on_sweep)
+        result: Result = self.module.denoise(mesh, self.module.Parameters(**parameters), on_sweep)
         return result

@@ -42,7 +42,7 @@ def height_operator(
     return RobustLaplacian(
         mesh.vertex_normals(parameters.normals, parameters.mollify),
         mesh.faces,
-        mesh.links,
+        mesh.topology,
         free_vertices(mesh, parameters.boundary),
         mesh.mean_edge_length,
         *chosen,

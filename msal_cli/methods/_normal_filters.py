@@ -10,7 +10,7 @@ from msal_cli.arrays import Floats
 from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sliding import settled, sliding_parameter
+from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
 
@@ -92,11 +92,11 @@ def run(
         mesh.vertices,
         normals,
         mesh.faces,
-        mesh.links,
+        mesh.topology,
         free_vertices(mesh, parameters.boundary),
         parameters.vertex_iterations,
         passes.passed,
     )
-    vertices = settled(mesh, vertices, parameters.sliding, parameters.boundary)
+    vertices = undo_sliding(mesh, vertices, parameters.sliding, parameters.boundary)
     finished = time.perf_counter()
     return Result(vertices, seconds={"normals": ready - started, "sweeps": finished - ready})

@@ -29,12 +29,12 @@ def ring_of(mesh: Mesh, boundary: str) -> tuple[Ints, Ints]:
 
     Those of vertices that are held are empty: who has no neighbours stays.
     """
-    starts, ring = averaged_ring(mesh.faces, mesh.links, boundary)
-    if mesh.held is None:
+    starts, ring = averaged_ring(mesh.faces, mesh.topology, boundary)
+    if mesh.fixed_vertices is None:
         return starts, ring
     counts = np.diff(starts)
-    kept = ring[np.repeat(~mesh.held, counts)]
-    counts[mesh.held] = 0
+    kept = ring[np.repeat(~mesh.fixed_vertices, counts)]
+    counts[mesh.fixed_vertices] = 0
     starts = np.concatenate([np.zeros(1, counts.dtype), np.cumsum(counts, dtype=counts.dtype)])
     return starts, kept
 

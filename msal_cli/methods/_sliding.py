@@ -41,7 +41,7 @@ def sliding_parameter() -> Any:
     )
 
 
-def settled(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> Floats:
+def undo_sliding(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> Floats:
     """The outcome (n, 3) of a filter, with its sliding kept or undone.
 
     Fitting vertices to normals also moves them within the surface, a tenth of an edge and more
@@ -51,7 +51,7 @@ def settled(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> Float
     """
     if sliding == "kept" or (sliding == "auto" and sideways_share(mesh) > SIDEWAYS):
         return positions
-    outcome = mesh.moved(positions)
+    outcome = mesh.with_vertices(positions)
     normals = outcome.vertex_normals()
     heights = np.einsum("ij,ij->i", positions - mesh.vertices, normals)
     has_normal = (normals != 0.0).any(axis=1)[:, None]
@@ -60,7 +60,7 @@ def settled(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> Float
         on_lines,
         face_normals(positions, mesh.faces),
         mesh.faces,
-        mesh.links,
+        mesh.topology,
         free_vertices(mesh, boundary),
         SETTLING,
     )
@@ -73,17 +73,17 @@ def sideways_share(mesh: Mesh) -> float:
     """
     known = _shares.get(mesh)
     if known is None:
-        known = _shares[mesh] = _sideways_share(mesh)
+        known = _shares[mesh] = _measure_sideways_share(mesh)
     return known
 
 
-def _sideways_share(mesh: Mesh) -> float:
+def _measure_sideways_share(mesh: Mesh) -> float:
     """The same, computed.
 
     Noise is what is left of the positions when the umbrella is applied twice, by the median over
     the vertices within the surface; uneven sampling counts as noise within it.
     """
-    links = mesh.links
+    links = mesh.topology
     rings = links.ring_start, links.ring
     second = np.empty_like(mesh.vertices)
     for axis in range(3):

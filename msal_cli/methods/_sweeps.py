@@ -58,7 +58,7 @@ MOST_NOISE_MULTISCALE = 0.15
 passes of Taubin's filter have the smaller angles on most models of benchmarks/ground_truth.py."""
 
 
-class OfSchedule:
+class ScheduleTraits:
     """What the parameter ``schedule`` of a method implies for its memory and for warnings."""
 
     schedule: str
@@ -117,7 +117,7 @@ def caution_parameter(default: float = 1.0, of: str = "wiener schedule: ") -> An
 
 
 @dataclass(frozen=True)
-class ScheduledParameters(OfSchedule, NormalParameters):
+class ScheduledParameters(ScheduleTraits, NormalParameters):
     """Parameters of a method whose operator can run under any schedule of equation (2)."""
 
     time_step: float = parameter(
@@ -162,7 +162,7 @@ class ScheduledParameters(OfSchedule, NormalParameters):
         """Whether vertices are pulled back to where they were scanned."""
         return self.schedule != "plain"
 
-    def chosen_schedule(self) -> Schedule:
+    def build_schedule(self) -> Schedule:
         """The schedule that these parameters describe."""
         if self.schedule == "constant":
             return Constant(self.time_step, self.fidelity)
@@ -195,17 +195,17 @@ class ScaleParameters(ScheduledParameters):
 
 def free_vertices(mesh: Mesh, boundary: str) -> NDArray[np.bool_]:
     """Which vertices (n,) may move, for the parameter ``boundary``; those that are held may not."""
-    edge = mesh.links.boundary
+    edge = mesh.topology.boundary
     free: NDArray[np.bool_] = ~edge if boundary == "fixed" else np.ones_like(edge)
-    return free if mesh.held is None else free & ~mesh.held
+    return free if mesh.fixed_vertices is None else free & ~mesh.fixed_vertices
 
 
 def anisotropic_laplacian(mesh: Mesh, parameters: NormalParameters) -> AnisotropicLaplacian:
     """The operator of eq. (5) along the mesh's own normals."""
     return AnisotropicLaplacian(
         mesh.vertex_normals(parameters.normals, parameters.mollify),
-        mesh.links.ring_start,
-        mesh.links.ring,
+        mesh.topology.ring_start,
+        mesh.topology.ring,
         free_vertices(mesh, parameters.boundary),
         mesh.mean_edge_length,
     )
@@ -241,7 +241,7 @@ def run(
         mesh.vertices, made, schedule, parameters.iterations, on_sweep, scale, mesh.trust
     )
     if isinstance(schedule, Wiener) and parameters.iterations:
-        result = _restored(mesh, parameters, result.vertices, schedule)
+        result = _restore(mesh, parameters, result.vertices, schedule)
     finished = time.perf_counter()
     return Result(
         result.vertices,
@@ -250,24 +250,24 @@ def run(
     )
 
 
-def told_or_estimated(mesh: Mesh, noise: float) -> float:
+def resolve_noise_level(mesh: Mesh, noise: float) -> float:
     """Noise in file units from the parameter ``noise`` in mean edge lengths, 0 for the estimate."""
-    from msal_cli.analysis.noise_estimate import estimated
+    from msal_cli.analysis.noise_estimate import estimate_noise
 
-    return noise * mesh.mean_edge_length if noise else estimated(mesh).file_units
+    return noise * mesh.mean_edge_length if noise else estimate_noise(mesh).file_units
 
 
-def _restored(mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule: Wiener) -> Swept:
+def _restore(mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule: Wiener) -> Swept:
     """Positions from which the sweeps came to ``smooth`` (n, 3), as far as more than noise went.
 
     What comes back comes along the mesh's normals.
     """
     from msal_cli.kernels.restoration import given_back, restoration
 
-    noise = told_or_estimated(mesh, schedule.noise or 0.0)
+    noise = resolve_noise_level(mesh, schedule.noise or 0.0)
     normals = mesh.vertex_normals(parameters.normals, parameters.mollify)
     residual = np.einsum("ij,ij->i", smooth - mesh.vertices, normals)
-    links = mesh.links
+    links = mesh.topology
     found = restoration(residual, links.ring_start, links.ring, noise, schedule.caution)
     pull = found.returned if mesh.trust is None else mesh.trust * found.returned
     share = found.share if mesh.trust is None else mesh.trust * found.share

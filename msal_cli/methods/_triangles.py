@@ -21,11 +21,11 @@ def even_out(mesh: Mesh, passes: int) -> Mesh:
     Noise in all directions makes jagged triangles, across which normals err whatever the heights
     are.  Heights along the normal stay as they are, and so do vertices at open edges.
     """
-    links = mesh.links
+    links = mesh.topology
     normals = mesh.vertex_normals("uniform", MOLLIFY)
     free = links.has_ring & ~links.boundary
-    if mesh.held is not None:
-        free &= ~mesh.held
+    if mesh.fixed_vertices is not None:
+        free &= ~mesh.fixed_vertices
     share = np.where(free, STEP, 0.0)
     positions = mesh.vertices
     for _ in range(passes):
@@ -35,4 +35,4 @@ def even_out(mesh: Mesh, passes: int) -> Mesh:
             ways[:, axis] = ring_means(values, links.ring_start, links.ring) - values
         ways -= np.einsum("ij,ij->i", ways, normals)[:, None] * normals
         positions = positions + share[:, None] * ways
-    return mesh.moved(positions) if passes else mesh
+    return mesh.with_vertices(positions) if passes else mesh

@@ -74,13 +74,13 @@ class Parameters(ScheduledParameters, HeightParameters):
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """AL of ``mesh``; see the module's description."""
     time_step = parameters.scaled_step * mesh.mean_edge_length**2
     return run(
         mesh,
         parameters,
         lambda: height_operator(mesh, parameters, parameters.scaling, time_step),
-        parameters.chosen_schedule(),
+        parameters.build_schedule(),
         on_sweep,
     )

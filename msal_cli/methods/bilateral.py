@@ -120,8 +120,8 @@ def _operator(mesh: Mesh, parameters: Parameters) -> Operator:
     if parameters.variant == "one_ring":
         return RingBilateral(
             mesh.vertex_normals(parameters.normals, parameters.mollify),
-            mesh.links.ring_start,
-            mesh.links.ring,
+            mesh.topology.ring_start,
+            mesh.topology.ring,
             free,
             unit,
             (parameters.closeness or 1.0) * unit,
@@ -129,7 +129,7 @@ def _operator(mesh: Mesh, parameters: Parameters) -> Operator:
         )
     return BallBilateral(
         mesh.faces,
-        mesh.links,
+        mesh.topology,
         free,
         unit,
         parameters.radius * unit,
@@ -139,12 +139,12 @@ def _operator(mesh: Mesh, parameters: Parameters) -> Operator:
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """Bilateral filtering of ``mesh``; see the module's description."""
     return run(
         mesh,
         parameters,
         lambda: _operator(mesh, parameters),
-        parameters.chosen_schedule(),
+        parameters.build_schedule(),
         on_sweep,
     )

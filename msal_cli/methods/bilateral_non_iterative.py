@@ -77,7 +77,7 @@ class Parameters(ScaleParameters):
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """The filter of Jones et al. over ``mesh``; see the module's description."""
     unit = mesh.mean_edge_length
     return run(
@@ -85,12 +85,12 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         parameters,
         lambda: ProjectionAverage(
             mesh.faces,
-            mesh.links,
+            mesh.topology,
             free_vertices(mesh, parameters.boundary),
             unit,
             parameters.closeness * unit,
             parameters.similarity * unit,
         ),
-        parameters.chosen_schedule(),
+        parameters.build_schedule(),
         on_sweep,
     )

@@ -105,10 +105,10 @@ class Parameters(NormalFilterParameters):
 def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Floats:
     normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
     centroids = face_centroids(mesh.vertices, mesh.faces)
-    across_edges = face_rings(mesh.faces, mesh.links, "edge")
+    across_edges = face_rings(mesh.faces, mesh.topology, "edge")
     unit = mean_centroid_distance(centroids, *across_edges) or mesh.mean_edge_length
     del across_edges
-    rows = face_rings(mesh.faces, mesh.links, parameters.neighbours)
+    rows = face_rings(mesh.faces, mesh.topology, parameters.neighbours)
     faces = (normals, areas, centroids, *rows, parameters.closeness * unit, parameters.similarity)
     if parameters.variant == "local":
         return bilateral_averages(*faces, parameters.iterations, passes.passed)
@@ -128,7 +128,7 @@ def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Flo
     return np.where(vanished, normals, solved / np.where(vanished, 1.0, length))
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """The bilateral filter of the normals of ``mesh``; see the module's description."""
     return run(
         mesh,

@@ -55,7 +55,7 @@ from msal_cli.kernels.normal_averages import joint_bilateral
 from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sliding import settled, sliding_parameter
+from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
 MOST_NEAR = 64
@@ -120,10 +120,10 @@ class Parameters:
     sliding: str = sliding_parameter()
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """Guided normal filtering of ``mesh``; see the module's description."""
     started = time.perf_counter()
-    faces, links = mesh.faces, mesh.links
+    faces, links = mesh.faces, mesh.topology
     around = patches(faces, links)
     edges = around.edge_start, around.edge_ring
     centroids = face_centroids(mesh.vertices, faces)
@@ -155,6 +155,6 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         if on_sweep is not None:
             on_sweep(iteration + 1, parameters.iterations)
     if parameters.iterations:
-        positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
+        positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
     finished = time.perf_counter()
     return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})

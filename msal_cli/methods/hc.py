@@ -64,7 +64,7 @@ class Parameters:
     boundary: str = boundary_rule()
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """HC smoothing of ``mesh``; see the module's description."""
     started = time.perf_counter()
     ring_start, ring = ring_of(mesh, parameters.boundary)

@@ -124,15 +124,15 @@ class Parameters(NormalParameters):
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """The hybrid filter over ``mesh``; see the module's description."""
     started = time.perf_counter()
     total = parameters.iterations
     first = min(parameters.presmooth, total)
     laplacian = anisotropic_laplacian(mesh, parameters)
     ready = time.perf_counter()
-    x, sharp = _presmoothed(mesh, laplacian, first, parameters.K, total, on_sweep)
-    cluster, feature = _features(mesh, x, parameters)
+    x, sharp = _presmooth(mesh, laplacian, first, parameters.K, total, on_sweep)
+    cluster, feature = _find_features(mesh, x, parameters)
     x[feature] = sharp[feature]
     free = free_vertices(mesh, parameters.boundary)
     for sweep in range(total - first):
@@ -147,7 +147,7 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
     )
 
 
-def _presmoothed(
+def _presmooth(
     mesh: Mesh, laplacian: Operator, sweeps: int, K: float, total: int, on_sweep: OnSweep | None
 ) -> tuple[Floats, Floats]:
     """Positions (n, 3) after ``sweeps`` of AL, and after as many of MSAL."""
@@ -164,9 +164,9 @@ def _presmoothed(
     return plain, swept(mesh.vertices, laplacian, Multiscale(K), sweeps, on_multiscale).vertices
 
 
-def _features(mesh: Mesh, positions: Floats, parameters: Parameters) -> tuple[Floats, Flags]:
+def _find_features(mesh: Mesh, positions: Floats, parameters: Parameters) -> tuple[Floats, Flags]:
     """Number of each vertex's cluster (n,), and which vertices (n,) are on edges and corners."""
-    links = mesh.links
+    links = mesh.topology
     normals = vertex_normals(positions, mesh.faces, parameters.normals)
     known = (normals != 0.0).any(axis=1)
     spread = normal_spread(positions, mesh.faces, links, normals)
@@ -184,7 +184,7 @@ def _moves(
     mesh: Mesh, x: Floats, feature: Flags, free: Flags, share: float, parameters: Parameters
 ) -> Floats:
     """What one sweep after the clustering adds to the positions x, (n, 3)."""
-    links = mesh.links
+    links = mesh.topology
     normals = vertex_normals(x, mesh.faces, parameters.normals)
     umbrella = Umbrella(links.ring_start, links.ring)(x).move
     heights = (umbrella * normals).sum(axis=1)

@@ -44,7 +44,7 @@ from msal_cli.kernels.dihedral_flaps import dihedral_angles, flaps
 from msal_cli.kernels.edge_sparsity import edge_sparsity
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sliding import settled, sliding_parameter
+from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
 FIRST_BETA = 1e-3
@@ -98,10 +98,10 @@ class Parameters:
     sliding: str = sliding_parameter()
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """L0 minimisation of ``mesh``; see the module's description."""
     started = time.perf_counter()
-    corners = flaps(mesh.faces, mesh.links)
+    corners = flaps(mesh.faces, mesh.topology)
     edges = edge_sparsity(len(mesh.vertices), corners)
     gamma = float(dihedral_angles(mesh.vertices, corners).mean()) if len(corners) else 0.0
     edge_length = mesh.mean_edge_length
@@ -129,7 +129,7 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         if on_sweep is not None:
             on_sweep(step + 1, parameters.iterations)
     if parameters.iterations:
-        positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
+        positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
     finished = time.perf_counter()
     return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})
 

@@ -52,7 +52,7 @@ from dataclasses import dataclass
 from msal_cli.mesh import Mesh
 from msal_cli.methods._cascade import Cascade, load_networks
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sliding import settled, sliding_parameter
+from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import noise_parameter
 
 BYTES_PER_FACE = 1150
@@ -94,7 +94,7 @@ class Parameters:
     sliding: str = sliding_parameter()
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """The learned filter on ``mesh``; see the module's description."""
     started = time.perf_counter()
     positions = mesh.vertices.copy()
@@ -115,7 +115,7 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         if on_sweep is not None:
             on_sweep(done, stages)
     assert normals is not None
-    positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
+    positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
     positions = cascade.untangle(positions, normals)
     finished = time.perf_counter()
     return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})
@@ -127,11 +127,11 @@ def resolve_noise(mesh: Mesh, given: float) -> float | None:
     None where no level says what is wrong: on staircases, and where the estimate finds hardly any
     noise and does not say that there is none.
     """
-    from msal_cli.analysis.noise_estimate import estimated
+    from msal_cli.analysis.noise_estimate import estimate_noise
 
     if given:
         return given
-    level = estimated(mesh)
+    level = estimate_noise(mesh)
     kind = level.character.kind
     is_open = kind == "staircase" or (kind == "unknown" and level.mean_edges < LEAST_KNOWN)
     return None if is_open else level.mean_edges

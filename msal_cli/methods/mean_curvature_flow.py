@@ -104,14 +104,14 @@ def _operator(mesh: Mesh, parameters: Parameters, on_iteration: Callable[[], obj
     edge = mesh.mean_edge_length
     time_step = parameters.time_step * edge**2
     if parameters.variant == "explicit":
-        return MeanCurvature(mesh.faces, mesh.links, free, time_step, parameters.areas)
-    weights = cotangent_weights(mesh.vertices, mesh.faces, mesh.links)
+        return MeanCurvature(mesh.faces, mesh.topology, free, time_step, parameters.areas)
+    weights = cotangent_weights(mesh.vertices, mesh.faces, mesh.topology)
     return ImplicitMeanCurvature(
-        mesh.faces, mesh.links, weights, free, time_step, edge, parameters.areas, on_iteration
+        mesh.faces, mesh.topology, weights, free, time_step, edge, parameters.areas, on_iteration
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """Mean curvature flow of ``mesh``; see the module's description."""
     finished = 0
 
@@ -126,10 +126,10 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         parameters,
         lambda: _operator(mesh, parameters, lambda: on_step(finished, parameters.iterations)),
         # The operator has taken its own step; the schedule's is a share of it.
-        dataclasses.replace(parameters, time_step=1.0).chosen_schedule(),
+        dataclasses.replace(parameters, time_step=1.0).build_schedule(),
         on_step,
     )
-    closed = not (mesh.links.boundary_edges or mesh.links.non_manifold_edges)
+    closed = not (mesh.topology.boundary_edges or mesh.topology.non_manifold_edges)
     if parameters.volume == "restore" and parameters.iterations and closed:
         vertices = with_volume_of(mesh.vertices, result.vertices, mesh.faces)
         result = dataclasses.replace(result, vertices=vertices)

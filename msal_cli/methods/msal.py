@@ -48,7 +48,7 @@ from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._heights import HeightParameters, height_operator
 from msal_cli.methods._sweeps import (
-    OfSchedule,
+    ScheduleTraits,
     caution_parameter,
     noise_parameter,
     quantile_parameter,
@@ -57,7 +57,7 @@ from msal_cli.methods._sweeps import (
 
 
 @dataclass(frozen=True)
-class Parameters(OfSchedule, HeightParameters):
+class Parameters(ScheduleTraits, HeightParameters):
     """Parameters of the multiscale anisotropic Laplacian."""
 
     K: float = parameter(
@@ -85,7 +85,7 @@ class Parameters(OfSchedule, HeightParameters):
         """Every schedule has one."""
         return True
 
-    def chosen_schedule(self) -> Schedule:
+    def build_schedule(self) -> Schedule:
         """The schedule that these parameters describe."""
         if self.schedule == "robust":
             return Multiscale(self.K, quantile=self.quantile)
@@ -94,12 +94,12 @@ class Parameters(OfSchedule, HeightParameters):
         return Multiscale(self.K)
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """MSAL of ``mesh``; see the module's description."""
     return run(
         mesh,
         parameters,
         lambda: height_operator(mesh, parameters),
-        parameters.chosen_schedule(),
+        parameters.build_schedule(),
         on_sweep,
     )

@@ -49,7 +49,7 @@ from msal_cli.kernels.normal_diffusion import difference_width, diffused_normals
 from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sliding import settled, sliding_parameter
+from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
 BYTES_PER_FACE = 130
@@ -108,10 +108,10 @@ class Parameters:
     sliding: str = sliding_parameter()
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """Diffusion of the normals of ``mesh``; see the module's description."""
     started = time.perf_counter()
-    faces, links = mesh.faces, mesh.links
+    faces, links = mesh.faces, mesh.topology
     rings = face_rings(faces, links, "edge")
     similarity = parameters.similarity
     if similarity == 0.0:
@@ -146,5 +146,5 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         if on_sweep is not None:
             on_sweep(done + 1, parameters.iterations)
     if parameters.iterations:
-        positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
+        positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
     return Result(positions, seconds={"normals": in_normals, "sweeps": in_vertices})

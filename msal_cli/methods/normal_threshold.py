@@ -66,14 +66,14 @@ class Parameters(NormalFilterParameters):
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """The threshold filter of ``mesh``; see the module's description."""
     return run(
         mesh,
         parameters,
         lambda passes: threshold_averages(
             face_normals(mesh.vertices, mesh.faces),
-            *face_rings(mesh.faces, mesh.links, parameters.neighbours),
+            *face_rings(mesh.faces, mesh.topology, parameters.neighbours),
             parameters.threshold,
             parameters.iterations,
             passes.passed,

@@ -57,7 +57,7 @@ from msal_cli.kernels.static_dynamic import minimising_normals, pair_weights
 from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sliding import settled, sliding_parameter
+from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
 OnStep = Callable[[], object]
@@ -173,10 +173,10 @@ def _filtered_normals(
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """Static/dynamic filtering of ``mesh``; see the module's description."""
     started = time.perf_counter()
-    around = patches(mesh.faces, mesh.links)
+    around = patches(mesh.faces, mesh.topology)
     free = free_vertices(mesh, parameters.boundary)
     ready = time.perf_counter()
 
@@ -192,13 +192,13 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
             positions,
             _filtered_normals(positions, mesh, around, parameters, still),
             mesh.faces,
-            mesh.links,
+            mesh.topology,
             free,
             parameters.vertex_iterations,
         )
         if on_sweep is not None:
             on_sweep(iteration + 1, parameters.iterations)
     if parameters.iterations:
-        positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
+        positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
     finished = time.perf_counter()
     return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})

@@ -93,7 +93,7 @@ class Parameters:
         return self.inflate or 1.0 / (self.pass_band - 1.0 / self.shrink)
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """Taubin smoothing of ``mesh``; see the module's description."""
 
     def on_pass(done: int, total: int) -> None:

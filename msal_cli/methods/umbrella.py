@@ -57,12 +57,12 @@ class Parameters(ScheduledRingParameters):
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """Umbrella smoothing of ``mesh``; see the module's description."""
     return run(
         mesh,
         parameters,
         lambda: Umbrella(*ring_of(mesh, parameters.boundary)),
-        parameters.chosen_schedule(),
+        parameters.build_schedule(),
         on_sweep,
     )

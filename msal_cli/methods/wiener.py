@@ -62,7 +62,7 @@ from msal_cli.methods._sweeps import (
     caution_parameter,
     free_vertices,
     noise_parameter,
-    told_or_estimated,
+    resolve_noise_level,
 )
 
 BYTES_PER_FACE = 250
@@ -131,22 +131,22 @@ class Parameters(NormalParameters):
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """The filter over ``mesh``; see the module's description."""
     if not parameters.iterations:
         return Result(mesh.vertices.copy(), seconds={"normals": 0.0, "sweeps": 0.0})
     started = time.perf_counter()
-    noise = told_or_estimated(mesh, parameters.noise)
+    noise = resolve_noise_level(mesh, parameters.noise)
     laplacian = anisotropic_laplacian(mesh, parameters)
     ready = time.perf_counter()
     smooth = swept(mesh.vertices, laplacian, Plain(), parameters.iterations, on_sweep).vertices
-    normals, links = laplacian.normals, mesh.links
+    normals, links = laplacian.normals, mesh.topology
 
     residual = np.einsum("ij,ij->i", smooth - mesh.vertices, normals)
     found = restoration(residual, links.ring_start, links.ring, noise, parameters.caution)
     positions = smooth - found.returned[:, None] * normals
     if noise > 0.0 and parameters.normal_iterations:
-        positions = _fitted(mesh, parameters, positions, noise)
+        positions = _fit_to_normals(mesh, parameters, positions, noise)
     finished = time.perf_counter()
     return Result(
         positions,
@@ -155,15 +155,15 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
     )
 
 
-def _fitted(mesh: Mesh, parameters: Parameters, guide: Floats, noise: float) -> Floats:
+def _fit_to_normals(mesh: Mesh, parameters: Parameters, guide: Floats, noise: float) -> Floats:
     """Positions (n, 3) from ``guide`` (n, 3), fitted to the scan's normals as the guide's faces
     group them; ``noise`` in file units."""
     faces = mesh.faces
     like, areas = face_normals_and_areas(guide, faces)
     scanned, _ = face_normals_and_areas(mesh.vertices, faces)
     centroids = face_centroids(guide, faces)
-    unit = mean_centroid_distance(centroids, *face_rings(faces, mesh.links, "edge"))
-    ring_start, ring = face_rings(faces, mesh.links, "vertex")
+    unit = mean_centroid_distance(centroids, *face_rings(faces, mesh.topology, "edge"))
+    ring_start, ring = face_rings(faces, mesh.topology, "vertex")
     share = parameters.scan_share
     normals = share * scanned + (1.0 - share) * like
     lengths = np.sqrt(np.einsum("ij,ij->i", normals, normals))
@@ -183,7 +183,7 @@ def _fitted(mesh: Mesh, parameters: Parameters, guide: Floats, noise: float) -> 
         guide,
         normals,
         faces,
-        mesh.links,
+        mesh.topology,
         free_vertices(mesh, parameters.boundary),
         parameters.vertex_iterations,
     )

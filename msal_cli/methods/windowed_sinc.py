@@ -57,7 +57,7 @@ class Parameters:
     boundary: str = boundary_rule()
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
     """Smoothing of ``mesh`` by a windowed sinc; see the module's description."""
     started = time.perf_counter()
     rings = ring_of(mesh, parameters.boundary)

@@ -175,7 +175,7 @@ def _pictures(scene: Scene, reach: float) -> tuple[Pictures, Camera]:
     deviation = None
     if scene.deviation is not None and scene.is_signed:
         moved = scene.deviation / scene.before.mean_edge_length
-        painted = colours.mapped(moved, -reach, reach, "diverging")
+        painted = colours.map_colours(moved, -reach, reach, "diverging")
         deviation = jpeg_bytes(_image(after.vertices, after.faces, camera, _SIZE, painted))
     return (
         Pictures(
@@ -224,7 +224,7 @@ def _reach(records: Sequence[MeshRecord]) -> float:
 def _scale(reach: float) -> Scale:
     from msal_cli.analysis import colour_maps as colours
 
-    table = colours.table("diverging")
+    table = colours.colour_table("diverging")
     rows = [table[round(at * (len(table) - 1) / (_SHADES - 1))] for at in range(_SHADES)]
     return Scale(
         title="Deviation, along the normals, the same scale for all files:",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from msal_cli import codecs as files
 from msal_cli.errors import InternalError, MsalError
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 
 Floats = NDArray[np.float64]
 
@@ -52,8 +52,8 @@ def _outcome(data: bytes, format: str) -> str:
     assert bytes(file.replaced(vertices.copy())) == bytes(whole)
     file.polygons()
     if len(faces) <= _PREPARED_UP_TO:
-        ready = prepared(vertices, faces)
-        scattered = ready.scattered(ready.mesh.vertices, vertices)
+        ready = prepare_mesh(vertices, faces)
+        scattered = ready.to_file_vertices(ready.mesh.vertices, vertices)
         assert np.array_equal(scattered, vertices)
     moved = vertices.copy()
     moved[::2] += 0.0078125 * np.abs(vertices).max() + 0.125

@@ -10,7 +10,7 @@ import numpy as np
 from msal_cli import codecs as files
 from msal_cli import methods
 from msal_cli.analysis.surface import normal_statistics
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
 
 PAIRS = ("Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2")
 
@@ -22,19 +22,19 @@ def opened(noisy: Path, clean: Path) -> tuple[Mesh, Mesh]:
         files.open_mesh(files.expanded(files.read_whole(str(path)), path.name)[0], path.name)
         for path in (noisy, clean)
     )
-    ready = prepared(one.vertices, one.faces)
-    assert ready.place is None
-    return ready.mesh, ready.mesh.moved(other.vertices - ready.origin)
+    ready = prepare_mesh(one.vertices, one.faces)
+    assert ready.vertex_map is None
+    return ready.mesh, ready.mesh.with_vertices(other.vertices - ready.origin)
 
 
 def errors(noisy: Mesh, clean: Mesh, name: str, **given: object) -> tuple[float, float]:
     """Mean angle between face normals in degrees, and mean vertex distance in % of the mean edge,
     after a method."""
     method = methods.find(name)
-    vertices = method.denoised(noisy, method.settled(given)).vertices
+    vertices = method.denoise(noisy, method.validate(given)).vertices
     distances = np.linalg.norm(vertices - clean.vertices, axis=1)
     return (
-        normal_statistics(clean, noisy.moved(vertices)).mean_angular_error_deg,
+        normal_statistics(clean, noisy.with_vertices(vertices)).mean_angular_error_deg,
         100 * float(distances.mean()) / clean.mean_edge_length,
     )
 

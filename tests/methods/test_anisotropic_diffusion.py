@@ -9,7 +9,7 @@ from msal_cli import methods
 from msal_cli.kernels.anisotropic_curvature import edge_curvatures
 from msal_cli.kernels.dihedral_flaps import flaps
 from msal_cli.kernels.geometry import area_and_volume
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.methods.pairs import PAIRS, all_errors, errors, opened
 from tests.shapes import grid, noisy, torus
 
@@ -17,12 +17,12 @@ METHOD = methods.find("anisotropic_diffusion")
 
 
 def diffused(mesh, **given):
-    return METHOD.denoised(mesh, METHOD.settled(given)).vertices
+    return METHOD.denoise(mesh, METHOD.validate(given)).vertices
 
 
 def scan(level=0.12, seed=3, shape=torus, **size):
     vertices, faces = shape(**size)
-    return prepared(noisy(vertices, seed, level), faces).mesh
+    return prepare_mesh(noisy(vertices, seed, level), faces).mesh
 
 
 def box(cells=6):
@@ -113,7 +113,9 @@ def test_it_agrees_with_the_literal_twin(variant, shape, boundary, threshold, fa
         if shape == "torus"
         else scan(shape=grid, rows=9, columns=8)
     )
-    free = ~mesh.links.boundary if boundary == "fixed" else np.ones(len(mesh.vertices), dtype=bool)
+    free = (
+        ~mesh.topology.boundary if boundary == "fixed" else np.ones(len(mesh.vertices), dtype=bool)
+    )
     given = {
         "variant": variant,
         "boundary": boundary,
@@ -130,17 +132,19 @@ def test_it_agrees_with_the_literal_twin(variant, shape, boundary, threshold, fa
 def test_without_threshold_amc_is_mean_curvature_flow():
     mesh = scan()
     flow = methods.find("mean_curvature_flow")
-    given = flow.settled(
+    given = flow.validate(
         {"variant": "explicit", "areas": "ring", "time_step": 0.02, "iterations": 3}
     )
-    expected = flow.denoised(mesh, given).vertices
+    expected = flow.denoise(mesh, given).vertices
     found = diffused(mesh, variant="amc", threshold=1000.0, time_step=0.02, iterations=3)
     assert np.abs(found - expected).max() < 1e-13 * np.ptp(mesh.vertices)
 
 
 def test_the_automatic_threshold_is_that_by_hand():
     mesh = scan()
-    lengths = np.linalg.norm(edge_curvatures(mesh.vertices, flaps(mesh.faces, mesh.links)), axis=1)
+    lengths = np.linalg.norm(
+        edge_curvatures(mesh.vertices, flaps(mesh.faces, mesh.topology)), axis=1
+    )
     middle = np.median(lengths)
     spread = np.median(np.abs(lengths - middle))
     for shape, height in (("cad", middle), ("organic", middle + 1.4826 * spread)):
@@ -152,15 +156,15 @@ def test_the_automatic_threshold_is_that_by_hand():
 
 def test_a_clean_box_is_left_alone():
     vertices, faces = box()
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     assert (diffused(mesh) == mesh.vertices).all()
 
 
 @pytest.mark.parametrize("variant", ["amc", "pmc"])
 def test_edges_of_a_noisy_box_stay_and_sides_get_flat(variant):
     vertices, faces = box(10)
-    clean = prepared(vertices, faces).mesh
-    mesh = clean.moved(noisy(clean.vertices, 1, 0.15))
+    clean = prepare_mesh(vertices, faces).mesh
+    mesh = clean.with_vertices(noisy(clean.vertices, 1, 0.15))
     steps = 10 if variant == "amc" else 40
     kept = diffused(mesh, variant=variant, iterations=steps)
     isotropic = diffused(mesh, variant=variant, iterations=steps, threshold=1000.0)
@@ -198,7 +202,7 @@ def test_no_time_step_is_too_long(variant):
 
 def test_boundary_vertices_are_fixed_unless_set_free():
     mesh = scan(shape=grid, rows=9, columns=9)
-    edge = mesh.links.boundary
+    edge = mesh.topology.boundary
     fixed, free = diffused(mesh), diffused(mesh, boundary="free")
     assert (fixed[edge] == mesh.vertices[edge]).all()
     assert (free[edge] != mesh.vertices[edge]).any(axis=1).mean() > 0.8
@@ -221,7 +225,7 @@ def test_a_hub_of_many_faces_is_no_trouble():
     vertices = np.concatenate([[[0, 0, 0]], np.c_[np.cos(angle), np.sin(angle), heights]])
     k = np.arange(count)
     faces = np.stack([np.zeros_like(k), 1 + k, 1 + (k + 1) % count], axis=1).astype(np.int32)
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     moved = diffused(mesh, boundary="free", iterations=5)
     assert np.abs(moved - mesh.vertices).max() < 0.1
 

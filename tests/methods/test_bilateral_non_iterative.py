@@ -7,7 +7,7 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.kernels.projections import ProjectionAverage
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests import paper
 from tests.methods.pairs import all_errors
 from tests.methods.test_bilateral import mean_edge
@@ -16,9 +16,11 @@ from tests.shapes import cube, grid, noisy, torus
 
 def run(vertices, faces, **given):
     """File positions after the filter."""
-    ready = prepared(vertices, faces)
+    ready = prepare_mesh(vertices, faces)
     method = methods.find("bilateral_non_iterative")
-    return ready.scattered(method.denoised(ready.mesh, method.settled(given)).vertices, vertices)
+    return ready.to_file_vertices(
+        method.denoise(ready.mesh, method.validate(given)).vertices, vertices
+    )
 
 
 def unit_normals(x, faces):
@@ -97,9 +99,9 @@ def test_with_endless_widths_it_is_the_mean_by_area():
     # All mollified positions are one point then, so that faces keep their own normals.
     vertices, faces = cube()
     vertices[:, 0] *= 2.0
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     free = np.ones(8, dtype=bool)
-    moves = ProjectionAverage(mesh.faces, mesh.links, free, 1.0, 1e9, 1e9)(mesh.vertices).move
+    moves = ProjectionAverage(mesh.faces, mesh.topology, free, 1.0, 1e9, 1e9)(mesh.vertices).move
     # Of the area 10 the sides across x have 2, the others 4 each; from each vertex half of these
     # are on its own planes, and the other halves are a side length away.
     signs = -np.sign(mesh.vertices)
@@ -132,10 +134,10 @@ def test_a_plane_far_off_hardly_counts():
 def test_more_iterations_repeat_the_filter():
     vertices, faces = SHAPES["torus"]
     once = run(vertices, faces)
-    ready = prepared(vertices, faces)
+    ready = prepare_mesh(vertices, faces)
     operator = ProjectionAverage(
         ready.mesh.faces,
-        ready.mesh.links,
+        ready.mesh.topology,
         np.ones(len(vertices), dtype=bool),
         ready.mesh.mean_edge_length,
         ready.mesh.mean_edge_length,
@@ -171,7 +173,7 @@ def test_tiny_widths_do_not_underflow(width):
 
 def test_boundary_is_free_or_fixed():
     vertices, faces = SHAPES["open grid"]
-    edge = prepared(vertices, faces).mesh.links.boundary
+    edge = prepare_mesh(vertices, faces).mesh.topology.boundary
     free = run(vertices, faces)
     fixed = run(vertices, faces, boundary="fixed")
     assert (free[edge] != vertices[edge]).any(axis=1).all()

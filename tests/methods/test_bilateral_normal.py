@@ -13,7 +13,7 @@ from msal_cli.kernels.face_rings import face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_averages import bilateral_averages
 from msal_cli.kernels.normal_system import normal_system
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.kernels.plain_faces import neighbours
 from tests.methods import pairs
 from tests.methods.plain_normals import global_filter, global_matrix, local_filter
@@ -24,8 +24,8 @@ METHOD = methods.find("bilateral_normal")
 
 def run(vertices, faces, on_sweep=None, **given):
     """The result about the origin of the input."""
-    ready = prepared(vertices, faces)
-    return METHOD.denoised(ready.mesh, METHOD.settled(given), on_sweep).vertices + ready.origin
+    ready = prepare_mesh(vertices, faces)
+    return METHOD.denoise(ready.mesh, METHOD.validate(given), on_sweep).vertices + ready.origin
 
 
 def averaged(normals, areas, exponents, similarity):
@@ -251,9 +251,9 @@ def test_the_global_solve_can_be_interrupted_and_tells_its_end():
 
 def test_no_iterations_leave_the_mesh_alone_whatever_the_variant():
     vertices, faces = torus()
-    mesh = prepared(noisy(vertices, 8, 0.1), faces).mesh
-    settled = METHOD.settled({"variant": "global", "n": 0})
-    assert (METHOD.denoised(mesh, settled).vertices == mesh.vertices).all()
+    mesh = prepare_mesh(noisy(vertices, 8, 0.1), faces).mesh
+    settled = METHOD.validate({"variant": "global", "n": 0})
+    assert (METHOD.denoise(mesh, settled).vertices == mesh.vertices).all()
 
 
 def test_where_no_faces_share_an_edge_the_mean_edge_length_stands_in():

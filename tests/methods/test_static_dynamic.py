@@ -7,7 +7,7 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.analysis.surface import normal_statistics
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.methods import plain_guides as plain
 from tests.methods.pairs import errors, opened
 from tests.shapes import fan, grid, noisy, torus
@@ -16,8 +16,8 @@ METHOD = methods.find("static_dynamic")
 
 
 def run(vertices, faces, **given):
-    mesh = prepared(vertices, faces).mesh
-    return mesh, METHOD.denoised(mesh, METHOD.settled(given)).vertices
+    mesh = prepare_mesh(vertices, faces).mesh
+    return mesh, METHOD.denoise(mesh, METHOD.validate(given)).vertices
 
 
 def roof(rows=24, columns=25):
@@ -67,7 +67,7 @@ def twin(
             n = new
             if change <= 2 * np.sin(np.radians(tolerance_deg) / 2):
                 break
-        x = plain.moved(x, n, faces, free, vertex_iterations)
+        x = plain.with_vertices(x, n, faces, free, vertex_iterations)
     return x
 
 
@@ -79,12 +79,12 @@ def test_a_sharp_edge_stays():
 
 def test_a_sharp_edge_comes_back_under_noise():
     vertices, faces = roof()
-    clean = prepared(vertices, faces)
-    mesh = clean.mesh.moved(noisy(clean.mesh.vertices, 4, 0.2))
-    out = METHOD.denoised(mesh, METHOD.settled({})).vertices
+    clean = prepare_mesh(vertices, faces)
+    mesh = clean.mesh.with_vertices(noisy(clean.mesh.vertices, 4, 0.2))
+    out = METHOD.denoise(mesh, METHOD.validate({})).vertices
 
     def error(positions):
-        return normal_statistics(clean.mesh, mesh.moved(positions)).mean_angular_error_deg
+        return normal_statistics(clean.mesh, mesh.with_vertices(positions)).mean_angular_error_deg
 
     assert error(mesh.vertices) > 11.0
     assert error(out) < 1.0
@@ -100,7 +100,7 @@ def test_it_agrees_with_the_plain_twin(shape):
         given |= {"tolerance_deg": 0.05}
     boundary = "fixed" if shape == "fixed" else "free"
     mesh, out = run(vertices, faces, boundary=boundary, **given)
-    free = ~mesh.links.boundary if shape == "fixed" else np.ones(len(vertices), bool)
+    free = ~mesh.topology.boundary if shape == "fixed" else np.ones(len(vertices), bool)
     expected = twin(mesh, free, **given)
     assert np.abs(out - expected).max() <= 1e-12 * np.ptp(mesh.vertices)
     assert np.abs(out - mesh.vertices).max() > 1e-2

@@ -9,7 +9,7 @@ from msal_cli import methods
 from msal_cli.analysis.volume import area_and_volume
 from msal_cli.errors import UsageError
 from msal_cli.kernels.schedules import Alternating
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.methods.pairs import all_errors
 from tests.methods.plain_rings import rows, umbrella
 from tests.shapes import grid, noisy, torus
@@ -18,16 +18,16 @@ METHOD = methods.find("taubin")
 
 
 def run(vertices, faces, **given):
-    mesh = prepared(vertices, faces).mesh
-    return mesh, METHOD.denoised(mesh, METHOD.settled(given)).vertices
+    mesh = prepare_mesh(vertices, faces).mesh
+    return mesh, METHOD.denoise(mesh, METHOD.validate(given)).vertices
 
 
 def step_of(**given):
-    return METHOD.module.Parameters(**METHOD.settled(given)).outward_step
+    return METHOD.module.Parameters(**METHOD.validate(given)).outward_step
 
 
 def test_the_steps_are_the_common_ones():
-    assert METHOD.settled({})["shrink"] == 0.5
+    assert METHOD.validate({})["shrink"] == 0.5
     assert step_of() == pytest.approx(-0.53, abs=5e-5)
     assert step_of(pass_band=0.1, shrink=0.6307) == pytest.approx(-0.6732, abs=5e-5)
     assert step_of(mu=-0.6) == -0.6
@@ -69,12 +69,12 @@ def test_it_agrees_with_the_plain_twin(boundary):
 def test_it_keeps_the_volume_that_the_umbrella_loses():
     vertices, faces = torus(60, 30)
     mesh, out = run(noisy(vertices, 0, 0.03), faces, iterations=20)
-    shrunken = methods.find("umbrella").denoised(
-        mesh, methods.find("umbrella").settled({"iterations": 20})
+    shrunken = methods.find("umbrella").denoise(
+        mesh, methods.find("umbrella").validate({"iterations": 20})
     )
 
     def volume(positions):
-        return area_and_volume(mesh.moved(positions))[1]
+        return area_and_volume(mesh.with_vertices(positions))[1]
 
     before = volume(mesh.vertices)
     assert abs(volume(out) / before - 1) < 0.025
@@ -83,21 +83,21 @@ def test_it_keeps_the_volume_that_the_umbrella_loses():
 
 def test_progress_counts_pairs():
     told = []
-    mesh = prepared(*torus()).mesh
-    METHOD.denoised(mesh, METHOD.settled({"n": 4}), lambda *at: told.append(at))
+    mesh = prepare_mesh(*torus()).mesh
+    METHOD.denoise(mesh, METHOD.validate({"n": 4}), lambda *at: told.append(at))
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
 @pytest.mark.parametrize(("shrink", "inflate"), [(0.1, -1.0), (0.3, -0.6), (0.49, -1.0)])
 def test_steps_that_amplify_noise_are_refused(shrink, inflate):
     with pytest.raises(UsageError, match=f"mu = {inflate:g} amplify noise") as caught:
-        METHOD.settled({"lambda": shrink, "mu": inflate})
+        METHOD.validate({"lambda": shrink, "mu": inflate})
     assert f"{-1.06 * shrink:.4g}" in caught.value.hint
 
 
 @pytest.mark.parametrize(("shrink", "inflate"), [(0.5, -1.0), (2 / 3, -1.0), (0.5, -0.5)])
 def test_steps_that_are_allowed_damp_noise(shrink, inflate):
-    METHOD.settled({"lambda": shrink, "mu": inflate})
+    METHOD.validate({"lambda": shrink, "mu": inflate})
     k = np.linspace(1, 2, 101)
     assert np.abs((1 - shrink * k) * (1 - inflate * k)).max() <= 1 + 1e-12
 

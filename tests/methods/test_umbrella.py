@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests import paper
 from tests.methods.pairs import all_errors
 from tests.methods.plain_rings import rows, umbrella
@@ -16,8 +16,8 @@ METHOD = methods.find("umbrella")
 
 
 def run(vertices, faces, **given):
-    mesh = prepared(vertices, faces).mesh
-    return mesh, METHOD.denoised(mesh, METHOD.settled(given)).vertices
+    mesh = prepare_mesh(vertices, faces).mesh
+    return mesh, METHOD.denoise(mesh, METHOD.validate(given)).vertices
 
 
 SHAPES = {

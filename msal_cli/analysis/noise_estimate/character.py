@@ -119,7 +119,7 @@ class Characterized:
 
 def characterize(mesh: Mesh, white: WhiteEstimate) -> Characterized:
     """What the noise is like, and its level as it is for such."""
-    if np.count_nonzero(mesh.links.has_ring) < FEWEST_VERTICES:
+    if np.count_nonzero(mesh.topology.has_ring) < FEWEST_VERTICES:
         kind = "none" if white.level.is_negligible else "unknown"
         return _by_region(white, _plain(white, kind, 0.3, "few vertices"))
     survey = take_survey(mesh, white.places)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate import regional
+from msal_cli.analysis.noise_estimate import estimate_regions
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import ring_means
 
@@ -40,7 +40,7 @@ def local_levels(mesh: Mesh) -> Floats:
 
 
 def _local_levels(mesh: Mesh) -> Floats:
-    rings = mesh.links.ring_start, mesh.links.ring
+    rings = mesh.topology.ring_start, mesh.topology.ring
     second = np.empty_like(mesh.vertices)
     for axis in range(3):
         values = np.ascontiguousarray(mesh.vertices[:, axis])
@@ -50,8 +50,8 @@ def _local_levels(mesh: Mesh) -> Floats:
     logarithms = np.log(heights / mesh.mean_edge_length + SMALLEST)
     for _ in range(PASSES):
         logarithms = ring_means(logarithms, *rings)
-    levels = np.where(mesh.links.has_ring, np.maximum(np.exp(logarithms) - SMALLEST, 0.0), 0.0)
-    wanted = regional(mesh) / mesh.mean_edge_length
+    levels = np.where(mesh.topology.has_ring, np.maximum(np.exp(logarithms) - SMALLEST, 0.0), 0.0)
+    wanted = estimate_regions(mesh) / mesh.mean_edge_length
     square = float((levels * levels).sum())
     scale = np.sqrt(float((wanted * wanted).sum()) / square) if square > 0.0 else 0.0
     return np.asarray(levels * scale)

@@ -87,7 +87,7 @@ def _outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> float:
 
 def _ring_offsets(mesh: Mesh, vertices: NDArray[np.int64]) -> Floats:
     """From the middles of the one-rings of vertices (c,) to these, (c, 3), file units."""
-    starts, ring = mesh.links.ring_start, mesh.links.ring
+    starts, ring = mesh.topology.ring_start, mesh.topology.ring
     return np.array(
         [
             mesh.vertices[vertex] - mesh.vertices[ring[starts[vertex] : starts[vertex + 1]]].mean(0)

@@ -206,7 +206,7 @@ def _is_along(groups: Groups, axis: Floats) -> bool:
 
 def _edge_vectors(mesh: Mesh, vertices: NDArray[np.int64]) -> Floats:
     """From the vertices to their neighbours (d, 3), mean edges."""
-    starts, ring = mesh.links.ring_start, mesh.links.ring
+    starts, ring = mesh.topology.ring_start, mesh.topology.ring
     counts = (starts[vertices + 1] - starts[vertices]).astype(np.int64)
     ends = np.cumsum(counts)
     at = np.arange(int(ends[-1]) if len(ends) else 0)
