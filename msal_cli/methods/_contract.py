@@ -17,15 +17,14 @@ import difflib
 import functools
 import inspect
 import math
+import time
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from msal_cli.arrays import Floats
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 
@@ -44,9 +43,28 @@ class Result:
     seconds : wall-clock seconds by stage, ``normals`` and ``sweeps``.
     """
 
-    vertices: NDArray[np.float64]
-    fields: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    vertices: Floats
+    fields: dict[str, Floats] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
+
+
+class Timer:
+    """Wall-clock seconds of the stages of one run: ``normals`` until ``start_sweeps``."""
+
+    def __init__(self) -> None:
+        self._started = self._sweeps = time.perf_counter()
+
+    def start_sweeps(self) -> None:
+        """End the stage ``normals``."""
+        self._sweeps = time.perf_counter()
+
+    def finish(self, vertices: Floats, fields: dict[str, Floats] | None = None) -> Result:
+        """The result of the run, which ends now."""
+        seconds = {
+            "normals": self._sweeps - self._started,
+            "sweeps": time.perf_counter() - self._sweeps,
+        }
+        return Result(vertices, fields or {}, seconds)
 
 
 @dataclass(frozen=True)
@@ -238,6 +256,7 @@ class Method:
     def denoise(
         self, mesh: Mesh, parameters: Mapping[str, Any], on_sweep: OnSweep | None = None
     ) -> Result:
-        """Run the method with settled ``parameters``; ``mesh`` is not changed."""
-        result: Result = self.module.denoise(mesh, self.module.Parameters(**parameters), on_sweep)
+        """Run the method with complete, valid ``parameters``; ``mesh`` is not changed."""
+        values = self.module.Parameters(**parameters)
+        result: Result = self.module.denoise(mesh, values, on_sweep or (lambda done, total: None))
         return result

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +15,7 @@ from msal_cli.kernels.operators import AnisotropicLaplacian, Operator
 from msal_cli.kernels.schedules import Constant, Multiscale, Plain, Schedule, Wiener
 from msal_cli.kernels.sweeps import Swept, swept
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 
 
 @dataclass(frozen=True)
@@ -216,7 +215,7 @@ def run(
     parameters: NormalParameters,
     operator: Callable[[], Operator],
     schedule: Schedule,
-    on_sweep: OnSweep | None,
+    on_sweep: OnSweep,
 ) -> Result:
     """Sweeps of the operator that ``operator()`` makes, under ``schedule``.
 
@@ -226,7 +225,7 @@ def run(
     result's field ``fidelity`` is lambda of the first sweep, of the Wiener schedule that at the
     end.
     """
-    started = time.perf_counter()
+    timer = Timer()
     made = operator()
     laplacian = anisotropic_laplacian(mesh, parameters) if schedule.quantile is not None else None
 
@@ -236,18 +235,13 @@ def run(
         assert sigma is not None
         return sigma
 
-    ready = time.perf_counter()
+    timer.start_sweeps()
     result = swept(
         mesh.vertices, made, schedule, parameters.iterations, on_sweep, scale, mesh.trust
     )
     if isinstance(schedule, Wiener) and parameters.iterations:
         result = _restore(mesh, parameters, result.vertices, schedule)
-    finished = time.perf_counter()
-    return Result(
-        result.vertices,
-        fields={"fidelity": result.fidelity},
-        seconds={"normals": ready - started, "sweeps": finished - ready},
-    )
+    return timer.finish(result.vertices, {"fidelity": result.fidelity})
 
 
 def resolve_noise_level(mesh: Mesh, noise: float) -> float:

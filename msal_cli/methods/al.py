@@ -74,13 +74,14 @@ class Parameters(ScheduledParameters, HeightParameters):
     )
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """AL of ``mesh``; see the module's description."""
     time_step = parameters.scaled_step * mesh.mean_edge_length**2
+    schedule = parameters.build_schedule()
     return run(
         mesh,
         parameters,
         lambda: height_operator(mesh, parameters, parameters.scaling, time_step),
-        parameters.build_schedule(),
+        schedule,
         on_sweep,
     )

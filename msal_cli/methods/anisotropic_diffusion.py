@@ -132,13 +132,8 @@ def _operator(mesh: Mesh, parameters: Parameters) -> AnisotropicCurvature:
     )
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Anisotropic diffusion of ``mesh``; see the module's description."""
-    return run(
-        mesh,
-        parameters,
-        lambda: _operator(mesh, parameters),
-        # The operator has taken its own step; the schedule's is a share of it.
-        dataclasses.replace(parameters, time_step=1.0).build_schedule(),
-        on_sweep,
-    )
+    # The operator has taken its own step; the schedule's is a share of it.
+    schedule = dataclasses.replace(parameters, time_step=1.0).build_schedule()
+    return run(mesh, parameters, lambda: _operator(mesh, parameters), schedule, on_sweep)

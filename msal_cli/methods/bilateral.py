@@ -139,12 +139,7 @@ def _operator(mesh: Mesh, parameters: Parameters) -> Operator:
     )
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Bilateral filtering of ``mesh``; see the module's description."""
-    return run(
-        mesh,
-        parameters,
-        lambda: _operator(mesh, parameters),
-        parameters.build_schedule(),
-        on_sweep,
-    )
+    schedule = parameters.build_schedule()
+    return run(mesh, parameters, lambda: _operator(mesh, parameters), schedule, on_sweep)

@@ -77,7 +77,7 @@ class Parameters(ScaleParameters):
     )
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The filter of Jones et al. over ``mesh``; see the module's description."""
     unit = mesh.mean_edge_length
     return run(

@@ -111,7 +111,7 @@ def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Flo
     rows = face_rings(mesh.faces, mesh.topology, parameters.neighbours)
     faces = (normals, areas, centroids, *rows, parameters.closeness * unit, parameters.similarity)
     if parameters.variant == "local":
-        return bilateral_averages(*faces, parameters.iterations, passes.passed)
+        return bilateral_averages(*faces, parameters.iterations, passes.count_pass)
     fidelity = parameters.fidelity
     solved = conjugate_gradients(
         normal_system(*faces, fidelity),
@@ -120,15 +120,15 @@ def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Flo
         tolerance=TOLERANCE * fidelity,
         unit=1.0,
         most_iterations=MOST_ITERATIONS,
-        on_iteration=lambda done, residual: passes.going_on(),
+        on_iteration=lambda done, residual: passes.on_step(),
     ).values
-    passes.passed()
+    passes.count_pass()
     length = np.sqrt((solved * solved).sum(axis=1))[:, None]
     vanished = length <= VANISHED
     return np.where(vanished, normals, solved / np.where(vanished, 1.0, length))
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The bilateral filter of the normals of ``mesh``; see the module's description."""
     return run(
         mesh,

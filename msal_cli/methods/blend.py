@@ -32,7 +32,6 @@ from __future__ import annotations
 import itertools
 import math
 import re
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -42,7 +41,7 @@ import numpy as np
 from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import Method, OnSweep, Result, parameter
+from msal_cli.methods._contract import Method, OnSweep, Result, Timer, parameter
 from msal_cli.methods._triangles import even_out
 
 BYTES_PER_FACE = 1180
@@ -217,9 +216,9 @@ class Parameters:
         return KEPT_PER_FACE + max(one.method.bytes_per_face for one in members)
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The blend of what the members make of ``mesh``; see the module's description."""
-    started = time.perf_counter()
+    timer = Timer()
     levels = parse_levels(parameters.levels)
     members = parse_members(parameters.members, len(levels))
     local = local_levels(mesh) if levels else None
@@ -229,11 +228,10 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None)
     move = np.zeros_like(mesh.vertices)
     for k, member in enumerate(members):
 
-        def going_on(done: int, total: int, k: int = k) -> None:
-            if on_sweep is not None:
-                on_sweep(STEPS * k + STEPS * done // max(total, 1), STEPS * len(members))
+        def on_step(done: int, total: int, k: int = k) -> None:
+            on_sweep(STEPS * k + STEPS * done // max(total, 1), STEPS * len(members))
 
-        step = member.method.denoise(mesh, member.parameters, going_on).vertices
+        step = member.method.denoise(mesh, member.parameters, on_step).vertices
         step = step - mesh.vertices
         if local is None:
             step *= member.weights[0]
@@ -244,4 +242,4 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None)
         # Each set of them takes as much as the vertices, and far less time than a filter.
         mesh.release_normals()
     move += mesh.vertices
-    return Result(move, seconds={"normals": 0.0, "sweeps": time.perf_counter() - started})
+    return timer.finish(move)

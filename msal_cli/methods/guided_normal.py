@@ -45,7 +45,6 @@ and Computer Graphics 13 (2007), 925-938.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 from msal_cli.kernels.face_guides import patches
@@ -54,7 +53,7 @@ from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_averages import joint_bilateral
 from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
@@ -120,9 +119,9 @@ class Parameters:
     sliding: str = sliding_parameter()
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Guided normal filtering of ``mesh``; see the module's description."""
-    started = time.perf_counter()
+    timer = Timer()
     faces, links = mesh.faces, mesh.topology
     around = patches(faces, links)
     edges = around.edge_start, around.edge_ring
@@ -132,7 +131,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None)
         centroids, around.ring_start, around.ring, parameters.radius * unit, MOST_NEAR
     )
     free = free_vertices(mesh, parameters.boundary)
-    ready = time.perf_counter()
+    timer.start_sweeps()
 
     positions = mesh.vertices.copy()
     for iteration in range(parameters.iterations):
@@ -152,9 +151,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None)
         positions = updated_vertices(
             positions, wanted, faces, links, free, parameters.vertex_iterations
         )
-        if on_sweep is not None:
-            on_sweep(iteration + 1, parameters.iterations)
+        on_sweep(iteration + 1, parameters.iterations)
     if parameters.iterations:
         positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
-    finished = time.perf_counter()
-    return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})
+    return timer.finish(positions)

@@ -44,7 +44,6 @@ SIAM Journal on Scientific Computing 31 (2008), 74-93.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,7 +57,7 @@ from msal_cli.kernels.schedules import Multiscale, Plain
 from msal_cli.kernels.sweeps import swept
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sweeps import NormalParameters, anisotropic_laplacian, free_vertices
 
 SMALLEST_SPREAD = 1e-6
@@ -124,44 +123,32 @@ class Parameters(NormalParameters):
     )
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The hybrid filter over ``mesh``; see the module's description."""
-    started = time.perf_counter()
+    timer = Timer()
     total = parameters.iterations
     first = min(parameters.presmooth, total)
     laplacian = anisotropic_laplacian(mesh, parameters)
-    ready = time.perf_counter()
+    timer.start_sweeps()
     x, sharp = _presmooth(mesh, laplacian, first, parameters.K, total, on_sweep)
     cluster, feature = _find_features(mesh, x, parameters)
     x[feature] = sharp[feature]
     free = free_vertices(mesh, parameters.boundary)
     for sweep in range(total - first):
-        x = x + _moves(mesh, x, feature, free, parameters.K**sweep, parameters)
-        if on_sweep is not None:
-            on_sweep(first + sweep + 1, total)
-    finished = time.perf_counter()
-    return Result(
-        x,
-        fields={"cluster": cluster, "feature": feature.astype(np.float64)},
-        seconds={"normals": ready - started, "sweeps": finished - ready},
-    )
+        x = x + _compute_moves(mesh, x, feature, free, parameters.K**sweep, parameters)
+        on_sweep(first + sweep + 1, total)
+    return timer.finish(x, {"cluster": cluster, "feature": feature.astype(np.float64)})
 
 
 def _presmooth(
-    mesh: Mesh, laplacian: Operator, sweeps: int, K: float, total: int, on_sweep: OnSweep | None
+    mesh: Mesh, laplacian: Operator, sweeps: int, K: float, total: int, on_sweep: OnSweep
 ) -> tuple[Floats, Floats]:
     """Positions (n, 3) after ``sweeps`` of AL, and after as many of MSAL."""
-
-    def on_plain(done: int, _: int) -> None:
-        if on_sweep is not None:
-            on_sweep(done, total)
-
-    def on_multiscale(_: int, __: int) -> None:
-        # Nothing new is done, but a long run must stay interruptible.
-        on_plain(sweeps, total)
-
-    plain = swept(mesh.vertices, laplacian, Plain(), sweeps, on_plain).vertices
-    return plain, swept(mesh.vertices, laplacian, Multiscale(K), sweeps, on_multiscale).vertices
+    start = mesh.vertices
+    plain = swept(start, laplacian, Plain(), sweeps, lambda done, _: on_sweep(done, total))
+    # Nothing new is done, but a long run must stay interruptible.
+    sharp = swept(start, laplacian, Multiscale(K), sweeps, lambda *_: on_sweep(sweeps, total))
+    return plain.vertices, sharp.vertices
 
 
 def _find_features(mesh: Mesh, positions: Floats, parameters: Parameters) -> tuple[Floats, Flags]:
@@ -180,7 +167,7 @@ def _find_features(mesh: Mesh, positions: Floats, parameters: Parameters) -> tup
     return cluster, candidate & (around > 0.0)
 
 
-def _moves(
+def _compute_moves(
     mesh: Mesh, x: Floats, feature: Flags, free: Flags, share: float, parameters: Parameters
 ) -> Floats:
     """What one sweep after the clustering adds to the positions x, (n, 3)."""

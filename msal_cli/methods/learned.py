@@ -46,12 +46,11 @@ Transactions on Graphics 36 (4), 2017, 97; descriptors, networks and training ar
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 from msal_cli.mesh import Mesh
 from msal_cli.methods._cascade import Cascade, load_networks
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import noise_parameter
 
@@ -94,16 +93,16 @@ class Parameters:
     sliding: str = sliding_parameter()
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The learned filter on ``mesh``; see the module's description."""
-    started = time.perf_counter()
+    timer = Timer()
     positions = mesh.vertices.copy()
     stages = parameters.iterations
     if not stages:
         return Result(positions, seconds={"normals": 0.0, "sweeps": 0.0})
     cascade = Cascade(mesh, parameters.boundary, resolve_noise(mesh, parameters.noise))
     normals = None
-    ready = time.perf_counter()
+    timer.start_sweeps()
     networks = load_networks()
     for done in range(1, stages + 1):
         network = networks[min(done, len(networks)) - 1]
@@ -112,13 +111,11 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None)
             positions = cascade.fit(positions, normals, STAGE_PASSES)
         else:
             positions = cascade.fit(mesh.vertices, normals, parameters.vertex_iterations)
-        if on_sweep is not None:
-            on_sweep(done, stages)
+        on_sweep(done, stages)
     assert normals is not None
     positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
     positions = cascade.untangle(positions, normals)
-    finished = time.perf_counter()
-    return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})
+    return timer.finish(positions)
 
 
 def resolve_noise(mesh: Mesh, given: float) -> float | None:

@@ -111,15 +111,14 @@ def _operator(mesh: Mesh, parameters: Parameters, on_iteration: Callable[[], obj
     )
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Mean curvature flow of ``mesh``; see the module's description."""
     finished = 0
 
     def on_step(done: int, total: int) -> None:
         nonlocal finished
         finished = done
-        if on_sweep is not None:
-            on_sweep(done, total)
+        on_sweep(done, total)
 
     result = run(
         mesh,

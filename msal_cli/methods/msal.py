@@ -94,12 +94,7 @@ class Parameters(ScheduleTraits, HeightParameters):
         return Multiscale(self.K)
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """MSAL of ``mesh``; see the module's description."""
-    return run(
-        mesh,
-        parameters,
-        lambda: height_operator(mesh, parameters),
-        parameters.build_schedule(),
-        on_sweep,
-    )
+    schedule = parameters.build_schedule()
+    return run(mesh, parameters, lambda: height_operator(mesh, parameters), schedule, on_sweep)

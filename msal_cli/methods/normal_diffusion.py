@@ -40,15 +40,15 @@ denoising, IEEE Transactions on Visualization and Computer Graphics 13 (2007), 9
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
+from functools import partial
 
 from msal_cli.kernels.face_rings import face_rings
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.normal_diffusion import difference_width, diffused_normals
 from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
@@ -108,26 +108,19 @@ class Parameters:
     sliding: str = sliding_parameter()
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Diffusion of the normals of ``mesh``; see the module's description."""
-    started = time.perf_counter()
+    timer = Timer()
     faces, links = mesh.faces, mesh.topology
     rings = face_rings(faces, links, "edge")
     similarity = parameters.similarity
     if similarity == 0.0:
         similarity = difference_width(face_normals(mesh.vertices, faces), *rings)
     free = free_vertices(mesh, parameters.boundary)
-    done = 0
-
-    def going_on() -> None:
-        if on_sweep is not None:
-            on_sweep(done, parameters.iterations)
-
-    in_normals = time.perf_counter() - started
-    in_vertices = 0.0
+    timer.start_sweeps()
     positions = mesh.vertices.copy()
     for done in range(parameters.iterations):
-        before = time.perf_counter()
+        on_step = partial(on_sweep, done, parameters.iterations)
         normals = diffused_normals(
             positions,
             faces,
@@ -135,16 +128,12 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None)
             similarity,
             parameters.time_step * mesh.mean_edge_length**2,
             parameters.normal_iterations,
-            going_on,
+            on_step,
         )
-        between = time.perf_counter()
         positions = updated_vertices(
-            positions, normals, faces, links, free, parameters.vertex_iterations, going_on
+            positions, normals, faces, links, free, parameters.vertex_iterations, on_step
         )
-        in_normals += between - before
-        in_vertices += time.perf_counter() - between
-        if on_sweep is not None:
-            on_sweep(done + 1, parameters.iterations)
+        on_sweep(done + 1, parameters.iterations)
     if parameters.iterations:
         positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
-    return Result(positions, seconds={"normals": in_normals, "sweeps": in_vertices})
+    return timer.finish(positions)

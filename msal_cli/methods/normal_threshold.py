@@ -66,7 +66,7 @@ class Parameters(NormalFilterParameters):
     )
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The threshold filter of ``mesh``; see the module's description."""
     return run(
         mesh,
@@ -76,7 +76,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None)
             *face_rings(mesh.faces, mesh.topology, parameters.neighbours),
             parameters.threshold,
             parameters.iterations,
-            passes.passed,
+            passes.count_pass,
         ),
         on_sweep,
     )

@@ -61,14 +61,15 @@ class Parameters(ScheduledRingParameters):
     )
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Scale-dependent umbrella smoothing of ``mesh``; see the module's description."""
     time_step = parameters.time_step * mesh.mean_edge_length**2
+    # The operator has taken its own step; the schedule's is a share of it.
+    schedule = dataclasses.replace(parameters, time_step=1.0).build_schedule()
     return run(
         mesh,
         parameters,
         lambda: ScaleDependentUmbrella(*ring_of(mesh, parameters.boundary), time_step),
-        # The operator has taken its own step; the schedule's is a share of it.
-        dataclasses.replace(parameters, time_step=1.0).build_schedule(),
+        schedule,
         on_sweep,
     )

@@ -41,7 +41,6 @@ J. Zhang, S. Bouaziz and L. Liu, Guided mesh normal filtering, Computer Graphics
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +54,7 @@ from msal_cli.kernels.schedules import Plain
 from msal_cli.kernels.sweeps import swept
 from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sweeps import (
     NormalParameters,
     anisotropic_laplacian,
@@ -131,14 +130,14 @@ class Parameters(NormalParameters):
     )
 
 
-def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The filter over ``mesh``; see the module's description."""
     if not parameters.iterations:
         return Result(mesh.vertices.copy(), seconds={"normals": 0.0, "sweeps": 0.0})
-    started = time.perf_counter()
+    timer = Timer()
     noise = resolve_noise_level(mesh, parameters.noise)
     laplacian = anisotropic_laplacian(mesh, parameters)
-    ready = time.perf_counter()
+    timer.start_sweeps()
     smooth = swept(mesh.vertices, laplacian, Plain(), parameters.iterations, on_sweep).vertices
     normals, links = laplacian.normals, mesh.topology
 
@@ -147,12 +146,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None)
     positions = smooth - found.returned[:, None] * normals
     if noise > 0.0 and parameters.normal_iterations:
         positions = _fit_to_normals(mesh, parameters, positions, noise)
-    finished = time.perf_counter()
-    return Result(
-        positions,
-        fields={"fidelity": found.share},
-        seconds={"normals": ready - started, "sweeps": finished - ready},
-    )
+    return timer.finish(positions, {"fidelity": found.share})
 
 
 def _fit_to_normals(mesh: Mesh, parameters: Parameters, guide: Floats, noise: float) -> Floats:

@@ -245,7 +245,7 @@ def test_memory_follows_the_members_that_are_given():
 
 def test_normals_of_members_are_not_kept(mesh):
     blended(mesh, "0.5*al(mollify=2)+0.5*al")
-    assert not mesh._known_normals
+    assert not mesh._cached_normals
 
 
 def test_from_the_command_line(tmp_path):
