@@ -18,24 +18,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from msal_cli import methods
 from msal_cli.analysis.noise_estimate import SURE, NoiseLevel, estimate_noise
 from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.arrays import Floats
 from msal_cli.auto.blend_weights import FLOOR
 from msal_cli.auto.candidates import Candidate, wiener_al
-from msal_cli.auto.evidence_words import describe_noise
+from msal_cli.auto.choices import build_recipe, describe_noise
 from msal_cli.auto.levels import FEWEST_JUDGED, RELAX, level_masks, spread_levels
 from msal_cli.auto.noise_model import ISOTROPIC, NoiseModel, build_model
-from msal_cli.auto.recipe import build_recipe
-from msal_cli.auto.risk import Risk, SteinRisk
+from msal_cli.auto.risk import DRAWN, SteinRisk
 from msal_cli.auto.sample_patch import Part, select_patch
+from msal_cli.auto.trials import CandidateRuns
 from msal_cli.auto.wishes import FAMILY, NONE, Choice
 from msal_cli.methods._triangles import even_out
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from msal_cli.auto.wishes import OnStep
     from msal_cli.mesh import Mesh
 
@@ -131,15 +128,7 @@ def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep) -> Choice:
         # Stein's lemma holds for Gaussian noise.
         return _build_choice(case, noise, candidates[0], np.ones(1))
     part = select_patch(mesh, PART, SEEDS)
-    edges = round(case.edges * mesh.mean_edge_length / part.mesh.mean_edge_length, 4)
-    usual, *others = [_run(one, edges) for one in candidates]
-    moves = usual(part.mesh)
-    first = part.mesh.with_vertices(part.mesh.vertices + moves)
-    # What the usual one does to the part itself is known.
-    runs = [lambda mesh: moves if mesh is part.mesh else usual(mesh), *others]
-    model = case.model.on_part(part.numbers)
-    judge = SteinRisk(part, model, first.vertex_normals("uniform"), PROBES)
-    total = len(runs) * (1 + PROBES) + 1
+    total = len(candidates) * (1 + PROBES) + 1
     done = 0
 
     def count() -> None:
@@ -147,10 +136,15 @@ def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep) -> Choice:
         done += 1
         on_step(done, total)
 
-    for run in runs:
-        judge.add(run, count)
+    model = case.model.on_part(part.numbers)
+    edges = case.edges * mesh.mean_edge_length / part.mesh.mean_edge_length
+    runs = CandidateRuns(part, model, DRAWN, count, edges)
+    first = runs.positions(candidates[:1], np.ones(1))
+    judge = runs.by_stein(candidates, first, PROBES)
     risk = judge.risk()
-    scores = _scores(risk)
+    places, tilts = risk.log_errors(FLOOR)
+    # 0 is the error of the input.
+    scores = places + tilts
     scores[0] -= MARGIN
     order = np.argsort(scores, kind="stable").tolist()
     if scores[order[0]] >= 0.0:
@@ -161,7 +155,7 @@ def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep) -> Choice:
     weights = _weights(case, part, judge, order[0])
     choice = _build_choice(case, noise, candidates[order[0]], weights)
     return dataclasses.replace(
-        choice, risk=float(errors[order[0]]), tried=len(runs), runners_up=next_best
+        choice, risk=float(errors[order[0]]), tried=len(candidates), runners_up=next_best
     )
 
 
@@ -178,32 +172,12 @@ def _weights(case: _Case, part: Part, judge: SteinRisk, at: int) -> Floats:
     return np.array(weights) if any(weights) else np.ones(1)
 
 
-def _scores(risk: Risk) -> Floats:
-    """Logarithms of the errors of positions and slopes together (k,); 0 is that of the input."""
-    places = np.log(np.maximum(risk.positions.singles(), FLOOR))
-    tilts = np.log(np.maximum(risk.slopes.singles(), FLOOR))
-    scores: Floats = places + tilts
-    return scores
-
-
 def _candidates(mesh: Mesh, level: float, rings: int) -> list[Candidate]:
     """What is tried, the usual one first; with trust only what has a data term."""
     robust = Candidate("msal", {"schedule": "robust", "K": 0.2, "iterations": 3}, 1.0)
     single = Candidate("al", {"iterations": 1, "mollify": 0}, 0.5)
     found = [wiener_al(level, rings), robust]
     return found if mesh.trust is not None else [*found, single]
-
-
-def _run(candidate: Candidate, edges: float) -> Callable[[Mesh], Floats]:
-    """What the candidate moves a mesh by, for noise of so many mean edge lengths."""
-    method = methods.find(candidate.method)
-    parameters = method.validate(candidate.settings(edges))
-
-    def run(mesh: Mesh) -> Floats:
-        moves: Floats = method.denoise(mesh, parameters).vertices - mesh.vertices
-        return moves
-
-    return run
 
 
 def _keep_input(noise: NoiseLevel, why: str) -> Choice:

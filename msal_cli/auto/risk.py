@@ -116,6 +116,11 @@ class Risk:
         positions, slopes = self.positions.of(members), self.slopes.of(members)
         return Risk(positions, slopes, self.drift[rows], self.importance)
 
+    def log_errors(self, floor: float) -> tuple[Floats, Floats]:
+        """Logarithms of the errors of positions and of slopes (k,), each at least ``floor``."""
+        positions = np.log(np.maximum(self.positions.singles(), floor))
+        return positions, np.log(np.maximum(self.slopes.singles(), floor))
+
     def counted(self, importance: float) -> Risk:
         """The same, of another importance beside other estimates of the same filters."""
         return Risk(self.positions, self.slopes, self.drift, importance)

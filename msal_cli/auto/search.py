@@ -27,11 +27,9 @@ from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.arrays import Flags, Floats
 from msal_cli.auto.blend_weights import FLOOR, best_weights, round_weights
 from msal_cli.auto.candidates import CANDIDATES, FARTHER, LEARNED, ROBUST, SMOOTHER, Candidate
-from msal_cli.auto.evidence_words import describe_noise
-from msal_cli.auto.least import SHAPE, STRENGTH, choose_least
+from msal_cli.auto.choices import SHAPE, STRENGTH, build_recipe, choose_least, describe_noise
 from msal_cli.auto.levels import FEWEST_JUDGED, RELAX, level_masks, spread_levels
 from msal_cli.auto.noise_model import ISOTROPIC, build_model
-from msal_cli.auto.recipe import build_recipe
 from msal_cli.auto.risk import DEALT, DRAWN, MIRRORED, PROBES, Risk, SimulatedRisk, SteinRisk
 from msal_cli.auto.sample_patch import Part, select_patch
 from msal_cli.auto.surface_kind import (
@@ -200,7 +198,7 @@ class _Search:
             first = study.positions([self.pilot], np.ones(1))
         else:
             first = study.positions(members, weights)
-        again = study.by_rehearsal(members, first)
+        again = study.simulate(members, first)
         weights = self._best([again.risk()])
         # Only what is any good rehearses twice.
         shortlist = self._shortlist(again.risk(), weights, SECOND_LOOK)
@@ -215,7 +213,7 @@ class _Search:
             first = study.positions(members, weights)
         # The same members on the same mesh once more would tell the same.
         is_known = self.added == MIRRORED and len(members) == rehearsed
-        last_one = again if is_known else study.by_rehearsal(members, first)
+        last_one = again if is_known else study.simulate(members, first)
         judges.append((last_one, 1.0))
         self.unit = last_one.level if self.added == MIRRORED else self.level
         risks = _risks(judges)
@@ -231,7 +229,7 @@ class _Search:
             return glance.by_stein(candidates, first, 1).risk()
         pilot = self.pilot if self.added == MIRRORED else ROBUST
         first = glance.positions([pilot], np.ones(1))
-        return glance.by_rehearsal(candidates, first).risk()
+        return glance.simulate(candidates, first).risk()
 
     def _by_level(
         self, part: Part, judges: Sequence[tuple[SteinRisk | SimulatedRisk, float]], weights: Floats
@@ -361,8 +359,7 @@ class _Search:
         """How the candidates do by themselves; less is better."""
         score = np.zeros(len(risks[0].drift))
         for risk in risks:
-            places = np.log(np.maximum(risk.positions.singles(), FLOOR))
-            tilts = np.log(np.maximum(risk.slopes.singles(), FLOOR))
+            places, tilts = risk.log_errors(FLOOR)
             score += risk.importance * ((1.0 - self.slopes) * places + self.slopes * tilts)
         return score
 

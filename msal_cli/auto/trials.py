@@ -1,4 +1,4 @@
-"""Candidates on one part of the mesh: what they move it by, and how well they are judged to do."""
+"""Candidates on one part of the mesh: their moves, and estimates of their errors."""
 
 from __future__ import annotations
 
@@ -28,16 +28,24 @@ class CandidateRuns:
     ----------
     part : of the mesh.
     noise : on it.
-    added : what rehearsals put on a first result, see ``Rehearsal``.
+    added : what simulations put on a first result, see ``SimulatedRisk``.
     on_run : called after every run.
+    edges : the noise that candidates are given, mean edge lengths of the part; None for its height.
     """
 
     def __init__(
-        self, part: Part, noise: NoiseModel, added: str, on_run: Callable[[], object]
+        self,
+        part: Part,
+        noise: NoiseModel,
+        added: str,
+        on_run: Callable[[], object],
+        edges: float | None = None,
     ) -> None:
         self.part, self.noise = part, noise
         self._added, self._on_run = added, on_run
-        self._edges = float(round(noise.height(part.judged) / part.mesh.mean_edge_length, 4))
+        if edges is None:
+            edges = noise.height(part.judged) / part.mesh.mean_edge_length
+        self._edges = float(round(edges, 4))
         self._known: dict[str, Floats] = {}
 
     def moves(self, candidate: Candidate) -> Floats:
@@ -55,7 +63,7 @@ class CandidateRuns:
         return positions
 
     def by_stein(self, candidates: Sequence[Candidate], first: Floats, probes: int) -> SteinRisk:
-        """Candidates judged by Stein's lemma, with normals that the part has at ``first``
+        """Candidates rated by Stein's lemma, with normals that the part has at ``first``
         (m, 3)."""
         normals = self.part.mesh.with_vertices(first).vertex_normals("uniform")
         judge = SteinRisk(self.part, self.noise, normals, probes)
@@ -63,13 +71,13 @@ class CandidateRuns:
             judge.add(self._run_once(candidate), self._on_run)
         return judge
 
-    def by_rehearsal(self, candidates: Sequence[Candidate], first: Floats) -> SimulatedRisk:
-        """Candidates judged on ``first`` (m, 3) with the noise put on it."""
+    def simulate(self, candidates: Sequence[Candidate], first: Floats) -> SimulatedRisk:
+        """Candidates rated on ``first`` (m, 3) with noise added to it."""
         runs = [self._runner(candidate) for candidate in candidates]
         return SimulatedRisk(self.part, first, runs, self.noise, self._added, self._on_run)
 
     def _run_once(self, candidate: Candidate) -> Callable[[Mesh], Floats]:
-        """The same as ``_runner``, that knows what becomes of the part itself."""
+        """The same as ``_runner``, with the known result for the part itself."""
         run = self._runner(candidate)
         return lambda mesh: self.moves(candidate) if mesh is self.part.mesh else run(mesh)
 

@@ -17,7 +17,7 @@ from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.analysis.surface import normal_statistics
 from msal_cli.auto import FAMILY, NONE, Wishes, adaptive
 from msal_cli.auto.candidates import FARTHER, LEARNED
-from msal_cli.auto.evidence_words import describe_noise
+from msal_cli.auto.choices import describe_noise
 from msal_cli.auto.levels import level_masks, spread_levels
 from msal_cli.auto.noise_model import build_model
 from msal_cli.auto.risk import DRAWN, MIRRORED
