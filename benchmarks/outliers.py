@@ -25,8 +25,8 @@ from msal_cli.analysis.correspondence import (
     surface_distances,
     vertex_error_percent,
 )
+from msal_cli.analysis.measures import measure_surface_change
 from msal_cli.analysis.outliers import find_outliers
-from msal_cli.analysis.surface import measure_surface_change
 from msal_cli.auto import Wishes
 from msal_cli.job import choice as automatic
 from msal_cli.kernels.geometry import distances

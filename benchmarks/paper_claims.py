@@ -19,8 +19,7 @@ import numpy as np
 
 from msal_cli import codecs as files
 from msal_cli import methods
-from msal_cli.analysis.surface import normal_statistics
-from msal_cli.analysis.volume import area_and_volume
+from msal_cli.analysis.measures import area_and_volume, normal_statistics
 from msal_cli.mesh import Mesh, PreparedMesh, prepare_mesh
 
 SWEEPS = 3

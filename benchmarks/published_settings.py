@@ -15,7 +15,7 @@ from typing import Any
 from benchmarks import ground_truth
 from msal_cli import methods
 from msal_cli.analysis.correspondence import displacement_of_moved, vertex_error_percent
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.mesh import Mesh
 
 PUBLISHED = (

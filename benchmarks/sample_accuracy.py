@@ -16,7 +16,7 @@ import numpy as np
 
 from msal_cli import codecs as files
 from msal_cli import methods
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.mesh import PreparedMesh, prepare_mesh
 
 SAMPLES = Path(__file__).resolve().parents[1] / "sample_meshes"

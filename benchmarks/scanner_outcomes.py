@@ -27,7 +27,7 @@ from msal_cli.analysis.correspondence import (
     used_vertices,
     vertex_error_percent,
 )
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.analysis.surface_distance import distances_to_surface
 from msal_cli.auto import Wishes
 from msal_cli.job.pipeline import denoise_bytes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.analysis.displacement import (
+from msal_cli.analysis.measures import (
     DisplacementStatistics,
     DistanceStatistics,
     displacement_statistics,

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.surface import SurfaceChange
-from msal_cli.analysis.volume import area_and_volume, is_negative
+from msal_cli.analysis.measures import SurfaceChange, area_and_volume, is_negative
 from msal_cli.arrays import Floats
 from msal_cli.mesh import Defects, Mesh, PreparedMesh
 

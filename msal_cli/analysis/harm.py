@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msal_cli.analysis.surface import SurfaceChange
-from msal_cli.analysis.volume import relative_volume_change
+from msal_cli.analysis.measures import SurfaceChange, relative_volume_change
 from msal_cli.mesh import Mesh
 
 FLIPPED_SHARE = 0.02

@@ -64,10 +64,9 @@ def measured(ready: PreparedMesh, moved: Floats, noise: NoiseLevel | None) -> Me
 
     ``noise`` is the noise of the mesh where it is known already.
     """
-    from msal_cli.analysis.displacement import displacement_statistics
     from msal_cli.analysis.enclosure import enclosure_of
     from msal_cli.analysis.harm import harmful_change
-    from msal_cli.analysis.surface import measure_surface_change
+    from msal_cli.analysis.measures import displacement_statistics, measure_surface_change
     from msal_cli.job.comparison import area_changed, displaced, volume_changed
     from msal_cli.job.inspection import noise_estimate
 

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from msal_cli.analysis.displacement import DisplacementStatistics, DistanceStatistics
     from msal_cli.analysis.enclosure import Enclosure
+    from msal_cli.analysis.measures import DisplacementStatistics, DistanceStatistics
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.records import MeshRecord
     from msal_cli.mesh import Mesh, PreparedMesh
@@ -258,7 +258,7 @@ def prepare_surface(surface: Surface, name: str) -> PreparedMesh:
 def _by_vertex(record: ComparisonRecord, first: PreparedMesh, moved: Mesh) -> ComparisonRecord:
     from msal_cli.analysis import correspondence as metrics
     from msal_cli.analysis.enclosure import enclosure_of
-    from msal_cli.analysis.surface import measure_surface_change
+    from msal_cli.analysis.measures import measure_surface_change
 
     reference = first.mesh
     change = measure_surface_change(reference, moved)
@@ -289,7 +289,7 @@ def _by_surface(
     record: ComparisonRecord, first: PreparedMesh, second: PreparedMesh
 ) -> ComparisonRecord:
     from msal_cli.analysis.enclosure import enclosure_of
-    from msal_cli.analysis.volume import area_and_volume
+    from msal_cli.analysis.measures import area_and_volume
 
     area_before, volume_before = area_and_volume(first.mesh)
     area_after, volume_after = area_and_volume(second.mesh)
@@ -390,7 +390,7 @@ def _length_fields(one: DistanceStatistics, edge: float) -> dict[str, float]:
 def volume_changed(before: float, after: float, area: float, objection: str) -> Volume:
     """The record of an enclosed volume; ``area`` is the area before, and ``objection`` says why the
     volume means nothing, empty if it does."""
-    from msal_cli.analysis.volume import relative_volume_change
+    from msal_cli.analysis.measures import relative_volume_change
 
     share = relative_volume_change(before, after, area)
     return Volume(

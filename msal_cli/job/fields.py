@@ -88,9 +88,8 @@ def computed(
     without one, or where it pulls nothing back, lambda is sigma / max sigma.  Vertices that no face
     uses have 0.  Outward is away from the solid, also where its surface is inside out.
     """
-    from msal_cli.analysis.curvature import mean_curvature
     from msal_cli.analysis.enclosure import measure_enclosure
-    from msal_cli.analysis.local_scale import local_scale
+    from msal_cli.analysis.measures import local_scale, mean_curvature
     from msal_cli.analysis.noise_estimate import estimate_regions
 
     mesh = ready.mesh

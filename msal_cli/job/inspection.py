@@ -59,7 +59,7 @@ def _inspection_failure(name: str, error: MsalError) -> InfoRecord:
 def _inspected(data: Buffer, name: str, format: str | None, with_intersections: bool) -> InfoRecord:
     from msal_cli import codecs as files
     from msal_cli.analysis.enclosure import enclosure_of
-    from msal_cli.analysis.volume import area_and_volume
+    from msal_cli.analysis.measures import area_and_volume
     from msal_cli.mesh import prepare_mesh
 
     plain, is_compressed = files.expanded(data, name)

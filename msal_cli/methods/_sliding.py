@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from msal_cli.analysis.noise_estimate.local import apply_umbrella_twice
 from msal_cli.arrays import Floats
-from msal_cli.kernels.geometry import face_normals, ring_means
+from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import free_vertices
 
-SETTLING = 3
+FINAL_PASSES = 3
 """Passes that fit the vertices once more after their sliding is undone."""
 
 SIDEWAYS = 0.55
@@ -32,7 +33,7 @@ _shares: weakref.WeakKeyDictionary[Mesh, float] = weakref.WeakKeyDictionary()
 
 
 def sliding_parameter() -> Any:
-    """The parameter that ``settled`` reads."""
+    """The parameter of ``undo_sliding``."""
     return parameter(
         "kept",
         "the way that vertices came sideways: kept; undone at the end, for scans whose noise is "
@@ -62,7 +63,7 @@ def undo_sliding(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> 
         mesh.faces,
         mesh.topology,
         free_vertices(mesh, boundary),
-        SETTLING,
+        FINAL_PASSES,
     )
 
 
@@ -83,13 +84,7 @@ def _measure_sideways_share(mesh: Mesh) -> float:
     Noise is what is left of the positions when the umbrella is applied twice, by the median over
     the vertices within the surface; uneven sampling counts as noise within it.
     """
-    links = mesh.topology
-    rings = links.ring_start, links.ring
-    second = np.empty_like(mesh.vertices)
-    for axis in range(3):
-        values = np.ascontiguousarray(mesh.vertices[:, axis])
-        first = ring_means(values, *rings) - values
-        second[:, axis] = ring_means(first, *rings) - first
+    links, second = mesh.topology, apply_umbrella_twice(mesh)
     normals = mesh.vertex_normals("uniform", 1)
     along = np.einsum("ij,ij->i", second, normals)
     second -= along[:, None] * normals

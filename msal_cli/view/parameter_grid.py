@@ -189,7 +189,7 @@ def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
     """The numbers and the mesh of each cell, row by row, one after the other."""
     from msal_cli.analysis import correspondence as metrics
     from msal_cli.analysis.enclosure import measure_enclosure
-    from msal_cli.analysis.surface import measure_surface_change, normal_statistics
+    from msal_cli.analysis.measures import measure_surface_change, normal_statistics
     from msal_cli.job.comparison import volume_changed
 
     mesh, objection = on.ready.mesh, on.ready.defects.volume_objection
@@ -271,7 +271,7 @@ def sheet(
 
 
 def _against_truth(on: Subject) -> str:
-    from msal_cli.analysis.surface import normal_statistics
+    from msal_cli.analysis.measures import normal_statistics
 
     assert on.reference is not None
     error = normal_statistics(on.reference, on.ready.mesh).mean_angular_error_deg

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.analysis.curvature import mean_curvature
-from msal_cli.analysis.local_scale import local_scale
+from msal_cli.analysis.measures import local_scale, mean_curvature
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import fan, grid, torus
 

@@ -7,8 +7,7 @@ import pytest
 
 from msal_cli.analysis.enclosure import measure_enclosure
 from msal_cli.analysis.harm import harmful_change
-from msal_cli.analysis.surface import measure_surface_change
-from msal_cli.analysis.volume import area_and_volume
+from msal_cli.analysis.measures import area_and_volume, measure_surface_change
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import cube, grid, torus
 

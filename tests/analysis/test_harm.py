@@ -7,8 +7,7 @@ import pytest
 
 from msal_cli.analysis import added_noise as noise
 from msal_cli.analysis.harm import FLIPPED, VOLUME, folded_faces, harmful_change
-from msal_cli.analysis.surface import measure_surface_change
-from msal_cli.analysis.volume import is_negative, relative_volume_change
+from msal_cli.analysis.measures import is_negative, measure_surface_change, relative_volume_change
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import ball, cube, grid, torus
 

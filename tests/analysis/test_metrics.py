@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.analysis.displacement import displacement_statistics
-from msal_cli.analysis.surface import normal_statistics
-from msal_cli.analysis.volume import area_and_volume
+from msal_cli.analysis.measures import area_and_volume, displacement_statistics, normal_statistics
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import cube, fan, torus
 

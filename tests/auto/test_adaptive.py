@@ -11,8 +11,8 @@ import pytest
 from msal_cli import codecs as files
 from msal_cli import methods
 from msal_cli.analysis.added_noise import add_plain_noise
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.analysis.noise_estimate import estimate_noise
-from msal_cli.analysis.surface import normal_statistics
 from msal_cli.auto import FAMILY, NONE, adaptive
 from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import ball, cube, torus

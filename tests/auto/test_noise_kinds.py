@@ -12,9 +12,9 @@ from benchmarks import machined_shapes
 from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.analysis.noise_estimate import NoiseCharacter, estimate_noise
 from msal_cli.analysis.noise_estimate.local import local_levels
-from msal_cli.analysis.surface import normal_statistics
 from msal_cli.auto import FAMILY, NONE, Wishes, adaptive
 from msal_cli.auto.candidates import FARTHER, LEARNED
 from msal_cli.auto.choices import describe_noise

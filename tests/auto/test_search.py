@@ -12,8 +12,8 @@ from msal_cli import auto as selection
 from msal_cli import codecs as files
 from msal_cli import methods
 from msal_cli.analysis import added_noise as noise
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.analysis.noise_estimate import estimate_noise
-from msal_cli.analysis.surface import normal_statistics
 from msal_cli.auto import NONE, Wishes, search
 from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.auto.search import RUN, START

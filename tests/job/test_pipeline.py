@@ -318,7 +318,7 @@ def test_an_unexpected_error_is_a_record_too(scan, tmp_path, monkeypatch):
     def broken(*_):
         raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr("msal_cli.analysis.surface.measure_surface_change", broken)
+    monkeypatch.setattr("msal_cli.analysis.measures.measure_surface_change", broken)
     record = denoised(scan, tmp_path / "out.ply")
     assert record.error.code == "E_INTERNAL"
     assert "ZeroDivisionError: oops" in record.error.message

@@ -9,7 +9,7 @@ import numpy as np
 
 from msal_cli import codecs as files
 from msal_cli import methods
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.mesh import Mesh, prepare_mesh
 
 PAIRS = ("Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2")

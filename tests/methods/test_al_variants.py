@@ -9,7 +9,7 @@ import pytest
 
 from msal_cli import codecs as files
 from msal_cli import methods
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.kernels.operators import AnisotropicLaplacian
 from msal_cli.kernels.robust_laplacian import DEVIATIONS, SCALINGS, WEIGHTS, RobustLaplacian
 from msal_cli.mesh import prepare_mesh

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import Settings, method_bytes_per_face

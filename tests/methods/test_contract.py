@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.errors import UsageError
 from msal_cli.kernels import parallel
 from msal_cli.mesh import prepare_mesh

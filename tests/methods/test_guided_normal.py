@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.mesh import prepare_mesh
 from tests.methods import plain_guides as plain
 from tests.methods.pairs import all_errors

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.analysis.volume import area_and_volume
+from msal_cli.analysis.measures import area_and_volume
 from msal_cli.mesh import prepare_mesh
 from tests.methods.pairs import all_errors
 from tests.methods.plain_rings import hc, rows

@@ -7,7 +7,7 @@ import pytest
 
 from msal_cli import codecs as files
 from msal_cli import methods
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.kernels.connectivity import connectivity
 from msal_cli.kernels.dihedral_flaps import dihedral_angles, flaps
 from msal_cli.mesh import prepare_mesh

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.analysis.noise_estimate import estimate_noise
-from msal_cli.analysis.surface import normal_statistics
 from msal_cli.errors import InternalError
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods import find

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.analysis.volume import area_and_volume
+from msal_cli.analysis.measures import area_and_volume
 from msal_cli.errors import UsageError
 from msal_cli.kernels.schedules import Alternating
 from msal_cli.mesh import prepare_mesh

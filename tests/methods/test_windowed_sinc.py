@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.analysis.volume import area_and_volume
+from msal_cli.analysis.measures import area_and_volume
 from msal_cli.kernels.umbrellas import sinc_coefficients
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import grid, noisy, torus

@@ -63,13 +63,13 @@ class NoiseCharacter:
     """
 
     kind: str
-    rings: int
-    direction: str
-    axis: tuple[float, float, float] | None
-    step: float
-    outliers: float
-    confidence: float
-    basis: str
+    rings: int = 0
+    direction: str = "normals"
+    axis: tuple[float, float, float] | None = None
+    step: float = 0.0
+    outliers: float = 0.0
+    confidence: float = 1.0
+    basis: str = ""
 
     @property
     def words(self) -> str:
@@ -101,7 +101,7 @@ class NoiseCharacter:
         }[self.kind]
 
 
-NO_CHARACTER = NoiseCharacter("none", 0, "normals", None, 0.0, 0.0, 1.0, "")
+NO_CHARACTER = NoiseCharacter("none")
 
 
 @dataclass(frozen=True)

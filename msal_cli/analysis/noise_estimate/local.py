@@ -39,13 +39,18 @@ def local_levels(mesh: Mesh) -> Floats:
     return known
 
 
-def _local_levels(mesh: Mesh) -> Floats:
-    rings = mesh.topology.ring_start, mesh.topology.ring
-    second = np.empty_like(mesh.vertices)
+def apply_umbrella_twice(mesh: Mesh) -> Floats:
+    """The umbrella of the umbrella of the positions (n, 3): mostly noise."""
+    rings, second = mesh.topology.one_ring, np.empty_like(mesh.vertices)
     for axis in range(3):
         values = np.ascontiguousarray(mesh.vertices[:, axis])
         first = ring_means(values, *rings) - values
         second[:, axis] = ring_means(first, *rings) - first
+    return second
+
+
+def _local_levels(mesh: Mesh) -> Floats:
+    rings, second = mesh.topology.one_ring, apply_umbrella_twice(mesh)
     heights = np.abs(np.einsum("ij,ij->i", second, mesh.vertex_normals("uniform", 1)))
     logarithms = np.log(heights / mesh.mean_edge_length + SMALLEST)
     for _ in range(PASSES):
