@@ -181,7 +181,7 @@ class PreparedMesh:
     ----------
     mesh : welded, cleaned, wound one way, about ``origin``.
     origin : (3,), subtracted from the file's positions.
-    vertex_map : (n_file,) int32, the mesh vertex that stands for each file vertex, -1 for none; or
+    vertex_map : (n_file,) int32, the mesh vertex of each file vertex, -1 for none; or
         None where they are the same, one for one.
     defects : what was found on the way.
     """

@@ -1,6 +1,6 @@
 """Numbers as colours: two maps that are even to the eye and safe for the colour-blind.
 
-The control points stand in OKLab (Ottosson 2020), where equal steps look equally large, and the
+The control points are in OKLab (Ottosson 2020), where equal steps look equally large, and the
 colours between them are found there too.  Lightness never turns back within a map (within each half
 of the diverging one), so that order can be read off without telling hues apart, and in print.
 """

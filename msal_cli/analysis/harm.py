@@ -72,7 +72,7 @@ def harmful_change(
 def folded_faces(mesh: Mesh) -> int:
     """How many faces face away from the mollified normals at their corners.
 
-    Beyond ``MOST_SAMPLED`` faces those are counted that stand at even distances, and stand for all.
+    Of more than ``MOST_SAMPLED`` faces every k-th one is counted, and the count is scaled.
     """
     from msal_cli.kernels.geometry import face_normals
 

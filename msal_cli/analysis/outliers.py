@@ -85,11 +85,11 @@ class Outliers:
 def find_outliers(mesh: Mesh) -> Outliers:
     """The outliers of a mesh, and their places on the surface.
 
-    A vertex is held against a robust fit of degree 2 to its two-ring without itself: how far it is
+    A vertex is compared with a robust fit of degree 2 to its two-ring without itself: how far it is
     across and along the surface, how rough its faces make the surface, and how rough it would be
     with the vertex in its place.  All is in units of the local edges, less what noise and texture
     around it explain.  Corners, edges and tips that their faces around them go on are smooth that
-    way.  Held vertices, and those on open borders, are never outliers.  It costs about as much as
+    way.  Fixed vertices, and those on open borders, are never outliers.  It costs about as much as
     one sweep where there are none.
     """
     return _Search(mesh).run()

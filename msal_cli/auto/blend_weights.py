@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 FLOOR = 0.02
-"""Estimated errors below this part of the input's are not told apart: they are mostly scatter."""
+"""Estimated errors below this share of the input's count as equal: they are mostly scatter."""
 
 ROUNDS = 8
 """Rounds in which the shares of places and slopes follow the errors that are reached."""

@@ -123,7 +123,7 @@ def choose_least(
     return Choice(
         candidate.method,
         methods.find(candidate.method).validate(candidate.settings(level)),
-        f"{what}; smoothed as if it had {level:.2g} e, for that is wished; {candidate.label}",
+        f"{what}; smoothed for noise of {level:.2g} e, as requested; {candidate.label}",
         surface,
         noise,
     )

@@ -8,19 +8,20 @@ error over the vertices is a quadratic in w,
 for noisy positions y = t + noise.  M can be seen; the truth t, and so b and c, cannot.  Two ways to
 know them, which err differently:
 
-``Stein`` takes the mesh as it is.  With Gaussian noise of covariance C the mean of <d_k, noise> is
-the trace of C times the derivative of d_k (Stein's lemma), and that is measured with probes u that
-are drawn from the same covariance: u . (d_k(y + e u) - d_k(y)) / e.  So any colour, direction and
-level by region will do.
+``SteinRisk`` takes the mesh as it is.  With Gaussian noise of covariance C the mean of <d_k, noise>
+is the trace of C times the derivative of d_k (Stein's lemma), and that is measured with probes u
+that are drawn from the same covariance: u . (d_k(y + e u) - d_k(y)) / e.  So any colour, direction
+and level by region will do.
 
-``Rehearsal`` takes a mesh whose truth is known: a first result stands for the truth, noise of the
-same kind is put on it, and every filter is run on that.  Of noise of an unknown kind that is what
-the first result took away, with the other sign: of the same colour, direction and level everywhere.
+``SimulatedRisk`` takes a mesh whose truth is known: a first result is taken as the truth, noise of
+the same kind is added to it, and every filter is run on that.  Of noise of an unknown kind that is
+what the first result took away, with the other sign: of the same colour, direction and level
+everywhere.
 
 Both are taken for the positions, and for the slopes, the differences along edges over their
 length, which the angles between face normals follow.  Where noise is in all directions the whole
 difference counts, not only its part across the surface: it also tells how jagged triangles are.
-Vertices that are not judged do not count.
+Only ``judged`` vertices count.
 """
 
 from __future__ import annotations
@@ -52,14 +53,14 @@ PROBE_STEP = 0.1
 """How far a probe moves vertices, in standard deviations of the noise."""
 
 DRAWN, DEALT, MIRRORED = "drawn", "dealt", "mirrored"
-"""What a rehearsal puts on a first result."""
+"""What a simulation adds to a first result."""
 
 SHORTEST_EDGE = 0.3
 """In mean edge lengths: shorter ones are taken for so long, or single slivers would count for
 all."""
 
 LEAST_SHARE = 1e-9
-"""Noise in parts of the moves, as squares: less is taken for so much where moves are judged."""
+"""Noise in parts of the moves, as squares: a smaller value counts as this one."""
 
 LEAST_NOISE = 1e-6
 """In mean edge lengths: less noise is taken for so much, for errors are in parts of it."""
@@ -128,7 +129,7 @@ class Risk:
 
 @dataclass(frozen=True, eq=False)
 class _Slopes:
-    """Differences of moves along the judged edges of a mesh, over the edges' lengths: of heights
+    """Differences of moves along the evaluated edges of a mesh, over the edges' lengths: of heights
     along ``directions`` (e, 3), or whole where these are numbers (e, 1)."""
 
     first: NDArray[np.int32]
@@ -147,7 +148,7 @@ def _slopes(
     mesh: Mesh, normals: Floats, judged: NDArray[np.bool_], is_isotropic: bool = False
 ) -> _Slopes:
     """Lengths are those along the surface: across it edges are as long as the noise makes them,
-    which would tie the slope to the very noise that is to be judged."""
+    which would make the slope depend on the noise that is to be evaluated."""
     links = mesh.topology
     counts = np.diff(links.ring_start)
     first = np.repeat(np.arange(len(counts), dtype=np.int32), counts)

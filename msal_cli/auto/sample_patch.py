@@ -1,4 +1,4 @@
-"""A part of a large mesh that stands for the whole: some patches, spread over it evenly."""
+"""A sample of a large mesh: some patches, spread over it evenly."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ PATCH = 2_000
 """Vertices of a patch, about: in smaller ones too much is near the cut."""
 
 MARGIN = 3
-"""Rings at the cut of a patch that are filtered with it, but not judged: what lies beyond is
-missing there."""
+"""Rings at the cut of a patch that are filtered but not evaluated: their neighbours beyond the cut
+are missing."""
 
 CELLS = 1024
-"""Steps along each axis of the order in which vertices are told apart by place."""
+"""Cells along each axis, for the order of vertices in space."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What stands for a mesh.
+    """A sample of a mesh, or the whole.
 
     Attributes
     ----------
     mesh : the patches as one mesh, or the whole.
-    judged : (m,) bool, vertices of it that count where results are compared.
+    judged : (m,) bool, vertices at which errors are evaluated.
     numbers : (m,) which vertices of the whole these are; None for all of them.
     """
 
@@ -49,8 +49,8 @@ def select_patch(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
     Patches grow from any vertex, or from one of about ``seeds`` vertices evenly over their numbers:
     to order a million of them by place takes longer than a short search can spend.
 
-    Vertices that the mesh holds are not judged, nor are those that no face has.  The part itself
-    neither holds nor trusts any.
+    Fixed vertices and those that no face uses are not evaluated.  The sample itself has no fixed
+    vertices and no trust.
     """
     links, n = mesh.topology, len(mesh.vertices)
     judged = (
@@ -63,7 +63,7 @@ def select_patch(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
             else mesh.with_constraints(None, None)
         )
         return Part(whole, judged)
-    # Where nobody is judged there is nothing to learn, and patches need not begin there.
+    # Patches begin only at vertices that are evaluated.
     places = np.flatnonzero(judged if judged.any() else links.has_ring)
     if seeds is not None and len(places) > 2 * seeds:
         places = places[:: len(places) // seeds]

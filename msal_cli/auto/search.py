@@ -1,11 +1,11 @@
 """The search: candidates on parts of the mesh, their errors estimated, the best blend of them.
 
-1. The noise is estimated.  Where there is none to speak of nothing is done, see ``leaving``.
+1. The noise is estimated.  Where there is none to speak of nothing is done, see ``choices``.
 2. Every candidate that the budget allows runs on a small part of the mesh and on a probe of it, and
    Stein's lemma gives the error of any blend of them; the best blend is a first result.
 3. The members of that and the best by themselves are tried on a larger part.  If the first result
    has sharp edges between smooth parts, or noise could hide them, expensive filters join in.
-4. They rehearse: the best result yet stands for the truth, with noise put on it.
+4. A simulation: the best result so far is taken as the truth, and noise is added to it.
 5. The blend that is best by both estimates is taken, without members that hardly count.  Stein's
    counts the more the less sure it is what is noise and what is texture.
 
@@ -54,7 +54,8 @@ if TYPE_CHECKING:
 RUN = 1.7
 """What a default run costs beyond its filter, in filters of its kind over the same mesh: reading,
 measuring and writing.  benchmarks/auto_seconds.py measures 2.7 at a million vertices, where the
-filter takes 0.13 s; less is reckoned with, since candidates cost more on scans in a worse order."""
+filter takes 0.13 s; a smaller value is used, since candidates cost more on scans in a worse
+order."""
 
 START = 1_000_000
 """Vertices that the filter would do while a run starts."""
@@ -69,8 +70,8 @@ PART = 6_000
 """Vertices that the best are tried on; on fewer the estimates scatter too much."""
 
 LONGER_LOOK, SECOND_LOOK = 6, 3
-"""The best candidates by themselves that rehearse beside the members of the first blend, and of
-the second."""
+"""The best single candidates that are simulated in addition to the members of the first blend, and
+of the second."""
 
 LEAST_WEIGHT = 0.04
 """Members below this weight are left out."""
@@ -83,8 +84,8 @@ WIDE = 0.3
 """Width of the interval below the level, in parts of it, up to which it is a usual one."""
 
 SURE, UNSURE = 0.13, 0.23
-"""The same width, up to which a rehearsal is believed alone, and from which on
-Stein's risk counts as much."""
+"""The same width, up to which only the simulation counts, and from which on Stein's risk counts as
+much."""
 
 UNEVEN_WIDTH = 0.18
 """The same width, as it is taken for noise that is not the same everywhere."""
@@ -116,7 +117,7 @@ _KEEP = {"texture": (0.9, 0.5), "edges": (1.0, 0.7), "shape": (SHAPE, 0.4)}
 
 
 def search(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
-    """See ``selection.chosen``."""
+    """The best method or blend for ``mesh``; see ``auto.choose``."""
     noise = estimate_noise(mesh)
     if noise.is_negligible or not mesh.topology.has_ring.any():
         if on_step is not None:
@@ -159,7 +160,7 @@ class _Search:
             self.relax = RELAX
             self.mesh = even_out(mesh, RELAX)
             self.model = self.model.along_normals()
-        # Of the mesh as the blend gets it, and without what is wished.
+        # Of the mesh as the blend gets it, and without the wishes.
         self.local, self.levels = np.empty(0), ()
         if self.model.shares is not None and mesh.trust is None:
             self.local = local_levels(mesh)
@@ -169,7 +170,7 @@ class _Search:
     def chosen(self) -> Choice:
         """The best blend, or single method, that the budget allows."""
         usable = [one for one in CANDIDATES if self._is_usable(one)]
-        # A budget of one run leaves nothing for looking around.
+        # A budget of one run leaves nothing for trials.
         usable = usable or [min(CANDIDATES, key=lambda one: one.cost)]
         later = [one for one in usable if one is LEARNED]
         last = [one for one in usable if one.is_last_resort]
@@ -200,9 +201,9 @@ class _Search:
             first = study.positions(members, weights)
         again = study.simulate(members, first)
         weights = self._best([again.risk()])
-        # Only what is any good rehearses twice.
+        # Only the best are simulated twice.
         shortlist = self._shortlist(again.risk(), weights, SECOND_LOOK)
-        rehearsed = len(members)
+        n_simulated = len(members)
         members, weights = [members[k] for k in shortlist], weights[shortlist]
         judges: list[tuple[SteinRisk | SimulatedRisk, float]] = []
         if self._is_gaussian and self._doubt > 0.0 and not is_sharp:
@@ -211,8 +212,8 @@ class _Search:
             weights = self._best(both)
         if self.added != MIRRORED:
             first = study.positions(members, weights)
-        # The same members on the same mesh once more would tell the same.
-        is_known = self.added == MIRRORED and len(members) == rehearsed
+        # The same members on the same mesh would give the same.
+        is_known = self.added == MIRRORED and len(members) == n_simulated
         last_one = again if is_known else study.simulate(members, first)
         judges.append((last_one, 1.0))
         self.unit = last_one.level if self.added == MIRRORED else self.level
@@ -247,7 +248,7 @@ class _Search:
         return rows
 
     def _trials(self, size: int) -> CandidateRuns:
-        """Trials on a part of about so many vertices; on the same one where it is the whole."""
+        """Runs on a sample of about so many vertices; kept where that is the whole mesh."""
         part = select_patch(self.mesh, size)
         if self._whole is not None and part.numbers is None:
             return self._whole
@@ -276,7 +277,7 @@ class _Search:
         return is_weak and not noise.is_uneven and is_seen_from_one_side(self.mesh)
 
     def _mirror(self) -> Sequence[Candidate]:
-        """Let rehearsals put on what the learned filter takes away, where that is noise.
+        """Let simulations add what the learned filter removes, where that is noise.
 
         On a machined surface it is, of whatever kind.  Elsewhere it is believed to be where no draw
         of the noise is like it.  Smooth surfaces bear a farther reach, and what keeps more of the
@@ -301,7 +302,7 @@ class _Search:
         if not (self._is_machined or is_doubtful or is_smooth):
             return ()
         self.added, self._whole = MIRRORED, None
-        # What is put on is not drawn of the level: no doubt about texture lessens it.
+        # The added noise does not follow the level: doubt about texture does not reduce it.
         edge = self.mesh.mean_edge_length
         self.level = max(self.level, self.noise.mean_edges * self.wished * edge)
         self.model = self.model.at_level(self.level)
@@ -315,9 +316,9 @@ class _Search:
 
     @property
     def _doubt(self) -> float:
-        """How much Stein's risk counts beside a rehearsal, 0 to 1.
+        """Weight of Stein's risk against that of a simulation, 0 to 1.
 
-        A rehearsal scatters less, but takes for noise whatever the first result has taken away:
+        A simulation scatters less, but treats all that the first result removed as noise:
         the wider the noise's interval, the more of that may be texture.
         """
         return min(max((self._width - SURE) / (UNSURE - SURE), 0.0), 1.0)
@@ -437,5 +438,5 @@ class _Search:
 def _risks(
     judges: Sequence[tuple[SteinRisk | SimulatedRisk, float]], judged: Flags | None = None
 ) -> list[Risk]:
-    """The risks by judges of some importance each, over the vertices (m,) that are ``judged``."""
+    """The risks by weighted estimators, over the ``judged`` vertices (m,)."""
     return [judge.risk(judged).counted(importance) for judge, importance in judges]

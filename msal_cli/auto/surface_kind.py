@@ -1,4 +1,4 @@
-"""What kind of surface a mesh is, told by the angles across its edges."""
+"""The kind of a surface, by the angles across its edges."""
 
 from __future__ import annotations
 

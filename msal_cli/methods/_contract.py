@@ -75,7 +75,7 @@ class ParameterSpec:
     ----------
     name, symbol : the word for ``--set`` and the paper's letter, which ``--set`` takes as well.
     kind : ``int``, ``float`` or ``str``.
-    default : in use where the user says nothing.
+    default : the value if none is given.
     low, high, low_open, high_open : the range of a number; open ends are excluded.
     choices : the words allowed, for ``str``; none if any text is, which ``Parameters`` checks.
     unit : of the value; empty for a pure number.
@@ -164,7 +164,7 @@ def parameter(
 
 @functools.cache
 def _specs(made: type[Any]) -> tuple[ParameterSpec, ...]:
-    """The fields of a ``Parameters``; --auto asks for those of a method a hundred times."""
+    """The fields of a ``Parameters``; --auto reads those of a method a hundred times."""
     kinds = typing.get_type_hints(made)
     return tuple(
         ParameterSpec(one.name, kind=kinds[one.name], default=one.default, **one.metadata)
@@ -206,8 +206,8 @@ class Method:
 
     def bytes_per_face_of(self, given: Mapping[str, Any]) -> int:
         """The same for parameters of which ``given`` are set, where they decide it."""
-        told = getattr(self.module.Parameters(**given), "bytes_per_face", None)
-        return self.bytes_per_face if told is None else int(told)
+        value = getattr(self.module.Parameters(**given), "bytes_per_face", None)
+        return self.bytes_per_face if value is None else int(value)
 
     @property
     def parameters(self) -> tuple[ParameterSpec, ...]:
@@ -241,12 +241,12 @@ class Method:
         return values
 
     def has_data_term(self, parameters: Mapping[str, Any]) -> bool:
-        """Whether settled ``parameters`` pull vertices back to where they were scanned by the
+        """Whether complete ``parameters`` pull vertices back to where they were scanned by the
         lambda of equation (2), which a mesh's trust scales."""
         return bool(getattr(self.module.Parameters(**parameters), "has_data_term", False))
 
     def most_noise_edges(self, parameters: Mapping[str, Any]) -> float:
-        """The strongest noise, mean edge lengths, that settled ``parameters`` are made for."""
+        """The strongest noise, mean edge lengths, that complete ``parameters`` are suited for."""
         return float(getattr(self.module.Parameters(**parameters), "most_noise_edges", math.inf))
 
     def uses_largest_sigma(self, parameters: Mapping[str, Any]) -> bool:

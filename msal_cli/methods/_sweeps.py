@@ -83,7 +83,7 @@ def quantile_parameter() -> Any:
     """The parameter of the robust schedule."""
     return parameter(
         0.99,
-        "robust schedule: sigma of this rank among all, from 0 to 1, stands in for max sigma",
+        "robust schedule: quantile of sigma, from 0 to 1, that replaces max sigma",
         symbol="q",
         low=0.0,
         high=1.0,
@@ -96,7 +96,7 @@ def noise_parameter(of: str = "wiener schedule: ") -> Any:
     """A parameter of the Wiener schedule."""
     return parameter(
         0.0,
-        of + "standard deviation of the noise; 0 has it estimated",
+        of + "standard deviation of the noise; 0 estimates it",
         low=0.0,
         high=100.0,
         unit="mean edge lengths",
@@ -108,7 +108,7 @@ def caution_parameter(default: float = 1.0, of: str = "wiener schedule: ") -> An
     """The other parameter of the Wiener schedule."""
     return parameter(
         default,
-        of + "factor of the noise's power that is reckoned with",
+        of + "factor of the assumed power of the noise",
         low=0.0,
         high=100.0,
         more="smoother, less texture",
@@ -131,7 +131,7 @@ class ScheduledParameters(ScheduleTraits, NormalParameters):
     schedule: str = parameter(
         "plain",
         "how the sweeps go on: alike; with a constant pull to the data; multiscale, as in msal; "
-        "robust, the same beside spikes; or alike, and what is more than noise comes back (wiener)",
+        "robust, unaffected by spikes; or alike, and what is more than noise comes back (wiener)",
         choices=("plain", "constant", "multiscale", "robust", "wiener"),
     )
     fidelity: float = parameter(
@@ -193,7 +193,7 @@ class ScaleParameters(ScheduledParameters):
 
 
 def free_vertices(mesh: Mesh, boundary: str) -> NDArray[np.bool_]:
-    """Which vertices (n,) may move, for the parameter ``boundary``; those that are held may not."""
+    """Which vertices (n,) may move, for the parameter ``boundary``; fixed vertices may not."""
     edge = mesh.topology.boundary
     free: NDArray[np.bool_] = ~edge if boundary == "fixed" else np.ones_like(edge)
     return free if mesh.fixed_vertices is None else free & ~mesh.fixed_vertices

@@ -11,7 +11,7 @@ STEP = 0.5
 """Share of the way to the mean of the neighbours, within the surface."""
 
 MOLLIFY = 3
-"""Passes that average the normals which say what is within the surface."""
+"""Passes that average the normals of the tangent planes."""
 
 
 def even_out(mesh: Mesh, passes: int) -> Mesh:

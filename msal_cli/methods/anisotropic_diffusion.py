@@ -51,7 +51,7 @@ from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
 
 DEVIATIONS = {"cad": 0.0, "organic": 1.0}
-"""Standard deviations above the median at which lambda stands by itself."""
+"""Automatic lambda, in standard deviations above the median."""
 
 BYTES_PER_FACE = 195
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""

@@ -1,7 +1,7 @@
 """Bilateral filter: heights along the normal, averaged by closeness and by similarity.
 
 A vertex moves along its normal n by a weighted mean of the heights h of its neighbours over its
-tangent plane.  A neighbour counts less the farther away it is, and less the higher it stands:
+tangent plane.  Its weight falls with the distance of the neighbour and with its height:
 
     h_k = (x_k - x_i) . n_i,  t_k = |x_k - x_i|
     w_k = exp(-t_k^2 / (2 sigma_c^2)) exp(-h_k^2 / (2 sigma_s^2))
@@ -27,9 +27,9 @@ edge: on a mesh of uneven triangles give ``closeness=1``, which smooths more and
 most 2,048 neighbours beyond the one-ring count.
 
 Vertices at open edges are filtered with the neighbours that they have (``boundary=free``).  One
-without neighbours, or whose normal cannot be told, stays.  Where sigma_s is zero the closest in
-height count.  The cost of a sweep is proportional to the number of edges, for ``fleishman`` to the
-vertices within the radius, seven times as much and up.  Neither keeps fine texture under heavy
+without neighbours, or whose normal cannot be determined, stays.  Where sigma_s is zero the closest
+in height count.  The cost of a sweep is proportional to the number of edges, for ``fleishman`` to
+the vertices within the radius, seven times as much and up.  Neither keeps fine texture under heavy
 smoothing; ``schedule=multiscale`` brings it back as in ``msal``.
 
 Source: S. Fleishman, I. Drori and D. Cohen-Or, Bilateral mesh denoising, ACM Transactions on

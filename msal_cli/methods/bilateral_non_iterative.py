@@ -63,7 +63,7 @@ class Parameters(ScaleParameters):
         high=8.0,
         low_open=True,
         unit="mean edge lengths",
-        more="smoother, and dearer; small features go",
+        more="smoother, and slower; small features are lost",
     )
     similarity: float = parameter(
         1.0,

@@ -27,12 +27,12 @@ takes strong noise for edges: for noise of 0.2 to 0.3 mean edge lengths ``simila
 halves the angles on objects with edges, and does better than ``local`` on organic shapes.  Heavier
 noise folds faces; ``guided_normal`` is made for that.  Fine texture goes; ``msal`` keeps it.
 
-sigma_c is the mean distance between the centroids of faces that share an edge, times
-``closeness``; where none do, the mean edge length stands in.  Vertices at open edges are fixed, as
-in the public implementation that later papers compare with.  Faces around a non-manifold edge are
-all neighbours.  Sharing a vertex, or an edge, that has more than 64 faces does not make neighbours,
-so that hubs cost no more than other parts.  A face without neighbours keeps its normal; one without
-area has none and no say, and a vertex that has no other faces stays.  The cost of a pass is
+sigma_c is the mean distance between the centroids of faces that share an edge, times ``closeness``;
+where none do, the mean edge length is used.  Vertices at open edges are fixed, as in the public
+implementation that later papers compare with.  Faces around a non-manifold edge are all neighbours.
+Sharing a vertex, or an edge, that has more than 64 faces does not make neighbours, so that hubs
+cost no more than other parts.  A face without neighbours keeps its normal; one without area has no
+normal and no weight, and a vertex that has no other faces stays.  The cost of a pass is
 proportional to the number of faces; ``global`` costs about as much as 100 to 200 passes.
 
 Source: Y. Zheng, H. Fu, O. K.-C. Au and C.-L. Tai, Bilateral normal filtering for mesh denoising,

@@ -52,13 +52,13 @@ KEPT_PER_FACE = 30
 leaves scattered behind."""
 
 MOST_MEMBERS = 16
-"""More are taken for a mistake."""
+"""More members are an error."""
 
 STEPS = 100
-"""Into which the progress of one member is told."""
+"""Steps of progress that are reported for each member."""
 
 ROUNDING = 1e-9
-"""By which weights may add up to more than 1."""
+"""Excess over 1 that the sum of the weights may have."""
 
 _MEMBER = re.compile(
     r"([0-9.]+(?:[eE][+-]?[0-9]+)?(?::[0-9.]+(?:[eE][+-]?[0-9]+)?)*)"
@@ -69,7 +69,7 @@ _EXAMPLE = "for example 0.6*guided_normal(iterations=5)+0.4*al(iterations=3)"
 
 @dataclass(frozen=True)
 class Member:
-    """One method of a blend: its weights, one for each level, and its settled parameters."""
+    """One method of a blend: its weights, one for each level, and all of its parameters."""
 
     weights: tuple[float, ...]
     method: Method

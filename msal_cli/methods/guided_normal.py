@@ -7,9 +7,9 @@ its score H is the greater the less its normals n agree:
     H = max |n_a - n_b|  max |dn| / (epsilon + sum |dn|),   dn across the inner edges of the patch
 
 The guide g of a face is the area-weighted mean normal of the patch with the least H among those
-centred at the face or at one that shares a vertex with it: beside an edge, a patch that lies on
-one side of it.  With areas A and centroids c, the filtered normal is the normalised sum over the
-faces j near i, and i itself,
+centred at the face or at one that shares a vertex with it: near an edge, a patch that lies on one
+side of it.  With areas A and centroids c, the filtered normal is the normalised sum over the faces
+j near i, and i itself,
 
     sum A_j exp(-|c_i - c_j|^2 / (2 sigma_s^2)) exp(-|g_i - g_j|^2 / (2 sigma_r^2)) n_j
 
@@ -102,7 +102,7 @@ class Parameters:
         low=0.0,
         high=10.0,
         unit="mean distances of the centroids of faces that share an edge",
-        more="smoother, and dearer; thin features go",
+        more="smoother, and slower; thin features are lost",
     )
     vertex_iterations: int = parameter(
         10,

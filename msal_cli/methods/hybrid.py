@@ -34,9 +34,9 @@ flattens; a scan without sharp edges is served better by ``al`` or ``msal``.  Fa
 everything down.
 
 At open edges vertices move along their normals only, never along the surface, so that the rim is
-not drawn inwards (``boundary=free``).  A vertex without neighbours, or whose normal cannot be told,
-stays.  The whole costs about seven times as much as three sweeps of ``al``, in proportion to the
-number of edges.
+not drawn inwards (``boundary=free``).  A vertex without neighbours, or whose normal cannot be
+determined, stays.  The whole costs about seven times as much as three sweeps of ``al``, in
+proportion to the number of edges.
 
 Source: after H. Huang and U. Ascher, Surface mesh smoothing, regularization and feature detection,
 SIAM Journal on Scientific Computing 31 (2008), 74-93.
@@ -87,7 +87,7 @@ class Parameters(NormalParameters):
         "sweeps before the clustering",
         low=0,
         high=1000,
-        more="features are told from stronger noise, and faint ones are lost",
+        more="features are found under stronger noise, and weak ones are lost",
     )
     clusters: int = parameter(
         3,

@@ -23,7 +23,7 @@ evened out along the surface and fitted again.
 The vectors are seen along axes of their own, those of the tensor of the normals near: turning,
 moving or scaling a mesh changes nothing.  Lengths are local: mean distances of centroids, as edges.
 
-Texture and noise are told apart by the strength of the noise: a ``noise`` that is given helps most
+The level of the noise decides what is texture and what is noise: a given ``noise`` helps most
 where the texture is as fine as the mesh, and a greater one smooths more.
 
 ``sliding=undone`` takes the way back that vertices came sideways, for noise along the normals; see
@@ -122,7 +122,7 @@ def resolve_noise(mesh: Mesh, given: float) -> float | None:
     """The level in mean edge lengths, ``given`` or else estimated.
 
     None where no level says what is wrong: on staircases, and where the estimate finds hardly any
-    noise and does not say that there is none.
+    noise and is not sure that there is none.
     """
     from msal_cli.analysis.noise_estimate import estimate_noise
 

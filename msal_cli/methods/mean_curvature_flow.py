@@ -11,7 +11,7 @@ edge and the area A_i that belongs to a vertex
 Unlike the umbrella it moves no vertex within a flat part, however irregular the triangles.  tau is
 an area, ``time_step`` times the square of the mean edge length.  The explicit step measures w and
 A anew at every sweep; where triangles are small or flat a vertex takes its own limit t_i, at which
-it goes to the weighted mean of its neighbours, and the mesh as a whole is not held up by it.  The
+it goes to the weighted mean of its neighbours, and it does not slow down the rest of the mesh.  The
 implicit step is stable for every tau: one long step does the work of many sweeps.  It keeps L from
 the input and measures M anew, which is the flow without singularities of Kazhdan and others;
 measuring L anew as well gave angles within 0.2 degrees on four noisy models at the defaults, and

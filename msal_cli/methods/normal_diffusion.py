@@ -1,7 +1,7 @@
 """Anisotropic diffusion of normals: sharp edges kept, and flat and round parts alike made smooth.
 
 The surface is smoothed in two steps that take turns: first the normals are diffused as colours are
-in an image, less so across edges, with the surface held still; then the surface is fitted to them.
+in an image, less so across edges, with the surface fixed; then the surface is fitted to them.
 On a triangle mesh, after the level sets of the paper, a face is a cell with one normal n, and what
 passes between faces grows with the length l of their edge and falls with the way d between their
 centroids:
@@ -28,7 +28,7 @@ those across an edge, and reaches far by many steps.  Like them it wears fine te
 ``msal`` there.  This is the paper's scheme, not its discretisation, which is one for level sets.
 
 Vertices at open edges are fixed.  Faces around a non-manifold edge are all neighbours, unless they
-are more than 64.  A face without area has no normal and no say; a vertex that has no other faces
+are more than 64.  A face without area has no normal and no weight; a vertex that has no other faces
 stays.  Where triangles are small a face takes the step that is stable for it.  The cost of a step
 or pass is proportional to the number of faces.
 

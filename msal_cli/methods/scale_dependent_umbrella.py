@@ -12,7 +12,7 @@ edge length.  A short edge allows only short steps.  Instead of slowing the whol
 shortest edge, each vertex takes tau or its own limit t_i, whichever is less; at the limit it goes
 to the mean of its neighbours with weights 1 / l, and no step can overshoot.  On a regular mesh a
 time step of 0.25 does the same as ``umbrella`` with 0.5.  Where triangles are larger than the
-average it smooths less, where they are smaller it is held at the limit: such meshes take more
+average it smooths less, where they are smaller the limit applies: such meshes take more
 sweeps.
 
 As with ``umbrella`` edges are smeared, the surface shrinks, and vertices slide, though less along

@@ -1,8 +1,8 @@
 """Static/dynamic filter: face normals of least energy, by a guide and by their own likeness.
 
-Where two near faces belong together is told by two Gaussians at once: a static one of their guide
-normals g, made from the mesh as it is, and a dynamic one of the normals n that are sought.  With
-the given normals n0, areas A and centroids c the energy
+Two Gaussians together decide whether two near faces belong to one piece of surface: a static one of
+their guide normals g, made from the mesh as it is, and a dynamic one of the normals n that are
+sought.  With the given normals n0, areas A and centroids c the energy
 
     sum_i A_i |n_i - n0_i|^2 + lambda' sum_ij w_ij (1 - exp(-|n_i - n_j|^2 / (2 nu^2)))
     w_ij = (A_i + A_j) exp(-|c_i - c_j|^2 / (2 eta^2)) exp(-|g_i - g_j|^2 / (2 mu^2))
@@ -100,7 +100,7 @@ class Parameters:
         high=10.0,
         low_open=True,
         unit="mean distances of the centroids of faces that share an edge",
-        more="smoother, and dearer with its square; small features go",
+        more="smoother; the cost grows with its square; small features are lost",
     )
     guidance: float = parameter(
         1.5,

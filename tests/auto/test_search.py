@@ -309,7 +309,7 @@ def test_a_wish_for_smoothing_is_done_on_a_clean_mesh_too(wishes, level):
     choice = chosen(mesh, **wishes)
     assert (choice.method, choice.parameters["schedule"]) == ("al", "wiener")
     assert choice.parameters["noise"] == pytest.approx(level, abs=1e-4)
-    assert "clean; smoothed as if it had 0.0" in choice.reason
+    assert "clean; smoothed for noise of 0.0" in choice.reason
     assert 0.0 < moved_edges(mesh, made_by(choice, mesh)) < 0.05
 
 

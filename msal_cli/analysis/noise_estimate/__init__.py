@@ -3,7 +3,7 @@
 ``white`` estimates the level of noise that each vertex has of its own, from fits over one- and
 two-rings.  ``survey`` looks at fewer places over up to six rings, and ``character`` concludes from
 it over how many rings neighbours share noise (``colour``), along what it is (``direction``),
-whether depths or terraces stand in steps (``steps``), and with it the level.
+whether depths or terraces come in steps (``steps``), and with it the level.
 """
 
 from __future__ import annotations

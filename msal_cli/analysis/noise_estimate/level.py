@@ -16,7 +16,7 @@ SPIKES = 0.07
 """Mean edge lengths, root mean square, from which single spikes are noise to speak of."""
 
 FEWEST_SPIKES = 0.005
-"""Share of the vertices that have to stand out for that."""
+"""Share of the vertices that must be spikes for that."""
 
 IMPULSIVE_TAIL, IMPULSIVE_EXCESS = 0.02, 1.03
 """Share of outliers, and their root mean square over the robust level, from which on the noise is
@@ -122,7 +122,7 @@ class NoiseLevel:
         Gaussian noise; 0.01 for that, 0.02 and more for impulsive noise.
     is_negligible : whether there is no noise to speak of.
     lowest, highest : levels of the least and the most noisy region, mean edge lengths.
-    regions : how many regions were told apart.
+    regions : how many regions were compared.
     character : what kind of noise it is.
     """
 

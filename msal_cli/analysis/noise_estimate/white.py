@@ -76,7 +76,7 @@ DOUBTFUL = 0.05
 may be texture."""
 
 SPREAD = 0.1
-"""What the upper end allows for spikes that do not stand out."""
+"""What the upper end allows for spikes that are not detected."""
 
 FEWEST_PLACES = 48
 """Longs that a region needs."""
@@ -189,7 +189,7 @@ def _places(mesh: Mesh) -> Longs:
     """Vertices around which to look, evenly over their numbers, but in no step with any pattern
     of them."""
     has_ring = mesh.topology.has_ring
-    # Nearly always all have, and numbers of all need not stand in memory.
+    # Nearly always all have, and no array of their numbers is needed.
     used = None if has_ring.all() else np.flatnonzero(has_ring)
     n_used = len(has_ring) if used is None else len(used)
     wanted = min(max(n_used // VERTICES_PER_PATCH, FEWEST_PATCHES), MOST_PATCHES)

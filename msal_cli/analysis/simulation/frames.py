@@ -1,4 +1,4 @@
-"""Where a scanner stands: its axes, and the size of its cells."""
+"""The frame of a scanner: its axes, and the size of its cells."""
 
 from __future__ import annotations
 
