@@ -159,7 +159,8 @@ def test_with_trust_every_candidate_has_a_pull():
 
 def test_where_every_setting_adds_error_nothing_is_done(monkeypatch):
     mesh, _ = torus_with(0.2)
-    monkeypatch.setattr(adaptive, "_scores", lambda risk: np.full(len(risk.drift), 0.2))
+    errors = np.full(3, 0.1)
+    monkeypatch.setattr("msal_cli.auto.risk.Risk.log_errors", lambda *_: (errors, errors))
     choice = adaptive.choose_adaptive(mesh)
     assert choice.method == NONE
     assert "add more error" in choice.reason

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -39,9 +40,11 @@ def errors(noisy: Mesh, clean: Mesh, name: str, **given: object) -> tuple[float,
     )
 
 
-def all_errors(data: Path, name: str, **given: object) -> list[tuple[float, float]]:
-    """The errors on the four pairs of the data folder, in the order of ``PAIRS``."""
-    folders = [data / "pairs" / pair for pair in PAIRS]
+def all_errors(
+    data: Path, name: str, names: Sequence[str] = PAIRS, **given: object
+) -> list[tuple[float, float]]:
+    """The errors on the named pairs of the data folder, in their order."""
+    folders = [data / "pairs" / pair for pair in names]
     return [
         errors(*opened(folder / "Noisy.obj", folder / "Original.obj"), name, **given)
         for folder in folders

@@ -109,18 +109,6 @@ def test_unreferenced_vertices_stay():
     assert (out[:-1] != vertices[:-1]).any()
 
 
-def test_boundary_is_free_or_fixed():
-    vertices, faces = grid(7, 7)
-    vertices = noisy(vertices, 8, 0.2)
-    edge = prepare_mesh(vertices, faces).mesh.topology.boundary
-    assert edge.sum() == 24
-    free = run("al", vertices, faces)
-    fixed = run("al", vertices, faces, boundary="fixed")
-    assert (free[edge] != vertices[edge]).any(axis=1).all()
-    assert (fixed[edge] == vertices[edge]).all()
-    assert (fixed[~edge] != vertices[~edge]).any(axis=1).all()
-
-
 def test_zero_area_faces_have_no_normal():
     # A face with three different but collinear corners must not bend its neighbours' normals.
     vertices, faces = grid(4, 4)

@@ -9,7 +9,6 @@ from msal_cli import methods
 from msal_cli.kernels.projections import ProjectionAverage
 from msal_cli.mesh import prepare_mesh
 from tests import paper
-from tests.methods.pairs import all_errors
 from tests.methods.test_bilateral import mean_edge
 from tests.shapes import cube, grid, noisy, torus
 
@@ -171,25 +170,9 @@ def test_tiny_widths_do_not_underflow(width):
     assert np.isfinite(run(vertices, faces, similarity=width)).all()
 
 
-def test_boundary_is_free_or_fixed():
-    vertices, faces = SHAPES["open grid"]
-    edge = prepare_mesh(vertices, faces).mesh.topology.boundary
-    free = run(vertices, faces)
-    fixed = run(vertices, faces, boundary="fixed")
-    assert (free[edge] != vertices[edge]).any(axis=1).all()
-    assert (fixed[edge] == vertices[edge]).all()
-    assert (fixed[~edge] == free[~edge]).all()
-
-
 def test_triangles_that_nothing_touches_are_their_own_planes():
     # Each shrinks to a point when it is mollified, up to rounding: no direction may come of that.
     corners = np.random.default_rng(0).normal(size=(200, 3, 3))
     vertices = (corners + 50.0 * np.arange(200)[:, None, None]).reshape(-1, 3)
     out = run(vertices, np.arange(600, dtype=np.int32).reshape(-1, 3))
     assert np.abs(out - vertices).max() < 1e-9
-
-
-def test_published_figures(real_data):
-    errors = all_errors(real_data, "bilateral_non_iterative")
-    assert [angle for angle, _ in errors] == pytest.approx([10.99, 15.03, 6.50, 7.86], abs=0.006)
-    assert [error for _, error in errors] == pytest.approx([14.8, 15.7, 8.4, 8.9], abs=0.06)

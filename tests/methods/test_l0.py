@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
 from msal_cli import methods
 from msal_cli.analysis.measures import normal_statistics
 from msal_cli.kernels.connectivity import connectivity
@@ -146,17 +145,6 @@ def test_a_higher_price_leaves_fewer_edges():
     assert moved[0] < moved[1] < moved[2]
 
 
-def test_boundary_is_free_or_fixed():
-    vertices, faces = grid(9, 8)
-    mesh = prepare_mesh(noisy(vertices, 5, 0.1), faces).mesh
-    edge = mesh.topology.boundary
-    free, fixed = denoised(mesh), denoised(mesh, boundary="fixed")
-    assert (fixed[edge] == mesh.vertices[edge]).all()
-    assert (fixed[~edge] != mesh.vertices[~edge]).any(axis=1).all()
-    # All but the two corners that are no part of a flap with another face.
-    assert (free[edge] != mesh.vertices[edge]).any(axis=1).sum() >= edge.sum() - 2
-
-
 def test_a_mesh_without_inner_edges_is_left_alone():
     mesh = prepare_mesh(np.eye(3), np.array([[0, 1, 2]], dtype=np.int32)).mesh
     assert (denoised(mesh) == mesh.vertices).all()
@@ -170,28 +158,3 @@ def test_a_long_solve_reports_and_can_be_ended():
     assert {done for done, _ in told} == set(range(41))
     assert told == sorted(told)
     assert len(told) > 200
-
-
-# Angles in degrees, vertex errors in % of the mean edge length.
-MEASURED = {
-    "Fandisk0.3": (2.20, 8.1),
-    "SharpSphere0.3": (10.60, 17.4),
-    "Julius0.2": (8.67, 13.5),
-}
-
-
-@pytest.mark.parametrize("name", MEASURED)
-def test_figures_as_measured_elsewhere(real_data, name):
-    folder = real_data / "pairs" / name
-    noisy_file, original_file = (
-        files.open_mesh(files.read_whole(str(folder / one)), one)
-        for one in ("Noisy.obj", "Original.obj")
-    )
-    ready = prepare_mesh(noisy_file.vertices, noisy_file.faces)
-    original = ready.mesh.with_vertices(original_file.vertices - ready.origin)
-    out = denoised(ready.mesh)
-    angle, distance = MEASURED[name]
-    found = normal_statistics(original, ready.mesh.with_vertices(out)).mean_angular_error_deg
-    error = np.linalg.norm(out - original.vertices, axis=1).mean() / original.mean_edge_length
-    assert found == pytest.approx(angle, rel=0.05)
-    assert 100 * error == pytest.approx(distance, rel=0.05)

@@ -143,16 +143,6 @@ def test_the_noise_is_estimated_but_on_staircases(monkeypatch):
     assert np.isfinite(run(noisy)).all()
 
 
-def test_held_and_boundary_vertices_stay():
-    true = prepare_mesh(*grid(20, 20)).mesh
-    noisy = true.with_vertices(add_noise(true, AddedNoise("gaussian-normal", 0.2)))
-    boundary = noisy.topology.boundary
-    assert (run(noisy, boundary="fixed")[boundary] == noisy.vertices[boundary]).all()
-    assert (run(noisy)[boundary] != noisy.vertices[boundary]).any()
-    held = np.arange(len(noisy.vertices)) % 3 == 0
-    assert (run(noisy.with_constraints(held, None))[held] == noisy.vertices[held]).all()
-
-
 def test_stages_beyond_the_third_go_on():
     true = block(6)
     noisy = true.with_vertices(add_noise(true, AddedNoise("gaussian-normal", 0.3)))

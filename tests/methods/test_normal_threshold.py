@@ -11,7 +11,6 @@ from msal_cli import methods
 from msal_cli.errors import UsageError
 from msal_cli.kernels.normal_averages import threshold_averages
 from msal_cli.mesh import prepare_mesh
-from tests.methods import pairs
 from tests.methods.plain_normals import threshold_filter
 from tests.shapes import grid, noisy, torus
 
@@ -130,9 +129,3 @@ def test_passes_of_both_stages_are_equal_shares_of_the_progress():
 def test_thresholds_that_leave_nothing_are_refused(T):
     with pytest.raises(UsageError, match="threshold"):
         METHOD.validate({"T": T})
-
-
-def test_known_truth(real_data):
-    found = pairs.all_errors(real_data, "normal_threshold")
-    expected = [(4.27, 10.7), (11.82, 21.2), (9.51, 21.9), (8.68, 16.7)]
-    assert np.allclose(found, expected, rtol=0.01)

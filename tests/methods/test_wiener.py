@@ -147,21 +147,5 @@ def test_more_noise_is_smoother():
     assert ways == sorted(ways)
 
 
-def test_what_is_held_stays():
-    mesh = scan()
-    held = np.arange(len(mesh.vertices)) % 4 == 0
-    found = run(mesh.with_constraints(held, None))
-    assert (found[held] == mesh.vertices[held]).all()
-    assert (found[~held] != mesh.vertices[~held]).any()
-
-
-def test_open_edges_are_fixed_where_that_is_asked():
-    vertices, faces = grid(12, 10)
-    mesh = prepare_mesh(noisy(vertices, 0, 0.1), faces).mesh
-    rim = mesh.topology.boundary
-    assert (run(mesh, boundary="fixed")[rim] == mesh.vertices[rim]).all()
-    assert (run(mesh)[rim] != mesh.vertices[rim]).any()
-
-
 def test_it_has_no_data_term_that_trust_could_scale():
     assert not WIENER.has_data_term(WIENER.validate({}))
