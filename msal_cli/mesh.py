@@ -9,9 +9,10 @@ back to the file's vertices.
 from __future__ import annotations
 
 import functools
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,6 +127,22 @@ class Mesh:
         if "topology" in self.__dict__:
             other.__dict__["topology"] = self.topology
         return other
+
+
+Value = TypeVar("Value")
+
+
+def cached_by_mesh(compute: Callable[[Mesh], Value]) -> Callable[[Mesh], Value]:
+    """``compute``, which runs once for each mesh; the value is kept as long as the mesh."""
+    cache: weakref.WeakKeyDictionary[Mesh, Value] = weakref.WeakKeyDictionary()
+
+    @functools.wraps(compute)
+    def cached(mesh: Mesh) -> Value:
+        if mesh not in cache:
+            cache[mesh] = compute(mesh)
+        return cache[mesh]
+
+    return cached
 
 
 @dataclass(frozen=True)

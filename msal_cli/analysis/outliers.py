@@ -135,7 +135,7 @@ class _Search:
                 break
         for _ in range(RETURNS):
             self._bring_back(np.flatnonzero(self.flags))
-        self._let_go(bound)
+        self._restore_inliers(bound)
         share = int(np.count_nonzero(self.flags)) / n_used
         are_clear = (are_certain or share >= FEWEST) and self._are_beyond(self._noise().rms_edges)
         return Outliers(self.flags, self.positions, are_clear, share)
@@ -180,7 +180,7 @@ class _Search:
         _, targets = self._judge(found)
         self._move(found, targets)
 
-    def _let_go(self, bound: float) -> None:
+    def _restore_inliers(self, bound: float) -> None:
         """Put back what is no outlier any more now that its neighbours are in their places."""
         found = np.flatnonzero(self.flags)
         scores, _ = self._judge(found)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import weakref
 from typing import Any
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate.local import apply_umbrella_twice
+from msal_cli.analysis.noise_estimate.local import apply_umbrella
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.vertex_update import updated_vertices
-from msal_cli.mesh import Mesh
+from msal_cli.mesh import Mesh, cached_by_mesh
 from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import free_vertices
 
@@ -26,10 +25,6 @@ Over the machined and the organic meshes of benchmarks/ground_truth.py it is mea
 0.48 with noise along the normals, as 0.58 to 0.82 where noise of the same strength is in one more
 direction as well, and as 0.86 to 1.06 where it is in every direction.  Scans that are
 unevenly sampled (the dragon: 0.75 and more) are taken for the latter, and nothing is undone."""
-
-
-# Known for as long as the mesh is: every member of a blend asks again for the same one.
-_shares: weakref.WeakKeyDictionary[Mesh, float] = weakref.WeakKeyDictionary()
 
 
 def sliding_parameter() -> Any:
@@ -67,24 +62,16 @@ def undo_sliding(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> 
     )
 
 
+@cached_by_mesh
 def sideways_share(mesh: Mesh) -> float:
     """Noise within the surface over that along the normals, per direction; inf without the latter.
 
-    It is computed once for a mesh.
+    It is computed once for a mesh.  Noise is what is left of the positions when the umbrella is
+    applied twice, by the median over the vertices within the surface; uneven sampling counts as
+    noise within it.
     """
-    known = _shares.get(mesh)
-    if known is None:
-        known = _shares[mesh] = _measure_sideways_share(mesh)
-    return known
-
-
-def _measure_sideways_share(mesh: Mesh) -> float:
-    """The same, computed.
-
-    Noise is what is left of the positions when the umbrella is applied twice, by the median over
-    the vertices within the surface; uneven sampling counts as noise within it.
-    """
-    links, second = mesh.topology, apply_umbrella_twice(mesh)
+    links = mesh.topology
+    second = apply_umbrella(mesh, apply_umbrella(mesh, mesh.vertices))
     normals = mesh.vertex_normals("uniform", 1)
     along = np.einsum("ij,ij->i", second, normals)
     second -= along[:, None] * normals

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.kernels.geometry import ring_means
+from msal_cli.analysis.noise_estimate.local import apply_umbrella
 from msal_cli.mesh import Mesh
 
 STEP = 0.5
@@ -29,10 +29,7 @@ def even_out(mesh: Mesh, passes: int) -> Mesh:
     share = np.where(free, STEP, 0.0)
     positions = mesh.vertices
     for _ in range(passes):
-        ways = np.empty_like(positions)
-        for axis in range(3):
-            values = np.ascontiguousarray(positions[:, axis])
-            ways[:, axis] = ring_means(values, links.ring_start, links.ring) - values
+        ways = apply_umbrella(mesh, positions)
         ways -= np.einsum("ij,ij->i", ways, normals)[:, None] * normals
         positions = positions + share[:, None] * ways
     return mesh.with_vertices(positions) if passes else mesh

@@ -108,15 +108,10 @@ def test_the_share_of_noise_within_the_surface():
     assert sideways_share(prepare_mesh(*grid(6, 6)).mesh) == np.inf
 
 
-def test_the_way_of_the_noise_is_found_once_for_a_mesh(monkeypatch):
-    asked = []
-
-    def counted(mesh):
-        asked.append(mesh)
-        return 0.3
-
-    monkeypatch.setattr(_sliding, "_measure_sideways_share", counted)
+def test_the_share_is_computed_once_for_a_mesh(monkeypatch):
     mesh, _ = scan()
-    other = mesh.with_vertices(mesh.vertices.copy())
-    assert [sideways_share(one) for one in (mesh, mesh, other, mesh)] == [0.3] * 4
-    assert [one is mesh for one in asked] == [True, False]
+    share = sideways_share(mesh)
+    monkeypatch.setattr(_sliding, "apply_umbrella", None)
+    assert sideways_share(mesh) == share
+    with pytest.raises(TypeError):
+        sideways_share(mesh.with_vertices(mesh.vertices.copy()))

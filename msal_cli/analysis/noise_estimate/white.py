@@ -79,7 +79,7 @@ SPREAD = 0.1
 """What the upper end allows for spikes that are not detected."""
 
 FEWEST_PLACES = 48
-"""Longs that a region needs."""
+"""Places that a region needs."""
 
 
 @dataclass(frozen=True, eq=False)
