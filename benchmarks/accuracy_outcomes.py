@@ -19,7 +19,7 @@ from benchmarks.ground_truth import Case
 from msal_cli import methods
 from msal_cli.analysis.correspondence import displacement_of_moved, vertex_error_percent
 from msal_cli.analysis.measures import area_and_volume, normal_statistics
-from msal_cli.auto import NONE, Wishes, choose
+from msal_cli.auto import NONE, Wishes
 from msal_cli.mesh import Mesh
 
 NOISY = "noisy"
@@ -145,7 +145,7 @@ def run_setting(
 
 
 def _automatic(noisy: Mesh, true: Mesh, wishes: Wishes) -> Outcome:
-    choice = choose(noisy, wishes)
+    choice = choose_method(noisy, wishes)
     if choice.method == NONE:
         return outcome_of(noisy, true, noisy, choice.reason)
     return run_setting(noisy, true, choice.method, choice.parameters, choice.reason)

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from msal_cli import auto as selection
 from msal_cli import codecs as files
 from msal_cli import methods
-from msal_cli import view as render
 from msal_cli.auto import adaptive
 from msal_cli.job.comparison import Surface
 from msal_cli.mesh import prepare_mesh
 from msal_cli.view import parameter_grid, pictures
 from msal_cli.view.camera import framing, turned
+from msal_cli.view.image_files import png_bytes
+from msal_cli.view.shading import shaded
 
 Array = NDArray[Any]
 
@@ -69,7 +70,7 @@ def plain(path: Path) -> tuple[Array, Array]:
 def automatic(path: Path) -> tuple[Array, Array]:
     """The same as ``msal denoise --auto`` makes them."""
     vertices, faces = opened(path)
-    choice = selection.choose(prepare_mesh(vertices, faces).mesh, selection.Wishes())
+    choice = selection.choose_method(prepare_mesh(vertices, faces).mesh, selection.Wishes())
     return denoised(path, choice.method, **choice.parameters)
 
 
@@ -121,7 +122,7 @@ def panel(name: str, mesh: tuple[Array, Array], size: tuple[int, int]) -> Array:
     camera = framing(axes, opened(sample(name, "clean"))[0])
     stored = vertex_colours(name)
     colours = None if stored is None else stored.astype(np.uint8)
-    return render.shaded(*mesh, camera, *size, colours)
+    return shaded(*mesh, camera, *size, colours)
 
 
 def compared(name: str) -> Array:
@@ -146,7 +147,7 @@ def tried(name: str) -> Array:
 
 def write_png(path: Path, image: Array, most_colours: int = 256) -> None:
     """Write a picture as small as a page wants it."""
-    path.write_bytes(render.png_bytes(image, most_colours))
+    path.write_bytes(png_bytes(image, most_colours))
 
 
 def row(panels: list[Array]) -> Array:

@@ -26,8 +26,9 @@ from scanner_examples import EXAMPLES, Example, true_mesh
 from benchmarks import scanner_cases, scanner_outcomes, scanner_tables, scanners
 from benchmarks.scanner_cases import Pair
 from benchmarks.scanner_outcomes import NOISY, Outcomes
-from msal_cli import view as render
 from msal_cli.view.camera import framing, turned
+from msal_cli.view.image_files import png_bytes
+from msal_cli.view.shading import shaded
 
 Image = NDArray[np.uint8]
 
@@ -58,8 +59,7 @@ def draw(example: Example) -> Shown:
     axes = turned(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *turn)
     camera = framing(axes, true.vertices)
     panels = [
-        render.shaded(mesh.vertices, mesh.faces, camera, *SIZE)
-        for mesh in (pair.noisy, result, true)
+        shaded(mesh.vertices, mesh.faces, camera, *SIZE) for mesh in (pair.noisy, result, true)
     ]
     return Shown(
         make_pictures.row(panels),
@@ -72,7 +72,7 @@ def draw(example: Example) -> Shown:
 def write_picture(name: str, picture: Image) -> None:
     """Write a picture with as many colours as its size allows."""
     for most in (256, 128, 64, 32, 16):
-        data = render.png_bytes(picture, most)
+        data = png_bytes(picture, most)
         if len(data) <= LARGEST_PICTURE:
             break
     IMAGES.mkdir(parents=True, exist_ok=True)

@@ -32,8 +32,8 @@ from paper_models import (
 from msal_cli.analysis import colour_maps as colours
 from msal_cli.analysis.measures import mean_curvature
 from msal_cli.analysis.noise_estimate import estimate_noise
-from msal_cli.view import Legend, labelled_panels
 from msal_cli.view.camera import viewed
+from msal_cli.view.panels import Legend, labelled_panels
 
 ANGEL = "scans/angel.obj"
 FACE = "scans/face000.ply"

@@ -3,8 +3,8 @@
     python docs/refresh.py
 
 Every block that follows ``<!-- output: msal ... -->`` is replaced by what that command prints, all
-commands that install msal take it from ``SOURCE``, and the pages of ``methods/`` are made anew.  A
-test fails where this was forgotten.
+commands that install msal take it from ``SOURCE``, and the pages of ``methods/`` and the JSON
+Schemas are made anew.  A test fails where this was forgotten.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import make_method_pages
+import make_schemas
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = " @ https://git.example.com/msal-cli/archive/main.tar.gz"
@@ -56,6 +57,7 @@ def install_command(extra: str = "") -> str:
 
 def main() -> None:
     make_method_pages.main()
+    make_schemas.main()
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
         text = page.read_text(encoding="utf-8")
         if refreshed(text) != text:

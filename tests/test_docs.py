@@ -19,6 +19,7 @@ from click.exceptions import Exit
 from msal_cli.cli import exit_codes
 from msal_cli.cli.main import program
 from msal_cli.job import records
+from msal_cli.job.info_record import InfoRecord
 from msal_cli.report.document import Run, Totals
 from tests.refreshing import refresh
 
@@ -249,7 +250,7 @@ def test_report_page_has_every_field_and_no_other() -> None:
     kinds = {name.partition(".")[0] for name in fields(records.MeshRecord) if "." in name}
     inner = [f"`{kind}`" for kind in kinds]
     assert listed("The record", *inner) == fields(records.MeshRecord)
-    assert listed("`msal info --json`") == fields(records.InfoRecord)
+    assert listed("`msal info --json`") == fields(InfoRecord)
     assert listed("`totals`") == fields(Totals)
     assert listed("The run (JSON only)") == fields(Run) | {"schema", "totals", "records"}
 

@@ -26,7 +26,7 @@ __all__ = [
     "NONE",
     "Choice",
     "Wishes",
-    "choose",
+    "choose_method",
 ]
 
 METHODS = (
@@ -56,7 +56,7 @@ BYTES = 25_000_000
 run on a part of it.  Measured by benchmarks/peak_memory.py, as ``auto``."""
 
 
-def choose(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
+def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
     """The method and the parameters for ``mesh``.
 
     Vertices that the mesh holds stay where they are.  Where it has trust (``Mesh.trust``) the

@@ -117,7 +117,7 @@ _KEEP = {"texture": (0.9, 0.5), "edges": (1.0, 0.7), "shape": (SHAPE, 0.4)}
 
 
 def search(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
-    """The best method or blend for ``mesh``; see ``auto.choose``."""
+    """The best method or blend for ``mesh``; see ``auto.choose_method``."""
     noise = estimate_noise(mesh)
     if noise.is_negligible or not mesh.topology.has_ring.any():
         if on_step is not None:

@@ -26,7 +26,8 @@ from typing import Any
 
 from msal_cli import __version__
 from msal_cli.errors import OutputError
-from msal_cli.job.records import MeshRecord, ObjectMark, as_data, from_data
+from msal_cli.job.plain_data import as_data, from_data
+from msal_cli.job.records import MeshRecord, ObjectMark
 from msal_cli.storage.regular import open_regular
 
 FORMAT = 1

@@ -1,4 +1,4 @@
-"""File names as text: reversibly for programs, harmlessly for people.
+"""Names and figures as text: reversibly for programs, harmlessly for people.
 
 The system gives names as text in which a byte that is not valid UTF-8 stands as a lone surrogate
 (``os.fsdecode``).  Such text can be written neither as UTF-8 nor as JSON that every reader takes.
@@ -90,3 +90,8 @@ def padded(text: str, width: int, *, right: bool = False) -> str:
     """``text`` filled with spaces to ``width`` columns, to the right edge if ``right``."""
     fill = " " * max(0, width - columns(text))
     return fill + text if right else text + fill
+
+
+def figure(value: float | None, form: str, unit: str = "", unknown: str = "") -> str:
+    """A number in a format such as ``.3g`` with its unit; ``unknown`` for None."""
+    return unknown if value is None else f"{value:{form}}{unit}"

@@ -1,25 +1,19 @@
-"""What is known about one file after msal has dealt with it, and how it becomes plain data.
+"""What is known about one file after msal has dealt with it.
 
 A record is made by ``pipeline`` (or, for a file whose worker died, by ``batch``) and only read
 afterwards: every report is a reader of records.  Fields may be added; none is ever removed or
-given another meaning while the schema is ``msal.report/1``.
+given another meaning while the schema is ``msal.report/1``.  The metadata of the fields describe
+them in the JSON Schemas (docs/make_schemas.py).
 """
 
 from __future__ import annotations
 
-import dataclasses
-import functools
-import math
-import sys
-import types
-import typing
-from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-SCHEMA = "msal.report/1"
+from msal_cli.job.plain_data import about, known
 
-_LONGEST_WORD = 24
+SCHEMA = "msal.report/1"
 
 Status = Literal["written", "unchanged", "up-to-date", "planned", "failed"]
 
@@ -38,12 +32,23 @@ class Volume:
     A volume that is not valid has no figures, also in records of earlier versions that had some.
     """
 
-    before: float | None
-    after: float | None
-    change: float | None
-    change_percent: float | None
-    valid: bool
-    reason: str
+    before: float | None = field(
+        metadata=about(
+            "enclosed volume before, whichever side the normals point to, cubed file units; null "
+            "if it is not valid, as the next three"
+        )
+    )
+    after: float | None = field(
+        metadata=about("enclosed volume after, negative if the surface passed through itself")
+    )
+    change: float | None = field(metadata=about("after - before"))
+    change_percent: float | None = field(
+        metadata=about("change in percent of |before|; null if nothing is enclosed before")
+    )
+    valid: bool = field(
+        metadata=about("whether the volume means anything: the surface is closed and orientable")
+    )
+    reason: str = field(metadata=about("why it does not; empty if it does"))
 
     def __post_init__(self) -> None:
         if not self.valid:
@@ -55,32 +60,39 @@ class Volume:
 class Area:
     """Surface area in squared file units."""
 
-    before: float
-    after: float
-    change_percent: float | None
+    before: float = field(metadata=about("area before, squared file units"))
+    after: float = field(metadata=about("area after, squared file units"))
+    change_percent: float | None = field(metadata=about("change in percent of the area before"))
 
 
 @dataclass(frozen=True, slots=True)
-class Displacement:
+class SurfaceDistance:
+    """Distances from the vertices of one mesh to the surface of another, in file units and in
+    mean edge lengths of the mesh before."""
+
+    mean: float = field(metadata=about("mean distance, file units"))
+    rms: float = field(metadata=about("root mean square distance, file units"))
+    p95: float = field(metadata=about("distance that 95 % of the vertices stay below, file units"))
+    max: float = field(metadata=about("largest distance, file units"))
+    mean_edges: float = field(metadata=about("mean distance, mean edge lengths"))
+    rms_edges: float = field(metadata=about("root mean square distance, mean edge lengths"))
+    p95_edges: float = field(metadata=about("distance that 95 % stay below, mean edge lengths"))
+    max_edges: float = field(metadata=about("largest distance, mean edge lengths"))
+
+
+@dataclass(frozen=True, slots=True)
+class Displacement(SurfaceDistance):
     """How far the vertices that faces use moved, in file units and in mean edge lengths."""
 
-    mean: float
-    rms: float
-    p95: float
-    max: float
-    mean_edges: float
-    rms_edges: float
-    p95_edges: float
-    max_edges: float
-    moved_vertices: int
+    moved_vertices: int = field(metadata=about("vertices that moved at all"))
 
 
 @dataclass(frozen=True, slots=True)
 class NormalChange:
     """Angle between each face's normal before and after, in degrees."""
 
-    mean_deg: float
-    max_deg: float
+    mean_deg: float = field(metadata=about("mean angle, degrees"))
+    max_deg: float = field(metadata=about("largest angle, degrees"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,43 +102,70 @@ class NoiseEstimate:
     Records of earlier versions have the first two fields only, or none from ``kind`` on.
     """
 
-    mean_edges: float
-    file_units: float
-    low_edges: float | None = None
-    high_edges: float | None = None
-    clean_edges: float | None = None
-    rms_edges: float | None = None
-    tail: float | None = None
-    negligible: bool | None = None
-    lowest_edges: float | None = None
-    highest_edges: float | None = None
-    regions: int | None = None
-    uneven: bool | None = None
-    kind: str | None = None
-    rings: int | None = None
-    direction: str | None = None
-    axis: tuple[float, float, float] | None = None
-    step_edges: float | None = None
-    outliers: float | None = None
-    confidence: float | None = None
-    basis: str | None = None
-    words: str | None = None
+    mean_edges: float = field(
+        metadata=about(
+            "standard deviation along the direction: the normals, an axis, or each coordinate "
+            "where it is isotropic; mean edge lengths"
+        )
+    )
+    file_units: float = field(metadata=about("the same in file units"))
+    low_edges: float | None = known(
+        "lower end of an interval for it, as if all that may be texture were, mean edge lengths"
+    )
+    high_edges: float | None = known("upper end of the interval, mean edge lengths")
+    clean_edges: float | None = known(
+        "the level for the surface without the noise, whose edges are shorter, in mean edge lengths"
+    )
+    rms_edges: float | None = known(
+        "root mean square with single spikes, which the level leaves out, mean edge lengths"
+    )
+    tail: float | None = known(
+        "share of the vertices, 0 to 1, that stand out from the others around them as one in 100 "
+        "does with Gaussian noise; 0.02 and more is impulsive noise"
+    )
+    negligible: bool | None = known("whether there is no noise to speak of")
+    lowest_edges: float | None = known("level of the least noisy region, mean edge lengths")
+    highest_edges: float | None = known("level of the most noisy region, mean edge lengths")
+    regions: int | None = known("number of regions that were told apart")
+    uneven: bool | None = known("whether the noise is not the same everywhere")
+    kind: str | None = known(
+        "none, white (independent at each vertex, along the normals), isotropic, correlated "
+        "(neighbours share it), view (along an axis), quantised (depths in steps), uneven (by "
+        "region), outliers, impulsive, staircase (terraces of voxels), or unknown"
+    )
+    rings: int | None = known("over how many rings neighbours share it, 0 (not at all) to 4")
+    direction: str | None = known("normals, isotropic or axis")
+    axis: tuple[float, float, float] | None = known(
+        "unit vector of the axis, up to its sign; null for none"
+    )
+    step_edges: float | None = known(
+        "step of the depths or height of the terraces, 0 for none, mean edge lengths"
+    )
+    outliers: float | None = known("share of the vertices that lie far off, 0 to 1")
+    confidence: float | None = known("how sure the kind is, 0 to 1; below 0.5 a guess")
+    basis: str | None = known("what the kind rests on, in words")
+    words: str | None = known("what the noise is like, in words; empty for none")
 
 
 @dataclass(frozen=True, slots=True)
 class MethodUsed:
     """The method and every one of its parameters, defaults included."""
 
-    name: str
-    parameters: dict[str, Any]
+    name: str = field(
+        metadata=about(
+            "name of the method; none where the choice or --min-noise left the mesh as it is, "
+            "adaptive or auto where it was not chosen yet"
+        )
+    )
+    parameters: dict[str, Any] = field(metadata=about("every parameter by name, defaults included"))
 
 
 @dataclass(frozen=True, slots=True)
 class RunnerUp:
     """What was nearly chosen by --auto, and its estimated error."""
 
-    label: str
-    risk_edges: float
+    label: str = field(metadata=about("method and parameters in words"))
+    risk_edges: float = field(metadata=about("estimated error of its result, mean edge lengths"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,39 +176,61 @@ class ChoiceMade:
     same by hand.
     """
 
-    reason: str
-    surface: str | None
-    noise_edges: float
-    risk_edges: float | None
-    tried: int
-    runners_up: tuple[RunnerUp, ...]
-    wishes: dict[str, Any]
-    repeat: tuple[str, ...]
-    among: str = "all"
+    reason: str = field(metadata=about("in one sentence: the noise, the surface, the method"))
+    surface: str | None = field(
+        metadata=about(
+            "machined, organic, textured or clean; null where the choice does not depend on it"
+        )
+    )
+    noise_edges: float = field(
+        metadata=about("noise that the choice was made for, mean edge lengths")
+    )
+    risk_edges: float | None = field(
+        metadata=about(
+            "estimated error of the result (null if none was estimated), mean edge lengths"
+        )
+    )
+    tried: int = field(metadata=about("candidates that were looked at"))
+    runners_up: tuple[RunnerUp, ...] = field(
+        metadata=about("the next best candidates, best first, at most three")
+    )
+    wishes: dict[str, Any] = field(
+        metadata=about("what was wished for: prefer, keep, strength, budget; empty without --auto")
+    )
+    repeat: tuple[str, ...] = field(
+        metadata=about("options of msal denoise that do the same without --auto")
+    )
+    among: str = known(
+        "what was chosen among: family, AL and MSAL with their schedules, by default; all, all "
+        "methods and their mixtures, with --auto",
+        "all",
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Seconds:
     """Wall-clock seconds by stage, in the order in which the stages run."""
 
-    read: float = 0.0
-    connectivity: float = 0.0
-    choose: float = 0.0
-    normals: float = 0.0
-    sweeps: float = 0.0
-    measure: float = 0.0
-    write: float = 0.0
-    total: float = 0.0
+    read: float = known("reading and parsing", 0.0)
+    connectivity: float = known("welding, connectivity, defects and plain vertex normals", 0.0)
+    choose: float = known(
+        "choosing method and parameters, with --auto; whether to, with --min-noise", 0.0
+    )
+    normals: float = known("mollified normals, and what else a method adds to them", 0.0)
+    sweeps: float = known("the sweeps of the method", 0.0)
+    measure: float = known("volume, displacement and the other measures", 0.0)
+    write: float = known("encoding, checking and writing", 0.0)
+    total: float = known("from start to end", 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
     """Why a file was not written: a stable code, the reason, the place and what to do."""
 
-    code: str
-    message: str
-    hint: str = ""
-    where: str = ""
+    code: str = field(metadata=about("stable code of the error, such as E_TRUNCATED"))
+    message: str = field(metadata=about("what is wrong, one sentence"))
+    hint: str = known("what to do about it; may be empty", "")
+    where: str = known("place in the file, such as a vertex or a line; may be empty", "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,34 +242,25 @@ class GateResult:
     could not be counts as broken.
     """
 
-    expression: str
-    broken: bool
-    decided: bool
-    values: dict[str, float | None]
-    reason: str
+    expression: str = field(metadata=about("what breaks the gate, as it was given"))
+    broken: bool = field(metadata=about("true if it is so for this file, or cannot be decided"))
+    decided: bool = field(metadata=about("false if a value is not known on which it depends"))
+    values: dict[str, float | None] = field(
+        metadata=about("values of the names in the expression, in the units of their fields")
+    )
+    reason: str = field(
+        metadata=about("those values in words, or why the gate could not be decided")
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectMark:
     """Size in bytes and entity tag of an object in a store; the tag is empty if none is given."""
 
-    size: int
-    tag: str
-
-
-@dataclass(frozen=True, slots=True)
-class SurfaceDistance:
-    """Distances from the vertices of one mesh to the surface of another, in file units and in
-    mean edge lengths of the mesh before."""
-
-    mean: float
-    rms: float
-    p95: float
-    max: float
-    mean_edges: float
-    rms_edges: float
-    p95_edges: float
-    max_edges: float
+    size: int = field(metadata=about("bytes"))
+    tag: str = field(
+        metadata=about("entity tag, or what the store gives in its place; empty if it gives none")
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,53 +268,13 @@ class SelfIntersections:
     """Pairs of faces that intersect each other before and after, and how many of those after did
     not before; that is None where the faces are not the same."""
 
-    before: int
-    after: int
-    created: int | None
-
-
-@dataclass(frozen=True)
-class ComparisonRecord:
-    """A mesh ``after`` against a mesh ``before``, which is the reference: its mean edge length is
-    the unit, its volume, area and normals are what changed.
-
-    ``correspondence`` is ``vertices`` where both files have the same faces, and ``surface`` where
-    not: then what needs corresponding vertices is None, and the vertex error is the mean distance
-    of ``after``'s vertices to ``before``'s surface.
-    """
-
-    before: str
-    after: str
-    schema: str = "msal.compare/1"
-    version: str = ""
-    correspondence: Literal["vertices", "surface"] | None = None
-    vertices_before: int | None = None
-    vertices_after: int | None = None
-    corners_before: int | None = None
-    corners_after: int | None = None
-    faces_before: int | None = None
-    faces_after: int | None = None
-    mean_edge_length: float | None = None
-    mean_angular_error_deg: float | None = None
-    max_angular_error_deg: float | None = None
-    vertex_error_percent: float | None = None
-    displacement: Displacement | None = None
-    flipped_faces: int | None = None
-    volume_change_percent: float | None = None
-    area_change_percent: float | None = None
-    inside_out_before: bool | None = None
-    inside_out_after: bool | None = None
-    volume: Volume | None = None
-    area: Area | None = None
-    hausdorff: float | None = None
-    hausdorff_edges: float | None = None
-    distance_to_before: SurfaceDistance | None = None
-    distance_to_after: SurfaceDistance | None = None
-    seam_gap: float | None = None
-    self_intersections: SelfIntersections | None = None
-    warnings: tuple[str, ...] = ()
-    gates: tuple[GateResult, ...] = ()
-    error: Failure | None = None
+    before: int = field(metadata=about("pairs of faces that intersect before"))
+    after: int = field(metadata=about("pairs of faces that intersect after"))
+    created: int | None = field(
+        metadata=about(
+            "pairs that intersect after and did not before; null where the faces are not the same"
+        )
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,20 +282,32 @@ class Reference:
     """An output against its reference, the true mesh at ``path``: the figures of a
     ``ComparisonRecord`` whose ``before`` is the reference."""
 
-    path: str
-    correspondence: Literal["vertices", "surface"] | None = None
-    mean_edge_length: float | None = None
-    mean_angular_error_deg: float | None = None
-    max_angular_error_deg: float | None = None
-    vertex_error_percent: float | None = None
-    displacement: Displacement | None = None
-    flipped_faces: int | None = None
-    volume_change_percent: float | None = None
-    area_change_percent: float | None = None
-    hausdorff: float | None = None
-    hausdorff_edges: float | None = None
-    warnings: tuple[str, ...] = ()
-    error: Failure | None = None
+    path: str = field(metadata=about("path of the reference"))
+    correspondence: Literal["vertices", "surface"] | None = known(
+        "as in a ComparisonRecord: vertices or surface"
+    )
+    mean_edge_length: float | None = known("mean length of the edges of the reference, file units")
+    mean_angular_error_deg: float | None = known(
+        "mean angle between corresponding face normals, degrees (the MSAE of much of the "
+        "literature); null if faces do not correspond"
+    )
+    max_angular_error_deg: float | None = known("largest such angle, degrees")
+    vertex_error_percent: float | None = known(
+        "mean distance from the reference's vertices (where faces do not correspond, from its "
+        "surface) in percent of its mean edge length"
+    )
+    displacement: Displacement | None = known("how far vertices are from the reference's")
+    flipped_faces: int | None = known("faces whose normal is more than 90 degrees off")
+    volume_change_percent: float | None = known(
+        "how much the volume is off, in percent; null if the volume means nothing"
+    )
+    area_change_percent: float | None = known("how much the area is off, in percent")
+    hausdorff: float | None = known(
+        "Hausdorff distance as in a ComparisonRecord, null if fcpw is not installed, file units"
+    )
+    hausdorff_edges: float | None = known("the same in mean edge lengths")
+    warnings: tuple[str, ...] = known("what a user should know although the two were compared", ())
+    error: Failure | None = known("why they were not compared; null if they were")
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,12 +315,14 @@ class FieldsFile:
     """The PLY with fields beside an output: their names, and which one its colours show, by which
     map, from ``low`` to ``high``."""
 
-    path: str
-    names: tuple[str, ...]
-    coloured: str
-    map: str
-    low: float
-    high: float
+    path: str = field(metadata=about("where it is"))
+    names: tuple[str, ...] = field(
+        metadata=about("the fields, which are properties of its vertices")
+    )
+    coloured: str = field(metadata=about("the field that its vertex colours show"))
+    map: str = field(metadata=about("sequential: pale to dark; diverging: blue, pale, brown"))
+    low: float = field(metadata=about("value of the first colour, in the unit of the field"))
+    high: float = field(metadata=about("value of the last colour, in the unit of the field"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,214 +336,99 @@ class MeshRecord:
     otherwise.
     """
 
-    input: str
-    status: Status
-    output: str | None = None
-    schema: str = SCHEMA
-    version: str = ""
-    format: str | None = None
-    encoding: str | None = None
-    precision: str | None = None
-    vertices: int | None = None
-    corners: int | None = None
-    faces: int | None = None
-    triangles: int | None = None
-    components: int | None = None
-    boundary_edges: int | None = None
-    non_manifold_edges: int | None = None
-    inconsistent_edges: int | None = None
-    degenerate_faces: int | None = None
-    duplicate_faces: int | None = None
-    unreferenced_vertices: int | None = None
-    welded_vertices: int | None = None
-    seam_gap: float | None = None
-    mean_edge_length: float | None = None
-    inside_out: bool | None = None
-    volume: Volume | None = None
-    area: Area | None = None
-    displacement: Displacement | None = None
-    normal_change: NormalChange | None = None
-    flipped_faces: int | None = None
-    clamped_vertices: int | None = None
-    locked_vertices: int | None = None
-    despiked: int | None = None
-    self_intersections: SelfIntersections | None = None
-    noise_estimate: NoiseEstimate | None = None
-    left_alone: str | None = None
-    method: MethodUsed | None = None
-    choice: ChoiceMade | None = None
-    seconds: Seconds | None = None
-    vertices_per_second: float | None = None
-    peak_memory_bytes: int | None = None
-    input_sha256: str | None = None
-    output_sha256: str | None = None
-    input_object: ObjectMark | None = None
-    output_object: ObjectMark | None = None
-    sidecars: tuple[str, ...] = ()
-    fields: FieldsFile | None = None
-    reference: Reference | None = None
-    warnings: tuple[str, ...] = ()
-    warning_codes: tuple[str, ...] = ()
-    gates: tuple[GateResult, ...] = ()
-    remembered: bool = False
-    error: Failure | None = None
-
-
-@dataclass(frozen=True)
-class InfoRecord:
-    """What ``msal info`` tells of one file; lengths are in file units."""
-
-    input: str
-    schema: str = "msal.info/1"
-    format: str | None = None
-    encoding: str | None = None
-    precision: str | None = None
-    compressed: bool = False
-    bytes: int | None = None
-    vertices: int | None = None
-    corners: int | None = None
-    faces: int | None = None
-    triangles: int | None = None
-    polygon_sizes: dict[str, int] = field(default_factory=dict)
-    components: int | None = None
-    closed: bool | None = None
-    winding: str | None = None
-    boundary_edges: int | None = None
-    non_manifold_edges: int | None = None
-    inconsistent_edges: int | None = None
-    degenerate_faces: int | None = None
-    duplicate_faces: int | None = None
-    unreferenced_vertices: int | None = None
-    welded_vertices: int | None = None
-    bounds: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    area: float | None = None
-    inside_out: bool | None = None
-    volume: float | None = None
-    volume_valid: bool | None = None
-    volume_reason: str = ""
-    mean_edge_length: float | None = None
-    self_intersections: int | None = None
-    noise_estimate: NoiseEstimate | None = None
-    properties: tuple[str, ...] = ()
-    references: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    error: Failure | None = None
-
-
-def as_data(record: Any) -> dict[str, Any]:
-    """A record as plain dicts, lists, strings and numbers, ready for JSON."""
-    data: dict[str, Any] = _as_data(record)
-    return data
-
-
-# What a record is made of in the end, and what needs no copy.
-_PLAIN = frozenset({str, int, float, bool, type(None)})
-
-
-def _as_data(value: Any) -> Any:
-    """As ``dataclasses.asdict``, which copies every number too, in a fifth of the time."""
-    kind = type(value)
-    if kind in _PLAIN:
-        return value
-    if kind is tuple or kind is list:
-        return kind(map(_as_data, value))
-    if kind is dict:
-        return {key: _as_data(one) for key, one in value.items()}
-    names = _names(typing.cast(Hashable, kind))
-    return {name: _as_data(getattr(value, name)) for name in names} if names else value
-
-
-@functools.cache
-def _names(kind: Hashable) -> tuple[str, ...]:
-    """Names of a record's fields; none for what is no record."""
-    if not dataclasses.is_dataclass(kind):
-        return ()
-    return tuple(one.name for one in dataclasses.fields(kind))
-
-
-def from_data(kind: type[Any], data: Any) -> Any:
-    """The record that ``as_data`` made ``data`` from; fields that it does not know are dropped.
-
-    Raises TypeError if a field is missing, or holds something else than it should.
-    """
-    if not isinstance(data, dict):
-        raise TypeError(f"{kind.__name__} cannot be {type(data).__name__}")
-    values: dict[str, Any] = {}
-    for name, read in _readers(typing.cast(Hashable, kind)):
-        if name in data:
-            try:
-                values[name] = read(data[name])
-            except TypeError as error:
-                raise TypeError(f"{name}: {error}") from None
-    return kind(**values)
-
-
-@functools.cache
-def _readers(kind: Hashable) -> tuple[tuple[str, Callable[[Any], Any]], ...]:
-    # Half a millisecond a call, and a manifest of 10,000 files makes 10,000.
-    hints = typing.get_type_hints(kind)
-    fields = dataclasses.fields(typing.cast("type[Any]", kind))
-    return tuple((one.name, _reader(hints[one.name])) for one in fields)
-
-
-def _reader(hint: Any) -> Callable[[Any], Any]:
-    """The function that gives a value of plain data back the type of its field."""
-    inner = typing.get_args(hint)
-    origin = typing.get_origin(hint)
-    if hint is Any:
-        return lambda value: value
-    if dataclasses.is_dataclass(hint):
-        return functools.partial(from_data, typing.cast("type[Any]", hint))
-    if origin is Literal:
-        return functools.partial(_one_of, inner)
-    if origin in (typing.Union, types.UnionType):
-        rest = [_reader(one) for one in inner if one is not types.NoneType]
-        return functools.partial(_optional, rest[0])
-    if origin is tuple and inner[-1] is Ellipsis:
-        return functools.partial(_several, _reader(inner[0]))
-    if origin is tuple:
-        return functools.partial(_these, [_reader(one) for one in inner])
-    if origin in (dict, Mapping):
-        return functools.partial(_named, _reader(inner[1]))
-    return functools.partial(_plain, hint)
-
-
-def _plain(kind: type[Any], value: Any) -> Any:
-    if kind is float:
-        # Strict JSON has null for a number that is not finite.
-        if value is None:
-            return math.nan
-        if type(value) is int:
-            return value
-    if type(value) is not kind:
-        raise TypeError(f"it is {type(value).__name__}, not {kind.__name__}")
-    # Words such as a format or a version are the same in thousands of records.
-    return sys.intern(value) if kind is str and len(value) < _LONGEST_WORD else value
-
-
-def _one_of(words: tuple[Any, ...], value: Any) -> Any:
-    if value not in words:
-        raise TypeError(f"it is none of {', '.join(words)}")
-    return value
-
-
-def _optional(read: Callable[[Any], Any], value: Any) -> Any:
-    return None if value is None else read(value)
-
-
-def _several(read: Callable[[Any], Any], value: Any) -> Any:
-    if not isinstance(value, list | tuple):
-        raise TypeError(f"it is {type(value).__name__}, not a list")
-    return tuple(read(one) for one in value)
-
-
-def _these(reads: list[Callable[[Any], Any]], value: Any) -> Any:
-    if not isinstance(value, list | tuple) or len(value) != len(reads):
-        raise TypeError(f"it is no list of {len(reads)}")
-    return tuple(read(one) for read, one in zip(reads, value, strict=True))
-
-
-def _named(read: Callable[[Any], Any], value: Any) -> Any:
-    if not isinstance(value, dict):
-        raise TypeError(f"it is {type(value).__name__}, not an object")
-    return {sys.intern(str(name)): read(one) for name, one in value.items()}
+    input: str = field(metadata=about("path of the input as it was found, - for standard input"))
+    status: Status = field(
+        metadata=about(
+            "written; unchanged: written, but no vertex moved, so the bytes are the input's; "
+            "up-to-date: the output of an earlier run is current, and the figures are that run's; "
+            "planned: not dealt with; failed: see error"
+        )
+    )
+    output: str | None = known("path of the output, - for standard output; null if there is none")
+    schema: str = known("name and version of this schema", SCHEMA)
+    version: str = known("version of msal that made the record", "")
+    format: str | None = known("format of the input")
+    encoding: str | None = known("ascii, binary_little_endian, binary_big_endian or binary")
+    precision: str | None = known("how the input stores positions: float32, float64 or text")
+    vertices: int | None = known(
+        "vertices in the file; of an STL, which stores corners of facets only, the vertices that "
+        "they are after welding"
+    )
+    corners: int | None = known("corners that an STL stores, null for files that have vertices")
+    faces: int | None = known("faces as the file counts them: a quad is one")
+    triangles: int | None = known("faces after polygons and strips were cut into triangles")
+    components: int | None = known("connected parts")
+    boundary_edges: int | None = known("edges of one face; 0 for a closed surface")
+    non_manifold_edges: int | None = known("edges of more than two faces")
+    inconsistent_edges: int | None = known("edges whose two faces are wound in opposite senses")
+    degenerate_faces: int | None = known(
+        "triangles without area; kept in the file, not computed with"
+    )
+    duplicate_faces: int | None = known("triangles that repeat another; kept, not computed with")
+    unreferenced_vertices: int | None = known("vertices of no face; they stay where they are")
+    welded_vertices: int | None = known(
+        "vertices merged with one at the same place for the computation"
+    )
+    seam_gap: float | None = known(
+        "largest distance afterwards between vertices that were at one place"
+    )
+    mean_edge_length: float | None = known("mean length of the edges before, file units")
+    inside_out: bool | None = known(
+        "true if the surface is closed and its normals, or those of a part, point inwards; an "
+        "open one has no inside"
+    )
+    volume: Volume | None = known("enclosed volume")
+    area: Area | None = known("surface area")
+    displacement: Displacement | None = known("how far the vertices moved")
+    normal_change: NormalChange | None = known("how far the face normals turned")
+    flipped_faces: int | None = known("faces whose normal turned by more than 90 degrees")
+    clamped_vertices: int | None = known(
+        "vertices whose way --max-move cut; null without that option; vertices at one place are one"
+    )
+    locked_vertices: int | None = known(
+        "vertices that --lock pinned; null without that option; vertices at one place are one"
+    )
+    despiked: int | None = known(
+        "outlier vertices that were brought back to the surface before the method ran; null where "
+        "they were not looked for"
+    )
+    self_intersections: SelfIntersections | None = known(
+        "pairs of faces that intersect each other; null without --check or a gate that names them"
+    )
+    noise_estimate: NoiseEstimate | None = known(
+        "noise of the input, estimated; without the outliers brought back"
+    )
+    left_alone: str | None = known("why --min-noise left the mesh as it is; null if it did not")
+    method: MethodUsed | None = known("method and parameters, given or chosen")
+    choice: ChoiceMade | None = known("why that method was chosen; null where it was given")
+    seconds: Seconds | None = known("wall-clock seconds by stage")
+    vertices_per_second: float | None = known(
+        "vertices (of an STL after welding) over total seconds"
+    )
+    peak_memory_bytes: int | None = known("highest memory of the process so far")
+    input_sha256: str | None = known("SHA-256 of the input's bytes, hexadecimal")
+    output_sha256: str | None = known("SHA-256 of the output's bytes, hexadecimal")
+    input_object: ObjectMark | None = known(
+        "size and entity tag of an input that is an object in a store"
+    )
+    output_object: ObjectMark | None = known(
+        "size and entity tag of an output that is an object in a store"
+    )
+    sidecars: tuple[str, ...] = known("what was done about files that the input refers to", ())
+    fields: FieldsFile | None = known("the file of --fields beside the output")
+    reference: Reference | None = known("the output against the mesh that --reference names")
+    warnings: tuple[str, ...] = known("what a user should know although the file was written", ())
+    warning_codes: tuple[str, ...] = known(
+        "stable codes of the warnings that have one: W_INSIDE_OUT, W_FLIPPED_FACES, "
+        "W_VOLUME_CHANGE",
+        (),
+    )
+    gates: tuple[GateResult, ...] = known(
+        "what became of each gate; empty if there was none, or no output", ()
+    )
+    remembered: bool = known(
+        "true if the file failed in an earlier run with the same content, settings and version, "
+        "and was not tried again",
+        False,
+    )
+    error: Failure | None = known("why the file failed; null if it did not")

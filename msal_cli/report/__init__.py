@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     ".json": "json_report",
-    ".jsonl": "jsonl",
+    ".jsonl": "json_report",
     ".csv": "csv_report",
     ".md": "markdown",
     ".xml": "junit",
@@ -44,5 +44,6 @@ def writer(name: str) -> Writer:
             f"the suffix of the report {name!r} says no known format",
             hint=f"known are {', '.join(_MODULES)}",
         )
-    made: Writer = import_module(f"{__name__}.{_MODULES[suffix]}").encoded
+    module = import_module(f"{__name__}.{_MODULES[suffix]}")
+    made: Writer = module.encoded_lines if suffix == ".jsonl" else module.encoded
     return made

@@ -1,14 +1,15 @@
-"""Comparisons held against those of an earlier run, for ``msal compare --baseline``.
+"""Comparisons against those of an earlier run, for ``msal compare --baseline``.
 
 Every figure of which less is better may be larger than it was by a tolerance; what is larger still
-is a broken gate, as if somebody had written one for each file.
+is a broken gate, as if one had been given for each file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import GateResult
 
 FIGURES = (
@@ -21,7 +22,7 @@ FIGURES = (
     "area_change_percent",
     "flipped_faces",
 )
-"""What is held against the baseline, changes by their size."""
+"""What is compared with the baseline, changes by their size."""
 
 SLACK = 1e-6
 """What any figure may grow, in its own unit: rounding differs between machines."""
@@ -51,33 +52,30 @@ def judged(record: Any, before: Any | None, tolerance: float) -> tuple[GateResul
     Parameters
     ----------
     record, before : a comparison now and then, or the reference part of a denoising; ``before`` is
-        None for a file that is new, against which nothing is held.
+        None for a file that is new, which has no gates.
     tolerance : by which share of what it was a figure may be larger.
     """
-    return () if before is None else tuple(_judged(record, before, tolerance))
+    figures = ((path, _figure(before, path), _figure(record, path)) for path in FIGURES)
+    return tuple(
+        _gate(path, then, now, tolerance) for path, then, now in figures if then is not None
+    )
 
 
-def _judged(record: Any, before: Any, tolerance: float) -> Iterator[GateResult]:
-    for path in FIGURES:
-        then, now = _figure(before, path), _figure(record, path)
-        if then is None:
-            continue
-        most = then * (1.0 + tolerance) + SLACK
-        name = f"abs({path})" if path in _SIGNED else path
-        was = f"{then:.6g} in the baseline, tolerance {100.0 * tolerance:g} %"
-        yield GateResult(
-            expression=f"{name} > {most:.6g}",
-            broken=now is None or now > most,
-            decided=now is not None,
-            values={path: now},
-            reason=f"{path} is not known, {was}" if now is None else f"{name} is {now:.6g}, {was}",
-        )
+def _gate(path: str, then: float, now: float | None, tolerance: float) -> GateResult:
+    most = then * (1.0 + tolerance) + SLACK
+    name = f"abs({path})" if path in _SIGNED else path
+    was = f"{then:.6g} in the baseline, tolerance {100.0 * tolerance:g} %"
+    return GateResult(
+        expression=f"{name} > {most:.6g}",
+        broken=now is None or now > most,
+        decided=now is not None,
+        values={path: now},
+        reason=f"{path} is not known, {was}" if now is None else f"{name} is {now:.6g}, {was}",
+    )
 
 
 def _figure(record: Any, path: str) -> float | None:
-    value = record
-    for name in path.split("."):
-        value = None if value is None else getattr(value, name)
+    value = value_at(record, path)
     return None if value is None or value - value != 0.0 else abs(value)
 
 

@@ -1,16 +1,18 @@
-"""What ``msal compare`` tells people: two files in detail, folders as a table."""
+"""What ``msal compare`` prints for people: two files in detail, folders as a table."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from msal_cli.job.display_names import padded, shortened, shown
-from msal_cli.job.records import ComparisonRecord, Displacement, SurfaceDistance
-from msal_cli.report.text import (
+from msal_cli.job.comparison_record import ComparisonRecord
+from msal_cli.job.display_names import figure, padded, shortened, shown
+from msal_cli.job.plain_data import value_at
+from msal_cli.job.records import SurfaceDistance
+from msal_cli.report.phrases import (
     Line,
+    failure_lines,
     file_name,
     gate_text,
-    reason,
     self_intersections_text,
     vertices_text,
 )
@@ -22,7 +24,7 @@ _NARROWEST_NAME = 16
 def told(record: ComparisonRecord) -> list[Line]:
     """The lines on two files: their names, then one line per measure."""
     if record.error is not None:
-        return list(_failure(record))
+        return failure_lines(_pair(record), record.error)
     before = _counts(record.vertices_before, record.corners_before, record.faces_before)
     after = _counts(record.vertices_after, record.corners_after, record.faces_after)
     lines = [
@@ -55,8 +57,7 @@ def table(records: Sequence[ComparisonRecord], *, width: int = 100) -> Iterator[
     for warning in dict.fromkeys(text for record in compared for text in record.warnings):
         yield Line(f"warning: {shown(warning)}", "bad")
     for record in records:
-        if record.error is not None:
-            yield from _failure(record)
+        yield from failure_lines(_pair(record), record.error)
     n_failed = len(records) - len(compared)
     end = f"{len(compared):,} compared" + (f", {n_failed:,} not" if n_failed else "")
     yield Line(f"{end}; e: mean edge lengths before", "bad" if n_failed else "good")
@@ -70,14 +71,8 @@ def broken_gates(records: Sequence[ComparisonRecord]) -> Iterator[Line]:
                 yield Line(f"{file_name(record.after)}: {gate_text(gate)}", "bad")
 
 
-def _failure(record: ComparisonRecord) -> Iterator[Line]:
-    failure = record.error
-    if failure is None:
-        return
-    why = reason(failure.where, failure.message, failure.code)
-    yield Line(f"{file_name(record.before)} and {file_name(record.after)}: {why}", "bad")
-    if failure.hint:
-        yield Line(f"  hint: {shown(failure.hint)}")
+def _pair(record: ComparisonRecord) -> str:
+    return f"{file_name(record.before)} and {file_name(record.after)}"
 
 
 def _counts(vertices: int | None, corners: int | None, faces: int | None) -> str:
@@ -85,8 +80,7 @@ def _counts(vertices: int | None, corners: int | None, faces: int | None) -> str
 
 
 def _facts(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
-    edge = record.mean_edge_length
-    yield "mean edge before", "-" if edge is None else f"{edge:.6g}"
+    yield "mean edge before", figure(record.mean_edge_length, ".6g", unknown="-")
     if record.correspondence == "surface":
         yield "compared", "surfaces only: the faces are not the same"
     if record.mean_angular_error_deg is not None:
@@ -94,28 +88,28 @@ def _facts(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
         yield "normal angle", f"mean {record.mean_angular_error_deg:.4g}, max {largest:.4g} degrees"
     if record.vertex_error_percent is not None:
         yield "vertex error", f"{record.vertex_error_percent:.4g} % of the mean edge"
-    if record.displacement is not None:
-        yield "displacement", _lengths(record.displacement)
-    if record.distance_to_before is not None:
-        yield "after to before", _lengths(record.distance_to_before)
-    if record.distance_to_after is not None:
-        yield "before to after", _lengths(record.distance_to_after)
+    for word, lengths in (
+        ("displacement", record.displacement),
+        ("after to before", record.distance_to_before),
+        ("before to after", record.distance_to_after),
+    ):
+        if lengths is not None:
+            yield word, _lengths(lengths)
     if record.hausdorff is not None and record.hausdorff_edges is not None:
         yield "Hausdorff", f"{record.hausdorff:.4g} ({record.hausdorff_edges:.4g} e)"
     volume = record.volume
     if volume is not None:
-        if volume.change is not None:
-            yield "volume", f"{_percent(volume.change_percent)} ({volume.change:+.4g})"
-        else:
-            yield "volume", f"- {shown(volume.reason)}"
-    yield "area", _percent(record.area_change_percent)
+        change = figure(volume.change_percent, "+.4g", " %", "-")
+        unknown = f"- {shown(volume.reason)}"
+        yield "volume", unknown if volume.change is None else f"{change} ({volume.change:+.4g})"
+    yield "area", figure(record.area_change_percent, "+.4g", " %", "-")
     if record.flipped_faces is not None:
         yield "flipped faces", f"{record.flipped_faces:,}"
     if record.self_intersections is not None:
         yield "intersecting", self_intersections_text(record.self_intersections)
 
 
-def _lengths(one: Displacement | SurfaceDistance) -> str:
+def _lengths(one: SurfaceDistance) -> str:
     parts = (
         ("mean", one.mean, one.mean_edges),
         ("rms", one.rms, one.rms_edges),
@@ -125,21 +119,13 @@ def _lengths(one: Displacement | SurfaceDistance) -> str:
     return ", ".join(f"{word} {length:.4g} ({edges:.4g} e)" for word, length, edges in parts)
 
 
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{value:+.4g} %"
-
-
 def _row(record: ComparisonRecord) -> tuple[str, ...]:
-    def cell(value: float | None, form: str, unit: str) -> str:
-        return "-" if value is None else f"{value:{form}}{unit}"
-
-    moved = record.displacement
     return (
-        cell(record.mean_angular_error_deg, ".2f", "°"),
-        cell(record.vertex_error_percent, ".2f", " %"),
-        cell(moved.max_edges if moved is not None else None, ".3g", " e"),
-        cell(record.volume_change_percent, "+.3f", " %"),
-        cell(record.area_change_percent, "+.3f", " %"),
-        "-" if record.flipped_faces is None else f"{record.flipped_faces:,}",
-        cell(record.hausdorff_edges, ".3g", " e"),
+        figure(record.mean_angular_error_deg, ".2f", "°", "-"),
+        figure(record.vertex_error_percent, ".2f", " %", "-"),
+        figure(value_at(record, "displacement.max_edges"), ".3g", " e", "-"),
+        figure(record.volume_change_percent, "+.3f", " %", "-"),
+        figure(record.area_change_percent, "+.3f", " %", "-"),
+        figure(record.flipped_faces, ",", "", "-"),
+        figure(record.hausdorff_edges, ".3g", " e", "-"),
     )

@@ -1,6 +1,6 @@
 """Pictures and scenes for the HTML report: the bracket that reads inputs and outputs once more.
 
-Only what the records tell of is shown: a file that is gone, or that is no longer the one that was
+Only what the records name is shown: a file that is gone, or that is no longer the one that was
 denoised, is left out without a word.  Time, the size of files and the number of faces are bounded,
 the worst files come first, and what the bounds cost is said on the page.
 """
@@ -9,27 +9,30 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import math
 import os
+import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from msal_cli import codecs as files
+from msal_cli.analysis import colour_maps as colours
+from msal_cli.job import comparison
+from msal_cli.job.comparison import Surface
 from msal_cli.job.records import WITH_OUTPUT, MeshRecord
 from msal_cli.job.settings import DEFAULT_BACKUP
+from msal_cli.mesh import Mesh
+from msal_cli.report.document import known_values
+from msal_cli.report.phrases import counted
 from msal_cli.report.ranking import worst_first
+from msal_cli.view import pictures, viewer
+from msal_cli.view.camera import Camera
 from msal_cli.view.illustrations import Gallery, Pictures, Scale
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from msal_cli.job.comparison import Surface
-    from msal_cli.view import Camera
-    from msal_cli.view.pictures import Scene
-
-    Floats = NDArray[np.float64]
-    Image = NDArray[np.uint8]
+from msal_cli.view.image_files import jpeg_bytes, png_bytes
+from msal_cli.view.pictures import Scene
+from msal_cli.view.scene import encode_scene
+from msal_cli.view.shading import Image, Style, shaded
 
 log = logging.getLogger("msal")
 
@@ -68,13 +71,14 @@ def made(
     """Pictures of as many files as the bounds allow, and scenes of the worst.
 
     Never raises for a file's fault.  ``backup`` is the suffix of the originals of files that were
-    denoised in place.  ``on_file`` is told after each file how many of how many are dealt with.
+    denoised in place.  ``on_file`` is called before each file with the number of those done
+    and of all.
     """
     bounds = bounds or Bounds()
     numbers = {id(record): at for at, record in enumerate(records)}
     reach = _reach(records)
     end = time.monotonic() + bounds.seconds
-    pictures: dict[int, Pictures] = {}
+    images: dict[int, Pictures] = {}
     scenes: dict[int, str] = {}
     n_late = n_large = n_bytes = n_decimated = 0
     candidates = [record for record in worst_first(records) if _is_shown(record)]
@@ -92,7 +96,8 @@ def made(
             scene = _scene(record, backup, bounds)
             if scene is None:
                 continue
-            shown, camera = _pictures(scene, reach)
+            camera = pictures.camera_of(scene, pictures.View())
+            shown = _pictures(scene, camera, reach)
             if len(scenes) < bounds.scenes:
                 scenes[at] = _embedded(
                     record, scene, camera, reach, bounds.scene_faces, f"scene{at}"
@@ -102,15 +107,15 @@ def made(
             # A picture is an extra: whatever keeps it from being made keeps back no report.
             log.info("%s: no picture", record.input, exc_info=True)
             continue
-        pictures[at] = shown
+        images[at] = shown
         n_bytes += len(shown.before) + len(shown.after) + len(shown.deviation or b"")
     return Gallery(
-        pictures=pictures,
+        pictures=images,
         scenes=scenes,
         scale=_scale(reach),
-        script=_viewer_script() if scenes else "",
-        style=_viewer_style() if scenes else "",
-        remarks=tuple(_remarks(len(pictures), n_late, n_large, n_decimated, bounds)),
+        script=viewer.script() if scenes else "",
+        style=viewer.style() if scenes else "",
+        remarks=tuple(_remarks(len(images), n_late, n_large, n_decimated, bounds)),
     )
 
 
@@ -134,7 +139,6 @@ def _is_too_large(record: MeshRecord, bounds: Bounds) -> bool:
 
 def _scene(record: MeshRecord, backup: str, bounds: Bounds) -> Scene | None:
     """Both meshes, if they are still those of the record and can be drawn."""
-    from msal_cli.view import pictures
 
     output = str(record.output)
     is_in_place = os.path.realpath(record.input) == os.path.realpath(output)
@@ -148,8 +152,6 @@ def _scene(record: MeshRecord, backup: str, bounds: Bounds) -> Scene | None:
 
 def _surface(path: str, sha256: str | None, format: str | None, bounds: Bounds) -> Surface | None:
     """What the file at ``path`` holds; None if it is not there, or has another SHA-256."""
-    from msal_cli import codecs as files
-    from msal_cli.job import comparison
 
     if not os.path.isfile(path) or os.path.getsize(path) > bounds.file_bytes:
         return None
@@ -164,56 +166,32 @@ def _surface(path: str, sha256: str | None, format: str | None, bounds: Bounds) 
 # Pictures
 
 
-def _pictures(scene: Scene, reach: float) -> tuple[Pictures, Camera]:
+def _pictures(scene: Scene, camera: Camera, reach: float) -> Pictures:
     """Three pictures from one place; colours reach to ``reach`` mean edge lengths."""
-    from msal_cli.analysis import colour_maps as colours
-    from msal_cli.view import pictures
-    from msal_cli.view.jpeg import jpeg_bytes
-
-    camera = pictures.camera_of(scene, pictures.View())
     after = scene.after or scene.before
     deviation = None
     if scene.deviation is not None and scene.is_signed:
         moved = scene.deviation / scene.before.mean_edge_length
         painted = colours.map_colours(moved, -reach, reach, "diverging")
-        deviation = jpeg_bytes(_image(after.vertices, after.faces, camera, _SIZE, painted))
-    return (
-        Pictures(
-            jpeg_bytes(_image(scene.before.vertices, scene.before.faces, camera, _SIZE)),
-            jpeg_bytes(_image(after.vertices, after.faces, camera, _SIZE)),
-            deviation,
-        ),
-        camera,
-    )
+        deviation = jpeg_bytes(_image(after, camera, _SIZE, painted))
+    before = jpeg_bytes(_image(scene.before, camera, _SIZE))
+    return Pictures(before, jpeg_bytes(_image(after, camera, _SIZE)), deviation)
 
 
 def _image(
-    vertices: Floats,
-    faces: NDArray[np.int32],
-    camera: Camera,
-    size: tuple[int, int],
-    painted: Image | None = None,
+    mesh: Mesh, camera: Camera, size: tuple[int, int], painted: Image | None = None
 ) -> Image:
-    from msal_cli import view as render
-
-    style = render.Style(background=(236, 238, 241))
-    return render.shaded(vertices, faces, camera, *size, painted, style=style)
+    style = Style(background=(236, 238, 241))
+    return shaded(mesh.vertices, mesh.faces, camera, *size, painted, style=style)
 
 
 def _reach(records: Sequence[MeshRecord]) -> float:
     """Mean edge lengths at the ends of the colours, for all files alike: what 95 % of the vertices
     of a middling file stay below, doubled and rounded up, so that a bad file stands out."""
-    import math
-    import statistics
 
-    sizes = [
-        record.displacement.p95_edges
-        for record in records
-        if record.displacement is not None
-        and record.status in WITH_OUTPUT
-        and math.isfinite(record.displacement.p95_edges)
-        and record.displacement.p95_edges > _ROUNDING_EDGES
-    ]
+    done = [record for record in records if record.status in WITH_OUTPUT]
+    moves = known_values(done, "displacement.p95_edges")
+    sizes = [size for size in moves if math.isfinite(size) and size > _ROUNDING_EDGES]
     if not sizes:
         return _STANDARD_RANGE
     wanted = 2.0 * statistics.median(sizes)
@@ -222,7 +200,6 @@ def _reach(records: Sequence[MeshRecord]) -> float:
 
 
 def _scale(reach: float) -> Scale:
-    from msal_cli.analysis import colour_maps as colours
 
     table = colours.colour_table("diverging")
     rows = [table[round(at * (len(table) - 1) / (_SHADES - 1))] for at in range(_SHADES)]
@@ -240,12 +217,10 @@ def _scale(reach: float) -> Scale:
 def _embedded(
     record: MeshRecord, scene: Scene, camera: Camera, reach: float, most_faces: int, key: str
 ) -> str:
-    from msal_cli.view import png_bytes, viewer
-    from msal_cli.view import scene as scenes
 
     after = scene.after or scene.before
     end = reach * scene.before.mean_edge_length
-    drawn = scenes.encoded(
+    drawn = encode_scene(
         scene.before,
         scene.after,
         scene.deviation,
@@ -253,22 +228,10 @@ def _embedded(
         view=camera.axes,
         most_faces=most_faces,
     )
-    poster = png_bytes(_image(after.vertices, after.faces, camera, _POSTER))
+    poster = png_bytes(_image(after, camera, _POSTER))
     return viewer.embedded_scene(
         key, drawn, picture=poster, description=f"{record.input}, after", starts="click"
     )
-
-
-def _viewer_script() -> str:
-    from msal_cli.view import viewer
-
-    return viewer.script()
-
-
-def _viewer_style() -> str:
-    from msal_cli.view import viewer
-
-    return viewer.style()
 
 
 def _remarks(
@@ -276,13 +239,14 @@ def _remarks(
 ) -> list[str]:
     remarks = []
     if n_late:
+        limits = f"{bounds.seconds:.0f} seconds or {bounds.picture_bytes / 1e6:.0f} MB"
         remarks.append(
-            f"Pictures are of the worst {_counted(n_shown)}: the other {n_late:,} would have "
-            f"taken more than {bounds.seconds:.0f} seconds or {bounds.picture_bytes / 1e6:.0f} MB."
+            f"Pictures are of the worst {counted(n_shown, 'file')}: the other {n_late:,} would "
+            f"have taken more than {limits}."
         )
     if n_large:
         remarks.append(
-            f"{_counted(n_large)} of more than {bounds.faces:,} faces or "
+            f"{counted(n_large, 'file')} of more than {bounds.faces:,} faces or "
             f"{bounds.file_bytes / 1e6:.0f} MB without pictures here; `msal view` makes them."
         )
     if n_decimated:
@@ -291,7 +255,3 @@ def _remarks(
             "after alike; the figures are those of the full meshes."
         )
     return remarks
-
-
-def _counted(count: int) -> str:
-    return "1 file" if count == 1 else f"{count:,} files"

@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 
 from msal_cli.job.display_names import shown
 from msal_cli.job.records import MeshRecord
+from msal_cli.report.phrases import failure_texts, file_name
 from msal_cli.report.ranking import broken_gates, worst_first
-from msal_cli.report.text import file_name, reason
 
 MOST = 10
 """Annotations of a run: GitHub shows no more errors of one step."""
@@ -24,25 +24,22 @@ def commands(records: Sequence[MeshRecord], folder: str = "") -> list[str]:
     ``folder`` is where relative names begin, as a path from the root of the repository; empty if
     that is where the program runs.
     """
-    told = [
+    messages = [
         (record, title, message)
         for record in worst_first(records)
         for title, message in _messages(record)
     ]
     return [
         f"::error {_properties(record.input, folder, title)}::{_message(message)}"
-        for record, title, message in told[:MOST]
+        for record, title, message in messages[:MOST]
     ]
 
 
 def _messages(record: MeshRecord) -> Iterator[tuple[str, str]]:
-    """The title and the message of a file, if there is anything to tell."""
+    """The title and the message of a file, if it failed or broke a gate."""
     name = file_name(record.input)
     if record.error is not None:
-        failure = record.error
-        hint = f"\nhint: {shown(failure.hint)}" if failure.hint else ""
-        why = reason(failure.where, failure.message, failure.code)
-        yield "msal: failed", f"{name}: {why}{hint}"
+        yield "msal: failed", "\n".join(failure_texts(name, record.error))
     elif gates := broken_gates(record):
         title = "msal: broken gate" if len(gates) == 1 else f"msal: {len(gates)} broken gates"
         yield title, "\n".join([f"{name}:", *map(shown, gates)])

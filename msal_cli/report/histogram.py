@@ -7,6 +7,9 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from msal_cli.job.display_names import figure
+from msal_cli.report.phrases import counted
+
 MOST_BINS, LEAST_BINS = 24, 8
 """Bars between the ends of the axis: more for more files."""
 
@@ -25,7 +28,7 @@ class Bins:
     beyond: int
 
 
-def binned(values: Sequence[float]) -> Bins:
+def bin_values(values: Sequence[float]) -> Bins:
     """The values in equal steps; a few far outliers get no axis that squeezes all the others.
 
     ``values`` are finite, and at least one.
@@ -52,23 +55,24 @@ def binned(values: Sequence[float]) -> Bins:
     return Bins(tuple(low + step * at for at in range(n_bins + 1)), tuple(counts), below, beyond)
 
 
-def svg(title: str, values: Sequence[float], words: Callable[[float], str]) -> str:
-    """An SVG element with its description; ``words`` writes a value with its unit.
+def svg(title: str, values: Sequence[float], form: str, unit: str = "") -> str:
+    """An SVG element with its description; ``form`` and ``unit`` say how a value is written.
 
     What is not finite is left out.
     """
-    kept = [value for value in values if math.isfinite(value)]
-    if not kept:
+    ranked = sorted(value for value in values if math.isfinite(value))
+    if not ranked:
         return ""
-    bins = binned(kept)
-    ranked = sorted(kept)
-    told = (
-        f"{title}: {len(kept):,} files from {words(ranked[0])} to {words(ranked[-1])}, "
-        f"median {words(ranked[len(ranked) // 2])}"
-    )
+
+    def text(value: float) -> str:
+        return html.escape(figure(value, form, unit))
+
+    bins = bin_values(ranked)
+    low, median, high = (text(ranked[at]) for at in (0, len(ranked) // 2, -1))
+    label = f"{html.escape(title)}: {len(ranked):,} files from {low} to {high}, median {median}"
     return (
-        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{html.escape(told)}">'
-        f"{_bars(bins, words)}{_axes(bins, words)}</svg>"
+        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{label}">'
+        f"{_bars(bins, text)}{_axes(bins, text)}</svg>"
     )
 
 
@@ -89,49 +93,47 @@ def _limits(ranked: Sequence[float]) -> tuple[float, float]:
     return low, high
 
 
-def _bars(bins: Bins, words: Callable[[float], str]) -> str:
+def _bars(bins: Bins, text: Callable[[float], str]) -> str:
     most = max(*bins.counts, bins.below, bins.beyond, 1)
-    n_slots = len(bins.counts) + 2
-    slot = (_WIDTH - _LEFT - _RIGHT) / n_slots
+    slot = (_WIDTH - _LEFT - _RIGHT) / (len(bins.counts) + 2)
     floor, room = _HEIGHT - _BOTTOM, _HEIGHT - _BOTTOM - _TOP
-    first, last = words(bins.edges[0]), words(bins.edges[-1])
-    rows = [(bins.below, f"below {first}", "out")]
-    rows += [
-        (count, f"{words(low)} to {words(high)}", "bar")
-        for count, low, high in zip(bins.counts, bins.edges, bins.edges[1:], strict=False)
+    steps = zip(bins.counts, bins.edges, bins.edges[1:], strict=False)
+    rows = [
+        (bins.below, f"below {text(bins.edges[0])}", "out"),
+        *((count, f"{text(low)} to {text(high)}", "bar") for count, low, high in steps),
+        (bins.beyond, f"above {text(bins.edges[-1])}", "out"),
     ]
-    rows.append((bins.beyond, f"above {last}", "out"))
     parts = []
     for at, (count, where, kind) in enumerate(rows):
         if count:
             # A single file among thousands must still be seen.
             height = max(2.0, room * count / most)
-            files = "1 file" if count == 1 else f"{count:,} files"
             parts.append(
                 f'<rect class="{kind}" x="{_LEFT + slot * at + 0.75:.2f}" '
                 f'y="{floor - height:.2f}" width="{max(1.0, slot - 1.5):.2f}" '
-                f'height="{height:.2f}" rx="1"><title>{files}, {html.escape(where)}</title></rect>'
+                f'height="{height:.2f}" rx="1">'
+                f"<title>{counted(count, 'file')}, {where}</title></rect>"
             )
-    parts.append(
-        f'<line class="rule" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{_TOP}" y2="{_TOP}"/>'
-        f'<text x="{_LEFT - 5}" y="{_TOP + 4}" text-anchor="end">{most:,}</text>'
+    return (
+        f'{"".join(parts)}<line class="rule" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{_TOP}" '
+        f'y2="{_TOP}"/><text x="{_LEFT - 5}" y="{_TOP + 4}" text-anchor="end">{most:,}</text>'
     )
-    return "".join(parts)
 
 
-def _axes(bins: Bins, words: Callable[[float], str]) -> str:
+def _axes(bins: Bins, text: Callable[[float], str]) -> str:
     floor = _HEIGHT - _BOTTOM
     slot = (_WIDTH - _LEFT - _RIGHT) / (len(bins.counts) + 2)
     left, right = _LEFT + slot, _WIDTH - _RIGHT - slot
     low, high = bins.edges[0], bins.edges[-1]
-    parts = [f'<line class="axis" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{floor}" y2="{floor}"/>']
-    parts.append(f'<text x="{_LEFT - 5}" y="{floor + 1}" text-anchor="end">0</text>')
+    parts = [
+        f'<line class="axis" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{floor}" y2="{floor}"/>'
+        f'<text x="{_LEFT - 5}" y="{floor + 1}" text-anchor="end">0</text>'
+    ]
     for share, anchor in ((0.0, "start"), (0.5, "middle"), (1.0, "end")):
         x = left + share * (right - left)
-        value = low + share * (high - low)
         parts.append(
             f'<line class="axis" x1="{x:.2f}" x2="{x:.2f}" y1="{floor}" y2="{floor + 4}"/>'
             f'<text x="{x:.2f}" y="{floor + 17}" text-anchor="{anchor}">'
-            f"{html.escape(words(value))}</text>"
+            f"{text(low + share * (high - low))}</text>"
         )
     return "".join(parts)

@@ -6,38 +6,42 @@ are not among the worst are left out first, then scenes, and the page says so.
 
 A content security policy lets the browser run only the scripts and the styles that were written
 here, and load nothing.  What comes from outside, names of files mostly, is escaped in two places:
-``_text`` for elements, ``_json`` for the data of the table.
+``escape`` for elements, ``_json`` for the data of the table.
 """
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import html
 import json
 import math
-import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
 from string import Template
 from typing import Any
 
-from msal_cli.job.display_names import shown
+from msal_cli.job.display_names import figure
 from msal_cli.job.records import DONE, MeshRecord
 from msal_cli.report import histogram
 from msal_cli.report import rows as table
-from msal_cli.report.document import Run, Totals, plain, totals
+from msal_cli.report.document import Run, Totals, known_values, plain, totals
+from msal_cli.report.phrases import (
+    chosen_text,
+    command_text,
+    counted,
+    failure_text,
+    file_name,
+    percent_text,
+    seconds_text,
+)
 from msal_cli.report.ranking import WORDS, broken_gates, worst_first
-from msal_cli.report.text import chosen_text, percent_text, reason, seconds_text
+from msal_cli.view.html_parts import asset, content_policy, escape, to_base64
 from msal_cli.view.illustrations import EMPTY, Gallery, Pictures
 
 MOST_BYTES = 25_000_000
 """Bytes of the largest page, as far as the figures of the files alone leave room."""
 
 STATIC_ROWS = 100
-"""Rows that stand in the page itself, for readers without scripts."""
+"""Rows in the page itself, for readers without scripts."""
 
-_ASSETS = Path(__file__).parent / "assets"
 _LONGEST_COMMAND = 20_000
 _MOST_FAILURES = 200
 
@@ -70,13 +74,13 @@ def encoded(
             f"Pictures of {n_dropped:,} files that are not among the worst were left out, "
             f"to keep this page below {most_bytes / 1e6:.0f} MB."
         )
-    scripts = ([gallery.script] if scenes else []) + [_asset("report.js")]
-    styles = ([gallery.style] if scenes else []) + [_asset("report.css")]
+    scripts = ([gallery.script] if scenes else []) + [asset(__file__, "report.js")]
+    styles = ([gallery.style] if scenes else []) + [asset(__file__, "report.css")]
     shown_scenes = [(records[at], scenes[at]) for at in order if at in scenes]
-    page = Template(_asset("report.html")).substitute(
-        policy=html.escape(_policy(scripts, styles)),
-        version=_text(run.version),
-        title=_text(_title(records)),
+    page = Template(asset(__file__, "report.html")).substitute(
+        policy=content_policy(scripts, styles),
+        version=escape(run.version),
+        title=f"msal: {counted(len(records), 'file')}",
         styles="".join(f"<style>{one}</style>" for one in styles),
         verdict=_verdict(run, records, sums),
         totals=_totals(run, records, sums),
@@ -87,9 +91,9 @@ def encoded(
         heads="".join(_head(one) for one in columns),
         static=static,
         beyond=_beyond(len(records)),
-        words=_text(WORDS),
+        words=escape(WORDS),
         scale=_scale(gallery) if pictures else "",
-        remarks="".join(f'<p class="note">{_text(one)}</p>' for one in remarks),
+        remarks="".join(f'<p class="note">{escape(one)}</p>' for one in remarks),
         settings=_settings(run),
         rows=rows,
         pictures=_json(pictures) if pictures else "null",
@@ -123,29 +127,21 @@ def _fitting_pictures(
     n_dropped = 0
     for at in order:
         found = pictures.get(at)
-        texts = None if found is None else _base64(found)
-        size = sum(len(one or "") + 4 for one in texts) if texts else 0
+        several = (found.before, found.after, found.deviation) if found else ()
+        texts = [None if one is None else to_base64(one) for one in several]
+        size = sum(len(one or "") + 4 for one in texts)
         if texts and (n_dropped or size > room):
             n_dropped += 1
-            texts = None
+            kept.append(None)
         else:
             room -= size
-        kept.append(texts)
+            kept.append(texts or None)
     while kept and kept[-1] is None:
         kept.pop()
     return kept, n_dropped
 
 
-def _base64(pictures: Pictures) -> list[str | None]:
-    several = (pictures.before, pictures.after, pictures.deviation)
-    return [None if one is None else base64.b64encode(one).decode("ascii") for one in several]
-
-
 # Parts of the page
-
-
-def _title(records: Sequence[MeshRecord]) -> str:
-    return f"msal: {_counted(len(records), 'file')}"
 
 
 def _verdict(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
@@ -161,107 +157,96 @@ def _verdict(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
         chips.append(("warn", "interrupted"))
     if not chips:
         chips.append(("good", "all well" if records else "nothing done"))
-    return "".join(f'<span class="chip {kind}">{_text(told)}</span>' for kind, told in chips)
+    return "".join(f'<span class="chip {kind}">{escape(text)}</span>' for kind, text in chips)
 
 
 def _totals(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
-    tiles = [(f"{sums.files:,}", "files" if sums.files != 1 else "file", "")]
-    for count, word, kind in (
-        (sums.written, "written", ""),
-        (sums.unchanged, "unchanged", ""),
-        (sums.up_to_date, "up to date", ""),
-        (sums.planned, "not finished", "warn"),
-        (sums.gate_broken, "gate broken", "bad"),
-        (sums.failed, "failed", "bad"),
-    ):
-        if count:
-            tiles.append((f"{count:,}", word, kind))
+    moves = known_values(records, "displacement.max_edges")
+    spread = sums.volume_change_percent
+    is_timed = run.seconds > 0.0
+    rate = float(f"{sums.vertices / run.seconds:.3g}") if is_timed else 0.0
+    tiles = [
+        (f"{count:,}", word, kind)
+        for count, word, kind in (
+            (sums.written, "written", ""),
+            (sums.unchanged, "unchanged", ""),
+            (sums.up_to_date, "up to date", ""),
+            (sums.planned, "not finished", "warn"),
+            (sums.gate_broken, "gate broken", "bad"),
+            (sums.failed, "failed", "bad"),
+        )
+        if count
+    ]
+    tiles.insert(0, (f"{sums.files:,}", "files" if sums.files != 1 else "file", ""))
     if sums.vertices:
         tiles.append((_short(sums.vertices), "vertices denoised", ""))
-    if run.seconds > 0.0:
+    if is_timed:
         tiles.append((seconds_text(run.seconds), "wall time", ""))
-        if sums.vertices:
-            rate = float(f"{sums.vertices / run.seconds:.3g}")
-            tiles.append((_short(rate), "vertices a second", ""))
-    spread = sums.volume_change_percent
+    if is_timed and sums.vertices:
+        tiles.append((_short(rate), "vertices a second", ""))
     if spread is not None:
         tiles.append((percent_text(spread.median), "median volume change", ""))
-    moved = [one.displacement.max_edges for one in records if one.displacement is not None]
-    if moved and math.isfinite(max(moved)):
-        tiles.append((f"{max(moved):.3g}", "edges, largest move", ""))
+    if moves and math.isfinite(max(moves)):
+        tiles.append((f"{max(moves):.3g}", "edges, largest move", ""))
     return "".join(
-        f'<div class="tile {kind}"><b>{_text(figure)}</b><span>{_text(word)}</span></div>'
-        for figure, word, kind in tiles
+        f'<div class="tile {kind}"><b>{escape(text)}</b><span>{escape(word)}</span></div>'
+        for text, word, kind in tiles
     )
 
 
 def _problems(worst: Sequence[MeshRecord]) -> str:
     """What failed with reason and hint, broken gates and warnings; nothing if all is well."""
-    failed = [record for record in worst if record.error is not None]
-    broken = [record for record in worst if broken_gates(record)]
-    warned = [record for record in worst if record.warnings and record.error is None]
-    parts = []
-    if failed:
-        lines = "".join(map(_failure, failed[:_MOST_FAILURES]))
-        parts.append(_problem_table("Failed", len(failed), ("File", "Reason", "What to do"), lines))
-    if broken:
-        lines = "".join(
-            f"<tr><th scope=row>{_name(record)}</th><td>{gates}</td></tr>"
-            for record in broken[:_MOST_FAILURES]
-            for gates in ["<br>".join(map(_text, broken_gates(record)))]
-        )
-        parts.append(_problem_table("Broken gates", len(broken), ("File", "Gate"), lines))
-    if warned:
-        lines = "".join(
-            f"<tr><th scope=row>{_name(record)}</th><td>{texts}</td></tr>"
-            for record in warned[:_MOST_FAILURES]
-            for texts in ["<br>".join(map(_text, record.warnings))]
-        )
-        parts.append(_problem_table("Warnings", len(warned), ("File", "Warning"), lines))
-    return "".join(parts)
-
-
-def _problem_table(title: str, count: int, heads: Sequence[str], lines: str) -> str:
-    cells = "".join(f'<th scope="col">{one}</th>' for one in heads)
-    more = (
-        f'<p class="note">{count - _MOST_FAILURES:,} more stand in the table of all files.</p>'
-        if count > _MOST_FAILURES
-        else ""
-    )
+    failed = [(one, _failure_cells(one)) for one in worst if one.error is not None]
+    broken = [(one, [_lines(gates)]) for one in worst if (gates := broken_gates(one))]
+    warned = [(one, [_lines(one.warnings)]) for one in worst if one.warnings and not one.error]
     return (
-        f'<section class="problems"><h2>{title} <small>{count:,}</small></h2>'
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{title}">'
-        f"<table><thead><tr>{cells}</tr></thead><tbody>{lines}</tbody></table></div>{more}</section>"
+        _problem_table("Failed", ("File", "Reason", "What to do"), failed)
+        + _problem_table("Broken gates", ("File", "Gate"), broken)
+        + _problem_table("Warnings", ("File", "Warning"), warned)
     )
 
 
-def _failure(record: MeshRecord) -> str:
+def _failure_cells(record: MeshRecord) -> list[str]:
     failure = record.error
-    if failure is None:
+    assert failure is not None
+    why = escape(failure_text(failure, with_code=False))
+    return [f"{why} <code>{escape(failure.code)}</code>", escape(failure.hint)]
+
+
+def _lines(texts: Sequence[str]) -> str:
+    return "<br>".join(map(escape, texts))
+
+
+def _problem_table(
+    title: str, heads: Sequence[str], rows: Sequence[tuple[MeshRecord, list[str]]]
+) -> str:
+    if not rows:
         return ""
-    why = _text(reason(failure.where, failure.message, ""))
+    cells = "".join(f'<th scope="col">{one}</th>' for one in heads)
+    lines = "".join(
+        f"<tr><th scope=row>{_name(record)}</th><td>{'</td><td>'.join(inner)}</td></tr>"
+        for record, inner in rows[:_MOST_FAILURES]
+    )
+    n_left = len(rows) - _MOST_FAILURES
+    more = f'<p class="note">{n_left:,} more stand in the table of all files.</p>'
     return (
-        f"<tr><th scope=row>{_name(record)}</th><td>{why} <code>{_text(failure.code)}</code></td>"
-        f"<td>{_text(failure.hint)}</td></tr>"
+        f'<section class="problems"><h2>{title} <small>{len(rows):,}</small></h2>'
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{title}"><table><thead><tr>'
+        f"{cells}</tr></thead><tbody>{lines}</tbody></table></div>{more if n_left > 0 else ''}"
+        "</section>"
     )
 
 
 def _histograms(records: Sequence[MeshRecord]) -> str:
-    changes = [
-        one.volume.change_percent
-        for one in records
-        if one.volume is not None and one.volume.change_percent is not None
-    ]
-    moves = [one.displacement.max_edges for one in records if one.displacement is not None]
-    times = [one.seconds.total for one in records if one.seconds is not None and one.status in DONE]
-    several: tuple[tuple[str, str, list[float], Callable[[float], str]], ...] = (
-        ("Volume change", "closed files", changes, _percent),
-        ("Largest displacement", "mean edge lengths", moves, _figure),
-        ("Time for a file", "seconds", times, _figure),
-    )
+    done = [record for record in records if record.status in DONE]
     parts = []
-    for title, note, values, words in several:
-        if drawn := histogram.svg(title, values, words):
+    for title, note, values, form in (
+        ("Volume change", "closed files", known_values(records, "volume.change_percent"), "+.3g"),
+        ("Largest displacement", "mean edge lengths",
+         known_values(records, "displacement.max_edges"), ".3g"),
+        ("Time for a file", "seconds", known_values(done, "seconds.total"), ".3g"),
+    ):  # fmt: skip
+        if drawn := histogram.svg(title, values, form, " %" if "+" in form else ""):
             caption = f"<figcaption><b>{title}</b> <span>{note}</span></figcaption>"
             parts.append(f'<figure class="histogram">{caption}{drawn}</figure>')
     inner = "".join(parts)
@@ -287,7 +272,7 @@ def _caption(record: MeshRecord) -> str:
     if record.volume is not None and record.volume.valid:
         inside_out = ", inside out" if record.inside_out else ""
         parts.append(f"volume {percent_text(record.volume.change_percent)}{inside_out}")
-    return _text("; ".join(parts))
+    return escape("; ".join(parts))
 
 
 def _scale(gallery: Gallery) -> str:
@@ -297,43 +282,39 @@ def _scale(gallery: Gallery) -> str:
     n = max(1, len(scale.colours))
     wide = f'width="{100 / n + 0.2:.3f}" height="10"'
     rects = "".join(
-        f'<rect x="{100 * at / n:.3f}" {wide} fill="{_text(one)}"/>'
+        f'<rect x="{100 * at / n:.3f}" {wide} fill="{escape(one)}"/>'
         for at, one in enumerate(scale.colours)
     )
     return (
-        f'<div class="scale"><span>{_text(scale.title)}</span><span>{_text(scale.low)}</span>'
+        f'<div class="scale"><span>{escape(scale.title)}</span><span>{escape(scale.low)}</span>'
         f'<svg viewBox="0 0 100 10" preserveAspectRatio="none" aria-hidden="true">{rects}</svg>'
-        f"<span>{_text(scale.high)}</span></div>"
+        f"<span>{escape(scale.high)}</span></div>"
     )
 
 
 def _head(column: Mapping[str, str]) -> str:
     kind = ' class="figure"' if column["kind"] == "figure" else ""
-    note = f"<small>{_text(column['unit'])}</small>" if column["unit"] else ""
-    return f'<th scope="col"{kind}>{_text(column["title"])}{note}</th>'
+    note = f"<small>{escape(column['unit'])}</small>" if column["unit"] else ""
+    return f'<th scope="col"{kind}>{escape(column["title"])}{note}</th>'
 
 
-def _static_row(columns: Sequence[Mapping[str, str]], data: Mapping[str, Any]) -> str:
-    why = dict(data["details"])
-    cells = "".join(
-        _static_cell(one, value, why.get(one["title"], ""))
-        for one, value in zip(columns, data["values"], strict=True)
-    )
-    if data["kind"] == "failed":
-        figures = [one for one in columns if one["kind"] == "figure"]
-        first = "".join(map(_static_cell, columns[: -len(figures)], data["values"]))
-        cells = f'{first}<td colspan="{len(figures)}">{_text(data["details"][0][1])}</td>'
-    return f'<tr class="{_text(data["kind"])}">{cells}</tr>'
-
-
-def _static_cell(column: Mapping[str, str], value: Any, why: str = "") -> str:
-    """A cell of the table; ``why`` explains a word where one points at it."""
-    if column["kind"] == "name":
-        return f'<th scope="row">{_text(value)}</th>'
-    if column["kind"] != "figure":
-        title = f' title="{_text(why)}"' if why else ""
-        return f"<td{title}>{_text(value or '')}</td>"
-    return f'<td class="figure">{"" if value is None else f"{value:,.4g}"}</td>'
+def _static_row(columns: Sequence[Mapping[str, str]], row: Mapping[str, Any]) -> str:
+    why = dict(row["details"])
+    cells = []
+    for column, value in zip(columns, row["values"], strict=True):
+        if column["kind"] == "name":
+            cells.append(f'<th scope="row">{escape(value)}</th>')
+        elif column["kind"] == "figure":
+            cells.append(f'<td class="figure">{figure(value, ",.4g")}</td>')
+        else:
+            # The detail of the column's name explains the word where one points at it.
+            detail = why.get(column["title"], "") if row["kind"] != "failed" else ""
+            title = f' title="{escape(detail)}"' if detail else ""
+            cells.append(f"<td{title}>{escape(value or '')}</td>")
+    if row["kind"] == "failed":
+        n_figures = sum(column["kind"] == "figure" for column in columns)
+        cells[-n_figures:] = [f'<td colspan="{n_figures}">{escape(row["details"][0][1])}</td>']
+    return f'<tr class="{escape(row["kind"])}">{"".join(cells)}</tr>'
 
 
 def _beyond(count: int) -> str:
@@ -343,23 +324,20 @@ def _beyond(count: int) -> str:
 
 
 def _settings(run: Run) -> str:
-    command = shlex.join(run.command)
-    if len(command) > _LONGEST_COMMAND:
-        command = f"{command[:_LONGEST_COMMAND]} ..."
+    command = command_text(run.command, _LONGEST_COMMAND)
+    head = f"<h3>Command</h3><pre><code>{escape(command)}</code></pre>" if command else ""
     parts = []
-    if command:
-        parts.append(f"<h3>Command</h3><pre><code>{_text(command)}</code></pre>")
     for title, data in (
-        ("Settings", {**run.settings}),
+        ("Settings", run.settings),
         ("Program and machine", {"msal": run.version, **run.machine}),
         ("Time", {"started": run.started, "finished": run.finished}),
     ):
         lines = "".join(
-            f'<tr><th scope="row">{_text(name)}</th><td>{_text(value)}</td></tr>'
+            f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>'
             for name, value in _flat("", data)
         )
         parts.append(f'<div class="facts"><h3>{title}</h3><table>{lines}</table></div>')
-    return f'{"".join(parts[:-3])}<div class="grid">{"".join(parts[-3:])}</div>'
+    return f'{head}<div class="grid">{"".join(parts)}</div>'
 
 
 def _flat(prefix: str, data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -376,16 +354,8 @@ def _flat(prefix: str, data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             )
 
 
-# Words
-
-
 def _name(record: MeshRecord) -> str:
-    return _text("standard input" if record.input == "-" else record.input)
-
-
-def _text(text: str) -> str:
-    """``text`` as it may stand between tags and within quotes."""
-    return html.escape(shown(str(text)), quote=True)
+    return html.escape(file_name(record.input))
 
 
 def _json(data: Any) -> str:
@@ -396,45 +366,8 @@ def _json(data: Any) -> str:
     return text
 
 
-def _counted(count: int, word: str) -> str:
-    return f"{count:,} {word}" if count == 1 else f"{count:,} {word}s"
-
-
 def _short(number: float) -> str:
     """A large number in few signs: ``718,940``, ``12.3 M``."""
     if number < 1e6:
         return f"{number:,.0f}"
     return f"{number / 1e6:.3g} M" if number < 999.5e6 else f"{number / 1e9:.3g} G"
-
-
-def _percent(value: float) -> str:
-    return f"{value:+.3g} %"
-
-
-def _figure(value: float) -> str:
-    return f"{value:.3g}"
-
-
-# The page and its policy
-
-
-def _policy(scripts: Sequence[str], styles: Sequence[str]) -> str:
-    return "; ".join(
-        (
-            "default-src 'none'",
-            f"script-src {' '.join(map(_source, scripts))}",
-            f"style-src {' '.join(map(_source, styles))}",
-            "img-src data:",
-            "base-uri 'none'",
-            "form-action 'none'",
-        )
-    )
-
-
-def _source(text: str) -> str:
-    digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
-    return f"'sha256-{digest}'"
-
-
-def _asset(name: str) -> str:
-    return (_ASSETS / name).read_text(encoding="utf-8")

@@ -1,12 +1,12 @@
-"""What ``msal info`` tells people about a file."""
+"""What ``msal info`` prints for people about a file."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from msal_cli.job.display_names import shown
-from msal_cli.job.records import InfoRecord
-from msal_cli.report.text import Line, file_name, noise_texts, reason
+from msal_cli.job.display_names import figure, shown
+from msal_cli.job.info_record import InfoRecord
+from msal_cli.report.phrases import Line, failure_lines, file_name, noise_texts
 
 _SHAPES = {"3": "triangles", "4": "quads"}
 
@@ -15,9 +15,7 @@ def told(record: InfoRecord) -> list[Line]:
     """The lines on one file: its name, then one line per fact."""
     name = file_name(record.input)
     if record.error is not None:
-        failure = record.error
-        lines = [Line(f"{name}: {reason(failure.where, failure.message, failure.code)}", "bad")]
-        return lines + ([Line(f"  hint: {shown(failure.hint)}")] if failure.hint else [])
+        return failure_lines(name, record.error)
     lines = [Line(name, "good")]
     lines += [Line(f"  {word:<15} {text}") for word, text in _facts(record)]
     return lines + [Line(f"  {'warning':<15} {shown(text)}", "bad") for text in record.warnings]
@@ -33,16 +31,13 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
     yield "components", _count(record.components)
     yield "surface", _surface(record)
     yield "winding", shown(record.winding or "-") + (", inside out" if record.inside_out else "")
-    for word, count in (
-        ("degenerate", record.degenerate_faces),
-        ("duplicate", record.duplicate_faces),
-        ("unreferenced", record.unreferenced_vertices),
-        ("welded", record.welded_vertices),
+    for word, count, unit in (
+        ("degenerate", record.degenerate_faces, "faces"),
+        ("duplicate", record.duplicate_faces, "faces"),
+        ("unreferenced", record.unreferenced_vertices, "vertices"),
+        ("welded", record.welded_vertices, "vertices"),
     ):
-        yield (
-            word,
-            _count(count) + (" vertices" if word in ("unreferenced", "welded") else " faces"),
-        )
+        yield word, f"{_count(count)} {unit}"
     if record.self_intersections is not None:
         yield "intersecting", f"{record.self_intersections:,} pairs of faces"
     if record.bounds is not None:
@@ -51,17 +46,12 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
         yield "from", _point(low)
         yield "to", _point(high)
         yield "size", " x ".join(f"{side:.6g}" for side in sides)
-    yield "area", _figure(record.area)
+    yield "area", figure(record.area, ".6g", unknown="-")
     if record.volume_valid and record.volume is not None:
-        yield (
-            "volume",
-            f"{_figure(record.volume)} (inside out)"
-            if record.inside_out
-            else _figure(record.volume),
-        )
+        yield "volume", f"{record.volume:.6g}" + (" (inside out)" if record.inside_out else "")
     else:
         yield "volume", f"- {shown(record.volume_reason)}".rstrip()
-    yield "mean edge", _figure(record.mean_edge_length)
+    yield "mean edge", figure(record.mean_edge_length, ".6g", unknown="-")
     if record.noise_estimate is not None:
         level, *rest = noise_texts(record.noise_estimate)
         yield "noise estimate", level
@@ -87,11 +77,7 @@ def _surface(record: InfoRecord) -> str:
 
 
 def _count(number: int | None) -> str:
-    return "-" if number is None else f"{number:,}"
-
-
-def _figure(number: float | None) -> str:
-    return "-" if number is None else f"{number:.6g}"
+    return figure(number, ",", unknown="-")
 
 
 def _point(position: tuple[float, float, float]) -> str:

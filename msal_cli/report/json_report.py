@@ -1,4 +1,5 @@
-"""The JSON report: one document (schema ``msal.report/1``) with the run, totals and records."""
+"""The JSON report: one document (schema ``msal.report/1``) with the run, totals and records; and
+the JSON Lines report, one record a line in the order of the inputs, and nothing else."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ def encoded(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The report as UTF-8.
 
     The order of keys is fixed; numbers that are not finite are null; names that are not valid
-    Unicode are written as ``names.portable`` says.
+    Unicode are written as ``display_names.portable`` says.
     """
     # Record by record: the plain data of ten thousand would take several times the text's memory.
     empty = json_bytes({**heading(run, records), "records": []})
@@ -25,6 +26,17 @@ def encoded(run: Run, records: Sequence[MeshRecord]) -> bytes:
         _text(plain_record(record)).replace("\n", "\n    ").encode() for record in records
     )
     return empty.removesuffix(end) + b"[\n    " + inner + b"\n  ]\n}\n"
+
+
+def encoded_lines(run: Run, records: Sequence[MeshRecord]) -> bytes:
+    """The records as UTF-8; each line is a ``MeshRecord`` of the schema ``msal.report/1``.
+
+    Only ASCII is used, because some readers of lines also break at U+2028.
+    """
+    return b"".join(
+        json.dumps(plain_record(record), allow_nan=False, separators=(",", ":")).encode() + b"\n"
+        for record in records
+    )
 
 
 def json_bytes(data: Any) -> bytes:

@@ -4,8 +4,8 @@ A suite is a folder, a case is a file, a broken gate is a failure, a file that f
 and one that was not dealt with is skipped.  The document keeps to the schemas of Ant and of Jenkins
 alike: every attribute that either demands is there, and none that either does not know.
 
-XML 1.0 has no way to write most control characters.  In names and reasons they stand as ``\\xNN``
-or ``\\uNNNN``, as on a terminal.
+XML 1.0 has no way to write most control characters.  In names and reasons they are written as
+``\\xNN`` or ``\\uNNNN``, as on a terminal.
 """
 
 from __future__ import annotations
@@ -19,8 +19,15 @@ from xml.etree import ElementTree as Xml
 from msal_cli.job.display_names import shown
 from msal_cli.job.records import DONE, MeshRecord
 from msal_cli.report.document import Run
+from msal_cli.report.phrases import (
+    defects_text,
+    despiked_text,
+    failure_text,
+    failure_texts,
+    percent_text,
+    vertices_text,
+)
 from msal_cli.report.ranking import broken_gates
-from msal_cli.report.text import defects_text, despiked_text, percent_text, reason, vertices_text
 
 # Half of a pair, and two code points that are no characters: all that is left for XML to refuse.
 _NO_CHARACTER = re.compile("[\ud800-\udfff\ufffe\uffff]")
@@ -50,7 +57,7 @@ def _suite(run: Run, at: int, folder: str, records: Sequence[MeshRecord]) -> Xml
         package="msal",
         name=folder,
         # Ant's schema knows neither fractions nor time zones.
-        timestamp=_moment(run.started),
+        timestamp=_timestamp(run.started),
         hostname="localhost",
         tests=str(len(cases)),
         failures=_count(cases, "failure"),
@@ -82,18 +89,15 @@ def _case(folder: str, record: MeshRecord) -> Xml.Element:
     broken = broken_gates(record)
     if record.error is not None:
         failure = record.error
-        told = _element(
-            "error", type=failure.code, message=reason(failure.where, failure.message, "")
-        )
-        lines = [reason(failure.where, failure.message, failure.code)]
-        lines += [f"hint: {shown(failure.hint)}"] if failure.hint else []
-        told.text = _characters("\n".join([f"{shown(record.input)}: {lines[0]}", *lines[1:]]))
-        case.append(told)
+        why = failure_text(failure, with_code=False)
+        result = _element("error", type=failure.code, message=why)
+        result.text = _characters("\n".join(failure_texts(shown(record.input), failure)))
+        case.append(result)
     elif broken:
         # Ant's schema has room for one failure in a case.
-        told = _element("failure", type="gate", message="; ".join(map(shown, broken)))
-        told.text = _characters("\n".join([f"{shown(record.input)}:", *map(shown, broken)]))
-        case.append(told)
+        result = _element("failure", type="gate", message="; ".join(map(shown, broken)))
+        result.text = _characters("\n".join([f"{shown(record.input)}:", *map(shown, broken)]))
+        case.append(result)
     elif record.status == "planned":
         case.append(_element("skipped"))
     return case
@@ -115,22 +119,18 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
 
 def _figures(record: MeshRecord) -> Iterator[str]:
     """One line with the figures of a file; none if there are none."""
-    parts = []
-    if record.vertices is not None:
-        parts.append(vertices_text(record.vertices, record.corners))
-    if record.displacement is not None:
-        moved = record.displacement
-        parts.append(f"moved {moved.mean_edges:.3g} (most {moved.max_edges:.3g}) mean edge lengths")
-    if record.volume is not None and record.volume.valid:
-        parts.append(f"volume {percent_text(record.volume.change_percent)}")
-    if record.despiked:
-        parts.append(despiked_text(record.despiked))
-    if record.choice is not None:
-        parts.append(f"chosen: {shown(record.choice.reason)}")
-    if defects := defects_text(record):
-        parts.append(defects)
-    if parts:
-        yield f"{_name(record)}: {record.status}, {', '.join(parts)}"
+    moved, volume, choice = record.displacement, record.volume, record.choice
+    far = "" if moved is None else f"{moved.mean_edges:.3g} (most {moved.max_edges:.3g})"
+    parts = (
+        vertices_text(record.vertices, record.corners) if record.vertices is not None else "",
+        f"moved {far} mean edge lengths" if far else "",
+        f"volume {percent_text(volume.change_percent)}" if volume and volume.valid else "",
+        despiked_text(record.despiked) if record.despiked else "",
+        f"chosen: {shown(choice.reason)}" if choice else "",
+        defects_text(record),
+    )
+    if any(parts):
+        yield f"{_name(record)}: {record.status}, {', '.join(filter(None, parts))}"
 
 
 def _folder(name: str) -> str:
@@ -158,15 +158,15 @@ def _count(cases: Sequence[Xml.Element], tag: str) -> str:
 
 
 def _duration(record: MeshRecord) -> float:
-    seconds = record.seconds.total if record.seconds is not None else 0.0
-    return seconds if record.status in DONE and seconds > 0.0 else 0.0
+    is_done = record.seconds is not None and record.status in DONE
+    return max(0.0, record.seconds.total) if is_done and record.seconds else 0.0
 
 
 def _seconds(seconds: float) -> str:
     return f"{min(seconds, 1e9):.3f}"
 
 
-def _moment(text: str) -> str:
+def _timestamp(text: str) -> str:
     """A time to the second; a report that does not know when it was made gives the beginning."""
     found = re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d", text)
     return found[0] if found else "1970-01-01T00:00:00"

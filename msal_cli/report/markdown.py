@@ -9,16 +9,23 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from msal_cli.job.display_names import shortened, shown
-from msal_cli.job.records import MeshRecord
+from msal_cli.job.display_names import figure, shortened, shown
+from msal_cli.job.plain_data import value_at
+from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.report.document import Run, Totals, plain, totals
+from msal_cli.report.phrases import (
+    chosen_text,
+    command_text,
+    counted,
+    percent_text,
+    rate_text,
+    seconds_text,
+)
 from msal_cli.report.ranking import WORDS, broken_gates, worst_first
-from msal_cli.report.text import chosen_text, percent_text, rate_text, seconds_text
 
 MOST_BYTES = 900_000
 """Bytes of the largest report: below the 1 MiB that the summary of a step may have."""
@@ -48,14 +55,14 @@ class _Table:
     words: str
     heads: tuple[str, ...]
     n_rows: int
-    rows: list[tuple[str, ...]]
+    rows: Sequence[tuple[str, ...]]
     n_figures: int = 0
 
 
 def encoded(run: Run, records: Sequence[MeshRecord], *, most_bytes: int = MOST_BYTES) -> bytes:
     """The report as UTF-8, in at most ``most_bytes`` (or what the page takes without rows)."""
     sums = totals(records)
-    parts = [_heading(run, records, sums), _totals(run, records, sums), _settings(run)]
+    parts = [_heading(run, sums), _totals(run, sums), _settings(run)]
     left = most_bytes - sum(len(part.encode()) for part in parts)
     for table in _tables(worst_first(records)):
         # Many failures must not take the place of the figures.
@@ -68,8 +75,8 @@ def encoded(run: Run, records: Sequence[MeshRecord], *, most_bytes: int = MOST_B
 # What comes before and after the tables
 
 
-def _heading(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
-    n_broken = sum(bool(broken_gates(record)) for record in records)
+def _heading(run: Run, sums: Totals) -> str:
+    n_broken = sums.gate_broken
     words = [
         f"{count:,} {word}"
         for count, word in (
@@ -80,44 +87,42 @@ def _heading(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
         if count
     ]
     sign = "❌" if sums.failed or n_broken else "⚠️" if sums.planned or run.interrupted else "✅"
-    files = "1 file" if sums.files == 1 else f"{sums.files:,} files"
+    files = counted(sums.files, "file")
     return f"## {sign} msal denoise: {files}, {', '.join(words) or 'all well'}\n\n"
 
 
-def _totals(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
-    rows = [
-        ("written", f"{sums.written:,}"),
-        ("unchanged: no vertex moved", f"{sums.unchanged:,}" if sums.unchanged else ""),
-        ("up to date", f"{sums.up_to_date:,}" if sums.up_to_date else ""),
-        ("not finished", f"{sums.planned:,}" if sums.planned else ""),
-        ("**failed**", f"**{sums.failed:,}**" if sums.failed else ""),
-        ("vertices denoised", f"{sums.vertices:,}" if sums.vertices else ""),
-        ("time", seconds_text(run.seconds) if run.seconds > 0.0 else ""),
-    ]
-    if sums.vertices and run.seconds > 0.0:
-        rows.append(("vertices/s", rate_text(sums.vertices / run.seconds)))
-    if sums.chosen:
-        rows.append(("chosen by --auto", _markup_free(chosen_text(sums.chosen))))
-    spread = sums.volume_change_percent
-    if spread is not None:
-        rows.append(
-            (
-                "volume change, median",
-                f"{percent_text(spread.median)} (from {percent_text(spread.lowest)} "
-                f"to {percent_text(spread.highest)})",
-            )
+def _totals(run: Run, sums: Totals) -> str:
+    spread, is_timed = sums.volume_change_percent, run.seconds > 0.0
+    change = (
+        ""
+        if spread is None
+        else (
+            f"{percent_text(spread.median)} (from {percent_text(spread.lowest)} "
+            f"to {percent_text(spread.highest)})"
         )
-    cells = "".join(f"| {word} | {figure} |\n" for word, figure in rows if figure)
+    )
+    rate = rate_text(sums.vertices / run.seconds) if sums.vertices and is_timed else ""
+    rows = (
+        ("written", f"{sums.written:,}"),
+        ("unchanged: no vertex moved", figure(sums.unchanged or None, ",")),
+        ("up to date", figure(sums.up_to_date or None, ",")),
+        ("not finished", figure(sums.planned or None, ",")),
+        ("**failed**", f"**{sums.failed:,}**" if sums.failed else ""),
+        ("vertices denoised", figure(sums.vertices or None, ",")),
+        ("time", seconds_text(run.seconds) if is_timed else ""),
+        ("vertices/s", rate),
+        ("chosen by --auto", _markup_free(chosen_text(sums.chosen))),
+        ("volume change, median", change),
+    )
+    cells = "".join(f"| {word} | {text} |\n" for word, text in rows if text)
     return f"| | |\n|---|--:|\n{cells}\n"
 
 
 def _settings(run: Run) -> str:
-    command = shlex.join(run.command)
-    if len(command) > _LONGEST_COMMAND:
-        command = f"{command[:_LONGEST_COMMAND]} ..."
-    told = f"msal {shown(run.version)}, {shown(run.started)} to {shown(run.finished)}"
+    command = command_text(run.command, _LONGEST_COMMAND)
+    made = f"msal {shown(run.version)}, {shown(run.started)} to {shown(run.finished)}"
     settings = json.dumps(plain(dict(run.settings)), ensure_ascii=False)
-    lines = [_markup_free(told)]
+    lines = [_markup_free(made)]
     lines += [f"Command: {_code(command)}"] if command else []
     lines += [f"Settings: {_code(settings[:_LONGEST_COMMAND])}"] if run.settings else []
     return (
@@ -131,89 +136,68 @@ def _settings(run: Run) -> str:
 
 
 def _tables(worst: Sequence[MeshRecord]) -> Iterator[_Table]:
-    failed = [record for record in worst if record.error is not None]
-    codes = Counter(record.error.code for record in failed if record.error is not None)
-    told = ", ".join(f"{count:,} × {_code(code)}" for code, count in codes.most_common(12))
-    rows = [_failure(record) for record in failed[:MOST_ROWS]]
-    yield _Table("Failed", told, ("file", "reason", "hint"), len(failed), rows)
-    broken = [(record, gates) for record in worst if (gates := broken_gates(record))]
-    rows = [(_name(record), _text("; ".join(gates))) for record, gates in broken[:MOST_ROWS]]
-    yield _Table("Broken gates", "", ("file", "gate"), len(broken), rows)
-    done = [record for record in worst if record.status not in ("failed", "planned")]
-    rows = [_figures(record) for record in done[:MOST_ROWS]]
-    heads: tuple[str, ...] = _HEADS
-    if any(record.reference is not None for record in done):
-        heads = (*heads, "to reference, deg")
-        rows = [
-            (*row, _to_reference(record))
-            for row, record in zip(rows, done[:MOST_ROWS], strict=True)
-        ]
-    n_figures = len(heads) - 2
-    if any(record.choice is not None for record in done):
-        heads = (*heads, "chosen")
-        rows = [(*row, _chosen(record)) for row, record in zip(rows, done[:MOST_ROWS], strict=True)]
-    yield _Table("Files", WORDS, heads, len(done), rows, n_figures)
+    failed = [(one, one.error) for one in worst if one.error is not None]
+    codes = Counter(failure.code for _, failure in failed)
+    counts = ", ".join(f"{count:,} × {_code(code)}" for code, count in codes.most_common(12))
+    rows = [_failure_row(*one) for one in failed[:MOST_ROWS]]
+    yield _Table("Failed", counts, ("file", "reason", "hint"), len(failed), rows)
+    broken = [(one, "; ".join(gates)) for one in worst if (gates := broken_gates(one))]
+    yield _text_table("Broken gates", "gate", broken)
+    yield _figure_table([one for one in worst if one.status not in ("failed", "planned")])
     warnings = [(record, one) for record in worst for one in record.warnings]
-    rows = [(_name(record), _text(one)) for record, one in warnings[:MOST_ROWS]]
-    yield _Table("Warnings", "", ("file", "warning"), len(warnings), rows)
+    yield _text_table("Warnings", "warning", warnings)
 
 
-_HEADS = (
-    "file",
-    "status",
-    "vertices",
-    "volume",
-    "mean move, edges",
-    "max move, edges",
-    "max move, file units",
-    "flipped",
-    "seconds",
-)
+def _text_table(title: str, head: str, texts: Sequence[tuple[MeshRecord, str]]) -> _Table:
+    rows = [(_name(record), _text(text)) for record, text in texts[:MOST_ROWS]]
+    return _Table(title, "", ("file", head), len(texts), rows)
 
 
-def _figures(record: MeshRecord) -> tuple[str, ...]:
-    volume, moved, seconds = record.volume, record.displacement, record.seconds
-    change = percent_text(volume.change_percent if volume is not None else None)
-    return (
-        _name(record),
-        "**gate**" if broken_gates(record) else record.status,
-        _vertices(record),
-        change + (" (inside out)" if record.inside_out else ""),
-        f"{moved.mean_edges:.3f}" if moved is not None else "",
-        f"{moved.max_edges:.3f}" if moved is not None else "",
-        f"{moved.max:.4g}" if moved is not None else "",
-        f"{record.flipped_faces:,}" if record.flipped_faces is not None else "",
-        f"{seconds.total:.2f}" if seconds is not None else "",
-    )
-
-
-def _vertices(record: MeshRecord) -> str:
-    """Vertices, with the corners where the file stores these (STL)."""
-    beside = f" ({record.corners:,} corners)" if record.corners is not None else ""
-    return "" if record.vertices is None else f"{record.vertices:,}{beside}"
-
-
-def _chosen(record: MeshRecord) -> str:
-    """Why --auto did what it did; empty without it."""
-    return "" if record.choice is None else _text(record.choice.reason)
-
-
-def _to_reference(record: MeshRecord) -> str:
-    """The mean angle to the reference's face normals; empty if it is not known."""
-    angle = record.reference.mean_angular_error_deg if record.reference is not None else None
-    return "" if angle is None else f"{angle:.2f}"
-
-
-def _failure(record: MeshRecord) -> tuple[str, ...]:
-    failure = record.error
-    if failure is None:
-        return (_name(record), "", "")
+def _failure_row(record: MeshRecord, failure: Failure) -> tuple[str, ...]:
     place = f"{failure.where}: " if failure.where else ""
-    return (
-        _name(record),
-        f"{_text(place + failure.message)} {_code(failure.code)}",
-        _text(failure.hint),
-    )
+    why = f"{_text(place + failure.message)} {_code(failure.code)}"
+    return _name(record), why, _text(failure.hint)
+
+
+_FIGURES = (
+    ("mean move, edges", "displacement.mean_edges", ".3f"),
+    ("max move, edges", "displacement.max_edges", ".3f"),
+    ("max move, file units", "displacement.max", ".4g"),
+    ("flipped", "flipped_faces", ","),
+    ("seconds", "seconds.total", ".2f"),
+)
+_TO_REFERENCE = ("to reference, deg", "reference.mean_angular_error_deg", ".2f")
+
+
+def _corners(record: MeshRecord) -> str:
+    """The corners, for behind the vertices, where the file stores these (STL)."""
+    return "" if record.corners is None else f" ({record.corners:,} corners)"
+
+
+def _figure_table(done: Sequence[MeshRecord]) -> _Table:
+    has_reference = any(record.reference is not None for record in done)
+    has_choice = any(record.choice is not None for record in done)
+    figures = (*_FIGURES, *([_TO_REFERENCE] if has_reference else []))
+    heads = ("file", "status", "vertices", "volume", *(head for head, _, _ in figures))
+    rows = [
+        (
+            _name(record),
+            "**gate**" if broken_gates(record) else record.status,
+            # Beside the vertices the corners, where the file stores these (STL).
+            figure(
+                record.vertices,
+                ",",
+                f" ({n:,} corners)" if (n := record.corners) is not None else "",
+            ),
+            percent_text(value_at(record, "volume.change_percent"))
+            + (" (inside out)" if record.inside_out else ""),
+            *(figure(value_at(record, path), form) for _, path, form in figures),
+            *([_text(value_at(record, "choice.reason") or "")] if has_choice else []),
+        )
+        for record in done[:MOST_ROWS]
+    ]
+    n_figures = len(heads) - 2
+    return _Table("Files", WORDS, heads + ("chosen",) * has_choice, len(done), rows, n_figures)
 
 
 def _section(table: _Table, most_bytes: int) -> str:
@@ -260,8 +244,8 @@ def _code(text: str) -> str:
 
 
 def _text(text: str) -> str:
-    told = shown(text)
-    return _markup_free(told if len(told) <= _LONGEST_TEXT else f"{told[:_LONGEST_TEXT]} ...")
+    text = shown(text)
+    return _markup_free(text if len(text) <= _LONGEST_TEXT else f"{text[:_LONGEST_TEXT]} ...")
 
 
 def _markup_free(text: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import GateResult, MeshRecord
 
 WORDS = (
@@ -16,7 +17,7 @@ WORDS = (
 
 
 def worst_first(records: Sequence[MeshRecord]) -> list[MeshRecord]:
-    """The records in the order that ``WORDS`` tells; equals stay in the order of the inputs.
+    """The records in the order that ``WORDS`` describes; equals stay in the order of the inputs.
 
     A figure that is not finite counts as the largest, one that is not known as the smallest.
     """
@@ -34,24 +35,13 @@ def gate_words(gate: GateResult) -> str:
     return words if gate.decided else f"not decided: {words}"
 
 
-def needs_attention(record: MeshRecord) -> bool:
-    """Whether a file failed or broke a gate."""
-    return record.status == "failed" or bool(broken_gates(record))
-
-
 def _rank(record: MeshRecord) -> tuple[int, int, float, float]:
-    moved, volume = record.displacement, record.volume
-    change = volume.change_percent if volume is not None else None
     broken = len(broken_gates(record))
     group = (
         0 if record.status == "failed" else 1 if broken else 2 if record.status == "planned" else 3
     )
-    return (
-        group,
-        -broken,
-        -_size(moved.max_edges if moved is not None else None),
-        -_size(change),
-    )
+    moved = value_at(record, "displacement.max_edges")
+    return group, -broken, -_size(moved), -_size(value_at(record, "volume.change_percent"))
 
 
 def _size(figure: float | None) -> float:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
-from typing import Any
-
 from msal_cli.errors import FormatError
-from msal_cli.job.records import SCHEMA, ComparisonRecord, Reference, from_data
+from msal_cli.job.comparison_record import ComparisonRecord
+from msal_cli.job.records import SCHEMA, Reference
 from msal_cli.report import read_report as reading
 
 
@@ -20,11 +18,7 @@ def comparisons(data: bytes, name: str) -> dict[str, ComparisonRecord | Referenc
     FormatError
         if it is neither; ``name`` is for the error.
     """
-    try:
-        content = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        reason = "it is nested too deep" if isinstance(error, RecursionError) else str(error)
-        raise _not_a_comparison(name, f"it is not JSON: {reason}") from None
+    content = reading.parse_json(data, name, _not_a_comparison)
     schema = content.get("schema") if isinstance(content, dict) else None
     if schema == SCHEMA:
         return _references(data, name)
@@ -36,7 +30,8 @@ def comparisons(data: bytes, name: str) -> dict[str, ComparisonRecord | Referenc
         raise _not_a_comparison(name, "it has no list of records")
     found: dict[str, ComparisonRecord | Reference] = {}
     for at, one in enumerate(records, 1):
-        record = _record(reading.restored_names(one), name, f"record {at}")
+        where = f"record {at}"
+        record = reading.read_record(ComparisonRecord, one, name, where, _not_a_comparison)
         if record.error is None:
             found[record.after] = record
     return found
@@ -51,14 +46,6 @@ def _references(data: bytes, name: str) -> dict[str, ComparisonRecord | Referenc
     if not found:
         raise _not_a_comparison(name, "no file in it was measured against a reference")
     return found
-
-
-def _record(data: Any, name: str, where: str) -> ComparisonRecord:
-    try:
-        record: ComparisonRecord = from_data(ComparisonRecord, data)
-    except TypeError as error:
-        raise _not_a_comparison(name, str(error), where) from None
-    return record
 
 
 def _not_a_comparison(name: str, reason: str, where: str = "") -> FormatError:

@@ -1,14 +1,19 @@
-"""Reports read back: .json and .jsonl, as ``as_json`` and ``as_jsonl`` wrote them."""
+"""Reports read back: .json and .jsonl, as ``json_report`` wrote them."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from typing import Any
 
 from msal_cli.errors import FormatError
 from msal_cli.job.display_names import restored
-from msal_cli.job.records import SCHEMA, MeshRecord, from_data
+from msal_cli.job.plain_data import from_data
+from msal_cli.job.records import SCHEMA, MeshRecord
 from msal_cli.report.document import Run
+
+Refusal = Callable[..., FormatError]
+"""Makes an error of a file's name, a reason, and a place in the file."""
 
 
 def document(data: bytes, name: str) -> tuple[Run, list[MeshRecord]]:
@@ -19,58 +24,61 @@ def document(data: bytes, name: str) -> tuple[Run, list[MeshRecord]]:
     FormatError
         if it is no report of this schema.
     """
-    content = _parsed(data, name, "")
+    content = parse_json(data, name, not_a_report)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise _not_a_report(name, f"it does not say that its schema is {SCHEMA}")
-    try:
-        run: Run = from_data(Run, content)
-    except TypeError as error:
-        raise _not_a_report(name, str(error)) from None
+        raise not_a_report(name, f"it does not say that its schema is {SCHEMA}")
+    run: Run = read_record(Run, content, name, "", not_a_report)
     records = content.get("records")
     if not isinstance(records, list):
-        raise _not_a_report(name, "it has no list of records")
-    return run, [_record(one, name, f"record {at}") for at, one in enumerate(records, 1)]
+        raise not_a_report(name, "it has no list of records")
+    return run, [_read_mesh_record(one, name, f"record {at}") for at, one in enumerate(records, 1)]
 
 
 def lines(data: bytes, name: str) -> list[MeshRecord]:
     """The records of a JSON Lines report; the errors are those of ``document``."""
     return [
-        _record(_parsed(line, name, f"line {at}"), name, f"line {at}")
-        for at, line in enumerate(data.split(b"\n"), 1)
+        _read_mesh_record(parse_json(line, name, not_a_report, where), name, where)
+        for where, line in ((f"line {at}", one) for at, one in enumerate(data.split(b"\n"), 1))
         if line.strip()
     ]
 
 
-def _parsed(data: bytes, name: str, where: str) -> Any:
+def parse_json(data: bytes, name: str, refuse: Refusal, where: str = "") -> Any:
+    """JSON, with the bytes in names that JSON cannot hold; ``refuse`` makes the error."""
     try:
-        return restored_names(json.loads(data))
+        return _restore_names(json.loads(data))
     except (ValueError, RecursionError) as error:
         reason = "it is nested too deep" if isinstance(error, RecursionError) else str(error)
-        raise _not_a_report(name, f"it is not JSON: {reason}", where) from None
+        raise refuse(name, f"it is not JSON: {reason}", where) from None
 
 
-def _record(data: Any, name: str, where: str) -> MeshRecord:
+def read_record(kind: type[Any], data: Any, name: str, where: str, refuse: Refusal) -> Any:
+    """A record of one kind; ``refuse`` makes the error."""
     try:
-        record: MeshRecord = from_data(MeshRecord, data)
+        return from_data(kind, data)
     except TypeError as error:
-        raise _not_a_report(name, str(error), where) from None
+        raise refuse(name, str(error), where) from None
+
+
+def _read_mesh_record(data: Any, name: str, where: str) -> MeshRecord:
+    record: MeshRecord = read_record(MeshRecord, data, name, where, not_a_report)
     if record.schema != SCHEMA or (record.status == "failed") != (record.error is not None):
-        raise _not_a_report(name, "it is no record of what became of a file", where)
+        raise not_a_report(name, "it is no record of what became of a file", where)
     return record
 
 
-def restored_names(value: Any) -> Any:
-    """Names with the bytes that JSON could not hold."""
+def _restore_names(value: Any) -> Any:
     if isinstance(value, str):
         return restored(value)
     if isinstance(value, list):
-        return [restored_names(one) for one in value]
+        return [_restore_names(one) for one in value]
     if isinstance(value, dict):
-        return {restored(key): restored_names(one) for key, one in value.items()}
+        return {restored(key): _restore_names(one) for key, one in value.items()}
     return value
 
 
-def _not_a_report(name: str, reason: str, where: str = "") -> FormatError:
+def not_a_report(name: str, reason: str, where: str = "") -> FormatError:
+    """The error for what is no report."""
     return FormatError(
         f"this is no report of msal denoise: {reason}",
         where=where,

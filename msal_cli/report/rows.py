@@ -6,18 +6,21 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from msal_cli.job.display_names import shown
+from msal_cli.job.display_names import figure, shown
+from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import MeshRecord
-from msal_cli.report.ranking import broken_gates, gate_words
-from msal_cli.report.text import (
+from msal_cli.report.phrases import (
     by_hand,
     defects_text,
     despiked_text,
+    failure_text,
+    file_name,
     noise_texts,
-    reason,
-    runner_up_text,
+    runners_up_text,
     self_intersections_text,
+    storage_text,
 )
+from msal_cli.report.ranking import broken_gates, gate_words
 
 Column = dict[str, str]
 Row = dict[str, Any]
@@ -26,37 +29,50 @@ _NAME = {"title": "File", "unit": "", "kind": "name"}
 _STATUS = {"title": "Status", "unit": "", "kind": "word"}
 _CHOSEN = {"title": "Chosen", "unit": "", "kind": "word"}
 _FIGURES = (
-    ("Vertices", ""),
-    ("Volume", "%"),
-    ("Mean move", "edges"),
-    ("Max move", "edges"),
-    ("Max move", "file units"),
-    ("Normals", "mean turn, °"),
-    ("Flipped", "faces"),
-    ("Time", "s"),
+    ("Vertices", "", "vertices"),
+    ("Volume", "%", "volume.change_percent"),
+    ("Mean move", "edges", "displacement.mean_edges"),
+    ("Max move", "edges", "displacement.max_edges"),
+    ("Max move", "file units", "displacement.max"),
+    ("Normals", "mean turn, °", "normal_change.mean_deg"),
+    ("Flipped", "faces", "flipped_faces"),
+    ("Time", "s", "seconds.total"),
 )
-_TO_REFERENCE = ("To reference", "mean angle, °")
+_TO_REFERENCE = ("To reference", "mean angle, °", "reference.mean_angular_error_deg")
+_STATUS_WORDS = {"planned": "not finished", "up-to-date": "up to date"}
 
 
 def columns(records: Sequence[MeshRecord]) -> list[Column]:
     """What the table shows: title, unit, and ``kind``: ``name``, ``word`` or ``figure``."""
-    titles = [*_FIGURES, *([_TO_REFERENCE] if _has_reference(records) else [])]
-    figures = [{"title": title, "unit": unit, "kind": "figure"} for title, unit in titles]
+    figures = [
+        {"title": title, "unit": unit, "kind": "figure"} for title, unit, _ in _figures(records)
+    ]
     return [_NAME, _STATUS, *([_CHOSEN] if _has_choice(records) else []), *figures]
+
+
+def _figures(records: Sequence[MeshRecord]) -> tuple[tuple[str, str, str], ...]:
+    has_reference = any(record.reference is not None for record in records)
+    return (*_FIGURES, *([_TO_REFERENCE] if has_reference else []))
+
+
+def _has_choice(records: Sequence[MeshRecord]) -> bool:
+    return any(record.choice is not None for record in records)
 
 
 def rows(records: Sequence[MeshRecord]) -> list[Row]:
     """For each record its ``kind`` (``failed``, ``gate``, ``planned``, ``good``), ``values`` in the
     order of the columns (None: not known) and ``details``, pairs of a word and a text."""
-    with_reference, with_choice = _has_reference(records), _has_choice(records)
+    with_choice, paths = _has_choice(records), [path for _, _, path in _figures(records)]
     return [
         {
             "kind": _kind(record),
             "values": [
-                _name(record),
-                _status(record),
+                file_name(record.input),
+                "gate broken"
+                if broken_gates(record)
+                else _STATUS_WORDS.get(record.status, record.status),
                 *([_chosen(record)] if with_choice else []),
-                *_figures(record, with_reference),
+                *(_round(value_at(record, path)) for path in paths),
             ],
             "details": [[word, shown(text)] for word, text in _details(record) if text],
         }
@@ -70,51 +86,22 @@ def _kind(record: MeshRecord) -> str:
     return "gate" if broken_gates(record) else "good"
 
 
-def _status(record: MeshRecord) -> str:
-    words = {"planned": "not finished", "up-to-date": "up to date"}
-    return "gate broken" if broken_gates(record) else words.get(record.status, record.status)
-
-
 def _chosen(record: MeshRecord) -> str:
     """The method that --auto chose; empty where it did not."""
-    chose = record.choice is not None and record.method is not None
-    return shown(record.method.name) if chose and record.method is not None else ""
+    return shown(record.method.name) if record.choice and record.method else ""
 
 
-def _name(record: MeshRecord) -> str:
-    return "standard input" if record.input == "-" else shown(record.input)
-
-
-def _figures(record: MeshRecord, with_reference: bool) -> list[float | None]:
-    volume, moved, turned = record.volume, record.displacement, record.normal_change
-    figures = [
-        record.vertices,
-        volume.change_percent if volume is not None else None,
-        moved.mean_edges if moved is not None else None,
-        moved.max_edges if moved is not None else None,
-        moved.max if moved is not None else None,
-        turned.mean_deg if turned is not None else None,
-        record.flipped_faces,
-        record.seconds.total if record.seconds is not None else None,
-    ]
-    if with_reference:
-        reference = record.reference
-        figures.append(None if reference is None else reference.mean_angular_error_deg)
-    return [_rounded(one) for one in figures]
-
-
-def _rounded(figure: float | None) -> float | None:
-    """Six digits: what nobody reads must not be paid for ten thousand times."""
-    if figure is None or isinstance(figure, int):
-        return figure
-    return float(f"{figure:.6g}") if math.isfinite(figure) else None
+def _round(value: float | None) -> float | None:
+    """Six digits: more would make a page of ten thousand files larger, and none is read."""
+    if value is None or isinstance(value, int):
+        return value
+    return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
 def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
-    failure = record.error
-    if failure is not None:
-        yield "Reason", reason(failure.where, failure.message, failure.code)
-        yield "What to do", failure.hint
+    if record.error is not None:
+        yield "Reason", failure_text(record.error)
+        yield "What to do", record.error.hint
     for gate in record.gates:
         yield ("Gate broken" if gate.broken else "Gate held"), gate_words(gate)
     for warning in record.warnings:
@@ -122,10 +109,17 @@ def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
     if record.choice is not None:
         yield "Chosen", record.choice.reason
         yield "By hand", by_hand(record.choice)
-        yield "Next best", ", ".join(map(runner_up_text, record.choice.runners_up))
+        yield "Next best", runners_up_text(record.choice.runners_up)
     yield "Left as it is", record.left_alone or ""
     yield "Output", record.output or ""
-    yield "Mesh", _mesh(record)
+    several = record.components is not None and record.components != 1
+    mesh = (
+        figure(record.corners, ",", " corners stored"),
+        figure(record.faces, ",", " faces"),
+        figure(record.components if several else None, ",", " parts"),
+        storage_text(record),
+    )
+    yield "Mesh", ", ".join(filter(None, mesh))
     yield "Defects", defects_text(record)
     if record.noise_estimate is not None:
         yield "Noise", "; ".join(noise_texts(record.noise_estimate))
@@ -137,24 +131,6 @@ def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
     if record.reference is not None:
         failure = record.reference.error
         yield "Reference", record.reference.path
-        yield "No figures", "" if failure is None else reason(failure.where, failure.message, "")
+        yield "No figures", "" if failure is None else failure_text(failure, with_code=False)
     for sidecar in record.sidecars:
         yield "Beside it", sidecar
-
-
-def _mesh(record: MeshRecord) -> str:
-    counts = (
-        f"{record.corners:,} corners stored" if record.corners is not None else "",
-        f"{record.faces:,} faces" if record.faces is not None else "",
-        f"{record.components:,} parts" if record.components not in (None, 1) else "",
-        " ".join(one for one in (record.format, record.encoding, record.precision) if one),
-    )
-    return ", ".join(one for one in counts if one)
-
-
-def _has_choice(records: Sequence[MeshRecord]) -> bool:
-    return any(record.choice is not None for record in records)
-
-
-def _has_reference(records: Sequence[MeshRecord]) -> bool:
-    return any(record.reference is not None for record in records)

@@ -66,11 +66,6 @@ VIEWS = ("auto", "front", "back", "left", "right", "top", "bottom")
 UPS = ("auto", "x", "-x", "y", "-y", "z", "-z")
 
 
-def automatic_camera(vertices: Floats, faces: Ints) -> Camera:
-    """The camera of ``viewed`` that shows most, at a guess."""
-    return viewed(vertices, faces)
-
-
 def viewed(
     vertices: Floats,
     faces: Ints,
@@ -157,7 +152,7 @@ _RELIEF = 0.3
 """Least over middle extent along the principal axes, below which a solid is a plaque or a coin."""
 
 _STANDS = 0.015
-"""Share of the area at one end of an axis, beyond that at the other end, that tells the base."""
+"""Share of the area at one end of an axis, beyond that at the other end, that makes it the base."""
 
 _STANDS_ON_HEAD = 0.1
 """The same where the base would be what the file has on top, such as a cut-off head."""

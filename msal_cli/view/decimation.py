@@ -114,7 +114,7 @@ def _pairs(vertices: Floats, faces: Longs) -> tuple[Longs, Longs]:
     stays, goes = [], []
     shortest = np.full(len(vertices), -1)
     for _ in range(_PASSES):
-        # Written from the longest to the shortest, so that the shortest stands in the end.
+        # Written from the longest to the shortest, so that the shortest remains.
         ranks = np.arange(len(low))
         both = np.stack([low, high], axis=1)[::-1].reshape(-1)
         shortest[both] = np.repeat(ranks[::-1], 2)

@@ -1,4 +1,4 @@
-"""Numbers on a surface as colours, and the scale that tells what they mean."""
+"""Numbers on a surface as colours, and the scale that says what they mean."""
 
 from __future__ import annotations
 

@@ -1,91 +1,108 @@
-"""One mesh, or two and what is between them, as a page: ``msal view -o page.html``."""
+"""One mesh, or two and what is between them, as a page: ``msal view -o page.html``.
+
+The page is one file: a content security policy lets the browser run only the script and the style
+that were written here, and load nothing.  What comes from outside (names of files, mostly) is
+escaped by ``html_parts.escape``.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from string import Template
 
-from msal_cli.view import pictures
-
-if TYPE_CHECKING:
-    from msal_cli.job.records import ComparisonRecord, Displacement, SurfaceDistance
-    from msal_cli.mesh import Mesh
-    from msal_cli.view.pictures import Scene, View
+from msal_cli import __version__
+from msal_cli.job.comparison_record import ComparisonRecord
+from msal_cli.job.display_names import figure
+from msal_cli.job.records import SurfaceDistance
+from msal_cli.view import pictures, viewer
+from msal_cli.view.html_parts import asset, content_policy, escape
+from msal_cli.view.image_files import png_bytes
+from msal_cli.view.pictures import Scene, View
+from msal_cli.view.scene import MOST_FACES, EncodedScene, encode_scene
 
 Rows = list[tuple[str, ...]]
+"""A table of figures: a name and values in each row; a row without a name has the heads."""
 
 _MINUS = "\N{MINUS SIGN}"
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _SIDES = "blue inwards, orange outwards"
-
+_SHORT = 20
 
 STILL_SIZE = 560
 """Pixels in the width of each panel of the picture in a page, at most."""
 
 
-def page_of(scene: Scene, view: View, command: str) -> bytes:
-    """The page of a scene, seen at the start as in ``view``.
+def page_of(scene: Scene, view: View, command: str, *, most_faces: int = MOST_FACES) -> bytes:
+    """The page of a scene, seen at the start as in ``view``; meshes of more than ``most_faces``
+    are decimated.
 
     ``command`` is what made the page, for its readers.  A picture of the scene is in the page too,
     for where there is no WebGL and for print, so always on white.
     """
-    from msal_cli import view as render
-    from msal_cli.view import viewer
-
     scale = pictures.scale_of_scene(scene)
     still = replace(view, size=min(view.size, STILL_SIZE), style="light")
-
     titles = pictures.titles_of(scene.names)
-    return viewer.page_bytes(
-        " \N{RIGHTWARDS ARROW} ".join(titles),
+    drawn = encode_scene(
         scene.before,
         scene.after,
         scene.deviation,
-        numbers=figures_of(scene),
-        notes=[*_state(scene), *_warnings(scene), f"Made by: {command}"],
-        picture=render.png_bytes(pictures.drawn(scene, still), 256),
-        description=_description(titles, scene),
-        deviation_name=pictures.deviation_name(scene),
-        deviation_note=_SIDES if scene.is_signed else "",
         ends=None if scale is None else (scale.low, scale.high),
         view=pictures.camera_of(scene, view).axes,
-        is_flat=view.shading == "flat",
-        theme="dark" if view.style == "dark" else "",
+        most_faces=most_faces,
     )
-
-
-def _state(scene: Scene) -> list[str]:
-    is_still = scene.after is not None and not pictures.has_moved(scene)
-    return [pictures.NOTHING_MOVED] if is_still else []
+    code = viewer.script() + f"{{\n{asset(__file__, 'theme.js')}}}\n"
+    looks = viewer.style() + asset(__file__, "page.css")
+    notes = [*_decimation(drawn), *_precision(drawn), *_warnings(scene), f"Made by: {command}"]
+    page = Template(asset(__file__, "page.html")).substitute(
+        policy=content_policy([code], [looks]),
+        version=escape(__version__),
+        title=escape(" \N{RIGHTWARDS ARROW} ".join(titles)),
+        style=looks,
+        scene=viewer.embedded_scene(
+            "scene",
+            drawn,
+            picture=png_bytes(pictures.drawn(scene, still), 256),
+            description=_description(titles, scene),
+            starts="now",
+            deviation=pictures.deviation_name(scene),
+            deviation_note=_SIDES if scene.is_signed else "",
+            is_flat=view.shading == "flat",
+        ),
+        theme=' data-theme="dark"' if view.style == "dark" else "",
+        numbers="\n".join(_table(heading, rows) for heading, rows in figures_of(scene)),
+        notes="\n".join(f'<p class="note">{escape(note)}</p>' for note in notes),
+        keys=_keys(scene.after is not None, scene.deviation is not None),
+        script=code,
+    )
+    return page.encode("utf-8")
 
 
 def figures_of(scene: Scene) -> list[tuple[str, Rows]]:
-    """Tables of numbers to stand beside a scene: a heading, and rows of a name and a value."""
-    record = scene.record
+    """Tables of numbers for beside a scene: a heading, and rows of a name and a value."""
+    record, mesh = scene.record, scene.before
     if record is None:
-        return [("Mesh", _mesh(scene.before))]
-    tables = []
-    if record.displacement is not None:
-        tables.append(("Displacement", _lengths(record.displacement)))
-    if record.distance_to_before is not None and record.displacement is None:
-        tables.append(("Distance, after to before", _lengths(record.distance_to_before)))
-    if record.distance_to_after is not None and record.displacement is None:
-        tables.append(("Distance, before to after", _lengths(record.distance_to_after)))
-    tables.append(("Change", _changes(record)))
-    tables.append(("Meshes", _sizes(record)))
-    return tables
-
-
-def _mesh(mesh: Mesh) -> Rows:
+        rows = [
+            ("Vertices", f"{pictures.count_of_vertices(mesh):,}"),
+            ("Triangles", f"{len(mesh.faces):,}"),
+            ("Mean edge length", _number(mesh.mean_edge_length)),
+        ]
+        return [("Mesh", list(rows))]
+    tables: list[tuple[str, SurfaceDistance | None]] = [("Displacement", record.displacement)]
+    if record.displacement is None:
+        tables = [
+            ("Distance, after to before", record.distance_to_before),
+            ("Distance, before to after", record.distance_to_after),
+        ]
     return [
-        ("Vertices", f"{pictures.count_of_vertices(mesh):,}"),
-        ("Triangles", f"{len(mesh.faces):,}"),
-        ("Mean edge length", _number(mesh.mean_edge_length)),
+        *((heading, _lengths(lengths)) for heading, lengths in tables if lengths is not None),
+        ("Change", _changes(record)),
+        ("Meshes", _sizes(record)),
     ]
 
 
-def _lengths(one: Displacement | SurfaceDistance) -> Rows:
+def _lengths(one: SurfaceDistance) -> Rows:
     """Each in file units, and in mean edge lengths (e)."""
     heads: Rows = [("", "file units", "e")]
     return heads + [
@@ -100,24 +117,20 @@ def _lengths(one: Displacement | SurfaceDistance) -> Rows:
 
 
 def _changes(record: ComparisonRecord) -> Rows:
-    rows: Rows = []
+    volume = "" if record.volume is None else "unknown"
     if record.volume_change_percent is not None:
-        rows.append(("Volume", _percent(record.volume_change_percent)))
-    elif record.volume is not None:
-        rows.append(("Volume", "unknown"))
-    if record.area_change_percent is not None:
-        rows.append(("Area", _percent(record.area_change_percent)))
-    if record.mean_angular_error_deg is not None:
-        rows.append(("Mean normal angle", f"{record.mean_angular_error_deg:.3g}°"))
-    if record.max_angular_error_deg is not None:
-        rows.append(("Largest normal angle", f"{record.max_angular_error_deg:.3g}°"))
-    if record.flipped_faces is not None:
-        rows.append(("Flipped faces", f"{record.flipped_faces:,}"))
-    if record.vertex_error_percent is not None:
-        rows.append(("Vertex error", f"{record.vertex_error_percent:.3g} % of e"))
-    if record.hausdorff is not None:
-        rows.append(("Hausdorff distance", _number(record.hausdorff)))
-    return rows
+        volume = _percent(record.volume_change_percent)
+    area, distance = record.area_change_percent, record.hausdorff
+    rows = (
+        ("Volume", volume),
+        ("Area", "" if area is None else _percent(area)),
+        ("Mean normal angle", figure(record.mean_angular_error_deg, ".3g", "°")),
+        ("Largest normal angle", figure(record.max_angular_error_deg, ".3g", "°")),
+        ("Flipped faces", figure(record.flipped_faces, ",")),
+        ("Vertex error", figure(record.vertex_error_percent, ".3g", " % of e")),
+        ("Hausdorff distance", "" if distance is None else _number(distance)),
+    )
+    return [row for row in rows if row[1]]
 
 
 def _sizes(record: ComparisonRecord) -> Rows:
@@ -127,24 +140,79 @@ def _sizes(record: ComparisonRecord) -> Rows:
         ("Triangles", record.faces_before, record.faces_after),
     ):
         if before is not None and after is not None:
-            same = f"{before:,}"
-            rows.append(
-                (name, same if before == after else f"{same} \N{RIGHTWARDS ARROW} {after:,}")
-            )
+            end = "" if before == after else f" \N{RIGHTWARDS ARROW} {after:,}"
+            rows.append((name, f"{before:,}{end}"))
     if record.mean_edge_length is not None:
         rows.append(("Mean edge length, e", _number(record.mean_edge_length)))
     return rows
 
 
-def _warnings(scene: Scene) -> Sequence[str]:
+def _table(heading: str, rows: Sequence[tuple[str, ...]]) -> str:
+    lines = []
+    for name, *values in rows:
+        if name:
+            # A short value stays on its line.
+            kinds = [" class=long" if len(value) > _SHORT else "" for value in values]
+            texts = zip(kinds, map(escape, values), strict=True)
+            cells = "".join(f"<td{kind}>{text}</td>" for kind, text in texts)
+            lines.append(f'<tr><th scope="row">{escape(name)}</th>{cells}</tr>')
+        else:
+            heads = "".join(f"<th>{escape(value)}</th>" for value in values)
+            lines.append(f"<tr><td></td>{heads}</tr>")
+    return f"<section><h2>{escape(heading)}</h2><table>{''.join(lines)}</table></section>"
+
+
+def _warnings(scene: Scene) -> list[str]:
+    is_still = scene.after is not None and not pictures.has_moved(scene)
+    said = [pictures.NOTHING_MOVED] if is_still else []
     if scene.record is None:
-        return ()
-    said = list(scene.record.warnings)
+        return said
+    said += scene.record.warnings
     if scene.deviation is None:
         said.append("Other faces: no deviation without the package fcpw.")
     if scene.record.volume is not None and scene.record.volume.reason:
         said.append(f"No volume: {scene.record.volume.reason}.")
     return said
+
+
+def _decimation(drawn: EncodedScene) -> list[str]:
+    """What the page holds of the files' faces, where that is not all."""
+    if not drawn.is_decimated:
+        return []
+    counts = f"{drawn.drawn_faces:,} of {drawn.faces:,} faces"
+    how = "Short edges were contracted to one of their ends"
+    if drawn.after_faces is None:
+        return [f"Decimated for the page: {counts}. {how}."]
+    if (drawn.after_faces, drawn.drawn_after_faces) == (drawn.faces, drawn.drawn_faces):
+        where = "the same of both meshes"
+        how += ", the same on both sides; vertices that stay keep their places"
+    else:
+        where = f"and {drawn.drawn_after_faces:,} of {drawn.after_faces:,} after"
+    return [
+        f"Decimated for the page: {counts}, {where}. {how}."
+        " The numbers are those of the full meshes."
+    ]
+
+
+def _precision(drawn: EncodedScene) -> list[str]:
+    digits = max(0, -math.floor(math.log10(drawn.rounding)))
+    upwards = math.ceil(drawn.rounding * 10.0**digits - 1e-9) / 10.0**digits
+    rounding = f"{upwards:.{digits}f}" if digits < 9 else f"{upwards:.0e}"
+    return [f"Coordinates are drawn to within {rounding} file units."]
+
+
+def _keys(is_pair: bool, has_deviation: bool) -> str:
+    """Rows of the table of keys for what not every page has."""
+    rows = ""
+    if is_pair:
+        rows += (
+            '<tr><th scope="row">Split</th><td>drag the line; <kbd>[</kbd> <kbd>]</kbd>;'
+            " arrows on the line; <kbd>1</kbd> before, <kbd>2</kbd> half, <kbd>3</kbd> after"
+            "</td></tr>\n"
+        )
+    if has_deviation:
+        rows += '<tr><th scope="row">Deviation</th><td><kbd>d</kbd></td></tr>\n'
+    return rows
 
 
 def _description(titles: Sequence[str], scene: Scene) -> str:

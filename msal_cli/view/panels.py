@@ -1,8 +1,7 @@
-"""Images side by side with words, and a scale of colours, as one picture; and PNG."""
+"""Images side by side with words, and a scale of colours, as one picture."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -41,7 +40,6 @@ def labelled_panels(
     *,
     style: Style = LIGHT,
     columns: int | None = None,
-    heading: str = "",
     footer: Sequence[str] = (),
 ) -> Image:
     """(H, W, 3) uint8: the images with their titles above and their lines below.
@@ -51,7 +49,7 @@ def labelled_panels(
     panels : at least one; images may differ in size, and a cell is as large as the largest.
     legend : drawn below the lines of the last panel.
     columns : panels in a row; all in one row by default.
-    heading, footer : one line above everything, lines below everything.
+    footer : lines below everything.
     """
     from PIL import Image as Pictures
     from PIL import ImageDraw
@@ -68,20 +66,17 @@ def labelled_panels(
         scale = len(legend.lines) * words.line_height + words.scale_height
         below = max(below, lines_of_last * words.line_height + scale)
     cell = (width, words.title_height + height + words.gap // 2 + below)
-    top = words.margin + (words.title_height + words.gap if heading else 0)
     foot = len(footer) * words.line_height + (words.gap if footer else 0)
     whole = (
         2 * words.margin + columns * cell[0] + (columns - 1) * words.gap,
-        top + n_rows * cell[1] + (n_rows - 1) * 2 * words.gap + foot + words.margin,
+        2 * words.margin + n_rows * cell[1] + (n_rows - 1) * 2 * words.gap + foot,
     )
     sheet = Pictures.new("RGB", whole, style.background)
     draw = ImageDraw.Draw(sheet)
     room = whole[0] - 2 * words.margin
-    if heading:
-        words.write(draw, (words.margin, words.margin), heading, style.text, room, words.title)
     for at, (image, title, lines) in enumerate(panels):
         left = words.margin + (at % columns) * (cell[0] + words.gap)
-        y = top + (at // columns) * (cell[1] + 2 * words.gap)
+        y = words.margin + (at // columns) * (cell[1] + 2 * words.gap)
         words.write(draw, (left, y), title, style.text, width, words.title)
         y += words.title_height
         across, down = (width - image.shape[1]) // 2, (height - image.shape[0]) // 2
@@ -180,21 +175,3 @@ def _draw_legend(
         if below:
             draw.line([(x, bottom + 1), (x, bottom + 4)], fill=style.faint)
             words.write(draw, (x, bottom + 7), below, style.text, each, anchor="ma")
-
-
-def png_bytes(image: Image, most_colours: int | None = None) -> bytes:
-    """(h, w, 3) uint8 as the bytes of a PNG file; the same image always gives the same bytes.
-
-    ``most_colours`` up to 256 makes a file of about a third of the size, with that many colours.
-    """
-    from PIL import Image as Pictures
-
-    from msal_cli.view.png_palette import indexed
-
-    if most_colours is None:
-        picture = Pictures.fromarray(np.ascontiguousarray(image))
-    else:
-        picture = indexed(image, most_colours)
-    sink = io.BytesIO()
-    picture.save(sink, format="PNG", optimize=True)
-    return sink.getvalue()

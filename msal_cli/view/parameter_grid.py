@@ -8,23 +8,23 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from msal_cli.analysis import correspondence as metrics
+from msal_cli.analysis.enclosure import measure_enclosure
+from msal_cli.analysis.measures import measure_surface_change, normal_statistics
 from msal_cli.errors import ContentError, UsageError
-from msal_cli.job.comparison import prepare_surface
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from msal_cli.job.comparison import Surface
-    from msal_cli.mesh import Mesh, PreparedMesh
-    from msal_cli.methods import Method
-    from msal_cli.view.camera import Camera
-    from msal_cli.view.panels import Panel
-    from msal_cli.view.pictures import View
-
-    Image = NDArray[np.uint8]
+from msal_cli.job.changes import volume_changed
+from msal_cli.job.comparison import Surface, prepare_surface
+from msal_cli.mesh import Mesh, PreparedMesh
+from msal_cli.methods import Method
+from msal_cli.view import pictures
+from msal_cli.view.camera import Camera
+from msal_cli.view.panels import Panel, labelled_panels
+from msal_cli.view.pictures import View
+from msal_cli.view.shading import Image
 
 MOST_CELLS = 100
 
@@ -165,8 +165,6 @@ def subject(
     ContentError
         for a file without a surface, or a reference with other faces.
     """
-    from msal_cli.analysis import correspondence as metrics
-    from msal_cli.view import pictures
 
     ready = prepare_surface(surface, name)
     truth = None
@@ -187,10 +185,6 @@ def subject(
 
 def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
     """The numbers and the mesh of each cell, row by row, one after the other."""
-    from msal_cli.analysis import correspondence as metrics
-    from msal_cli.analysis.enclosure import measure_enclosure
-    from msal_cli.analysis.measures import measure_surface_change, normal_statistics
-    from msal_cli.job.comparison import volume_changed
 
     mesh, objection = on.ready.mesh, on.ready.defects.volume_objection
     enclosed = measure_enclosure(on.ready)
@@ -217,7 +211,7 @@ def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
 
 
 def command(wanted: Grid, name: str, chosen: Mapping[str, object]) -> str:
-    """The command line that makes a cell's mesh; OUT stands for the file to write."""
+    """The command line that makes a cell's mesh; OUT is the file to write."""
     words = ["msal", "denoise", name if not name.startswith("-") else f"./{name}", "-o", "OUT"]
     if wanted.method.name != "msal":
         words += ["--method", wanted.method.name]
@@ -229,7 +223,6 @@ def command(wanted: Grid, name: str, chosen: Mapping[str, object]) -> str:
 
 def drawn(on: Subject, mesh: Mesh, view: View) -> Image:
     """(h, w, 3) uint8: one mesh of the grid, or the input, seen by the one camera."""
-    from msal_cli.view import pictures
 
     return pictures.panel(mesh, on.camera, view)
 
@@ -241,41 +234,29 @@ def sheet(
     view: View,
 ) -> Image:
     """(H, W, 3) uint8: at the left the input and the reference, then the grid with its numbers."""
-    import numpy as np
-
-    from msal_cli import view as render
-    from msal_cli.view import pictures
 
     sides = [(drawn(on, on.ready.mesh, view), pictures.titles_of((on.name,))[0], ["input"])]
     if on.reference is not None:
-        sides.append((drawn(on, on.reference, view), "reference", [_against_truth(on)]))
+        error = normal_statistics(on.reference, on.ready.mesh).mean_angular_error_deg
+        words = f"normals of the input {error:.2f}\N{DEGREE SIGN}"
+        sides.append((drawn(on, on.reference, view), "reference", [words]))
     style = pictures.style_of(view)
-    empty = np.full_like(sides[0][0], style.background)
+    empty: Panel = (np.full_like(sides[0][0], style.background), "", [])
     width = len(wanted.columns.values)
-    rows = [list(done[k : k + width]) for k in range(0, len(done), width)]
     errors = [cell.mean_angular_error_deg for cell, _ in done]
     least = min((error for error in errors if error is not None), default=None)
+    cells = [(image, _title(cell, least), _lines(cell)) for cell, image in done]
     panels: list[Panel] = []
-    for at in range(max(len(rows), len(sides))):
-        panels.append(sides[at] if at < len(sides) else (empty, "", []))
-        row = rows[at] if at < len(rows) else []
-        panels += [(image, _title(cell, least), _lines(cell)) for cell, image in row]
-        panels += [(empty, "", [])] * (width - len(row))
+    for at in range(max(-(-len(cells) // width), len(sides))):
+        row = cells[at * width : (at + 1) * width]
+        panels += [sides[at] if at < len(sides) else empty, *row, *[empty] * (width - len(row))]
     footer = [
         f"Each cell: msal denoise {sides[0][1]} -o OUT, and the options below it.",
         "e: mean edge lengths of the input.",
     ]
     if least is not None:
         footer[1] += " Normals: mean angle between face normals and those of the reference."
-    return render.labelled_panels(panels, style=style, columns=width + 1, footer=footer)
-
-
-def _against_truth(on: Subject) -> str:
-    from msal_cli.analysis.measures import normal_statistics
-
-    assert on.reference is not None
-    error = normal_statistics(on.reference, on.ready.mesh).mean_angular_error_deg
-    return f"normals of the input {error:.2f}\N{DEGREE SIGN}"
+    return labelled_panels(panels, style=style, columns=width + 1, footer=footer)
 
 
 def _plain(value: object) -> str:
@@ -295,6 +276,6 @@ def _lines(cell: Cell) -> list[str]:
         words.append(f"volume {cell.volume_change_percent:+.2g} %")
     if cell.mean_angular_error_deg is not None:
         words.append(f"normals {cell.mean_angular_error_deg:.2f}\N{DEGREE SIGN}")
-    # What comes after OUT; the rest is the same for all and stands below.
+    # What comes after OUT; the rest is the same for all and is in the footer.
     options = cell.command.partition(" -o OUT ")[2]
     return [", ".join(words), options.replace(" -", "  -")]

@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from msal_cli.job.comparison import prepare_surface
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from msal_cli.job.comparison import Surface
-    from msal_cli.job.records import ComparisonRecord
-    from msal_cli.mesh import Mesh
-    from msal_cli.view.camera import Camera
-    from msal_cli.view.deviation import Scale
-    from msal_cli.view.panels import Panel
-    from msal_cli.view.shading import Style
-
-    Floats = NDArray[np.float64]
-    Image = NDArray[np.uint8]
+from msal_cli.analysis import correspondence as metrics
+from msal_cli.analysis import surface_distance
+from msal_cli.analysis.enclosure import measure_enclosure
+from msal_cli.arrays import Floats
+from msal_cli.job import comparison
+from msal_cli.job.comparison import Surface, prepare_surface
+from msal_cli.job.comparison_record import ComparisonRecord
+from msal_cli.job.display_names import figure
+from msal_cli.mesh import Mesh
+from msal_cli.view.camera import Camera, viewed
+from msal_cli.view.deviation import Scale, scale_of
+from msal_cli.view.panels import Panel, labelled_panels
+from msal_cli.view.shading import CREASE_DEG, DARK, LIGHT, Image, Style, shaded
 
 SIGNED = "Displacement along the normal"
 DISTANCE = "Distance to the surface before"
@@ -86,10 +83,6 @@ def scene_of(
     ContentError
         for a file without a surface to draw; it names the file.
     """
-    from msal_cli.analysis import correspondence as metrics
-    from msal_cli.analysis import surface_distance
-    from msal_cli.analysis.enclosure import measure_enclosure
-    from msal_cli.job import comparison
 
     first = prepare_surface(before, names[0])
     if after is None:
@@ -113,9 +106,8 @@ def scene_of(
 
 def camera_of(scene: Scene, view: View) -> Camera:
     """The one camera that shows all meshes of a scene."""
-    from msal_cli.view.camera import viewed
 
-    # Noise must not tilt the view: the smoother of two meshes tells how the thing stands.
+    # Noise must not tilt the view: the smoother of two meshes shows which way is up.
     chosen = scene.after or scene.before
     return viewed(
         chosen.vertices,
@@ -130,7 +122,6 @@ def camera_of(scene: Scene, view: View) -> Camera:
 
 def drawn(scene: Scene, view: View) -> Image:
     """(H, W, 3) uint8: the meshes side by side, what is between them, and the numbers."""
-    from msal_cli import view as render
 
     style, camera = style_of(view), camera_of(scene, view)
 
@@ -141,14 +132,14 @@ def drawn(scene: Scene, view: View) -> Image:
     record = scene.record
     panels: list[Panel] = [(image(scene.before), titles[0], [_counts(scene.before)])]
     if scene.after is None or record is None:
-        return render.labelled_panels(panels, style=style)
+        return labelled_panels(panels, style=style)
     lines = [_counts(scene.after), *_changes(record)]
     if scene.deviation is None:
         lines.append("Other faces: no deviation without the package fcpw")
     panels.append((image(scene.after), titles[1], lines))
     scale = scale_of_scene(scene)
     if scene.deviation is None or scale is None:
-        return render.labelled_panels(panels, style=style)
+        return labelled_panels(panels, style=style)
     edge = scene.before.mean_edge_length
     beyond = float((abs(scene.deviation) > scale.high).mean())
     ends = f"Its ends: 99th percentile, rounded up ({100.0 * beyond:.2g} % lie beyond)"
@@ -161,15 +152,14 @@ def drawn(scene: Scene, view: View) -> Image:
     picture = image(scene.after, scale.painted(scene.deviation))
     lines = [_moved(scene, edge), *(["Blue: inwards, orange: outwards"] if scene.is_signed else [])]
     panels.append((picture, deviation_name(scene), lines))
-    return render.labelled_panels(panels, legend, style=style)
+    return labelled_panels(panels, legend, style=style)
 
 
 def scale_of_scene(scene: Scene) -> Scale | None:
-    """What the colours of a deviation stand for; None where there is none.
+    """The colour scale of a deviation; None where there is none.
 
     Of a mesh that did not move the scale goes to one mean edge length: all is in the middle of it.
     """
-    from msal_cli.view.deviation import scale_of
 
     if scene.deviation is None:
         return None
@@ -201,17 +191,14 @@ def deviation_name(scene: Scene) -> str:
 
 def style_of(view: View) -> Style:
     """The colours that a view asks for."""
-    from msal_cli import view as render
 
-    return render.DARK if view.style == "dark" else render.LIGHT
+    return DARK if view.style == "dark" else LIGHT
 
 
 def panel(mesh: Mesh, camera: Camera, view: View, colours: Image | None = None) -> Image:
     """(h, w, 3) uint8: one mesh, its vertices in ``colours`` (n, 3) uint8 or all of clay."""
-    from msal_cli import view as render
-    from msal_cli.view.shading import CREASE_DEG
 
-    return render.shaded(
+    return shaded(
         mesh.vertices,
         mesh.faces,
         camera,
@@ -248,18 +235,17 @@ def _counts(mesh: Mesh) -> str:
 
 
 def _changes(record: ComparisonRecord) -> list[str]:
-    lines = []
-    if record.volume_change_percent is not None:
-        lines.append(f"Volume {record.volume_change_percent:+.3g} %")
-    elif record.volume is not None and record.volume.reason:
-        lines.append(f"No volume: {record.volume.reason}")
-    if record.inside_out_before and record.inside_out_after:
-        lines.append("Inside out")
-    elif record.inside_out_before or record.inside_out_after:
-        lines.append(f"Inside out {'before' if record.inside_out_before else 'after'} only")
-    if record.mean_angular_error_deg is not None:
-        lines.append(f"Normals turned by {record.mean_angular_error_deg:.3g}\N{DEGREE SIGN} (mean)")
-    return lines
+    change = figure(record.volume_change_percent, "+.3g", " %")
+    reason = record.volume.reason if record.volume is not None else ""
+    before, after = record.inside_out_before, record.inside_out_after
+    inside_out = "" if before and after else f" {'before' if before else 'after'} only"
+    turned = figure(record.mean_angular_error_deg, ".3g", "\N{DEGREE SIGN} (mean)")
+    lines = (
+        f"Volume {change}" if change else f"No volume: {reason}" if reason else "",
+        f"Inside out{inside_out}" if before or after else "",
+        f"Normals turned by {turned}" if turned else "",
+    )
+    return list(filter(None, lines))
 
 
 def _moved(scene: Scene, edge: float) -> str:

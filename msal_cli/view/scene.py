@@ -5,7 +5,7 @@
 Faces are put in an order in which neighbours follow one another, and vertices in that of their
 first use.  So a corner is coded as how long ago its vertex was new (0: now), and a position as the
 step from a known corner of the same face, in whole steps of a grid.  Each number is cut into bytes,
-and all lowest bytes stand together, then all second ones: deflate finds more in them that way.
+and all lowest bytes come first, then all second ones: deflate finds more in them that way.
 """
 
 from __future__ import annotations
@@ -17,12 +17,11 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.analysis import colour_maps as colours
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.mesh import Mesh
-from msal_cli.view.decimation import coarsened
+from msal_cli.view.decimation import Coarse, coarsened
 
 MOST_FACES = 200_000
 """Faces of one mesh that a page holds; more are decimated."""
@@ -41,8 +40,8 @@ _DEVIATION_STEPS = 65535
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """What is drawn, encoded.
+class EncodedScene:
+    """What is drawn, as text.
 
     Attributes
     ----------
@@ -65,7 +64,7 @@ class Scene:
         return (self.faces, self.after_faces) != (self.drawn_faces, self.drawn_after_faces)
 
 
-def encoded(
+def encode_scene(
     before: Mesh,
     after: Mesh | None = None,
     deviation: Floats | None = None,
@@ -73,7 +72,7 @@ def encoded(
     ends: tuple[float, float] | None = None,
     view: Floats | None = None,
     most_faces: int = MOST_FACES,
-) -> Scene:
+) -> EncodedScene:
     """One scene.
 
     Parameters
@@ -82,7 +81,7 @@ def encoded(
         are coarsened as one, and share their faces on the page.
     deviation : (n,) one number in file units for each vertex of ``after`` (of ``before`` if that is
         all there is); not-a-number where there is none.
-    ends : of the colour scale; two of opposite sign get the map that tells sides apart.  None asks
+    ends : of the colour scale; two of opposite sign get the diverging map.  None asks
         the numbers.
     view : (3, 3) rotation from the model to right, up, towards the eye, at the start.
     most_faces : beyond this a mesh is coarsened.
@@ -90,28 +89,20 @@ def encoded(
     shares = after is not None and _same_faces(before, after)
     first = coarsened(before.vertices, before.faces, most_faces)
     low, step = _grid(before, after, Mesh(before.vertices[first.kept], first.faces))
-    order, faces = _ordered(before.vertices[first.kept], first.faces)
-    kept = first.kept[order]
-    planes = _index_planes(faces, len(kept))
-    ticks = _ticks(before.vertices[kept], low, step)
-    planes += _planes(_zigzag(_residuals(ticks, faces)), 3)
+    kept, faces, ticks, planes = _mesh_planes(before, first, low, step)
     meshes: list[dict[str, int | bool]] = [{"vertices": len(kept), "faces": len(faces)}]
     drawn_after = None
     if after is not None and shares:
         moved = _ticks(after.vertices[kept], low, step)
         planes += _planes(_zigzag(moved - ticks), 3)
-        meshes.append({"vertices": len(kept), "faces": len(faces), "moved": True})
+        meshes.append({**meshes[0], "moved": True})
         drawn_after = len(faces)
     elif after is not None:
         second = coarsened(after.vertices, after.faces, most_faces)
-        order, faces_after = _ordered(after.vertices[second.kept], second.faces)
-        kept = second.kept[order]
-        planes += _index_planes(faces_after, len(kept))
-        planes += _planes(
-            _zigzag(_residuals(_ticks(after.vertices[kept], low, step), faces_after)), 3
-        )
-        meshes.append({"vertices": len(kept), "faces": len(faces_after)})
+        kept, faces_after, _, planes_after = _mesh_planes(after, second, low, step)
+        planes += planes_after
         drawn_after = len(faces_after)
+        meshes.append({"vertices": len(kept), "faces": drawn_after})
     header: dict[str, object] = {"meshes": meshes, "step": step}
     if view is not None:
         header["view"] = [round(float(one), 6) for one in np.asarray(view).reshape(-1)]
@@ -121,7 +112,7 @@ def encoded(
         planes += plane
     head = json.dumps(header, separators=(",", ":")).encode()
     packed = zlib.compress(struct.pack("<I", len(head)) + head + b"".join(planes), 9)
-    return Scene(
+    return EncodedScene(
         text=base64.b64encode(packed).decode("ascii"),
         faces=len(before.faces),
         drawn_faces=len(faces),
@@ -129,6 +120,18 @@ def encoded(
         drawn_after_faces=drawn_after,
         rounding=step / 2,
     )
+
+
+def _mesh_planes(
+    mesh: Mesh, coarse: Coarse, low: Floats, step: float
+) -> tuple[Longs, Ints, Longs, list[bytes]]:
+    """The vertices that are drawn, in their order, the faces between them (m, 3), the vertices'
+    steps on the grid (n, 3), and the bytes of all."""
+    order, faces = _ordered(mesh.vertices[coarse.kept], coarse.faces)
+    kept = coarse.kept[order]
+    ticks = _ticks(mesh.vertices[kept], low, step)
+    planes = _index_planes(faces) + _planes(_zigzag(_residuals(ticks, faces)), 3)
+    return kept, faces, ticks, planes
 
 
 def _same_faces(before: Mesh, after: Mesh) -> bool:
@@ -150,7 +153,7 @@ def _grid(before: Mesh, after: Mesh | None, drawn: Mesh) -> tuple[Floats, float]
     return low, max(edge / STEPS_PER_EDGE, extent / _FINEST)
 
 
-def _ticks(vertices: Floats, low: Floats, step: float) -> NDArray[np.int64]:
+def _ticks(vertices: Floats, low: Floats, step: float) -> Longs:
     return np.rint((vertices - low) / step).astype(np.int64)
 
 
@@ -172,14 +175,14 @@ def _ordered(vertices: Floats, faces: Ints) -> tuple[Longs, Ints]:
     return used[order].astype(np.int64), number[inverse].reshape(-1, 3)
 
 
-def _spread(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+def _spread(numbers: Longs) -> Longs:
     """Numbers of ten bits with two zeros put after each bit."""
     for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
         numbers = (numbers | numbers << shift) & mask
     return numbers
 
 
-def _index_planes(faces: Ints, n_vertices: int) -> list[bytes]:
+def _index_planes(faces: Ints) -> list[bytes]:
     """How long ago the vertex of each corner was new: 0 for a new one."""
     flat = faces.reshape(-1).astype(np.int64)
     newest = np.maximum.accumulate(flat)
@@ -187,7 +190,7 @@ def _index_planes(faces: Ints, n_vertices: int) -> list[bytes]:
     return _planes(seen - flat, 3)
 
 
-def _residuals(ticks: NDArray[np.int64], faces: Ints) -> NDArray[np.int64]:
+def _residuals(ticks: Longs, faces: Ints) -> Longs:
     """Steps (n, 3) from the corner that the script knows already when it meets a vertex."""
     flat = faces.reshape(-1).astype(np.int64)
     _, first = np.unique(flat, return_index=True)
@@ -198,16 +201,16 @@ def _residuals(ticks: NDArray[np.int64], faces: Ints) -> NDArray[np.int64]:
     known = np.where(second < numbers, second, np.where(third < numbers, third, numbers - 1))
     known = np.where(place > 0, flat[np.maximum(first - 1, 0)], known)
     parents = np.concatenate([np.zeros((1, 3), dtype=np.int64), ticks])[known + 1]
-    residuals: NDArray[np.int64] = ticks - parents
+    residuals: Longs = ticks - parents
     return residuals
 
 
-def _zigzag(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+def _zigzag(numbers: Longs) -> Longs:
     """Small whole numbers of either sign as small ones without."""
     return (numbers << 1) ^ (numbers >> 63)
 
 
-def _planes(numbers: NDArray[np.int64], count: int) -> list[bytes]:
+def _planes(numbers: Longs, count: int) -> list[bytes]:
     """The ``count`` lowest bytes of (n,) or (n, k) numbers, all of one rank and column together."""
     columns = numbers.reshape(len(numbers), -1).T
     return [

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats32, Ints
+from msal_cli.arrays import Floats, Floats32, Ints
 from msal_cli.view.camera import Camera
-from msal_cli.view.raster import rasterised
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
@@ -53,7 +51,9 @@ _SURFACE_OF_MAPS = (0.56, 0.0, 0.0, 1.0)
 _LAMPS_OF_MAPS = (((-0.55, 0.58, 0.60), 0.58, 0.30),)
 
 CREASE_DEG = 80.0
+
 SAMPLES = 2
+"""Samples along each side of a pixel."""
 
 _HOLLOWS = ((0.008, 0.32), (0.022, 0.45), (0.055, 0.45))
 """How far round to look for what hides the sky, in picture sides, and how much that darkens."""
@@ -66,7 +66,7 @@ _DIRECTIONS = 8
 
 
 def shaded(
-    vertices: Array,
+    vertices: Floats,
     faces: Ints,
     camera: Camera,
     width: int,
@@ -86,6 +86,8 @@ def shaded(
     crease_deg : edges that turn by more stay sharp, by less than half of it are round; 0 shows
         each face flat.
     """
+    from msal_cli.kernels import z_buffer
+
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int32)
     clay, inside = (np.array(one, dtype=np.float32) for one in (style.clay, style.inside))
@@ -96,29 +98,31 @@ def shaded(
     else:
         paint = np.ascontiguousarray(colours, dtype=np.float32)
         lights = _lights(_SURFACE_OF_MAPS, _LAMPS_OF_MAPS)
-    lit = rasterised(
-        vertices,
-        faces,
-        camera,
-        (width, height),
-        paint=paint,
-        back=inside,
-        lights=lights,
-        crease=float(np.radians(crease_deg)),
-        side=SAMPLES,
+    seen = camera.seen(vertices)
+    normals = z_buffer.corner_normals(seen, faces, float(np.radians(crease_deg)))
+    scale = SAMPLES * camera.pixels_per_unit(width, height)
+    points = np.empty_like(seen)
+    points[:, 0] = seen[:, 0] * scale + 0.5 * SAMPLES * width
+    points[:, 1] = 0.5 * SAMPLES * height - seen[:, 1] * scale
+    points[:, 2] = seen[:, 2] * scale
+    nearness, front = z_buffer.nearest_faces(points, faces, SAMPLES * height, SAMPLES * width)
+    sums, depth = z_buffer.lit(
+        SAMPLES, points, faces, nearness, front, normals, paint, inside, lights
     )
-    open_sky = _open_sky(lit.depth, lit.covered)
+    # Colours 0 to 255 times the share of each pixel that shows the mesh, and that share.
+    lit, covered = sums[..., :3], sums[..., 3]
+    open_sky = _open_sky(depth / np.float32(SAMPLES), covered)
     if colours is not None:
         open_sky = 0.5 + 0.5 * open_sky
-    behind = np.array(style.background, dtype=np.float32) * (1.0 - lit.covered[..., None])
-    image = np.rint(lit.colours * open_sky[..., None] + behind)
+    behind = np.array(style.background, dtype=np.float32) * (1.0 - covered[..., None])
+    image = np.rint(lit * open_sky[..., None] + behind)
     result: Image = image.clip(0, 255).astype(np.uint8)
     return result
 
 
 def _lights(
     surface: tuple[float, ...], lamps: tuple[tuple[tuple[float, ...], float, float], ...]
-) -> Array:
+) -> Floats:
     rows = [(*surface, 0.0)]
     for direction, strength, reach in lamps:
         unit = np.array(direction) / np.linalg.norm(direction)
@@ -126,7 +130,7 @@ def _lights(
     return np.array(rows)
 
 
-def _is_inside_out(vertices: Array, faces: Ints) -> bool:
+def _is_inside_out(vertices: Floats, faces: Ints) -> bool:
     """Whether a closed surface is wound so that all of its normals look inwards."""
     from msal_cli.kernels.geometry import area_and_volume, face_normals_and_areas
 
@@ -139,11 +143,11 @@ def _is_inside_out(vertices: Array, faces: Ints) -> bool:
 
 
 def _open_sky(depth: Floats32, covered: Floats32) -> Floats32:
-    """(h, w) 0 to 1: how little of what is around each pixel stands before it.
+    """(h, w) 0 to 1: how little of what is around each pixel is in front of it.
 
-    Looks at the mean of two points on opposite sides of each pixel, which is before it in a hollow
-    and beside a wall, but not on a plane, however it is tilted.  Where one of them shows nothing
-    there is sky.
+    ``depth`` is the nearness to the eye in pixels, 0 where nothing is.  Looks at the mean of two
+    points on opposite sides of each pixel, which is before it in a hollow and beside a wall, but
+    not on a plane, however it is tilted.  Where one of them shows nothing there is sky.
     """
     open_sky = np.ones(depth.shape, dtype=np.float32)
     height, width = depth.shape

@@ -48,7 +48,7 @@ def pair(kind):
 
 @functools.lru_cache
 def choose_auto(mesh):
-    return selection.choose(mesh, Wishes())
+    return selection.choose_method(mesh, Wishes())
 
 
 def result_of(mesh, choice):

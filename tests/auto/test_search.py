@@ -48,7 +48,7 @@ def large():
 
 
 def chosen(mesh, **wishes):
-    return selection.choose(mesh, Wishes(**wishes))
+    return selection.choose_method(mesh, Wishes(**wishes))
 
 
 def told(choice):
@@ -362,14 +362,14 @@ def test_progress_goes_up_and_ends_at_the_total(mesh, spiky):
         (spiky, Wishes(budget=1.0)),
     ):
         steps = []
-        selection.choose(one, wishes, lambda *step, steps=steps: steps.append(step))
+        selection.choose_method(one, wishes, lambda *step, steps=steps: steps.append(step))
         (total,) = {total for _, total in steps}
         done = [one for one, _ in steps]
         assert done == sorted(done)
         assert done[-1] == total
         assert done.count(total) == 1
     steps = []
-    selection.choose(prepare_mesh(*grid()).mesh, Wishes(), lambda *step: steps.append(step))
+    selection.choose_method(prepare_mesh(*grid()).mesh, Wishes(), lambda *step: steps.append(step))
     assert steps == [(1, 1)]
 
 
@@ -379,7 +379,7 @@ def test_an_interruption_passes_through(mesh):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        selection.choose(mesh, Wishes(), stop)
+        selection.choose_method(mesh, Wishes(), stop)
 
 
 # It pays

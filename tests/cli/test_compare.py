@@ -8,8 +8,8 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from msal_cli import codecs as files
-from msal_cli.report.schema import compare_schema
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
+from tests.report.schemas import compare_schema
 
 SCHEMA = compare_schema()
 ONE = Draft202012Validator({**SCHEMA["$defs"]["ComparisonRecord"], "$defs": SCHEMA["$defs"]})

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.auto import adaptive
 from msal_cli.mesh import prepare_mesh
-from tests.cli.scans import folder_of, msal, ply_text
+from tests.cli.scans import folder_of, msal, ply_text, record_of
 from tests.shapes import torus
 
 SPIKED = np.arange(40, 1800, 88)
@@ -36,9 +34,7 @@ def scans(tmp_path_factory):
 
 def run(*words, code=0):
     made = msal("denoise", *words, "--json")
-    assert made.exit_code == code, made.stderr
-    [record] = json.loads(made.stdout)["records"]
-    return record, made
+    return record_of(made, code), made
 
 
 def vertices_of(path):

@@ -10,8 +10,8 @@ from jsonschema import Draft202012Validator
 
 from msal_cli import codecs as files
 from msal_cli.job.fields import KINDS
-from msal_cli.report.schema import report_schema
 from tests.cli.scans import closed_scan, folder_of, msal, msal_on, ply_text
+from tests.report.schemas import report_schema
 from tests.shapes import ball
 
 ALL = ",".join(KINDS)

@@ -8,7 +8,6 @@ import json
 import pytest
 from jsonschema import Draft202012Validator
 
-from msal_cli.report.schema import report_schema
 from tests.cli.scans import (
     BAD_SCAN,
     closed_scan,
@@ -18,6 +17,7 @@ from tests.cli.scans import (
     open_scan,
     ply_text,
 )
+from tests.report.schemas import report_schema
 from tests.shapes import torus
 
 MOVED = "max_displacement > 0"

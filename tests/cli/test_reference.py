@@ -8,9 +8,9 @@ import json
 import pytest
 from jsonschema import Draft202012Validator
 
-from msal_cli.report.schema import report_schema
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on
 from tests.cli.scans import ply_text as as_ply
+from tests.report.schemas import report_schema
 from tests.shapes import grid, torus
 
 SHARED = (

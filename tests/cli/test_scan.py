@@ -167,7 +167,7 @@ def test_an_open_mesh_is_closed_with_a_warning(tmp_path):
         (["--slices", "0"], "slices"),
         (["--direction", "0,0,0"], "direction"),
         (["--iso", "3"], "--iso is for volumes"),
-        (["--type", "int8"], "--type is for volumes"),
+        (["--type", "int8"], "--type needs --dims"),
         (["--dims", "4,4"], "512,512,100"),
         (["--to", "xyz"], "no such format"),
     ],

@@ -11,15 +11,14 @@ import numpy as np
 import pytest
 
 from msal_cli import codecs as files
-from msal_cli.analysis.added_noise import AddedNoise
 from msal_cli.codecs import conversion as convert
 from msal_cli.codecs import gltf, open_mesh
 from msal_cli.codecs.companions import write_companions
 from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import InternalError, MsalError, UnsupportedError
-from msal_cli.job import noise_file as corruption
 from msal_cli.job import pipeline
 from msal_cli.job.settings import Task
+from tests.cli.scans import msal
 from tests.codecs import test_glb
 from tests.codecs.plain_glb import content_of
 from tests.job.test_pipeline import settings
@@ -222,8 +221,7 @@ def test_streams_hold_embedded_buffers_only(tmp_path):
 
 def test_noise_takes_the_same_way(tmp_path):
     source = in_folder(tmp_path / "in")
-    noise = AddedNoise("gaussian", 0.2, 1)
-    corruption.corrupt_file(str(source), str(tmp_path / "out" / "new.gltf"), noise)
+    assert msal("noise", source, "-o", tmp_path / "out" / "new.gltf", "-q").exit_code == 0
     there = opened(tmp_path / "out" / "new.gltf")
     assert not np.allclose(there.vertices, opened(source).vertices)
     assert (tmp_path / "out" / "new.bin").is_file()

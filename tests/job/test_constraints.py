@@ -67,9 +67,9 @@ def denoised(data, **asked):
     [("0.3e", 0.3, True), ("0.05", 0.05, False), (" 1e-3 ", 1e-3, False), ("2e3e", 2e3, True)],
 )
 def test_lengths(text, value, in_edges):
-    found = constraints.length(text)
+    found = constraints.parse_length(text)
     assert (found.value, found.in_edges) == (value, in_edges)
-    assert constraints.length(str(found)) == found
+    assert constraints.parse_length(str(found)) == found
 
 
 @pytest.mark.parametrize(
@@ -89,17 +89,17 @@ def test_lengths(text, value, in_edges):
     ],
 )
 def test_lengths_with_a_unit(text, unit, value):
-    found = constraints.length(text, unit=unit)
+    found = constraints.parse_length(text, unit=unit)
     assert (found.value, found.in_edges) == (value, False)
 
 
 def test_a_unit_means_nothing_where_that_of_the_file_is_not_known():
     with pytest.raises(UsageError, match=r"--max-move 0\.01mm: mesh files have no unit") as caught:
-        constraints.length("0.01mm")
+        constraints.parse_length("0.01mm")
     assert "--unit mm" in caught.value.hint
     # Edges and file units need none.
-    assert constraints.length("0.3e", unit="m").in_edges
-    assert constraints.length("0.05", unit="m").value == 0.05
+    assert constraints.parse_length("0.3e", unit="m").in_edges
+    assert constraints.parse_length("0.05", unit="m").value == 0.05
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_a_unit_means_nothing_where_that_of_the_file_is_not_known():
 )
 def test_what_is_no_length_is_refused(text):
     with pytest.raises(UsageError, match=r"no length|too large"):
-        constraints.length(text, unit="m")
+        constraints.parse_length(text, unit="m")
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_what_is_no_length_is_refused(text):
 )
 def test_what_is_no_lock_is_refused(text):
     with pytest.raises(UsageError, match="neither"):
-        constraints.lock(text)
+        constraints.parse_lock(text)
 
 
 @pytest.mark.parametrize(
@@ -132,16 +132,16 @@ def test_what_is_no_lock_is_refused(text):
     ],
 )
 def test_comparisons(text, expected):
-    one = constraints.lock(text)
-    assert one.of(np.array([1.0, 2.0, 3.0])).tolist() == expected
-    assert constraints.lock(str(one)) == one
+    one = constraints.parse_lock(text)
+    assert one.select(np.array([1.0, 2.0, 3.0])).tolist() == expected
+    assert constraints.parse_lock(str(one)) == one
 
 
 def test_a_single_precision_property_is_compared_in_single_precision():
     stored = np.array([0.2, 0.3], dtype=np.float32).astype(float)
     assert stored[0] > 0.2
-    assert constraints.lock("q <= 0.2").of(stored).tolist() == [True, False]
-    assert constraints.lock("q == 0.2").of(np.array([0.2, 0.3])).tolist() == [True, False]
+    assert constraints.parse_lock("q <= 0.2").select(stored).tolist() == [True, False]
+    assert constraints.parse_lock("q == 0.2").select(np.array([0.2, 0.3])).tolist() == [True, False]
 
 
 # The limit
@@ -197,7 +197,7 @@ def test_clamping_never_exceeds_the_limit_not_even_by_rounding(scale):
     before = scale * (random().standard_normal((2000, 3)) + 50.0)
     after = before + scale * np.random.default_rng(8).standard_normal((2000, 3))
     limit = 0.1 * scale
-    kept, n_clamped = constraints.clamped(before, after, limit)
+    kept, n_clamped = constraints.clamp_moves(before, after, limit)
     assert n_clamped == (distances(before, after) > limit).sum() > 1000
     assert distances(before, kept).max() <= limit
     assert not np.shares_memory(kept, after)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from msal_cli.job.records import ComparisonRecord
+from msal_cli.job.comparison_record import ComparisonRecord
 from msal_cli.report import baseline
 
 

@@ -18,9 +18,6 @@ from msal_cli.report import (
     json_report as as_json,
 )
 from msal_cli.report import (
-    jsonl as as_jsonl,
-)
-from msal_cli.report import (
     text as as_text,
 )
 from tests.report.made import HOSTILE_NAMES, RUN, failed, written
@@ -54,7 +51,7 @@ def test_json_is_strict_and_gives_the_names_back():
     document = json.loads(as_json.encoded(RUN, RECORDS))
     told = [restored(one["input"]) for one in document["records"]]
     assert told == [one.input for one in RECORDS]
-    lines = as_jsonl.encoded(RUN, RECORDS)
+    lines = as_json.encoded_lines(RUN, RECORDS)
     assert lines.isascii() and b"\x1b" not in lines
     assert len(lines.splitlines()) == len(lines.decode().splitlines()) == len(RECORDS)
     told = [restored(json.loads(line)["input"]) for line in lines.splitlines()]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from msal_cli.job.records import Failure, InfoRecord, NoiseEstimate
+from msal_cli.job.info_record import InfoRecord
+from msal_cli.job.records import Failure, NoiseEstimate
 from msal_cli.report import info_text
 
 

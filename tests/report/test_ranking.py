@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from msal_cli.job.records import Displacement, MeshRecord, Volume
-from msal_cli.report.ranking import broken_gates, needs_attention, worst_first
+from msal_cli.report.ranking import worst_first
 from tests.report.made import failed, gated, written
 
 
@@ -42,8 +42,3 @@ def test_a_volume_that_means_nothing_does_not_count():
     volume = Volume(1.0, 2.0, 1.0, 100.0, False, "open")
     records = [moved("closed", 0.5, 1.0), written("open", volume=volume)]
     assert worst_first([open_one, *records])[0].input == "closed"
-
-
-def test_who_needs_attention():
-    assert needs_attention(failed()) and needs_attention(gated())
-    assert not needs_attention(written()) and not broken_gates(written(gates=gated().gates[1:]))

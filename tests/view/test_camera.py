@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from msal_cli.view import automatic_camera
 from msal_cli.view.camera import VIEWS, framing, turned, viewed
 from tests.shapes import ball, cube, grid
 
@@ -68,11 +67,11 @@ def test_a_flat_relief_is_seen_from_its_front():
     vertices, faces = grid(30, 30)
     vertices = vertices - vertices.mean(axis=0)
     vertices[:, 2] += 0.02 * np.sin(3.0 * vertices[:, 0])
-    assert np.allclose(automatic_camera(vertices, faces).axes[2], Z)
-    assert np.allclose(automatic_camera(vertices, faces[:, ::-1]).axes[2], -Z)
+    assert np.allclose(viewed(vertices, faces).axes[2], Z)
+    assert np.allclose(viewed(vertices, faces[:, ::-1]).axes[2], -Z)
     # The same standing upright, in a file with z upwards.
     standing = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
-    axes = automatic_camera(standing, faces).axes
+    axes = viewed(standing, faces).axes
     assert np.allclose(axes[2], -Y)
     assert np.allclose(axes[1], Z)
 
@@ -84,8 +83,8 @@ def test_a_closed_plaque_is_seen_from_the_side_with_more_to_show():
     vertices[:, 2] += 0.1 * np.sin(2.0 * vertices[:, 0])
     both = np.concatenate([vertices, bottom])
     closed = np.concatenate([faces, faces[:, ::-1] + n]).astype(np.int32)
-    assert np.allclose(automatic_camera(both, closed).axes[2], Z)
-    assert np.allclose(automatic_camera(both * (1, 1, -1), closed[:, ::-1]).axes[2], -Z)
+    assert np.allclose(viewed(both, closed).axes[2], Z)
+    assert np.allclose(viewed(both * (1, 1, -1), closed[:, ::-1]).axes[2], -Z)
 
 
 def test_what_has_a_base_stands_on_it():
@@ -93,12 +92,12 @@ def test_what_has_a_base_stands_on_it():
     for axis in (1, 2):
         cut = vertices.copy()
         cut[:, axis] = np.maximum(cut[:, axis], -0.5)
-        assert automatic_camera(cut, faces).axes[1] @ np.eye(3)[axis] > 0.5
+        assert viewed(cut, faces).axes[1] @ np.eye(3)[axis] > 0.5
 
 
 def test_no_area_at_all_still_gives_a_camera():
     vertices = np.zeros((3, 3))
-    camera = automatic_camera(vertices, np.array([(0, 1, 2)], dtype=np.int32))
+    camera = viewed(vertices, np.array([(0, 1, 2)], dtype=np.int32))
     assert np.isfinite(camera.pixels_per_unit(10, 10))
 
 

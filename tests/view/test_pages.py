@@ -1,29 +1,71 @@
-"""A scene as a page."""
+"""A scene as a page: what it says, that nothing from outside is markup, and its policy."""
 
 from __future__ import annotations
+
+import base64
+import hashlib
+from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
 from msal_cli.analysis import surface_distance
+from msal_cli.errors import InternalError
 from msal_cli.job.comparison import Surface
-from msal_cli.view import pages, pictures
+from msal_cli.job.display_names import shown
+from msal_cli.mesh import Mesh
+from msal_cli.view import pages, pictures, viewer
+from msal_cli.view.scene import encode_scene
+from tests.report.made import HOSTILE_NAMES
 from tests.shapes import ball, cube
 from tests.view.decoded import decoded
-from tests.view.test_viewer import Parts
 
-NAMES = ("before.ply", "after.ply")
+MESH = Mesh(*cube())
 VIEW = pictures.View(size=64)
 
 
+class Parts(HTMLParser):
+    """Tags with their attributes, and the text within each kind of element."""
+
+    def __init__(self, page):
+        super().__init__(convert_charrefs=True)
+        self.tags, self.texts, self.open = [], {}, []
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        self.open.append(tag)
+        self.texts.setdefault(tag, []).append("")
+
+    def handle_endtag(self, tag):
+        while self.open and self.open.pop() != tag:
+            pass
+
+    def handle_data(self, data):
+        if self.open:
+            self.texts[self.open[-1]][-1] += data
+
+    def attributes(self, tag):
+        return [found for name, found in self.tags if name == tag]
+
+
 def scene_of(before, after):
-    return pictures.scene_of(Surface(*before), Surface(*after), NAMES)
+    return pictures.scene_of(Surface(*before), Surface(*after), ("before.ply", "after.ply"))
+
+
+def parts_of(scene, view=VIEW, **options):
+    return Parts(pages.page_of(scene, view, "msal view a b", **options).decode("utf-8", "strict"))
 
 
 def page(scene, view=VIEW):
-    parts = Parts(pages.page_of(scene, view, "msal view a b").decode())
+    parts = parts_of(scene, view)
     (box,) = (one for one in parts.attributes("div") if "data-scene" in one)
     return parts, box, decoded(parts.texts["script"][0])
+
+
+def pair(name="scan.ply"):
+    return pictures.Scene((name, f"other {name}"), MESH, MESH, np.arange(8.0))
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +108,7 @@ def test_one_mesh(grown):
     parts, _, (header, meshes, deviation) = page(alone)
     assert len(meshes) == 1 and deviation is None and "deviation" not in header
     assert parts.texts["h1"] == ["cube.ply"]
+    assert "Split" not in parts.texts["th"]
     assert dict(pages.figures_of(alone)[0][1])["Vertices"] == "8"
 
 
@@ -79,3 +122,59 @@ def test_other_faces(monkeypatch):
 def test_small_numbers_are_written_with_powers():
     assert pages._number(1.42e-5) == "1.42·10⁻⁵"
     assert pages._number(-0.25) == "\N{MINUS SIGN}0.25"
+
+
+@pytest.mark.parametrize("name", [*HOSTILE_NAMES, "\udcff.ply", "$title${x}.ply"])
+def test_names_stay_text(name):
+    plain, hostile = parts_of(pair()), parts_of(pair(name))
+    assert [(tag, sorted(found)) for tag, found in plain.tags] == [
+        (tag, sorted(found)) for tag, found in hostile.tags
+    ]
+    titles = pictures.titles_of(pair(name).names)
+    assert hostile.texts["title"] == hostile.texts["h1"] == [shown(" → ".join(titles))]
+    assert hostile.attributes("img")[0]["alt"].startswith(shown(titles[0]))
+    # A script is the same text whatever the names are.
+    assert plain.texts["script"] == hostile.texts["script"]
+
+
+def test_the_policy_names_what_is_there():
+    parts = parts_of(pair())
+    policy = next(one for one in parts.attributes("meta") if "http-equiv" in one)["content"]
+    rules = dict(one.split(" ", 1) for one in policy.split("; "))
+    assert rules["default-src"] == "'none'"
+    (style,) = parts.texts["style"]
+    _, code = parts.texts["script"]
+    for rule, text in (("style-src", style), ("script-src", code)):
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert rules[rule] == f"'sha256-{digest}'"
+    assert "unsafe" not in policy and "http:" not in policy and "*" not in policy
+
+
+def test_nothing_points_elsewhere():
+    for _, attributes in parts_of(pair()).tags:
+        for key in ("src", "href", "action", "srcset"):
+            assert (attributes.get(key) or "data:").startswith("data:")
+        assert not any(key.startswith("on") or key == "style" for key in attributes)
+    for code in (viewer.script(), viewer.style()):
+        for word in ("http", "//cdn", "@import", "fetch(", "innerHTML", "eval(", "url("):
+            assert word not in code
+
+
+def test_a_fragment_for_other_pages():
+    drawn = encode_scene(MESH, MESH)
+    parts = Parts(viewer.embedded_scene("worst-1", drawn, picture=b"PNG", deviation='"<'))
+    (box,) = parts.attributes("div")
+    assert (box["data-scene"], box["data-start"]) == ("worst-1", "click")
+    assert box["data-deviation"] == '"<'
+    (data,) = parts.attributes("script")
+    assert data == {"type": "application/octet-stream", "id": "worst-1"}
+    assert parts.texts["script"] == [drawn.text]
+    with pytest.raises(InternalError):
+        viewer.embedded_scene('x"><script>', drawn, picture=b"PNG")
+
+
+def test_what_the_page_holds_is_said():
+    few = "".join(parts_of(pair()).texts["p"])
+    assert "Decimated" not in few and "to within" in few
+    many = "".join(parts_of(pair(), most_faces=6).texts["p"])
+    assert "of 12 faces, the same of both meshes" in many

@@ -7,8 +7,10 @@ import pytest
 from PIL import Image
 
 from msal_cli.analysis import colour_maps as colours
-from msal_cli.view import DARK, LIGHT, Legend, labelled_panels, png_bytes
+from msal_cli.view.image_files import png_bytes
 from msal_cli.view.labels import fitted
+from msal_cli.view.panels import Legend, labelled_panels
+from msal_cli.view.shading import DARK, LIGHT
 
 
 def plain(colour, width=120, height=80):
@@ -32,9 +34,9 @@ def test_columns_make_rows():
 
 
 def test_words_take_the_colours_of_the_style():
-    panels = [(plain(128), "title", ["line"])]
+    panels = [(plain(128, 400), "HILT", ["line"])]
     for style in (LIGHT, DARK):
-        sheet = labelled_panels(panels, style=style, heading="h", footer=["f"])
+        sheet = labelled_panels(panels, style=style, footer=["f"])
         assert tuple(sheet[0, 0]) == style.background
         assert (sheet == style.text).all(axis=2).any()
 
@@ -65,7 +67,7 @@ def test_names_are_drawn_as_data(name, part):
     words, _ = fitted(name, 14, 10_000)
     assert part in words
     assert words.isprintable()
-    labelled_panels([(plain(1), name, [name])], heading=name, footer=[name])
+    labelled_panels([(plain(1), name, [name])], footer=[name])
 
 
 def test_a_long_name_keeps_its_end():

@@ -37,12 +37,14 @@ def records():
 def path(tmp_path_factory):
     every = records()
     vertices, faces = torus()
-    drawn = scene.encoded(Mesh(noisy(vertices, level=0.1), faces), Mesh(vertices, faces))
+    drawn = scene.encode_scene(Mesh(noisy(vertices, level=0.1), faces), Mesh(vertices, faces))
     at = len(HOSTILE_NAMES)
     views = Pictures(jpeg("red"), jpeg("green"), jpeg("blue"))
     gallery = Gallery(
         pictures=dict.fromkeys(range(at, len(every)), views),
-        scenes={at: viewer.embedded_scene("scene0", drawn, description=HOSTILE_NAMES[5])},
+        scenes={
+            at: viewer.embedded_scene("scene0", drawn, picture=b"", description=HOSTILE_NAMES[5])
+        },
         scale=Scale("Deviation", "-1", "1", ("#ff0000", "#ffffff")),
         script=viewer.script(),
         style=viewer.style(),

@@ -29,7 +29,7 @@ def places(header, ticks, low):
 @pytest.mark.parametrize("name", SHAPES)
 def test_positions_come_back_within_the_rounding(name):
     vertices, faces = SHAPES[name]
-    drawn = scene.encoded(Mesh(vertices, faces))
+    drawn = scene.encode_scene(Mesh(vertices, faces))
     header, [(ticks, found)], deviation = decoded(drawn.text)
     assert deviation is None and not drawn.is_decimated
     assert len(found) == len(faces) == drawn.drawn_faces
@@ -44,7 +44,7 @@ def test_a_vertex_keeps_its_number_on_both_sides(shift):
     vertices, faces = torus()
     before, after = noisy(vertices) + shift, vertices + shift
     values = np.arange(float(len(vertices)))
-    drawn = scene.encoded(Mesh(before, faces), Mesh(after, faces), values)
+    drawn = scene.encode_scene(Mesh(before, faces), Mesh(after, faces), values)
     header, [(ticks, found), (moved, same)], deviation = decoded(drawn.text)
     assert header["meshes"][1]["moved"] and same is found
     low = np.minimum(before.min(axis=0), after.min(axis=0))
@@ -60,7 +60,7 @@ def test_a_vertex_keeps_its_number_on_both_sides(shift):
 
 def test_meshes_with_other_faces_stand_side_by_side():
     first, second = Mesh(*torus()), Mesh(*cube())
-    drawn = scene.encoded(first, second, np.arange(8.0))
+    drawn = scene.encode_scene(first, second, np.arange(8.0))
     _, [(_, before), (ticks, after)], deviation = decoded(drawn.text)
     assert (len(before), len(after)) == (len(first.faces), len(second.faces))
     assert len(ticks) == len(deviation) == 8
@@ -72,7 +72,7 @@ def test_both_sides_are_decimated_alike():
     after = Mesh(vertices, faces)
     values = np.arange(float(len(vertices)))
     before = Mesh(noisy(vertices), faces)
-    drawn = scene.encoded(before, after, values, most_faces=1000)
+    drawn = scene.encode_scene(before, after, values, most_faces=1000)
     header, [(ticks, found), (moved, _)], deviation = decoded(drawn.text)
     assert drawn.is_decimated and drawn.drawn_faces == drawn.drawn_after_faces == len(found)
     assert len(found) <= 1000 and drawn.faces == len(faces)
@@ -87,7 +87,7 @@ def test_the_scale_of_colours():
     n = len(mesh.vertices)
 
     def scale(values, **options):
-        return decoded(scene.encoded(mesh, mesh, values, **options).text)[0]["deviation"]
+        return decoded(scene.encode_scene(mesh, mesh, values, **options).text)[0]["deviation"]
 
     signed = scale(np.linspace(-1.0, 3.0, n))
     assert signed["low"] == -signed["high"] and 2.9 < signed["high"] <= 3.0
@@ -103,7 +103,7 @@ def test_the_scale_of_colours():
 
 
 def test_the_start_view_is_told():
-    header, _, _ = decoded(scene.encoded(Mesh(*cube()), view=np.eye(3)).text)
+    header, _, _ = decoded(scene.encode_scene(Mesh(*cube()), view=np.eye(3)).text)
     assert header["view"] == np.eye(3).reshape(-1).tolist()
 
 
@@ -111,6 +111,6 @@ def test_the_start_view_is_told():
 def test_200_000_faces_take_less_than_3_megabytes():
     vertices, faces = torus(500, 200)
     after = Mesh(vertices, faces)
-    drawn = scene.encoded(Mesh(noisy(vertices, level=0.01), faces), after, vertices[:, 0])
+    drawn = scene.encode_scene(Mesh(noisy(vertices, level=0.01), faces), after, vertices[:, 0])
     assert drawn.drawn_faces == 200_000
     assert len(drawn.text) < 3e6

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from msal_cli.view import DARK, LIGHT, automatic_camera, shaded
-from msal_cli.view.camera import framing, turned
+from msal_cli.view.camera import framing, turned, viewed
+from msal_cli.view.shading import DARK, LIGHT, shaded
 from tests.shapes import ball
 
 X, Y, Z = np.eye(3)
@@ -53,7 +53,7 @@ def test_a_face_from_behind_has_another_tone():
 
 def test_a_closed_mesh_wound_inwards_is_shown_like_any_other():
     vertices, faces = ball()
-    camera = automatic_camera(vertices, faces)
+    camera = viewed(vertices, faces)
     images = [shaded(vertices, one, camera, 60, 60).astype(int) for one in (faces, faces[:, ::-1])]
     assert np.abs(images[0] - images[1]).max() <= 1
 

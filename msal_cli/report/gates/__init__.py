@@ -1,8 +1,8 @@
 """Gates: expressions that say when a file's record is not good enough, and what became of them.
 
 ``abs(volume_change) > 1%`` is broken by a file whose volume changed by more than that.  Text is
-parsed by a grammar of our own (``grammar``), its names and units are those of a record's fields
-(``names``), and ``meaning`` holds units against each other before any file is read.
+parsed by ``grammar``, its names and units are those of a record's fields (``quantities``), and
+``evaluation`` compares units with each other before any file is read.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from msal_cli.job.records import GateResult
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping
 
-    from msal_cli.job.records import ComparisonRecord, MeshRecord
+    from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.job.records import MeshRecord
     from msal_cli.report.gates.evaluation import Meaning
     from msal_cli.report.gates.quantities import Quantity
 
@@ -52,17 +53,17 @@ def parsed(
         for what is no comparison, a name that no such record has, or units that do not go together;
         it names the column.
     """
-    from msal_cli.report.gates.evaluation import meaning
-    from msal_cli.report.gates.grammar import names_in, names_tested, tree
+    from msal_cli.report.gates.evaluation import check_units
+    from msal_cli.report.gates.grammar import Expression
     from msal_cli.report.gates.quantities import quantities
 
     known = quantities(kind) if expressions else {}
     gates = []
     for text in expressions:
-        parts = tree(text)
-        found = meaning(text, parts, known, file_unit)
-        named = {name: known[name] for name in names_in(parts)}
-        gates.append(Gate(text, found, named, frozenset(names_tested(parts))))
+        expression = Expression(text)
+        meaning = check_units(expression, known, file_unit)
+        named = {name: known[name] for name in expression.names}
+        gates.append(Gate(text, meaning, named, expression.names_in_known))
     return tuple(gates)
 
 
@@ -107,7 +108,7 @@ def judged(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]:
 
 def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]:
     """The records with the results of the gates, but for those of files that failed or were not
-    dealt with: they are told of by that already."""
+    dealt with: their status says enough."""
     from dataclasses import replace
 
     if not gates:
@@ -121,7 +122,7 @@ def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]
 
 
 def is_any_broken(records: Sequence[MeshRecord] | Sequence[ComparisonRecord]) -> bool:
-    """Whether any record tells of a gate that is broken."""
+    """Whether any record has a broken gate."""
     return any(gate.broken for record in records for gate in record.gates)
 
 

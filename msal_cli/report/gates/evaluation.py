@@ -1,4 +1,4 @@
-"""What a gate expression means: units held against each other first, values put in afterwards.
+"""What a gate expression means: units are compared with each other first, values put in afterwards.
 
 A value that is not known, or cannot be computed, is None and stays so, except that ``and`` and
 ``or`` may be decided without it.
@@ -6,6 +6,7 @@ A value that is not known, or cannot be computed, is None and stays so, except t
 
 from __future__ import annotations
 
+import ast
 import difflib
 import math
 import operator
@@ -15,7 +16,7 @@ from typing import Any
 
 from msal_cli.errors import UsageError
 from msal_cli.job.units import COMPARISONS, in_file_units
-from msal_cli.report.gates.grammar import Tree, refused
+from msal_cli.report.gates.grammar import Expression
 from msal_cli.report.gates.quantities import (
     CONSTANT,
     EDGES,
@@ -33,8 +34,12 @@ from msal_cli.report.gates.quantities import (
 Value = float | bool | None
 Known = Mapping[str, Quantity]
 
-_ADDED: dict[str, Callable[[float, float], float]] = {"+": operator.add, "-": operator.sub}
-_JOINED: dict[str, Callable[..., float]] = {"min": min, "max": max}
+_JOINED: dict[str, Callable[..., float]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "min": min,
+    "max": max,
+}
 _LITERALS = {"": CONSTANT, "%": PERCENT, "e": EDGES}
 _PLAIN = (CONSTANT, NUMBER, QUOTIENT)
 _BARE = (CONSTANT, QUOTIENT)
@@ -54,7 +59,7 @@ class Values:
 
     def raw(self, name: str) -> Value:
         """The value of a name in the unit of its field."""
-        return self._quantities[name].of(self._record)
+        return self._quantities[name].value_in(self._record)
 
     def number(self, name: str) -> Value:
         """The value for computing: counts, too, are floating numbers then."""
@@ -86,7 +91,7 @@ class Meaning:
     value: Callable[[Values], Value]
 
 
-def meaning(text: str, part: Tree, known: Known, file_unit: str | None = None) -> Meaning:
+def check_units(expression: Expression, known: Known, file_unit: str | None = None) -> Meaning:
     """What an expression means; it is true or false, or None where it cannot be decided.
 
     ``file_unit`` is the unit of the files' lengths, such as ``mm``, where it is known.
@@ -96,162 +101,164 @@ def meaning(text: str, part: Tree, known: Known, file_unit: str | None = None) -
     UsageError
         for names that are not known, and for units that do not go together, or cannot be converted.
     """
-    found = _Check(text, known, file_unit).of(part)
-    if found.unit != TRUTH:
+    root = expression.root
+    meaning = _UnitCheck(expression, known, file_unit).meaning(root)
+    if meaning.unit != TRUTH:
         why = "it is a number, and a gate is broken or not"
-        raise refused(text, part.at, why, "compare it, as in 'max_displacement > 0.5e'")
-    return found
+        raise expression.error(root, why, "compare it, as in 'max_displacement > 0.5e'")
+    return meaning
 
 
-class _Check:
-    def __init__(self, text: str, known: Known, file_unit: str | None) -> None:
-        self._text = text
+class _UnitCheck:
+    def __init__(self, expression: Expression, known: Known, file_unit: str | None) -> None:
+        self._expression = expression
+        self._error = expression.error
         self._known = known
         self._file_unit = file_unit
 
-    def of(self, part: Tree) -> Meaning:
-        """The meaning of a part, by its operator."""
-        sign = part.sign
-        if sign == "number":
-            number = float(part.text)
-            if not math.isfinite(number):
-                raise refused(self._text, part.at, "the number is too large")
-            if part.unit not in _LITERALS:
-                return self._length(part)
-            return Meaning(_LITERALS[part.unit], lambda values: number)
-        if sign in ("name", "known"):
-            return self._name(part) if sign == "name" else self._is_known(part)
-        if sign in ("and", "or", "not"):
-            return self._logic(part)
-        if sign in COMPARISONS:
-            return self._comparison(part)
-        if sign in ("*", "/"):
-            return self._product(part)
-        if sign in ("negative", "abs"):
-            inner = self._number(part.parts[0])
-            effect: Callable[[float], float] = operator.neg if sign == "negative" else abs
-            return Meaning(inner.unit, _applied(effect, inner.value))
-        return self._alike(part, _ADDED.get(sign) or _JOINED[sign])
+    def meaning(self, node: ast.expr) -> Meaning:
+        """The meaning of a part; there are no other nodes than these."""
+        sign = self._expression.token(node).text
+        match node:
+            case ast.Constant():
+                return self._number(node)
+            case ast.Name():
+                return self._name(node)
+            case ast.BoolOp(values=parts):
+                values = [self._truth(one, sign).value for one in parts]
+                return Meaning(TRUTH, _join(values, deciding=isinstance(node.op, ast.Or)))
+            case ast.UnaryOp(op=ast.Not(), operand=inner):
+                return Meaning(TRUTH, _apply(operator.not_, self._truth(inner, sign).value))
+            case ast.UnaryOp(op=ast.UAdd(), operand=inner):
+                return self.meaning(inner)
+            case ast.UnaryOp(operand=inner):
+                found = self._quantity(inner)
+                return Meaning(found.unit, _apply(operator.neg, found.value))
+            case ast.Compare(left=left, comparators=[right]):
+                first, second = self._quantity(left), self._quantity(right)
+                _, *values = self._in_common_unit(node, first, second)
+                return Meaning(TRUTH, _apply(COMPARISONS[sign], *values))
+            case ast.BinOp(left=left, right=right) if sign in "*/":
+                return self._product(sign, self._quantity(left), self._quantity(right))
+            case ast.BinOp(left=left, right=right):
+                return self._join_alike(node, [left, right], _JOINED[sign])
+            case ast.Call(args=[part]) if sign == "known":
+                if not isinstance(part, ast.Name):
+                    raise self._error(part, "known takes a name", "as in known(volume_change)")
+                found = self._name(part)
+                return Meaning(TRUTH, lambda values: found.value(values) is not None)
+            case ast.Call(args=[part]) if sign == "abs":
+                found = self._quantity(part)
+                return Meaning(found.unit, _apply(abs, found.value))
+            case ast.Call(args=parts):
+                return self._join_alike(node, parts, _JOINED[sign])
+        raise AssertionError(f"no gate has a node {type(node).__name__}")
 
-    def _name(self, part: Tree) -> Meaning:
-        name = part.text
-        if name not in self._known:
-            raise self._unknown(part)
-        return Meaning(self._known[name].unit, lambda values: values.number(name))
-
-    def _length(self, part: Tree) -> Meaning:
+    def _number(self, node: ast.Constant) -> Meaning:
+        token = self._expression.token(node)
+        number = float(token.text)
+        if not math.isfinite(number):
+            raise self._error(node, "the number is too large")
+        if token.unit in _LITERALS:
+            return Meaning(_LITERALS[token.unit], lambda values: number)
         try:
-            length = in_file_units(part.text, part.unit, self._file_unit)
+            length = in_file_units(token.text, token.unit, self._file_unit)
         except UsageError as error:
-            raise refused(self._text, part.at, error.message, error.hint) from None
+            raise self._error(node, error.message, error.hint) from None
         return Meaning(LENGTH, lambda values: length)
 
-    def _unknown(self, part: Tree) -> UsageError:
-        close = difflib.get_close_matches(part.text, self._known, n=2, cutoff=0.6)
-        inner = sorted(name for name in self._known if name.startswith(part.text + "."))
-        short = ", ".join(name for name in SHORT_NAMES if name in self._known)
+    def _name(self, node: ast.Name) -> Meaning:
+        name = self._expression.token(node).text
+        if name in self._known:
+            return Meaning(self._known[name].unit, lambda values: values.number(name))
+        close = difflib.get_close_matches(name, self._known, n=2, cutoff=0.6)
+        inner = sorted(one for one in self._known if one.startswith(f"{name}."))
+        short = ", ".join(one for one in SHORT_NAMES if one in self._known)
         hint = f"known are {short}, and all other numbers of the report"
         if close or inner:
             hint = f"did you mean {' or '.join(inner[:3] or close)}?"
-        return refused(self._text, part.at, f"no record has a number {part.text!r}", hint)
+        raise self._error(node, f"no record has a number {name!r}", hint)
 
-    def _is_known(self, part: Tree) -> Meaning:
-        (inner,) = part.parts
-        if inner.sign != "name":
-            raise refused(self._text, inner.at, "known takes a name", "as in known(volume_change)")
-        found = self._name(inner)
-        return Meaning(TRUTH, lambda values: found.value(values) is not None)
-
-    def _number(self, part: Tree) -> Meaning:
-        found = self.of(part)
+    def _quantity(self, node: ast.expr) -> Meaning:
+        """The meaning of a part that must be a number."""
+        found = self.meaning(node)
         if found.unit == TRUTH:
-            raise refused(
-                self._text, part.at, "this is true or false, and a number is needed here",
-                "join comparisons with and, or, not",
-            )  # fmt: skip
+            why = "this is true or false, and a number is needed here"
+            raise self._error(node, why, "join comparisons with and, or, not")
         return found
 
-    def _logic(self, part: Tree) -> Meaning:
-        inner = [self.of(one) for one in part.parts]
-        for one, found in zip(part.parts, inner, strict=True):
-            if found.unit != TRUTH:
-                why = f"this is a number, and {part.sign} joins comparisons"
-                raise refused(self._text, one.at, why, "compare it, as in 'flipped_faces > 0'")
-        if part.sign == "not":
-            return Meaning(TRUTH, _applied(operator.not_, inner[0].value))
-        deciding = part.sign == "or"
-        return Meaning(TRUTH, _either(inner[0].value, inner[1].value, deciding))
+    def _truth(self, node: ast.expr, sign: str) -> Meaning:
+        """The meaning of a part that must be true or false."""
+        found = self.meaning(node)
+        if found.unit != TRUTH:
+            why = f"this is a number, and {sign} joins comparisons"
+            raise self._error(node, why, "compare it, as in 'flipped_faces > 0'")
+        return found
 
-    def _comparison(self, part: Tree) -> Meaning:
-        left, right = self._number(part.parts[0]), self._number(part.parts[1])
-        _, first, second = self._common(part, left, right)
-        return Meaning(TRUTH, _applied(COMPARISONS[part.sign], first, second))
-
-    def _alike(self, part: Tree, effect: Callable[..., float]) -> Meaning:
+    def _join_alike(
+        self, node: ast.expr, parts: list[ast.expr], effect: Callable[..., float]
+    ) -> Meaning:
         """Sums, and the least and greatest of several."""
-        total = self._number(part.parts[0])
-        for one in part.parts[1:]:
-            unit, first, second = self._common(part, total, self._number(one))
-            total = Meaning(unit, _applied(effect, first, second))
+        total = self._quantity(parts[0])
+        for part in parts[1:]:
+            unit, first, second = self._in_common_unit(node, total, self._quantity(part))
+            total = Meaning(unit, _apply(effect, first, second))
         return total
 
-    def _common(
-        self, part: Tree, left: Meaning, right: Meaning
+    def _in_common_unit(
+        self, node: ast.expr, left: Meaning, right: Meaning
     ) -> tuple[Unit, Callable[[Values], Value], Callable[[Values], Value]]:
         """One unit for two values, and both in it."""
-        for one, other, is_turned in ((left, right, False), (right, left, True)):
-            way = self._way(part, one, other.unit)
-            if way is not None:
-                pair = (other.value, way) if is_turned else (way, other.value)
-                return other.unit, *pair
-        raise refused(
-            self._text,
-            part.at,
-            f"{_said(left.unit)} and {_said(right.unit)} do not go together",
+        if (converted := self._convert(node, left, right.unit)) is not None:
+            return right.unit, converted, right.value
+        if (converted := self._convert(node, right, left.unit)) is not None:
+            return left.unit, left.value, converted
+        raise self._error(
+            node,
+            f"{_describe(left.unit)} and {_describe(right.unit)} do not go together",
             "% is for relative changes, e (mean edge lengths) for lengths",
         )
 
-    def _way(self, part: Tree, one: Meaning, unit: Unit) -> Callable[[Values], Value] | None:
-        """``one`` in another unit; None if there is no way."""
-        if one.unit == unit:
-            return one.value
+    def _convert(
+        self, node: ast.expr, one: Meaning, unit: Unit
+    ) -> Callable[[Values], Value] | None:
+        """``one`` in another unit; None if it cannot be converted."""
         if one.unit == CONSTANT and unit == RELATIVE and one.value(_NO_VALUES) != 0.0:
-            raise refused(
-                self._text, part.at, "a relative change is compared with a number without a unit",
-                "write 1% for one part in a hundred",
-            )  # fmt: skip
-        if one.unit == CONSTANT or (one.unit in _PLAIN and unit in (NUMBER, QUOTIENT)):
-            return one.value
-        if one.unit in _PERCENTS and unit in _PERCENTS:
-            return one.value
+            why = "a relative change is compared with a number without a unit"
+            raise self._error(node, why, "write 1% for one part in a hundred")
         if one.unit == QUOTIENT and unit in _PERCENTS:
-            return _applied(lambda value: 100.0 * value, one.value)
+            return _apply(lambda value: 100.0 * value, one.value)
         if one.unit == EDGES and unit == LENGTH:
-            return _applied(operator.mul, one.value, _mean_edge_length)
-        return None
+            return _to_file_units(one)
+        is_same = (
+            one.unit in (unit, CONSTANT)
+            or (one.unit in _PLAIN and unit in (NUMBER, QUOTIENT))
+            or (one.unit in _PERCENTS and unit in _PERCENTS)
+        )
+        return one.value if is_same else None
 
-    def _product(self, part: Tree) -> Meaning:
-        left, right = self._number(part.parts[0]), self._number(part.parts[1])
+    def _product(self, sign: str, left: Meaning, right: Meaning) -> Meaning:
         # Twice a percentage is a percentage, and a percentage of anything else is a part of it.
-        is_kept = left.unit in _BARE and part.sign == "*"
-        first = left if right.unit in _BARE else _reduced(left)
-        second = right if is_kept else _reduced(right)
-        effect = operator.mul if part.sign == "*" else _divided
-        unit = _of_product(first.unit, second.unit, part.sign)
-        return Meaning(unit, _applied(effect, first.value, second.value))
+        is_multiple = left.unit in _BARE and sign == "*"
+        first = left if right.unit in _BARE else _to_base_unit(left)
+        second = right if is_multiple else _to_base_unit(right)
+        effect = operator.mul if sign == "*" else _divide
+        unit = _unit_of_product(first.unit, second.unit, sign)
+        return Meaning(unit, _apply(effect, first.value, second.value))
 
 
-def _reduced(one: Meaning) -> Meaning:
+def _to_base_unit(one: Meaning) -> Meaning:
     """A percentage as a number, mean edge lengths in file units, all else as it is."""
     if one.unit in _PERCENTS:
-        return Meaning(QUOTIENT, _applied(lambda value: value / 100.0, one.value))
-    if one.unit == EDGES:
-        return Meaning(LENGTH, _applied(operator.mul, one.value, _mean_edge_length))
-    return one
+        return Meaning(QUOTIENT, _apply(lambda value: value / 100.0, one.value))
+    return Meaning(LENGTH, _to_file_units(one)) if one.unit == EDGES else one
 
 
-def _of_product(left: Unit, right: Unit, sign: str) -> Unit:
-    """The unit of a product or quotient."""
+def _to_file_units(one: Meaning) -> Callable[[Values], Value]:
+    return _apply(operator.mul, one.value, lambda values: values.mean_edge_length)
+
+
+def _unit_of_product(left: Unit, right: Unit, sign: str) -> Unit:
     if "length" in (left.kind, right.kind):
         power = left.power + (right.power if sign == "*" else -right.power)
         return Unit("length", power) if power else QUOTIENT
@@ -263,7 +270,7 @@ def _of_product(left: Unit, right: Unit, sign: str) -> Unit:
     return NUMBER if NUMBER in (left, right) else QUOTIENT
 
 
-def _applied(effect: Callable[..., Any], *inner: Callable[[Values], Value]) -> Callable[..., Value]:
+def _apply(effect: Callable[..., Any], *inner: Callable[[Values], Value]) -> Callable[..., Value]:
     """``effect`` over several values; None if one is not known, or the result is not finite."""
 
     def value(values: Values) -> Value:
@@ -276,13 +283,11 @@ def _applied(effect: Callable[..., Any], *inner: Callable[[Values], Value]) -> C
     return value
 
 
-def _either(
-    first: Callable[[Values], Value], second: Callable[[Values], Value], deciding: bool
-) -> Callable[[Values], Value]:
+def _join(inner: list[Callable[[Values], Value]], deciding: bool) -> Callable[[Values], Value]:
     """``or``, if True is deciding, or ``and``: one value that decides is enough."""
 
     def value(values: Values) -> Value:
-        found = (first(values), second(values))
+        found = [one(values) for one in inner]
         if deciding in found:
             return deciding
         return None if None in found else not deciding
@@ -290,17 +295,12 @@ def _either(
     return value
 
 
-def _divided(value: float, by: float) -> Value:
+def _divide(value: float, by: float) -> Value:
     return value / by if by else None
 
 
-def _mean_edge_length(values: Values) -> Value:
-    return values.mean_edge_length
-
-
-def _said(unit: Unit) -> str:
-    powers = {2: "an area", 3: "a volume"}
-    words = {"percent": "a percentage", "relative": "a percentage", "edges": "a length"}
+def _describe(unit: Unit) -> str:
     if unit.kind == "length":
-        return powers.get(unit.power, "a length")
+        return {2: "an area", 3: "a volume"}.get(unit.power, "a length")
+    words = {"percent": "a percentage", "relative": "a percentage", "edges": "a length"}
     return words.get(unit.kind, "a plain number")

@@ -1,32 +1,29 @@
-"""The grammar of gate expressions: text in, tree out.
+"""Gate expressions: Python's operators over numbers with units, names of figures, four functions.
 
-or       and { "or" and }
-and      not { "and" not }
-not      { "not" } comparison
-compared sum [ ("<" | "<=" | ">" | ">=" | "==" | "!=") sum ]
-sum      product { ("+" | "-") product }
-product  signed { ("*" | "/") signed }
-signed   { "+" | "-" } atom
-atom     number [ "%" | "e" | unit of length ] | name | function "(" or { "," or } ")" | "(" or ")"
+Text is cut into tokens, which are checked one after the other, so that an error names the column
+of the first that is out of place.  ``ast`` then knows what binds how; it sees ``1`` for each
+number and ``x`` for each name, and nothing of the text itself.
 """
 
 from __future__ import annotations
 
+import ast
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from msal_cli.errors import UsageError
 from msal_cli.job.units import UNIT_PATTERN
 
 LONGEST = 300
-"""Characters of an expression; a tree is at most half as high."""
+"""Characters of an expression, which bounds how high its syntax tree can be."""
 
 _DEEPEST = 20
 _FUNCTIONS = {"abs": (1, 1), "min": (1, 9), "max": (1, 9), "known": (1, 1)}
-_WORDS = ("and", "or", "not")
 _COMPARISONS = ("<=", ">=", "==", "!=", "<", ">")
+_OPERATORS = (*_COMPARISONS, "+", "-", "*", "/", "and", "or")
 _HINT = "write what breaks the gate, such as 'abs(volume_change) > 1%'; see docs/gates.md"
+_HINTS = {"=": "equal is ==", "&": "write and", "|": "write or", "!": "write not, or != "}
 
 # An e that no digits follow is the unit of mean edge lengths, else an exponent.
 _TOKEN = re.compile(
@@ -36,194 +33,155 @@ _TOKEN = re.compile(
 
 
 @dataclass(frozen=True)
-class Tree:
-    """A part of an expression.
+class Token:
+    """A ``number``, a ``name``, a ``sign`` (and, or, not too), a ``function`` or the ``end``.
 
-    Attributes
-    ----------
-    sign : ``number``, ``name``, an operator, ``negative`` or the name of a function.
-    at : its column, from 1.
-    parts : what the operator or function applies to.
-    text : of a name or a number.
-    unit : of a number: ``%``, ``e``, a unit of length or none.
+    ``at`` is its column, from 1; ``unit`` is that of a number: ``%``, ``e``, of length, or none.
     """
 
-    sign: str
-    at: int
-    parts: tuple[Tree, ...] = ()
-    text: str = ""
-    unit: str = ""
-
-
-@dataclass(frozen=True)
-class _Token:
     kind: str
     text: str
     at: int
     unit: str = ""
 
 
-def refused(text: str, at: int, why: str, hint: str = _HINT) -> UsageError:
+class Expression:
+    """The syntax tree of an expression, and the tokens behind its nodes.
+
+    Raises
+    ------
+    UsageError
+        for what is no expression; it names the column.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        if len(text) > LONGEST:
+            why = f"it is longer than {LONGEST} characters"
+            raise syntax_error(text[:40] + "...", LONGEST, why)
+        tokens = list(_read_tokens(text))
+        _check_order(text, tokens)
+        self._tokens: dict[int, Token] = {}
+        source = ""
+        for token in tokens:
+            self._tokens[len(source)] = token
+            source += {"number": "1", "name": "x", "function": "x"}.get(
+                token.kind, token.text
+            ) + " "
+        self.root = ast.parse(source.strip(), mode="eval").body
+
+    def token(self, node: ast.expr) -> Token:
+        """The token of a node: its number, name, function or (of several the last) operator."""
+        match node:
+            case (
+                ast.BinOp(left=first, right=second)
+                | ast.Compare(left=first, comparators=[*_, second])
+            ):
+                pass
+            case ast.BoolOp(values=[*_, first, second]):
+                pass
+            case ast.UnaryOp(op=ast.UAdd(), operand=inner):
+                return self.token(inner)
+            case _:
+                return self._tokens[node.col_offset]
+        # Beside the operator there can be parentheses between the two.
+        return next(
+            token
+            for place, token in self._tokens.items()
+            if (first.end_col_offset or 0) <= place < second.col_offset and token.text not in "()"
+        )
+
+    def error(self, node: ast.expr, why: str, hint: str = _HINT) -> UsageError:
+        """The error for a node that means nothing."""
+        return syntax_error(self.text, self.token(node).at, why, hint)
+
+    @property
+    def names(self) -> list[str]:
+        """The names in the expression, each once, in the order in which it has them."""
+        return list(dict.fromkeys(one.text for one in self._tokens.values() if one.kind == "name"))
+
+    @property
+    def names_in_known(self) -> frozenset[str]:
+        """The names of which the expression asks whether they are known."""
+        return frozenset(
+            self.token(node.args[0]).text
+            for node in ast.walk(self.root)
+            if isinstance(node, ast.Call) and self.token(node).text == "known"
+        )
+
+
+def syntax_error(text: str, at: int, why: str, hint: str = _HINT) -> UsageError:
     """The error for an expression that means nothing, at a column from 1."""
     return UsageError(f"the gate {text!r}, column {at}: {why}", hint=hint)
 
 
-def tree(text: str) -> Tree:
-    """The tree of an expression; UsageError if it is none."""
-    if len(text) > LONGEST:
-        raise refused(text[:40] + "...", LONGEST, f"it is longer than {LONGEST} characters")
-    reader = _Reader(text)
-    found = reader.either()
-    reader.end()
-    return found
-
-
-def names_in(part: Tree) -> list[str]:
-    """The names in an expression, each once, in the order in which it has them."""
-    found = [part.text] if part.sign == "name" else []
-    for inner in part.parts:
-        found += names_in(inner)
-    return list(dict.fromkeys(found))
-
-
-def names_tested(part: Tree) -> set[str]:
-    """The names of which an expression asks whether they are known."""
-    if part.sign == "known":
-        return set(names_in(part))
-    return set().union(*map(names_tested, part.parts))
-
-
-def _tokens(text: str) -> Iterator[_Token]:
+def _read_tokens(text: str) -> Iterator[Token]:
     at = 0
     while text[at:].strip():
         match = _TOKEN.match(text, at)
         if match is None:
             at += len(text[at:]) - len(text[at:].lstrip())
-            raise refused(text, at + 1, f"{text[at]!r} means nothing here", _hint_for(text[at]))
-        kind = str(match.lastgroup if match.lastgroup != "unit" else "number")
-        yield _Token(kind, match[kind], match.start(kind) + 1, match["unit"] or "")
+            why = f"{text[at]!r} means nothing here"
+            raise syntax_error(text, at + 1, why, _HINTS.get(text[at], _HINT))
         at = match.end()
-    yield _Token("end", "", len(text) + 1)
+        kind = next(one for one in ("number", "name", "sign") if match[one])
+        word, column = match[kind], match.start(kind) + 1
+        if word in ("and", "or", "not"):
+            kind = "sign"
+        elif kind == "name" and text[at:].lstrip().startswith("("):
+            kind = "function"
+        yield Token(kind, word, column, match["unit"] or "")
+    yield Token("end", "", len(text) + 1)
 
 
-def _hint_for(sign: str) -> str:
-    others = {"=": "equal is ==", "&": "write and", "|": "write or", "!": "write not, or != "}
-    return others.get(sign, _HINT)
+def _check_order(text: str, tokens: list[Token]) -> None:
+    """Refuse tokens that cannot follow one another, unknown functions, parentheses that do not
+    match, and chains of comparisons."""
+    # For each open parenthesis: its function or None, values so far, whether values are compared.
+    levels: list[tuple[Token | None, int, bool]] = [(None, 1, False)]
+    before = Token("sign", "(", 0)
+    for token in tokens:
+        sign = token.text if token.kind == "sign" else ""
+        is_after_value = before.kind in ("number", "name") or before.text == ")"
+        function, count, is_compared = levels[-1]
+        if is_after_value:
+            fits = sign in _OPERATORS or (sign == ")" and len(levels) > 1)
+            fits = fits or (sign == "," and function is not None)
+            fits = fits or (token.kind == "end" and len(levels) == 1)
+        elif before.kind == "function":
+            fits = True
+        else:
+            fits = token.kind in ("number", "name", "function") or sign in ("(", "+", "-")
+            fits = fits or (sign == "not" and before.text in ("(", ",", "and", "or", "not"))
+        if not fits:
+            what = "it ends too early" if token.kind == "end" else f"{token.text!r} is out of place"
+            missing = "')' is missing, " if is_after_value and len(levels) > 1 else ""
+            raise syntax_error(text, token.at, missing + what)
+        if token.kind == "function" and token.text not in _FUNCTIONS:
+            why = f"there is no function {token.text}"
+            raise syntax_error(text, token.at, why, f"known are: {', '.join(_FUNCTIONS)}")
+        if sign == "(":
+            if len(levels) > _DEEPEST:
+                why = f"parentheses go deeper than {_DEEPEST} levels"
+                raise syntax_error(text, token.at + 1, why)
+            levels.append((before if before.kind == "function" else None, 1, False))
+        elif sign == ")":
+            _check_count(text, *levels.pop()[:2])
+        elif sign == ",":
+            levels[-1] = function, count + 1, False
+        elif sign in _COMPARISONS:
+            if is_compared:
+                hint = "join two comparisons with and"
+                raise syntax_error(text, token.at, "it compares a third time", hint)
+            levels[-1] = function, count, True
+        elif sign in ("and", "or"):
+            levels[-1] = function, count, False
+        before = token
 
 
-class _Reader:
-    """One pass over the tokens, one method for each line of the grammar."""
-
-    def __init__(self, text: str) -> None:
-        self._text = text
-        self._tokens = list(_tokens(text))
-        self._next = 0
-        self._depth = 0
-
-    def either(self) -> Tree:
-        return self._chained(("or",), lambda: self._chained(("and",), self._negated))
-
-    def end(self) -> None:
-        token = self._token()
-        if token.kind != "end":
-            raise self._surprised(token)
-
-    def _negated(self) -> Tree:
-        signs = []
-        while self._is_next("not"):
-            signs.append(self._taken().at)
-        found = self._compared()
-        return Tree("not", signs[0], (found,)) if len(signs) % 2 else found
-
-    def _compared(self) -> Tree:
-        left = self._sum()
-        if not self._is_next(*_COMPARISONS):
-            return left
-        sign = self._taken()
-        right = self._sum()
-        if self._is_next(*_COMPARISONS):
-            at = self._token().at
-            raise refused(
-                self._text, at, "it compares a third time", "join two comparisons with and"
-            )
-        return Tree(sign.text, sign.at, (left, right))
-
-    def _sum(self) -> Tree:
-        return self._chained(("+", "-"), lambda: self._chained(("*", "/"), self._signed))
-
-    def _signed(self) -> Tree:
-        signs = []
-        while self._is_next("+", "-"):
-            signs.append(self._taken())
-        found = self._atom()
-        is_negative = sum(one.text == "-" for one in signs) % 2
-        return Tree("negative", signs[0].at, (found,)) if is_negative else found
-
-    def _atom(self) -> Tree:
-        token = self._taken()
-        if token.kind == "number":
-            return Tree("number", token.at, text=token.text, unit=token.unit)
-        if token.text == "(":
-            found = self._inside()
-            self._expect(")")
-            return found
-        if token.kind != "name" or token.text in _WORDS:
-            raise self._surprised(token)
-        if not self._is_next("("):
-            return Tree("name", token.at, text=token.text)
-        return self._called(token)
-
-    def _called(self, function: _Token) -> Tree:
-        if function.text not in _FUNCTIONS:
-            known = ", ".join(_FUNCTIONS)
-            why = f"there is no function {function.text}"
-            raise refused(self._text, function.at, why, f"known are: {known}")
-        self._expect("(")
-        parts = [self._inside()]
-        while self._is_next(","):
-            self._taken()
-            parts.append(self._inside())
-        self._expect(")")
+def _check_count(text: str, function: Token | None, count: int) -> None:
+    if function is not None:
         least, most = _FUNCTIONS[function.text]
-        if not least <= len(parts) <= most:
+        if not least <= count <= most:
             many = "one value" if most == 1 else f"{least} to {most} values"
-            raise refused(self._text, function.at, f"{function.text} takes {many}")
-        return Tree(function.text, function.at, tuple(parts))
-
-    def _inside(self) -> Tree:
-        self._depth += 1
-        if self._depth > _DEEPEST:
-            raise refused(
-                self._text, self._token().at, f"parentheses go deeper than {_DEEPEST} levels"
-            )
-        found = self.either()
-        self._depth -= 1
-        return found
-
-    def _chained(self, signs: tuple[str, ...], part: Callable[[], Tree]) -> Tree:
-        found = part()
-        while self._is_next(*signs):
-            sign = self._taken()
-            found = Tree(sign.text, sign.at, (found, part()))
-        return found
-
-    def _token(self) -> _Token:
-        return self._tokens[self._next]
-
-    def _taken(self) -> _Token:
-        token = self._token()
-        self._next = min(self._next + 1, len(self._tokens) - 1)
-        return token
-
-    def _is_next(self, *texts: str) -> bool:
-        token = self._token()
-        return token.kind in ("sign", "name") and token.text in texts
-
-    def _expect(self, text: str) -> None:
-        token = self._taken()
-        if token.text != text:
-            raise self._surprised(token, f"{text!r} is missing")
-
-    def _surprised(self, token: _Token, why: str = "") -> UsageError:
-        what = "it ends too early" if token.kind == "end" else f"{token.text!r} is out of place"
-        return refused(self._text, token.at, ", ".join(filter(None, (why, what))))
+            raise syntax_error(text, function.at, f"{function.text} takes {many}")

@@ -10,6 +10,8 @@ from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from msal_cli.job.plain_data import value_at
+
 Kind = Literal["truth", "constant", "number", "quotient", "percent", "relative", "edges", "length"]
 
 
@@ -17,8 +19,8 @@ Kind = Literal["truth", "constant", "number", "quotient", "percent", "relative",
 class Unit:
     """What a number is.
 
-    ``constant`` is a number that stands in the expression, ``number`` one that is counted or in a
-    unit which the name tells (degrees, seconds), ``quotient`` one of two alike.  ``percent`` and
+    ``constant`` is a number in the expression, ``number`` one that is counted or in a
+    unit which the name says (degrees, seconds), ``quotient`` one of two alike.  ``percent`` and
     ``relative`` are in percent, and a bare number means percent beside the first and nothing beside
     the second.  ``edges`` is in mean edge lengths, ``length`` in file units to a ``power``.
     """
@@ -27,18 +29,9 @@ class Unit:
     power: int = 0
 
 
-TRUTH, CONSTANT, NUMBER, QUOTIENT = (
-    Unit("truth"),
-    Unit("constant"),
-    Unit("number"),
-    Unit("quotient"),
-)
-PERCENT, RELATIVE, EDGES, LENGTH = (
-    Unit("percent"),
-    Unit("relative"),
-    Unit("edges"),
-    Unit("length", 1),
-)
+TRUTH, CONSTANT, NUMBER = Unit("truth"), Unit("constant"), Unit("number")
+QUOTIENT, PERCENT, RELATIVE = Unit("quotient"), Unit("percent"), Unit("relative")
+EDGES, LENGTH = Unit("edges"), Unit("length", 1)
 
 SHORT_NAMES: dict[str, tuple[tuple[str, ...], Unit | None]] = {
     "volume_change": (("volume.change_percent", "volume_change_percent"), RELATIVE),
@@ -74,12 +67,13 @@ class Quantity:
     fields: tuple[str, ...]
     unit: Unit
 
-    def of(self, record: Any) -> float | bool | None:
+    def value_in(self, record: Any) -> float | bool | None:
         """The value in a record; None if it is not known there."""
         for path in self.fields:
-            value = _value(record, path)
+            value = value_at(record, path)
             if value is not None and value - value == 0.0:
-                return value
+                number: float | bool = value
+                return number
         return None
 
     @property
@@ -149,11 +143,3 @@ def _unit(path: str) -> Unit:
     if group in _POWERS:
         return Unit("length", _POWERS[group])
     return NUMBER
-
-
-def _value(record: Any, path: str) -> float | bool | None:
-    for name in path.split("."):
-        if record is None:
-            return None
-        record = getattr(record, name)
-    return typing.cast("float | bool | None", record)

@@ -8,11 +8,10 @@ import typing
 import pytest
 
 from msal_cli.errors import UsageError
-from msal_cli.job import records
+from msal_cli.job.plain_data import as_data, from_data
 from msal_cli.job.records import Area, MeshRecord, NormalChange, Reference, Volume
 from msal_cli.report.gates import judged, parsed, refuse_without_reference, with_gates
 from msal_cli.report.gates.quantities import EDGES, LENGTH, NUMBER, PERCENT, SHORT_NAMES, quantities
-from msal_cli.report.schema import DESCRIPTIONS
 from tests.report.made import failed, written
 
 # Volume 10 -> 9.9734 (-0.266 %), displacement 0.1 to 0.4, which is 1 to 4 mean edge lengths.
@@ -204,7 +203,7 @@ def test_values_have_the_units_of_their_fields_and_words():
 def test_results_go_through_reports():
     (one,) = with_gates(parsed(["volume.valid", "seam_gap > 1e"], MeshRecord), [CLOSED])
     assert len(one.gates) == 2
-    assert records.from_data(MeshRecord, records.as_data(one)) == one
+    assert from_data(MeshRecord, as_data(one)) == one
 
 
 def test_only_files_with_an_output_are_judged():
@@ -218,7 +217,7 @@ def test_units_of_fields_are_those_that_the_schema_tells():
     """A new field gets a unit by its name; this tells if that is not what its description says."""
     hints = typing.get_type_hints(MeshRecord)
     owners = {
-        one.name: part.__name__
+        one.name: part
         for one in dataclasses.fields(MeshRecord)
         for part in typing.get_args(hints[one.name])
         if dataclasses.is_dataclass(part)
@@ -226,8 +225,10 @@ def test_units_of_fields_are_those_that_the_schema_tells():
     n_lengths = 0
     for name, quantity in quantities(MeshRecord).items():
         group, _, field = name.rpartition(".")
-        owner = owners.get(group, "MeshRecord")
-        text = DESCRIPTIONS.get(f"{owner}.{field}")
+        described = {
+            one.name: one.metadata for one in dataclasses.fields(owners.get(group, MeshRecord))
+        }
+        text = described.get(field, {}).get("description")
         if name in SHORT_NAMES or text is None:
             continue
         if "percent" in text.partition(" of ")[0]:

@@ -1,0 +1,206 @@
+"""Records in words: the phrases that several reports share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from msal_cli.job.display_names import figure, shown
+from msal_cli.job.records import (
+    ChoiceMade,
+    Failure,
+    GateResult,
+    MeshRecord,
+    NoiseEstimate,
+    Reference,
+    RunnerUp,
+    SelfIntersections,
+)
+
+Tone = Literal["plain", "good", "bad", "faint"]
+
+IMPULSIVE_TAIL = 0.02
+"""Share of outlying vertices from which noise is called impulsive; Gaussian noise has 0.01."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of text and how it may be coloured."""
+
+    text: str
+    tone: Tone = "plain"
+
+
+# Figures
+
+
+def counted(number: int | None, one: str, several: str = "") -> str:
+    """``1 file``, ``1,200 files``; empty for None."""
+    if number is None:
+        return ""
+    return f"{number:,} {one if number == 1 else several or one + 's'}"
+
+
+def percent_text(percent: float | None) -> str:
+    """``-0.266 %``, with its sign; empty for None."""
+    if percent is None:
+        return ""
+    return f"{percent:+.3f} %" if abs(percent) < 10.0 else f"{percent:+.1f} %"
+
+
+def rate_text(per_second: float | None) -> str:
+    """A rate to three digits: ``1,230,000``; empty for None."""
+    return "" if per_second is None else f"{float(f'{per_second:.3g}'):,.0f}"
+
+
+def seconds_text(seconds: float) -> str:
+    """``0.42 s``, ``3 min 05 s`` or ``2 h 10 min``."""
+    if seconds < 99.95:
+        return f"{seconds:.2f} s" if seconds < 10.0 else f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest:02d} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+# Runs, files and failures
+
+
+def command_text(command: Sequence[str], most: int) -> str:
+    """A command line as a shell takes it, cut after ``most`` characters."""
+    import shlex
+
+    text = shlex.join(command)
+    return text if len(text) <= most else f"{text[:most]} ..."
+
+
+def file_name(name: str) -> str:
+    """A file's name for people; ``-`` is where a stream comes from."""
+    return "standard input" if name == "-" else shown(name)
+
+
+def reason(where: str, message: str, code: str) -> str:
+    """Why something failed, in one line: ``vertex 17: position is not finite (E_NONFINITE)``."""
+    place = f"{shown(where)}: " if where else ""
+    return f"{place}{shown(message)}" + (f" ({shown(code)})" if code else "")
+
+
+def failure_text(failure: Failure, *, with_code: bool = True) -> str:
+    """Why something failed; see ``reason``."""
+    return reason(failure.where, failure.message, failure.code if with_code else "")
+
+
+def failure_texts(name: str, failure: Failure | None) -> list[str]:
+    """Why a file failed, and what to do about it; nothing if it did not fail."""
+    if failure is None:
+        return []
+    hint = [f"hint: {shown(failure.hint)}"] if failure.hint else []
+    return [f"{name}: {failure_text(failure)}", *hint]
+
+
+def failure_lines(name: str, failure: Failure | None, indent: str = "") -> list[Line]:
+    """``failure_texts`` as lines."""
+    texts = failure_texts(name, failure)
+    lines = [Line(f"{indent}{text}", "bad") for text in texts[:1]]
+    return lines + [Line(f"{indent}  {text}") for text in texts[1:]]
+
+
+def gate_text(gate: GateResult) -> str:
+    """``broken: max_displacement > 0.5e (max_displacement is 0.0123 (0.62e))``."""
+    word = "held" if not gate.broken else "broken" if gate.decided else "not decided"
+    return f"{word}: {shown(gate.expression)} ({shown(gate.reason)})"
+
+
+# Meshes
+
+
+def vertices_text(vertices: int | None, corners: int | None) -> str:
+    """``6,720 vertices (of 40,320 corners)``: corners where the file stores these (STL)."""
+    beside = f" (of {corners:,} corners)" if corners is not None else ""
+    return counted(vertices, "vertex", "vertices") + beside
+
+
+def storage_text(record: MeshRecord) -> str:
+    """``ply binary_little_endian float32``."""
+    return " ".join(one for one in (record.format, record.encoding, record.precision) if one)
+
+
+def defects_text(record: MeshRecord) -> str:
+    """What is wrong with a mesh, as counts; empty if nothing is."""
+    counts = (
+        counted(record.boundary_edges or None, "boundary edge"),
+        counted(record.non_manifold_edges or None, "non-manifold edge"),
+        counted(record.inconsistent_edges or None, "edge between faces of opposite winding",
+                "edges between faces of opposite winding"),
+        counted(record.degenerate_faces or None, "degenerate face"),
+        counted(record.duplicate_faces or None, "duplicate face"),
+        counted(record.unreferenced_vertices or None, "unreferenced vertex",
+                "unreferenced vertices"),
+        "inside out" if record.inside_out else "",
+    )  # fmt: skip
+    return ", ".join(filter(None, counts))
+
+
+def despiked_text(despiked: int) -> str:
+    """``12 outlier vertices brought back``."""
+    return counted(despiked, "outlier vertex", "outlier vertices") + " brought back"
+
+
+def self_intersections_text(one: SelfIntersections) -> str:
+    """``164 -> 145 pairs of faces, 101 of them new``."""
+    new = "" if one.created is None else f", {one.created:,} of them new"
+    return f"{one.before:,} -> {one.after:,} pairs of faces{new}"
+
+
+def reference_text(one: Reference) -> str:
+    """How far an output is from its reference."""
+    parts = (
+        ("normals", figure(one.mean_angular_error_deg, ".2f", " degrees off in the mean")),
+        ("vertices", figure(one.vertex_error_percent, ".3g", " % of the mean edge length")),
+        ("Hausdorff", figure(one.hausdorff_edges, ".3g", " mean edge lengths")),
+    )
+    return ", ".join(f"{word} {text}" for word, text in parts if text) or "nothing can be told"
+
+
+def noise_texts(noise: NoiseEstimate) -> list[str]:
+    """What is estimated of a mesh's noise: the level, then what is peculiar about it."""
+    level = f"{noise.mean_edges:.3g} mean edge lengths"
+    if noise.low_edges is not None and noise.high_edges is not None:
+        level += f", {noise.low_edges:.2g} to {noise.high_edges:.2g}"
+    level += f" ({noise.file_units:.3g} in file units)"
+    if noise.negligible:
+        return [f"{level}: none to speak of"]
+    texts = [level]
+    if noise.words and noise.confidence is not None:
+        texts.append(f"{noise.words} ({100.0 * noise.confidence:.0f} % sure: {noise.basis})")
+    is_uneven = noise.uneven and noise.kind != "uneven"
+    if is_uneven and noise.lowest_edges is not None and noise.highest_edges is not None:
+        texts.append(f"uneven: {noise.lowest_edges:.2g} to {noise.highest_edges:.2g} by region")
+    stand_out, rms = noise.tail, noise.rms_edges
+    if stand_out is not None and rms is not None and stand_out >= IMPULSIVE_TAIL:
+        texts.append(
+            f"impulsive: {100.0 * stand_out:.1f} % of the vertices stand out; with them "
+            f"{rms:.3g} mean edge lengths"
+        )
+    return texts
+
+
+# What --auto chose
+
+
+def by_hand(choice: ChoiceMade) -> str:
+    """The options that repeat a choice, as a shell takes them."""
+    import shlex
+
+    return shown(shlex.join(choice.repeat))
+
+
+def runners_up_text(several: tuple[RunnerUp, ...]) -> str:
+    """What was nearly chosen: ``AL, 3 sweeps (risk 0.072 e), MSAL, 2 sweeps (risk 0.08 e)``."""
+    return ", ".join(f"{shown(one.label)} (risk {one.risk_edges:.2g} e)" for one in several)
+
+
+def chosen_text(chosen: Mapping[str, int]) -> str:
+    """What --auto chose, and how often: ``msal 12, bilateral_normal 5, none 3``."""
+    return ", ".join(f"{shown(name)} {count:,}" for name, count in chosen.items())
