@@ -200,7 +200,7 @@ def small(monkeypatch):
     monkeypatch.setattr(accuracy, "grid", lambda coarse=False: SETTINGS)
     monkeypatch.setattr(accuracy, "defaults", lambda: SETTINGS[:1])
     monkeypatch.setattr(accuracy_outcomes, "run_setting", counted)
-    monkeypatch.setattr(accuracy_outcomes, "chosen", chosen)
+    monkeypatch.setattr(accuracy_outcomes, "choose_method", chosen)
     return ran
 
 

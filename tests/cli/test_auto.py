@@ -474,11 +474,11 @@ def slow_to_choose(tmp_path):
         "import time\n"
         "from pathlib import Path\n"
         "from msal_cli.auto import search\n"
-        "def chosen(mesh, wishes, on_step=None):\n"
+        "def slow_search(mesh, wishes, on_step=None):\n"
         f"    Path({str(begun)!r}).touch()\n"
         "    for at in range(600):\n"
         "        time.sleep(0.1)\n"
-        "search.chosen = chosen\n"
+        "search.search = slow_search\n"
     )
     root = str(Path(__file__).resolve().parents[2])
     return {"PYTHONPATH": os.pathsep.join([str(patch), root])}, begun

@@ -77,7 +77,7 @@ def test_memory_is_set_aside_for_choosing(tmp_path):
 
 @pytest.mark.parametrize("strength", [-2.0, 0.0, 2.0])
 def test_what_is_chosen_is_one_of_the_methods_that_memory_is_set_aside_for(mesh, strength):
-    choice = selection.choose(mesh, selection.Wishes(strength=strength))
+    choice = selection.choose_method(mesh, selection.Wishes(strength=strength))
     assert choice.method in (*selection.METHODS, selection.NONE)
     assert set(selection.METHODS) <= set(methods.names())
     if choice.method == selection.NONE:
@@ -88,7 +88,9 @@ def test_what_is_chosen_is_one_of_the_methods_that_memory_is_set_aside_for(mesh,
 
 def test_the_chooser_tells_how_far_it_is(mesh):
     steps = []
-    selection.choose(mesh, selection.Wishes(), lambda done, total: steps.append((done, total)))
+    selection.choose_method(
+        mesh, selection.Wishes(), lambda done, total: steps.append((done, total))
+    )
     assert steps
     assert all(0 < done <= total for done, total in steps)
     assert steps == sorted(steps)
@@ -96,14 +98,14 @@ def test_the_chooser_tells_how_far_it_is(mesh):
 
 def test_choosing_changes_nothing_of_the_mesh(mesh):
     before = mesh.vertices.copy()
-    selection.choose(mesh, selection.Wishes())
+    selection.choose_method(mesh, selection.Wishes())
     assert (mesh.vertices == before).all()
 
 
 @pytest.mark.parametrize("wishes", [selection.Wishes(), selection.Wishes(keep="edges")])
 def test_the_choice_is_free_of_scale(mesh, wishes):
     larger = Mesh(mesh.vertices * 2.0**20, mesh.faces)
-    one, other = (selection.choose(each, wishes) for each in (mesh, larger))
+    one, other = (selection.choose_method(each, wishes) for each in (mesh, larger))
     assert (one.method, one.parameters) == (other.method, other.parameters)
     assert one.reason == other.reason
 
