@@ -109,7 +109,7 @@ def test_a_choice_that_damages_is_rejected(tmp_path, monkeypatch, word):
         return selection.Choice("umbrella", values, "collapse", None, estimate_noise(mesh))
 
     monkeypatch.setattr(adaptive, "choose_adaptive", collapsing)
-    monkeypatch.setattr("msal_cli.job.choice.choose", collapsing)
+    monkeypatch.setattr("msal_cli.job.choice.choose_method", collapsing)
     scan = tmp_path / "scan.ply"
     scan.write_bytes(closed_scan())
     words = [] if word is None else [word]

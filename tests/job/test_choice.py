@@ -26,7 +26,7 @@ def mesh():
 
 def settled_as(monkeypatch, mesh, name, given):
     choice = selection.Choice(name, given, "because", "organic", estimate_noise(mesh))
-    monkeypatch.setattr("msal_cli.job.choice.choose", lambda *ignored: choice)
+    monkeypatch.setattr("msal_cli.job.choice.choose_method", lambda *ignored: choice)
     return automatic.choose(mesh, {}, lambda done, total: None)
 
 
