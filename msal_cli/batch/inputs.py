@@ -109,9 +109,9 @@ def discover_inputs(
     NothingMatched : nothing is left.
     """
     included, excluded = Patterns(include), Patterns(exclude)
-    output = None if output is None else urls.settled(output)
+    output = None if output is None else urls.normalize_url(output)
     own_output = None if output is None or is_url(output) else str(resolve(Path(output)))
-    inputs = [urls.settled(text) for text in inputs]
+    inputs = [urls.normalize_url(text) for text in inputs]
     types = [_input_type(text) for text in inputs]
     folders = {
         text if is_url(text) else str(Path(text))

@@ -108,7 +108,7 @@ def build_plan(
         inputs; two inputs have one output; an output is an input, a folder, lies outside the
         output folder or would replace a file that is not ours; options contradict each other.
     """
-    output = None if output is None else urls.settled(output)
+    output = None if output is None else urls.normalize_url(output)
     homes: Sequence[str | None]
     if in_place:
         _check_in_place(found, output, to, backup)

@@ -111,7 +111,7 @@ def _render_page(
     if not without_pictures:
         with progress.picture_bar(quiet=quiet) as on_file:
             backup = DEFAULT_BACKUP if backup is None else backup
-            pictures = gallery.made(records, backup=backup, on_file=on_file)
+            pictures = gallery.build_gallery(records, backup=backup, on_file=on_file)
     return html.encoded(run, records, pictures)
 
 

@@ -116,7 +116,7 @@ def command(
     # The picture is what was asked for, even if nothing reads the numbers.
     with console.finish_work():
         for cell, mesh in parameter_grid.cells(on, grid):
-            done.append((cell, parameter_grid.drawn(on, mesh, view)))
+            done.append((cell, parameter_grid.draw_grid(on, mesh, view)))
             if not as_json and not quiet:
                 console.put(_describe_cell(cell))
                 console.flush()

@@ -60,7 +60,7 @@ def _moved_freely(start, stop, v, moves, sigma, tau, constant, per_sigma, x):
             x[i, axis] += tau * moves[i, axis] + fidelity * back
 
 
-def swept(
+def run_sweeps(
     vertices: Floats,
     operator: Operator,
     schedule: Schedule,

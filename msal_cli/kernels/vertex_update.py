@@ -92,7 +92,7 @@ def _moved(start, stop, planes, face_start, incident, share, x):
         x[own + TWO] = zi + share[i] * sz
 
 
-def updated_vertices(
+def update_vertices(
     vertices: Floats,
     normals: Floats,
     faces: Ints,
@@ -227,5 +227,5 @@ def untangle(
         moved = np.empty_like(vertices)
         of = vertices.reshape(-1), flat, strains, *around, *rings
         over_ranges(_even_out, n, *of, free, inner, moved.reshape(-1), chosen)
-        vertices = updated_vertices(moved, wanted, faces, links, chosen, PASSES)
+        vertices = update_vertices(moved, wanted, faces, links, chosen, PASSES)
     return vertices

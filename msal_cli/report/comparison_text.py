@@ -21,7 +21,7 @@ _COLUMNS = ("angle", "vertex error", "max move", "volume", "area", "flipped", "H
 _NARROWEST_NAME = 16
 
 
-def told(record: ComparisonRecord) -> list[Line]:
+def describe_comparison(record: ComparisonRecord) -> list[Line]:
     """The lines on two files: their names, then one line per measure."""
     if record.error is not None:
         return failure_lines(_pair(record), record.error)

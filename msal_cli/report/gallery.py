@@ -63,7 +63,7 @@ class Bounds:
     picture_bytes: int = 18_000_000
 
 
-def made(
+def build_gallery(
     records: Sequence[MeshRecord],
     *,
     backup: str = DEFAULT_BACKUP,
@@ -160,7 +160,7 @@ def _surface(path: str, sha256: str | None, format: str | None, bounds: Bounds) 
     data = header_check.read_input(path, format)
     if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
         return None
-    plain, _ = gzip_streams.expanded(data, path)
+    plain, _ = gzip_streams.expand(data, path)
     mesh_file = codecs.open_mesh(plain, path, format)
     return comparison.surface_of(mesh_file) if len(mesh_file.faces) <= bounds.faces else None
 

@@ -11,7 +11,7 @@ from msal_cli.report.phrases import Line, failure_lines, file_name, noise_texts
 _SHAPES = {"3": "triangles", "4": "quads"}
 
 
-def told(record: InfoRecord) -> list[Line]:
+def describe_info(record: InfoRecord) -> list[Line]:
     """The lines on one file: its name, then one line per fact."""
     name = file_name(record.input)
     if record.error is not None:

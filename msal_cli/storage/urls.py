@@ -32,7 +32,7 @@ def is_url(text: str) -> bool:
     return match is not None and match["protocol"].lower() not in _FILES
 
 
-def settled(text: str) -> str:
+def normalize_url(text: str) -> str:
     """A path or URL as everything else here takes it: ``file://`` gone, secrets put away.
 
     Raises UsageError if two signed links differ in nothing but their signature.
@@ -60,8 +60,8 @@ def settled_in(options: dict[str, Any], *names: str) -> dict[str, Any]:
 
     def of(value: Any) -> Any:
         if isinstance(value, tuple):
-            return tuple(map(settled, value))
-        return value if value is None else settled(value)
+            return tuple(map(normalize_url, value))
+        return value if value is None else normalize_url(value)
 
     return options | {name: of(options[name]) for name in names}
 

@@ -88,14 +88,14 @@ def scene_of(
     if after is None:
         return Scene(names, first.mesh)
     if metrics.have_same_faces(before.vertices, before.faces, after.vertices, after.faces):
-        record = comparison.compared(before, after, *names, to_surface=False)
+        record = comparison.compare_meshes(before, after, *names, to_surface=False)
         moved = metrics.at_other_positions(first, after.vertices)
         step = moved.vertices - first.mesh.vertices
         along = (step * first.mesh.vertex_normals()).sum(axis=1)
         along *= measure_enclosure(first).outward_signs(first.mesh)
         return Scene(names, first.mesh, moved, along, True, record)
     to_surface = to_surface and surface_distance.is_available()
-    record = comparison.compared(before, after, *names, to_surface=to_surface)
+    record = comparison.compare_meshes(before, after, *names, to_surface=to_surface)
     second = prepare_surface(after, names[1])
     there = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))
     distances = None
@@ -120,7 +120,7 @@ def camera_of(scene: Scene, view: View) -> Camera:
     )
 
 
-def drawn(scene: Scene, view: View) -> Image:
+def draw_picture(scene: Scene, view: View) -> Image:
     """(H, W, 3) uint8: the meshes side by side, what is between them, and the numbers."""
 
     style, camera = style_of(view), camera_of(scene, view)

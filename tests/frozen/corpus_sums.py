@@ -38,10 +38,10 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.codecs import converted, normal_warnings, open_mesh, vertex_property, writable_formats
+from msal_cli.codecs import convert, normal_warnings, open_mesh, vertex_property, writable_formats
 from msal_cli.codecs.forecast import of_beginning
 from msal_cli.errors import MsalError
-from msal_cli.storage.gzip_streams import expanded
+from msal_cli.storage.gzip_streams import expand
 from tests.frozen.sums import REAL, ROOT, environment
 from tests.fuzz import corpus, mutants
 from tests.fuzz.seeds import archived, seeds
@@ -83,7 +83,7 @@ def encode(file: Any, vertices: Any, encoding: str, precision: str) -> Any:
 
 
 def convert(file: Any, vertices: Any, to: str) -> tuple[Any, tuple[str, ...]]:
-    return converted(file, vertices, to)
+    return convert(file, vertices, to)
 
 
 def forecast(data: bytes, name: str) -> Any:
@@ -153,7 +153,7 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
     known: dict[str, Any] = {}
 
     def load() -> tuple[str, str]:
-        whole, notes = expanded(data, name)
+        whole, notes = expand(data, name)
         known["file"] = read(whole, name if format != "gz" else "scan", None)
         known["whole"] = whole
         return digest(whole), str(notes)

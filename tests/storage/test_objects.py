@@ -232,7 +232,7 @@ def test_a_password_in_the_url_of_a_store_is_refused_without_telling_it(monkeypa
     from msal_cli.storage import urls
 
     monkeypatch.setenv(urls.SECRETS, "")
-    url = urls.settled("memory://key:geheim@b/a.ply")
+    url = urls.normalize_url("memory://key:geheim@b/a.ply")
     with pytest.raises(UsageError, match="no password") as caught:
         read_whole(url)
     assert "geheim" not in caught.value.message

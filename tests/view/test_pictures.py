@@ -87,7 +87,7 @@ def test_other_faces_are_measured_from_the_surface(monkeypatch):
     monkeypatch.setattr(surface_distance, "is_available", lambda: False)
     scene = pictures.scene_of(Surface(vertices, faces), other, NAMES)
     assert scene.deviation is None
-    assert pictures.drawn(scene, pictures.View(size=64)).shape[1] > 2 * 64
+    assert pictures.draw_picture(scene, pictures.View(size=64)).shape[1] > 2 * 64
 
 
 def test_distances_to_the_surface():
