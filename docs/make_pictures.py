@@ -22,9 +22,9 @@ from msal_cli.job.comparison import Surface
 from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
 from msal_cli.view import parameter_grid, pictures
-from msal_cli.view.camera import framing, turned
+from msal_cli.view.camera import framing, rotate
 from msal_cli.view.image_files import png_bytes
-from msal_cli.view.shading import shaded
+from msal_cli.view.shading import shade
 
 Array = NDArray[Any]
 
@@ -118,11 +118,11 @@ def _read_png(path: Path) -> Array:
 
 def panel(name: str, mesh: tuple[Array, Array], size: tuple[int, int]) -> Array:
     """One mesh as a picture, framed as the clean one is."""
-    axes = turned(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *VIEWS[name])
+    axes = rotate(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *VIEWS[name])
     camera = framing(axes, opened(sample(name, "clean"))[0])
     stored = vertex_colours(name)
     colours = None if stored is None else stored.astype(np.uint8)
-    return shaded(*mesh, camera, *size, colours)
+    return shade(*mesh, camera, *size, colours)
 
 
 def compared(name: str) -> Array:

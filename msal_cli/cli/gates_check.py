@@ -56,7 +56,8 @@ class Checks:
             record
             if record.error is not None or before is None
             else replace(
-                record, gates=record.gates + baseline.compare_with_baseline(record, before, self.tolerance)
+                record,
+                gates=record.gates + baseline.compare_with_baseline(record, before, self.tolerance),
             )
             for record, before in zip(with_gates(self.gates, records), earlier, strict=True)
         ]

@@ -93,7 +93,7 @@ def command(
         report_files.write(outputs, account.run, account.records, quiet=quiet)
     finally:
         if as_json:
-            console.put_bytes(json_report.encoded(account.run, account.records))
+            console.put_bytes(json_report.render(account.run, account.records))
     return _exit_status(account) if check or gates else exit_codes.SUCCESS
 
 

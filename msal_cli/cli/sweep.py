@@ -143,14 +143,14 @@ def _parse_fixed(assignments: tuple[str, ...]) -> dict[str, str]:
 
 
 def _describe_cell(cell: Cell) -> str:
-    from msal_cli.job.display_names import shown
+    from msal_cli.job.display_names import escape_for_display
 
     numbers = [f"moved {cell.mean_displacement_edges:.4g} e"]
     if cell.volume_change_percent is not None:
         numbers.append(f"volume {cell.volume_change_percent:+.3g} %")
     if cell.mean_angular_error_deg is not None:
         numbers.append(f"normals {cell.mean_angular_error_deg:.3f} degrees off")
-    return f"{', '.join(numbers)}: {shown(cell.command)}\n"
+    return f"{', '.join(numbers)}: {escape_for_display(cell.command)}\n"
 
 
 def _print_json(source: str, reference: str | None, grid: Grid, cells: list[Cell]) -> None:

@@ -11,7 +11,7 @@ from msal_cli.job.records import MeshRecord
 from msal_cli.report.document import Run, heading, plain_record
 
 
-def encoded(run: Run, records: Sequence[MeshRecord]) -> bytes:
+def render(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The report as UTF-8.
 
     The order of keys is fixed; numbers that are not finite are null; names that are not valid

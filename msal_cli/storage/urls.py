@@ -66,7 +66,7 @@ def settled_in(options: dict[str, Any], *names: str) -> dict[str, Any]:
     return options | {name: of(options[name]) for name in names}
 
 
-def redacted(text: str) -> str:
+def redact(text: str) -> str:
     """``text``, such as a word of a command line or a message, without what is secret in it."""
     text = _QUERY.sub(r"\1?***", _PASSWORD.sub(r"\1:***@", text))
     for secret in _kept().values():
@@ -129,7 +129,7 @@ def split(url: str) -> tuple[str, str]:
     return protocol, path
 
 
-def joined(url: str, relative: str) -> str:
+def join_url(url: str, relative: str) -> str:
     """The URL of ``relative``, written with ``/``, below a URL."""
     return f"{folder(url)}{relative}"
 

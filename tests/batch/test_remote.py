@@ -32,7 +32,7 @@ from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.records import MeshRecord, ObjectMark
 from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
-from msal_cli.storage.objects import listed, read_whole, write_whole
+from msal_cli.storage.objects import list_objects, read_whole, write_whole
 from tests.batch.test_whole import obj
 
 pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
@@ -70,7 +70,9 @@ def states(records):
 
 def outputs(folder="memory://out"):
     return {
-        name: read_whole(f"{folder}/{name}") for name in listed(folder) if not name.startswith(".")
+        name: read_whole(f"{folder}/{name}")
+        for name in list_objects(folder)
+        if not name.startswith(".")
     }
 
 
@@ -229,7 +231,7 @@ def test_one_object_into_one_object(scans):
     (record,) = denoised("memory://scans/2.obj", "memory://out/x.obj")
     assert record.output == "memory://out/x.obj"
     assert read_whole("memory://out/x.obj") == expected()["2.obj"]
-    assert list(listed("memory://out")) == ["x.obj"]
+    assert list(list_objects("memory://out")) == ["x.obj"]
     (record,) = denoised("memory://scans/2.obj", "memory://folder")
     assert record.output == "memory://folder/2.obj"
 
@@ -247,7 +249,7 @@ def test_materials_stay_behind_with_a_warning(scans):
 
 def test_an_object_that_vanished_is_a_row(scans):
     plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
-    remote.removed(["memory://scans/2.obj"])
+    remote.remove_object(["memory://scans/2.obj"])
     records = run(plan, settings())
     assert sorted(record.status for record in records) == ["failed", "written", "written"]
     (failed,) = [record for record in records if record.error is not None]
@@ -292,7 +294,7 @@ def test_what_changed_is_done_again_and_nothing_else(scans):
     assert states(denoised()) == current | {"2.obj": "written"}
     write_whole("memory://out/a/0.obj", b"x" * len(read_whole("memory://out/a/0.obj")))
     assert states(denoised()) == current | {"a/0.obj": "written"}
-    remote.removed(["memory://out/a/b/1.obj"])
+    remote.remove_object(["memory://out/a/b/1.obj"])
     assert states(denoised()) == current | {"a/b/1.obj": "written"}
     assert states(denoised()) == current
     assert states(denoised(given={"iterations": 2})) == dict.fromkeys(NAMES, "written")
@@ -352,7 +354,7 @@ INTENT = intent_line("a", "memory://scans/a")
 
 
 def parts():
-    return sorted(listed(f"memory://out/{FOLDER}"))
+    return sorted(list_objects(f"memory://out/{FOLDER}"))
 
 
 def test_lines_of_all_parts_are_read_and_the_last_counts():

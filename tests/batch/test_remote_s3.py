@@ -17,7 +17,7 @@ from msal_cli.errors import OutputError
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
-from msal_cli.storage.objects import listed, read_whole, write_whole
+from msal_cli.storage.objects import list_objects, read_whole, write_whole
 from tests.batch.test_whole import obj
 from tests.cli.scans import MSAL, msal
 
@@ -123,7 +123,9 @@ def expected():
 
 def outputs(folder):
     return {
-        name: read_whole(f"{folder}/{name}") for name in listed(folder) if not name.startswith(".")
+        name: read_whole(f"{folder}/{name}")
+        for name in list_objects(folder)
+        if not name.startswith(".")
     }
 
 
@@ -183,12 +185,12 @@ def test_from_bucket_to_bucket(server, expected, tmp_path):
 
 def test_objects_and_files_in_one_process(server, expected, tmp_path):
     assert msal("denoise", "s3://scans/2.obj", "-o", "s3://out/one/b.obj", *PAPER).exit_code == 0
-    assert list(listed("s3://out/one")) == ["b.obj"]
+    assert list(list_objects("s3://out/one")) == ["b.obj"]
     assert read_whole("s3://out/one/b.obj") == expected["2.obj"]
     assert msal("denoise", "s3://scans/*.obj", "-o", tmp_path, *PAPER).exit_code == 0
     assert (tmp_path / "2.obj").read_bytes() == expected["2.obj"]
     assert msal("denoise", tmp_path / "2.obj", "-o", "s3://out/one/c.obj", "-q").exit_code == 0
-    assert len(listed("s3://out/one")) == 2
+    assert len(list_objects("s3://out/one")) == 2
     told = msal("info", "s3://scans/a", "--json")
     assert told.exit_code == 0
     assert [one["vertices"] for one in json.loads(told.stdout)["records"]] == [288, 288]
@@ -216,7 +218,7 @@ def test_what_cannot_be_is_told_in_words(server, arguments, status, words):
     assert "hint:" in told.stderr
     assert "Traceback" not in told.stderr
     assert "geheim" not in told.stderr
-    assert not listed("s3://out/y")
+    assert not list_objects("s3://out/y")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")

@@ -38,7 +38,8 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.codecs import convert, normal_warnings, open_mesh, vertex_property, writable_formats
+from msal_cli import codecs
+from msal_cli.codecs import normal_warnings, open_mesh, vertex_property, writable_formats
 from msal_cli.codecs.forecast import of_beginning
 from msal_cli.errors import MsalError
 from msal_cli.storage.gzip_streams import expand
@@ -83,7 +84,7 @@ def encode(file: Any, vertices: Any, encoding: str, precision: str) -> Any:
 
 
 def convert(file: Any, vertices: Any, to: str) -> tuple[Any, tuple[str, ...]]:
-    return convert(file, vertices, to)
+    return codecs.convert(file, vertices, to)
 
 
 def forecast(data: bytes, name: str) -> Any:

@@ -21,7 +21,7 @@ LINE = "quantiles._counted(u8[::1], i8[::1])"
 @pytest.fixture
 def kernel():
     """A kernel as a new process sees it."""
-    return Kernel(quantiles._counted.function)
+    return Kernel(quantiles._count.function)
 
 
 @pytest.fixture

@@ -13,7 +13,9 @@ def record(**figures):
 
 
 def broken(now, then, tolerance=0.02):
-    return [one.expression for one in baseline.compare_with_baseline(now, then, tolerance) if one.broken]
+    return [
+        one.expression for one in baseline.compare_with_baseline(now, then, tolerance) if one.broken
+    ]
 
 
 @pytest.mark.parametrize(

@@ -9,19 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.job.display_names import restored
+from msal_cli.job.display_names import restore_name
 from msal_cli.job.records import GateResult, MeshRecord, MethodUsed
 from msal_cli.report import csv_report as as_csv
 from tests.report.made import RUN, failed, of, written
 
 
 def rows(records):
-    text = as_csv.encoded(RUN, records).decode("utf-8")
+    text = as_csv.render(RUN, records).decode("utf-8")
     return list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
 
 
 def raw(records):
-    return as_csv.encoded(RUN, records)
+    return as_csv.render(RUN, records)
 
 
 @settings(max_examples=40, deadline=None)
@@ -32,7 +32,7 @@ def test_any_records_can_be_read_back(records):
     assert len(table) == 1 + len(records)
     assert {len(row) for row in table} == {len(table[0])}
     at = table[0].index("input")
-    assert [restored(row[at].removeprefix("'")) for row in table[1:]] == [
+    assert [restore_name(row[at].removeprefix("'")) for row in table[1:]] == [
         record.input for record in records
     ]
 

@@ -9,7 +9,7 @@ import unicodedata
 
 import pytest
 
-from msal_cli.job.display_names import restored
+from msal_cli.job.display_names import restore_name
 from msal_cli.job.records import MeshRecord
 from msal_cli.report import (
     csv_report as as_csv,
@@ -42,24 +42,24 @@ def test_the_terminal_and_the_log_obey_nothing(records):
 
 @pytest.mark.parametrize("record", RECORDS, ids=lambda one: f"{one.status}-{one.input!r}")
 def test_a_cell_is_no_formula_and_comes_back(record):
-    (row,) = csv.DictReader(io.StringIO(as_csv.encoded(RUN, [record]).decode(), newline=""))
+    (row,) = csv.DictReader(io.StringIO(as_csv.render(RUN, [record]).decode(), newline=""))
     assert not row["input"].startswith(("=", "+", "-", "@", "\t", "\r", "\n"))
-    assert restored(row["input"].removeprefix("'")) == record.input
+    assert restore_name(row["input"].removeprefix("'")) == record.input
 
 
 def test_json_is_strict_and_gives_the_names_back():
-    document = json.loads(as_json.encoded(RUN, RECORDS))
-    told = [restored(one["input"]) for one in document["records"]]
+    document = json.loads(as_json.render(RUN, RECORDS))
+    told = [restore_name(one["input"]) for one in document["records"]]
     assert told == [one.input for one in RECORDS]
     lines = as_json.encoded_lines(RUN, RECORDS)
     assert lines.isascii() and b"\x1b" not in lines
     assert len(lines.splitlines()) == len(lines.decode().splitlines()) == len(RECORDS)
-    told = [restored(json.loads(line)["input"]) for line in lines.splitlines()]
+    told = [restore_name(json.loads(line)["input"]) for line in lines.splitlines()]
     assert told == [one.input for one in RECORDS]
 
 
 def test_json_on_a_terminal_holds_no_escape():
-    printed = as_json.encoded(RUN, RECORDS)
+    printed = as_json.render(RUN, RECORDS)
     assert b"\x1b" not in printed and b"\r" not in printed and b"\x07" not in printed
 
 

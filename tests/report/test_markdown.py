@@ -19,7 +19,7 @@ OURS = {"code", "/code", "details", "/details", "summary", "/summary"}
 
 
 def text(records, **options):
-    return as_markdown.encoded(RUN, records, **options).decode()
+    return as_markdown.render(RUN, records, **options).decode()
 
 
 def tables(page):
@@ -96,7 +96,7 @@ def test_any_records_make_a_page(records):
 def test_ten_thousand_files_fit_into_a_summary():
     records = [failed(f"scans/{at:06}{'-' * 99}_.ply") for at in range(3_000)]
     records += [gated(f"scans/{at:06}{'-' * 99}_.ply") for at in range(7_000)]
-    data = as_markdown.encoded(RUN, records)
+    data = as_markdown.render(RUN, records)
     assert 100_000 < len(data) < as_markdown.MOST_BYTES
     assert "2,000 more are not shown here" in data.decode()
 
@@ -110,7 +110,7 @@ def test_the_room_is_kept_and_every_table_gets_some():
 
 def test_a_command_of_many_words_is_cut():
     run = Run("1", ("msal", *(f"{at}.ply" for at in range(50_000))), {}, "", "", 0.0)
-    assert len(as_markdown.encoded(run, [written()])) < 10_000
+    assert len(as_markdown.render(run, [written()])) < 10_000
 
 
 def test_what_is_beyond_the_first_rows_is_folded():

@@ -8,7 +8,7 @@ import pytest
 
 from msal_cli.errors import UsageError
 from msal_cli.storage import urls
-from msal_cli.storage.urls import SECRETS, harmless, identity, joined, redacted, normalize_url
+from msal_cli.storage.urls import SECRETS, harmless, identity, join_url, normalize_url, redact
 
 
 @pytest.fixture(autouse=True)
@@ -30,9 +30,9 @@ def test_files_are_plain_paths():
 
 
 def test_names_are_joined_as_they_are():
-    assert joined("s3://b/out", "x/y z.ply") == "s3://b/out/x/y z.ply"
-    assert joined("s3://b/out//", "x") == "s3://b/out/x"
-    assert joined("memory://", "x") == "memory://x"
+    assert join_url("s3://b/out", "x/y z.ply") == "s3://b/out/x/y z.ply"
+    assert join_url("s3://b/out//", "x") == "s3://b/out/x"
+    assert join_url("memory://", "x") == "memory://x"
     assert urls.name("s3://b/out/") == "out"
     assert identity("s3a://b/x") == identity("s3://b/x")
     assert identity("memory:///x") == identity("memory://x")
@@ -83,13 +83,13 @@ def test_a_signature_is_put_away_and_comes_back_only_to_open():
     ],
 )
 def test_nothing_secret_is_told(text):
-    assert "geheim" not in redacted(text)
-    assert "host/a" in redacted(text)
+    assert "geheim" not in redact(text)
+    assert "host/a" in redact(text)
 
 
 def test_a_known_secret_is_told_in_no_words():
     normalize_url("sftp://joe:geheim@host/a.ply")
-    assert redacted("login as joe with geheim failed") == "login as joe with *** failed"
+    assert redact("login as joe with geheim failed") == "login as joe with *** failed"
 
 
 @pytest.mark.parametrize("text", ["{{{", "[]", '"a"', '{"a": 1}', "\udcff", "[" * 100_000])

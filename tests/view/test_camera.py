@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from msal_cli.view.camera import VIEWS, framing, turned, viewed
+from msal_cli.view.camera import VIEWS, framing, rotate, viewed
 from tests.shapes import ball, cube, grid
 
 X, Y, Z = np.eye(3)
@@ -57,10 +57,10 @@ def test_named_views_look_at_one_another():
 
 
 def test_turn_and_tilt_go_right_and_up():
-    level = turned(-Y, Z, 0.0, 0.0)
+    level = rotate(-Y, Z, 0.0, 0.0)
     assert np.allclose(level, [X, Z, -Y])
-    assert turned(-Y, Z, 10.0, 0.0)[2] @ X > 0
-    assert turned(-Y, Z, 0.0, 10.0)[2] @ Z > 0
+    assert rotate(-Y, Z, 10.0, 0.0)[2] @ X > 0
+    assert rotate(-Y, Z, 0.0, 10.0)[2] @ Z > 0
 
 
 def test_a_flat_relief_is_seen_from_its_front():
@@ -102,7 +102,7 @@ def test_no_area_at_all_still_gives_a_camera():
 
 
 def test_framing_puts_the_middle_in_the_middle():
-    camera = framing(turned(-Y, Z, 0.0, 0.0), np.array([(0.0, 0, 0), (2, 0, 6)]))
+    camera = framing(rotate(-Y, Z, 0.0, 0.0), np.array([(0.0, 0, 0), (2, 0, 6)]))
     assert (camera.half_width, camera.half_height) == (1.0, 3.0)
     assert np.allclose(camera.centre, (1, 0, 3))
     assert camera.aspect == pytest.approx(1 / 3)

@@ -8,7 +8,7 @@ from PIL import Image
 
 from msal_cli.analysis import colour_maps as colours
 from msal_cli.view.image_files import png_bytes
-from msal_cli.view.labels import fitted
+from msal_cli.view.labels import fit_text
 from msal_cli.view.panels import Legend, labelled_panels
 from msal_cli.view.shading import DARK, LIGHT
 
@@ -64,20 +64,20 @@ def test_the_legend_shows_its_colours_in_order():
     ],
 )
 def test_names_are_drawn_as_data(name, part):
-    words, _ = fitted(name, 14, 10_000)
+    words, _ = fit_text(name, 14, 10_000)
     assert part in words
     assert words.isprintable()
     labelled_panels([(plain(1), name, [name])], footer=[name])
 
 
 def test_a_long_name_keeps_its_end():
-    words, font = fitted("folder/" * 40 + "bunny.ply", 14, 200)
+    words, font = fit_text("folder/" * 40 + "bunny.ply", 14, 200)
     assert words.startswith("...") and words.endswith("/bunny.ply")
     assert font.getlength(words) <= 200
 
 
 def test_a_million_characters_are_no_matter():
-    words, _ = fitted("x" * 1_000_000, 14, 200)
+    words, _ = fit_text("x" * 1_000_000, 14, 200)
     assert len(words) < 200
 
 

@@ -41,7 +41,7 @@ def test_a_mesh_that_did_not_move_has_the_scale_of_its_edges(by):
     scale = pictures.scale_of_scene(scene)
     assert scale.high == -scale.low == pytest.approx(scene.before.mean_edge_length, rel=0.1)
     # Middle grey, and not the colours of noise in the last digit.
-    assert np.ptp(scale.painted(scene.deviation).astype(int)) <= 3
+    assert np.ptp(scale.paint(scene.deviation).astype(int)) <= 3
     assert not pictures.has_moved(scene)
 
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from msal_cli.view.camera import framing, turned, viewed
-from msal_cli.view.shading import DARK, LIGHT, shaded
+from msal_cli.view.camera import framing, rotate, viewed
+from msal_cli.view.shading import DARK, LIGHT, shade
 from tests.shapes import ball
 
 X, Y, Z = np.eye(3)
-FACING = turned(Z, Y, 0.0, 0.0)
+FACING = rotate(Z, Y, 0.0, 0.0)
 
 
 def square(z=0.0):
@@ -17,7 +17,7 @@ def square(z=0.0):
 
 
 def seen(vertices, faces, colours=None, **options):
-    return shaded(vertices, faces, framing(FACING, vertices), 60, 50, colours, **options)
+    return shade(vertices, faces, framing(FACING, vertices), 60, 50, colours, **options)
 
 
 def test_the_mesh_is_where_the_camera_puts_it():
@@ -54,7 +54,7 @@ def test_a_face_from_behind_has_another_tone():
 def test_a_closed_mesh_wound_inwards_is_shown_like_any_other():
     vertices, faces = ball()
     camera = viewed(vertices, faces)
-    images = [shaded(vertices, one, camera, 60, 60).astype(int) for one in (faces, faces[:, ::-1])]
+    images = [shade(vertices, one, camera, 60, 60).astype(int) for one in (faces, faces[:, ::-1])]
     assert np.abs(images[0] - images[1]).max() <= 1
 
 
@@ -85,8 +85,8 @@ def test_hollows_are_darker():
     faces = [f for k in range(0, 10, 2) for f in ((k, k + 2, k + 3), (k, k + 3, k + 1))]
     faces = np.array(faces, dtype=np.int32)
     camera = framing(FACING, vertices)
-    trench = shaded(vertices, faces, camera, 200, 150).astype(int)
-    plane = shaded(vertices * (1, 1, 0), faces, camera, 200, 150).astype(int)
+    trench = shade(vertices, faces, camera, 200, 150).astype(int)
+    plane = shade(vertices * (1, 1, 0), faces, camera, 200, 150).astype(int)
     assert trench[75, 100].sum() < plane[75, 100].sum() - 60
     assert abs(trench[75, 40].sum() - plane[75, 40].sum()) < 10
 

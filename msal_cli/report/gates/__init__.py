@@ -103,7 +103,7 @@ def evaluate_gates(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]
     What is not known decides nothing: ``volume.valid and abs(volume_change) > 1%`` holds for an
     open mesh, and ``abs(volume_change) > 1%`` cannot be decided, which counts as broken.
     """
-    return tuple(_judged(gate, record) for gate in gates)
+    return tuple(_evaluate(gate, record) for gate in gates)
 
 
 def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]:
@@ -126,7 +126,7 @@ def is_any_broken(records: Sequence[MeshRecord] | Sequence[ComparisonRecord]) ->
     return any(gate.broken for record in records for gate in record.gates)
 
 
-def _judged(gate: Gate, record: Any) -> GateResult:
+def _evaluate(gate: Gate, record: Any) -> GateResult:
     from msal_cli.report.gates.evaluation import Values
 
     values = Values(record, gate.quantities)
