@@ -66,10 +66,6 @@ class TestTime:
                 os.kill(crew._workers[0].pid, signal.SIGSTOP)
         assert [type(one) for one in messages] == [Started, Failed]
 
-    def test_time_in_the_queue_does_not_count(self):
-        tasks = [("sleep", 0.3)] * 4
-        assert len(results(heard(tasks, jobs=1, limits=Limits(timeout_s=5.0)))) == 4
-
     def test_a_worker_that_never_gets_ready_is_given_up(self, monkeypatch):
         monkeypatch.setattr(workers, "_READY_WITHIN_S", 0.2)
         monkeypatch.setattr(worker_process, "_BOOT", "import time; time.sleep(60)")
@@ -166,12 +162,6 @@ def ran(folder, texts, *, in_place=False, backup=".orig", **options):
 
 
 class TestRun:
-    def test_time_outs_become_rows(self, tmp_path):
-        texts = {"a": "x", "b": "sleep 60", "c": "y"}
-        records = ran(tmp_path, texts, limits=Limits(timeout_s=0.4), retries=0)
-        assert [one.status for one in records] == ["written", "failed", "written"]
-        assert records[1].error.code == "E_TIMEOUT"
-
     def test_one_file_with_a_limit_of_time_is_supervised(self, tmp_path):
         (one,) = ran(tmp_path, {"a": "sleep 60"}, limits=Limits(timeout_s=0.4), retries=0)
         assert one.error.code == "E_TIMEOUT"

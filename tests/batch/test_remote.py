@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 
 import pytest
@@ -21,13 +20,11 @@ from msal_cli.batch import (
     shard as shards,
 )
 from msal_cli.batch.inputs import DiscoveredInput, NothingMatched, discover_inputs
-from msal_cli.batch.manifest import FolderManifest
 from msal_cli.batch.manifest_lines import done_line, intent_line
 from msal_cli.batch.plan import build_plan, select_shard
 from msal_cli.batch.remote_manifest import FOLDER, ObjectManifest
 from msal_cli.batch.run import run
 from msal_cli.errors import InputError, OutputError, UsageError
-from msal_cli.job.inspection import inspect_file
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.records import MeshRecord, ObjectMark
 from msal_cli.job.settings import Settings
@@ -193,15 +190,6 @@ def test_an_object_may_be_called_like_a_folder():
 # What comes out
 
 
-def test_from_store_to_store(scans):
-    records = denoised()
-    assert states(records) == dict.fromkeys(NAMES, "written")
-    assert outputs() == expected()
-    for record in records:
-        assert record.input_object == ObjectMark(*remote.mark(record.input))
-        assert record.output_object == ObjectMark(*remote.mark(record.output))
-
-
 def test_to_another_format_and_packed(scans):
     write_whole("memory://scans/z.obj.gz", __import__("gzip").compress(obj(5).encode()))
     plan = build_plan(discover_inputs(["memory://scans"]), "memory://out", to="ply")
@@ -232,11 +220,6 @@ def test_one_object_into_one_object(scans):
     assert list(listed("memory://out")) == ["x.obj"]
     (record,) = denoised("memory://scans/2.obj", "memory://folder")
     assert record.output == "memory://folder/2.obj"
-
-
-def test_what_is_in_an_object_is_told(scans):
-    assert inspect_file("memory://scans/2.obj").vertices == 288
-    assert inspect_file("memory://scans/none.obj").error.code == "E_READ"
 
 
 def test_materials_stay_behind_with_a_warning(scans):
@@ -322,12 +305,6 @@ def test_an_object_that_changes_while_it_is_read_is_done_again(scans, monkeypatc
     write_whole("memory://scans/2.obj", obj(9).encode())
     run(plan, settings())
     assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date") | {"2.obj": "written"}
-
-
-def test_without_tags_nothing_is_believed(scans, monkeypatch):
-    monkeypatch.setattr(remote, "_tag", lambda info: "")
-    denoised()
-    assert states(denoised()) == dict.fromkeys(NAMES, "written")
 
 
 # The manifest
@@ -514,12 +491,3 @@ def test_the_end_of_a_run_that_is_failing_hides_nothing(monkeypatch):
     other.append([line("a")])
     with pytest.raises(OutputError, match="access is denied"):
         other.close()
-
-
-def test_the_lines_are_those_of_a_folder(tmp_path):
-    write([INTENT, line("b")])
-    (part,) = parts()
-    text = read_whole(f"memory://out/{FOLDER}/{part}")
-    assert [json.loads(one)["name"] for one in text.splitlines()] == ["a", "b"]
-    (tmp_path / ".msal-manifest.jsonl").write_bytes(text)
-    assert FolderManifest(str(tmp_path)).names() == {"a", "b"}
