@@ -286,7 +286,7 @@ class TestLocal:
 
     def start(self, folder):
         for n in range(60):
-            (folder / f"in/{n}.obj").write_text(obj(n, 100, 50))
+            (folder / f"in/{n}.obj").write_text(obj(n, 60, 30))
         command = [sys.executable, "-m", "msal_cli", "denoise", "in", "-o", "out", "-j", "2"]
         command += ["--engine", "dask", "--scheduler", "local", "--set", "iterations=1000"]
         return subprocess.Popen(

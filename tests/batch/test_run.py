@@ -49,8 +49,12 @@ def plan_of(folders, **options):
     return build_plan(some, options.pop("output", output), **options)
 
 
+WORKERS = {"engine": None, "jobs": 2}
+"""Options of a run in real worker processes; all else is done here, by and by."""
+
+
 def ran(folders, settings=SETTINGS, plan=None, **options):
-    options = {"denoise": fakes.denoise, "jobs": 2} | options
+    options = {"denoise": fakes.denoise, "engine": fakes.InProcess} | options
     return run(plan or plan_of(folders), settings, **options)
 
 
@@ -80,7 +84,7 @@ def tried(folders):
 def test_records_come_in_the_order_of_the_plan_whatever_finishes_first(folders):
     fill(folders, 6, f00="sleep 0.3")
     events = []
-    records = ran(folders, on_event=events.append)
+    records = ran(folders, on_event=events.append, **WORKERS)
     assert [Path(record.input).stem for record in records] == [f"{n:02}" for n in range(6)]
     assert statuses(records) == ["written"] * 6
     finished = [event.index for event in events if isinstance(event, Finished)]
@@ -106,7 +110,7 @@ def test_a_finished_file_is_noted_before_it_is_told(folders):
             names.append(Path(event.record.output).name)
             assert set(names) <= set(done)
 
-    ran(folders, on_event=on_event)
+    ran(folders, on_event=on_event, **WORKERS)
     assert len(names) == 5
 
 
@@ -122,8 +126,8 @@ class TestOneTask:
     def test_it_runs_here_and_without_starting_a_process(self, folders, monkeypatch):
         fill(folders, 1)
         monkeypatch.setattr(subprocess, "Popen", None)
-        assert statuses(ran(folders)) == ["written"]
-        assert statuses(ran(folders)) == ["up-to-date"]
+        assert statuses(ran(folders, engine=None)) == ["written"]
+        assert statuses(ran(folders, engine=None)) == ["up-to-date"]
 
     def test_a_file_into_a_file_leaves_no_traces(self, folders):
         fill(folders, 1)
@@ -137,7 +141,7 @@ class TestFailures:
     @posix
     def test_each_failure_is_one_row_and_the_others_are_done(self, folders):
         fill(folders, 16, f03="fail", f05="die error", f08="die kill once", f12="die midway")
-        records = ran(folders)
+        records = ran(folders, **WORKERS)
         codes = {n: one.error.code for n, one in enumerate(records) if one.error}
         assert codes == {3: "E_FORMAT", 5: "E_INTERNAL", 12: "E_CRASH"}
         assert [n for n, one in enumerate(records) if one.warnings] == [8]
@@ -151,7 +155,7 @@ class TestFailures:
     def test_memory_that_runs_out_twice(self, folders, text):
         fill(folders, 4, f01=text)
         names, on_event = tried(folders)
-        records = ran(folders, on_event=on_event)
+        records = ran(folders, on_event=on_event, **WORKERS)
         assert records[1].error.code == "E_MEMORY"
         assert names.count("01") == 2 and names[-1] == "01"
 
@@ -447,7 +451,7 @@ class TestInterrupts:
     def test_handlers_are_given_back(self, folders):
         fill(folders, 2)
         before = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
-        ran(folders)
+        ran(folders, **WORKERS)
         after = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
         assert before == after
 
