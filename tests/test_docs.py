@@ -21,8 +21,9 @@ from msal_cli.cli.main import program
 from msal_cli.job import records
 from msal_cli.job.info_record import InfoRecord
 from msal_cli.report.document import Run, Totals
-from tests.refreshing import refresh
+from tests.scripts import load_script
 
+refresh = load_script("docs/refresh.py")
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
 PAGES = (README, *sorted((ROOT / "docs").rglob("*.md")))

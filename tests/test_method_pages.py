@@ -2,25 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-from pathlib import Path
-from types import ModuleType
 
 from msal_cli import methods
+from tests.scripts import load_script
 
-SCRIPT = Path(__file__).resolve().parents[1] / "docs" / "make_method_pages.py"
-
-
-def loaded() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make_method_pages", SCRIPT)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-MAKER = loaded()
+MAKER = load_script("docs/make_method_pages.py")
 
 
 def test_the_committed_pages_are_current() -> None:
