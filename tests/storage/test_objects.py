@@ -57,17 +57,6 @@ def test_what_is_written_is_read_back():
     assert there.tag
 
 
-def test_the_ordinary_functions_take_urls():
-    there = files.write_whole("memory://b/a.ply", [b"data"])
-    assert there == mark("memory://b/a.ply")
-    assert files.read_whole("memory://b/a.ply") == b"data"
-
-
-def test_another_content_of_the_same_size_has_another_mark():
-    first = write_whole("memory://b/a.ply", b"one")
-    assert write_whole("memory://b/a.ply", b"two") != first
-
-
 def test_a_listing_goes_down_and_knows_no_neighbours():
     for name in ("b/x.ply", "b/c/y.ply", "b/c/d/z.ply", "bb/no.ply", "b.ply"):
         write_whole(f"memory://{name}", name.encode())
@@ -161,12 +150,6 @@ def test_every_failure_is_an_error_with_a_reason_and_a_hint(failing, failure, wo
         for call in (mark, listed):
             with pytest.raises(InputError, match=words):
                 call("s3://b/a.ply")
-
-
-def test_memory_that_runs_out_stays_that(failing):
-    failing(MemoryError())
-    with pytest.raises(MemoryError):
-        read_whole("s3://b/a.ply")
 
 
 def test_bytes_that_do_not_arrive_are_noticed(monkeypatch):
@@ -303,11 +286,6 @@ class TestBounds:
             read_whole("memory://b/a.ply")
         with pytest.raises(TooLargeError):
             read_whole("memory://b/a.ply", 5 << 20)
-
-    def test_many_are_too_large_together(self):
-        marks = {f"memory://b/{n}": write_whole(f"memory://b/{n}", bytes(2 << 20)) for n in "abc"}
-        with pytest.raises(TooLargeError):
-            read_many(marks)
 
     def test_a_server_that_never_ends(self, server):
         pytest.importorskip("aiohttp")
