@@ -115,32 +115,6 @@ def test_a_summary_by_hand():
     assert found["`--auto` / tuning for both at once"] == ["0.83", "0.92", ""]
 
 
-def test_a_table_of_models_has_all_columns():
-    lines = accuracy_tables.models(rows(), SETTINGS)
-    assert lines[0] == "| | mean | one | two |"
-    assert lines[2] == "| noisy | 20.00 / 16.0 | 20.00 / 16.0 | 20.00 / 16.0 |"
-    # Of settings only defaults have rows.
-    assert [line.split("|")[1].strip() for line in lines[3:]] == [
-        "`al`",
-        "`wiener`",
-        "**`--auto`**",
-        "tuned, by angle",
-        "tuned, by vertex error",
-        "tuned, by both",
-    ]
-    assert lines[-3] == "| tuned, by angle | 5.00 / 10.0 | 4.00 / 10.0 | 6.00 / 10.0 |"
-
-
-def test_what_was_not_run_is_never_best():
-    some = rows()
-    del some["one"]["wiener"]
-    lines = accuracy_tables.summary("organic", some, SETTINGS)
-    assert not any("`wiener`" in line for line in lines)
-    table = accuracy_tables.models(some, SETTINGS)
-    assert "| `wiener` | - | - | 9.00 / 9.0 |" in table
-    assert "| tuned, by vertex error | 7.50 / 7.0 | 8.00 / 6.0 | 7.00 / 8.0 |" in table
-
-
 @pytest.fixture
 def small(monkeypatch):
     """One small torus in every class, three settings, and a choice that costs nothing; gives the

@@ -191,21 +191,6 @@ def test_msal_is_installed_from_where_it_is(page: Path) -> None:
     assert all(refresh.SOURCE in words for words in taken), taken
 
 
-@pytest.mark.parametrize(
-    ("words", "extra"),
-    [("pip install msal-cli", ""), ("pip install 'msal-cli[cloud]'", "[cloud]")]
-    + [("pip install 'msal-cli[dask] @ https://other.example/x.tar.gz'", "[dask]")],
-)
-def test_the_source_is_put_into_commands(words: str, extra: str) -> None:
-    made = refresh.with_source(f"a `{words}`, b\n{words}   # c\n")
-    whole = f"pip install 'msal-cli{extra}{refresh.SOURCE}'"
-    assert made == f"a `{whole}`, b\n{whole}   # c\n"
-
-
-def test_outputs_are_shown() -> None:
-    assert {words.split()[0] for _, words, _ in SHOWN} >= {"info", "methods"}
-
-
 def readme_block(name: str) -> str:
     found = re.search(
         rf"^<!-- ci: {name} -->\n```sh\n(.+?)^```$", README.read_text("utf-8"), re.M | re.DOTALL

@@ -17,7 +17,6 @@ import msal_cli
 from msal_cli.batch import resume
 from msal_cli.batch.events import Finished, Progress, Started
 from msal_cli.batch.inputs import discover_inputs
-from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
@@ -274,16 +273,6 @@ class TestDryRun:
 
 
 class TestPlaces:
-    def test_two_runs_on_one_folder(self, folders):
-        fill(folders, 2)
-        (folders / "out").mkdir()
-        with FolderLock(str(folders / "out")):
-            with pytest.raises(UsageError, match=f"process {os.getpid()} ") as caught:
-                ran(folders)
-            assert caught.value.code == "E_LOCKED"
-        assert tree(folders / "out") == {}
-        assert statuses(ran(folders)) == ["written"] * 2
-
     def test_an_output_folder_that_cannot_be_made(self, folders):
         fill(folders, 2)
         plan = plan_of(folders)

@@ -245,20 +245,6 @@ def test_no_worker_at_all_is_a_resource_error(monkeypatch):
         heard(pool([("double", 1)]))
 
 
-def test_fewer_workers_than_wanted_are_enough(monkeypatch):
-    real = subprocess.Popen
-    started = []
-
-    def miserly(*arguments, **options):
-        if started:
-            raise OSError(11, "Resource temporarily unavailable")
-        started.append(1)
-        return real(*arguments, **options)
-
-    monkeypatch.setattr(subprocess, "Popen", miserly)
-    assert len(results(heard(pool([("double", n) for n in range(5)], jobs=4)))) == 5
-
-
 @posix
 def test_workers_end_when_the_parent_is_killed(tmp_path):
     code = (
