@@ -18,6 +18,7 @@ from benchmarks import (
     measured,
     scans,
     small_file,
+    stages,
 )
 
 PEER = ["--peers", "meshio_mean", "--peers-python", sys.executable]
