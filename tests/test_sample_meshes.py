@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import Settings, Task
 from msal_cli.methods import find
@@ -61,7 +61,7 @@ def one(name: str, kind: str) -> Path:
 
 def geometry(path: Path) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], list[int]]:
     """Positions, welded triangles and polygon sizes."""
-    mesh = files.open_mesh(expanded(path.name, path.read_bytes()), path.name.removesuffix(".gz"))
+    mesh = codecs.open_mesh(expanded(path.name, path.read_bytes()), path.name.removesuffix(".gz"))
     return mesh.vertices, mesh.faces, [len(one) for one in mesh.polygons()]
 
 

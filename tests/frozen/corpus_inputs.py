@@ -2,37 +2,17 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import random
-import tarfile
 from collections.abc import Iterator
 from pathlib import Path
-from unittest import mock
 
 from tests.frozen.sums import REAL, ROOT
 from tests.fuzz import corpus, mutants
-
-INPUTS = Path(__file__).with_name("inputs.tar.xz")
+from tests.fuzz.seeds import archived, seeds
 
 FUZZED = ("ply", "obj", "stl", "glb", "gltf", "3mf", "gz")
 """Formats with mutants and a corpus of their own; for all others bytes and numbers are changed."""
-
-
-@functools.cache
-def archived() -> dict[str, bytes]:
-    """The files of ``inputs.tar.xz`` by name: ``seeds/FORMAT/...``, ``malformed/...`` and
-    ``made/FORMAT/...``."""
-    with tarfile.open(INPUTS) as archive:
-        entries = [(entry.name, archive.extractfile(entry)) for entry in archive]
-        return {name: file.read() for name, file in entries if file is not None}
-
-
-@functools.cache
-def seeds(format: str) -> tuple[bytes, ...]:
-    """The good files of which the mutants of a format are made."""
-    start = f"seeds/{format}/"
-    return tuple(data for name, data in sorted(archived().items()) if name.startswith(start))
 
 
 def formats() -> tuple[str, ...]:
@@ -42,12 +22,7 @@ def formats() -> tuple[str, ...]:
 
 
 def mutant(format: str, number: int) -> bytes:
-    """The mutant of that number, made of the archived seeds."""
-    with mock.patch.object(mutants, "seeds", seeds):
-        return _mutant(format, number)
-
-
-def _mutant(format: str, number: int) -> bytes:
+    """The mutant of that number."""
     if format in FUZZED:
         return mutants.mutant(format, number)
     dice = random.Random(f"{format} {number}")

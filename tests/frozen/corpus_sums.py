@@ -37,18 +37,13 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.codecs import (
-    converted,
-    expanded,
-    normal_warnings,
-    open_mesh,
-    vertex_property,
-    writable_formats,
-)
+from msal_cli.codecs import converted, normal_warnings, open_mesh, vertex_property, writable_formats
 from msal_cli.codecs.forecast import of_beginning
 from msal_cli.errors import MsalError
-from tests.frozen.corpus_inputs import formats, mutant, ordinary_files, real_files, seeds
+from msal_cli.storage.gzip_streams import expanded
+from tests.frozen.corpus_inputs import formats, mutant, ordinary_files, real_files
 from tests.frozen.sums import environment
+from tests.fuzz.seeds import seeds
 
 KEPT = Path(__file__).with_name("corpus_sums.json")
 

@@ -10,7 +10,7 @@ import gzip
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.job import pipeline
 from msal_cli.job.settings import Task
 from tests.fuzz import mutants, survival
@@ -50,7 +50,7 @@ def test_mutants_through_the_whole_pipeline(format, tmp_path):
         record = pipeline.denoise_file(task, chosen)
         if record.error is None:
             n_written += record.status == "written"
-            after = files.open_mesh(target.read_bytes(), source.name)
+            after = codecs.open_mesh(target.read_bytes(), source.name)
             assert np.isfinite(after.vertices).all()
             assert len(after.faces) == record.triangles
             target.unlink()

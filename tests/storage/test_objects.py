@@ -10,7 +10,7 @@ import threading
 
 import pytest
 
-from msal_cli import codecs as files
+from msal_cli.codecs import header_check
 from msal_cli.codecs.forecast import forecast
 from msal_cli.errors import InputError, OutputError, TooLargeError, UsageError
 from msal_cli.storage import limits, sidecars
@@ -44,7 +44,7 @@ class Refusing:
 @pytest.fixture
 def failing(monkeypatch):
     def with_failure(failure):
-        monkeypatch.setattr(remote, "_opened", lambda url: (Refusing(failure), "a.ply"))
+        monkeypatch.setattr(remote, "_open", lambda url: (Refusing(failure), "a.ply"))
 
     return with_failure
 
@@ -328,4 +328,4 @@ class TestBounds:
 
         server.answer = answer
         assert read_whole(server.url) == data
-        assert files.read_input(server.url) == data
+        assert header_check.read_input(server.url) == data
