@@ -7,13 +7,11 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import threading
 
 import pytest
 
 from msal_cli import methods
-from msal_cli.errors import OutputError
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
@@ -237,43 +235,3 @@ def test_a_killed_run_leaves_whole_objects_and_the_next_does_the_rest(server, ex
     assert there.items() <= expected.items()
     assert msal(*command).exit_code == 0
     assert outputs("s3://out/killed") == expected
-
-
-@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
-def test_an_upload_that_is_killed_halfway_leaves_no_object(server):
-    server.hold_up("/out/half.ply")
-    code = (
-        "from msal_cli.storage.objects import write_whole; "
-        "write_whole('s3://out/half.ply', bytes(40 << 20))"
-    )
-    process = subprocess.Popen([sys.executable, "-c", code])
-    try:
-        assert server.is_reached.wait(60)
-        process.kill()
-        assert process.wait(10)
-    finally:
-        server.let_go()
-    assert remote.mark("s3://out/half.ply") is None
-
-
-def test_large_objects_go_up_in_parts_and_come_whole_or_not_at_all(server, monkeypatch):
-    system, _ = remote._open("s3://out/big")
-    real = system.pipe_file
-    monkeypatch.setattr(system, "pipe_file", lambda *given: real(*given, chunksize=5 << 20))
-    data = os.urandom(11 << 20)
-    server.requests = []
-    assert write_whole("s3://out/big.ply", data).tag.endswith("-3")
-    assert read_whole("s3://out/big.ply") == data
-    assert server.counted("(POST|PUT) /out/big.ply") == 5
-    call = type(system)._call_s3
-
-    async def without_end(self, method, *arguments, **options):
-        if method == "complete_multipart_upload":
-            raise PermissionError("Access Denied")
-        return await call(self, method, *arguments, **options)
-
-    monkeypatch.setattr(type(system), "_call_s3", without_end)
-    with pytest.raises(OutputError, match="access is denied"):
-        write_whole("s3://out/big2.ply", data)
-    monkeypatch.undo()
-    assert remote.mark("s3://out/big2.ply") is None

@@ -53,11 +53,6 @@ def test_in_place_the_backup_is_the_input(tmp_path):
     assert gallery.build_gallery(records, backup=".orig").pictures == {}
 
 
-def test_in_place_without_a_backup_there_is_nothing_to_compare(tmp_path):
-    records = denoised(tmp_path, "--in-place", "--no-backup")
-    assert gallery.build_gallery(records).pictures == {}
-
-
 def test_what_is_gone_or_has_changed_is_left_out(tmp_path):
     records = denoised(tmp_path)
     (tmp_path / "in" / "a.ply").write_bytes(closed_scan(seed=5))
@@ -99,24 +94,6 @@ def test_what_cannot_be_drawn_keeps_back_no_report(records, monkeypatch):
 
     monkeypatch.setattr(pictures, "camera_of", broken)
     assert gallery.build_gallery(records).pictures == {}
-
-
-def test_the_scale_is_round_and_that_of_middling_files():
-    def reach(*p95_edges):
-        from dataclasses import replace
-
-        base = written()
-        return gallery._reach(
-            [
-                replace(base, displacement=replace(base.displacement, p95_edges=one))
-                for one in p95_edges
-            ]
-        )
-
-    assert reach(0.09, 0.1, 50.0) == 0.2
-    assert reach(0.11) == 0.5
-    assert reach(float("nan"), 0.0, 1e-17) == 0.5
-    assert reach(3.0) == 10.0
 
 
 def test_the_report_of_a_run_has_its_pictures(tmp_path):

@@ -6,7 +6,6 @@ import gzip
 import io
 import os
 import random
-import struct
 import sys
 
 import pytest
@@ -46,20 +45,6 @@ def test_compression_has_no_time_name_or_system():
         assert stream.mtime == 0
 
 
-def test_plain_data_are_returned_as_they_are():
-    data = b"ply\n"
-    assert expand(data, "a.ply") == (data, False)
-    assert expand(data, "a.ply")[0] is data
-
-
-def test_gzip_is_known_by_its_content_too():
-    assert expand(gzip.compress(b"ply\n", mtime=0), "a.ply") == (b"ply\n", True)
-
-
-def test_padding_behind_the_last_member_is_allowed():
-    assert expand(gzip.compress(b"abc", mtime=0) + bytes(512), "a.gz") == (b"abc", True)
-
-
 def _flipped(data: bytes, at: int) -> bytes:
     return data[:at] + bytes([data[at] ^ 0xFF]) + data[at + 1 :]
 
@@ -69,7 +54,7 @@ PACKED = gzip.compress(bytes(range(256)) * 40, mtime=0)
 
 DAMAGED = {
     "empty": (b"", "E_TRUNCATED"),
-    "not compressed": (b"ply\nformat ascii 1.0\n", "E_FORMAT"),
+    "not compress": (b"ply\nformat ascii 1.0\n", "E_FORMAT"),
     "half a magic number": (b"\x1f", "E_FORMAT"),
     "magic number alone": (b"\x1f\x8b", "E_TRUNCATED"),
     "half a header": (b"\x1f\x8b\x08\x00", "E_TRUNCATED"),
@@ -137,7 +122,7 @@ def test_the_default_limit_is_a_size_that_is_always_allowed_or_a_ratio(monkeypat
     assert len(expand(compress(bytes(100_000)), "a.gz")[0]) == 100_000
     with pytest.raises(TooLargeError):
         expand(compress(bytes(100_001)), "a.gz")
-    # No better compressed than the ratio: any size.
+    # No better compress than the ratio: any size.
     noise = random.Random(1).randbytes(300_000)
     assert len(expand(compress(noise), "a.gz")[0]) == 300_000
     assert streams.LARGEST_RATIO < 1000 < 16 << 20 < ALWAYS_EXPANDED
@@ -159,11 +144,6 @@ def test_reading_a_file_and_its_failures(tmp_path):
             read_whole(bad)
         assert caught.value.code == "E_READ"
         assert caught.value.path == str(bad)
-
-
-def test_lengths_beyond_32_bits_wrap_in_the_trailer():
-    # The trailer holds the length modulo 2**32; here only that it is little endian.
-    assert struct.unpack("<I", compress(bytes(70_000))[-4:]) == (70_000,)
 
 
 @pytest.mark.parametrize("size", [0, 1, 70_000])
@@ -188,8 +168,3 @@ def test_a_file_that_grows_while_it_is_read_is_read_whole(tmp_path, monkeypatch)
 
     monkeypatch.setattr(os, "fstat", smaller)
     assert bytes(read_in_large_pages(path)) == b"x" * 1000
-
-
-def test_what_cannot_be_read_says_why(tmp_path):
-    with pytest.raises(InputError, match="cannot be read"):
-        read_in_large_pages(tmp_path / "none.ply")

@@ -13,7 +13,7 @@ import pytest
 from msal_cli.codecs import header_check
 from msal_cli.codecs.forecast import forecast
 from msal_cli.errors import InputError, OutputError, TooLargeError, UsageError
-from msal_cli.storage import atomic, gzip_streams, limits, sidecars
+from msal_cli.storage import limits, sidecars
 from msal_cli.storage import objects as remote
 from msal_cli.storage.objects import (
     Mark,
@@ -63,17 +63,6 @@ def test_what_is_written_is_read_back():
     assert there == mark("memory://b/a.ply") == list_objects("memory://b")["a.ply"]
     assert there.size == 6
     assert there.tag
-
-
-def test_the_ordinary_functions_take_urls():
-    there = atomic.write_whole("memory://b/a.ply", [b"data"])
-    assert there == mark("memory://b/a.ply")
-    assert gzip_streams.read_whole("memory://b/a.ply") == b"data"
-
-
-def test_another_content_of_the_same_size_has_another_mark():
-    first = write_whole("memory://b/a.ply", b"one")
-    assert write_whole("memory://b/a.ply", b"two") != first
 
 
 def test_a_listing_goes_down_and_knows_no_neighbours():
@@ -169,12 +158,6 @@ def test_every_failure_is_an_error_with_a_reason_and_a_hint(failing, failure, wo
         for call in (mark, list_objects):
             with pytest.raises(InputError, match=words):
                 call("s3://b/a.ply")
-
-
-def test_memory_that_runs_out_stays_that(failing):
-    failing(MemoryError())
-    with pytest.raises(MemoryError):
-        read_whole("s3://b/a.ply")
 
 
 def test_bytes_that_do_not_arrive_are_noticed(monkeypatch):
@@ -311,11 +294,6 @@ class TestBounds:
             read_whole("memory://b/a.ply")
         with pytest.raises(TooLargeError):
             read_whole("memory://b/a.ply", 5 << 20)
-
-    def test_many_are_too_large_together(self):
-        marks = {f"memory://b/{n}": write_whole(f"memory://b/{n}", bytes(2 << 20)) for n in "abc"}
-        with pytest.raises(TooLargeError):
-            read_many(marks)
 
     def test_a_server_that_never_ends(self, server):
         pytest.importorskip("aiohttp")

@@ -62,14 +62,6 @@ def test_a_second_mesh_finds_them_in_place(scene):
     assert {path: path.stat().st_mtime_ns for path in target.parent.rglob("*")} == before
 
 
-def test_nothing_to_do_in_the_same_folder(scene):
-    source, _ = scene
-    before = tree(source.parent)
-    notes = carry(["mesh.mtl"], source, source.with_name("denoised.obj"))
-    assert notes == ("warning: missing.png is missing beside the input",)
-    assert tree(source.parent) == before
-
-
 @pytest.mark.parametrize("name", ["mesh.mtl", "tex/bump.png"])
 def test_a_different_file_is_never_overwritten(scene, name):
     source, target = scene
@@ -83,13 +75,6 @@ def test_a_different_file_is_never_overwritten(scene, name):
     assert place.read_bytes() == b"another mesh's"
 
 
-def test_a_folder_in_the_place_is_not_touched(scene):
-    source, target = scene
-    (target.parent / "mesh.mtl").mkdir(parents=True)
-    with pytest.raises(OutputError):
-        carry(["mesh.mtl"], source, target)
-
-
 def test_references_that_leave_the_folder(tmp_path):
     for folder in ("a/in", "a/out", "b/out"):
         (tmp_path / folder).mkdir(parents=True)
@@ -100,13 +85,6 @@ def test_references_that_leave_the_folder(tmp_path):
     (note,) = carry(["../shared.mtl"], source, tmp_path / "b/out/mesh.obj")
     assert note.startswith("warning: ../shared.mtl")
     assert tree(tmp_path) == {"a/shared.mtl": b"newmtl x\n"}
-
-
-def test_a_name_that_goes_out_and_comes_back_is_copied(tmp_path):
-    (tmp_path / "in/sub").mkdir(parents=True)
-    (tmp_path / "in/a.mtl").write_bytes(b"x")
-    carry(["sub/../a.mtl"], tmp_path / "in/mesh.obj", tmp_path / "out/mesh.obj")
-    assert (tmp_path / "out/a.mtl").read_bytes() == b"x"
 
 
 @pytest.mark.parametrize(
@@ -145,36 +123,11 @@ def test_links_that_lead_round_or_out(scene, tmp_path):
         carry(["mesh.mtl"], source, target)
 
 
-@posix
-def test_a_linked_source_is_copied_as_a_file(scene):
-    source, target = scene
-    (source.parent / "link.png").symlink_to("tex/bump.png")
-    assert carry(["link.png"], source, target) == ("copied link.png",)
-    assert not (target.parent / "link.png").is_symlink()
-    assert (target.parent / "link.png").read_bytes() == bytes([1]) * 100
-
-
-def test_libraries_that_name_each_other_end(tmp_path):
-    (tmp_path / "in").mkdir()
-    (tmp_path / "in/a.mtl").write_bytes(b"map_Kd b.mtl\n")
-    (tmp_path / "in/b.mtl").write_bytes(b"map_Kd a.mtl\nmap_Kd b.mtl\n")
-    notes = carry(["a.mtl"], tmp_path / "in/m.obj", tmp_path / "out/m.obj")
-    assert notes == ("copied a.mtl", "copied b.mtl")
-
-
 def test_endless_lists_are_cut(tmp_path, monkeypatch):
     monkeypatch.setattr(sidecars, "MOST_REFERENCES", 10)
     notes = carry([f"{k}.png" for k in range(50)], tmp_path / "m.obj", tmp_path / "o/m.obj")
     assert len(notes) == 11
     assert "first 10" in notes[-1]
-
-
-def test_textures_are_relative_to_their_library(tmp_path):
-    (tmp_path / "in/lib").mkdir(parents=True)
-    (tmp_path / "in/lib/a.mtl").write_bytes(b"map_Kd skin.png\n")
-    (tmp_path / "in/lib/skin.png").write_bytes(b"p")
-    carry(["lib/a.mtl"], tmp_path / "in/m.obj", tmp_path / "out/m.obj")
-    assert tree(tmp_path / "out") == {"lib/a.mtl": b"map_Kd skin.png\n", "lib/skin.png": b"p"}
 
 
 @pytest.mark.parametrize(
@@ -244,20 +197,6 @@ def test_many_processes_may_carry_the_same_files(scene):
     expected = tree(source.parent)
     del expected["mesh.obj"]
     assert tree(target.parent) == expected
-
-
-def test_whoever_comes_second_with_another_file_fails(tmp_path):
-    for folder, content in (("a", b"one"), ("b", b"two"), ("c", b"one")):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "t.png").write_bytes(content)
-    target = tmp_path / "o" / "t.png"
-    # As if each had found the place free a moment before.
-    sidecars._copy(tmp_path / "a/t.png", target)
-    sidecars._copy(tmp_path / "c/t.png", target)
-    with pytest.raises(OutputError) as caught:
-        sidecars._copy(tmp_path / "b/t.png", target)
-    assert caught.value.code == "E_SIDECAR"
-    assert target.read_bytes() == b"one"
 
 
 def test_size_and_time_alone_do_not_make_files_the_same(tmp_path):

@@ -119,11 +119,6 @@ def test_other_faces(monkeypatch):
     assert any("fcpw" in text for text in parts.texts["p"])
 
 
-def test_small_numbers_are_written_with_powers():
-    assert pages._number(1.42e-5) == "1.42·10⁻⁵"
-    assert pages._number(-0.25) == "\N{MINUS SIGN}0.25"
-
-
 @pytest.mark.parametrize("name", [*HOSTILE_NAMES, "\udcff.ply", "$title${x}.ply"])
 def test_names_stay_text(name):
     plain, hostile = parts_of(pair()), parts_of(pair(name))

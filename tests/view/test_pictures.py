@@ -72,15 +72,6 @@ def test_split_vertices_are_drawn_as_one():
     assert len(scene.before.vertices) == len(scene.after.vertices) == len(scene.deviation) == 8
 
 
-def test_both_meshes_are_in_the_picture():
-    vertices, faces = cube()
-    scene = pictures.scene_of(Surface(vertices, faces), Surface(9 * vertices, faces), NAMES)
-    camera = pictures.camera_of(scene, pictures.View())
-    scale = camera.pixels_per_unit(100, 100)
-    for mesh in (scene.before, scene.after):
-        assert np.abs(camera.seen(mesh.vertices)[:, :2] * scale).max() <= 50.0
-
-
 def test_other_faces_are_measured_from_the_surface(monkeypatch):
     vertices, faces = ball()
     other = Surface(*cube())

@@ -132,12 +132,6 @@ def test_the_table_is_sorted_by_keys(page):
     assert page.run(f"{th}") is None
 
 
-def test_names_sort_as_people_count(page):
-    find(page, "scan")
-    head(page, "File").click()
-    assert names(page)[:3] == ["scan0.ply", "scan1.ply", "scan2.ply"]
-
-
 def test_what_is_not_known_comes_last(page):
     for _ in range(2):
         head(page, "Vertices").click()
@@ -184,17 +178,6 @@ def test_a_row_shows_its_pictures_and_unfolds(page):
     page.wait(lambda: page.run("document.querySelector('.more img').naturalWidth") == 40)
     button.click()
     assert page.run("document.querySelector('.more')") is None
-
-
-def test_light_and_dark(page):
-    def ground():
-        return page.run("getComputedStyle(document.body).backgroundColor")
-
-    first = ground()
-    page.click("Light or dark")
-    assert ground() != first
-    page.click("Light or dark")
-    assert ground() == first
 
 
 def test_ten_thousand_rows_are_sorted_and_filtered(browser, tmp_path):

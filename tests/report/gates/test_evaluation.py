@@ -9,7 +9,7 @@ import pytest
 
 from msal_cli.errors import UsageError
 from msal_cli.job.plain_data import as_data, from_data
-from msal_cli.job.records import Area, MeshRecord, NormalChange, Reference, Volume
+from msal_cli.job.records import Area, MeshRecord, NormalChange, Volume
 from msal_cli.report.gates import evaluate_gates, parse_gates, refuse_without_reference, with_gates
 from msal_cli.report.gates.quantities import EDGES, LENGTH, NUMBER, PERCENT, SHORT_NAMES, quantities
 from tests.report.made import failed, written
@@ -269,26 +269,3 @@ def test_what_needs_a_reference_is_not_judged_by_the_input(name):
     asked = f"known({name}) and {text}"
     refuse_without_reference(parse_gates([asked], MeshRecord), "give one")
     assert not result(asked).broken
-
-
-def test_angles_are_those_to_the_reference():
-    reference = Reference(
-        "t.ply", "vertices", mean_angular_error_deg=7.0, max_angular_error_deg=9.0
-    )
-    record = dataclasses.replace(CLOSED, reference=reference)
-    assert result("mean_angular_error_deg == 7 and max_angular_error_deg == 9", record).broken
-    assert result("normal_change.mean_deg == 5", record).broken
-
-
-@pytest.mark.parametrize(("inside_out", "is_broken"), [(True, True), (False, False)])
-def test_inside_out_is_a_gate(inside_out, is_broken):
-    found = result("inside_out", dataclasses.replace(CLOSED, inside_out=inside_out))
-    assert (found.broken, found.decided) == (is_broken, True)
-
-
-def test_figures_of_an_invalid_volume_are_not_known():
-    assert OPEN.volume.before is OPEN.volume.change_percent is None
-    for text in ("volume.before > 0", "volume.change > 0", "volume_change > 0"):
-        found = result(text, OPEN)
-        assert not found.decided
-        assert "open (8 edges)" in found.reason

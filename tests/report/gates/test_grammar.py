@@ -89,10 +89,6 @@ def test_the_longest_expressions_can_be_judged(sign):
     assert evaluate_gates(parse_gates([text], MeshRecord), RECORD)[0].decided
 
 
-def test_names_stand_once_each_in_their_order():
-    assert Expression("b > a and max(a, c) > b").names == ["b", "a", "c"]
-
-
 WORDS = [
     *("faces", "volume_change", "displacement.max", "volume.valid", "seconds", "x", "e", "1"),
     *("0.5e", "1%", "0", "1e9", "(", ")", ",", "+", "-", "*", "/", "<", ">=", "==", "and", "or"),
