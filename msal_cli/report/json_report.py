@@ -28,7 +28,7 @@ def render(run: Run, records: Sequence[MeshRecord]) -> bytes:
     return empty.removesuffix(end) + b"[\n    " + inner + b"\n  ]\n}\n"
 
 
-def encoded_lines(run: Run, records: Sequence[MeshRecord]) -> bytes:
+def render_lines(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The records as UTF-8; each line is a ``MeshRecord`` of the schema ``msal.report/1``.
 
     Only ASCII is used, because some readers of lines also break at U+2028.

@@ -26,7 +26,7 @@ def strict(data):
 def test_any_records_make_strict_json_and_one_ascii_line_each(records):
     made = strict(as_json.render(RUN, records))["records"]
     assert [restore_name(one["input"]) for one in made] == [record.input for record in records]
-    data = as_json.encoded_lines(RUN, records)
+    data = as_json.render_lines(RUN, records)
     assert data.isascii()
     *lines, last = data.split(b"\n")
     assert last == b""
@@ -35,7 +35,7 @@ def test_any_records_make_strict_json_and_one_ascii_line_each(records):
 
 def test_a_record_comes_back_from_a_line():
     records = [written(), failed()]
-    lines = as_json.encoded_lines(RUN, records).splitlines()
+    lines = as_json.render_lines(RUN, records).splitlines()
     assert [from_data(MeshRecord, strict(line)) for line in lines] == records
 
 

@@ -48,7 +48,7 @@ def test_every_info_fits(record):
 
 
 def test_every_line_fits_the_part_for_records():
-    for line in as_json.encoded_lines(RUN, [written(), failed()]).splitlines():
+    for line in as_json.render_lines(RUN, [written(), failed()]).splitlines():
         validator = Draft202012Validator(
             {"$ref": "#/$defs/MeshRecord", "$defs": report_schema()["$defs"]}
         )

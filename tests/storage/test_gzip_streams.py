@@ -122,7 +122,7 @@ def test_the_default_limit_is_a_size_that_is_always_allowed_or_a_ratio(monkeypat
     assert len(expand(compress(bytes(100_000)), "a.gz")[0]) == 100_000
     with pytest.raises(TooLargeError):
         expand(compress(bytes(100_001)), "a.gz")
-    # No better compress than the ratio: any size.
+    # No better compressed than the ratio: any size.
     noise = random.Random(1).randbytes(300_000)
     assert len(expand(compress(noise), "a.gz")[0]) == 300_000
     assert streams.LARGEST_RATIO < 1000 < 16 << 20 < ALWAYS_EXPANDED
