@@ -146,7 +146,7 @@ def _entry(path: Path, name: str) -> int | None:
 
 
 def peak_bytes() -> int | None:
-    """The largest resident size of this process so far; None where the system does not report it."""
+    """The largest resident size of this process so far; None where it is not known."""
     if sys.platform == "win32":
         return _peak_on_windows()
     import resource

@@ -1,4 +1,4 @@
-"""The settings and limits of one file, and what is known of it before it is read: names and forecasts."""
+"""Settings and limits of one file, and what is known before it is read: names and forecasts."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def refuse_faces(n_faces: int | None, limits: Limits) -> None:
 
 
 def forecast(task: Task, settings: Settings) -> Forecast:
-    """What a file will need, estimated from its size and its first bytes; it never raises for a file."""
+    """What a file will need, by its size and its first bytes; it never raises for a file."""
     from msal_cli.codecs import forecast
 
     told = suffix(task.output).lstrip(".") if is_mesh_name(task.output) else None

@@ -58,7 +58,7 @@ _file_systems: dict[tuple[str, str], Any] = {}
 class Mark(NamedTuple):
     """Size in bytes and entity tag of an object.
 
-    Where a store has no entity tags, the time of change replaces them; empty where there is neither.
+    Where a store has no entity tags, the time of change is used; empty where there is neither.
     """
 
     size: int
