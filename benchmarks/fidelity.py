@@ -55,9 +55,9 @@ ROWS: dict[str, list[Setting]] = {
     "`msal`, default": [("msal", {})],
     "`robust`, default": [("msal", {"schedule": "robust"})],
     "`wiener` schedule, default": [("msal", {"schedule": "wiener"})],
-    "`wiener` schedule, noise told": [("msal", {"schedule": "wiener", "noise": None})],
+    "`wiener` schedule, noise given": [("msal", {"schedule": "wiener", "noise": None})],
     "`wiener` method, default": [("wiener", {})],
-    "`wiener` method, noise told": [("wiener", {"noise": None})],
+    "`wiener` method, noise given": [("wiener", {"noise": None})],
 }
 """Settings by row; a noise of None is the true one."""
 

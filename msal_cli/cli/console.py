@@ -86,7 +86,7 @@ def put(text: str) -> None:
     OutputError
         if standard output is closed, or its disk is full.
     BrokenPipeError
-        if nobody reads it.
+        if its reader is gone.
     """
     stream = _standard_output()
     encoding = stream.encoding or "ascii"
@@ -199,7 +199,7 @@ def _standard_output() -> TextIO:
 
 
 def _write_words(text: str) -> None:
-    # Who talks to a terminal that is gone has nobody left to tell so.
+    # If the terminal is gone, the failure cannot be reported either.
     try:
         sys.stderr.write(text + "\n")
         sys.stderr.flush()

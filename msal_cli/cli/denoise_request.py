@@ -90,7 +90,7 @@ def parse_gates(request: Request) -> tuple[Gate, ...]:
 
 
 def find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
-    """For each input, known by its relative path, the path of its reference; () if none is asked
+    """For each input, known by its relative path, the path of its reference; () if none is given
     for.
 
     Raises

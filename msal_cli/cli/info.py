@@ -55,7 +55,9 @@ def _find_paths(
     if STREAM not in inputs:
         return tuple(one.path for one in discover_inputs(inputs, include, exclude))
     if len(inputs) > 1 or include or exclude:
-        raise UsageError("- stands alone: standard input is one mesh", hint="give - and no other")
+        raise UsageError(
+            "- must be the only input: standard input is one mesh", hint="give - and no other"
+        )
     return inputs
 
 

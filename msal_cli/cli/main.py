@@ -21,7 +21,7 @@ from msal_cli.cli import console, exit_codes
 from msal_cli.errors import MsalError, OutputError
 
 COMPLETE_VARIABLE = "_MSAL_COMPLETE"
-"""The environment variable through which a shell asks for completions."""
+"""The environment variable through which a shell requests completions."""
 
 COMMANDS = {
     "denoise": "Denoise files, folders or a stream.",
@@ -111,9 +111,9 @@ def main() -> NoReturn:
 
 
 def _end(status: object) -> None:
-    """End the process without taking the interpreter apart, if nobody waits for that.
+    """End the process without taking the interpreter apart, if nothing waits for that.
 
-    Letting go of all modules and arrays, one by one, takes a tenth of the time of a small mesh.
+    Freeing all modules and arrays, one by one, takes a tenth of the time of a small mesh.
     """
     if not isinstance(status, int) or _is_observed() or _waits_for_threads():
         return
@@ -189,7 +189,7 @@ def _say_usage(error: click.UsageError) -> None:
     # Click lists choices one below the other.
     message = error.format_message().replace("\n\t", " ")
     console.say(f"msal: error: {escape_for_display(message)}", "bad")
-    console.say(f"hint: {command} --help tells how it is used")
+    console.say(f"hint: {command} --help shows how it is used")
 
 
 def _internal_error(error: Exception) -> int:
@@ -207,7 +207,7 @@ def _internal_error(error: Exception) -> int:
 
 
 def _flush(status: int) -> int:
-    """``status``, or the one that tells that what was printed cannot be delivered."""
+    """``status``, or the one for output that cannot be delivered."""
     try:
         console.flush()
     except BrokenPipeError:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Target:
-    """An input, its output and, where one is asked for, the file of its true positions."""
+    """An input, its output and, where one is requested, the file of its true positions."""
 
     source: str
     output: str

@@ -113,7 +113,7 @@ def command(
     truth = None if reference is None else open_surface(reference, format)
     on = parameter_grid.subject(surface, source, truth, reference or "", view)
     done = []
-    # The picture is what was asked for, even if nothing reads the numbers.
+    # The picture is the result, even if nothing reads the numbers.
     with console.finish_work():
         for cell, mesh in parameter_grid.cells(on, grid):
             done.append((cell, parameter_grid.draw_grid(on, mesh, view)))

@@ -121,7 +121,7 @@ def command(
 ) -> int:
     """Show mesh A, or A beside B (before and after) and the deviation of B in colours.
 
-    All panels are seen from one place. Where A and B have the same faces the colours tell how far
+    All panels show the same view. Where A and B have the same faces the colours show how far
     each vertex moved along its normal, else how far it is from A's surface. Neither a display nor
     a graphics card is needed.
     """

@@ -191,7 +191,7 @@ def method_warnings(
     displacement: Displacement,
     is_ruled: bool,
 ) -> tuple[str, ...]:
-    """Where a method that was asked for by name harms the mesh: each with the option to try.
+    """Where a method that was given by name harms the mesh: each with the option to try.
 
     ``is_ruled`` is what ``is_ruled_by_spike`` gave.
     """

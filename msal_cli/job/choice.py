@@ -28,7 +28,7 @@ class Preparation:
     ----------
     mesh : the mesh to denoise, without its outliers if they were brought back.
     method : None where the mesh stays as it is.
-    parameters : of the method, every one of them.
+    parameters : all parameters of the method.
     noise : what was estimated of ``mesh`` on the way; None if nothing was.
     known : fields of the record.
     warnings : for the record.

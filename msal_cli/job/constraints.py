@@ -108,7 +108,7 @@ def parse_lock(text: str) -> Lock | None:
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """What is asked of one mesh.
+    """The constraints on one mesh.
 
     Attributes
     ----------

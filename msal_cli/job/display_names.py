@@ -1,6 +1,6 @@
 """Names and figures as text: reversibly for programs, harmlessly for people.
 
-The system gives names as text in which a byte that is not valid UTF-8 stands as a lone surrogate
+The system gives names as text in which a byte that is not valid UTF-8 becomes a lone surrogate
 (``os.fsdecode``).  Such text can be written neither as UTF-8 nor as JSON that every reader takes.
 """
 
@@ -14,7 +14,7 @@ _TO_ESCAPE = re.compile(r"[\ud800-\udfff]|\\(?=u(?:d[89a-f][0-9a-f]{2}|005c))")
 _ESCAPED = re.compile(r"\\u(d[89a-f][0-9a-f]{2}|005c)")
 
 _LOG_COMMAND = re.compile(r"\s*::")
-# These are obeyed wherever in a line they stand.
+# These are obeyed anywhere in a line.
 _INNER_COMMAND = re.compile(r"#(?=#\w*\[)")
 
 _UNSAFE_CATEGORIES = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
@@ -76,7 +76,7 @@ def _character_columns(one: str) -> int:
 
 
 def shorten_name(text: str, width: int) -> str:
-    """``text`` in at most ``width`` columns; the end of a path tells more than its beginning."""
+    """``text`` in at most ``width`` columns; the end of a path says more than its beginning."""
     if columns(text) <= width:
         return text
     taken, start = 3, len(text)

@@ -319,7 +319,7 @@ class _FileRun:
         return vertices
 
     def _build_constraints(self, ready: PreparedMesh, mesh_file: MeshFile) -> Constraints | None:
-        """What keeps vertices of this file near their place; None if nothing was asked for."""
+        """What keeps vertices of this file near their place; None if no option sets any."""
         settings = self._settings
         asked = (settings.max_move, settings.lock, settings.weights)
         if asked == (None, (), None):
@@ -354,7 +354,7 @@ class _FileRun:
             raise InternalError(f"{name} made a position that is not finite", where=f"vertex {bad}")
 
     def _warn_of_method(self, method: Method, parameters: Any, is_ruled: bool) -> None:
-        """Warn where a method that was asked for by name harms the mesh."""
+        """Warn where a method that was given by name harms the mesh."""
         noise, moved = self._record.noise_estimate, self._record.displacement
         if noise is not None and moved is not None:
             self._warn(*changes.method_warnings(method, parameters, noise, moved, is_ruled))
@@ -362,7 +362,7 @@ class _FileRun:
     # Beside the output
 
     def write_fields(self) -> None:
-        """Write the file of fields, if one was asked for, over nothing but its like."""
+        """Write the file of fields, if it was requested; only a file of fields is replaced."""
         if self._fields_file is None:
             return
         from msal_cli.job import fields

@@ -164,7 +164,7 @@ def _flat_segments_meet(p: Floats, q: Floats, triangle: list[Floats]) -> Flags:
     for a, b in edges:
         sides = (plane_signs(p, q, a) * plane_signs(p, q, b)) <= 0
         ends = (plane_signs(a, b, p) * plane_signs(a, b, q)) <= 0
-        # On one line both are so; there the boxes tell.
+        # For segments on one line both hold; there the boxes decide.
         low = np.maximum(np.minimum(p, q), np.minimum(a, b))
         high = np.minimum(np.maximum(p, q), np.maximum(a, b))
         meets |= sides & ends & (low <= high).all(axis=1)

@@ -54,7 +54,7 @@ NO_CORNERS = 6
 ) = range(22)
 
 MOST_KEYWORDS = 64
-"""Different other keywords that are told apart; the last row takes the rest."""
+"""Different other keywords that are distinguished; the last row takes the rest."""
 
 MOST_LIBRARIES = 1024
 """Statements ``mtllib`` that are looked at."""
@@ -127,7 +127,7 @@ def _past_line(buf, at):  # type: ignore[no-untyped-def]
 
 @compiled
 def _past_comment(buf, at):  # type: ignore[no-untyped-def]
-    """The end of the line, whatever stands before it."""
+    """The end of the line, whatever precedes it."""
     while at < len(buf) and buf[at] != 10 and buf[at] != 13:
         at += 1
     return at

@@ -153,7 +153,7 @@ def _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals
 
 @compiled
 def _solve(matrix, right):
-    """Solve the normal equations in place; what they do not tell apart becomes small."""
+    """Solve the normal equations in place; what they do not determine becomes small."""
     for pivot in range(TERMS):
         scale = 1.0 / max(matrix[pivot, pivot], 1e-9)
         for row in range(pivot + 1, TERMS):

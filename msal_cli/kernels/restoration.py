@@ -36,8 +36,8 @@ PLACE, SECOND_PLACE = 6, 3
 """Passes by which a power is averaged around a vertex, for the first look and for the second."""
 
 CAUTION, SECOND_CAUTION = 1.4, 0.4
-"""Multiples of the noise's power that gains are reckoned with; chosen on noisy meshes whose true
-shape is known.  The first look has to tell shape from the scatter of averaged noise."""
+"""Multiples of the noise's power from which gains are computed; chosen on noisy meshes whose true
+shape is known.  The first look has to separate shape from the scatter of averaged noise."""
 
 
 @compiled

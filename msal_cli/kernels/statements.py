@@ -29,7 +29,7 @@ def _skip_blanks(buf, at):  # type: ignore[no-untyped-def]
         c = buf[np.uint64(at)]
         if c > 32 and c != 92:
             break
-        # Only a backslash can stand before the end of a line here.
+        # Only a backslash can precede the end of a line here.
         at += 1
     return at
 

@@ -148,7 +148,7 @@ def _swept_over_rings(
     """The same, with no arrays made anew for every sweep, and as few passes as can be.
 
     Without sigma a sweep is one pass, from one array of positions to another.  lambda by sigma
-    asks for the largest one, which is known only when every vertex has been looked at: then
+    needs the largest one, which is known only when every vertex has been looked at: then
     heights and sigma are kept, and a second pass moves.  So it is with a lambda by trust.
     """
     is_measured = schedule.quantile is not None or trust is not None

@@ -97,8 +97,8 @@ def first_alike(rows: Floats, used: Flags) -> tuple[Ints, int]:
     """For each row of (n, 3) numbers the lowest-numbered equal row, (n,) int32, and how many rows
     equal one before them.
 
-    Minus zero equals zero, and NaN nothing.  Rows outside ``used`` (n,) equal nothing and stand
-    for themselves.
+    Minus zero equals zero, and NaN nothing.  Rows outside ``used`` (n,) equal nothing and map
+    to themselves.
     """
     n = len(rows)
     rows = np.ascontiguousarray(rows)
@@ -146,7 +146,7 @@ def repeated_corners(faces: Ints) -> Flags:
 def weld(vertices: Floats, faces: Ints) -> Ints:
     """For each vertex the lowest-numbered vertex at exactly its position, (n,) int32.
 
-    Minus zero equals zero.  Vertices that no face uses weld with nothing and stand for themselves.
+    Minus zero equals zero.  Vertices that no face uses weld with nothing and map to themselves.
     """
     return first_alike(vertices, used_vertices(len(vertices), faces))[0]
 

@@ -228,7 +228,7 @@ def _problem_table(
         for record, inner in rows[:_MOST_FAILURES]
     )
     n_left = len(rows) - _MOST_FAILURES
-    more = f'<p class="note">{n_left:,} more stand in the table of all files.</p>'
+    more = f'<p class="note">{n_left:,} more are in the table of all files.</p>'
     return (
         f'<section class="problems"><h2>{title} <small>{len(rows):,}</small></h2>'
         f'<div class="scroll" tabindex="0" role="region" aria-label="{title}"><table><thead><tr>'

@@ -110,7 +110,7 @@ def failure_lines(name: str, failure: Failure | None, indent: str = "") -> list[
 
 def gate_text(gate: GateResult) -> str:
     """``broken: max_displacement > 0.5e (max_displacement is 0.0123 (0.62e))``."""
-    word = "held" if not gate.broken else "broken" if gate.decided else "not decided"
+    word = "passed" if not gate.broken else "broken" if gate.decided else "not decided"
     return f"{word}: {escape_for_display(gate.expression)} ({escape_for_display(gate.reason)})"
 
 
@@ -162,7 +162,7 @@ def reference_text(one: Reference) -> str:
         ("vertices", figure(one.vertex_error_percent, ".3g", " % of the mean edge length")),
         ("Hausdorff", figure(one.hausdorff_edges, ".3g", " mean edge lengths")),
     )
-    return ", ".join(f"{word} {text}" for word, text in parts if text) or "nothing can be told"
+    return ", ".join(f"{word} {text}" for word, text in parts if text) or "not known"
 
 
 def noise_texts(noise: NoiseEstimate) -> list[str]:

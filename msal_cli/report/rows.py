@@ -105,7 +105,7 @@ def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
         yield "Reason", failure_text(record.error)
         yield "What to do", record.error.hint
     for gate in record.gates:
-        yield ("Gate broken" if gate.broken else "Gate held"), gate_words(gate)
+        yield ("Gate broken" if gate.broken else "Gate passed"), gate_words(gate)
     for warning in record.warnings:
         yield "Warning", warning
     if record.choice is not None:

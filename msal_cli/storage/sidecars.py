@@ -29,7 +29,7 @@ MOST_BYTES = 4 << 30
 _PIECE = 8 << 20
 _TEXTURE_KEYS = (b"bump", b"disp", b"decal", b"refl", b"norm")
 _NUMBER = rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$"
-# What stands behind the options of a texture line: a fixed number of words, or up to three numbers.
+# The arguments of the options of a texture line: a fixed number of words, or up to three numbers.
 _ONE_WORD = frozenset(
     b"-blendu -blendv -cc -clamp -boost -texres -bm -imfchan -type -colorspace".split()
 )
@@ -91,7 +91,7 @@ def carry(
 
 
 def _left_behind(references: Sequence[str]) -> tuple[str, ...]:
-    """Between stores nothing is carried: who comes second could not tell whose a place is."""
+    """Between stores nothing is copied: a second run could not see which run owns a name."""
     names = [name for name in dict.fromkeys(references) if not _is_absolute(name)]
     if not names:
         return ()
@@ -193,7 +193,7 @@ def _is_within(path: Path, folder: Path) -> bool:
 
 
 def _copy(source: Path, target: Path) -> None:
-    """Copy a file to a place that is free; whoever comes second finds it taken and compares."""
+    """Copy a file to a place that is free; a second run finds it taken and compares."""
     try:
         make_folders(target.parent)
         if not write_new(target, _pieces(source), mode_like=source) and not _is_same(

@@ -1,8 +1,8 @@
-"""URLs as text: telling them from paths, joining them, and keeping passwords out of them.
+"""URLs as text: distinguishing them from paths, joining them, and keeping passwords out of them.
 
 A URL is ``protocol://`` and a path whose parts are names as they are: nothing in them is escaped,
-``%``, ``#``, spaces and line breaks stand for themselves.  What is secret in a URL (a password, the
-query of a signed link) is taken out before anybody sees it, and put back only to open it.
+``%``, ``#``, spaces and line breaks are literal.  What is secret in a URL (a password, the
+query of a signed link) is removed before the URL is shown, and put back only to open it.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def check_secrets() -> None:
         kept = None
     is_map = isinstance(kept, dict) and all(isinstance(one, str) for one in kept.values())
     if not is_map:
-        # What stands there is secret, so that it is not quoted.
+        # This part is secret, so it is not quoted.
         raise UsageError(
             f"{SECRETS} in the environment is not a JSON object of strings",
             hint="msal sets it for its workers; unset it, and write passwords into the URLs",

@@ -18,7 +18,7 @@ SHARE_WITHIN = 0.99
 
 @dataclass(frozen=True)
 class Scale:
-    """What the colours of a deviation stand for.
+    """What the colours of a deviation mean.
 
     ``low`` and ``high`` in file units; numbers beyond them have the colours of the ends.  With a
     sign, ``low`` is ``-high`` and the map has a pale middle.

@@ -22,7 +22,7 @@ def fit_text(text: str, size: int, width: int) -> tuple[str, ImageFont.FreeTypeF
 
     What a font cannot draw, and what has no shape of its own (line ends, marks that turn the
     writing direction), becomes an escape such as ``\\x0a``.  Of what is too long the end stays,
-    because the end of a path tells more than its beginning.
+    because the end of a path says more than its beginning.
     """
     # No shape is narrower than a third of a pixel.
     most = 3 * max(width, 1)

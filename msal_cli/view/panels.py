@@ -155,7 +155,7 @@ def _draw_legend(
     for line in legend.lines:
         words.write(draw, (left, y), line, style.faint, width)
         y += words.line_height
-    # Words at the ends stand out on both sides of the scale by half.
+    # Words at the ends extend beyond the scale by half their width.
     ends = [word for _, *both in legend.ticks for word in both]
     longest = max(
         (fit_text(word, words.text, width)[1].getlength(word) for word in ends), default=0

@@ -29,7 +29,7 @@ from msal_cli.view.shading import Image
 MOST_CELLS = 100
 
 USUAL = ("iterations=1,2,4,8", "K=0.25,0.5,0.75,1")
-"""What varies along rows and columns where nothing else is asked for, as in Fig. 6 of the paper;
+"""What varies along rows and columns where nothing else is given, as in Fig. 6 of the paper;
 a parameter that the method does not have is left out."""
 
 _SHORT_OPTIONS = {"iterations": "-n", "K": "-K"}

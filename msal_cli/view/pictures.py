@@ -190,7 +190,7 @@ def deviation_name(scene: Scene) -> str:
 
 
 def style_of(view: View) -> Style:
-    """The colours that a view asks for."""
+    """The colours of a view."""
 
     return DARK if view.style == "dark" else LIGHT
 

@@ -89,7 +89,7 @@ def test_no_such_command_or_option(arguments):
     assert made.exit_code == 2
     assert made.stdout == ""
     assert made.stderr.startswith("msal: error: ")
-    assert made.stderr.endswith("hint: msal --help tells how it is used\n")
+    assert made.stderr.endswith("hint: msal --help shows how it is used\n")
     if arguments == ["denose"]:
         assert "did you mean 'denoise'?" in made.stderr
 
