@@ -11,7 +11,13 @@ from msal_cli.arrays import Floats
 from msal_cli.codecs.gltf_file import SceneFile
 from msal_cli.codecs.gltf_json import as_dict, as_list, parse_json, require_short
 from msal_cli.codecs.gltf_scene import Scene
-from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import (
+    EXPORT_AGAIN,
+    FormatError,
+    InternalError,
+    TruncatedError,
+    UnsupportedError,
+)
 from msal_cli.storage.buffers import Buffer
 
 _HEAD = 20
@@ -115,4 +121,7 @@ class GlbFile(SceneFile):
         return b"".join([head, data])
 
     def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
-        return _split(output)[:2]
+        text, data, length = _split(output)
+        if length != _split(self.data)[2]:
+            raise InternalError("the length in its header is not what it should be")
+        return text, data

@@ -15,7 +15,7 @@ from msal_cli.codecs.frames import PLACEMENT, is_placed, is_usable
 from msal_cli.codecs.gltf_json import find_entries, replace_spans, write_bound
 from msal_cli.codecs.gltf_scene import Part, Scene
 from msal_cli.codecs.layout import Layout, require_finite
-from msal_cli.codecs.slot_file import SlotFile
+from msal_cli.codecs.slot_file import Change, SlotFile
 from msal_cli.errors import InternalError, MsalError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
@@ -76,6 +76,13 @@ class SceneFile(SlotFile):
         is_right = json.dumps(content) == json.dumps(expected)
         if not is_right or text.rstrip(b" ") != self.text_of(data).rstrip(b" "):
             raise InternalError("the description of a scene is not what it should be")
+
+    def _changes(self, vertices: Floats) -> list[Change]:
+        """The arrays that change, whose numbers can be stored: also ``check`` raises ContentError
+        (``E_RANGE``) where they cannot."""
+        changes = super()._changes(vertices)
+        self._require_ranges(changes)
+        return changes
 
     def text_of(self, data: Buffer) -> bytes:
         """The description with the bounds that positions have in ``data``."""
