@@ -48,7 +48,7 @@ class SceneFile(SlotFile):
         ContentError
             with code ``E_RANGE`` if a position does not fit into float32.
         """
-        if not (vertices != self.vertices).any():
+        if np.array_equal(vertices, self.vertices):
             return self.data
         return self._pack(self.replace_data(vertices))
 

@@ -62,7 +62,7 @@ def read_header(
     readers: dict[str, Callable[[], Header]] = {
         "ply": lambda: _read_ply(head, size, is_packed),
         "stl": lambda: _read_stl(head, size, is_packed),
-        "glb": lambda: _read_glb(head, size),
+        "glb": lambda: _read_glb(head, size, is_packed),
         "obj": lambda: _read_obj(head),
         "vtk": lambda: Header("vtk-ascii" if _VTK_TEXT.match(head) else "vtk"),
     }
@@ -154,10 +154,12 @@ def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
     )
 
 
-def _read_glb(head: bytes, size: int) -> Header:
+def _read_glb(head: bytes, size: int, is_packed: bool) -> Header:
     from msal_cli.codecs import glb
 
-    most, error = _try(lambda: glb.expected_bytes(memoryview(head), size))
+    most, error = size, None
+    if not is_packed:
+        most, error = _try(lambda: glb.expected_bytes(memoryview(head), size))
     stop = _GLB_CHUNK + int.from_bytes(head[12:16], "little")
     is_there = head[:4] == b"glTF" and stop <= len(head)
     counts = _described(head[_GLB_CHUNK:stop], size) if is_there else {}

@@ -146,6 +146,7 @@ class SlotFile:
         """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced, and
         the normals of what moved."""
         changes = self._changes(vertices)
+        require_finite_result(vertices)
         data, result = as_bytes(self._data), as_bytes(output)
         if self._is_binary or not changes:
             check_overwritten(data, result, _overwrites(changes))
