@@ -78,10 +78,13 @@ class SceneFile(SlotFile):
             raise InternalError("the description of a scene is not what it should be")
 
     def _changes(self, vertices: Floats) -> list[Change]:
-        """The arrays that change, whose numbers can be stored: also ``check`` raises ContentError
-        (``E_RANGE``) where they cannot."""
+        """The arrays that change.
+
+        Raises ContentError (``E_RANGE``), also when checked, where positions of the first part that
+        moved cannot be stored.
+        """
         changes = super()._changes(vertices)
-        self._require_ranges(changes)
+        self._require_ranges(changes[:1])
         return changes
 
     def text_of(self, data: Buffer) -> bytes:
