@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
+from msal_cli.codecs.slot_file import require_finite_result, require_shape
 from msal_cli.codecs.slots import as_float32, number_hint
 from msal_cli.codecs.stl_facets import FacetFile, check_countable, check_not_empty, not_finite
 from msal_cli.codecs.stl_writer import binary_stl, refuse_float64
@@ -260,6 +261,8 @@ class StlTextFile(FacetFile):
         """The new numbers (m, 12) and which of them are to be written."""
         from msal_cli.kernels.facet_normals import renew_facet_normals
 
+        require_shape(vertices, self.vertices)
+        require_finite_result(vertices)
         m = len(self.faces)
         numbers, replace = np.empty((m, 12)), np.empty((m, 12), dtype=bool)
         numbers[:, :3], changed = renew_facet_normals(
@@ -272,7 +275,7 @@ class StlTextFile(FacetFile):
 
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with other vertices (n, 3) and the normals of moved facets recomputed."""
-        if not (vertices != self.vertices).any():
+        if np.array_equal(vertices, self.vertices):
             return self.data
         from msal_cli.kernels import stl_scan, text
         from msal_cli.kernels.digits import FIXED_BELOW
