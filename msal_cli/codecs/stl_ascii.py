@@ -245,7 +245,7 @@ class StlTextFile(FacetFile):
         Tokens with an exponent can have any number (``1.5e-17``); theirs count as far as they
         mean something beside the size of the mesh.
         """
-        from msal_cli.kernels.digits import MOST_DECIMALS
+        from msal_cli.kernels.digit_writing import MOST_DECIMALS
 
         plain_normal, plain, exponent_normal, exponent = (int(d) for d in self._scan.decimals)
         span = self.vertices.max(axis=0) - self.vertices.min(axis=0)
@@ -275,7 +275,7 @@ class StlTextFile(FacetFile):
         if not (vertices != self.vertices).any():
             return self.data
         from msal_cli.kernels import stl_scan, text
-        from msal_cli.kernels.digits import FIXED_BELOW
+        from msal_cli.kernels.digit_writing import FIXED_BELOW
 
         numbers, replace = self._changes(vertices)
         buf = text.as_bytes(self.data)
