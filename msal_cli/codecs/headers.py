@@ -198,9 +198,9 @@ def _described(text: bytes, size: int) -> dict[str, Any]:
 
 
 def _read_obj(head: bytes) -> Header:
-    from msal_cli.codecs import obj_parser
+    from msal_cli.codecs import obj_errors
 
-    obj_parser.refuse_binary(head)
+    obj_errors.refuse_binary(head)
     return Header("obj", True)
 
 
