@@ -42,7 +42,7 @@ def main() -> int:
 
 
 def run_target(name: str, sample: int | None, seed: int, jobs: int) -> tuple[int, int]:
-    """How many mutants were killed, and of how many that a user could notice.  Prints the others."""
+    """How many mutants were killed, of how many that a user can notice.  Prints the others."""
     start = time.monotonic()
     judged = read_judged()
     file = ROOT / "msal_cli" / f"{name}.py"

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gc
 import hashlib
+import importlib
 import importlib.abc
 import importlib.util
 import json
@@ -130,6 +131,8 @@ class Campaign:
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Fork a child for each mutant instead of running the tests here."""
+        # It may be imported within functions only.
+        importlib.import_module(self.target.module)
         if not self.cache.exists() and not session.testsfailed:
             with tempfile.TemporaryDirectory() as folder:
                 os.waitpid(_fork(lambda: self._measure(session), folder), 0)
