@@ -20,8 +20,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks import machine, scans
-from msal_cli.kernels.bilateral import RingBilateral
-from msal_cli.kernels.operators import AnisotropicLaplacian, RingOperator
+from msal_cli.kernels.operators import AnisotropicLaplacian, RingBilateral, RingOperator
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.schedules import Multiscale, Plain, Schedule
 from msal_cli.kernels.sweeps import swept

@@ -95,7 +95,7 @@ class Mesh:
         return vertex_normals(self.vertices, self.faces, weighting) if left is None else left
 
     def forget_normals(self) -> None:
-        """Let go of all normals; they are computed anew for whoever asks again."""
+        """Free the memory of all normals; they are computed anew when needed."""
         self._known_normals.clear()
         self.__dict__.pop("_left_normals", None)
 
@@ -111,7 +111,7 @@ class Mesh:
         return flat
 
     def constrained(self, held: NDArray[np.bool_] | None, trust: Floats | None) -> Mesh:
-        """The same mesh with vertices that are held, or trusted more or less; see above."""
+        """The same mesh with vertices that are fixed, or trusted more or less; see above."""
         other = Mesh(self.vertices, self.faces, held, trust)
         own = {one: value for one, value in self.__dict__.items() if one not in other.__dict__}
         other.__dict__.update(own)
@@ -193,7 +193,7 @@ class Prepared:
 
         A vertex whose mesh vertex did not move, or that has none, keeps ``original``'s very value.
         """
-        from msal_cli.kernels.scatter import scattered
+        from msal_cli.kernels.welding import scattered
 
         mesh = self.mesh
         return scattered(
@@ -204,7 +204,7 @@ class Prepared:
         """Largest distance between file positions (n_file, 3) that were one point before."""
         if self.place is None:
             return 0.0
-        from msal_cli.kernels.scatter import widest_gap
+        from msal_cli.kernels.welding import widest_gap
 
         return widest_gap(vertices, self.place, len(self.mesh.vertices))
 
@@ -225,12 +225,11 @@ def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Pr
     TooLargeError
         for more than ``MOST_FACES`` triangles.
     """
-    from msal_cli.kernels.concurrent import at_once, is_worth_it
-    from msal_cli.kernels.connectivity import (
-        connectivity,
-        count_components,
+    from msal_cli.kernels.components import count_components, faces_to_flip
+    from msal_cli.kernels.connectivity import connectivity
+    from msal_cli.kernels.parallel import at_once, is_worth_it
+    from msal_cli.kernels.welding import (
         duplicate_faces,
-        faces_to_flip,
         first_alike,
         repeated_corners,
         used_vertices,

@@ -29,7 +29,7 @@ class DisplacementStatistics(DistanceStatistics):
 
 def distance_statistics(lengths: Floats) -> DistanceStatistics:
     """Statistics of distances (n,), n >= 1."""
-    from msal_cli.kernels.medians import ranked
+    from msal_cli.kernels.quantiles import ranked
 
     rank = min(len(lengths) - 1, int(np.ceil(0.95 * len(lengths))) - 1)
     return DistanceStatistics(

@@ -15,7 +15,7 @@ import numpy as np
 from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.kernels import outliers
 from msal_cli.kernels.geometry import distances
-from msal_cli.kernels.medians import median
+from msal_cli.kernels.quantiles import median
 
 if TYPE_CHECKING:
     from msal_cli.analysis.noise_estimate import NoiseLevel

@@ -14,12 +14,13 @@ import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.connectivity import Connectivity
+from msal_cli.kernels.connectivity import Connectivity, index_rows
 from msal_cli.kernels.geometry import DEGENERATE
-from msal_cli.kernels.medians import median
 from msal_cli.kernels.operators import Step
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array, over_ranges
+from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.robust_laplacian import PER_MEDIAN
+from msal_cli.kernels.vectors import edges_and_normal
 
 LONGEST = 0.5
 """Share of the way to where H_A would vanish that a vertex may go in one step."""
@@ -29,9 +30,7 @@ LEAST = 0.25
 
 
 @compiled
-def _edge_curvatures(  # type: ignore[no-untyped-def]
-    start, stop, x, corners, threshold, falloff, curvatures, slopes, bent
-):
+def _edge_curvatures(start, stop, x, corners, threshold, falloff, curvatures, slopes, bent):
     """w H(e), how fast its length grows as either end rises, and whether |H| > lambda.
 
     H of a flat flap grows with p1 by the cotangents of the two angles at p3, and the other way
@@ -41,11 +40,8 @@ def _edge_curvatures(  # type: ignore[no-untyped-def]
         # Unsigned, so that no index is looked at for being negative.
         p1, p2 = np.uint64(corners[e, 0]), np.uint64(corners[e, 1])
         p3, p4 = np.uint64(corners[e, 2]), np.uint64(corners[e, 3])
-        ex, ey, ez = x[p3, 0] - x[p1, 0], x[p3, 1] - x[p1, 1], x[p3, 2] - x[p1, 2]
-        bx, by, bz = x[p2, 0] - x[p1, 0], x[p2, 1] - x[p1, 1], x[p2, 2] - x[p1, 2]
-        dx, dy, dz = x[p4, 0] - x[p1, 0], x[p4, 1] - x[p1, 1], x[p4, 2] - x[p1, 2]
-        mx, my, mz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
-        nx, ny, nz = ey * dz - ez * dy, ez * dx - ex * dz, ex * dy - ey * dx
+        bx, by, bz, ex, ey, ez, mx, my, mz = edges_and_normal(x, p1, p2, p3)
+        _, _, _, dx, dy, dz, nx, ny, nz = edges_and_normal(x, p1, p3, p4)
         m = np.sqrt(mx * mx + my * my + mz * mz)
         n = np.sqrt(nx * nx + ny * ny + nz * nz)
         ee = ex * ex + ey * ey + ez * ez
@@ -67,9 +63,7 @@ def _edge_curvatures(  # type: ignore[no-untyped-def]
             weight = ratio * ratio / (falloff * (1.0 - ratio) ** 2 + ratio * ratio)
             hx, hy, hz = weight * hx, weight * hy, weight * hz
             slope_1, slope_3 = weight * slope_1, weight * slope_3
-        curvatures[e, 0] = hx
-        curvatures[e, 1] = hy
-        curvatures[e, 2] = hz
+        curvatures[e, 0], curvatures[e, 1], curvatures[e, 2] = hx, hy, hz
         slopes[e, 0] = slope_1
         slopes[e, 1] = slope_3
 
@@ -86,20 +80,9 @@ def _weighted_curvatures(
     vertices: Floats, corners: Ints, threshold: float, falloff: float
 ) -> tuple[Floats, Floats, Flags]:
     count = len(corners)
-    curvatures = np.empty((count, 3))
-    slopes, bent = np.empty((count, 2)), np.empty(count, dtype=bool)
-    over_ranges(
-        _edge_curvatures,
-        count,
-        vertices,
-        corners,
-        threshold,
-        falloff,
-        curvatures,
-        slopes,
-        bent,
-    )
-    return curvatures, slopes, bent
+    results = np.empty((count, 3)), np.empty((count, 2)), np.empty(count, dtype=bool)
+    over_ranges(_edge_curvatures, count, vertices, corners, threshold, falloff, *results)
+    return results
 
 
 def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> float:
@@ -116,44 +99,17 @@ def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> f
 
 
 @compiled
-def _edge_rows(corners, edge_start, ends, beside):  # type: ignore[no-untyped-def]
-    """Rows of the flaps e whose edge ends at each vertex: 2 e where it is p1, 2 e + 1 for p3.
-
-    ``beside`` is the vertex at the other end.
-    """
-    for e in range(len(corners)):
-        edge_start[corners[e, 0] + 1] += 1
-        edge_start[corners[e, 2] + 1] += 1
-    for i in range(len(edge_start) - 1):
-        edge_start[i + 1] += edge_start[i]
-    # Filling advances each row's start to its end; the shift afterwards restores it.
-    for e in range(len(corners)):
-        for end in range(2):
-            i = corners[e, 2 * end]
-            ends[edge_start[i]] = 2 * e + end
-            beside[edge_start[i]] = corners[e, 2 - 2 * end]
-            edge_start[i] += 1
-    for i in range(len(edge_start) - 1, 0, -1):
-        edge_start[i] = edge_start[i - 1]
-    edge_start[0] = 0
-
-
-@compiled
-def _area_vectors(start, stop, x, faces, vectors):  # type: ignore[no-untyped-def]
+def _area_vectors(start, stop, x, faces, vectors):
     """Normal of every face with its area for length, and the area, both times two."""
     for f in range(start, stop):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ux, uy, uz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
-        wx, wy, wz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
-        nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
-        vectors[f, 0] = nx
-        vectors[f, 1] = ny
-        vectors[f, 2] = nz
+        _, _, _, _, _, _, nx, ny, nz = edges_and_normal(x, a, b, c)
+        vectors[f, 0], vectors[f, 1], vectors[f, 2] = nx, ny, nz
         vectors[f, 3] = np.sqrt(nx * nx + ny * ny + nz * nz)
 
 
 @compiled
-def _gathered(  # type: ignore[no-untyped-def]
+def _gathered(
     start,
     stop,
     curvatures,
@@ -182,9 +138,7 @@ def _gathered(  # type: ignore[no-untyped-def]
             hz += curvatures[e, 2]
             stiffness += slopes[e, end]
             feature[i] |= bent[e]
-        total[i, 0] = 0.5 * hx
-        total[i, 1] = 0.5 * hy
-        total[i, 2] = 0.5 * hz
+        total[i, 0], total[i, 1], total[i, 2] = 0.5 * hx, 0.5 * hy, 0.5 * hz
         ax = ay = az = area = 0.0
         for at in range(face_start[i], face_start[i + 1]):
             f = np.uint64(incident[at])
@@ -192,9 +146,7 @@ def _gathered(  # type: ignore[no-untyped-def]
             ay += vectors[f, 1]
             az += vectors[f, 2]
             area += vectors[f, 3]
-        outward[i, 0] = ax / 6.0
-        outward[i, 1] = ay / 6.0
-        outward[i, 2] = az / 6.0
+        outward[i, 0], outward[i, 1], outward[i, 2] = ax / 6.0, ay / 6.0, az / 6.0
         # The mass is area / 6, the growth of H_A as the vertex rises is stiffness / 2.
         rate[i] = 0.0
         if free[i] and stiffness > 0.0:
@@ -204,9 +156,7 @@ def _gathered(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _directions(  # type: ignore[no-untyped-def]
-    start, stop, edge_start, beside, total, outward, feature, along, products
-):
+def _directions(start, stop, edge_start, beside, total, outward, feature, along, products):
     """V_A of length |grad volume|, the product H_A . V_A / |V_A|, and |V_A|."""
     for i in range(start, stop):
         vx, vy, vz = outward[i, 0], outward[i, 1], outward[i, 2]
@@ -228,16 +178,14 @@ def _directions(  # type: ignore[no-untyped-def]
                 if sx * vx + sy * vy + sz * vz < 0.0:
                     scale = -scale
                 vx, vy, vz = scale * sx, scale * sy, scale * sz
-        along[i, 0] = vx
-        along[i, 1] = vy
-        along[i, 2] = vz
+        along[i, 0], along[i, 1], along[i, 2] = vx, vy, vz
         product = total[i, 0] * vx + total[i, 1] * vy + total[i, 2] * vz
         products[i, 0] = product / length if length > 0.0 else 0.0
         products[i, 1] = length
 
 
 @compiled
-def _prescribed(start, stop, edge_start, beside, along, products, feature, total):  # type: ignore[no-untyped-def]
+def _prescribed(start, stop, edge_start, beside, along, products, feature, total):
     """Take f V_A from H_A."""
     for i in range(start, stop):
         product = length = 0.0
@@ -287,37 +235,24 @@ class AnisotropicCurvature:
 
     @functools.cached_property
     def _rows(self) -> tuple[Ints, Ints, Ints]:
-        """The flaps whose edge ends at each vertex, in compressed rows; see ``_edge_rows``."""
-        edge_start = np.zeros(len(self.free) + 1, dtype=np.int32)
-        ends = np.empty(2 * len(self.corners), dtype=np.int32)
-        beside = np.empty_like(ends)
-        _edge_rows(self.corners, edge_start, ends, beside)
+        """Rows of the flaps e whose edge ends at each vertex, 2 e where it is p1 and 2 e + 1 for
+        p3; and the vertices at the other ends."""
+        edges = self.corners[:, ::2]
+        edge_start, ends = index_rows(len(self.free), edges, 2, 1)
+        beside = edges.reshape(-1)[ends ^ 1]
         return edge_start, ends, beside
 
     def __call__(self, positions: Floats) -> Step:
         """The moves (n, 3) at ``positions``, all from the same positions."""
         n = len(positions)
         edge_start, ends, beside = self._rows
-        vectors = np.empty((len(self.faces), 4))
-        over_ranges(_area_vectors, len(self.faces), positions, self.faces, vectors)
+        vectors = fill_array(_area_vectors, (len(self.faces), 4), positions, self.faces)
+        bends = _weighted_curvatures(positions, self.corners, self.threshold, self.falloff)
+        around = edge_start, ends, vectors, *self.links.incidence
         total, outward, rate = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
         feature = np.empty(n, dtype=bool)
-        over_ranges(
-            _gathered,
-            n,
-            *_weighted_curvatures(positions, self.corners, self.threshold, self.falloff),
-            edge_start,
-            ends,
-            vectors,
-            self.links.face_start,
-            self.links.incident_faces,
-            self.free,
-            self.time_step,
-            total,
-            outward,
-            rate,
-            feature,
-        )
+        results = total, outward, rate, feature
+        over_ranges(_gathered, n, *bends, *around, self.free, self.time_step, *results)
         if self.prescribed:
             along, products = np.empty((n, 3)), np.empty((n, 2))
             rows = edge_start, beside

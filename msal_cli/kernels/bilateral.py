@@ -1,4 +1,4 @@
-"""Bilateral operators: heights weighted by closeness and by similarity."""
+"""The bilateral operator over balls: heights weighted by closeness and by similarity."""
 
 from __future__ import annotations
 
@@ -9,216 +9,15 @@ import numpy as np
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.exponential import LOG2_E, exponentials, power_of_two
+from msal_cli.kernels.elementary import exponentials
 from msal_cli.kernels.geometry import vertex_normals
-from msal_cli.kernels.operators import SMALLEST_LENGTH, SMALLEST_SIGMA, RingOperator, Step
-from msal_cli.kernels.parallel import over_ranges
-from msal_cli.kernels.ring_blocks import (
-    BLOCK,
-    BLOCK_EDGES,
-    ONE,
-    PARTS,
-    ROWS,
-    THREE,
-    TWO,
-    VECTOR,
-    block,
-    most_neighbours,
-    settle,
-)
+from msal_cli.kernels.operators import SMALLEST_SIGMA, Step
+from msal_cli.kernels.parallel import fill_array
 from msal_cli.kernels.vertex_neighbourhoods import room, vertices_around
 
 
 @compiled
-def _ring_bilateral(  # type: ignore[no-untyped-def]
-    start,
-    stop,
-    x,
-    normals,
-    ring_start,
-    ring,
-    free,
-    closeness,
-    similarity,
-    floor,
-    heights,
-    sigma,
-    v,
-    offsets,
-    tau,
-    constant,
-    moved,
-):
-    """x positions, h heights, t distances of the ring, g the product of both Gaussians.
-
-    Blocks and last arguments as in the kernel of the anisotropic Laplacian: the two Gaussians are
-    one exponential.
-    """
-    ring_start = ring_start.view(np.uint32)
-    ring = ring.view(np.uint32)
-    stop = np.uint64(stop)
-    widest = most_neighbours(start, stop, ring_start)
-    rows = ROWS
-    # As many rows again: exponents.
-    apart = VECTOR * max(BLOCK_EDGES, widest)
-    room = np.zeros(rows + TWO * apart)
-    lanes, shifts, chosen = widest + ONE, TWO * (widest + ONE), THREE * (widest + ONE)
-    table = np.zeros(chosen + BLOCK, np.uint64)
-    near = 0.5 * LOG2_E / max(closeness, floor) ** 2
-    largest = 0.0
-    first = np.uint64(start)
-    while first < stop:
-        last, fewest, most = block(first, stop, ring_start, widest, rows, table)
-        for i in range(first, last):
-            point = THREE * i
-            nx, ny, nz = -normals[point], -normals[point + ONE], -normals[point + TWO]
-            xi, yi, zi = x[point], x[point + ONE], x[point + TWO]
-            edge = np.uint64(ring_start[i])
-            m = ring_start[i + ONE] - edge
-            lane = table[lanes + m]
-            table[lanes + m] = lane + ONE
-            table[chosen + i - first] = lane
-            place = lane + table[shifts + m]
-            width = table[m]
-            for e in range(edge, edge + m):
-                k = THREE * ring[e]
-                ex, ey, ez = xi - x[k], yi - x[k + ONE], zi - x[k + TWO]
-                room[place] = ex * nx + ey * ny + ez * nz
-                room[apart + place] = (ex * ex + ey * ey + ez * ez) * near
-                place += width
-        row = rows
-        # Beside what ``settle`` reads: the least exponent, the factor of squares.
-        scales, sums, weights, least, factors = PARTS
-        for m in range(fewest, most + ONE):
-            width = table[m]
-            for at in range(width):
-                room[least + at] = np.inf
-                room[scales + at] = 0.0
-                room[sums + at] = 0.0
-                room[weights + at] = 0.0
-                room[factors + at] = 0.0
-            place = row
-            for _ in range(m):
-                for at in range(width):
-                    room[sums + at] += room[place + at]
-                place += width
-            for at in range(width):
-                room[sums + at] /= max(m, ONE)
-            place = row
-            for _ in range(m):
-                for at in range(width):
-                    offset = room[place + at] - room[sums + at]
-                    room[scales + at] += abs(offset)
-                    room[factors + at] += offset * offset
-                place += width
-            for at in range(width):
-                room[scales + at] = 2.0 * room[scales + at] / max(m, ONE)
-                scale = np.sqrt(room[factors + at] / max(m, ONE))
-                scale = scale if similarity == 0.0 else similarity
-                scale = scale if scale > floor else floor
-                room[factors + at] = 0.5 * LOG2_E / (scale * scale)
-                room[sums + at] = 0.0
-            place = row
-            for _ in range(m):
-                for at in range(width):
-                    h = room[place + at]
-                    exponent = room[apart + place + at] + h * h * room[factors + at]
-                    room[apart + place + at] = exponent
-                    room[least + at] = min(room[least + at], exponent)
-                place += width
-            for _ in range(m):
-                for at in range(width):
-                    # The largest weight is made 1: the quotient stays the same, and is never 0/0.
-                    g = power_of_two(room[least + at] - room[apart + row + at])
-                    room[weights + at] += g
-                    room[sums + at] += g * room[row + at]
-                row += width
-            scales += width
-            sums += width
-            weights += width
-            least += width
-            factors += width
-        scale = settle(
-            first,
-            last,
-            normals,
-            ring_start,
-            free,
-            room,
-            table[chosen:],
-            heights,
-            sigma,
-            v,
-            offsets,
-            tau,
-            constant,
-            moved,
-        )
-        largest = max(largest, scale)
-        first = last
-    return largest
-
-
-@dataclass(frozen=True, eq=False)
-class RingBilateral(RingOperator):
-    """d = sum(w h) / sum(w) over the one-ring, w = exp(-t^2 / 2 sigma_c^2 - h^2 / 2 sigma_s^2).
-
-    h are the heights of the neighbours over a vertex's tangent plane and t their distances; the
-    variant that Huang and Ascher call "our BF" (section 2.3).
-
-    Attributes
-    ----------
-    normals : (n, 3) unit vertex normals, kept through all sweeps; a zero normal means no motion.
-    ring_start, ring : the one-rings; an empty one means no motion.
-    free : (n,) bool, False for vertices that must stay (they still have a sigma).
-    mean_edge_length : file units; sets the floor of sigma_c and sigma_s.
-    closeness : sigma_c, file units.
-    similarity : sigma_s, file units; 0 takes the standard deviation of the heights of each ring.
-    """
-
-    normals: Floats
-    ring_start: Ints
-    ring: Ints
-    free: Flags
-    mean_edge_length: float
-    closeness: float
-    similarity: float = 0.0
-
-    def _run(
-        self,
-        positions: Floats,
-        heights: Floats,
-        sigma: Floats,
-        vertices: Floats,
-        offsets: Floats,
-        time_step: float,
-        constant: float,
-        moved: Floats,
-    ) -> float:
-        largest = over_ranges(
-            _ring_bilateral,
-            len(positions),
-            positions.reshape(-1),
-            self.normals.reshape(-1),
-            self.ring_start,
-            self.ring,
-            self.free,
-            self.closeness,
-            self.similarity,
-            max(SMALLEST_SIGMA * self.mean_edge_length, SMALLEST_LENGTH),
-            heights,
-            sigma,
-            vertices.reshape(-1),
-            offsets,
-            time_step,
-            constant,
-            moved.reshape(-1),
-        )
-        return float(max(largest))
-
-
-@compiled
-def _shortest_edge(i, x, ring_start, ring, floor):  # type: ignore[no-untyped-def]
+def _shortest_edge(i, x, ring_start, ring, floor):
     """Length of the shortest edge at i that is longer than the floor; 0 if none is."""
     shortest = np.inf
     for at in range(ring_start[i], ring_start[i + 1]):
@@ -231,19 +30,8 @@ def _shortest_edge(i, x, ring_start, ring, floor):  # type: ignore[no-untyped-de
 
 
 @compiled
-def _ball_bilateral(  # type: ignore[no-untyped-def]
-    start,
-    stop,
-    x,
-    normals,
-    ring_start,
-    ring,
-    free,
-    radius,
-    closeness,
-    similarity,
-    floor,
-    moves,
+def _ball_bilateral(
+    start, stop, x, normals, ring_start, ring, free, radius, closeness, similarity, floor, moves
 ):
     """x positions, h heights, t distances of the neighbourhood, g the product of both Gaussians."""
     capacity = room(start, stop, ring_start)
@@ -291,9 +79,7 @@ def _ball_bilateral(  # type: ignore[no-untyped-def]
             weights += g[at]
             moment += g[at] * h[at]
         height = moment / weights
-        moves[i, 0] = height * nx
-        moves[i, 1] = height * ny
-        moves[i, 2] = height * nz
+        moves[i, 0], moves[i, 1], moves[i, 2] = height * nx, height * ny, height * nz
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,19 +115,11 @@ class BallBilateral:
         """The moves (n, 3) at ``positions``, all from the same positions."""
         links = self.links
         normals = vertex_normals(positions, self.faces, self.weighting)
-        moves = np.empty_like(positions)
-        over_ranges(
-            _ball_bilateral,
-            len(positions),
-            positions,
-            normals,
-            links.ring_start,
-            links.ring,
-            self.free,
+        around = positions, normals, *links.one_ring, self.free
+        widths = (
             self.radius,
             self.closeness,
             self.similarity,
             SMALLEST_SIGMA * self.mean_edge_length,
-            moves,
         )
-        return Step(moves)
+        return Step(fill_array(_ball_bilateral, positions.shape, *around, *widths))

@@ -38,12 +38,10 @@ class SymmetricMatrix(Protocol):
 
 
 @compiled
-def _product(start, stop, diagonal, row_start, columns, values, x, product):  # type: ignore[no-untyped-def]
+def _product(start, stop, diagonal, row_start, columns, values, x, product):
     for i in range(start, stop):
         own = diagonal[i]
-        sx = own * x[i, 0]
-        sy = own * x[i, 1]
-        sz = own * x[i, 2]
+        sx, sy, sz = own * x[i, 0], own * x[i, 1], own * x[i, 2]
         for at in range(row_start[i], row_start[i + 1]):
             # Unsigned, so that no index is looked at for being negative: a quarter of the time.
             k = np.uint64(columns[at])
@@ -51,9 +49,7 @@ def _product(start, stop, diagonal, row_start, columns, values, x, product):  # 
             sx += value * x[k, 0]
             sy += value * x[k, 1]
             sz += value * x[k, 2]
-        product[i, 0] = sx
-        product[i, 1] = sy
-        product[i, 2] = sz
+        product[i, 0], product[i, 1], product[i, 2] = sx, sy, sz
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +60,7 @@ class RowMatrix:
     ----------
     diagonal : (n,).
     row_start, columns, values : the rest, (n + 1,), (e,) and (e,); row i has the ``values`` from
-        ``row_start[i]`` to ``row_start[i + 1]``.  An entry of the diagonal may stand there as
+        ``row_start[i]`` to ``row_start[i + 1]``.  An entry of the diagonal may be there as
         well; it is added.
     """
 
@@ -75,23 +71,15 @@ class RowMatrix:
 
     def times(self, x: Floats, product: Floats) -> None:
         """Write A x into ``product``; both (n, 3), not the same array."""
-        over_ranges(
-            _product,
-            len(self.diagonal),
-            self.diagonal,
-            self.row_start,
-            self.columns,
-            self.values,
-            x,
-            product,
-        )
+        rows = self.row_start, self.columns, self.values
+        over_ranges(_product, len(self.diagonal), self.diagonal, *rows, x, product)
 
 
 # A range of rows works on the chunks whose first row it holds, as a whole.
 
 
 @compiled
-def _dot(start, stop, a, b, sums):  # type: ignore[no-untyped-def]
+def _dot(start, stop, a, b, sums):
     for chunk in range(-(-start // CHUNK), -(-stop // CHUNK)):
         total = 0.0
         for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(a))):
@@ -100,7 +88,7 @@ def _dot(start, stop, a, b, sums):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _stepped(start, stop, length, p, q, inverse, x, r, sums):  # type: ignore[no-untyped-def]
+def _stepped(start, stop, length, p, q, inverse, x, r, sums):
     """x and r after a step of that length along p, q = A p; sums of r . r / diagonal."""
     for chunk in range(-(-start // CHUNK), -(-stop // CHUNK)):
         total = 0.0
@@ -116,7 +104,7 @@ def _stepped(start, stop, length, p, q, inverse, x, r, sums):  # type: ignore[no
 
 
 @compiled
-def _turned(start, stop, share, r, inverse, p):  # type: ignore[no-untyped-def]
+def _turned(start, stop, share, r, inverse, p):
     for i in range(start, stop):
         scale = inverse[i]
         for axis in range(3):

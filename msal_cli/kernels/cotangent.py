@@ -12,7 +12,8 @@ from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.geometry import face_normals_and_areas
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array, over_ranges
+from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
 FLATTEST = 0.05
 """Height over longest edge below which a face's cotangents are those of a face that is less flat.
@@ -22,20 +23,12 @@ About three degrees in the smallest angle of an isosceles face; no cotangent exc
 
 
 @compiled
-def _corner_dots(vertices, a, b, c):  # type: ignore[no-untyped-def]
+def _corner_dots(vertices, a, b, c):
     """Dot products of the edges that leave each corner, doubled area, longest edge squared."""
-    ux = vertices[b, 0] - vertices[a, 0]
-    uy = vertices[b, 1] - vertices[a, 1]
-    uz = vertices[b, 2] - vertices[a, 2]
-    wx = vertices[c, 0] - vertices[a, 0]
-    wy = vertices[c, 1] - vertices[a, 1]
-    wz = vertices[c, 2] - vertices[a, 2]
+    ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
     vx, vy, vz = wx - ux, wy - uy, wz - uz
-    nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
     doubled = np.sqrt(nx * nx + ny * ny + nz * nz)
-    longest = max(
-        ux * ux + uy * uy + uz * uz, wx * wx + wy * wy + wz * wz, vx * vx + vy * vy + vz * vz
-    )
+    longest = longest_square(ux, uy, uz, wx, wy, wz)
     at_a = ux * wx + uy * wy + uz * wz
     at_b = -(ux * vx + uy * vy + uz * vz)
     at_c = wx * vx + wy * vy + wz * vz
@@ -43,7 +36,7 @@ def _corner_dots(vertices, a, b, c):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _corner_cotangents(start, stop, vertices, faces, cotangents):  # type: ignore[no-untyped-def]
+def _corner_cotangents(start, stop, vertices, faces, cotangents):
     for f in range(start, stop):
         at_a, at_b, at_c, doubled, longest = _corner_dots(
             vertices, faces[f, 0], faces[f, 1], faces[f, 2]
@@ -63,13 +56,11 @@ def corner_cotangents(vertices: Floats, faces: Ints) -> Floats:
     The three of a face whose height is less than 1/20 of its longest edge are smaller than the
     true ones by one common factor; those of a face without area are finite.
     """
-    cotangents = np.empty((len(faces), 3))
-    over_ranges(_corner_cotangents, len(faces), vertices, faces, cotangents)
-    return cotangents
+    return fill_array(_corner_cotangents, (len(faces), 3), vertices, faces)
 
 
 @compiled
-def _cotangent_weights(  # type: ignore[no-untyped-def]
+def _cotangent_weights(
     start, stop, cotangents, faces, face_start, incident, ring_start, ring, weights
 ):
     # Slots in ``ring`` only grow, so one at or above a row's start belongs to that row.
@@ -104,22 +95,14 @@ def cotangent_weights(vertices: Floats, faces: Ints, links: Connectivity) -> Flo
     faces : (m, 3), the faces that ``links`` were made from, each wound either way.
     """
     weights = np.empty(len(links.ring))
-    over_ranges(
-        _cotangent_weights,
-        len(vertices),
-        corner_cotangents(vertices, faces),
-        faces,
-        links.face_start,
-        links.incident_faces,
-        links.ring_start,
-        links.ring,
-        weights,
-    )
+    cotangents = corner_cotangents(vertices, faces)
+    rows = *links.incidence, *links.one_ring
+    over_ranges(_cotangent_weights, len(vertices), cotangents, faces, *rows, weights)
     return weights
 
 
 @compiled
-def _corner_areas(start, stop, vertices, faces, areas):  # type: ignore[no-untyped-def]
+def _corner_areas(start, stop, vertices, faces, areas):
     for f in range(start, stop):
         at_a, at_b, at_c, doubled, _ = _corner_dots(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
         lowest = min(at_a, at_b, at_c)
@@ -135,13 +118,11 @@ def _corner_areas(start, stop, vertices, faces, areas):  # type: ignore[no-untyp
             of_bc = (at_b + at_c) * (at_a * scale)
             of_ca = (at_c + at_a) * (at_b * scale)
             of_ab = (at_a + at_b) * (at_c * scale)
-            areas[f, 0] = of_ca + of_ab
-            areas[f, 1] = of_ab + of_bc
-            areas[f, 2] = of_bc + of_ca
+            areas[f, 0], areas[f, 1], areas[f, 2] = of_ca + of_ab, of_ab + of_bc, of_bc + of_ca
 
 
 @compiled
-def _mixed_areas(start, stop, corner_areas, faces, face_start, incident, areas):  # type: ignore[no-untyped-def]
+def _mixed_areas(start, stop, corner_areas, faces, face_start, incident, areas):
     for i in range(start, stop):
         total = 0.0
         for at in range(face_start[i], face_start[i + 1]):
@@ -161,21 +142,11 @@ def mixed_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
     """
     corner_areas = np.empty((len(faces), 3))
     over_ranges(_corner_areas, len(faces), vertices, faces, corner_areas)
-    areas = np.empty(len(vertices))
-    over_ranges(
-        _mixed_areas,
-        len(vertices),
-        corner_areas,
-        faces,
-        links.face_start,
-        links.incident_faces,
-        areas,
-    )
-    return areas
+    return fill_array(_mixed_areas, len(vertices), corner_areas, faces, *links.incidence)
 
 
 @compiled
-def _ring_areas(start, stop, face_areas, face_start, incident, areas):  # type: ignore[no-untyped-def]
+def _ring_areas(start, stop, face_areas, face_start, incident, areas):
     for i in range(start, stop):
         total = 0.0
         for at in range(face_start[i], face_start[i + 1]):
@@ -185,13 +156,5 @@ def _ring_areas(start, stop, face_areas, face_start, incident, areas):  # type: 
 
 def ring_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
     """Area of the faces around every vertex, (n,), in squared units; they sum to three times it."""
-    areas = np.empty(len(vertices))
-    over_ranges(
-        _ring_areas,
-        len(vertices),
-        face_normals_and_areas(vertices, faces)[1],
-        links.face_start,
-        links.incident_faces,
-        areas,
-    )
-    return areas
+    areas = face_normals_and_areas(vertices, faces)[1]
+    return fill_array(_ring_areas, len(vertices), areas, *links.incidence)

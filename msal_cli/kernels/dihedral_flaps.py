@@ -7,17 +7,17 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array
+from msal_cli.kernels.ring_blocks import longest_row
+from msal_cli.kernels.vectors import edges_and_normal
 
 
 @compiled
-def _flaps(faces, face_start, incident, ring_start, ring, result):  # type: ignore[no-untyped-def]
+def _flaps(faces, face_start, incident, ring_start, ring, result):
     n = len(ring_start) - 1
     # Positions in ``ring`` only grow, so a slot at or above a row's start belongs to that row.
     slot = np.full(n, -1, dtype=np.int32)
-    widest = 0
-    for i in range(n):
-        widest = max(widest, ring_start[i + 1] - ring_start[i])
+    widest = longest_row(0, n, ring_start)
     count = np.zeros(widest, dtype=np.int32)
     facing = np.empty((widest, 2), dtype=np.int32)
     found = 0
@@ -39,11 +39,8 @@ def _flaps(faces, face_start, incident, ring_start, ring, result):  # type: igno
                 count[s] += 1
         for at in range(row, ring_start[i + 1]):
             if ring[at] > i and count[at - row] == 2:
-                if len(result):
-                    result[found, 0] = i
-                    result[found, 1] = facing[at - row, 0]
-                    result[found, 2] = ring[at]
-                    result[found, 3] = facing[at - row, 1]
+                result[found, 0], result[found, 1] = i, facing[at - row, 0]
+                result[found, 2], result[found, 3] = ring[at], facing[at - row, 1]
                 found += 1
     return found
 
@@ -55,23 +52,17 @@ def flaps(faces: Ints, links: Connectivity) -> Ints:
     faces are left out.  The two faces may be wound either way; seen as written here they are
     wound alike.  ``faces`` (m, 3) are those that ``links`` were made from.
     """
-    around = (faces, links.face_start, links.incident_faces, links.ring_start, links.ring)
-    found = _flaps(*around, np.empty((0, 4), dtype=np.int32))
-    result = np.empty((found, 4), dtype=np.int32)
-    if found:
-        _flaps(*around, result)
-    return result
+    # Every such edge is in the rings of both its ends.
+    result = np.empty((len(links.ring) // 2, 4), dtype=np.int32)
+    return result[: _flaps(faces, *links.incidence, *links.one_ring, result)].copy()
 
 
 @compiled
-def _dihedral_angles(start, stop, x, corners, angles):  # type: ignore[no-untyped-def]
+def _dihedral_angles(start, stop, x, corners, angles):
     for e in range(start, stop):
         p1, p2, p3, p4 = corners[e, 0], corners[e, 1], corners[e, 2], corners[e, 3]
-        ax, ay, az = x[p3, 0] - x[p1, 0], x[p3, 1] - x[p1, 1], x[p3, 2] - x[p1, 2]
-        bx, by, bz = x[p2, 0] - x[p1, 0], x[p2, 1] - x[p1, 1], x[p2, 2] - x[p1, 2]
-        cx, cy, cz = x[p4, 0] - x[p1, 0], x[p4, 1] - x[p1, 1], x[p4, 2] - x[p1, 2]
-        mx, my, mz = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
-        nx, ny, nz = ay * cz - az * cy, az * cx - ax * cz, ax * cy - ay * cx
+        _, _, _, _, _, _, mx, my, mz = edges_and_normal(x, p1, p2, p3)
+        _, _, _, _, _, _, nx, ny, nz = edges_and_normal(x, p1, p3, p4)
         sx, sy, sz = my * nz - mz * ny, mz * nx - mx * nz, mx * ny - my * nx
         angles[e] = np.arctan2(np.sqrt(sx * sx + sy * sy + sz * sz), mx * nx + my * ny + mz * nz)
 
@@ -81,6 +72,4 @@ def dihedral_angles(vertices: Floats, corners: Ints) -> Floats:
 
     Zero where it is flat, and where a face has no area.
     """
-    angles = np.empty(len(corners))
-    over_ranges(_dihedral_angles, len(corners), vertices, corners, angles)
-    return angles
+    return fill_array(_dihedral_angles, len(corners), vertices, corners)

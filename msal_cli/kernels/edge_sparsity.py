@@ -16,22 +16,21 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.conjugate_gradient import RowMatrix
+from msal_cli.kernels.connectivity import index_rows
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.vectors import edges_and_normal
 
 LARGEST = 100.0
 """Coefficients beyond it, of a flap on a needle, are scaled down: they would rule all others."""
 
 
 @compiled
-def _bends(start, stop, x, corners, threshold, coefficients, deltas):  # type: ignore[no-untyped-def]
+def _bends(start, stop, x, corners, threshold, coefficients, deltas):
     """c by areas as in He & Schaefer, section 3.2; S134 times 2 is s_one, S123 times 2 is s_two."""
     for e in range(start, stop):
         p1, p2, p3, p4 = corners[e, 0], corners[e, 1], corners[e, 2], corners[e, 3]
-        ex, ey, ez = x[p3, 0] - x[p1, 0], x[p3, 1] - x[p1, 1], x[p3, 2] - x[p1, 2]
-        bx, by, bz = x[p2, 0] - x[p1, 0], x[p2, 1] - x[p1, 1], x[p2, 2] - x[p1, 2]
-        dx, dy, dz = x[p4, 0] - x[p1, 0], x[p4, 1] - x[p1, 1], x[p4, 2] - x[p1, 2]
-        mx, my, mz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
-        nx, ny, nz = ey * dz - ez * dy, ez * dx - ex * dz, ex * dy - ey * dx
+        bx, by, bz, ex, ey, ez, mx, my, mz = edges_and_normal(x, p1, p2, p3)
+        _, _, _, dx, dy, dz, nx, ny, nz = edges_and_normal(x, p1, p3, p4)
         s_two = np.sqrt(mx * mx + my * my + mz * mz)
         s_one = np.sqrt(nx * nx + ny * ny + nz * nz)
         square = ex * ex + ey * ey + ez * ez
@@ -54,39 +53,18 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):  # type: i
             c2 *= scale
             c3 *= scale
             c4 *= scale
-        coefficients[e, 0] = c1
-        coefficients[e, 1] = c2
-        coefficients[e, 2] = c3
+        coefficients[e, 0], coefficients[e, 1], coefficients[e, 2] = c1, c2, c3
         coefficients[e, 3] = c4
         # With p1 as origin the sum is as exact as the edges are.
         vx = c3 * ex + c2 * bx + c4 * dx
         vy = c3 * ey + c2 * by + c4 * dy
         vz = c3 * ez + c2 * bz + c4 * dz
         if vx * vx + vy * vy + vz * vz >= threshold:
-            deltas[e, 0] = vx
-            deltas[e, 1] = vy
-            deltas[e, 2] = vz
+            deltas[e, 0], deltas[e, 1], deltas[e, 2] = vx, vy, vz
 
 
 @compiled
-def _incidences(corners, start, incident):  # type: ignore[no-untyped-def]
-    for e in range(len(corners)):
-        for place in range(4):
-            start[corners[e, place] + 1] += 1
-    for i in range(len(start) - 1):
-        start[i + 1] += start[i]
-    for e in range(len(corners)):
-        for place in range(4):
-            i = corners[e, place]
-            incident[start[i]] = 4 * e + place
-            start[i] += 1
-    for i in range(len(start) - 1, 0, -1):
-        start[i] = start[i - 1]
-    start[0] = 0
-
-
-@compiled
-def _pattern(corners, start, incident, row_start, columns, slots):  # type: ignore[no-untyped-def]
+def _pattern(corners, start, incident, row_start, columns, slots):
     """Columns of every row, and the place in it of each corner of each incident flap."""
     n = len(start) - 1
     slot = np.full(n, -1, dtype=np.int32)
@@ -110,7 +88,7 @@ def _pattern(corners, start, incident, row_start, columns, slots):  # type: igno
 
 
 @compiled
-def _assembled(  # type: ignore[no-untyped-def]
+def _assembled(
     start,
     stop,
     coefficients,
@@ -146,9 +124,7 @@ def _assembled(  # type: ignore[no-untyped-def]
             py += scaled * deltas[e, 1]
             pz += scaled * deltas[e, 2]
         diagonal[i] = own
-        pulls[i, 0] = px
-        pulls[i, 1] = py
-        pulls[i, 2] = pz
+        pulls[i, 0], pulls[i, 1], pulls[i, 2] = px, py, pz
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,16 +156,9 @@ class EdgeSparsity:
         """
         coefficients = np.empty((len(self.corners), 4))
         deltas = np.empty((len(self.corners), 3))
-        over_ranges(
-            _bends,
-            len(self.corners),
-            positions,
-            self.corners,
-            threshold,
-            coefficients,
-            deltas,
-        )
-        return coefficients, deltas
+        results = coefficients, deltas
+        over_ranges(_bends, len(self.corners), positions, self.corners, threshold, *results)
+        return results
 
     def system(
         self, coefficients: Floats, deltas: Floats, alpha: float, beta: float
@@ -199,29 +168,15 @@ class EdgeSparsity:
         diagonal = np.empty(n)
         values = np.empty(len(self.columns))
         pulls = np.empty((n, 3))
-        over_ranges(
-            _assembled,
-            n,
-            coefficients,
-            deltas,
-            alpha,
-            beta,
-            self.flap_start,
-            self.incident,
-            self.slots,
-            self.row_start,
-            diagonal,
-            values,
-            pulls,
-        )
+        rows = self.flap_start, self.incident, self.slots, self.row_start
+        results = diagonal, values, pulls
+        over_ranges(_assembled, n, coefficients, deltas, alpha, beta, *rows, *results)
         return RowMatrix(diagonal, self.row_start, self.columns, values), pulls
 
 
 def edge_sparsity(n_vertices: int, corners: Ints) -> EdgeSparsity:
     """Prepare for ``corners`` (e, 4), the flaps of a mesh with that many vertices."""
-    flap_start = np.zeros(n_vertices + 1, dtype=np.int32)
-    incident = np.empty(4 * len(corners), dtype=np.int32)
-    _incidences(corners, flap_start, incident)
+    flap_start, incident = index_rows(n_vertices, corners, 4, 1)
     row_start = np.zeros(n_vertices + 1, dtype=np.int32)
     columns = np.empty(12 * len(corners), dtype=np.int32)
     slots = np.empty((4 * len(corners), 4), dtype=np.int32)

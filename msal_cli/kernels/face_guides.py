@@ -18,11 +18,10 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.face_rings import face_rings
+from msal_cli.kernels.face_rings import face_rings, find_rows
 from msal_cli.kernels.geometry import VANISHED, usable_areas
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, most_neighbours
-from msal_cli.kernels.variable_rows import found_rows
 
 EPSILON = 1e-9
 
@@ -33,7 +32,7 @@ FOUR = np.uint64(4)
 
 
 @compiled
-def _pairs(edge_start, edge_ring, first_pair, pairs):  # type: ignore[no-untyped-def]
+def _pairs(edge_start, edge_ring, first_pair, pairs):
     """Number the pairs f < g of neighbours in the order of the rows."""
     found = 0
     for f in range(len(edge_start) - 1):
@@ -48,10 +47,8 @@ def _pairs(edge_start, edge_ring, first_pair, pairs):  # type: ignore[no-untyped
 
 
 @compiled
-def _inner(  # type: ignore[no-untyped-def]
-    start, stop, first, ring_start, ring, first_pair, pairs, most, sizes, inner
-):
-    """Find rows as ``found_rows`` wants them: of each pair as many as both faces are in a patch.
+def _inner(start, stop, first, ring_start, ring, first_pair, pairs, most, sizes, inner):
+    """Find rows as ``find_rows`` wants them: of each pair as many as both faces are in a patch.
 
     ``pairs`` flat.  Which are cannot be foreseen: without a branch each is written down, and kept
     by being counted.
@@ -77,7 +74,7 @@ def _inner(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _jumps(start, stop, n, pairs, jumps):  # type: ignore[no-untyped-def]
+def _jumps(start, stop, n, pairs, jumps):
     """|n_a - n_b| of every pair; zero where either has no normal.  n normals, flat as the pairs."""
     for pair in range(np.uint64(start), np.uint64(stop)):
         a, b = THREE * pairs[TWO * pair], THREE * pairs[TWO * pair + ONE]
@@ -91,7 +88,7 @@ def _jumps(start, stop, n, pairs, jumps):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums):  # type: ignore[no-untyped-def]
+def _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums):
     """Put the normals of the patches of a block side by side, and add up areas and normals.
 
     Those of a patch are followed by themselves, from the first on, for ``half`` places: so that
@@ -122,9 +119,7 @@ def _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, su
             k = np.uint64(ring[at])
             at += ONE
         place = FOUR * (f - first)
-        sums[place] = sx
-        sums[place + ONE] = sy
-        sums[place + TWO] = sz
+        sums[place], sums[place + ONE], sums[place + TWO] = sx, sy, sz
         sums[place + THREE] = weight
         counts[f - first] = filled - own
         if filled > own:
@@ -137,7 +132,7 @@ def _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, su
 
 
 @compiled
-def _widest(half, filled, x, y, z, squares):  # type: ignore[no-untyped-def]
+def _widest(half, filled, x, y, z, squares):
     """The greatest square of a difference between each vector and the next ``half``, an even
     number of them; vector code, for which the places of a block are many enough."""
     for at in range(filled):
@@ -153,9 +148,7 @@ def _widest(half, filled, x, y, z, squares):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _scored(  # type: ignore[no-untyped-def]
-    start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, scores, means
-):
+def _scored(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, scores, means):
     """Score and area-weighted mean normal of every patch; infinity where the mean vanishes.
 
     n normals, flat as the means.  All indices are unsigned, so that none is looked at for its sign.
@@ -192,13 +185,11 @@ def _scored(  # type: ignore[no-untyped-def]
                 continue
             scores[f] = np.sqrt(square) * greatest / (EPSILON + total)
             p = THREE * f
-            means[p] = sx / length
-            means[p + ONE] = sy / length
-            means[p + TWO] = sz / length
+            means[p], means[p + ONE], means[p + TWO] = sx / length, sy / length, sz / length
 
 
 @compiled
-def _chosen(start, stop, n, ring_start, ring, scores, means, guides):  # type: ignore[no-untyped-def]
+def _chosen(start, stop, n, ring_start, ring, scores, means, guides):
     """n normals, flat as the means and guides."""
     for f in range(np.uint64(start), np.uint64(stop)):
         best = np.uint64(f)
@@ -280,7 +271,7 @@ def _made(faces: Ints, links: Connectivity) -> Patches:
     most = (widest + 1) * across // 2 + 1
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
     numbered = first_pair.view(np.uint32), pairs.reshape(-1).view(np.uint32)
-    sizes, inner = found_rows(_inner, m, most, *rows, *numbered, most)
+    sizes, inner = find_rows(_inner, m, most, *rows, *numbered, most)
     inner_start = np.zeros(m + 1, dtype=np.int64)
     np.cumsum(sizes, dtype=np.int64, out=inner_start[1:])
     return Patches(ring_start, ring, edge_start, edge_ring, pairs, inner_start, inner)

@@ -2,7 +2,7 @@
 
 Throughout: ``vertices`` (n, 3) float64 and ``faces`` (m, 3) int32, counter-clockwise from outside.
 A face whose doubled area is at most 1e-12 of its longest edge squared is *degenerate*: it has no
-normal, and a zero vector stands in its place.
+normal, and a zero vector takes its place.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.parallel import SMALLEST_RANGE, over_ranges, threads
+from msal_cli.kernels.parallel import SMALLEST_RANGE, fill_array, over_ranges, threads
+from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
 MOST_PARTS = 8
 """Parts of the vertices whose normals are added up at the same time."""
@@ -31,36 +32,20 @@ BLOCK_FACES = 512
 
 
 @compiled
-def _doubled_area_normal(vertices, a, b, c):  # type: ignore[no-untyped-def]
+def _doubled_area_normal(vertices, a, b, c):
     """Unit normal (zeros if degenerate) and doubled area of one triangle."""
-    ux = vertices[b, 0] - vertices[a, 0]
-    uy = vertices[b, 1] - vertices[a, 1]
-    uz = vertices[b, 2] - vertices[a, 2]
-    wx = vertices[c, 0] - vertices[a, 0]
-    wy = vertices[c, 1] - vertices[a, 1]
-    wz = vertices[c, 2] - vertices[a, 2]
-    nx = uy * wz - uz * wy
-    ny = uz * wx - ux * wz
-    nz = ux * wy - uy * wx
+    ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    vx = wx - ux
-    vy = wy - uy
-    vz = wz - uz
-    longest = max(
-        ux * ux + uy * uy + uz * uz, wx * wx + wy * wy + wz * wz, vx * vx + vy * vy + vz * vz
-    )
-    if length <= DEGENERATE * longest:
+    if length <= DEGENERATE * longest_square(ux, uy, uz, wx, wy, wz):
         return 0.0, 0.0, 0.0, length
     return nx / length, ny / length, nz / length, length
 
 
 @compiled
-def _face_normals(start, stop, vertices, faces, normals, doubled_areas):  # type: ignore[no-untyped-def]
+def _face_normals(start, stop, vertices, faces, normals, doubled_areas):
     for f in range(start, stop):
         nx, ny, nz, doubled = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
-        normals[f, 0] = nx
-        normals[f, 1] = ny
-        normals[f, 2] = nz
+        normals[f, 0], normals[f, 1], normals[f, 2] = nx, ny, nz
         doubled_areas[f] = doubled
 
 
@@ -74,7 +59,7 @@ def face_normals_and_areas(vertices: Floats, faces: Ints) -> tuple[Floats, Float
 
 
 @compiled
-def _usable_areas(start, stop, normals, areas, result):  # type: ignore[no-untyped-def]
+def _usable_areas(start, stop, normals, areas, result):
     for f in range(np.uint64(start), np.uint64(stop)):
         has_normal = (normals[f, 0] != 0.0) | (normals[f, 1] != 0.0) | (normals[f, 2] != 0.0)
         result[f] = areas[f] if has_normal else 0.0
@@ -82,9 +67,7 @@ def _usable_areas(start, stop, normals, areas, result):  # type: ignore[no-untyp
 
 def usable_areas(normals: Floats, areas: Floats) -> Floats:
     """Areas (m,), zero for faces whose normal, of ``normals`` (m, 3), is zero."""
-    result = np.empty(len(areas))
-    over_ranges(_usable_areas, len(areas), normals, areas, result)
-    return result
+    return fill_array(_usable_areas, len(areas), normals, areas)
 
 
 def face_normals(vertices: Floats, faces: Ints) -> Floats:
@@ -93,7 +76,7 @@ def face_normals(vertices: Floats, faces: Ints) -> Floats:
 
 
 @compiled
-def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, flat):  # type: ignore[no-untyped-def]
+def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, flat):
     """Add every face's normal, and its weight, to its corners; count the faces that have none.
 
     Part k of ``parts`` writes to its share of the vertices only, and looks at all faces for that:
@@ -120,21 +103,9 @@ def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, fl
             for at in range(count):
                 f = chosen[at]
                 a, b, c = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
-                ux = vertices[b, 0] - vertices[a, 0]
-                uy = vertices[b, 1] - vertices[a, 1]
-                uz = vertices[b, 2] - vertices[a, 2]
-                wx = vertices[c, 0] - vertices[a, 0]
-                wy = vertices[c, 1] - vertices[a, 1]
-                wz = vertices[c, 2] - vertices[a, 2]
-                x[at] = uy * wz - uz * wy
-                y[at] = uz * wx - ux * wz
-                z[at] = ux * wy - uy * wx
-                vx, vy, vz = wx - ux, wy - uy, wz - uz
-                longest[at] = max(
-                    ux * ux + uy * uy + uz * uz,
-                    wx * wx + wy * wy + wz * wz,
-                    vx * vx + vy * vy + vz * vz,
-                )
+                ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
+                x[at], y[at], z[at] = nx, ny, nz
+                longest[at] = longest_square(ux, uy, uz, wx, wy, wz)
             for at in range(count):
                 length = np.sqrt(x[at] * x[at] + y[at] * y[at] + z[at] * z[at])
                 has_normal = length > DEGENERATE * longest[at]
@@ -158,15 +129,13 @@ def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, fl
 
 
 @compiled
-def _unit_sums(start, stop, sums, weights):  # type: ignore[no-untyped-def]
+def _unit_sums(start, stop, sums, weights):
     """Make unit vectors of sums; where one vanishes it becomes zero, and its weight negative."""
     for i in range(start, stop):
         x, y, z = sums[i, 0], sums[i, 1], sums[i, 2]
         length = np.sqrt(x * x + y * y + z * z)
         if length > VANISHED * weights[i]:
-            sums[i, 0] = x / length
-            sums[i, 1] = y / length
-            sums[i, 2] = z / length
+            sums[i, 0], sums[i, 1], sums[i, 2] = x / length, y / length, z / length
         else:
             sums[i, 0] = sums[i, 1] = sums[i, 2] = 0.0
             weights[i] = -weights[i]
@@ -179,20 +148,11 @@ def normals_and_flat_faces(vertices: Floats, faces: Ints, weighting: str) -> tup
     # Every part looks at all faces.
     parts = max(1, min(threads(), n // SMALLEST_RANGE, MOST_PARTS))
     flat = np.zeros(parts, dtype=np.int64)
-    over_ranges(
-        _normal_sums,
-        parts,
-        parts,
-        vertices,
-        faces,
-        weighting == "area",
-        sums,
-        weights,
-        flat,
-        smallest=1,
-    )
+    by_area = weighting == "area"
+    results = sums, weights, flat
+    over_ranges(_normal_sums, parts, parts, vertices, faces, by_area, *results, smallest=1)
     over_ranges(_unit_sums, n, sums, weights)
-    if weighting != "area":
+    if not by_area:
         vanished = weights < 0.0
         if vanished.any():
             sums[vanished] = vertex_normals(vertices, faces, "area")[vanished]
@@ -211,7 +171,7 @@ def vertex_normals(vertices: Floats, faces: Ints, weighting: str) -> Floats:
 
 
 @compiled
-def _mollified(start, stop, normals, ring_start, ring, result):  # type: ignore[no-untyped-def]
+def _mollified(start, stop, normals, ring_start, ring, result):
     for i in range(start, stop):
         sx = sy = sz = 0.0
         for at in range(ring_start[i], ring_start[i + 1]):
@@ -221,13 +181,9 @@ def _mollified(start, stop, normals, ring_start, ring, result):  # type: ignore[
             sz += normals[k, 2]
         length = np.sqrt(sx * sx + sy * sy + sz * sz)
         if length <= VANISHED * (ring_start[i + 1] - ring_start[i]):
-            result[i, 0] = normals[i, 0]
-            result[i, 1] = normals[i, 1]
-            result[i, 2] = normals[i, 2]
+            result[i, 0], result[i, 1], result[i, 2] = normals[i, 0], normals[i, 1], normals[i, 2]
         else:
-            result[i, 0] = sx / length
-            result[i, 1] = sy / length
-            result[i, 2] = sz / length
+            result[i, 0], result[i, 1], result[i, 2] = sx / length, sy / length, sz / length
 
 
 def mollified(normals: Floats, ring_start: Ints, ring: Ints, passes: int) -> Floats:
@@ -244,17 +200,14 @@ def mollified(normals: Floats, ring_start: Ints, ring: Ints, passes: int) -> Flo
 
 
 @compiled
-def _area_and_volume(vertices, faces):  # type: ignore[no-untyped-def]
+def _area_and_volume(vertices, faces):
     doubled_area = 0.0
     sixfold_volume = 0.0
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
-        ux, uy, uz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
-        wx, wy, wz = vertices[c, 0] - ax, vertices[c, 1] - ay, vertices[c, 2] - az
-        nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+        _, _, _, _, _, _, nx, ny, nz = edges_and_normal(vertices, a, b, c)
         doubled_area += np.sqrt(nx * nx + ny * ny + nz * nz)
-        sixfold_volume += ax * nx + ay * ny + az * nz
+        sixfold_volume += vertices[a, 0] * nx + vertices[a, 1] * ny + vertices[a, 2] * nz
     return doubled_area / 2.0, sixfold_volume / 6.0
 
 
@@ -269,7 +222,7 @@ def area_and_volume(vertices: Floats, faces: Ints) -> tuple[float, float]:
 
 
 @compiled
-def _distances(start, stop, before, after, lengths):  # type: ignore[no-untyped-def]
+def _distances(start, stop, before, after, lengths):
     for i in range(start, stop):
         dx = after[i, 0] - before[i, 0]
         dy = after[i, 1] - before[i, 1]
@@ -279,13 +232,11 @@ def _distances(start, stop, before, after, lengths):  # type: ignore[no-untyped-
 
 def distances(before: Floats, after: Floats) -> Floats:
     """Distances (n,) between positions (n, 3)."""
-    lengths = np.empty(len(before))
-    over_ranges(_distances, len(before), before, after, lengths)
-    return lengths
+    return fill_array(_distances, len(before), before, after)
 
 
 @compiled
-def _edge_length_sums(start, stop, vertices, ring_start, ring, sums, counts):  # type: ignore[no-untyped-def]
+def _edge_length_sums(start, stop, vertices, ring_start, ring, sums, counts):
     n = len(vertices)
     for block in range(start, stop):
         total = 0.0
@@ -313,7 +264,7 @@ def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
 
 
 @compiled
-def _ring_means(start, stop, values, ring_start, ring, result):  # type: ignore[no-untyped-def]
+def _ring_means(start, stop, values, ring_start, ring, result):
     for i in range(start, stop):
         m = ring_start[i + 1] - ring_start[i]
         total = 0.0
@@ -324,15 +275,11 @@ def _ring_means(start, stop, values, ring_start, ring, result):  # type: ignore[
 
 def ring_means(values: Floats, ring_start: Ints, ring: Ints) -> Floats:
     """Mean of vertex values (n,) over each one-ring; a vertex's own value where it is empty."""
-    result = np.empty_like(values)
-    over_ranges(_ring_means, len(values), values, ring_start, ring, result)
-    return result
+    return fill_array(_ring_means, values.shape, values, ring_start, ring)
 
 
 @compiled
-def _entry_sums(  # type: ignore[no-untyped-def]
-    old_unit, new_unit, faces, moved, group, old_sums, new_sums, touched
-):
+def _entry_sums(old_unit, new_unit, faces, moved, group, old_sums, new_sums, touched):
     for f in range(len(faces)):
         face_moved = moved[faces[f, 0]] or moved[faces[f, 1]] or moved[faces[f, 2]]
         for corner in range(3):
@@ -369,7 +316,7 @@ def regrouped_normals(
         vanishes are returned as they were.
     changed : (g,) bool, False where no face of the entry moved: keep the bytes of those.
     """
-    from msal_cli.kernels.connectivity import first_alike, numbered, welded
+    from msal_cli.kernels.welding import first_alike, numbered, welded
 
     n_entries = len(old_normals)
     result = old_normals.copy()
@@ -420,3 +367,39 @@ def regrouped_normals(
     sense = np.where(opposed, -1.0, 1.0) / np.where(length > 0.0, length, 1.0)
     result[changed] = new_total[changed] * sense[changed, None]
     return result, changed
+
+
+@compiled
+def _volume_moment(vertices, faces, moment):
+    """Integral of the position over the volume, and the volume, times 24."""
+    volume = 0.0
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        px = vertices[b, 1] * vertices[c, 2] - vertices[b, 2] * vertices[c, 1]
+        py = vertices[b, 2] * vertices[c, 0] - vertices[b, 0] * vertices[c, 2]
+        pz = vertices[b, 0] * vertices[c, 1] - vertices[b, 1] * vertices[c, 0]
+        part = vertices[a, 0] * px + vertices[a, 1] * py + vertices[a, 2] * pz
+        volume += part
+        for axis in range(3):
+            moment[axis] += part * (vertices[a, axis] + vertices[b, axis] + vertices[c, axis])
+    return 4.0 * volume
+
+
+def with_volume_of(original: Floats, vertices: Floats, faces: Ints) -> Floats:
+    """``vertices`` (n, 3) scaled so that the closed surface has the volume of ``original`` (n, 3).
+
+    The factor is the cube root of the ratio of the volumes (Desbrun et al. 1999), the fixed point
+    the centre of mass of the solid, so that the surface does not wander off.  Vertices that no
+    face (m, 3) has are left alone, and so are all where a volume is zero or changed its sign.
+    """
+    wanted = area_and_volume(original, faces)[1]
+    moment = np.zeros(3)
+    volume = float(_volume_moment(vertices, faces, moment)) / 24.0
+    if wanted == 0.0 or volume == 0.0 or (wanted > 0.0) != (volume > 0.0):
+        return vertices
+    centre = moment / (24.0 * volume)
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces.reshape(-1)] = True
+    scaled = centre + (wanted / volume) ** (1.0 / 3.0) * (vertices - centre)
+    result: Floats = np.where(used[:, None], scaled, vertices)
+    return result

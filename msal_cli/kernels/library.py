@@ -147,8 +147,7 @@ def level_suffix(library: ctypes.CDLL) -> str:
         return ""
     if wanted and wanted not in {f"v{number}" for number in range(2, level + 1)}:
         raise InternalError(
-            f"MSAL_CPU is {wanted}, but this processor has v2 to v{level}",
-            hint="unset MSAL_CPU",
+            f"MSAL_CPU is {wanted}, but this processor has v2 to v{level}", hint="unset MSAL_CPU"
         )
     suffix = f"_{wanted or f'v{level}'}"
     if not hasattr(library, f"msal_has{suffix}"):

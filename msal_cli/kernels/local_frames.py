@@ -15,7 +15,7 @@ _TINY = np.float32(1e-30)
 
 
 @compiled
-def _tangent(p, q, off):  # type: ignore[no-untyped-def]
+def _tangent(p, q, off):
     """Tangent of the smaller angle whose rotation makes ``off`` zero beside diagonal p, q."""
     gap = q - p
     size = gap if gap >= _0 else -gap
@@ -25,7 +25,7 @@ def _tangent(p, q, off):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def find_axes(tensors, at, axes, values):  # type: ignore[no-untyped-def]
+def find_axes(tensors, at, axes, values):
     """Unit eigenvectors and eigenvalues, greatest first, of the matrices of all lanes.
 
     Parameters
@@ -54,7 +54,7 @@ def find_axes(tensors, at, axes, values):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _rotate(p, q, off, rest_p, rest_q, axes, values):  # type: ignore[no-untyped-def]
+def _rotate(p, q, off, rest_p, rest_q, axes, values):
     """One rotation of the axes ``p`` and ``q``, given as the rows of their diagonal entries."""
     first, second = p * np.uint64(3), q * np.uint64(3)
     for lane in range(LANES):
@@ -80,7 +80,7 @@ def _rotate(p, q, off, rest_p, rest_q, axes, values):  # type: ignore[no-untyped
 
 
 @compiled
-def _exchange(p, q, axes, values):  # type: ignore[no-untyped-def]
+def _exchange(p, q, axes, values):
     """Exchange two axes where the second has the greater value."""
     first, second = p * np.uint64(3), q * np.uint64(3)
     for lane in range(LANES):
@@ -100,7 +100,7 @@ def _exchange(p, q, axes, values):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def turn_axes(skews, axes):  # type: ignore[no-untyped-def]
+def turn_axes(skews, axes):
     """Turn each axis round where its row of ``skews`` is negative."""
     for lane in range(LANES):
         for axis in range(np.uint64(3)):

@@ -13,7 +13,7 @@ from msal_cli.kernels.conjugate_gradient import RowMatrix, conjugate_gradients
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.cotangent import cotangent_weights, mixed_areas, ring_areas
 from msal_cli.kernels.operators import Step
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array
 
 AREAS = ("mixed", "ring")
 
@@ -35,7 +35,7 @@ def vertex_areas(vertices: Floats, faces: Ints, links: Connectivity, areas: str)
 
 
 @compiled
-def _curvature_step(start, stop, x, weights, areas, ring_start, ring, free, time_step, moves):  # type: ignore[no-untyped-def]
+def _curvature_step(start, stop, x, weights, areas, ring_start, ring, free, time_step, moves):
     for i in range(start, stop):
         sx = sy = sz = 0.0
         total = 0.0
@@ -51,9 +51,7 @@ def _curvature_step(start, stop, x, weights, areas, ring_start, ring, free, time
             share = 1.0 / total
             if time_step * total < 2.0 * areas[i]:
                 share = time_step / (2.0 * areas[i])
-        moves[i, 0] = share * sx
-        moves[i, 1] = share * sy
-        moves[i, 2] = share * sz
+        moves[i, 0], moves[i, 1], moves[i, 2] = share * sx, share * sy, share * sz
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,20 +78,11 @@ class MeanCurvature:
 
     def __call__(self, positions: Floats) -> Step:
         """The moves (n, 3) at ``positions``, all from the same positions."""
-        moves = np.empty_like(positions)
-        over_ranges(
-            _curvature_step,
-            len(positions),
-            positions,
-            cotangent_weights(positions, self.faces, self.links),
-            vertex_areas(positions, self.faces, self.links, self.areas),
-            self.links.ring_start,
-            self.links.ring,
-            self.free,
-            self.time_step,
-            moves,
-        )
-        return Step(moves)
+        faces, links = self.faces, self.links
+        weights = cotangent_weights(positions, faces, links)
+        areas = vertex_areas(positions, faces, links, self.areas)
+        rows = positions, weights, areas, *links.one_ring
+        return Step(fill_array(_curvature_step, positions.shape, *rows, self.free, self.time_step))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,9 +124,9 @@ class ImplicitMeanCurvature:
         sums[filled] = np.add.reduceat(values, links.ring_start[:-1][filled])
         # (M / tau + L) (X' - X) = -L X: the moves have less rounding than positions would have,
         # and the matrix has no unit, so that tiny meshes cannot underflow.
-        matrix = RowMatrix(areas / self.time_step - sums, links.ring_start, links.ring, values)
+        matrix = RowMatrix(areas / self.time_step - sums, *links.one_ring, values)
         right = np.empty_like(positions)
-        RowMatrix(sums, links.ring_start, links.ring, -values).times(positions, right)
+        RowMatrix(sums, *links.one_ring, -values).times(positions, right)
         on_iteration = self.on_iteration
         solution = conjugate_gradients(
             matrix,

@@ -17,16 +17,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.kernels.block_sums import (
-    add_pair,
-    add_plane,
-    add_ranges,
-    add_scatter,
-    add_skews,
-    add_tensor,
-    fit_plane,
-    normalise,
-)
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.local_frames import find_axes, turn_axes
 from msal_cli.kernels.near_blocks import (
@@ -51,11 +41,19 @@ from msal_cli.kernels.near_blocks import (
     RECORD,
     SIX,
     WIDE_WEIGHT,
+    add_pair,
+    add_plane,
+    add_ranges,
+    add_scatter,
+    add_skews,
+    add_tensor,
+    fit_plane,
     lay_neighbours,
     lay_weights,
+    normalise,
     weigh_block,
 )
-from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, ZERO
+from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, ZERO, most_neighbours
 
 NARROW_RANGES = (0.35, 0.7, 1.1)
 WIDE_RANGES = (0.2, 0.4, 0.7, 1.2)
@@ -98,15 +96,13 @@ _PER_MOST = np.float32(1.0 / 64.0)
 
 
 @compiled
-def describe(start, stop, records, per_reach, near_start, near, width, table, numbers, axes):  # type: ignore[no-untyped-def]
+def describe(start, stop, records, per_reach, near_start, near, width, table, numbers, axes):
     """Fill the first vectors (all up to the guide) and the first 15 numbers of each face.
 
     ``table`` has ``width`` vectors of each face, ``numbers`` NUMBERS, ``axes`` three vectors; all
     are flat and in single precision, as are ``records`` (double) otherwise; see ``lay_neighbours``.
     """
-    widest = ONE
-    for f in range(np.uint64(start), np.uint64(stop)):
-        widest = max(widest, near_start[f + ONE] - near_start[f] + ONE)
+    widest = most_neighbours(start, stop, near_start) + ONE
     block = np.empty(np.int64(widest * ENTRY), dtype=np.float32)
     sums = np.empty(np.int64(R16 * np.uint64(5)), dtype=np.float32)
     vectors = np.empty(np.int64(R3 * np.uint64(13)), dtype=np.float32)
@@ -160,7 +156,7 @@ def describe(start, stop, records, per_reach, near_start, near, width, table, nu
 
 
 @compiled
-def _write_numbers(lane, sums, values, spread, scatter, numbers, to):  # type: ignore[no-untyped-def]
+def _write_numbers(lane, sums, values, spread, scatter, numbers, to):
     """The numbers of one face but those of its neighbours', from the sums of its block."""
     narrow = sums[lane + R12]
     narrow = _1 / (narrow if narrow > _TINY else _TINY)
@@ -183,7 +179,7 @@ def _write_numbers(lane, sums, values, spread, scatter, numbers, to):  # type: i
 
 
 @compiled
-def pick_guides(start, stop, records, near_start, near, ripples, width, table, numbers):  # type: ignore[no-untyped-def]
+def pick_guides(start, stop, records, near_start, near, ripples, width, table, numbers):
     """Fill the guide of each face and the numbers that it takes from those near.
 
     The guide is the narrow mean of the face with the least scatter among the first ``PATCHES``
@@ -231,7 +227,7 @@ def pick_guides(start, stop, records, near_start, near, ripples, width, table, n
 
 
 @compiled
-def filter_jointly(  # type: ignore[no-untyped-def]
+def filter_jointly(
     start, stop, records, per_reach, near_start, near, tasks, ranges, n_read, width, read, table
 ):
     """Fill two vectors for each task: filtered normals of two ranges.
@@ -240,9 +236,7 @@ def filter_jointly(  # type: ignore[no-untyped-def]
     ``n_read`` vectors of each face, and that of the first outcome in ``table``, which has
     ``width``.  Its row of ``ranges`` has 1 / s^2 of both.
     """
-    widest = ONE
-    for f in range(np.uint64(start), np.uint64(stop)):
-        widest = max(widest, near_start[f + ONE] - near_start[f] + ONE)
+    widest = most_neighbours(start, stop, near_start) + ONE
     block = np.empty(np.int64(widest * ENTRY), dtype=np.float32)
     sums = np.empty(np.int64(R6), dtype=np.float32)
     vectors = np.empty(np.int64(R6), dtype=np.float32)
@@ -272,7 +266,7 @@ def filter_jointly(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _lay_normals(first, last, rows, near_start, near, guide, normal, width, table, block, own):  # type: ignore[no-untyped-def]
+def _lay_normals(first, last, rows, near_start, near, guide, normal, width, table, block, own):
     """Put other normals into a block, and the squares of the differences of their guides."""
     for lane in range(LANES):
         f = first + lane if first + lane < last else last - ONE
@@ -295,7 +289,5 @@ def _lay_normals(first, last, rows, near_start, near, guide, normal, width, tabl
             place += ENTRY
         for _ in range(near_start[f + ONE] - near_start[f] + ONE, rows):
             block[place + JUMP] = _0
-            block[place + NX] = _0
-            block[place + NY] = _0
-            block[place + NZ] = _0
+            block[place + NX], block[place + NY], block[place + NZ] = _0, _0, _0
             place += ENTRY

@@ -13,12 +13,13 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.exponential import LOG2_E, power_of_two
+from msal_cli.kernels.elementary import LOG2_E, power_of_two
 from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas, usable_areas
-from msal_cli.kernels.medians import median
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, most_neighbours
 from msal_cli.kernels.robust_laplacian import PER_MEDIAN
+from msal_cli.kernels.vectors import write_unit
 
 LONGEST = 0.75
 """Share of a normal that one step may replace by those beside it: with 1 chequered noise stays."""
@@ -31,7 +32,7 @@ BLOCK_PAIRS = np.uint64(1024)
 
 
 @compiled
-def _square(x, i, j):  # type: ignore[no-untyped-def]
+def _square(x, i, j):
     """Of the distance between two vertices; x flat."""
     p, q = THREE * i, THREE * j
     dx, dy, dz = x[p] - x[q], x[p + ONE] - x[q + ONE], x[p + TWO] - x[q + TWO]
@@ -39,7 +40,7 @@ def _square(x, i, j):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):  # type: ignore[no-untyped-def]
+def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):
     """min(tau / A, limit) l / d: edge length l, way between centroids d, own area A, 0 for none.
 
     All arrays are flat; x positions.  Of two faces with a common edge the centroids are a third
@@ -77,7 +78,7 @@ def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares): 
 
 
 @compiled
-def _diffused(start, stop, n, shares, inverse, ring_start, ring, result):  # type: ignore[no-untyped-def]
+def _diffused(start, stop, n, shares, inverse, ring_start, ring, result):
     """n normals, flat as the result; ``inverse`` is 1 / (2 mu^2 ln 2).
 
     Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.
@@ -112,16 +113,11 @@ def _diffused(start, stop, n, shares, inverse, ring_start, ring, result):  # typ
                 sy += weight * (n[g + ONE] - ny)
                 sz += weight * (n[g + TWO] - nz)
             sx, sy, sz = nx + sx, ny + sy, nz + sz
-            length = np.sqrt(sx * sx + sy * sy + sz * sz)
-            if length > VANISHED:
-                nx, ny, nz = sx / length, sy / length, sz / length
-            result[own] = nx
-            result[own + ONE] = ny
-            result[own + TWO] = nz
+            write_unit(sx, sy, sz, VANISHED, n, i, result)
 
 
 @compiled
-def _differences(start, stop, n, ring_start, ring, lengths):  # type: ignore[no-untyped-def]
+def _differences(start, stop, n, ring_start, ring, lengths):
     """|n - m| over the neighbours of greater number, -1 for all that do not count; n flat."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own = THREE * f
@@ -143,14 +139,8 @@ def difference_width(normals: Floats, ring_start: Ints, ring: Ints) -> float:
     ``face_rings``.  Zero where there are no neighbours.
     """
     lengths = np.empty(len(ring))
-    over_ranges(
-        _differences,
-        len(normals),
-        normals.reshape(-1),
-        ring_start.view(np.uint32),
-        ring.view(np.uint32),
-        lengths,
-    )
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    over_ranges(_differences, len(normals), normals.reshape(-1), *rows, lengths)
     lengths = lengths[lengths >= 0.0]
     if not len(lengths):
         return 0.0
@@ -192,9 +182,8 @@ def diffused_normals(
     inverse = 0.5 * LOG2_E / max(similarity, LEAST_SIMILARITY) ** 2
     spare = np.empty_like(normals)
     for _ in range(steps):
-        over_ranges(
-            _diffused, count, normals.reshape(-1), shares, inverse, *rows, spare.reshape(-1)
-        )
+        flat = normals.reshape(-1), shares, inverse, *rows, spare.reshape(-1)
+        over_ranges(_diffused, count, *flat)
         normals, spare = spare, normals
         if on_step is not None:
             on_step()

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats, Floats32, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.face_neighbourhoods import faces_within
+from msal_cli.kernels.face_rings import faces_within
 from msal_cli.kernels.geometry import ring_means
-from msal_cli.kernels.medians import median
 from msal_cli.kernels.near_blocks import RECORD, WIDE
 from msal_cli.kernels.normal_descriptors import (
     GUIDE,
@@ -31,6 +30,7 @@ from msal_cli.kernels.normal_descriptors import (
     pick_guides,
 )
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.regression_network import STEP, collect_inputs, predict_normals
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO
 
@@ -59,7 +59,7 @@ _FOUR = np.uint64(4)
 
 
 @compiled
-def _measure_distances(start, stop, c, ring_start, ring, distances):  # type: ignore[no-untyped-def]
+def _measure_distances(start, stop, c, ring_start, ring, distances):
     """Mean distances of the centroids c, flat, to those of the row of each face; zero for none."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own = THREE * f
@@ -74,7 +74,7 @@ def _measure_distances(start, stop, c, ring_start, ring, distances):  # type: ig
 
 
 @compiled
-def _average_units(start, stop, distances, ring_start, ring, units):  # type: ignore[no-untyped-def]
+def _average_units(start, stop, distances, ring_start, ring, units):
     """The mean of a face's distance and those of its row, times root 3."""
     for f in range(np.uint64(start), np.uint64(stop)):
         total = distances[f]
@@ -85,7 +85,7 @@ def _average_units(start, stop, distances, ring_start, ring, units):  # type: ig
 
 
 @compiled
-def _fill_records(start, stop, c, normals, areas, per_unit, per_area, records):  # type: ignore[no-untyped-def]
+def _fill_records(start, stop, c, normals, areas, per_unit, per_area, records):
     """Centroid, normal and area of each face in one row; lengths in the unit, areas in the mean."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own, to = THREE * f, RECORD * f
@@ -102,7 +102,7 @@ def _fill_records(start, stop, c, normals, areas, per_unit, per_area, records): 
 
 
 @compiled
-def _fill_missing(start, stop, ring_start, ring, normals, records):  # type: ignore[no-untyped-def]
+def _fill_missing(start, stop, ring_start, ring, normals, records):
     """Give faces without a normal the mean of those around, weighted by area."""
     for f in range(np.uint64(start), np.uint64(stop)):
         own = THREE * f
@@ -124,7 +124,7 @@ def _fill_missing(start, stop, ring_start, ring, normals, records):  # type: ign
 
 
 @compiled
-def _gather_ripples(start, stop, faces, heights, units, scatter, ripples):  # type: ignore[no-untyped-def]
+def _gather_ripples(start, stop, faces, heights, units, scatter, ripples):
     """Five numbers of each face: its scatter, and means of its corners' ``heights`` (n, 4) in its
     unit."""
     for f in range(np.uint64(start), np.uint64(stop)):
@@ -145,7 +145,7 @@ def measure_ripples(vertices: Floats, normals: Floats, links: Connectivity) -> F
     applied once, twice and three times: ever finer ripples.  The last is what is left sideways of
     the second.  Boundary vertices have none.
     """
-    rows = links.ring_start, links.ring
+    rows = links.one_ring
     inner = links.has_ring & ~links.boundary
     left = [np.ascontiguousarray(vertices[:, axis]) for axis in range(3)]
     ripples = np.empty((len(vertices), 4))
@@ -290,12 +290,7 @@ class NormalDescriber:
     """
 
     def __init__(
-        self,
-        faces: Ints,
-        centroids: Floats,
-        ring_start: Ints,
-        ring: Ints,
-        noise: float | None,
+        self, faces: Ints, centroids: Floats, ring_start: Ints, ring: Ints, noise: float | None
     ) -> None:
         m = len(faces)
         self.around = find_neighbourhoods(centroids, ring_start, ring)

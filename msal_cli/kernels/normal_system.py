@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints
-from msal_cli.kernels.bilateral_normals import distance_exponents
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.exponential import LOG2_E, power_of_two
+from msal_cli.kernels.elementary import LOG2_E, power_of_two
+from msal_cli.kernels.normal_averages import distance_exponents
 from msal_cli.kernels.parallel import over_ranges
 
 ALONE = 1e-200
@@ -25,7 +25,7 @@ ALONE = 1e-200
 
 
 @compiled
-def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, totals):  # type: ignore[no-untyped-def]
+def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, totals):
     """Turn distance exponents into w_ij / A_j, which is symmetric; sum up w_ij for every i."""
     for f in range(start, stop):
         for at in range(ring_start[f], ring_start[f + 1]):
@@ -46,7 +46,7 @@ def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, t
 
 
 @compiled
-def _diagonal(start, stop, areas, inverse, ring_start, ring, values, squares):  # type: ignore[no-untyped-def]
+def _diagonal(start, stop, areas, inverse, ring_start, ring, values, squares):
     for f in range(start, stop):
         total = 0.0
         for at in range(ring_start[f], ring_start[f + 1]):
@@ -56,7 +56,7 @@ def _diagonal(start, stop, areas, inverse, ring_start, ring, values, squares):  
 
 
 @compiled
-def _differences(  # type: ignore[no-untyped-def]
+def _differences(
     start, stop, values, ring_start, ring, inner, outer, own, x, weight, base, base_weight, result
 ):
     """weight (own_i x_i - outer_i sum_j values_ij inner_j x_j) + base_weight base_i."""
@@ -104,17 +104,7 @@ class NormalSystem:
         difference = np.empty_like(x)
         m = len(x)
         over_ranges(
-            _differences,
-            m,
-            *rows,
-            self.areas,
-            self.inverse,
-            self.own,
-            x,
-            1.0,
-            x,
-            0.0,
-            difference,
+            _differences, m, *rows, self.areas, self.inverse, self.own, x, 1.0, x, 0.0, difference
         )
         # The transpose has the two factors of the symmetric part in the other order.
         over_ranges(
@@ -159,9 +149,9 @@ def normal_system(
     relative /= mean if mean > 0.0 else 1.0
     values = distance_exponents(centroids, ring_start, ring, closeness, np.zeros(m))
     totals = np.empty(m)
-    over_ranges(
-        _gaussians, m, normals, relative, LOG2_E / similarity**2, ring_start, ring, values, totals
-    )
+    rows = ring_start, ring, values
+    falloff = LOG2_E / similarity**2
+    over_ranges(_gaussians, m, normals, relative, falloff, *rows, totals)
     linked = usable & (totals > ALONE)
     inverse = np.where(linked, 1.0 / np.where(linked, totals, 1.0), 0.0)
     own = linked.astype(np.float64)

@@ -1,6 +1,6 @@
 """Single vertices far out of the surface that their neighbours make.
 
-A vertex is held against a fit to its two-ring without itself, and its faces against those around
+A vertex is compared with a fit to its two-ring without itself, and its faces with those around
 them.  Everything is local, and in units of local edges that the vertex itself has no part in.
 """
 
@@ -11,14 +11,11 @@ import numpy as np
 from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.local_fits import _patch
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.patch_fits import MOST_VERTICES, SLOTS, collect_patch, find_tangents
 
 MOST_FACES = 24
 """Faces of a vertex beyond which it is not judged: the poles of a net are no outliers."""
-
-MOST_VERTICES = 40
-"""Vertices of a patch at most; those further out are left out."""
 
 FEWEST_VERTICES = 10
 """Vertices of a patch, without its middle one, from which a surface of degree 2 can be fitted."""
@@ -72,7 +69,7 @@ NOT_JUDGED = -np.inf
 
 
 @compiled
-def _normal(ax, ay, az, x, b, c, normal):  # type: ignore[no-untyped-def]
+def _normal(ax, ay, az, x, b, c, normal):
     """The unit normal of the face of a point and the vertices b and c; zeros if it is flat."""
     ux, uy, uz = x[b, 0] - ax, x[b, 1] - ay, x[b, 2] - az
     vx, vy, vz = x[c, 0] - ax, x[c, 1] - ay, x[c, 2] - az
@@ -83,7 +80,7 @@ def _normal(ax, ay, az, x, b, c, normal):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _agreements(start, stop, x, faces, face_start, incident, chosen, agreements):  # type: ignore[no-untyped-def]
+def _agreements(start, stop, x, faces, face_start, incident, chosen, agreements):
     normal = np.empty(3)
     for i in range(start, stop):
         if not chosen[i]:
@@ -101,7 +98,7 @@ def _agreements(start, stop, x, faces, face_start, incident, chosen, agreements)
 
 
 @compiled
-def _around(i, faces, face_start, incident, after, before):  # type: ignore[no-untyped-def]
+def _around(i, faces, face_start, incident, after, before):
     """The vertices that follow vertex i in its faces, and those that go before it."""
     for k in range(face_start[i + 1] - face_start[i]):
         f = incident[face_start[i] + k]
@@ -111,7 +108,7 @@ def _around(i, faces, face_start, incident, after, before):  # type: ignore[no-u
 
 
 @compiled
-def _circle(i, n, faces, face_start, incident, after, before, following, outer):  # type: ignore[no-untyped-def]
+def _circle(i, n, faces, face_start, incident, after, before, following, outer):
     """For each of the n faces around vertex i the place of the next one, and the face across the
     edge opposite i, or -1.  Whether they close."""
     for k in range(n):
@@ -132,7 +129,7 @@ def _circle(i, n, faces, face_start, incident, after, before, following, outer):
 
 
 @compiled
-def _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals):  # type: ignore[no-untyped-def]
+def _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals):
     """Mean length of the differences between the normals on both sides of the edges in and around
     the faces that a vertex would have at a point."""
     for k in range(n):
@@ -155,7 +152,7 @@ def _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals
 
 
 @compiled
-def _solved(matrix, right):  # type: ignore[no-untyped-def]
+def _solved(matrix, right):
     """Solve the normal equations in place; what they do not tell apart becomes small."""
     for pivot in range(TERMS):
         scale = 1.0 / max(matrix[pivot, pivot], 1e-9)
@@ -172,7 +169,7 @@ def _solved(matrix, right):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _ranked(values, count, share, ranking):  # type: ignore[no-untyped-def]
+def _ranked(values, count, share, ranking):
     """The value that ``share`` of values[1:count] are below; ``ranking`` is for sorting them."""
     for at in range(1, count):
         value = values[at]
@@ -185,7 +182,7 @@ def _ranked(values, count, share, ranking):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _fit(count, local, weights, rests, ranking, matrix, coefficients):  # type: ignore[no-untyped-def]
+def _fit(count, local, weights, rests, ranking, matrix, coefficients):
     """Fit degree 2 to the points ``local``[1:count] (u, w, height) by weights that get less for
     those far from it; the median of what is left over."""
     terms = np.empty(TERMS)
@@ -218,12 +215,12 @@ def _fit(count, local, weights, rests, ranking, matrix, coefficients):  # type: 
 
 
 @compiled
-def _height(u, w, c):  # type: ignore[no-untyped-def]
+def _height(u, w, c):
     return c[0] + c[1] * u + c[2] * w + c[3] * u * u + c[4] * u * w + c[5] * w * w
 
 
 @compiled
-def _judged(  # type: ignore[no-untyped-def]
+def _judged(
     start,
     stop,
     chosen,
@@ -240,7 +237,8 @@ def _judged(  # type: ignore[no-untyped-def]
     scores,
     targets,
 ):
-    found = np.empty(MOST_VERTICES, dtype=np.int64)
+    found, ends = np.empty(MOST_VERTICES, dtype=np.int64), np.empty(3, dtype=np.int64)
+    slots = np.empty(SLOTS, dtype=np.int64)
     after, before = np.empty(MOST_FACES, dtype=np.int64), np.empty(MOST_FACES, dtype=np.int64)
     following, outer = np.empty(MOST_FACES, dtype=np.int64), np.empty(MOST_FACES, dtype=np.int64)
     normals, outer_normals = np.empty((MOST_FACES, 3)), np.empty((MOST_FACES, 3))
@@ -279,7 +277,7 @@ def _judged(  # type: ignore[no-untyped-def]
             continue
         if not _circle(i, n, faces, face_start, incident, after, before, following, outer):
             continue
-        count = _patch(i, 2, ring_start, ring, found)
+        count = collect_patch(i, ring_start, ring, found, ends, slots)
         if count <= FEWEST_VERTICES:
             continue
         # The direction of the neighbours' other faces.
@@ -303,16 +301,7 @@ def _judged(  # type: ignore[no-untyped-def]
         if length <= 1e-10:
             continue
         nx, ny, nz = nx / length, ny / length, nz / length
-        # Two directions across it, from the axis that it leans to least.
-        if abs(nx) <= abs(ny) and abs(nx) <= abs(nz):
-            ux, uy, uz = 0.0, nz, -ny
-        elif abs(ny) <= abs(nz):
-            ux, uy, uz = -nz, 0.0, nx
-        else:
-            ux, uy, uz = ny, -nx, 0.0
-        length = np.sqrt(ux * ux + uy * uy + uz * uz)
-        ux, uy, uz = ux / length, uy / length, uz / length
-        wx, wy, wz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+        ux, uy, uz, wx, wy, wz = find_tangents(nx, ny, nz)
         for near in range(count):
             k = found[near]
             dx, dy, dz = (x[k, 0] - cx) * scale, (x[k, 1] - cy) * scale, (x[k, 2] - cz) * scale
@@ -349,7 +338,7 @@ def _judged(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _picked(start, stop, chosen, scores, ring_start, ring, picked):  # type: ignore[no-untyped-def]
+def _picked(start, stop, chosen, scores, ring_start, ring, picked):
     for at in range(start, stop):
         i = chosen[at]
         is_most = True
@@ -361,7 +350,7 @@ def _picked(start, stop, chosen, scores, ring_start, ring, picked):  # type: ign
 
 
 @compiled
-def _marked_around(chosen, ring_start, ring, marks):  # type: ignore[no-untyped-def]
+def _marked_around(chosen, ring_start, ring, marks):
     for at in range(len(chosen)):
         i = chosen[at]
         marks[i] = True
@@ -377,7 +366,7 @@ def measure_agreement(
 ) -> None:
     """Set ``agreements`` (n,) of the ``chosen`` (n,) vertices: the length of the mean of their
     faces' unit normals, 1 where these are the same and 0 where they are all ways."""
-    around = (links.face_start, links.incident_faces)
+    around = links.incidence
     over_ranges(_agreements, len(x), x, faces, *around, chosen, agreements)
 
 
@@ -402,24 +391,9 @@ def judge(
     targets : (c, 3), their places on the fit.
     """
     scores, targets = np.empty(len(chosen)), np.empty((len(chosen), 3))
-    over_ranges(
-        _judged,
-        len(chosen),
-        chosen,
-        places,
-        x,
-        faces,
-        links.face_start,
-        links.incident_faces,
-        links.ring_start,
-        links.ring,
-        agreements,
-        edge,
-        is_known,
-        scores,
-        targets,
-        smallest=FEWEST_PER_THREAD,
-    )
+    around = faces, *links.incidence, *links.one_ring
+    known = chosen, places, x, *around, agreements, edge, is_known, scores, targets
+    over_ranges(_judged, len(chosen), *known, smallest=FEWEST_PER_THREAD)
     return scores, targets
 
 
@@ -427,12 +401,12 @@ def pick(scores: Floats, bound: float, links: Connectivity) -> Longs:
     """The vertices whose score (n,) is above ``bound`` and above those of all their neighbours."""
     chosen = np.flatnonzero(scores > bound)
     picked = np.empty(len(chosen), dtype=np.bool_)
-    over_ranges(_picked, len(chosen), chosen, scores, links.ring_start, links.ring, picked)
+    over_ranges(_picked, len(chosen), chosen, scores, *links.one_ring, picked)
     return chosen[picked]
 
 
 def mark_two_rings(chosen: Longs, links: Connectivity) -> Flags:
     """The vertices ``chosen`` (c,) and those at most two edges away from one, (n,)."""
     marks = np.zeros(len(links.has_ring), dtype=np.bool_)
-    _marked_around(chosen, links.ring_start, links.ring, marks)
+    _marked_around(chosen, *links.one_ring, marks)
     return marks

@@ -1,16 +1,22 @@
-"""Share a kernel's range of items between threads without changing a bit of its result."""
+"""Share work between threads without changing a bit of its result."""
 
 from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
+from msal_cli.arrays import Floats
 from msal_cli.machine import usable_cores
 
 SMALLEST_RANGE = 32_768
 """Items per thread below which starting a thread costs more than it saves."""
+
+SMALLEST_COUNT = 100_000
+"""Items below which different work on them is not worth a thread each."""
 
 MARKING_THREADS = 4
 """Threads for kernels of which each marks all items: of more the marks would take much memory."""
@@ -47,21 +53,53 @@ def over_ranges(
     if parts == 1:
         return [kernel(0, count, *arguments)]
     bounds = [count * part // parts for part in range(parts + 1)]
-    results: list[Any] = [None] * parts
-    failures: list[BaseException] = []
+    return _run([(kernel, *bounds[part : part + 2], *arguments) for part in range(parts)])
 
-    def run(part: int) -> None:
+
+def fill_array(
+    kernel: Callable[..., Any], shape: int | tuple[int, ...], *arguments: object
+) -> Floats:
+    """A new array of this shape whose items ``kernel(start, stop, *arguments, array)`` computes.
+
+    The ranges are those of ``over_ranges``.
+    """
+    array = np.empty(shape)
+    over_ranges(kernel, len(array), *arguments, array)
+    return array
+
+
+def is_worth_it(count: int) -> bool:
+    """Whether different work on ``count`` items should be shared between threads."""
+    return count >= SMALLEST_COUNT and threads() > 1
+
+
+def at_once(count: int, *tasks: Callable[[], Any]) -> list[Any]:
+    """What the tasks return, which work on some ``count`` items and not on each other's results.
+
+    The first exception, in the order of the tasks, is raised here.
+    """
+    return _run([(task,) for task in tasks]) if is_worth_it(count) else [task() for task in tasks]
+
+
+def _run(calls: Sequence[tuple[Any, ...]]) -> list[Any]:
+    """What the calls, functions and their arguments, return; each in a thread, the first here."""
+    results: list[Any] = [None] * len(calls)
+    failures: list[BaseException | None] = [None] * len(calls)
+
+    def run(at: int) -> None:
         try:
-            results[part] = kernel(bounds[part], bounds[part + 1], *arguments)
+            function, *arguments = calls[at]
+            results[at] = function(*arguments)
         except BaseException as failure:
-            failures.append(failure)
+            failures[at] = failure
 
-    others = [threading.Thread(target=run, args=(part,), daemon=True) for part in range(1, parts)]
+    others = [threading.Thread(target=run, args=(at,), daemon=True) for at in range(1, len(calls))]
     for other in others:
         other.start()
     run(0)
     for other in others:
         other.join()
-    if failures:
-        raise failures[0]
+    for failure in failures:
+        if failure is not None:
+            raise failure
     return results

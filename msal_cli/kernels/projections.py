@@ -1,4 +1,4 @@
-"""Projections of vertices on the planes of the faces around them, robustly averaged."""
+"""Planes around a vertex: projections on those of faces, and steps towards those of vertices."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.exponential import exponentials
-from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.elementary import exponentials
+from msal_cli.kernels.geometry import face_normals, face_normals_and_areas
 from msal_cli.kernels.operators import SMALLEST_SIGMA, Step
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array
 from msal_cli.kernels.vertex_neighbourhoods import faces_around, room
 
 _CENTROIDS, _PROJECTIONS = range(2)
@@ -23,7 +23,7 @@ triangle that no other touches shrinks to a point."""
 
 
 @compiled
-def _projected(  # type: ignore[no-untyped-def]
+def _projected(
     start,
     stop,
     x,
@@ -101,9 +101,7 @@ def _projected(  # type: ignore[no-untyped-def]
                 my += weight * (centroids[f, 1] - yi)
                 mz += weight * (centroids[f, 2] - zi)
         if weights > 0.0:
-            moves[i, 0] = mx / weights
-            moves[i, 1] = my / weights
-            moves[i, 2] = mz / weights
+            moves[i, 0], moves[i, 1], moves[i, 2] = mx / weights, my / weights, mz / weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,9 +143,9 @@ class ProjectionAverage:
             positions, centroids, areas, own, everywhere, 0.5 * self.closeness, _CENTROIDS
         )
         normals, smooth_areas = face_normals_and_areas(smooth, self.faces)
-        told = smooth_areas > SMALLEST_AREA * self.mean_edge_length**2
-        told &= (normals != 0.0).any(axis=1)
-        normals = np.where(told[:, None], normals, own)
+        has_normal = smooth_areas > SMALLEST_AREA * self.mean_edge_length**2
+        has_normal &= (normals != 0.0).any(axis=1)
+        normals = np.where(has_normal[:, None], normals, own)
         return Step(
             self._average(
                 positions, centroids, areas, normals, self.free, self.closeness, _PROJECTIONS
@@ -165,23 +163,57 @@ class ProjectionAverage:
         averaged: int,
     ) -> Floats:
         """Moves (n, 3) of the vertices to the average of the centroids or the projections."""
-        moves = np.empty_like(positions)
-        over_ranges(
-            _projected,
-            len(positions),
-            positions,
-            centroids,
-            areas,
-            normals,
-            self.faces,
-            self.links.face_start,
-            self.links.incident_faces,
-            free,
-            2.0 * self.closeness,
-            closeness,
-            self.similarity,
-            SMALLEST_SIGMA * self.mean_edge_length,
-            averaged,
-            moves,
-        )
-        return moves
+        widths = 2.0 * self.closeness, closeness, self.similarity
+        floor = SMALLEST_SIGMA * self.mean_edge_length
+        planes = centroids, areas, normals, self.faces, *self.links.incidence
+        known = positions, *planes, free, *widths, floor, averaged
+        return fill_array(_projected, positions.shape, *known)
+
+
+@compiled
+def _normal_spread(start, stop, unit_normals, normals, face_start, incident, spread):
+    for i in range(start, stop):
+        total = count = 0.0
+        for at in range(face_start[i], face_start[i + 1]):
+            f = incident[at]
+            nx, ny, nz = unit_normals[f, 0], unit_normals[f, 1], unit_normals[f, 2]
+            if nx != 0.0 or ny != 0.0 or nz != 0.0:
+                total += 1.0 - (nx * normals[i, 0] + ny * normals[i, 1] + nz * normals[i, 2])
+                count += 1.0
+        spread[i] = max(0.0, total / count) if count > 0.0 else 0.0
+
+
+def normal_spread(positions: Floats, faces: Ints, links: Connectivity, normals: Floats) -> Floats:
+    """Mean of 1 - n_f . n over the faces around each vertex (n,), n its unit normal (n, 3).
+
+    On an edge between two planes that is 1 - cos of half the angle between their normals.  Faces
+    without area do not count; a vertex without others has 0.
+    """
+    units = face_normals(positions, faces)
+    return fill_array(_normal_spread, len(positions), units, normals, *links.incidence)
+
+
+@compiled
+def _towards_planes(start, stop, x, normals, ring_start, ring, moves):
+    for i in range(start, stop):
+        mx = my = mz = 0.0
+        m = ring_start[i + 1] - ring_start[i]
+        for at in range(ring_start[i], ring_start[i + 1]):
+            k = ring[at]
+            nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
+            height = (x[k, 0] - x[i, 0]) * nx + (x[k, 1] - x[i, 1]) * ny + (x[k, 2] - x[i, 2]) * nz
+            mx += height * nx
+            my += height * ny
+            mz += height * nz
+        share = 1.0 / m if m else 0.0
+        moves[i, 0], moves[i, 1], moves[i, 2] = share * mx, share * my, share * mz
+
+
+def towards_planes(positions: Floats, normals: Floats, ring_start: Ints, ring: Ints) -> Floats:
+    """Mean of the steps (n, 3) that take each vertex to the tangent planes of its one-ring.
+
+    A gradient step on the sum of squared distances from these planes, the quadric of the
+    neighbourhood: between two flat sides its least place is the edge, between three the corner.
+    Neighbours with a zero normal count as planes on which the vertex lies already.
+    """
+    return fill_array(_towards_planes, positions.shape, positions, normals, ring_start, ring)

@@ -31,7 +31,7 @@ _TINY = 1e-12
 
 
 @compiled
-def _lay_inputs(first, last, width, table, per_face, numbers, axes, x):  # type: ignore[no-untyped-def]
+def _lay_inputs(first, last, width, table, per_face, numbers, axes, x):
     """Put the inputs of the faces ``first`` to ``last`` side by side, a row of lanes for each."""
     for lane in range(LANES):
         f = first + lane if first + lane < last else last - ONE
@@ -58,10 +58,10 @@ def _lay_inputs(first, last, width, table, per_face, numbers, axes, x):  # type:
 
 
 @compiled
-def _multiply(n_in, n_out, weights, at, x, y, leak):  # type: ignore[no-untyped-def]
-    """One layer: ``y`` of ``x``; at ``at`` stand n_out biases, then the rows of the matrix.
+def _multiply(n_in, n_out, weights, at, x, y, leak):
+    """One layer: ``y`` of ``x``; from ``at`` on are n_out biases, then the rows of the matrix.
 
-    Returns where the next layer stands.
+    Returns where the next layer begins.
     """
     row = at + n_out
     for o in range(n_out):
@@ -94,7 +94,7 @@ def _multiply(n_in, n_out, weights, at, x, y, leak):  # type: ignore[no-untyped-
 
 
 @compiled
-def predict_normals(  # type: ignore[no-untyped-def]
+def predict_normals(
     start, stop, width, table, per_face, numbers, axes, n_in, n_hidden, n_out, weights, normals
 ):
     """The unit normals (m, 3), flat, of a network with two hidden layers.
@@ -136,7 +136,7 @@ def predict_normals(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def collect_inputs(start, stop, width, table, per_face, numbers, axes, inputs):  # type: ignore[no-untyped-def]
+def collect_inputs(start, stop, width, table, per_face, numbers, axes, inputs):
     """The inputs (m, 3 width + per_face) of all faces, for training."""
     width, per_face = np.uint64(width), np.uint64(per_face)
     count = THREE * width + per_face

@@ -41,7 +41,7 @@ shape is known.  The first look has to tell shape from the scatter of averaged n
 
 
 @compiled
-def _mean(start, stop, ring_start, ring, values, low):  # type: ignore[no-untyped-def]
+def _mean(start, stop, ring_start, ring, values, low):
     """The next coarser level: the mean over each vertex and its one-ring."""
     for i in range(start, stop):
         total = values[i]
@@ -51,7 +51,7 @@ def _mean(start, stop, ring_start, ring, values, low):  # type: ignore[no-untype
 
 
 @compiled
-def _squares(start, stop, levels, powers):  # type: ignore[no-untyped-def]
+def _squares(start, stop, levels, powers):
     """Squares of the bands: the differences of neighbouring levels, and the coarsest level."""
     last = len(levels) - 1
     for i in range(start, stop):
@@ -61,8 +61,8 @@ def _squares(start, stop, levels, powers):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _averaged(start, stop, ring_start, ring, powers, averages):  # type: ignore[no-untyped-def]
-    """Means over the one-rings of the five powers of each vertex, which stand one after the other.
+def _averaged(start, stop, ring_start, ring, powers, averages):
+    """Means over the one-rings of the five powers of each vertex, which are side by side.
 
     Five sums by name stay in registers, where a loop over the bands would go through memory, and
     unsigned places need no check for counting from the end.
@@ -89,7 +89,7 @@ def _averaged(start, stop, ring_start, ring, powers, averages):  # type: ignore[
 
 
 @compiled
-def _first_look(start, stop, levels, powers, noise, guess):  # type: ignore[no-untyped-def]
+def _first_look(start, stop, levels, powers, noise, guess):
     bands = len(noise)
     for i in range(start, stop):
         total = 0.0
@@ -104,7 +104,7 @@ def _first_look(start, stop, levels, powers, noise, guess):  # type: ignore[no-u
 
 
 @compiled
-def _second_look(start, stop, levels, powers, noise, returned, share):  # type: ignore[no-untyped-def]
+def _second_look(start, stop, levels, powers, noise, returned, share):
     bands = len(noise)
     for i in range(start, stop):
         total = given = power = 0.0
@@ -123,7 +123,7 @@ def _second_look(start, stop, levels, powers, noise, returned, share):  # type: 
 
 
 @compiled
-def _given_back(start, stop, normals, pulls, x):  # type: ignore[no-untyped-def]
+def _given_back(start, stop, normals, pulls, x):
     for i in range(start, stop):
         for axis in range(3):
             x[i, axis] -= pulls[i] * normals[i, axis]

@@ -3,7 +3,7 @@
 A loop over the five to seven neighbours of one vertex is too short for vector code.  So a sweep
 takes vertices by blocks that stay in the first-level cache, and groups those of a block by their
 number of neighbours m.  A group has a lane for every vertex, filled up to whole vectors, and what
-belongs to the k-th neighbour of all its lanes stands side by side: a row as wide as the group.
+belongs to the k-th neighbour of all its lanes is side by side: a row as wide as the group.
 Then every loop over lanes is vector code, and every sum over neighbours still runs from the first
 to the last, so that no bit depends on the block, the lane or the thread that a vertex falls to.
 
@@ -41,7 +41,7 @@ _FILL, _SHIFT = np.uint64(7), np.uint64(3)
 
 
 @compiled
-def most_neighbours(start, stop, ring_start):  # type: ignore[no-untyped-def]
+def most_neighbours(start, stop, ring_start):
     """The largest number of neighbours in a range of vertices; ``ring_start`` as uint32."""
     widest = ZERO
     for i in range(np.uint64(start), np.uint64(stop)):
@@ -50,7 +50,16 @@ def most_neighbours(start, stop, ring_start):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def block(first, stop, ring_start, widest, origin, table):  # type: ignore[no-untyped-def]
+def longest_row(start, stop, row_start):
+    """The same for rows whose starts are signed."""
+    longest = 0
+    for i in range(start, stop):
+        longest = max(longest, row_start[i + 1] - row_start[i])
+    return longest
+
+
+@compiled
+def block(first, stop, ring_start, widest, origin, table):
     """Lay out the block that starts at vertex ``first``: (last + 1, fewest and most neighbours).
 
     ``table`` gets, for every m in use, the width of its group at m, the group's first lane at
@@ -84,46 +93,3 @@ def block(first, stop, ring_start, widest, origin, table):  # type: ignore[no-un
         lane += width
         place += width * m
     return last, fewest, most
-
-
-@compiled
-def settle(  # type: ignore[no-untyped-def]
-    first,
-    last,
-    normals,
-    ring_start,
-    free,
-    room,
-    chosen,
-    heights,
-    sigma,
-    v,
-    offsets,
-    tau,
-    constant,
-    moved,
-):
-    """End a block: heights and sigma of its vertices, or with ``moved`` their whole sweep.
-
-    Sums are in ``room`` by lane, and ``chosen`` holds the lanes.  Returns the largest sigma.
-    """
-    scales, sums, weights = PARTS[0], PARTS[1], PARTS[2]
-    largest = 0.0
-    for i in range(first, last):
-        lane = chosen[i - first]
-        moves = free[i] and ring_start[i + ONE] > ring_start[i]
-        height = room[sums + lane] / room[weights + lane] if moves else 0.0
-        if len(moved):
-            t = offsets[i]
-            t = t + tau * height - constant * t
-            offsets[i] = t
-            point = THREE * i
-            moved[point] = v[point] + t * normals[point]
-            moved[point + ONE] = v[point + ONE] + t * normals[point + ONE]
-            moved[point + TWO] = v[point + TWO] + t * normals[point + TWO]
-        else:
-            heights[i] = height
-            scale = room[scales + lane]
-            sigma[i] = scale
-            largest = max(largest, scale)
-    return largest

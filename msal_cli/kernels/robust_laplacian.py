@@ -13,10 +13,11 @@ import numpy as np
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.exponential import exponentials
-from msal_cli.kernels.geometry import face_normals_and_areas
-from msal_cli.kernels.operators import SMALLEST_SIGMA, Step
+from msal_cli.kernels.cotangent import ring_areas
+from msal_cli.kernels.elementary import exponentials
+from msal_cli.kernels.operators import SMALLEST_LENGTH, SMALLEST_SIGMA, Step
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.ring_blocks import longest_row
 
 WEIGHTS = ("gauss", "tukey", "lorentz", "huber", "none")
 DEVIATIONS = ("mean", "median")
@@ -31,7 +32,7 @@ PER_MEDIAN = 1.4826
 
 
 @compiled
-def _median(values, count):  # type: ignore[no-untyped-def]
+def _median(values, count):
     """Median of ``values[:count]``, which are sorted on the way, by Shell's method.
 
     A one-ring is sorted by insertion in effect; the gaps keep a hub of 50,000 affordable.
@@ -55,7 +56,7 @@ def _median(values, count):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _sigma(h, m, deviation, scratch):  # type: ignore[no-untyped-def]
+def _sigma(h, m, deviation, scratch):
     """Twice the mean, or 1.4826 times the median absolute deviation of the heights h[:m]."""
     if deviation == _MEDIAN:
         for at in range(m):
@@ -75,7 +76,7 @@ def _sigma(h, m, deviation, scratch):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _weigh(h, lengths, m, weights, sigma, g, scratch, scratch_bits):  # type: ignore[no-untyped-def]
+def _weigh(h, lengths, m, weights, sigma, g, scratch, scratch_bits):
     """g(h[:m]), up to a factor; all alike where every neighbour is beyond Tukey's reach."""
     if weights == _GAUSS:
         flattest = np.inf
@@ -108,7 +109,7 @@ def _weigh(h, lengths, m, weights, sigma, g, scratch, scratch_bits):  # type: ig
 
 
 @compiled
-def _robust_laplacian(  # type: ignore[no-untyped-def]
+def _robust_laplacian(
     start,
     stop,
     x,
@@ -126,9 +127,7 @@ def _robust_laplacian(  # type: ignore[no-untyped-def]
     sigma,
 ):
     """x positions, h heights of the ring over the tangent plane, l edge lengths, g weights."""
-    widest = 1
-    for i in range(start, stop):
-        widest = max(widest, ring_start[i + 1] - ring_start[i])
+    widest = max(1, longest_row(start, stop, ring_start))
     h = np.empty(widest)
     lengths = np.ones(widest)
     g = np.empty(widest)
@@ -168,15 +167,6 @@ def _robust_laplacian(  # type: ignore[no-untyped-def]
         heights[i] = moment / total
         if scaling == _MASS and 3.0 * time_step < ring_areas[i]:
             heights[i] *= 3.0 * time_step / ring_areas[i]
-
-
-@compiled
-def _ring_areas(start, stop, areas, face_start, incident_faces, sums):  # type: ignore[no-untyped-def]
-    for i in range(start, stop):
-        total = 0.0
-        for at in range(face_start[i], face_start[i + 1]):
-            total += areas[incident_faces[at]]
-        sums[i] = total
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,31 +214,15 @@ class RobustLaplacian:
         """Heights and sigma at ``positions`` (n, 3), all from the same positions."""
         n = len(positions)
         heights, sigma = np.empty(n), np.empty(n)
-        over_ranges(
-            _robust_laplacian,
-            n,
-            positions,
-            self.normals,
-            self.links.ring_start,
-            self.links.ring,
-            self.free,
-            max(SMALLEST_SIGMA * self.mean_edge_length, np.finfo(np.float64).tiny ** 0.5),
+        floor = max(SMALLEST_SIGMA * self.mean_edge_length, SMALLEST_LENGTH)
+        choices = (
             WEIGHTS.index(self.weights),
             DEVIATIONS.index(self.deviation),
             SCALINGS.index(self.scaling),
-            self.time_step,
-            self._ring_areas(positions),
-            heights,
-            sigma,
         )
+        known = positions, self.normals, *self.links.one_ring, self.free, floor, *choices
+        areas = np.empty(0)
+        if self.scaling == "mass":
+            areas = ring_areas(positions, self.faces, self.links)
+        over_ranges(_robust_laplacian, n, *known, self.time_step, areas, heights, sigma)
         return Step(heights, sigma)
-
-    def _ring_areas(self, positions: Floats) -> Floats:
-        """Area of every vertex's faces (n,), squared file units; empty where it is not asked."""
-        if self.scaling != "mass":
-            return np.empty(0)
-        _, areas = face_normals_and_areas(positions, self.faces)
-        sums = np.empty(len(positions))
-        links = self.links
-        over_ranges(_ring_areas, len(sums), areas, links.face_start, links.incident_faces, sums)
-        return sums

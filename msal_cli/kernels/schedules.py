@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 
-@dataclass(frozen=True)
-class Pace:
+class Pace(NamedTuple):
     """One sweep's tau and lambda: lambda_i = min(1, constant + per_sigma * sigma_i).
 
     ``per_sigma`` is in reciprocal file units, the others are pure numbers.
@@ -67,7 +66,7 @@ class Multiscale:
     ``time_step``, is 1 in the paper.  On a mesh with sigma = 0 everywhere lambda is zero.
 
     max sigma may belong to a single spike, beside which every other lambda is next to nothing.
-    With a ``quantile`` q below 1 it is not asked: lambda = min(1, sigma / q-quantile of sigma),
+    With a ``quantile`` q below 1 it is not needed: lambda = min(1, sigma / q-quantile of sigma),
     the quantile being that of the sigma above zero, so that planes and vertices without faces do
     not count.  The smaller q is, the stronger the pull.
     """
@@ -80,8 +79,7 @@ class Multiscale:
         """tau and 1 / scale."""
         scale = scale or 0.0
         return Pace(
-            self.time_step * self.decay**sweep,
-            per_sigma=1.0 / scale if scale > 0.0 else 0.0,
+            self.time_step * self.decay**sweep, per_sigma=1.0 / scale if scale > 0.0 else 0.0
         )
 
 

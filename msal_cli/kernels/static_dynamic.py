@@ -18,25 +18,16 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.exponential import exponentials
+from msal_cli.kernels.elementary import exponentials
 from msal_cli.kernels.geometry import VANISHED
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.ring_blocks import longest_row
 
 
 @compiled
-def _widest(start, stop, near_start):  # type: ignore[no-untyped-def]
-    widest = 0
-    for i in range(start, stop):
-        widest = max(widest, near_start[i + 1] - near_start[i])
-    return widest
-
-
-@compiled
-def _weighed(  # type: ignore[no-untyped-def]
-    start, stop, g, c, areas, near_start, near, per_distance, per_guide, weights, sums
-):
+def _weighed(start, stop, g, c, areas, near_start, near, per_distance, per_guide, weights, sums):
     """w of every row; ``sums``, by face, of w without its last factor."""
-    widest = _widest(start, stop, near_start)
+    widest = longest_row(start, stop, near_start)
     distant = np.empty(widest)
     unlike = np.empty(widest)
     scratch = np.empty(widest)
@@ -82,30 +73,19 @@ def pair_weights(
     """
     weights = np.empty(len(near))
     sums = np.empty(len(areas))
-    over_ranges(
-        _weighed,
-        len(areas),
-        guides,
-        centroids,
-        areas,
-        near_start,
-        near,
-        -0.5 / eta**2,
-        -0.5 / mu**2,
-        weights,
-        sums,
-    )
-    # Every pair stands in two rows.
+    rows = near_start, near, -0.5 / eta**2, -0.5 / mu**2
+    over_ranges(_weighed, len(areas), guides, centroids, areas, *rows, weights, sums)
+    # Every pair is in two rows.
     total = float(sums.sum()) / 2.0
     return weights, float(areas.sum()) / total if total > 0.0 else 0.0
 
 
 @compiled
-def _stepped(  # type: ignore[no-untyped-def]
+def _stepped(
     start, stop, n, pull, near_start, near, weights, per_difference, areas, result, changes
 ):
     """pull (m, 3) is 2 nu^2 / lambda' A n0; ``changes`` are A |step|^2."""
-    widest = _widest(start, stop, near_start)
+    widest = longest_row(start, stop, near_start)
     kernel = np.empty(widest)
     others = np.empty((widest, 3))
     scratch = np.empty(widest)
@@ -179,19 +159,8 @@ def minimising_normals(
     goal = float(areas.sum()) * tolerance**2
     result, following = normals.copy(), np.empty_like(normals)
     for _ in range(most_steps):
-        over_ranges(
-            _stepped,
-            len(normals),
-            result,
-            pull,
-            near_start,
-            near,
-            weights,
-            -0.5 / nu**2,
-            areas,
-            following,
-            changes,
-        )
+        rows = near_start, near, weights, -0.5 / nu**2, areas
+        over_ranges(_stepped, len(normals), result, pull, *rows, following, changes)
         result, following = following, result
         if on_step is not None:
             on_step()

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints
-from msal_cli.kernels.arctangent import arctangents
 from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.elementary import arctangents
 from msal_cli.kernels.geometry import DEGENERATE
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
 BLOCK_FACES = 512
 """Faces that are worked on at a time; also the terms of one partial sum, so that sums do not
@@ -28,34 +29,19 @@ depend on the number of threads."""
 
 
 @compiled
-def _crossed(vertices, a, b, c):  # type: ignore[no-untyped-def]
+def _crossed(vertices, a, b, c):
     """Cross product of two edges of a triangle, sixfold volume, and its longest edge squared."""
-    ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
-    ux, uy, uz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
-    wx, wy, wz = vertices[c, 0] - ax, vertices[c, 1] - ay, vertices[c, 2] - az
-    nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
-    vx, vy, vz = wx - ux, wy - uy, wz - uz
-    longest = max(
-        ux * ux + uy * uy + uz * uz, wx * wx + wy * wy + wz * wz, vx * vx + vy * vy + vz * vz
-    )
-    return nx, ny, nz, ax * nx + ay * ny + az * nz, longest
+    ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
+    volume = vertices[a, 0] * nx + vertices[a, 1] * ny + vertices[a, 2] * nz
+    return nx, ny, nz, volume, longest_square(ux, uy, uz, wx, wy, wz)
 
 
 @compiled
-def _changes(start, stop, before, after, faces, figures):  # type: ignore[no-untyped-def]
+def _changes(start, stop, before, after, faces, figures):
     # Gathering cannot become vector code; what follows, in loops of its own, does.
-    px, py, pz, p_longest = (
-        np.empty(BLOCK_FACES),
-        np.empty(BLOCK_FACES),
-        np.empty(BLOCK_FACES),
-        np.empty(BLOCK_FACES),
-    )
-    qx, qy, qz, q_longest = (
-        np.empty(BLOCK_FACES),
-        np.empty(BLOCK_FACES),
-        np.empty(BLOCK_FACES),
-        np.empty(BLOCK_FACES),
-    )
+    px, py, pz = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
+    qx, qy, qz = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
+    p_longest, q_longest = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
     compares = np.empty(BLOCK_FACES)  # 1 where both normals are there, else 0
     apart = np.empty(BLOCK_FACES)  # of half the angle between them, the sine times something
     along = np.empty(BLOCK_FACES)  # and its cosine times the same

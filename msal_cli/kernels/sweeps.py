@@ -12,9 +12,9 @@ import numpy as np
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.medians import quantile_above_zero
 from msal_cli.kernels.operators import Operator, RingOperator
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.quantiles import quantile_above_zero
 from msal_cli.kernels.schedules import Pace, Schedule
 
 OnSweep = Callable[[int, int], None]
@@ -36,7 +36,7 @@ class Swept:
 
 
 @compiled
-def _moved_along_normals(  # type: ignore[no-untyped-def]
+def _moved_along_normals(
     start, stop, v, normals, heights, sigma, tau, constant, per_sigma, offsets, fidelity, x
 ):
     for i in range(start, stop):
@@ -52,7 +52,7 @@ def _moved_along_normals(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _moved_freely(start, stop, v, moves, sigma, tau, constant, per_sigma, x):  # type: ignore[no-untyped-def]
+def _moved_freely(start, stop, v, moves, sigma, tau, constant, per_sigma, x):
     for i in range(start, stop):
         fidelity = min(constant + per_sigma * sigma[i], 1.0)
         for axis in range(3):
@@ -105,21 +105,10 @@ def swept(
         if sweep == 0:
             fidelity = _pulls(pace, sigma)
         if operator.normals is None:
-            over_ranges(
-                _moved_freely,
-                n,
-                vertices,
-                step.move,
-                sigma,
-                pace.time_step,
-                pace.constant,
-                pace.per_sigma,
-                x,
-            )
+            over_ranges(_moved_freely, n, vertices, step.move, sigma, *pace, x)
         else:
-            _move_along_normals(
-                vertices, operator.normals, step.move, sigma, pace, offsets, np.empty(0), x
-            )
+            known = vertices, operator.normals, step.move, sigma, *pace
+            over_ranges(_moved_along_normals, n, *known, offsets, np.empty(0), x)
         if on_sweep is not None:
             on_sweep(sweep + 1, iterations)
     return Swept(x, fidelity)
@@ -142,36 +131,10 @@ def _pulls(pace: Pace, sigma: Floats) -> Floats:
 
 
 def _trusted(pace: Pace, sigma: Floats, trust: Floats) -> tuple[Pace, Floats]:
-    """The pace, and what stands in for sigma, by which lambda_i is ``trust`` (n,) times what it
+    """The pace, and what replaces sigma, by which lambda_i is ``trust`` (n,) times what it
     would be: the kernels need not know of it."""
     pulls: Floats = trust * _pulls(pace, sigma)
     return Pace(pace.time_step, per_sigma=1.0), pulls
-
-
-def _move_along_normals(
-    vertices: Floats,
-    normals: Floats,
-    heights: Floats,
-    sigma: Floats,
-    pace: Pace,
-    offsets: Floats,
-    fidelity: Floats,
-    x: Floats,
-) -> None:
-    over_ranges(
-        _moved_along_normals,
-        len(vertices),
-        vertices,
-        normals,
-        heights,
-        sigma,
-        pace.time_step,
-        pace.constant,
-        pace.per_sigma,
-        offsets,
-        fidelity,
-        x,
-    )
 
 
 def _swept_over_rings(
@@ -202,9 +165,8 @@ def _swept_over_rings(
             if trust is not None:
                 pace, pulls = _trusted(pace, sigma, trust)
             first = none if sweep else fidelity
-            _move_along_normals(
-                vertices, operator.normals, heights, pulls, pace, offsets, first, moved
-            )
+            known = vertices, operator.normals, heights, pulls, *pace
+            over_ranges(_moved_along_normals, n, *known, offsets, first, moved)
             x = moved
         else:
             pace = schedule(sweep, None)

@@ -1,11 +1,20 @@
-"""The umbrella operators: isotropic Laplacians from edges alone.
+"""Filters by the umbrella operator: means of x_k - x_i over rows of neighbours, from edges alone.
 
-Both take the rows to average over as they come; ``kernels.boundary`` makes them for a rule at open
+All take the rows to average over as they come; ``averaged_ring`` makes them for a rule at open
 edges.  A vertex with an empty row does not move.
+
+With the umbrella U a wave of frequency k, U x = -k x with 0 <= k <= 2, is multiplied by the
+windowed sinc with
+
+    f(k) = c_0 + sum over j of c_j cos(j theta),   cos(theta) = 1 - k / 2
+
+where cos(j theta) is the Chebyshev polynomial T_j(1 - k / 2), so that one umbrella step more gives
+the next term: T_(j+1) x = 2 (T_j x + U T_j x / 2) - T_(j-1) x.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +22,11 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.operators import Step
-from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.parallel import fill_array, over_ranges
 
 
 @compiled
-def _umbrella(start, stop, x, ring_start, ring, moves):  # type: ignore[no-untyped-def]
+def _umbrella(start, stop, x, ring_start, ring, moves):
     for i in range(start, stop):
         m = ring_start[i + 1] - ring_start[i]
         sx = sy = sz = 0.0
@@ -27,9 +36,7 @@ def _umbrella(start, stop, x, ring_start, ring, moves):  # type: ignore[no-untyp
             sy += x[k, 1] - x[i, 1]
             sz += x[k, 2] - x[i, 2]
         share = 1.0 / m if m else 0.0
-        moves[i, 0] = share * sx
-        moves[i, 1] = share * sy
-        moves[i, 2] = share * sz
+        moves[i, 0], moves[i, 1], moves[i, 2] = share * sx, share * sy, share * sz
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,22 +54,18 @@ class Umbrella:
 
     def __call__(self, positions: Floats) -> Step:
         """The moves (n, 3) at ``positions``, all from the same positions."""
-        moves = np.empty_like(positions)
-        over_ranges(_umbrella, len(positions), positions, self.ring_start, self.ring, moves)
-        return Step(moves)
+        return Step(fill_array(_umbrella, positions.shape, positions, self.ring_start, self.ring))
 
 
 @compiled
-def _scale_dependent_umbrella(start, stop, x, ring_start, ring, time_step, moves):  # type: ignore[no-untyped-def]
+def _scale_dependent_umbrella(start, stop, x, ring_start, ring, time_step, moves):
     """l edge lengths of the row; edges without length have no direction and do not count."""
     for i in range(start, stop):
         sx = sy = sz = 0.0
         lengths = reciprocals = 0.0
         for at in range(ring_start[i], ring_start[i + 1]):
             k = ring[at]
-            ex = x[k, 0] - x[i, 0]
-            ey = x[k, 1] - x[i, 1]
-            ez = x[k, 2] - x[i, 2]
+            ex, ey, ez = x[k, 0] - x[i, 0], x[k, 1] - x[i, 1], x[k, 2] - x[i, 2]
             length = np.sqrt(ex * ex + ey * ey + ez * ez)
             if length > 0.0:
                 sx += ex / length
@@ -71,9 +74,7 @@ def _scale_dependent_umbrella(start, stop, x, ring_start, ring, time_step, moves
                 lengths += length
                 reciprocals += 1.0 / length
         share = min(2.0 * time_step / lengths, 1.0 / reciprocals) if lengths > 0.0 else 0.0
-        moves[i, 0] = share * sx
-        moves[i, 1] = share * sy
-        moves[i, 2] = share * sz
+        moves[i, 0], moves[i, 1], moves[i, 2] = share * sx, share * sy, share * sz
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,14 +97,149 @@ class ScaleDependentUmbrella:
 
     def __call__(self, positions: Floats) -> Step:
         """The moves (n, 3) at ``positions``, all from the same positions."""
-        moves = np.empty_like(positions)
-        over_ranges(
-            _scale_dependent_umbrella,
-            len(positions),
-            positions,
-            self.ring_start,
-            self.ring,
-            self.time_step,
-            moves,
+        rows = self.ring_start, self.ring
+        moves = fill_array(
+            _scale_dependent_umbrella, positions.shape, positions, *rows, self.time_step
         )
         return Step(moves)
+
+
+@compiled
+def _average_and_correct(start, stop, o, q, ring_start, ring, alpha, p, b):
+    """o input, q previous, p averaged positions, b corrections; letters of Vollmer et al."""
+    for i in range(start, stop):
+        m = ring_start[i + 1] - ring_start[i]
+        qx, qy, qz = q[i, 0], q[i, 1], q[i, 2]
+        sx = sy = sz = 0.0
+        for at in range(ring_start[i], ring_start[i + 1]):
+            k = ring[at]
+            sx += q[k, 0] - qx
+            sy += q[k, 1] - qy
+            sz += q[k, 2] - qz
+        share = 1.0 / m if m else 0.0
+        p[i, 0], p[i, 1], p[i, 2] = qx + share * sx, qy + share * sy, qz + share * sz
+        # p - (alpha o + (1 - alpha) q), so written that it is zero where nothing moves.
+        b[i, 0] = share * sx - alpha * (o[i, 0] - qx)
+        b[i, 1] = share * sy - alpha * (o[i, 1] - qy)
+        b[i, 2] = share * sz - alpha * (o[i, 2] - qz)
+
+
+@compiled
+def _push_back(start, stop, p, b, ring_start, ring, beta, q):
+    for i in range(start, stop):
+        m = ring_start[i + 1] - ring_start[i]
+        if m == 0:
+            continue
+        sx = sy = sz = 0.0
+        for at in range(ring_start[i], ring_start[i + 1]):
+            k = ring[at]
+            sx += b[k, 0]
+            sy += b[k, 1]
+            sz += b[k, 2]
+        share = (1.0 - beta) / m
+        q[i, 0] = p[i, 0] - (beta * b[i, 0] + share * sx)
+        q[i, 1] = p[i, 1] - (beta * b[i, 1] + share * sy)
+        q[i, 2] = p[i, 2] - (beta * b[i, 2] + share * sz)
+
+
+def pushed_back(
+    original: Floats, positions: Floats, ring_start: Ints, ring: Ints, alpha: float, beta: float
+) -> Floats:
+    """Positions (n, 3) after one sweep from ``positions`` (n, 3); a new array.
+
+    Every vertex goes to the mean p of its row; b is how far p lies from alpha parts of its
+    ``original`` (n, 3) and 1 - alpha parts of its previous position; then p is moved back by beta
+    parts of its own b and 1 - beta parts of the mean b of its row.  A vertex with an empty row
+    stays.
+    """
+    n = len(positions)
+    averaged, corrections = np.empty((n, 3)), np.empty((n, 3))
+    moved = averaged, corrections
+    over_ranges(_average_and_correct, n, original, positions, ring_start, ring, alpha, *moved)
+    result = positions.copy()
+    over_ranges(_push_back, n, *moved, ring_start, ring, beta, result)
+    return result
+
+
+NUTTALL = (0.355768, 0.487396, 0.144232, 0.012604)
+"""Cosine terms of the Nuttall window, whose side lobes are below 1e-4."""
+
+KEPT = 0.99904
+"""What is left of a wave at the end of the pass band: where the search of VTK stops, about."""
+
+
+@compiled
+def _next_polynomial(start, stop, x, ring_start, ring, before, now, twice, weight, after, moves):
+    """``twice`` (now + U now / 2) - (twice - 1) before, and its term added to the moves."""
+    for i in range(start, stop):
+        m = ring_start[i + 1] - ring_start[i]
+        share = 0.5 / m if m else 0.0
+        for axis in range(3):
+            here = now[i, axis]
+            total = 0.0
+            for at in range(ring_start[i], ring_start[i + 1]):
+                total += now[ring[at], axis] - here
+            value = twice * (here + share * total) - (twice - 1.0) * before[i, axis]
+            after[i, axis] = value
+            moves[i, axis] += weight * (value - x[i, axis])
+
+
+def smooth_by_windowed_sinc(
+    vertices: Floats,
+    ring_start: Ints,
+    ring: Ints,
+    coefficients: Floats,
+    on_pass: Callable[[int, int], None] | None = None,
+) -> Floats:
+    """The vertices (n, 3) filtered, each ring row (n + 1,), (...,) being averaged over.
+
+    ``coefficients`` (passes + 1,) are those of the terms; the sum of all is taken for 1, so that
+    what is constant stays, and so does a vertex whose row is empty.
+    """
+    moves = np.zeros_like(vertices)
+    before = now = vertices
+    spare: list[Floats] = []
+    count = len(coefficients) - 1
+    for done in range(1, count + 1):
+        after = spare.pop() if spare else np.empty_like(vertices)
+        term = 1.0 if done == 1 else 2.0, float(coefficients[done])
+        rows = vertices, ring_start, ring, before, now
+        over_ranges(_next_polynomial, len(vertices), *rows, *term, after, moves)
+        if before is not vertices:
+            spare.append(before)
+        before, now = now, after
+        if on_pass is not None:
+            on_pass(done, count)
+    moves += vertices
+    return moves
+
+
+def sinc_coefficients(pass_band: float, passes: int) -> Floats:
+    """c_0 ... c_passes (passes + 1,) of the filter that keeps waves up to ``pass_band``.
+
+    The window blurs the end of the pass band, so the sinc's own is moved out until a wave at
+    ``pass_band`` keeps the part ``KEPT``, or as far as there is room.
+    """
+    theta = np.arccos(1.0 - 0.5 * pass_band)
+    order = np.arange(passes + 1)
+    low, high = 0.0, np.pi - theta
+    # Each step halves the range: to the last bit after 60.
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        kept = float((_terms(theta + middle, passes) * np.cos(order * theta)).sum())
+        if kept < KEPT:
+            low = middle
+        else:
+            high = middle
+    return _terms(theta + high, passes)
+
+
+def _terms(theta: float, passes: int) -> Floats:
+    """Coefficients of sum 1 of a sinc whose band ends at ``theta``, under the window."""
+    order = np.arange(1, passes + 1)
+    angles = np.pi * order / (passes + 1.0)
+    window = sum(term * np.cos(k * angles) for k, term in enumerate(NUTTALL))
+    terms = np.empty(passes + 1)
+    terms[0] = theta / np.pi
+    terms[1:] = 2.0 * window * np.sin(order * theta) / (order * np.pi)
+    return np.asarray(terms / terms.sum())

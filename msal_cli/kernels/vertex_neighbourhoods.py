@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.ring_blocks import longest_row
 
 MOST_FOUND = 2048
 """Items at which a flood stops: vertices within 23 mean edge lengths of one on an even mesh."""
@@ -18,16 +19,13 @@ MOST_LOOKS = 4 * MOST_FOUND
 
 
 @compiled
-def room(start, stop, row_start):  # type: ignore[no-untyped-def]
+def room(start, stop, row_start):
     """Items that a flood from any of these vertices can find: first rows are taken whole."""
-    widest = 0
-    for i in range(start, stop):
-        widest = max(widest, row_start[i + 1] - row_start[i])
-    return np.int64(max(MOST_FOUND, widest) + 1)
+    return np.int64(max(MOST_FOUND, longest_row(start, stop, row_start)) + 1)
 
 
 @compiled
-def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares):  # type: ignore[no-untyped-def]
+def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares):
     """Vertices that edges join to i through vertices no farther from it than the radius.
 
     x positions.  ``mark`` (n,) must not hold i; ``found`` and ``squares`` have room for all.
@@ -64,7 +62,7 @@ def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares)
 
 
 @compiled
-def faces_around(  # type: ignore[no-untyped-def]
+def faces_around(
     i,
     x,
     centroids,

@@ -25,7 +25,7 @@ FEWEST_ROWS = 64
 
 
 @compiled
-def _nearest_faces(start, stop, points, faces, nearness, front):  # type: ignore[no-untyped-def]
+def _nearest_faces(start, stop, points, faces, nearness, front):
     """Draw all faces into rows ``start`` to ``stop``; of faces equally near the first stays."""
     width = front.shape[1]
     for f in range(len(faces)):
@@ -73,7 +73,7 @@ def nearest_faces(points: Floats, faces: Ints, height: int, width: int) -> tuple
 
 
 @compiled
-def _corner_normals(  # type: ignore[no-untyped-def]
+def _corner_normals(
     start, stop, faces, face_start, incident, normals, areas, least_cosine, full_cosine, result
 ):
     """At each corner of faces: the sum of the vertex's faces that turn little from this one."""
@@ -97,9 +97,7 @@ def _corner_normals(  # type: ignore[no-untyped-def]
                 x, y, z = x / length, y / length, z / length
             else:
                 x, y, z = fx, fy, fz
-            result[f, corner, 0] = x
-            result[f, corner, 1] = y
-            result[f, corner, 2] = z
+            result[f, corner, 0], result[f, corner, 1], result[f, corner, 2] = x, y, z
 
 
 def corner_normals(vertices: Floats, faces: Ints, crease: float) -> Floats32:
@@ -118,24 +116,14 @@ def corner_normals(vertices: Floats, faces: Ints, crease: float) -> Floats32:
     if crease <= 0.0:
         result[:] = normals[:, None, :]
         return result
-    face_start, incident = incidence(len(vertices), faces)
-    over_ranges(
-        _corner_normals,
-        len(faces),
-        faces,
-        face_start,
-        incident,
-        normals,
-        areas,
-        float(np.cos(crease)),
-        float(np.cos(0.5 * crease)),
-        result,
-    )
+    cosines = float(np.cos(crease)), float(np.cos(0.5 * crease))
+    rows = faces, *incidence(len(vertices), faces)
+    over_ranges(_corner_normals, len(faces), *rows, normals, areas, *cosines, result)
     return result
 
 
 @compiled
-def _lit(  # type: ignore[no-untyped-def]
+def _lit(
     start, stop, side, points, faces, nearness, front, normals, paint, back, lights, sums, depths
 ):
     """Add up light and coverage of the samples of pixel rows ``start`` to ``stop``."""
@@ -237,20 +225,6 @@ def lit(
     height, width = front.shape[0] // side, front.shape[1] // side
     sums = np.empty((height, width, 4), dtype=np.float32)
     depths = np.empty((height, width), dtype=np.float32)
-    over_ranges(
-        _lit,
-        height,
-        side,
-        points,
-        faces,
-        nearness,
-        front,
-        normals,
-        paint,
-        back,
-        lights,
-        sums,
-        depths,
-        smallest=FEWEST_ROWS,
-    )
+    known = side, points, faces, nearness, front, normals, paint, back, lights
+    over_ranges(_lit, height, *known, sums, depths, smallest=FEWEST_ROWS)
     return sums, depths

@@ -29,8 +29,7 @@ from msal_cli.kernels.normal_regression import (
     NormalDescriber,
     measure_ripples,
 )
-from msal_cli.kernels.untangling import untangle
-from msal_cli.kernels.vertex_update import updated_vertices
+from msal_cli.kernels.vertex_update import untangle, updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sweeps import free_vertices
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from msal_cli.arrays import Ints
-from msal_cli.kernels.boundary import averaged_ring
+from msal_cli.kernels.connectivity import averaged_ring
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import ScheduledParameters

@@ -9,7 +9,7 @@ import numpy as np
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import face_normals, ring_means
-from msal_cli.kernels.medians import median
+from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.vertex_update import updated_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import parameter

@@ -42,8 +42,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from msal_cli.errors import UsageError
-from msal_cli.kernels.bilateral import BallBilateral, RingBilateral
-from msal_cli.kernels.operators import Operator
+from msal_cli.kernels.bilateral import BallBilateral
+from msal_cli.kernels.operators import Operator, RingBilateral
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import ScheduledParameters, free_vertices, run

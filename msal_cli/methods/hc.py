@@ -26,7 +26,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from msal_cli.kernels.hc_sweep import pushed_back
+from msal_cli.kernels.umbrellas import pushed_back
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of

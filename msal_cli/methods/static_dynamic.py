@@ -51,8 +51,7 @@ from dataclasses import dataclass
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.face_guides import Patches, patches
-from msal_cli.kernels.face_neighbourhoods import faces_within
-from msal_cli.kernels.face_rings import face_centroids, mean_centroid_distance
+from msal_cli.kernels.face_rings import face_centroids, faces_within, mean_centroid_distance
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.static_dynamic import minimising_normals, pair_weights
 from msal_cli.kernels.vertex_update import updated_vertices

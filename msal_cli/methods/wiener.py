@@ -49,7 +49,7 @@ import numpy as np
 from msal_cli.arrays import Floats
 from msal_cli.kernels.face_rings import face_centroids, face_rings, mean_centroid_distance
 from msal_cli.kernels.geometry import face_normals_and_areas
-from msal_cli.kernels.joint_bilateral import joint_bilateral
+from msal_cli.kernels.normal_averages import joint_bilateral
 from msal_cli.kernels.restoration import restoration
 from msal_cli.kernels.schedules import Plain
 from msal_cli.kernels.sweeps import swept

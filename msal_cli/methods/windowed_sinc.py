@@ -27,7 +27,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from msal_cli.kernels.windowed_sinc import sinc_coefficients, smooth_by_windowed_sinc
+from msal_cli.kernels.umbrellas import sinc_coefficients, smooth_by_windowed_sinc
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of

@@ -17,7 +17,6 @@ from msal_cli.analysis.surface import normal_statistics
 from msal_cli.auto import NONE, Wishes, search
 from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.auto.search import RUN, START
-from msal_cli.kernels import concurrent as at_once
 from msal_cli.kernels import parallel
 from msal_cli.mesh import Mesh, prepared
 from msal_cli.methods.blend import read
@@ -104,7 +103,7 @@ def members_of(choice):
 def test_it_is_the_same_with_any_number_of_threads(mesh, monkeypatch):
     # Small meshes are not shared between threads, unless they are made to be.
     monkeypatch.setattr(parallel, "SMALLEST_RANGE", 100)
-    monkeypatch.setattr(at_once, "SMALLEST", 100)
+    monkeypatch.setattr(parallel, "SMALLEST_COUNT", 100)
     made = []
     for threads in ("1", "2"):
         monkeypatch.setenv("MSAL_THREADS", threads)

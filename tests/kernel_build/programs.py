@@ -17,7 +17,7 @@ from msal_cli.kernels.compiled import arg_type
 _C_TYPES = {"i8": "int64_t", "u8": "uint64_t", "f8": "double", "b1": "uint8_t"}
 
 Call = tuple[str, tuple[Any, ...]]
-"""A kernel by its name, such as ``medians._counted``, with arguments."""
+"""A kernel by its name, such as ``quantiles._counted``, with arguments."""
 
 
 def build_program(calls: list[Call], target: Target, folder: Path) -> Path:

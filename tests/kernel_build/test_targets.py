@@ -33,7 +33,7 @@ def calls():
     scratch = np.zeros(300)
     text = np.frombuffer(b"  -12.5e-3 7\n", dtype=np.uint8)
     return [
-        ("medians._counted", (bits, np.zeros(1 << 16, dtype=np.int64))),
+        ("quantiles._counted", (bits, np.zeros(1 << 16, dtype=np.int64))),
         ("geometry._face_normals", (0, len(faces), vertices, faces, normals, areas)),
         ("exponential.exponentials", (values, scratch, scratch.view(np.int64), 300)),
         ("text.parse_number", (text, 2, 10)),

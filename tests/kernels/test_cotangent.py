@@ -176,22 +176,3 @@ def test_a_hub_is_not_quadratic():
     assert time.perf_counter() - started < 1.0
     assert np.isfinite(weights).all()
     assert areas.sum() == pytest.approx(np.pi, rel=1e-6)
-
-
-def test_threads_do_not_change_a_bit(monkeypatch):
-    vertices, faces = torus(401, 250)
-    vertices = noisy(vertices, 4, 0.01)
-    links = connectivity(len(vertices), faces)
-    results = []
-    for count in ("1", "2", "3"):
-        monkeypatch.setenv("MSAL_THREADS", count)
-        results.append(
-            (
-                cotangent_weights(vertices, faces, links),
-                mixed_areas(vertices, faces, links),
-                ring_areas(vertices, faces, links),
-            )
-        )
-    for other in results[1:]:
-        for one, two in zip(results[0], other, strict=True):
-            assert (one == two).all()

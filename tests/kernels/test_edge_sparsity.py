@@ -153,17 +153,3 @@ def test_a_hub_is_not_quadratic():
     matrix, _ = edges.system(*edges.bent(vertices, 0.0), 1.0, 1.0)
     assert time.perf_counter() - started < 1.0
     assert np.isfinite(matrix.values).all()
-
-
-def test_threads_do_not_change_a_bit(monkeypatch):
-    vertices, faces = torus(401, 250)
-    vertices = noisy(vertices, 4, 0.01)
-    edges = edge_sparsity(len(vertices), flaps(faces, connectivity(len(vertices), faces)))
-    results = []
-    for count in ("1", "3"):
-        monkeypatch.setenv("MSAL_THREADS", count)
-        coefficients, deltas = edges.bent(vertices, 1e-4)
-        matrix, pulls = edges.system(coefficients, deltas, 0.1, 1.0)
-        results.append((coefficients, deltas, matrix.diagonal, matrix.values, pulls))
-    for one, two in zip(*results, strict=True):
-        assert (one == two).all()

@@ -14,10 +14,12 @@ from msal_cli.kernels.face_rings import (
     MOST_AROUND,
     face_centroids,
     face_rings,
+    faces_within,
     mean_centroid_distance,
 )
 from tests.kernels.plain_faces import neighbours
-from tests.shapes import cube, fan, grid, torus
+from tests.methods import plain_guides as plain
+from tests.shapes import cube, fan, grid, noisy, torus
 
 
 def rows(faces, sharing, n=None):
@@ -73,7 +75,7 @@ def test_the_order_is_side_by_side_then_corner_by_corner():
 def test_threads_do_not_change_the_rows(monkeypatch):
     _, faces = torus(40, 20)
     monkeypatch.setattr("msal_cli.kernels.parallel.SMALLEST_RANGE", 100)
-    monkeypatch.setattr("msal_cli.kernels.variable_rows.SMALLEST_PART", 1)
+    monkeypatch.setattr("msal_cli.kernels.face_rings.SMALLEST_PART", 1)
     results = []
     for count in ("1", "2", "5"):
         monkeypatch.setenv("MSAL_THREADS", count)
@@ -157,3 +159,39 @@ def test_without_neighbours_there_is_no_distance():
     faces = np.array([[0, 1, 2]], dtype=np.int32)
     rings = face_rings(faces, connectivity(3, faces), "edge")
     assert mean_centroid_distance(np.zeros((1, 3)), *rings) == 0.0
+
+
+def near_rows(vertices, faces, radius, most):
+    ring = face_rings(faces, connectivity(len(vertices), faces), "vertex")
+    start, near = faces_within(face_centroids(vertices, faces), *ring, radius, most)
+    return [row.tolist() for row in np.split(near, start[1:-1])]
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.5, 1.0, 2.5])
+def test_it_is_a_flood_to_the_radius(radius):
+    vertices, faces = torus(14, 8)
+    vertices = noisy(vertices, 1, 0.2)
+    found = near_rows(vertices, faces, radius, 1000)
+    expected = plain.near(vertices[faces].mean(axis=1), plain.sharing(faces, 1), radius)
+    assert [set(row) for row in found] == expected
+    assert all(len(set(row)) == len(row) for row in found)
+
+
+def test_it_does_not_jump_gaps():
+    # The far strip is within the radius, the one between it and the near one was taken away.
+    vertices, faces = grid(4, 4)
+    centroids = vertices[faces].mean(axis=1)
+    faces = faces[np.abs(centroids[:, 1] - 1.5) > 0.5]
+    low = np.flatnonzero(vertices[faces].mean(axis=1)[:, 1] < 1)
+    found = near_rows(vertices, faces, 100.0, 1000)
+    for f in low:
+        assert set(found[f]) == set(low) - {f}
+
+
+def test_it_stops_at_the_most():
+    vertices, faces = grid(20, 20)
+    found = near_rows(vertices, faces, 100.0, 30)
+    assert {len(row) for row in found} == {30}
+    # The first are those that share a vertex.
+    for row, others in zip(found, plain.sharing(faces, 1), strict=True):
+        assert set(row[: len(others)]) == others

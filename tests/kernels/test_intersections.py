@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from msal_cli.kernels import box_pairs, intersections
-from msal_cli.kernels.intersections import intersecting_pairs
-from msal_cli.kernels.orientation import plane_signs, space_signs
+from msal_cli.kernels.intersections import intersecting_pairs, plane_signs, space_signs
 from tests.kernels import plain_intersections as plain
 from tests.shapes import grid, torus
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.kernels.joint_bilateral import joint_bilateral
+from msal_cli.kernels.normal_averages import joint_bilateral
 
 X, Y, NONE = [1.0, 0, 0], [0, 1.0, 0], [0.0, 0, 0]
 EACH_OTHER = np.array([0, 1, 2]), np.array([1, 0], dtype=np.int32)

@@ -78,14 +78,3 @@ def test_it_is_free_of_scale(factor):
     one, other = found("open", residual, 0.7), found("open", factor * residual, 0.7 * factor)
     assert other.returned / factor == pytest.approx(one.returned, rel=1e-12)
     assert other.share == pytest.approx(one.share, rel=1e-12)
-
-
-def test_threads_change_no_bit(monkeypatch):
-    vertices, faces = torus(512, 256)
-    links = prepared(vertices, faces).mesh.links
-    residual = np.random.default_rng(3).normal(size=len(vertices))
-    results = []
-    for threads in ("1", "3"):
-        monkeypatch.setenv("MSAL_THREADS", threads)
-        results.append(restoration(residual, links.ring_start, links.ring, 0.8).returned)
-    assert (results[0] == results[1]).all()

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli.kernels import parallel
-from msal_cli.kernels.bilateral import RingBilateral
-from msal_cli.kernels.operators import AnisotropicLaplacian
+from msal_cli.kernels.operators import AnisotropicLaplacian, RingBilateral
 from msal_cli.kernels.schedules import Constant, Multiscale, Plain
 from msal_cli.kernels.sweeps import swept
 

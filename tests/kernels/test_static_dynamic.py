@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli.kernels.connectivity import connectivity
-from msal_cli.kernels.face_neighbourhoods import faces_within
-from msal_cli.kernels.face_rings import face_centroids, face_rings
+from msal_cli.kernels.face_rings import face_centroids, face_rings, faces_within
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.static_dynamic import minimising_normals, pair_weights
 from tests.shapes import noisy, torus

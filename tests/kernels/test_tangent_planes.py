@@ -7,7 +7,7 @@ import pytest
 
 from msal_cli.kernels.connectivity import connectivity
 from msal_cli.kernels.geometry import vertex_normals
-from msal_cli.kernels.tangent_planes import normal_spread, towards_planes
+from msal_cli.kernels.projections import normal_spread, towards_planes
 from tests.shapes import fan, grid, noisy, torus
 
 

@@ -1,4 +1,4 @@
-"""Sun's vertex update: identities, a hand-worked pass, and a plain twin."""
+"""Vertices fitted to normals, and evened out where their faces are strained."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli.kernels.geometry import face_normals
-from msal_cli.kernels.vertex_update import updated_vertices
+from msal_cli.kernels.vertex_update import untangle, updated_vertices
 from msal_cli.mesh import prepared
 from tests.kernels.plain_faces import rim, unit, updated
 from tests.shapes import fan, grid, noisy, torus
@@ -102,13 +102,64 @@ def test_every_pass_is_told_and_can_end_the_run():
         run(vertices, wanted, faces, passes=3, on_pass=stop)
 
 
-def test_threads_do_not_change_a_bit(monkeypatch):
+def untangled(mesh, positions, wanted, free=None):
+    everywhere = np.ones(len(positions), dtype=bool)
+    return untangle(positions, wanted, mesh.faces, mesh.links, everywhere if free is None else free)
+
+
+def angles_deg(mesh, positions, wanted):
+    cosines = np.einsum("ij,ij->i", face_normals(positions, mesh.faces), wanted)
+    return np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+
+
+def folded():
+    """A flat sheet of which single vertices lie beyond their neighbours, and its true normals."""
+    mesh = prepared(*grid(13, 13)).mesh
+    wanted = face_normals(mesh.vertices, mesh.faces)
+    inner = np.flatnonzero(~mesh.links.boundary)
+    strayed = inner[::17]
+    positions = mesh.vertices.copy()
+    positions[strayed] += 1.3 * mesh.mean_edge_length * np.array([1.0, 0.4, 0.0])
+    return mesh, positions, wanted, strayed
+
+
+def test_folds_are_opened():
+    mesh, positions, wanted, strayed = folded()
+    assert angles_deg(mesh, positions, wanted).max() > 170
+    out = untangled(mesh, positions, wanted)
+    assert angles_deg(mesh, out, wanted).max() < 1e-6
+    # Far from them nothing moves, and nothing leaves the plane.
+    touched = np.isin(mesh.faces, strayed).any(axis=1)
+    rim = np.unique(mesh.faces[touched])
+    second = np.unique(mesh.faces[np.isin(mesh.faces, rim).any(axis=1)])
+    others = np.setdiff1d(np.arange(len(positions)), second)
+    assert len(others) > 20
+    assert (out[others] == positions[others]).all()
+    assert np.abs(out[:, 2] - mesh.vertices[:, 2]).max() == 0.0
+
+
+def test_what_fits_keeps_its_bits():
+    vertices, faces = torus(30, 14)
+    mesh = prepared(noisy(vertices, 1, 0.02), faces).mesh
+    wanted = face_normals(mesh.vertices, mesh.faces)
+    assert (untangled(mesh, mesh.vertices, wanted) == mesh.vertices).all()
+    # Normals that are not known ask for nothing.
+    assert (untangled(mesh, mesh.vertices, np.zeros_like(wanted)) == mesh.vertices).all()
+
+
+def test_normals_are_met_better_on_a_surface():
     vertices, faces = torus(60, 30)
-    wanted = face_normals(noisy(vertices, 7, 0.1), faces)
-    monkeypatch.setattr("msal_cli.kernels.parallel.SMALLEST_RANGE", 100)
-    results = []
-    for count in ("1", "2", "5"):
-        monkeypatch.setenv("MSAL_THREADS", count)
-        results.append(run(vertices, wanted, faces, passes=5))
-    assert (results[0] == results[1]).all()
-    assert (results[0] == results[2]).all()
+    mesh = prepared(vertices, faces).mesh
+    wanted = face_normals(mesh.vertices, mesh.faces)
+    amount = 0.35 * mesh.mean_edge_length
+    scanned = mesh.vertices + amount * np.random.default_rng(0).normal(size=vertices.shape)
+    before = angles_deg(mesh, scanned, wanted)
+    after = angles_deg(mesh, untangled(mesh, scanned, wanted), wanted)
+    assert after.mean() < 0.3 * before.mean()
+
+
+def test_what_must_stay_stays():
+    mesh, positions, wanted, strayed = folded()
+    free = np.ones(len(positions), dtype=bool)
+    free[strayed] = False
+    assert (untangled(mesh, positions, wanted, free)[strayed] == positions[strayed]).all()

@@ -9,7 +9,8 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.errors import UsageError
-from msal_cli.kernels.bilateral import BallBilateral, RingBilateral
+from msal_cli.kernels.bilateral import BallBilateral
+from msal_cli.kernels.operators import RingBilateral
 from msal_cli.mesh import prepared
 from tests import paper
 from tests.methods.pairs import all_errors

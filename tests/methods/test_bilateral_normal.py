@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli import methods
-from msal_cli.kernels.bilateral_normals import bilateral_averages
 from msal_cli.kernels.connectivity import connectivity
 from msal_cli.kernels.face_rings import face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.normal_averages import bilateral_averages
 from msal_cli.kernels.normal_system import normal_system
 from msal_cli.mesh import prepared
 from tests.kernels.plain_faces import neighbours

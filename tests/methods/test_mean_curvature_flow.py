@@ -8,8 +8,7 @@ import pytest
 from msal_cli import codecs as files
 from msal_cli import methods
 from msal_cli.analysis.surface import normal_statistics
-from msal_cli.kernels.geometry import area_and_volume
-from msal_cli.kernels.volume_rescaling import with_volume_of
+from msal_cli.kernels.geometry import area_and_volume, with_volume_of
 from msal_cli.mesh import prepared
 from tests.shapes import cube, grid, noisy, torus
 

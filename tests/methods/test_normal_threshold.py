@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from msal_cli import methods
 from msal_cli.errors import UsageError
-from msal_cli.kernels.normal_threshold import threshold_averages
+from msal_cli.kernels.normal_averages import threshold_averages
 from msal_cli.mesh import prepared
 from tests.methods import pairs
 from tests.methods.plain_normals import threshold_filter

@@ -7,7 +7,7 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.analysis.volume import area_and_volume
-from msal_cli.kernels.windowed_sinc import sinc_coefficients
+from msal_cli.kernels.umbrellas import sinc_coefficients
 from msal_cli.mesh import prepared
 from tests.shapes import grid, noisy, torus
 

@@ -33,7 +33,7 @@ class Survey:
     variances : (c, 5) left over by each fit, by the degrees of freedom; NaN where there is none.
     freedoms : (c, 5).
     normals : (c, 3) of the two-ring; unit vectors.
-    offsets : (c, 3) from the middle of the ring to the vertex; see ``kernels.scale_fits``.
+    offsets : (c, 3) from the middle of the ring to the vertex; see ``kernels.patch_fits``.
     """
 
     at: Longs
@@ -59,7 +59,7 @@ class Survey:
 
 def take_survey(mesh: Mesh, places: Longs) -> Survey:
     """Look at some of the places (c,), evenly."""
-    from msal_cli.kernels.scale_fits import fit_scales
+    from msal_cli.kernels.patch_fits import fit_scales
 
     at = np.arange(0, len(places), max(-(-len(places) // MOST_PLACES), 1))
     chosen = np.ascontiguousarray(places[at])

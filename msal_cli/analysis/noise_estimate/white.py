@@ -84,7 +84,7 @@ FEWEST_PLACES = 48
 
 @dataclass(frozen=True, eq=False)
 class _Fits:
-    """What ``kernels.local_fits.fitted`` gives for the places."""
+    """What ``kernels.patch_fits.fit_patches`` gives for the places."""
 
     variances: Floats
     freedoms: NDArray[np.int32]
@@ -94,7 +94,7 @@ class _Fits:
     def level(self, fit: int, share: float, among: NDArray[np.bool_] | None = None) -> float:
         """Standard deviation by one fit at the flattest ``share`` of the places, file units;
         infinite where it has none."""
-        from msal_cli.kernels.distributions import chi_square
+        from msal_cli.kernels.quantiles import chi_square
 
         has = self.freedoms[:, fit] > 0
         if among is not None:
@@ -202,11 +202,11 @@ def _places(mesh: Mesh) -> Longs:
 
 
 def _fits(mesh: Mesh, places: Longs) -> _Fits:
-    from msal_cli.kernels.local_fits import fitted
+    from msal_cli.kernels.patch_fits import fit_patches
 
     links = mesh.links
     normals = mesh.vertex_normals("uniform", 1)
-    return _Fits(*fitted(places, mesh.vertices, normals, links.ring_start, links.ring))
+    return _Fits(*fit_patches(places, mesh.vertices, normals, links.ring_start, links.ring))
 
 
 def _least(plane: float, near: float, far: float, cubic: float) -> float:
@@ -228,7 +228,7 @@ def _without_texture(best: float, coarse: float) -> float:
 
 def _tail(fits: _Fits) -> tuple[float, NDArray[np.bool_]]:
     """The share of the vertices that are far out, and which they are."""
-    from msal_cli.kernels.distributions import student
+    from msal_cli.kernels.quantiles import student
 
     bounds = student(np.maximum(fits.freedoms[:, FAR] - 1.0, 1.0))
     far = fits.ratios > bounds

@@ -1,4 +1,4 @@
-"""What polynomials leave over by the width of the patch: exact shapes, white and shared noise."""
+"""What polynomials leave over: exact shapes, white and shared noise, by the width of the patch."""
 
 from __future__ import annotations
 
@@ -8,20 +8,112 @@ from scipy import stats
 
 from msal_cli.analysis.noise_estimate.colour import FREEDOMS, LEFT
 from msal_cli.analysis.noise_estimate.quantiles import chi_square_quantile
-from msal_cli.kernels.scale_fits import MOST_VERTICES, REACHES, TERMS, fit_scales
+from msal_cli.kernels.patch_fits import (
+    MOST_VERTICES,
+    MOST_WIDE_VERTICES,
+    REACHES,
+    TERMS,
+    fit_patches,
+    fit_scales,
+)
 from msal_cli.mesh import prepared
 from tests.shapes import fan, grid
 
+PLANE, NEAR, FAR, CUBIC = range(4)
 
-def graph_of(height, rows=40, columns=40, uneven=0.2, seed=0):
+
+def graph_of(height, rows=14, columns=12, uneven=0.25, seed=0):
     """A mesh that is the graph of a function over an uneven grid."""
     vertices, faces = grid(rows, columns)
     vertices[:, :2] += np.random.default_rng(seed).uniform(-uneven, uneven, (len(vertices), 2))
-    vertices[:, 2] = height(vertices[:, 0] / 20, vertices[:, 1] / 20)
+    vertices[:, 2] = height(vertices[:, 0] / 10, vertices[:, 1] / 10)
     return prepared(vertices, faces).mesh
 
 
 def fits_of(mesh, chosen=None):
+    links = mesh.links
+    up = np.zeros_like(mesh.vertices)
+    up[:, 2] = 1.0
+    chosen = np.arange(len(mesh.vertices)) if chosen is None else np.array(chosen)
+    return fit_patches(chosen, mesh.vertices, up, links.ring_start, links.ring)
+
+
+@pytest.mark.parametrize(
+    ("height", "exact"),
+    [
+        (lambda x, y: 0.3 * x - y + 2, [PLANE, NEAR, FAR, CUBIC]),
+        (lambda x, y: x * x - 2 * x * y + y, [NEAR, FAR, CUBIC]),
+        (lambda x, y: x**3 - x * y * y + y, [CUBIC]),
+    ],
+)
+def test_a_polynomial_leaves_nothing_over(height, exact):
+    variances, freedoms, _, _ = fits_of(graph_of(height))
+    for fit in range(4):
+        largest = variances[:, fit].max()
+        assert largest < 1e-14 if fit in exact else largest > 1e-8
+    assert (freedoms[:, CUBIC] > 0).any()
+
+
+def test_degrees_of_freedom():
+    # Inside a grid with one diagonal: 6 neighbours, and 18 up to the second ring.
+    _, freedoms, _, _ = fits_of(graph_of(lambda x, y: x * y), [5 * 12 + 5])
+    assert freedoms.tolist() == [[7 - 3, 7 - 6, 19 - 6, 19 - 10]]
+
+
+@pytest.mark.parametrize("uneven", [0.0, 0.35])
+def test_white_noise_leaves_its_variance(uneven):
+    draw = np.random.default_rng(3)
+    mesh = graph_of(lambda x, y: 0.1 * draw.standard_normal(len(x)), 120, 100, uneven)
+    variances, freedoms, gaps, ratios = fits_of(mesh)
+    for fit in range(4):
+        has = freedoms[:, fit] > 0
+        mean = np.average(variances[has, fit], weights=freedoms[has, fit])
+        assert mean == pytest.approx(0.01, rel=0.04)
+    # Of Student's distribution: with 12 degrees of freedom 1 in 100 is beyond 3.055.
+    inner = freedoms[:, FAR] == 13
+    assert (ratios[inner] > 3.055).mean() == pytest.approx(0.01, abs=0.003)
+    assert gaps[inner].std() > 0.1
+
+
+def test_a_spike_is_told_by_how_far_it_stands_out():
+    mesh = graph_of(lambda x, y: 0.0 * x)
+    mesh.vertices[77, 2] += 0.4
+    _, _, gaps, ratios = fits_of(mesh, [77, 76])
+    assert gaps[0] == pytest.approx(0.4)
+    # All of it is the spike's: nothing is left of the others.
+    assert ratios[0] > 1e5
+    assert ratios[1] < 3.0
+
+
+def test_patches_that_tell_nothing():
+    triangle = prepared(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]])).mesh
+    variances, freedoms, gaps, ratios = fits_of(triangle)
+    assert not variances.any() and not freedoms.any() and not gaps.any()
+    assert (ratios == -1.0).all()
+
+
+def test_a_long_needle_is_a_patch_with_fewer_columns():
+    vertices, faces = grid(8, 6)
+    vertices[:, 1] *= 1e-9
+    vertices[:, 2] = 0.01 * np.sin(np.arange(len(vertices)))
+    variances, _, _, _ = fits_of(prepared(vertices, faces).mesh)
+    assert np.isfinite(variances).all()
+
+
+def test_a_vertex_with_very_many_neighbours():
+    vertices, faces = fan(0.01 * np.sin(np.arange(3 * MOST_VERTICES)))
+    variances, freedoms, _, _ = fits_of(prepared(vertices, faces).mesh, [0])
+    # On a circle around the vertex two of the cubic monomials are not their own.
+    assert freedoms[0].tolist() == [MOST_VERTICES - k for k in (3, 6, 6, 8)]
+    assert np.isfinite(variances).all()
+
+
+def wide_graph_of(height, rows=40, columns=40, uneven=0.2):
+    """The same over a larger grid, of half as large arguments."""
+    return graph_of(lambda x, y: height(x / 2, y / 2), rows, columns, uneven)
+
+
+def wide_fits_of(mesh, chosen=None):
     """Variances by the degrees of freedom, and these; then what else ``fit_scales`` gives."""
     up = np.zeros_like(mesh.vertices)
     up[:, 2] = 1.0
@@ -41,8 +133,8 @@ def fits_of(mesh, chosen=None):
         (lambda x, y: x**3 - x * y * y + y, 2),
     ],
 )
-def test_a_polynomial_leaves_nothing_over(height, first_exact):
-    variances, _, _, _, _ = fits_of(graph_of(height))
+def test_a_polynomial_leaves_nothing_over_to_wider_fits(height, first_exact):
+    variances, _, _, _, _ = wide_fits_of(wide_graph_of(height))
     for fit in range(len(REACHES)):
         largest = variances[:, fit].max()
         assert largest < 1e-12 if fit >= first_exact else largest > 1e-10
@@ -50,7 +142,7 @@ def test_a_polynomial_leaves_nothing_over(height, first_exact):
 
 def test_vertices_of_the_patches():
     # Inside a grid with one diagonal: 1 + 3 r (r + 1) vertices within r rings.
-    _, freedoms, rows, frames, _ = fits_of(graph_of(lambda x, y: x * y), [20 * 40 + 20])
+    _, freedoms, rows, frames, _ = wide_fits_of(wide_graph_of(lambda x, y: x * y), [20 * 40 + 20])
     assert rows.tolist() == [[1 + 3 * rings * (rings + 1) for rings in REACHES]]
     assert freedoms.tolist() == [(rows[0] - TERMS).tolist()]
     assert frames.tolist() == [[0.0, 0.0, 1.0]]
@@ -59,8 +151,8 @@ def test_vertices_of_the_patches():
 @pytest.mark.parametrize("uneven", [0.0, 0.3])
 def test_white_noise_leaves_its_variance_to_all(uneven):
     draw = np.random.default_rng(3)
-    mesh = graph_of(lambda x, y: 0.1 * draw.standard_normal(len(x)), 90, 80, uneven)
-    variances, freedoms, _, _, _ = fits_of(mesh)
+    mesh = wide_graph_of(lambda x, y: 0.1 * draw.standard_normal(len(x)), 90, 80, uneven)
+    variances, freedoms, _, _, _ = wide_fits_of(mesh)
     for fit in range(len(REACHES)):
         mean = np.average(variances[:, fit], weights=freedoms[:, fit])
         assert mean == pytest.approx(0.01, rel=0.04)
@@ -72,7 +164,7 @@ def test_offsets_have_the_variance_of_the_vertices():
     vertices += 0.1 * draw.standard_normal(vertices.shape)
     mesh = prepared(vertices, faces).mesh
     inside = (np.abs(mesh.vertices[:, :2]) < 35).all(axis=1)
-    _, _, _, _, offsets = fits_of(mesh, np.flatnonzero(inside))
+    _, _, _, _, offsets = wide_fits_of(mesh, np.flatnonzero(inside))
     assert offsets.std(axis=0) == pytest.approx([0.1, 0.1, 0.1], rel=0.04)
 
 
@@ -97,7 +189,7 @@ def test_the_table_of_shared_noise(rings):
     vertices[:, 2] = heights
     mesh = prepared(vertices, faces).mesh
     inside = np.flatnonzero((np.abs(mesh.vertices[:, :2]) < 52).all(axis=1))
-    variances, _, _, _, _ = fits_of(mesh, inside)
+    variances, _, _, _, _ = wide_fits_of(mesh, inside)
     assert variances.mean(axis=0) == pytest.approx(LEFT[rings], rel=0.07)
     # Of chi square with f degrees of freedom the variance is 2 / f, relative to the square mean.
     freedoms = 2.0 / (variances.std(axis=0) / variances.mean(axis=0)) ** 2
@@ -112,9 +204,9 @@ def test_quantiles_of_chi_square(share):
 
 
 def test_too_many_neighbours_are_left_out():
-    vertices, faces = fan(np.zeros(MOST_VERTICES + 20))
+    vertices, faces = fan(np.zeros(MOST_WIDE_VERTICES + 20))
     mesh = prepared(vertices, faces).mesh
-    _, freedoms, rows, frames, offsets = fits_of(mesh)
+    _, freedoms, rows, frames, offsets = wide_fits_of(mesh)
     centre = np.argmin((mesh.vertices**2).sum(axis=1))
     assert not rows[centre].any()
     assert not freedoms[centre].any()
@@ -123,16 +215,6 @@ def test_too_many_neighbours_are_left_out():
 
 
 def test_a_small_mesh_is_its_own_patch():
-    variances, _, rows, _, _ = fits_of(prepared(*grid(3, 3)).mesh)
+    variances, _, rows, _, _ = wide_fits_of(prepared(*grid(3, 3)).mesh)
     assert rows.max() == 9
     assert (variances >= 0.0).all()
-
-
-def test_the_same_bits_from_any_number_of_threads(monkeypatch):
-    mesh = graph_of(lambda x, y: np.sin(9 * x) * np.cos(7 * y), 60, 50)
-    results = []
-    for threads in ("1", "2", "5"):
-        monkeypatch.setenv("MSAL_THREADS", threads)
-        results.append(np.concatenate([part.ravel() for part in fits_of(mesh)]))
-    assert np.array_equal(results[0], results[1])
-    assert np.array_equal(results[0], results[2])

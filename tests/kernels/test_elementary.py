@@ -1,4 +1,4 @@
-"""The block exponential against the library's."""
+"""Exponentials and arctangents against those of the library."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.kernels.exponential import (
+from msal_cli.kernels.elementary import (
     SMALLEST_ARGUMENT,
     SMALLEST_POWER,
+    arctangents,
     exponentials,
     power_of_two,
 )
@@ -70,3 +71,38 @@ def test_powers_of_two_are_within_two_ulp(low):
 
 def test_small_powers_of_two_are_held():
     assert powers([-1e300, -np.inf]).tolist() == [2.0**-1010] * 2
+
+
+LENGTHS = st.floats(0.0, 1e6)
+
+
+def angles_of(numerators, denominators):
+    values = np.array(numerators, dtype=np.float64)
+    arctangents(values, np.array(denominators, dtype=np.float64), len(values))
+    return values
+
+
+@pytest.mark.parametrize(
+    ("y", "x", "angle"),
+    [(0, 0, 0), (0, 1, 0), (1, 0, np.pi / 2), (1, 1, np.pi / 4), (3, np.sqrt(3), np.pi / 3)],
+)
+def test_by_hand(y, x, angle):
+    assert angles_of([y], [x])[0] == pytest.approx(angle, abs=1e-15)
+
+
+@given(st.lists(st.tuples(LENGTHS, LENGTHS), min_size=1, max_size=20))
+def test_it_is_that_of_the_library(pairs):
+    y, x = np.array(pairs).T
+    expected = np.arctan2(y, x)
+    assert np.abs(angles_of(y, x) - expected).max() <= 4e-16 * np.pi
+
+
+def test_tiny_angles_keep_their_digits():
+    y = np.logspace(-300, 0, 1000)
+    assert np.allclose(angles_of(y, np.ones(1000)), np.arctan(y), rtol=1e-15, atol=0.0)
+
+
+def test_only_so_many_are_replaced():
+    values = np.array([1.0, 5.0])
+    arctangents(values, np.ones(2), 1)
+    assert values[1] == 5.0

@@ -1,0 +1,388 @@
+"""Polynomials fitted to the surface around single vertices, and what they leave over.
+
+A smooth surface is nearly a polynomial over a few vertices, and noise is not: of white noise a fit
+leaves the share that its degrees of freedom tell, however the vertices lie, and the same variance
+for patches of every size.  Noise that neighbours share looks like shape to fits over few vertices,
+and leaves more to wider ones, up to the width over which it is shared.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.parallel import over_ranges
+
+MOST_VERTICES, MOST_WIDE_VERTICES = 40, 200
+"""Vertices of a patch of two rings at most, those further out are left out; and of a wide one,
+where a fit that would need more is left out."""
+
+SLOTS, WIDE_SLOTS, EMPTY = 128, 512, -1
+"""Places of the tables in which a patch looks up its vertices, powers of two."""
+
+FEWEST_PATCHES, FEWEST_WIDE_PATCHES = 256, 64
+"""Patches for which a thread of its own is worth starting."""
+
+PLANE_TERMS, QUADRIC_TERMS, CUBIC_TERMS, SEXTIC_TERMS = 3, 6, 10, 28
+"""Monomials in two variables up to degree 1, 2, 3 and 6; products of two cubic ones have six."""
+
+HEIGHT, VERTEX, WIDTH = 10, 11, 12
+"""Rows and columns of the normal equations after the monomials', and how many there are: for the
+heights, and for the value at the vertex that the patch is around."""
+
+DEPENDENT = 1e-8
+"""What is left of a monomial's sum of squares beside the others, relative to all of it, at and
+below which the patch cannot tell them apart."""
+
+ROUNDING, WIDE_ROUNDING = 1e-13, 1e-12
+"""What is left of the heights' sum of squares, relative to all of it, at and below which it is
+rounding; where the heights themselves are, 1e-22 of the patch's."""
+
+FEWEST_FREEDOMS = 5
+"""Degrees of freedom above which a single vertex can be compared with the others."""
+
+MOST_LEVERAGE = 0.95
+"""Pull of a vertex on its own fit above which nothing is left of its noise to judge it by."""
+
+REACHES = (1, 2, 3, 4, 6)
+"""Rings that the fits of ``fit_scales`` are over."""
+
+TERMS = (3, 6, 10, 10, 10)
+"""Their coefficients: a plane, degree 2, and degree 3."""
+
+N_FITS, MOST_RINGS, PLANE_FITS, QUADRIC_FITS, FRAME_RINGS = 5, 6, 1, 2, 2
+"""How many fits there are, the widest of them, those of degree 1 and of at most 2, and over which
+rings the direction of the heights is an average."""
+
+
+@compiled
+def collect_patch(i, ring_start, ring, found, ends, slots):
+    """Collect vertex i and those around it, nearest first, in ``found``; how many they are.
+
+    ``ends`` gets how many are within each ring, as many rings as it has places for; 0 where they
+    are more than there is room for, and collecting ends.
+    """
+    last_slot = len(slots) - 1
+    for slot in range(len(slots)):
+        slots[slot] = EMPTY
+    for rings in range(len(ends)):
+        ends[rings] = 0
+    slots[(i * 40503) & last_slot] = i
+    found[0] = i
+    ends[0] = 1
+    first, count = 0, 1
+    for rings in range(1, len(ends)):
+        last = count
+        for at in range(first, last):
+            j = found[at]
+            for place in range(ring_start[j], ring_start[j + 1]):
+                k = ring[place]
+                slot = (k * 40503) & last_slot
+                while slots[slot] != EMPTY and slots[slot] != k:
+                    slot = (slot + 1) & last_slot
+                if slots[slot] == EMPTY:
+                    if count == len(found):
+                        return count
+                    slots[slot] = k
+                    found[count] = k
+                    count += 1
+        ends[rings] = count
+        first = last
+    return count
+
+
+@compiled
+def find_tangents(nx, ny, nz):
+    """Two unit vectors across a unit normal, the first across the axis that it leans to least."""
+    if abs(nx) <= abs(ny) and abs(nx) <= abs(nz):
+        ux, uy, uz = 0.0, nz, -ny
+    elif abs(ny) <= abs(nz):
+        ux, uy, uz = -nz, 0.0, nx
+    else:
+        ux, uy, uz = ny, -nx, 0.0
+    length = np.sqrt(ux * ux + uy * uy + uz * uz)
+    ux, uy, uz = ux / length, uy / length, uz / length
+    return ux, uy, uz, ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+
+
+@compiled
+def _find_frame(found, inner, count, vertices, normals, frame):
+    """Normal, tangents and middle of the first ``inner`` vertices found, in ``frame`` (12,).
+
+    Returns the root mean square distance of all ``count`` from the middle; zero where there is no
+    frame.
+    """
+    nx = ny = nz = mx = my = mz = 0.0
+    for a in range(inner):
+        k = found[a]
+        nx += normals[k, 0]
+        ny += normals[k, 1]
+        nz += normals[k, 2]
+        mx += vertices[k, 0]
+        my += vertices[k, 1]
+        mz += vertices[k, 2]
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if length <= 1e-10 * inner:
+        return 0.0
+    nx, ny, nz = nx / length, ny / length, nz / length
+    mx, my, mz = mx / inner, my / inner, mz / inner
+    ux, uy, uz, wx, wy, wz = find_tangents(nx, ny, nz)
+    frame[0], frame[1], frame[2] = nx, ny, nz
+    frame[3], frame[4], frame[5] = ux, uy, uz
+    frame[6], frame[7], frame[8] = wx, wy, wz
+    frame[9], frame[10], frame[11] = mx, my, mz
+    size = 0.0
+    for a in range(count):
+        k = found[a]
+        x, y, z = vertices[k, 0] - mx, vertices[k, 1] - my, vertices[k, 2] - mz
+        size += x * x + y * y + z * z
+    return np.sqrt(size / count)
+
+
+@compiled
+def _fill_monomials(u, w, terms):
+    """1, u, w, uu, uw, ww, uuu ... in ``terms``, up to degree 6."""
+    terms[0] = 1.0
+    before, at = 0, 1
+    for degree in range(1, 7):
+        terms[at] = terms[before] * u
+        for k in range(degree):
+            terms[at + 1 + k] = terms[before + k] * w
+        before = at
+        at += degree + 1
+
+
+@compiled
+def _add_vertices(found, added, stop, vertices, frame, scale, terms, own, sums, along):
+    """Add the vertices ``found``[added:stop] to the ``sums`` of monomials and, ``along``, of their
+    products with the heights, that of the heights with themselves last.
+
+    ``terms`` is for one vertex; ``own`` gets the monomials and the height of the first of all.
+    """
+    nx, ny, nz = frame[0], frame[1], frame[2]
+    ux, uy, uz = frame[3], frame[4], frame[5]
+    wx, wy, wz = frame[6], frame[7], frame[8]
+    for at in range(added, stop):
+        k = found[at]
+        x = (vertices[k, 0] - frame[9]) * scale
+        y = (vertices[k, 1] - frame[10]) * scale
+        z = (vertices[k, 2] - frame[11]) * scale
+        height = x * nx + y * ny + z * nz
+        _fill_monomials(x * ux + y * uy + z * uz, x * wx + y * wy + z * wz, terms)
+        if at == 0:
+            for m in range(CUBIC_TERMS):
+                own[m] = terms[m]
+            own[HEIGHT] = height
+        for m in range(SEXTIC_TERMS):
+            sums[m] += terms[m]
+        for m in range(CUBIC_TERMS):
+            along[m] += height * terms[m]
+        along[HEIGHT] += height * height
+
+
+@compiled
+def _begin_equations(sums, along, own, equations, sums_of_squares):
+    """Set up the normal equations from ``_add_vertices``, and note the diagonal."""
+    row = 0
+    for degree in range(4):
+        for k in range(degree + 1):
+            column = 0
+            for other in range(4):
+                both = degree + other
+                place = both * (both + 1) // 2 + k
+                for m in range(other + 1):
+                    equations[row, column] = sums[place + m]
+                    column += 1
+            sums_of_squares[row] = equations[row, row]
+            equations[row, HEIGHT] = along[row]
+            equations[row, VERTEX] = own[row]
+            row += 1
+    equations[HEIGHT, HEIGHT] = along[HEIGHT]
+    equations[HEIGHT, VERTEX] = own[HEIGHT]
+    equations[VERTEX, VERTEX] = 0.0
+
+
+@compiled
+def _eliminate(equations, sums_of_squares, first, last):
+    """Eliminate the monomials ``first`` ... ``last``, above the diagonal; how many of them the
+    patch can tell apart.  What is left of the heights is in their rows then."""
+    rank = 0
+    for pivot in range(first, last):
+        if equations[pivot, pivot] <= DEPENDENT * sums_of_squares[pivot]:
+            continue
+        scale = 1.0 / equations[pivot, pivot]
+        for row in range(pivot + 1, WIDTH):
+            factor = equations[pivot, row] * scale
+            for column in range(row, WIDTH):
+                equations[row, column] -= factor * equations[pivot, column]
+        rank += 1
+    return rank
+
+
+@compiled
+def _left_over(equations, along, rows, rounding):
+    """What is left of the heights' sum of squares; zero where it is rounding."""
+    rest = equations[HEIGHT, HEIGHT]
+    return 0.0 if rest <= rounding * along[HEIGHT] or rest <= 1e-22 * rows else rest
+
+
+@compiled
+def _fit_patches(
+    start, stop, chosen, vertices, normals, ring_start, ring, variances, freedoms, gaps, ratios
+):
+    found, ends = np.empty(MOST_VERTICES, dtype=np.int64), np.empty(3, dtype=np.int64)
+    slots, frame = np.empty(SLOTS, dtype=np.int64), np.empty(12)
+    terms, own = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
+    sums, along = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
+    equations, diagonal = np.empty((WIDTH, WIDTH)), np.empty(CUBIC_TERMS)
+    for at in range(start, stop):
+        for fit in range(4):
+            variances[at, fit] = 0.0
+            freedoms[at, fit] = 0
+        gaps[at] = 0.0
+        ratios[at] = -1.0
+        i = chosen[at]
+        count = collect_patch(i, ring_start, ring, found, ends, slots)
+        near = min(1 + ring_start[i + 1] - ring_start[i], count)
+        size = _find_frame(found, count, count, vertices, normals, frame)
+        if size == 0.0:
+            continue
+        scale = 1.0 / size
+        sums[:] = 0.0
+        along[:] = 0.0
+        rank = added = 0
+        for fit in range(4):
+            # Over the one-ring a plane, then degree 2; over the two-ring degree 2, then degree 3.
+            rows = near if fit < 2 else count
+            _add_vertices(found, added, rows, vertices, frame, scale, terms, own, sums, along)
+            added = rows
+            first = PLANE_TERMS if fit == 1 else (QUADRIC_TERMS if fit == 3 else 0)
+            last = PLANE_TERMS if fit == 0 else (CUBIC_TERMS if fit == 3 else QUADRIC_TERMS)
+            if first == 0:
+                rank = 0
+                _begin_equations(sums, along, own, equations, diagonal)
+            rank += _eliminate(equations, diagonal, first, last)
+            if rows <= rank:
+                continue
+            rest = _left_over(equations, along, rows, ROUNDING)
+            freedoms[at, fit] = rows - rank
+            variances[at, fit] = rest / (rows - rank) * size * size
+            leverage = -equations[VERTEX, VERTEX]
+            if fit == 2 and rows - rank > FEWEST_FREEDOMS and leverage < MOST_LEVERAGE:
+                left = equations[HEIGHT, VERTEX]
+                alone = left * left / (1.0 - leverage)
+                gaps[at] = left / (1.0 - leverage) * size
+                if rest > 0.0:
+                    others = max(rest - alone, ROUNDING * rest)
+                    ratios[at] = np.sqrt(alone * (rows - rank - 1) / others)
+
+
+def fit_patches(
+    chosen: Longs, vertices: Floats, normals: Floats, ring_start: Ints, ring: Ints
+) -> tuple[Floats, Ints, Floats, Floats]:
+    """What polynomials leave over of the heights around the vertices ``chosen`` (c,).
+
+    The four fits are a plane and degree 2 over the one-ring, and degrees 2 and 3 over the two-ring.
+    Heights stand on the plane across the sum of the patch's ``normals`` (n, 3).
+
+    Returns
+    -------
+    variances : (c, 4), sum of the squares left over, by the degrees of freedom; squared units.
+    freedoms : (c, 4), vertices of the patch less coefficients of the fit; 0 where none is left.
+    gaps : (c,), from the degree 2 that all others of the two-ring give to the vertex, along the
+        normal; 0 where they give none.
+    ratios : (c,), Student's ratio of that gap, without sign: how far out the vertex is for what the
+        others are around it; -1 where that is not known.
+    """
+    count = len(chosen)
+    variances, freedoms = np.empty((count, 4)), np.empty((count, 4), dtype=np.int32)
+    gaps, ratios = np.empty(count), np.empty(count)
+    known = chosen, vertices, normals, ring_start, ring
+    results = variances, freedoms, gaps, ratios
+    over_ranges(_fit_patches, count, *known, *results, smallest=FEWEST_PATCHES)
+    return results
+
+
+@compiled
+def _fit_scales(
+    start, stop, chosen, vertices, normals, ring_start, ring, rests, rows, ranks, frames, offsets
+):
+    found = np.empty(MOST_WIDE_VERTICES, dtype=np.int64)
+    ends = np.empty(MOST_RINGS + 1, dtype=np.int64)
+    slots, frame = np.empty(WIDE_SLOTS, dtype=np.int64), np.empty(12)
+    terms, own = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
+    sums, along = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
+    equations, diagonal = np.empty((WIDTH, WIDTH)), np.empty(CUBIC_TERMS)
+    for at in range(start, stop):
+        for fit in range(N_FITS):
+            rests[at, fit] = 0.0
+            rows[at, fit] = 0
+            ranks[at, fit] = 0
+        for axis in range(3):
+            frames[at, axis] = offsets[at, axis] = 0.0
+        i = chosen[at]
+        collect_patch(i, ring_start, ring, found, ends, slots)
+        widest = MOST_RINGS
+        while widest > 0 and ends[widest] == 0:
+            widest -= 1
+        inner = ends[min(FRAME_RINGS, widest)]
+        size = _find_frame(found, inner, ends[widest], vertices, normals, frame)
+        if size == 0.0:
+            continue
+        frames[at, 0], frames[at, 1], frames[at, 2] = frame[0], frame[1], frame[2]
+        scale = 1.0 / size
+        sums[:] = 0.0
+        along[:] = 0.0
+        valence = ends[1] - 1.0
+        if valence > 0.0:
+            weight = np.sqrt(valence / (valence + 1.0))
+            for axis in range(3):
+                middle = 0.0
+                for a in range(1, ends[1]):
+                    middle += vertices[found[a], axis]
+                offsets[at, axis] = (vertices[i, axis] - middle / valence) * weight
+        added = fit = 0
+        for rings in range(1, widest + 1):
+            stop_at = ends[rings]
+            _add_vertices(found, added, stop_at, vertices, frame, scale, terms, own, sums, along)
+            added = stop_at
+            if rings == 5:
+                continue
+            last = CUBIC_TERMS
+            if fit < PLANE_FITS:
+                last = PLANE_TERMS
+            elif fit < QUADRIC_FITS:
+                last = QUADRIC_TERMS
+            _begin_equations(sums, along, own, equations, diagonal)
+            ranks[at, fit] = _eliminate(equations, diagonal, 0, last)
+            rests[at, fit] = _left_over(equations, along, added, WIDE_ROUNDING) * size * size
+            rows[at, fit] = added
+            fit += 1
+
+
+def fit_scales(
+    chosen: Longs, vertices: Floats, normals: Floats, ring_start: Ints, ring: Ints
+) -> tuple[Floats, Ints, Ints, Floats, Floats]:
+    """What polynomials leave over of the heights around the vertices ``chosen`` (c,), by width.
+
+    The fits are over the ``REACHES`` rings, with so many ``TERMS``.  Heights stand on the plane
+    across the sum of the two-ring's ``normals`` (n, 3).
+
+    Returns
+    -------
+    rests : (c, 5), sums of the squares left over; squared units.
+    rows : (c, 5), vertices of the fit; 0 where they are too many.
+    ranks : (c, 5), coefficients of the fit that the vertices tell apart.
+    frames : (c, 3), unit vectors that the heights are along; 0 where there is no direction.
+    offsets : (c, 3), from the middle of the one-ring to the vertex, times sqrt(v / (v + 1)) with v
+        neighbours: of as much variance as the vertices, where their places are independent.
+    """
+    count = len(chosen)
+    rests = np.empty((count, N_FITS))
+    rows, ranks = np.empty((count, N_FITS), np.int32), np.empty((count, N_FITS), np.int32)
+    frames, offsets = np.empty((count, 3)), np.empty((count, 3))
+    known = chosen, vertices, normals, ring_start, ring
+    results = rests, rows, ranks, frames, offsets
+    over_ranges(_fit_scales, count, *known, *results, smallest=FEWEST_WIDE_PATCHES)
+    return results

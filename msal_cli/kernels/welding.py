@@ -1,0 +1,252 @@
+"""Vertices and faces that are equal, and the way from the mesh back to the vertices of its file."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.arrays import Flags, Floats, Ints
+from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.parallel import over_ranges
+
+_BLOCK_ROWS = 512
+
+
+@compiled
+def _hashed(a, b, c):
+    """A hash of three 64-bit patterns; that of minus zero, the highest bit alone, counts as 0."""
+    minus_zero = np.uint64(0x8000000000000000)
+    a = np.uint64(0) if a == minus_zero else a
+    b = np.uint64(0) if b == minus_zero else b
+    c = np.uint64(0) if c == minus_zero else c
+    h = a * np.uint64(0x9E3779B97F4A7C15)
+    h ^= h >> np.uint64(29)
+    h = (h + b) * np.uint64(0xBF58476D1CE4E5B9)
+    h ^= h >> np.uint64(32)
+    h = (h + c) * np.uint64(0x94D049BB133111EB)
+    return h ^ (h >> np.uint64(31))
+
+
+@compiled
+def _hashes(bits, start, stop, mask, hashes):
+    for i in range(start, stop):
+        hashes[i - start] = _hashed(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
+
+
+@compiled
+def _alike_perhaps(bits, used, seen, again, candidates):
+    """Rows whose hash another row has too: the only ones that can equal another; their number.
+
+    ``seen`` and ``again`` are bit sets, a power of two words long.  Those of millions of rows fit
+    no cache: the words of a block of rows are read first, all at once, so that many waits for
+    memory are one.
+    """
+    mask = np.uint64(64 * len(seen) - 1)
+    one, six, low = np.uint64(1), np.uint64(6), np.uint64(63)
+    hashes = np.empty(_BLOCK_ROWS, dtype=np.uint64)
+    touched = np.uint64(0)
+    repeats = False
+    for start in range(0, len(used), _BLOCK_ROWS):
+        stop = min(start + _BLOCK_ROWS, len(used))
+        _hashes(bits, start, stop, mask, hashes)
+        for at in range(stop - start):
+            touched |= seen[hashes[at] >> six]
+        for at in range(stop - start):
+            word = hashes[at] >> six
+            bit = (one if used[start + at] else np.uint64(0)) << (hashes[at] & low)
+            if seen[word] & bit:
+                again[word] |= bit
+                repeats = True
+            seen[word] |= bit
+    # Of no use, but what is read for nothing would not be read; the last place is to spare.
+    candidates[len(used)] = np.int64(touched & one)
+    count = 0
+    if not repeats:
+        return count
+    for start in range(0, len(used), _BLOCK_ROWS):
+        stop = min(start + _BLOCK_ROWS, len(used))
+        _hashes(bits, start, stop, mask, hashes)
+        for at in range(stop - start):
+            candidates[count] = start + at
+            is_one = (again[hashes[at] >> six] >> (hashes[at] & low)) & one
+            count += 1 if is_one and used[start + at] else 0
+    return count
+
+
+@compiled
+def _welded(rows, bits, candidates, table, first):
+    mask = len(table) - 1
+    merged = 0
+    for at in range(len(candidates)):
+        i = candidates[at]
+        slot = np.int64(_hashed(bits[i, 0], bits[i, 1], bits[i, 2]) >> np.uint64(20)) & mask
+        while True:
+            k = table[slot]
+            if k < 0:
+                table[slot] = i
+                break
+            if rows[k, 0] == rows[i, 0] and rows[k, 1] == rows[i, 1] and rows[k, 2] == rows[i, 2]:
+                first[i] = k
+                merged += 1
+                break
+            slot = (slot + 1) & mask
+    return merged
+
+
+def first_alike(rows: Floats, used: Flags) -> tuple[Ints, int]:
+    """For each row of (n, 3) numbers the lowest-numbered equal row, (n,) int32, and how many rows
+    equal one before them.
+
+    Minus zero equals zero, and NaN nothing.  Rows outside ``used`` (n,) equal nothing and stand
+    for themselves.
+    """
+    n = len(rows)
+    rows = np.ascontiguousarray(rows)
+    bits = rows.view(np.uint64)
+    # Sixteen bits a row: among different rows one in sixteen has another's hash.
+    words = 1 << max(0, (n // 4).bit_length())
+    seen, again = np.zeros(words, dtype=np.uint64), np.zeros(words, dtype=np.uint64)
+    first = np.arange(n, dtype=np.int32)
+    candidates = np.empty(n + 1, dtype=np.int32)
+    count = _alike_perhaps(bits, used, seen, again, candidates)
+    if not count:
+        return first, 0
+    # Twice the rows at least, so that probing stays short.
+    table = np.full(1 << max(4, (2 * count).bit_length()), -1, dtype=np.int32)
+    return first, int(_welded(rows, bits, candidates[:count], table, first))
+
+
+@compiled
+def _marked(items, marks):
+    for at in range(len(items)):
+        marks[items[at]] = True
+
+
+def used_vertices(n_vertices: int, faces: Ints) -> Flags:
+    """(n,) bool, True for every vertex that a face (m, 3) names."""
+    used = np.zeros(n_vertices, dtype=bool)
+    _marked(np.ascontiguousarray(faces).reshape(-1), used)
+    return used
+
+
+@compiled
+def _repeated_corners(faces, repeated):
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        repeated[f] = (a == b) | (b == c) | (c == a)
+
+
+def repeated_corners(faces: Ints) -> Flags:
+    """(m,) bool, True for every face (m, 3) that names a vertex twice."""
+    repeated = np.empty(len(faces), dtype=bool)
+    _repeated_corners(np.ascontiguousarray(faces), repeated)
+    return repeated
+
+
+def welded(vertices: Floats, faces: Ints) -> Ints:
+    """For each vertex the lowest-numbered vertex at exactly its position, (n,) int32.
+
+    Minus zero equals zero.  Vertices that no face uses weld with nothing and stand for themselves.
+    """
+    return first_alike(vertices, used_vertices(len(vertices), faces))[0]
+
+
+@compiled
+def _numbered(left, right, table, number, first):
+    mask = len(table) - 1
+    found = 0
+    for i in range(len(left)):
+        a, b = left[i], right[i]
+        slot = np.int64(_hashed(np.uint64(a), np.uint64(b), np.uint64(0)) & np.uint64(mask))
+        while True:
+            k = table[slot]
+            if k < 0:
+                table[slot] = found
+                number[i] = found
+                first[found] = i
+                found += 1
+                break
+            if left[first[k]] == a and right[first[k]] == b:
+                number[i] = k
+                break
+            slot = (slot + 1) & mask
+    return found
+
+
+def numbered(left: Ints, right: Ints) -> tuple[Ints, Ints]:
+    """Give each different pair (left, right) a number, in order of appearance.
+
+    Both arguments are (n,) int32.  Returns the number of every pair, (n,), and the first place of
+    every number, (k,).
+    """
+    table = np.full(1 << max(4, (2 * len(left)).bit_length()), -1, dtype=np.int32)
+    number = np.empty(len(left), dtype=np.int32)
+    first = np.empty(len(left), dtype=np.int32)
+    found = _numbered(left, right, table, number, first)
+    return number, first[:found].copy()
+
+
+def duplicate_faces(faces: Ints) -> Flags:
+    """True (m,) for every face whose three vertices, in any order, an earlier face has too."""
+    a, b, c = np.sort(faces, axis=1).T.copy()
+    number, first = numbered(numbered(a, b)[0], c)
+    duplicate: Flags = first[number] != np.arange(len(faces))
+    return duplicate
+
+
+@compiled
+def _scattered(start, stop, before, after, is_used, place, origin, original, result):
+    for i in range(start, stop):
+        k = place[i] if len(place) else np.int32(i)
+        if k >= 0 and is_used[k]:
+            x, y, z = after[k, 0], after[k, 1], after[k, 2]
+            if x != before[k, 0] or y != before[k, 1] or z != before[k, 2]:
+                result[i, 0] = x + origin[0]
+                result[i, 1] = y + origin[1]
+                result[i, 2] = z + origin[2]
+                continue
+        result[i, 0], result[i, 1], result[i, 2] = original[i, 0], original[i, 1], original[i, 2]
+
+
+def scattered(
+    before: Floats,
+    after: Floats,
+    is_used: NDArray[np.bool_],
+    place: Ints | None,
+    origin: Floats,
+    original: Floats,
+) -> Floats:
+    """File positions (n_file, 3) for mesh positions ``after`` (n, 3), which were ``before``.
+
+    ``place`` (n_file,) names the mesh vertex of each file vertex, -1 for none; None where they are
+    the same.  A vertex that did not move or that ``is_used`` (n,) leaves out keeps its
+    ``original``'s very value; ``origin`` (3,) is added to the others.
+    """
+    result = np.empty_like(original)
+    place = np.empty(0, dtype=np.int32) if place is None else place
+    known = before, after, is_used, place, origin, original
+    over_ranges(_scattered, len(original), *known, result)
+    return result
+
+
+@compiled
+def _widest_gap(positions, place, first):
+    widest = 0.0
+    for i in range(len(place)):
+        k = place[i]
+        if k < 0:
+            continue
+        if first[k] < 0:
+            first[k] = i
+        at = first[k]
+        dx = positions[i, 0] - positions[at, 0]
+        dy = positions[i, 1] - positions[at, 1]
+        dz = positions[i, 2] - positions[at, 2]
+        widest = max(widest, dx * dx + dy * dy + dz * dz)
+    return np.sqrt(widest)
+
+
+def widest_gap(positions: Floats, place: Ints, n_places: int) -> float:
+    """Largest distance of ``positions`` (n, 3) from the first one at the same place."""
+    first = np.full(n_places, -1, dtype=np.int32)
+    return float(_widest_gap(positions, place, first))

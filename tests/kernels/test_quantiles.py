@@ -1,0 +1,143 @@
+"""Medians, ranks, quantiles of distributions, and clusters of plain numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from msal_cli.kernels.patch_fits import MOST_VERTICES
+from msal_cli.kernels.quantiles import (
+    MANY,
+    MOST_FREEDOMS,
+    chi_square,
+    clusters,
+    median,
+    quantile_above_zero,
+    ranked,
+    student,
+)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30))
+def test_it_is_that_of_numpy(values):
+    assert median(np.array(values)) == np.median(values)
+
+
+@pytest.mark.parametrize(("values", "middle"), [([3.0], 3.0), ([1, 2], 1.5), ([5, 1, 2], 2.0)])
+def test_by_hand(values, middle):
+    assert median(np.array(values)) == middle
+
+
+@pytest.mark.parametrize("odd", [0, 1])
+@pytest.mark.parametrize("kind", ["normal", "few", "equal", "wide", "tiny"])
+def test_many_numbers(kind, odd):
+    rng = np.random.default_rng(odd)
+    n = MANY + odd
+    values = {
+        "normal": rng.normal(size=n),
+        "few": rng.integers(-2, 3, n) * 1.0,
+        "equal": np.full(n, -7.25),
+        "wide": rng.normal(size=n) * 10.0 ** rng.integers(-300, 300, n),
+        "tiny": rng.integers(-3, 4, n) * 5e-324,
+    }[kind]
+    assert median(values) == np.median(values)
+    ranks = (0, 1, n // 3, n - 1)
+    assert ranked(values, *ranks) == np.sort(values)[list(ranks)].tolist()
+
+
+def test_the_zeros_are_alike_and_infinity_is_last():
+    values = np.tile([0.0, -0.0, np.inf, -np.inf], MANY // 4)
+    assert median(values) == 0.0
+    assert ranked(values, 0, MANY // 2, MANY - 1) == [-np.inf, 0.0, np.inf]
+
+
+@pytest.mark.parametrize(
+    ("values", "share", "expected"),
+    [
+        ([4.0, 1.0, 3.0, 2.0], 1.0, 4.0),
+        ([4.0, 1.0, 3.0, 2.0], 0.75, 3.0),
+        ([4.0, 1.0, 3.0, 2.0], 0.76, 4.0),
+        ([4.0, 1.0, 3.0, 2.0], 1e-9, 1.0),
+        ([0.0, 0.0, 5.0, 0.0, 2.0], 0.5, 2.0),
+        ([0.0, -0.0], 0.5, 0.0),
+        ([], 1.0, 0.0),
+    ],
+)
+def test_quantiles_above_zero_by_hand(values, share, expected):
+    assert quantile_above_zero(np.array(values), share) == expected
+
+
+@pytest.mark.parametrize("n", [1000, MANY + 7])
+def test_a_quantile_is_the_least_that_the_share_does_not_exceed(n):
+    values = np.maximum(np.random.default_rng(0).normal(size=n), 0.0)
+    above = np.sort(values[values > 0.0])
+    for share in (0.01, 0.5, 0.99, 0.995, 1.0):
+        found = quantile_above_zero(values, share)
+        assert (above <= found).mean() >= share
+        assert (above < found).mean() < share
+
+
+def test_worked_by_hand():
+    # Seeds 0.1, 5.1, 9 (the quantiles 1/6, 1/2, 5/6 of six); bounds 2.6 and 7.05 at once.
+    values = np.array([5.0, 0.0, 9.0, 0.1, 5.1, 0.2])
+    assert clusters(values, 3).tolist() == [1, 0, 2, 0, 1, 0]
+
+
+def test_centres_move():
+    # Seeds 1 and 4 part at 2.5; the means 1 and 6.5 part at 3.75, which takes 3 over, and then
+    # 1.5 and 8 at 4.75, which takes 4.
+    values = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 14.0])
+    assert clusters(values, 2).tolist() == [0, 0, 0, 0, 0, 0, 1]
+
+
+def test_a_value_between_two_centres_joins_the_lower():
+    # Seeds 0 and 2; 1 joins 0, and their mean 0.5 keeps it.
+    assert clusters(np.array([0.0, 1.0, 2.0]), 2).tolist() == [0, 0, 1]
+
+
+@pytest.mark.parametrize("count", [2, 3, 7])
+def test_equal_values_are_the_lowest_cluster(count):
+    assert clusters(np.full(5, 0.3), count).tolist() == [0] * 5
+    assert clusters(np.array([0.3]), count).tolist() == [0]
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    values=st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=60),
+    count=st.integers(2, 5),
+    seed=st.integers(0, 1000),
+)
+def test_each_value_is_nearest_to_its_own_mean_in_any_order(values, count, seed):
+    values = np.array(values)
+    found = clusters(values, count)
+    order = np.random.default_rng(seed).permutation(len(values))
+    assert (clusters(values[order], count) == found[order]).all()
+    present = np.unique(found)
+    assert set(present) <= set(range(count))
+    means = np.array([values[found == one].mean() for one in present])
+    assert (np.diff(means) > 0).all()
+    own = means[np.searchsorted(present, found)]
+    nearest = np.abs(values[:, None] - means).min(axis=1)
+    assert (np.abs(values - own) <= nearest + 1e-9).all()
+
+
+FREEDOMS = np.arange(1, MOST_FREEDOMS + 1)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_chi_square(share):
+    exact = stats.chi2.ppf(share, FREEDOMS) / FREEDOMS
+    assert chi_square(share)[1:] == pytest.approx(exact, rel=0.006)
+    assert chi_square(share)[1:5] == pytest.approx(exact[:4], rel=1e-5)
+
+
+def test_student():
+    freedoms = FREEDOMS[4:].astype(float)
+    assert student(freedoms) == pytest.approx(stats.t.isf(0.005, freedoms), rel=0.01)
+
+
+def test_there_is_a_quantile_for_every_patch():
+    assert MOST_FREEDOMS >= MOST_VERTICES - 1
