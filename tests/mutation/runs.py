@@ -8,6 +8,7 @@ imports everything anew.  Kernels of the module run as Python.
 
 from __future__ import annotations
 
+import functools
 import gc
 import hashlib
 import importlib
@@ -38,6 +39,8 @@ OPTIONS += ["--hypothesis-seed=0", "-W", "ignore::pytest.PytestAssertRewriteWarn
 LEAST_S = 10.0
 """Tests that take more processor time than this and five times their usual time count as failed;
 so do those that take twenty times that in all: they wait for something."""
+
+CACHED = functools._lru_cache_wrapper
 
 MOST_BYTES = 8 << 30
 """Address space of a child: a wrong size is refused, and does not fill the machine."""
@@ -145,7 +148,14 @@ class Campaign:
         """Run each test once, and keep in the cache what it enters and how long it takes.  A test
         that fails here ends it."""
         seconds = {}
+        root = str(self.target.root)
+        wrappers = [
+            one for one in gc.get_objects() if isinstance(one, CACHED) and _is_below(one, root)
+        ]
         for item, following in _in_order(session.items):
+            for wrapper in wrappers:
+                # Each test is to enter what it needs, as if it were alone.
+                wrapper.cache_clear()
             start = time.process_time()
             self.tracer.switch_context(item.nodeid)
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
@@ -256,6 +266,12 @@ class Replacement(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 def _in_order(items: Sequence[pytest.Item]) -> Iterator[tuple[pytest.Item, pytest.Item | None]]:
     """Each test with the one that follows."""
     return zip(items, [*items[1:], None], strict=True)
+
+
+def _is_below(wrapper: Any, root: str) -> bool:
+    """Whether a function with a cache is defined in a file below ``root``."""
+    code = getattr(wrapper.__wrapped__, "__code__", None)
+    return code is not None and code.co_filename.startswith(root + os.sep)
 
 
 def _replace_codes(functions: Sequence[FunctionType], code: CodeType) -> None:

@@ -15,7 +15,7 @@ TARGETS: dict[str, list[str]] = {
     ],
     "analysis/surface_distance": ["tests/analysis/test_surface_distance.py"],
     "batch/resume": ["tests/batch/test_manifest.py", "tests/batch/test_plan.py"],
-    "job/output": ["tests/job/test_pipeline.py", "tests/codecs/test_conversion.py"],
+    "job/output": ["tests/job/test_output.py"],
     "job/pipeline": ["tests/job/test_pipeline.py", "tests/job/test_constraints.py"],
     "job/preparation": ["tests/job/test_pipeline.py", "tests/job/test_constraints.py"],
     "kernels/schedules": ["tests/methods/test_schedules.py", "tests/methods/test_taubin.py"],
