@@ -21,15 +21,15 @@ import shutil
 import signal
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
+from types import CodeType, FrameType, FunctionType, ModuleType
 from typing import Any
 
-import coverage
 import pytest
 
 from tests.mutation.mutants import Mutant
@@ -127,8 +127,7 @@ class Campaign:
     def __init__(self, target: Target, mutants: Sequence[Mutant], jobs: int, results: Any) -> None:
         self.target, self.mutants, self.jobs, self.results = target, mutants, jobs, results
         self.cache = target.cache()
-        file = str(target.file)
-        self.tracer = coverage.Coverage(data_file=None, include=[file], config_file=False)
+        self.tracer = Tracer(str(target.file))
         if not self.cache.exists():
             self.tracer.start()
 
@@ -157,13 +156,13 @@ class Campaign:
                 # Each test is to enter what it needs, as if it were alone.
                 wrapper.cache_clear()
             start = time.process_time()
-            self.tracer.switch_context(item.nodeid)
+            self.tracer.test = item.nodeid
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
             seconds[item.nodeid] = time.process_time() - start
             if session.testsfailed:
                 return 1
         self.tracer.stop()
-        lines = self.tracer.get_data().contexts_by_lineno(str(self.target.file))
+        lines = {line: sorted(tests) for line, tests in self.tracer.tests.items()}
         new = self.cache.with_suffix(f".{os.getpid()}")
         new.write_text(json.dumps([sorted(lines.items()), seconds]), "utf-8")
         new.replace(self.cache)
@@ -227,6 +226,32 @@ class Campaign:
 
     def _write(self, number: int, outcome: str) -> None:
         print(json.dumps([number, outcome]), file=self.results, flush=True)
+
+
+class Tracer:
+    """Notes which lines of one file are entered by which test."""
+
+    def __init__(self, file: str) -> None:
+        self.file, self.test = file, ""
+        self.tests: dict[int, set[str]] = {}
+
+    def start(self) -> None:
+        """Trace this thread, and all that it starts."""
+        threading.settrace(self._call)
+        sys.settrace(self._call)
+
+    def stop(self) -> None:
+        """Trace no more."""
+        threading.settrace(None)  # type: ignore[arg-type]
+        sys.settrace(None)
+
+    def _call(self, frame: FrameType, event: str, arg: Any) -> Any:
+        return self._line if frame.f_code.co_filename == self.file else None
+
+    def _line(self, frame: FrameType, event: str, arg: Any) -> Any:
+        if event == "line":
+            self.tests.setdefault(frame.f_lineno, set()).add(self.test)
+        return self._line
 
 
 class Selection:
