@@ -40,7 +40,7 @@ class Rolled:
 
 
 def points(n=40):
-    return np.random.default_rng(1).normal(size=(n, 3))
+    return 0.1 * np.random.default_rng(1).normal(size=(n, 3))
 
 
 def unit_normals(n=40):
@@ -121,6 +121,7 @@ def test_sigma_comes_from_scale_where_the_operator_has_none():
 )
 def test_the_pace_of_each_sweep(schedule, paces):
     assert [schedule(sweep, 4.0) for sweep in range(3)] == paces
+    assert schedule(0, 0.5).per_sigma == 8.0 * paces[0].per_sigma
     assert schedule.quantile == (1.0 if isinstance(schedule, Multiscale) else None)
 
 

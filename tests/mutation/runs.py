@@ -221,8 +221,7 @@ class Campaign:
                 del sys.modules[name]
         sys.meta_path.insert(0, Replacement(self.target.module, code, str(self.target.file)))
         _interpret(self.target.module)
-        files = dict.fromkeys(test.partition("::")[0] for test in tests)
-        return int(pytest.main([*OPTIONS, "-x", *files], plugins=[Selection(tests)]))
+        return int(pytest.main([*OPTIONS, "-x", *self.target.tests], plugins=[Order(tests)]))
 
     def _write(self, number: int, outcome: str) -> None:
         print(json.dumps([number, outcome]), file=self.results, flush=True)
@@ -254,16 +253,16 @@ class Tracer:
         return self._line
 
 
-class Selection:
-    """A plugin of pytest that runs the named tests only, in this order."""
+class Order:
+    """A plugin of pytest that runs the tests in this order.  Those that it does not know come last:
+    a fault can change the name of a test."""
 
     def __init__(self, tests: Sequence[str]) -> None:
         self.places = {test: place for place, test in enumerate(tests)}
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """Choose and order the collected tests."""
-        chosen = [item for item in items if item.nodeid in self.places]
-        items[:] = sorted(chosen, key=lambda item: self.places[item.nodeid])
+        """Sort the collected tests."""
+        items.sort(key=lambda item: self.places.get(item.nodeid, len(self.places)))
 
 
 class Replacement(importlib.abc.MetaPathFinder, importlib.abc.Loader):
