@@ -40,6 +40,9 @@ LEAST_S = 10.0
 """Tests that take more processor time than this and five times their usual time count as failed;
 so do those that take twenty times that in all: they wait for something."""
 
+MOST_MEASURING_S = 300
+"""Processor time for running all tests of a target once."""
+
 CACHED = functools._lru_cache_wrapper
 
 MOST_BYTES = 8 << 30
@@ -48,7 +51,8 @@ MOST_BYTES = 8 << 30
 
 @dataclass(frozen=True)
 class Target:
-    """A module, and the tests that should notice its faults: files and folders below ``root``."""
+    """A module, and the tests that should notice its faults: files and folders below ``root``, and
+    options of pytest."""
 
     root: Path
     file: Path
@@ -146,6 +150,7 @@ class Campaign:
     def _measure(self, session: pytest.Session) -> int:
         """Run each test once, and keep in the cache what it enters and how long it takes.  A test
         that fails here ends it."""
+        resource.setrlimit(resource.RLIMIT_CPU, (MOST_MEASURING_S, MOST_MEASURING_S))
         seconds = {}
         root = str(self.target.root)
         wrappers = [

@@ -1,10 +1,19 @@
-"""The modules whose tests are tried with planted faults, and the tests to run for each."""
+"""The modules whose tests are tried with planted faults, and the tests to run for each, as pytest
+takes them."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
+
+# A reader of a library is ended by an exception from another thread, which CPython 3.11 may turn
+# into an endless loop while it is traced; and real scans take long.
+PIPELINE = [
+    "tests/job/test_pipeline.py",
+    "--deselect=tests/job/test_pipeline.py::test_conversion_by_option_and_by_name",
+    "--deselect=tests/job/test_pipeline.py::test_real_files",
+]
 
 TARGETS: dict[str, list[str]] = {
     "analysis/volume": ["tests/analysis/test_metrics.py", "tests/job/test_comparison.py"],
@@ -14,10 +23,10 @@ TARGETS: dict[str, list[str]] = {
         "tests/job/test_comparison.py",
     ],
     "analysis/surface_distance": ["tests/analysis/test_surface_distance.py"],
-    "batch/resume": ["tests/batch/test_manifest.py", "tests/batch/test_plan.py"],
+    "batch/resume": ["tests/batch/test_resume.py", "tests/batch/test_manifest.py"],
     "job/output": ["tests/job/test_output.py"],
-    "job/pipeline": ["tests/job/test_pipeline.py", "tests/job/test_constraints.py"],
-    "job/preparation": ["tests/job/test_pipeline.py", "tests/job/test_constraints.py"],
+    "job/pipeline": [*PIPELINE, "tests/job/test_constraints.py"],
+    "job/preparation": ["tests/job/test_choice.py", "tests/job/test_advice.py"],
     "kernels/schedules": ["tests/kernels/test_sweeps.py"],
     "kernels/sweeps": ["tests/kernels/test_sweeps.py", "tests/kernels/test_ring_blocks.py"],
     "report/gates/__init__": ["tests/report/gates"],
