@@ -63,7 +63,7 @@ class Case:
         return state
 
     def todo(self):
-        return self.state() == resume.FileState(0)
+        return self.state() == resume.FileState(0, None, "", False)
 
 
 @pytest.fixture
@@ -248,6 +248,7 @@ class TestInPlace:
 
     def test_a_backup_that_equals_the_file_is_no_obstacle(self, tmp_path):
         case = self.case(tmp_path, ".orig")
+        assert case.todo()
         case.write("in.ply.orig", b"the input")
         assert case.todo()
 
