@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import machined_shapes
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.analysis.added_noise import noisy
 from msal_cli.mesh import Mesh, prepared
+from msal_cli.storage import gzip_streams
 
 SAMPLES = Path(__file__).resolve().parents[1] / "sample_meshes"
 
@@ -56,8 +57,8 @@ def data_folder() -> Path | None:
 
 def opened(path: Path) -> Mesh:
     """A mesh file, ready for computing."""
-    data, _ = files.expanded(files.read_whole(str(path)), path.name)
-    mesh_file = files.open_mesh(data, path.name)
+    data, _ = gzip_streams.expanded(gzip_streams.read_whole(str(path)), path.name)
+    mesh_file = codecs.open_mesh(data, path.name)
     return prepared(mesh_file.vertices, mesh_file.faces).mesh
 
 
@@ -65,7 +66,7 @@ def pair(folder: Path) -> tuple[Mesh, Mesh]:
     """The noisy and the true mesh of a folder with Noisy.obj and Original.obj."""
     both = []
     for name in ("Noisy.obj", "Original.obj"):
-        both.append(files.open_mesh(files.read_whole(str(folder / name)), name))
+        both.append(codecs.open_mesh(gzip_streams.read_whole(str(folder / name)), name))
     ready = prepared(both[0].vertices, both[0].faces)
     return ready.mesh, ready.mesh.moved(both[1].vertices - ready.origin)
 

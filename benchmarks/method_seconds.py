@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.mesh import Mesh, prepared
+from msal_cli.storage import gzip_streams
 
 CPP_SECONDS = {
     "bilateral_non_iterative": 6.0,
@@ -50,7 +50,7 @@ def main() -> None:
         parser.error("set MSAL_DATA to the folder that holds clean/igea.ply")
     os.environ["MSAL_THREADS"] = "1"
     path = Path(os.environ["MSAL_DATA"]) / "clean" / "igea.ply"
-    opened = files.open_mesh(files.read_whole(str(path)), path.name)
+    opened = codecs.open_mesh(gzip_streams.read_whole(str(path)), path.name)
     clean = prepared(opened.vertices, opened.faces).mesh
     heights = np.random.default_rng(0).normal(
         0.0, 0.2 * clean.mean_edge_length, len(clean.vertices)

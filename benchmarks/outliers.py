@@ -69,10 +69,10 @@ def detection(shapes: Mapping[str, Mesh]) -> None:
 
 def errors(mesh: Mesh, true: Mesh, wishes: dict[str, Any] | None) -> str:
     """Angle, vertex error and distance to the surface of what is chosen for a mesh."""
-    made = automatic.settled(mesh, wishes, lambda done, total: None)
+    made = automatic.choose(mesh, wishes, lambda done, total: None)
     vertices = mesh.vertices
     if made.method is not None:
-        run = made.method.denoised(mesh, made.used.parameters, lambda done, total: None)
+        run = made.method.denoised(mesh, made.parameters, lambda done, total: None)
         vertices = run.vertices
     result = true.moved(vertices)
     angle = surface_change(true, result).normals.mean_angular_error_deg

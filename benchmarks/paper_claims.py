@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.analysis.surface import normal_statistics
 from msal_cli.analysis.volume import area_and_volume
 from msal_cli.mesh import Mesh, Prepared, prepared
+from msal_cli.storage import gzip_streams
 
 SWEEPS = 3
 REPEATS = 5
@@ -29,8 +29,8 @@ REPEATS = 5
 
 def opened(path: Path) -> Prepared:
     """A mesh file of the data folder."""
-    data, _ = files.expanded(files.read_whole(str(path)), path.name)
-    mesh_file = files.open_mesh(data, path.name)
+    data, _ = gzip_streams.expanded(gzip_streams.read_whole(str(path)), path.name)
+    mesh_file = codecs.open_mesh(data, path.name)
     return prepared(mesh_file.vertices, mesh_file.faces)
 
 

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.analysis.surface import normal_statistics
 from msal_cli.mesh import Prepared, prepared
+from msal_cli.storage import gzip_streams
 
 SAMPLES = Path(__file__).resolve().parents[1] / "sample_meshes"
 
@@ -33,8 +33,8 @@ SETTINGS: tuple[tuple[str, dict[str, Any]], ...] = (
 
 def opened(path: Path) -> Prepared:
     """A sample, ready for computing."""
-    data, _ = files.expanded(path.read_bytes(), path.name)
-    mesh_file = files.open_mesh(data, path.name)
+    data, _ = gzip_streams.expanded(path.read_bytes(), path.name)
+    mesh_file = codecs.open_mesh(data, path.name)
     return prepared(mesh_file.vertices, mesh_file.faces)
 
 

@@ -18,10 +18,11 @@ import numpy as np
 
 from benchmarks import ground_truth
 from benchmarks.true_surface import TrueSurface
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.simulation import ScannerSettings, simulate_scan
 from msal_cli.mesh import Mesh, prepared
+from msal_cli.storage import gzip_streams
 
 CLEAN = "clean"
 """The kind without noise: what moves there is harm."""
@@ -171,7 +172,9 @@ def _clean(source: Source) -> Pair:
 
 def _opened_pair(noisy: Path, true: Path) -> Pair:
     """Two files in one frame, whatever their faces."""
-    both = [files.open_mesh(files.read_whole(str(path)), path.name) for path in (noisy, true)]
+    both = [
+        codecs.open_mesh(gzip_streams.read_whole(str(path)), path.name) for path in (noisy, true)
+    ]
     first, second = (prepared(one.vertices, one.faces) for one in both)
     shift = second.origin - first.origin
     return Pair(first.mesh, second.mesh.moved(second.mesh.vertices + shift))

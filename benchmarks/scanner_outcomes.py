@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_settings import PeerSetting, run_peers
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.analysis.correspondence import moved_statistics, used_vertices, vertex_error_percent
 from msal_cli.analysis.surface import normal_statistics
 from msal_cli.analysis.surface_distance import distances_to_surface
@@ -228,7 +227,7 @@ def denoise(mesh: Mesh, name: str) -> tuple[Floats, str]:
     if data is None:
         raise RuntimeError(f"{name}: {record.error}")
     reason = record.choice.reason if record.choice is not None else ""
-    return files.open_mesh(data, "scan.ply").vertices, reason
+    return codecs.open_mesh(data, "scan.ply").vertices, reason
 
 
 def _settings(name: str) -> Settings:

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.kernels.geometry import area_and_volume
 from msal_cli.mesh import Mesh, prepared
+from msal_cli.storage import gzip_streams
 
 SWEEPS = 3
 LEVEL = 0.1
@@ -31,7 +31,7 @@ def volumes(path: Path, seeds: int) -> tuple[float, np.ndarray]:
 
     The volumes are about the file's origin, as the Bunny is open.
     """
-    mesh_file = files.open_mesh(files.read_whole(str(path)), path.name)
+    mesh_file = codecs.open_mesh(gzip_streams.read_whole(str(path)), path.name)
     clean = prepared(mesh_file.vertices, mesh_file.faces)
     amplitude = LEVEL * clean.mesh.mean_edge_length
 

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli import auto as selection
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.auto import adaptive
 from msal_cli.job.comparison import Surface
 from msal_cli.mesh import prepared
+from msal_cli.storage import gzip_streams
 from msal_cli.view import parameter_grid, pictures
 from msal_cli.view.camera import framing, turned
 from msal_cli.view.image_files import png_bytes
@@ -46,8 +46,8 @@ VIEWS = {  # turn and tilt in degrees
 
 def opened(path: Path) -> tuple[Array, Array]:
     """Vertices (n, 3) and triangles (m, 3) of a sample."""
-    data, _ = files.expanded(path.read_bytes(), path.name)
-    mesh_file = files.open_mesh(data, path.name)
+    data, _ = gzip_streams.expanded(path.read_bytes(), path.name)
+    mesh_file = codecs.open_mesh(data, path.name)
     return mesh_file.vertices, mesh_file.faces
 
 

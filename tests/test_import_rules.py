@@ -30,7 +30,7 @@ MAY_IMPORT = {
     "auto": {"methods", "analysis", "mesh", "kernels"},
     "job": {"auto", "methods", "analysis", "codecs", "storage", "mesh", "kernels"},
     "view": {"job", "methods", "analysis", "codecs", "mesh", "kernels"},
-    "report": {"view", "job", "analysis", "codecs", "mesh"},
+    "report": {"view", "job", "analysis", "codecs", "storage", "mesh"},
     "batch": {"job", "storage"},
     "cli": {
         "batch",

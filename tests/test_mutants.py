@@ -11,7 +11,7 @@ import random
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.job import pipeline
 from msal_cli.job.settings import Task
 from tests.job.test_pipeline import WRITERS, settings
@@ -56,8 +56,8 @@ def campaign(name: str, folder, number: int, start: int) -> tuple[int, int]:
         record = pipeline.denoise_file(Task(str(source), str(target), name), chosen)
         if record.error is None:
             written += 1
-            before = files.open_mesh(data, name)
-            after = files.open_mesh(target.read_bytes(), name)
+            before = codecs.open_mesh(data, name)
+            after = codecs.open_mesh(target.read_bytes(), name)
             if before.format == "stl":  # rounding may put two corners at one place
                 assert after.faces.shape == before.faces.shape
             else:

@@ -2,64 +2,26 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import click
 
-from msal_cli.cli import console as talk
-from msal_cli.cli import exit_codes
-from msal_cli.cli.file_options import CHECK, UNIT, file_options
+from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.batch.inputs import DiscoveredInput
-    from msal_cli.cli.gates_check import Measure
+    from msal_cli.cli.gates_check import Checks
     from msal_cli.job.comparison_record import ComparisonRecord
-    from msal_cli.job.records import Failure
-
-_PATH = click.Path(readable=False, allow_dash=False)
 
 _NO_PARTNER = "E_NO_PARTNER"
 
 
-@dataclass(frozen=True)
-class Request:
-    """The command line of ``msal compare``, as click has read it."""
-
-    before: str
-    after: str
-    heatmap: str | None
-    include: tuple[str, ...]
-    exclude: tuple[str, ...]
-    format: str | None
-    fail_on: tuple[str, ...]
-    unit: str | None
-    checks: tuple[str, ...]
-    baseline: str | None
-    tolerance: float | None
-    ignore_missing: bool
-    as_json: bool
-    verbose: int
-
-
-def _tolerance(
-    context: click.Context, parameter: click.Parameter, value: str | None
-) -> float | None:
-    """A share that is written in percent; None for None."""
-    if value is None:
-        return None
-    match = re.fullmatch(r"(?a)(\d{1,9}(?:\.\d{1,9})?)\s*%", value.strip())
-    if match is None:
-        raise click.BadParameter(f"{value!r} is not a percentage such as 2% or 0.5%")
-    return float(match[1]) / 100.0
-
-
 @click.command(
     "compare",
-    short_help="Measure a mesh against another.",
     epilog="""\b
 Examples:
   msal compare truth.ply denoised.ply --heatmap deviation.ply
@@ -68,16 +30,17 @@ Examples:
 \b
 Exit status: see msal --help.""",
 )
-@click.argument("before", metavar="A", type=_PATH)
-@click.argument("after", metavar="B", type=_PATH)
+@click.argument("before", metavar="A", type=options.PATH)
+@click.argument("after", metavar="B", type=options.PATH)
 @click.option(
     "--heatmap",
     metavar="FILE.ply",
-    type=_PATH,
+    type=options.PATH,
     help="Write B as PLY with its distance from A, vertex by vertex, as property deviation and as "
-    "colours; comments in the file tell their range.",
+    "colours; comments in the file give their range.",
 )
-@file_options("The files' format, where neither their names nor their content tells.")
+@options.FILES
+@options.FORMAT
 @click.option(
     "--fail-on",
     metavar="EXPR",
@@ -85,19 +48,19 @@ Exit status: see msal --help.""",
     help="Exit with 4 if this is so for any pair, such as 'mean_angular_error_deg > 6' or "
     "'hausdorff > 0.5e' (mean edge lengths of A). Repeatable.",
 )
-@UNIT
-@CHECK
+@options.UNIT
+@options.CHECK
 @click.option(
     "--baseline",
     metavar="REPORT.json",
-    type=_PATH,
+    type=options.PATH,
     help="Exit with 4 if a figure is worse than in REPORT.json: what --json printed before, or a "
     "report of msal denoise --reference.",
 )
 @click.option(
     "--tolerance",
     metavar="PERCENT",
-    callback=_tolerance,
+    type=options.parse_percentage,
     help="With --baseline: by how much of what it was a figure may be worse, such as 2%.  "
     "[default: 1%]",
 )
@@ -114,68 +77,79 @@ Exit status: see msal --help.""",
     help="Print one JSON object for two files; for folders one document, whose records list holds "
     "an object per pair.",
 )
-@click.option(
-    "-v", "--verbose", count=True, help="Tell more of what goes on; -vv tells everything."
-)
-def command(**options: Any) -> int:
+@options.verbose
+@click.pass_context
+def command(
+    context: click.Context,
+    /,
+    before: str,
+    after: str,
+    heatmap: str | None,
+    include: tuple[str, ...],
+    exclude: tuple[str, ...],
+    format: str | None,
+    fail_on: tuple[str, ...],
+    unit: str | None,
+    checks: tuple[str, ...],
+    baseline: str | None,
+    tolerance: float | None,
+    ignore_missing: bool,
+    as_json: bool,
+) -> int:
     """Measure B against A, which is the reference: before and after, or truth and result.
 
-    A and B are two files, or two folders whose files are matched by relative path. Told are the
-    displacement, the angles between face normals (mean: the MSAE of the literature), the vertex
+    A and B are two files, or two folders whose files are matched by relative path. Measured are
+    the displacement, the angles between face normals (mean: the MSAE of the literature), the vertex
     error in % of the mean edge length of A, the change of volume and area, flipped faces, and the
     Hausdorff distance. Where the faces are not the same, the surfaces are compared.
 
     Of folders the exit status is 3 if a pair cannot be compared, else 4 if a gate is broken or the
     baseline not met, else 3 if a file has no partner; 1 if no pair at all can be compared.
     """
-    from msal_cli.cli import logs
-    from msal_cli.storage import urls
-
-    request = Request(**urls.settled_in(options, "before", "after", "heatmap"))
-    with logs.configured(request.verbose, None):
-        return _compared(request)
-
-
-def _compared(request: Request) -> int:
     from functools import partial
 
-    from msal_cli import codecs as files
     from msal_cli.batch.inputs import discover_inputs
-    from msal_cli.cli import option_types as words
-    from msal_cli.cli.gates_check import measure_of
-    from msal_cli.job import comparison
+    from msal_cli.cli.gates_check import build_checks
+    from msal_cli.job.comparison import compare_files
+    from msal_cli.report.gates import names_field
 
-    measure = measure_of(request.fail_on, request.baseline, request.tolerance, request.unit)
-    format = words.settled_format(request.format, files.readable_suffixes, "--format")
-    before, after = (
-        discover_inputs((one,), request.include, request.exclude)
-        for one in (request.before, request.after)
-    )
-    is_checked = bool(request.checks) or measure.names_field("self_intersections")
-    compare = partial(comparison.compare_files, format=format, with_intersections=is_checked)
-    are_folders = [any(one.root for one in side) for side in (before, after)]
+    refuse_conflicts(find_given(context))
+    gates = build_checks(fail_on, baseline, tolerance, unit)
+    format = options.resolve_format(format)
+    sides = [discover_inputs((one,), include, exclude) for one in (before, after)]
+    is_checked = bool(checks) or names_field(gates.gates, "self_intersections")
+    compare = partial(compare_files, format=format, with_intersections=is_checked)
+    are_folders = [any(one.root for one in side) for side in sides]
     if are_folders == [False, False]:
-        if request.ignore_missing:
+        if ignore_missing:
             raise UsageError("--ignore-missing is for folders", hint="leave it out for two files")
-        if request.heatmap is not None:
-            _refuse_target(request, request.heatmap)
-        return _told_of_two(request, compare, measure)
+        if heatmap is not None:
+            _refuse_target(before, after, heatmap)
+        return _compare_two(before, after, heatmap, format, as_json, gates, compare)
     if not all(are_folders):
         raise UsageError(
             "one of A and B is a file and the other a folder",
             hint="give two files, or two folders whose files have the same relative paths",
         )
-    if request.heatmap is not None:
+    if heatmap is not None:
         raise UsageError("--heatmap is for two files", hint="compare them one by one")
-    if request.ignore_missing:
-        before, after = _with_partners(request, before, after)
-    pairs = dict(_pairs(request, before, after, compare))
-    return _told_of_many(request, pairs, measure)
+    first, second = ({one.relative: one.path for one in side} for side in sides)
+    if ignore_missing:
+        first, second = _drop_missing({before: first, after: second})
+    records = {}
+    for name in (*first, *(name for name in second if name not in first)):
+        missing = before if name not in first else after if name not in second else None
+        paths = (
+            first.get(name, f"{before.rstrip('/')}/{name}"),
+            second.get(name, f"{after.rstrip('/')}/{name}"),
+        )
+        records[name] = compare(*paths) if missing is None else _no_partner(name, *paths, missing)
+    # Files that were left out on purpose are not missed.
+    is_all = not include and not exclude and not ignore_missing
+    return _print_folders(records, gates, as_json, is_all=is_all)
 
 
-def _with_partners(
-    request: Request, before: tuple[DiscoveredInput, ...], after: tuple[DiscoveredInput, ...]
-) -> tuple[tuple[DiscoveredInput, ...], tuple[DiscoveredInput, ...]]:
+def _drop_missing(sides: Mapping[str, dict[str, str]]) -> list[dict[str, str]]:
     """The files of both folders that have a partner; the number of the others is reported.
 
     Raises
@@ -185,87 +159,63 @@ def _with_partners(
     """
     from msal_cli.batch.inputs import NothingMatched
 
-    shared = {one.relative for one in before} & {one.relative for one in after}
+    (before, first), (after, second) = sides.items()
+    shared = first.keys() & second.keys()
     if not shared:
-        raise NothingMatched(
-            f"no file of {request.before!r} has the relative path of one of {request.after!r}"
-        )
-    for folder, side in ((request.before, before), (request.after, after)):
-        if n_left := sum(one.relative not in shared for one in side):
+        raise NothingMatched(f"no file of {before!r} has the relative path of one of {after!r}")
+    for folder, side in sides.items():
+        if n_left := len(side) - len(shared):
             files = "file has" if n_left == 1 else "files have"
-            talk.say(f"{n_left:,} {files} no partner, only in {folder}: left out")
-    kept = [tuple(one for one in side if one.relative in shared) for side in (before, after)]
-    return kept[0], kept[1]
+            console.say(f"{n_left:,} {files} no partner, only in {folder}: left out")
+    return [{name: side[name] for name in side if name in shared} for side in (first, second)]
 
 
-def _pairs(
-    request: Request,
-    before: tuple[DiscoveredInput, ...],
-    after: tuple[DiscoveredInput, ...],
-    compare: Callable[[str, str], ComparisonRecord],
-) -> Iterator[tuple[str, ComparisonRecord]]:
-    """Every relative path that one of the folders has and its record, those of A first."""
-    partners = {one.relative: one.path for one in after}
-    for one in before:
-        other = partners.pop(one.relative, None)
-        if other is None:
-            lonely = _lonely(one, one.path, _place(request.after, one), request.after)
-            yield one.relative, lonely
-        else:
-            yield one.relative, compare(one.path, other)
-    for one in after:
-        if one.relative in partners:
-            lonely = _lonely(one, _place(request.before, one), one.path, request.before)
-            yield one.relative, lonely
-
-
-def _place(folder: str, one: DiscoveredInput) -> str:
-    return f"{folder.rstrip('/')}/{one.relative}"
-
-
-def _lonely(one: DiscoveredInput, before: str, after: str, folder: str) -> ComparisonRecord:
+def _no_partner(name: str, before: str, after: str, folder: str) -> ComparisonRecord:
     from msal_cli import __version__
     from msal_cli.job.comparison_record import ComparisonRecord
     from msal_cli.job.records import Failure
 
-    failure = Failure(_NO_PARTNER, f"there is no {one.relative!r} in {folder!r}")
+    failure = Failure(_NO_PARTNER, f"there is no {name!r} in {folder!r}")
     return ComparisonRecord(before, after, version=__version__, error=failure)
 
 
-def _told_of_two(
-    request: Request, compare: Callable[[str, str], ComparisonRecord], measure: Measure
+def _compare_two(
+    before: str,
+    after: str,
+    heatmap: str | None,
+    format: str | None,
+    as_json: bool,
+    checks: Checks,
+    compare: Callable[[str, str], ComparisonRecord],
 ) -> int:
     from msal_cli.errors import MsalError
-    from msal_cli.report import comparison_text, document
-    from msal_cli.report import json_report as as_json
+    from msal_cli.report import comparison_text, document, json_report
     from msal_cli.report.gates import is_any_broken
 
-    record = measure.of_two(compare(request.before, request.after))
+    record = checks.judge_pair(compare(before, after))
     failure: MsalError | None = None
-    if request.heatmap is not None and record.error is None:
-        # What was measured is told, whatever becomes of the picture.
+    if heatmap is not None and record.error is None:
+        # What was measured is printed, whatever becomes of the picture.
         try:
-            _write_heatmap(request, request.heatmap)
+            _write_heatmap(before, after, heatmap, format)
         except MsalError as error:
             failure = error
-    if request.as_json:
-        talk.put_bytes(as_json.json_bytes(document.plain_record(record)))
+    if as_json:
+        console.put_bytes(json_report.json_bytes(document.plain_record(record)))
     if record.error is not None:
-        _say_failure(record, record.error)
+        _say_failure(record)
         return exit_codes.FATAL
-    if not request.as_json:
-        talk.put_lines(comparison_text.told(record))
-    talk.say_lines(comparison_text.broken_gates([record]))
+    if not as_json:
+        console.put_lines(comparison_text.told(record))
+    console.say_lines(comparison_text.broken_gates([record]))
     if failure is not None:
         raise failure
     return exit_codes.of_files(1, 0, is_gate_failed=is_any_broken([record]))
 
 
-def _refuse_target(request: Request, target: str) -> None:
+def _refuse_target(before: str, after: str, target: str) -> None:
     """Refuse a heat map that is no PLY, would replace an input, or has no folder to be in."""
-    import os
-
-    from msal_cli.codecs import is_url
+    from msal_cli.storage.urls import is_url
 
     if not target.lower().endswith(".ply"):
         raise UsageError(
@@ -276,78 +226,70 @@ def _refuse_target(request: Request, target: str) -> None:
     if os.path.isdir(target):
         raise UsageError(f"the heat map {target!r} is a folder", hint="name a file in it")
     real = os.path.realpath(target)
-    for name in (request.before, request.after):
+    for name in (before, after):
         if not is_url(name) and os.path.realpath(name) == real:
             raise UsageError(f"the heat map would replace {name!r}", hint="give it another name")
 
 
-def _write_heatmap(request: Request, target: str) -> None:
-    from msal_cli import codecs as files
-    from msal_cli.batch import interrupts as signals
-    from msal_cli.cli import option_types as words
+def _write_heatmap(before: str, after: str, target: str, format: str | None) -> None:
+    from msal_cli.batch import interrupts
     from msal_cli.job import comparison
     from msal_cli.report.phrases import file_name
+    from msal_cli.storage import atomic
 
-    format = words.settled_format(request.format, files.readable_suffixes, "--format")
-    before = comparison.opened(request.before, format)
-    made = comparison.heatmap(before, comparison.opened(request.after, format), request.before)
-    with signals.noticed(signals.raise_for):
-        files.write_whole(target, [made.data])
-    talk.say(f"{file_name(target)}: deviation, pale to dark for {made.low:g} to {made.high:.4g}")
+    reference = comparison.opened(before, format)
+    made = comparison.build_heatmap(reference, comparison.opened(after, format), before)
+    with interrupts.noticed(interrupts.raise_for):
+        atomic.write_whole(target, [made.data])
+    console.say(f"{file_name(target)}: deviation, pale to dark for {made.low:g} to {made.high:.4g}")
 
 
-def _told_of_many(request: Request, pairs: Mapping[str, ComparisonRecord], measure: Measure) -> int:
-    from msal_cli import __version__
+def _print_folders(
+    pairs: Mapping[str, ComparisonRecord], checks: Checks, as_json: bool, *, is_all: bool
+) -> int:
+    """Print the records by relative path; the exit status.
+
+    ``is_all``: the folders were compared as a whole, so that the baseline may miss a file.
+    """
     from msal_cli.job.comparison_record import ComparisonRecord
-    from msal_cli.report import comparison_text, document
-    from msal_cli.report import json_report as as_json
+    from msal_cli.job.plain_data import as_data
+    from msal_cli.report import baseline, comparison_text
     from msal_cli.report.gates import is_any_broken
     from msal_cli.report.phrases import file_name
 
-    names = list(pairs)
-    records = measure.of_many(list(pairs.values()), names)
-    # Who leaves out files by a pattern does not miss them.
-    is_all = not request.include and not request.exclude and not request.ignore_missing
-    there = [name for name, one in pairs.items() if not _is_lonely(one)]
-    vanished = measure.vanished(there) if is_all else []
-    if request.as_json:
-        data = {
-            "schema": ComparisonRecord.schema,
-            "version": __version__,
-            "records": [document.plain_record(record) for record in records],
-        }
-        talk.put_bytes(as_json.json_bytes(data))
+    records = checks.judge_folders(pairs)
+    present = [name for name, one in pairs.items() if not _is_without_partner(one)]
+    vanished = baseline.missing(present, checks.earlier or {}) if is_all else []
+    if as_json:
+        console.put_json(ComparisonRecord.schema, records=[as_data(one) for one in records])
         for record in records:
             if record.error is not None:
-                _say_failure(record, record.error)
+                _say_failure(record)
     else:
-        talk.put_lines(comparison_text.table(records, width=talk.width()))
-    talk.say_lines(comparison_text.broken_gates(records))
+        console.put_lines(comparison_text.table(records, width=console.width()))
+    console.say_lines(comparison_text.broken_gates(records))
     for name in vanished:
-        talk.say(f"{file_name(name)}: in the baseline, and not here", "bad")
-    return _status(records, is_gate_failed=is_any_broken(records) or bool(vanished))
-
-
-def _status(records: Sequence[ComparisonRecord], *, is_gate_failed: bool) -> int:
-    """The exit status for folders: a pair that cannot be compared weighs more than a broken gate,
-    and that more than a file without a partner."""
+        console.say(f"{file_name(name)}: in the baseline, and not here", "bad")
+    # A pair that cannot be compared weighs more than a broken gate, and that more than a file
+    # without a partner.
     n_failed = sum(record.error is not None for record in records)
-    n_lonely = sum(map(_is_lonely, records))
-    if is_gate_failed and n_failed == n_lonely < len(records):
+    is_gate_failed = is_any_broken(records) or bool(vanished)
+    if is_gate_failed and n_failed == len(records) - len(present) < len(records):
         return exit_codes.GATE_FAILED
     return exit_codes.of_files(len(records), n_failed)
 
 
-def _is_lonely(record: ComparisonRecord) -> bool:
+def _is_without_partner(record: ComparisonRecord) -> bool:
     return record.error is not None and record.error.code == _NO_PARTNER
 
 
-def _say_failure(record: ComparisonRecord, error: Failure) -> None:
-    """Tell why two files could not be compared, under the name of the one that is at fault."""
-    from dataclasses import replace
-
+def _say_failure(record: ComparisonRecord) -> None:
+    """Say why two files could not be compared, under the name of the one that is at fault."""
+    error = record.error
+    if error is None:
+        return
     for path in (record.before, record.after):
         if error.where == path or error.where.startswith(f"{path}: "):
-            talk.say_failure(path, replace(error, where=error.where[len(path) + 2 :]))
+            console.say_failure(path, replace(error, where=error.where[len(path) + 2 :]))
             return
-    talk.say_failure(record.after, error)
+    console.say_failure(record.after, error)

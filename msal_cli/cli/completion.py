@@ -5,14 +5,12 @@ from __future__ import annotations
 import click
 from click.shell_completion import get_completion_class
 
-from msal_cli.cli import console as talk
-from msal_cli.cli import exit_codes
-from msal_cli.cli.option_types import COMPLETE_VARIABLE
+from msal_cli.cli import console, exit_codes
+from msal_cli.cli.main import COMPLETE_VARIABLE
 
 
 @click.command(
     "completion",
-    short_help="Print the completion script of a shell.",
     epilog="""\b
 bash:  msal completion bash > ~/.local/share/bash-completion/completions/msal
 zsh:   msal completion zsh > ~/.zfunc/_msal     (a folder of your fpath)
@@ -25,5 +23,5 @@ def command(context: click.Context, shell: str) -> int:
     kind = get_completion_class(shell)
     if kind is None:
         raise click.UsageError(f"there is no completion for {shell}")
-    talk.put(kind(context.find_root().command, {}, "msal", COMPLETE_VARIABLE).source())
+    console.put(kind(context.find_root().command, {}, "msal", COMPLETE_VARIABLE).source())
     return exit_codes.SUCCESS

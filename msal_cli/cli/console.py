@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
@@ -71,6 +71,13 @@ def _say_error_words(words: str, hint: str) -> None:
         say(f"hint: {shown(hint)}")
 
 
+def say_written(path: str) -> None:
+    """That a file was written."""
+    from msal_cli.job.display_names import shown
+
+    say(f"wrote {shown(path)}", "good")
+
+
 def put(text: str) -> None:
     """Text as data to standard output, with what its encoding lacks escaped.
 
@@ -83,7 +90,7 @@ def put(text: str) -> None:
     """
     stream = _standard_output()
     encoding = stream.encoding or "ascii"
-    with _told_apart():
+    with _translate_errors():
         stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
 
 
@@ -99,7 +106,7 @@ def put_bytes(data: bytes | bytearray | memoryview) -> None:
     """Bytes as data to standard output, at once; the errors are those of ``put``."""
     stream = _standard_output()
     rest = memoryview(data).cast("B")
-    with _told_apart():
+    with _translate_errors():
         stream.flush()
         while len(rest):
             # With PYTHONUNBUFFERED this is the bare stream, which may take a part only: less than
@@ -117,15 +124,24 @@ def _after_a_pause(rest: memoryview) -> memoryview:
     return rest
 
 
+def put_json(schema: str, **data: Any) -> None:
+    """A JSON document to standard output: its schema, the version of msal, and plain ``data``."""
+    from msal_cli import __version__
+    from msal_cli.report.document import plain
+    from msal_cli.report.json_report import json_bytes
+
+    put_bytes(json_bytes(plain({"schema": schema, "version": __version__, **data})))
+
+
 def flush() -> None:
     """Hand on what was put to standard output; the errors are those of ``put``."""
     if sys.stdout is not None:
-        with _told_apart():
+        with _translate_errors():
             sys.stdout.flush()
 
 
 @contextmanager
-def work_goes_on() -> Iterator[None]:
+def finish_work() -> Iterator[None]:
     """A block that is done to its end, although nothing may read standard output any more.
 
     Raises
@@ -142,12 +158,12 @@ def work_goes_on() -> Iterator[None]:
         raise lost
 
 
-# For each block of ``work_goes_on``, the innermost last, the loss of the reader.
+# For each block of ``finish_work``, the innermost last, the loss of the reader.
 _lost: list[BrokenPipeError | None] = []
 
 
 @contextmanager
-def _told_apart() -> Iterator[None]:
+def _translate_errors() -> Iterator[None]:
     """A reader that has gone away is no error to talk about; whatever else goes wrong is."""
     try:
         yield

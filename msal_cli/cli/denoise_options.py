@@ -1,37 +1,27 @@
-"""What ``msal denoise`` can be told: its options by theme, and the request that they make."""
+"""The options of ``msal denoise`` by theme, in the order in which help shows them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import click
 
-from msal_cli.cli import auto_options
-from msal_cli.cli import option_types as words
-from msal_cli.cli.file_options import CHECK, UNIT
+from msal_cli.cli import options
 from msal_cli.job.settings import DEFAULT_BACKUP
 
-PATH = click.Path(readable=False, allow_dash=True)
-"""A path of any kind: whoever opens it knows what it must be."""
-
-
-# Where to.
-_OUTPUT = click.option(
-    "-o",
-    "--output",
-    metavar="OUT",
-    type=PATH,
-    help="File or folder to write; a folder gets the tree of the inputs. "
-    "- is standard output, the default when INPUT is -.",
-)
-
-# How to denoise.
-_METHOD = (
+OPTIONS = options.combine(
+    # Where to.
+    click.option(
+        "-o",
+        "--output",
+        metavar="OUT",
+        type=options.PATH,
+        help="File or folder to write; a folder gets the tree of the inputs. "
+        "- is standard output, the default when INPUT is -.",
+    ),
+    # How to denoise.
     click.option(
         "--method",
         metavar="NAME",
-        shell_complete=words.completed_method,
+        shell_complete=options.complete_method,
         help="How to denoise; `msal methods` lists them, and auto is --auto.  [default: adaptive, "
         "which chooses the parameters of AL and MSAL for each mesh and leaves clean ones alone]",
     ),
@@ -63,17 +53,39 @@ _METHOD = (
         "to the data, multiscale, robust beside spikes, or with what is more than noise given back "
         "at the end.  [default: multiscale for msal, else plain]",
     ),
+    options.METHOD_PARAMETER,
     click.option(
-        "--set",
-        "assignments",
-        metavar="NAME=VALUE",
-        multiple=True,
-        help="Any parameter of the method; `msal methods NAME` lists them. Repeatable.",
+        "--auto",
+        is_flag=True,
+        help="Choose method and parameters for each mesh, from its noise and its surface; the "
+        "report says what was chosen, and why. The four options that follow imply it.",
     ),
-)
-
-# What may move, and how far.
-_MOVES = (
+    click.option(
+        "--keep",
+        type=click.Choice(["texture", "edges", "shape"]),
+        help="What must not suffer: fine relief, sharp edges, or the smooth shape beneath the "
+        "noise.  [default: as the surface looks]",
+    ),
+    click.option(
+        "--strength",
+        metavar="-2..2",
+        type=options.number(-2.0, 2.0),
+        help="Around the automatic choice: greater is smoother, less keeps more.  [default: 0]",
+    ),
+    click.option(
+        "--prefer",
+        type=click.Choice(["positions", "normals", "volume"]),
+        help="What is to come out best: places of vertices, directions of faces, or the enclosed "
+        "volume.  [default: a balance]",
+    ),
+    click.option(
+        "--auto-budget",
+        metavar="N",
+        type=options.number(1.0),
+        help="Most time for choosing and denoising together, in runs of the default method over "
+        "the same mesh.  [default: 60]",
+    ),
+    # What may move, and how far.
     click.option(
         "--max-move",
         metavar="LENGTH",
@@ -104,23 +116,9 @@ _MOVES = (
         help="Leave meshes as they are whose estimated noise is less: 0.03e is mean edge lengths, "
         "0.01 file units; auto where there is none to speak of.  [default: none]",
     ),
-    UNIT,
-)
-
-# Which files, and what the outputs are.
-_FILES = (
-    click.option(
-        "--include",
-        metavar="PATTERN",
-        multiple=True,
-        help="Take only files whose path or name matches, such as '*.ply'. Repeatable.",
-    ),
-    click.option(
-        "--exclude",
-        metavar="PATTERN",
-        multiple=True,
-        help="Leave out files or folders that match. Repeatable; wins over --include.",
-    ),
+    options.UNIT,
+    # Which files, and what the outputs are.
+    options.FILES,
     click.option(
         "--in-place", is_flag=True, help="Replace the inputs; originals are kept beside them."
     ),
@@ -151,48 +149,40 @@ _FILES = (
         help="Bits of the output's positions.",
     ),
     click.option("--strict", is_flag=True, help="Fail where a conversion loses something."),
-    click.option(
-        "--format",
-        "format",
-        metavar="FORMAT",
-        help="The inputs' format, where neither their name nor their content tells.",
-    ),
-)
-
-# How much at a time, and within which limits.
-_WORK = (
+    options.FORMAT,
+    # How much at a time, and within which limits.
     click.option(
         "-j",
         "--jobs",
         metavar="N|auto",
         default="auto",
         show_default=True,
-        callback=words.jobs,
+        type=options.parse_jobs,
         help="Files at the same time; more is faster and takes more memory. auto is one per core, "
         "as far as memory allows. The results do not depend on it.",
     ),
     click.option(
         "--timeout",
         metavar="TIME",
-        callback=words.duration,
+        type=options.parse_duration,
         help="Most time for one file: seconds, or 90s, 5m, 1h.  [default: none]",
     ),
     click.option(
         "--memory-limit",
         metavar="SIZE",
-        callback=words.size,
+        type=options.parse_size,
         help="Most memory for one file and for each worker: 500M, 2G, 1.5GiB.  [default: none]",
     ),
     click.option(
         "--max-faces",
         metavar="N",
-        callback=words.count_from(1),
+        type=click.IntRange(min=1),
         help="Refuse files with more faces.  [default: none]",
     ),
     click.option(
         "--retries",
         metavar="N",
-        callback=words.count_from(0),
+        type=click.IntRange(min=0),
         help="How often a file is tried again, alone, that was lost to a crash, memory or time.  "
         "[default: 1]",
     ),
@@ -200,7 +190,7 @@ _WORK = (
     click.option(
         "--max-failures",
         metavar="N",
-        callback=words.count_from(1),
+        type=click.IntRange(min=1),
         help="Begin no more files once N have failed.  [default: none]",
     ),
     click.option(
@@ -216,16 +206,9 @@ _WORK = (
         help="With --engine dask: the scheduler, such as tcp://host:8786; local starts a cluster "
         "of -j processes here.",
     ),
-)
-
-# What is done at all, and what again.
-_RERUNS = (
+    # What is done at all, and what again.
     click.option("--dry-run", is_flag=True, help="List what would be written, and touch nothing."),
-    click.option(
-        "--force",
-        is_flag=True,
-        help="Replace files in OUT that msal did not write.",
-    ),
+    options.FORCE,
     click.option(
         "--fresh", is_flag=True, help="Denoise again what an earlier run has done already."
     ),
@@ -240,22 +223,19 @@ _RERUNS = (
         help="Take only the K-th of N parts of the files; N such runs do them all, on one machine "
         "or many. auto asks Slurm, AWS Batch or Kubernetes; auto/N gives N where they do not.",
     ),
-)
-
-# What is told, and where.
-_REPORTS = (
+    # What is reported, and where.
     click.option(
         "--fields",
         metavar="NAME,...",
-        callback=words.listed,
+        type=options.parse_list,
         help="Write lambda, sigma, noise, displacement or curvature of every vertex to a PLY "
         "beside each output (scan.fields.ply): properties, and the first one as colours too.",
     ),
-    CHECK,
+    options.CHECK,
     click.option(
         "--reference",
         metavar="TRUTH",
-        type=PATH,
+        type=options.PATH,
         help="Measure the outputs against the true mesh, as msal compare does: a file, or a folder "
         "whose files have the relative paths of the inputs.",
     ),
@@ -271,36 +251,19 @@ _REPORTS = (
         "reports",
         metavar="FILE",
         multiple=True,
-        type=PATH,
+        type=options.PATH,
         help="Write a record of every file: .json, .jsonl, .csv, .md (Markdown), .xml (JUnit) or "
         ".html (a page with pictures) by suffix. Repeatable.",
     ),
+    options.JSON_REPORT,
+    options.QUIET,
     click.option(
-        "--json", "as_json", is_flag=True, help="Print the JSON report to standard output."
-    ),
-    click.option("-q", "--quiet", is_flag=True, help="No bar, no summary; only errors."),
-    click.option(
-        "-v", "--verbose", count=True, help="Tell more: every file and step; -vv tells everything."
+        "-v", "--verbose", count=True, help="Show every file and step; -vv shows everything."
     ),
     click.option(
-        "--log-file", metavar="FILE", type=PATH, help="Append everything, with times, to a file."
+        "--log-file",
+        metavar="FILE",
+        type=options.PATH,
+        help="Append everything, with times, to a file.",
     ),
 )
-
-_ALL = (
-    _OUTPUT,
-    *_METHOD,
-    *auto_options.OPTIONS,
-    *_MOVES,
-    *_FILES,
-    *_WORK,
-    *_RERUNS,
-    *_REPORTS,
-)
-
-
-def options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A command with all options of ``msal denoise``, in the order in which help shows them."""
-    for option in reversed(_ALL):
-        function = option(function)
-    return function

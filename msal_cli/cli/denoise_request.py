@@ -1,13 +1,14 @@
-"""What a request of ``msal denoise`` means: its contradictions, its settings, its plan."""
+"""What the options of ``msal denoise`` mean: its settings, its plan, and what it refuses."""
 
 from __future__ import annotations
 
 import os
+import re
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.cli import auto_options
-from msal_cli.cli import option_types as words
-from msal_cli.cli.stream_denoise import STREAM
+from msal_cli.cli.conflicts import AUTOMATIC, BY_HAND, refuse_conflicts
+from msal_cli.cli.options import STREAM, resolve_format
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import (
     ADAPTIVE,
@@ -15,7 +16,6 @@ from msal_cli.job.settings import (
     DEFAULT_BACKUP,
     NEGLIGIBLE,
     SELF_INTERSECTIONS,
-    Limits,
     Settings,
     writable_formats,
 )
@@ -23,89 +23,61 @@ from msal_cli.job.settings import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from msal_cli.batch.engine import EngineFactory
     from msal_cli.batch.plan import Plan
-    from msal_cli.cli.denoise_arguments import Request
-    from msal_cli.cli.stream_denoise import Pipe
+    from msal_cli.cli.streams import Stream
     from msal_cli.methods import Method
     from msal_cli.report.gates import Gate
 
 _DEFAULT_METHOD = "msal"
+_ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"
 
 
-def refuse_contradictions(request: Request) -> None:
-    """Refuse options that contradict or need each other; UsageError."""
-    from msal_cli.cli import engines
+class Request(SimpleNamespace):
+    """The command line of ``msal denoise``: a field for each of ``denoise_options``, and ``given``,
+    which is what ``conflicts.find_given`` found."""
 
-    auto_options.refuse_contradictions(request)
-    if request.output is None and not request.in_place and STREAM not in request.inputs:
+
+def check_request(request: Request, stream: Stream | None) -> None:
+    """Refuse options that do not go with each other, or with ``stream``; UsageError."""
+    given = dict(request.given)
+    if stream is not None:
+        given["stream"] = STREAM
+        if stream.target == STREAM:
+            given["stdout"] = STREAM
+    elif not {"output", "in_place"} & given.keys():
         raise UsageError(
             "there is no output",
             hint="name a file or a folder with -o OUT, or replace the inputs with --in-place",
         )
-    if request.in_place and request.output is not None:
-        raise UsageError("--in-place and --output contradict each other", hint="give one of them")
-    if request.in_place and request.to is not None:
+    refuse_conflicts(given)
+    if "cluster" in given and not re.fullmatch(_ADDRESS, str(request.scheduler)):
         raise UsageError(
-            "--in-place cannot change the format", hint="name an output with -o to use --to"
+            f"--scheduler {request.scheduler}: this is not an address",
+            hint="such as tcp://host:8786 or tls://host:8786; or the word local",
         )
-    if request.backup is not None and request.no_backup:
-        raise UsageError("--backup and --no-backup contradict each other", hint="give one of them")
-    engines.refuse_contradictions(
-        request.engine, request.scheduler, request.jobs, in_place=request.in_place
-    )
-    if (request.backup is not None or request.no_backup) and not request.in_place:
-        word = "--no-backup" if request.no_backup else "--backup"
-        raise UsageError(f"{word} needs --in-place", hint="other inputs are never replaced")
-    if request.fields and request.in_place:
-        raise UsageError(
-            "--fields writes a file beside each output, which the next run in place would take for "
-            "an input",
-            hint="name another folder with -o",
-        )
-    if request.fail_fast and request.max_failures is not None:
-        raise UsageError(
-            "--fail-fast and --max-failures contradict each other", hint="give one of them"
-        )
+    if "dask" in given:
+        import importlib.util
+
+        from msal_cli.batch.dask_cluster import not_installed
+
+        if importlib.util.find_spec("distributed") is None:
+            raise not_installed()
 
 
-def refuse_for_streams(request: Request, one: Pipe) -> None:
-    """Refuse what means nothing for a mesh from or to a standard stream; UsageError."""
-    given = {
-        "--in-place": request.in_place,
-        "--include": request.include,
-        "--exclude": request.exclude,
-        "--dry-run": request.dry_run,
-        "--shard": request.shard,
-        "--retry-failed": request.retry_failed,
-        "--engine dask": request.engine != "workers",
-        "--fail-fast": request.fail_fast,
-        "--fields": request.fields,
-    }
-    # 0 retries are given too.
-    given |= {
-        word: value is not None
-        for word, value in (
-            ("--retries", request.retries),
-            ("--max-failures", request.max_failures),
-        )
-    }
-    for word, value in given.items():
-        if value:
-            raise UsageError(f"{word} is for files, not for standard input or output")
-    if request.reference is not None and one.target == STREAM:
-        raise UsageError(
-            "--reference measures a file, and the mesh goes to standard output",
-            hint="name a file with -o",
-        )
-    if request.as_json and one.target == STREAM:
-        raise UsageError(
-            "the mesh and --json cannot both go to standard output",
-            hint="name a file with -o for the mesh, or with --report for the records",
-        )
+def build_engine(request: Request) -> EngineFactory | None:
+    """What makes the engine that hands out the files; None is that of worker processes."""
+    if request.engine == "workers" or request.scheduler is None:
+        return None
+    from functools import partial
+
+    from msal_cli.batch.dask_engine import DaskEngine
+
+    return partial(DaskEngine, scheduler=request.scheduler)
 
 
-def gates_of(request: Request) -> tuple[Gate, ...]:
-    """What each file's record is held against; UsageError for an expression that means nothing."""
+def parse_gates(request: Request) -> tuple[Gate, ...]:
+    """The gates of --fail-on; UsageError for an expression that means nothing."""
     if not request.fail_on:
         return ()
     from msal_cli.job.records import MeshRecord
@@ -117,7 +89,7 @@ def gates_of(request: Request) -> tuple[Gate, ...]:
     return found
 
 
-def references_of(request: Request, names: Sequence[str]) -> tuple[str, ...]:
+def find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
     """For each input, known by its relative path, the path of its reference; () if none is asked
     for.
 
@@ -126,7 +98,7 @@ def references_of(request: Request, names: Sequence[str]) -> tuple[str, ...]:
     UsageError
         if what --reference names is neither file nor folder, or a folder for a stream.
     """
-    from msal_cli.codecs import is_url
+    from msal_cli.storage.urls import is_url
 
     truth = request.reference
     if truth is None:
@@ -144,64 +116,9 @@ def references_of(request: Request, names: Sequence[str]) -> tuple[str, ...]:
     return (truth,) * len(names)
 
 
-def limits_of(request: Request) -> Limits:
-    """What one file may take."""
-    return Limits(request.timeout, request.memory_limit, request.max_faces)
-
-
-def settings_of(request: Request) -> Settings:
-    """What decides the bytes of the outputs; UsageError for what no method or format knows."""
-    from msal_cli import codecs as files
-
-    method, parameters = _method_of(request)
-    max_move, lock = _moves_of(request)
-    return Settings(
-        method=method,
-        parameters=parameters,
-        to=words.settled_format(request.to, writable_formats, "--to"),
-        encoding=request.encoding,
-        precision=request.precision,
-        strict=request.strict,
-        format=words.settled_format(request.format, files.readable_suffixes, "--format"),
-        max_move=max_move,
-        lock=lock,
-        weights=request.weights,
-        fields=_fields_of(request),
-        min_noise=_min_noise_of(request),
-        checks=_checks_of(request),
-        despike=request.despike,
-    )
-
-
-def _method_of(request: Request) -> tuple[str, dict[str, Any]]:
-    """The method's name and its settled parameters; with --auto, what is wished for."""
-    from msal_cli import methods
-    from msal_cli.cli import method_parameters as parameters
-
-    if auto_options.is_asked(request):
-        return AUTO, auto_options.wishes_of(request)
-    if not auto_options.is_by_hand(request):
-        return ADAPTIVE, {}
-    method = methods.find(request.method or _DEFAULT_METHOD)
-    shortcuts = (
-        ("-n", "iterations", request.iterations),
-        ("-K", "K", request.factor),
-        ("--mollify", "mollify", request.mollify),
-        ("--schedule", "schedule", request.schedule),
-    )
-    given = [
-        (f"{option} {value}", name, value) for option, name, value in shortcuts if value is not None
-    ]
-    given += [parameters.assignment(text) for text in request.assignments]
-    settled = parameters.settled(method, given)
-    if request.weights is not None:
-        _refuse_without_data_term(method, settled)
-    return method.name, settled
-
-
-def _refuse_without_data_term(method: Method, settled: dict[str, Any]) -> None:
+def _refuse_without_data_term(method: Method, parameters: dict[str, Any]) -> None:
     """Refuse trust where nothing pulls a vertex back to where it was scanned; UsageError."""
-    if method.has_data_term(settled):
+    if method.has_data_term(parameters):
         return
     schedules = any(spec.name == "schedule" for spec in method.parameters)
     raise UsageError(
@@ -211,56 +128,6 @@ def _refuse_without_data_term(method: Method, settled: dict[str, Any]) -> None:
         if schedules
         else "choose msal",
     )
-
-
-def _moves_of(request: Request) -> tuple[str | None, tuple[str, ...]]:
-    """--max-move and --lock in one spelling each; UsageError for what means nothing."""
-    if request.max_move is None and not request.lock:
-        return None, ()
-    from msal_cli.job import constraints
-
-    max_move = None
-    if request.max_move is not None:
-        max_move = str(constraints.length(request.max_move, unit=request.unit))
-    return max_move, tuple(
-        str(constraints.lock(one) or constraints.BOUNDARY) for one in request.lock
-    )
-
-
-def _min_noise_of(request: Request) -> str | None:
-    """--min-noise in one spelling; UsageError for what means nothing."""
-
-    least = request.min_noise
-    if least is None or least == NEGLIGIBLE:
-        return least
-    from msal_cli.job import constraints
-
-    return str(constraints.length(least, "--min-noise", request.unit))
-
-
-def _checks_of(request: Request) -> tuple[str, ...]:
-    """What is counted for the options, or because a gate names it."""
-
-    is_asked = SELF_INTERSECTIONS in request.checks
-    if request.fail_on and not is_asked:
-        from msal_cli.report import gates
-
-        is_asked = gates.names_field(gates_of(request), "self_intersections")
-    return (SELF_INTERSECTIONS,) if is_asked else ()
-
-
-def _fields_of(request: Request) -> tuple[str, ...]:
-    if not request.fields:
-        return ()
-    from msal_cli.job import fields
-
-    return fields.checked(request.fields)
-
-
-def _backup_suffix(request: Request) -> str | None:
-    if request.no_backup:
-        return None
-    return DEFAULT_BACKUP if request.backup is None else request.backup
 
 
 def _refuse_taken_names(plan: Plan) -> None:
@@ -279,20 +146,98 @@ def _refuse_taken_names(plan: Plan) -> None:
         taken.add(path)
 
 
-def plan_of(request: Request, settings: Settings) -> Plan:
+def build_settings(request: Request, gates: Sequence[Gate]) -> Settings:
+    """What decides the bytes of the outputs; UsageError for what no method or format knows."""
+    method, parameters = _choose_method(request)
+    max_move, lock, min_noise = request.max_move, request.lock, request.min_noise
+    if max_move is not None or lock or min_noise is not None:
+        from msal_cli.job import constraints
+
+        lock = tuple(str(constraints.parse_lock(one) or constraints.BOUNDARY) for one in lock)
+        if max_move is not None:
+            max_move = str(constraints.parse_length(max_move, "--max-move", request.unit))
+        if min_noise is not None and min_noise != NEGLIGIBLE:
+            min_noise = str(constraints.parse_length(min_noise, "--min-noise", request.unit))
+    fields: tuple[str, ...] = ()
+    if request.fields is not None:
+        from msal_cli.job.fields import check_names
+
+        fields = check_names(request.fields)
+    is_checked = SELF_INTERSECTIONS in request.checks
+    if gates and not is_checked:
+        from msal_cli.report.gates import names_field
+
+        is_checked = names_field(gates, "self_intersections")
+    return Settings(
+        method=method,
+        parameters=parameters,
+        to=resolve_format(request.to, writable_formats, "--to"),
+        encoding=request.encoding,
+        precision=request.precision,
+        strict=request.strict,
+        format=resolve_format(request.format),
+        max_move=max_move,
+        lock=lock,
+        weights=request.weights,
+        fields=fields,
+        min_noise=min_noise,
+        checks=(SELF_INTERSECTIONS,) if is_checked else (),
+        despike=request.despike,
+    )
+
+
+def _choose_method(request: Request) -> tuple[str, dict[str, Any]]:
+    """The method's name and all its parameters; for ``AUTO`` the wishes."""
+    if request.method == AUTO or request.given.keys() & set(AUTOMATIC):
+        from dataclasses import asdict
+
+        from msal_cli.auto import Wishes
+
+        wishes = {
+            "prefer": request.prefer,
+            "keep": request.keep,
+            "strength": request.strength,
+            "budget": request.auto_budget,
+        }
+        given = {name: value for name, value in wishes.items() if value is not None}
+        return AUTO, asdict(Wishes()) | given
+    if not request.given.keys() & set(BY_HAND):
+        return ADAPTIVE, {}
+    from msal_cli import methods
+    from msal_cli.cli import method_parameters
+
+    method = methods.find(request.method or _DEFAULT_METHOD)
+    shortcuts = (
+        ("-n", "iterations", request.iterations),
+        ("-K", "K", request.factor),
+        ("--mollify", "mollify", request.mollify),
+        ("--schedule", "schedule", request.schedule),
+    )
+    assignments = [
+        (f"{option} {value}", name, value) for option, name, value in shortcuts if value is not None
+    ]
+    assignments += [method_parameters.parse_assignment(text) for text in request.assignments]
+    parameters = method_parameters.resolve(method, assignments)
+    if request.weights is not None:
+        _refuse_without_data_term(method, parameters)
+    return method.name, parameters
+
+
+def build_plan(request: Request, settings: Settings) -> Plan:
     """The files and what becomes of each; UsageError for inputs or outputs that cannot be."""
     from msal_cli.batch import inputs, plan
     from msal_cli.batch import shard as shards
 
-    output = request.output
     shard = None if request.shard is None else shards.parse_shard(request.shard, os.environ)
-    found = inputs.discover_inputs(request.inputs, request.include, request.exclude, output=output)
+    backup = DEFAULT_BACKUP if request.backup is None else request.backup
     everything = plan.build_plan(
-        found,
-        output,
+        inputs.discover_inputs(
+            request.inputs, request.include, request.exclude, output=request.output
+        ),
+        request.output,
         to=settings.to,
         in_place=request.in_place,
-        backup=_backup_suffix(request),
+        backup=None if request.no_backup else backup,
         force=request.force,
         fresh=request.fresh,
         retry_failed=request.retry_failed,

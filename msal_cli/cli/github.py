@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msal_cli.cli import console as talk
+from msal_cli.cli import console
 from msal_cli.errors import OutputError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def annotate(records: Sequence[MeshRecord]) -> None:
 
     # The runner reads both streams; standard output is for data.
     for command in as_annotations.commands(records, _here()):
-        talk.say(command)
+        console.say(command)
 
 
 def is_step_summary(name: str) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from msal_cli.cli import console as talk
+from msal_cli.cli import console
 from msal_cli.errors import MsalError, UsageError
 
 logger = logging.getLogger("msal")
@@ -18,7 +18,7 @@ _TRACE = "Traceback (most recent call last)"
 
 
 @contextmanager
-def configured(verbosity: int, log_file: str | None) -> Iterator[None]:
+def log_to_console(verbosity: int, log_file: str | None = None) -> Iterator[None]:
     """Send the log where it is wanted while the block runs.
 
     ``verbosity`` is -1 for errors only, 0 for warnings, 1 for the steps, 2 for everything.
@@ -29,7 +29,7 @@ def configured(verbosity: int, log_file: str | None) -> Iterator[None]:
     UsageError
         if the log file cannot be opened.
     """
-    handlers: list[logging.Handler] = [_Words(verbosity)]
+    handlers: list[logging.Handler] = [_ConsoleHandler(verbosity)]
     if log_file is not None:
         handlers.append(_file_handler(log_file))
     logger.setLevel(min(handler.level for handler in handlers))
@@ -41,7 +41,7 @@ def configured(verbosity: int, log_file: str | None) -> Iterator[None]:
     except (MsalError, click.ClickException, click.exceptions.Exit, BrokenPipeError):
         raise
     except Exception:
-        # Only here are the handlers still in place; ``main`` says the one line for everybody.
+        # Only here are the handlers still in place; ``main`` prints the one line for users.
         logger.exception("internal error")
         raise
     finally:
@@ -50,25 +50,25 @@ def configured(verbosity: int, log_file: str | None) -> Iterator[None]:
             handler.close()
 
 
-class _Words(logging.Handler):
-    """Log records as words on standard error."""
+class _ConsoleHandler(logging.Handler):
+    """Log records as lines on standard error."""
 
     def __init__(self, verbosity: int) -> None:
         levels = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
         super().__init__(levels.get(verbosity, logging.DEBUG))
         self._with_traces = verbosity > 0
 
-        self.setFormatter(_Harmless())
+        self.setFormatter(_SafeFormatter())
 
     def emit(self, record: logging.LogRecord) -> None:
         text = self.format(record)
-        # The failure itself is told with the file that it belongs to.
+        # The failure itself is reported with the file that it belongs to.
         if _TRACE in text and not self._with_traces:
             return
-        talk.say(f"msal: {record.levelname.lower()}: {text}")
+        console.say(f"msal: {record.levelname.lower()}: {text}")
 
 
-class _Harmless(logging.Formatter):
+class _SafeFormatter(logging.Formatter):
     """No name of a file breaks a line, reaches the terminal or makes an entry of its own."""
 
     def format(self, record: logging.LogRecord) -> str:
@@ -77,14 +77,14 @@ class _Harmless(logging.Formatter):
         return super().format(record)
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - Python's name
-        record.message = _harmless(record.message)
+        record.message = _escape(record.message)
         return super().formatMessage(record)
 
     def formatException(self, ei: Any) -> str:  # noqa: N802 - Python's name
-        return _harmless(super().formatException(ei))
+        return _escape(super().formatException(ei))
 
 
-def _harmless(text: str) -> str:
+def _escape(text: str) -> str:
     from msal_cli.job.display_names import shown
 
     # Traces, also those that workers send, are the only messages of several lines.
@@ -98,6 +98,8 @@ def _file_handler(name: str) -> logging.Handler:
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise UsageError(f"the log file {name!r} cannot be opened: {why}") from None
-    handler.setFormatter(_Harmless("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s"))
+    handler.setFormatter(
+        _SafeFormatter("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s")
+    )
     handler.setLevel(logging.DEBUG)
     return handler

@@ -17,23 +17,25 @@ from click.exceptions import Exit
 
 from msal_cli import __version__
 from msal_cli.batch import interrupts as signals
-from msal_cli.cli import console as talk
-from msal_cli.cli import exit_codes
-from msal_cli.cli.option_types import COMPLETE_VARIABLE
+from msal_cli.cli import console, exit_codes
 from msal_cli.errors import MsalError, OutputError
 
-_COMMANDS = (
-    "denoise",
-    "info",
-    "compare",
-    "view",
-    "sweep",
-    "noise",
-    "scan",
-    "methods",
-    "report",
-    "completion",
-)
+COMPLETE_VARIABLE = "_MSAL_COMPLETE"
+"""The environment variable through which a shell asks for completions."""
+
+COMMANDS = {
+    "denoise": "Denoise files, folders or a stream.",
+    "info": "Report what is in mesh files.",
+    "compare": "Measure a mesh against another.",
+    "view": "Make a picture, or a page, of one or two meshes.",
+    "sweep": "Try many values of two parameters on one mesh.",
+    "noise": "Add known noise to meshes.",
+    "scan": "Scan meshes by simulation, or mesh a volume.",
+    "methods": "List the methods, or explain one.",
+    "report": "Report on earlier runs.",
+    "completion": "Print the completion script of a shell.",
+}
+"""Each is a module of this folder; what help says of it, without importing it."""
 
 
 class Msal(click.Group):
@@ -41,24 +43,29 @@ class Msal(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """The commands in the order in which help shows them."""
-        return list(_COMMANDS)
+        return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The command of that very name."""
-        if cmd_name not in _COMMANDS:
+        """The command of exactly that name."""
+        if cmd_name not in COMMANDS:
             return None
         command: click.Command = import_module(f"msal_cli.cli.{cmd_name}").command
         return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The list of commands in the help."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """The command that the first argument names; an unknown one gets a suggestion."""
         name = args[0]
-        if name not in _COMMANDS and not name.startswith("-"):
+        if name not in COMMANDS and not name.startswith("-"):
             import difflib
 
-            close = difflib.get_close_matches(name, _COMMANDS, n=1)
+            close = difflib.get_close_matches(name, COMMANDS, n=1)
             hint = f"; did you mean '{close[0]}'?" if close else ""
             ctx.fail(f"there is no command '{name}'{hint}")
         return super().resolve_command(ctx, args)
@@ -139,7 +146,7 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
         context = group.make_context("msal", list(arguments), obj=arguments)
         with context:
             if not arguments:
-                talk.say(context.get_help())
+                console.say(context.get_help())
                 return exit_codes.USAGE
             _check_environment()
             return int(group.invoke(context) or exit_codes.SUCCESS)
@@ -149,19 +156,19 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
         _say_usage(error)
         return exit_codes.USAGE
     except click.ClickException as error:
-        talk.say(f"msal: error: {error.format_message()}", "bad")
+        console.say(f"msal: error: {error.format_message()}", "bad")
         return exit_codes.FATAL
     except MsalError as error:
-        talk.say_error(error)
+        console.say_error(error)
         return exit_codes.of_error(error)
     except KeyboardInterrupt as interrupt:
-        talk.say("msal: interrupted")
+        console.say("msal: interrupted")
         return exit_codes.of_interrupt(interrupt)
     except BrokenPipeError:
         _abandon_output()
         return exit_codes.READER_GONE
     except MemoryError:
-        talk.say("msal: error: not enough memory (E_MEMORY)", "bad")
+        console.say("msal: error: not enough memory (E_MEMORY)", "bad")
         return exit_codes.FATAL
     except Exception as error:
         return _internal_error(error)
@@ -181,31 +188,31 @@ def _say_usage(error: click.UsageError) -> None:
     command = error.ctx.command_path if error.ctx is not None else "msal"
     # Click lists choices one below the other.
     message = error.format_message().replace("\n\t", " ")
-    talk.say(f"msal: error: {shown(message)}", "bad")
-    talk.say(f"hint: {command} --help tells how it is used")
+    console.say(f"msal: error: {shown(message)}", "bad")
+    console.say(f"hint: {command} --help tells how it is used")
 
 
 def _internal_error(error: Exception) -> int:
     from msal_cli.job.display_names import shown
 
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
-        talk.say(f"msal: error: the output cannot be written: {error.strerror} (E_WRITE)", "bad")
+        console.say(f"msal: error: the output cannot be written: {error.strerror} (E_WRITE)", "bad")
         return exit_codes.FATAL
     words = f"{type(error).__name__}: {error}"
-    talk.say(f"msal: internal error: {shown(words)}; please report it (-v shows where)", "bad")
+    console.say(f"msal: internal error: {shown(words)}; please report it (-v shows where)", "bad")
     return exit_codes.FATAL
 
 
 def _flushed(status: int) -> int:
     """``status``, or the one that tells that what was printed cannot be delivered."""
     try:
-        talk.flush()
+        console.flush()
     except BrokenPipeError:
         _abandon_output()
         return exit_codes.worst(status, exit_codes.READER_GONE)
     except OutputError as error:
         if status == exit_codes.SUCCESS:
-            talk.say_error(error)
+            console.say_error(error)
         _abandon_output()
         return exit_codes.worst(status, exit_codes.FATAL)
     return status

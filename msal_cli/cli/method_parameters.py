@@ -1,4 +1,4 @@
-"""``--set NAME=VALUE`` and its shortcuts, as the settled parameters of a method."""
+"""``--set NAME=VALUE`` and its shortcuts, as all parameters of a method."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Given = tuple[str, str, str]
 """The option as the user wrote it (for messages), the parameter's name or symbol, the value."""
 
 
-def assignment(text: str) -> Given:
+def parse_assignment(text: str) -> Given:
     """The parts of a ``--set``; UsageError if it is no ``NAME=VALUE``."""
     name, sign, value = text.partition("=")
     if not sign or not name.strip() or not value.strip():
@@ -22,7 +22,7 @@ def assignment(text: str) -> Given:
     return f"--set {text}", name.strip(), value.strip()
 
 
-def settled(method: Method, given: Iterable[Given]) -> dict[str, Any]:
+def resolve(method: Method, given: Iterable[Given]) -> dict[str, Any]:
     """Every parameter of ``method``, with those that the user gave in their place.
 
     Raises
@@ -31,34 +31,34 @@ def settled(method: Method, given: Iterable[Given]) -> dict[str, Any]:
         for an unknown name, a value that is not allowed, or one parameter with two values.
     """
     values: dict[str, Any] = {}
-    said: dict[str, str] = {}
-    for words, word, value in given:
-        spec = _spec(method, words, word)
-        one = spec.settled(value)
-        if values.setdefault(spec.name, one) != one:
+    options: dict[str, str] = {}
+    for option, name, text in given:
+        spec = _find_parameter(method, option, name)
+        value = spec.settled(text)
+        if values.setdefault(spec.name, value) != value:
             raise UsageError(
-                f"{said[spec.name]} and {words} give {spec.name} two different values",
+                f"{options[spec.name]} and {option} give {spec.name} two different values",
                 hint="give it once",
             )
-        said.setdefault(spec.name, words)
+        options.setdefault(spec.name, option)
     return method.settled(values)
 
 
-def _spec(method: Method, words: str, word: str) -> ParameterSpec:
-    """The parameter that ``word`` names; for a shortcut the refusal says which methods have it."""
+def _find_parameter(method: Method, option: str, name: str) -> ParameterSpec:
+    """The parameter called ``name``; for a shortcut the refusal says which methods have it."""
     try:
-        return method.spec(word)
+        return method.spec(name)
     except UsageError:
         from msal_cli import methods
 
         others = [
-            name
-            for name in methods.names()
-            if any(word == spec.name for spec in methods.find(name).parameters)
+            method_name
+            for method_name in methods.names()
+            if any(name == spec.name for spec in methods.find(method_name).parameters)
         ]
-        if words.startswith("--set") or not others:
+        if option.startswith("--set") or not others:
             raise
         raise UsageError(
-            f"{words} does not go with {method.name}, which has no parameter '{word}'",
+            f"{option} does not go with {method.name}, which has no parameter '{name}'",
             hint=f"methods that have it: {', '.join(others)}",
         ) from None

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import console as talk
-from msal_cli.cli import exit_codes
-from msal_cli.cli import option_types as words
+from msal_cli.cli import console, exit_codes, options
 
 if TYPE_CHECKING:
     from msal_cli.methods import Method, ParameterSpec
@@ -25,20 +23,20 @@ SHORTCUTS = {
 """Options of ``msal denoise`` that set a parameter."""
 
 
-@click.command("methods", short_help="List the methods, or explain one.")
-@click.argument("name", metavar="[NAME]", required=False, shell_complete=words.completed_method)
+@click.command("methods")
+@click.argument("name", metavar="[NAME]", required=False, shell_complete=options.complete_method)
 @click.option("--json", "as_json", is_flag=True, help="Print everything as one JSON document.")
 def command(name: str | None, as_json: bool) -> int:
-    """List the methods, or tell all about the one called NAME."""
+    """List the methods, or explain the one called NAME."""
     from msal_cli import methods
 
     chosen = [methods.find(one) for one in ((name,) if name else methods.names())]
     if as_json:
         _print_json(chosen)
     elif name:
-        talk.put("\n".join(_page(chosen[0])) + "\n")
+        console.put("\n".join(_page(chosen[0])) + "\n")
     else:
-        talk.put("\n".join(_table(chosen)) + "\n")
+        console.put("\n".join(_table(chosen)) + "\n")
     return exit_codes.SUCCESS
 
 
@@ -74,39 +72,16 @@ def _other_symbol(spec: ParameterSpec) -> str:
 
 
 def _print_json(chosen: list[Method]) -> None:
-    from msal_cli import __version__
-    from msal_cli.report import document
-    from msal_cli.report import json_report as as_json
-
-    data = {
-        "schema": SCHEMA,
-        "version": __version__,
-        "methods": [
-            {
-                "name": method.name,
-                "summary": method.summary,
-                "description": method.description,
-                "source": method.source,
-                "parameters": [_parameter_data(spec) for spec in method.parameters],
-            }
-            for method in chosen
-        ],
-    }
-    talk.put_bytes(as_json.json_bytes(document.plain(data)))
+    names = ("name", "summary", "description", "source")
+    methods = [
+        {name: getattr(method, name) for name in names}
+        | {"parameters": [_describe_parameter(spec) for spec in method.parameters]}
+        for method in chosen
+    ]
+    console.put_json(SCHEMA, methods=methods)
 
 
-def _parameter_data(spec: ParameterSpec) -> dict[str, Any]:
-    return {
-        "name": spec.name,
-        "symbol": spec.symbol,
-        "kind": spec.kind.__name__,
-        "default": spec.default,
-        "low": spec.low,
-        "high": spec.high,
-        "low_open": spec.low_open,
-        "high_open": spec.high_open,
-        "choices": spec.choices,
-        "unit": spec.unit,
-        "help": spec.help,
-        "more": spec.more,
-    }
+def _describe_parameter(spec: ParameterSpec) -> dict[str, Any]:
+    names = ("name", "symbol", "kind", "default", "low", "high", "low_open", "high_open")
+    data = {name: getattr(spec, name) for name in (*names, "choices", "unit", "help", "more")}
+    return data | {"kind": spec.kind.__name__}

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.cli import console as talk
+from msal_cli.cli import console
 from msal_cli.job.display_names import padded, shortened, shown
 
 if TYPE_CHECKING:
@@ -19,30 +19,34 @@ if TYPE_CHECKING:
 _NAME_WIDTH = 32
 _FORMAT = "{desc} {percentage:3.0f} %|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
 
-# Nobody needs a bar for what is over in the blink of an eye (seconds).
+# What takes less time gets no bar (seconds).
 _DELAY_S = 0.4
 _BETWEEN_S = 0.1
 
-# ... and a file of this size is not over in one; reading it alone takes longer.
+# A file of this size gets one at once: reading it alone takes longer.
 _LARGE_BYTES = 8 << 20
 
 _COUNTED = ("choose", "sweeps")
 
 
 class Silent:
-    """No bar: nobody is looking, or nobody wants to see one."""
+    """No bar, and the base of those that show one."""
+
+    _bar: Any = None
 
     def on_event(self, event: Event) -> None:
-        """Nothing is shown."""
+        """Show what happened to a file of a run."""
 
     def on_progress(self, stage: str, done: int, total: int) -> None:
-        """Nothing is shown."""
+        """Show ``done`` of ``total`` steps of ``stage`` of a single file."""
 
     def close(self) -> None:
-        """There is nothing to take away."""
+        """Take the bar away."""
+        if self._bar is not None:
+            self._bar.close()
 
 
-class SweepBar:
+class SweepBar(Silent):
     """A bar for one mesh: the stage it is at, and the sweeps."""
 
     def __init__(self, name: str, *, is_large: bool = False) -> None:
@@ -63,7 +67,7 @@ class SweepBar:
             self.on_progress(event.stage, event.done, event.total)
 
     def on_progress(self, stage: str, done: int, total: int) -> None:
-        """Show ``done`` of ``total`` steps of ``stage``; only choosing and sweeps are counted."""
+        """Show the stage; the steps of choosing and sweeps are counted."""
         is_counted = stage in _COUNTED and done > 0
         if stage != self._stage and self._bar.n:
             # Another stage is counted from its own beginning, at its own pace.
@@ -79,13 +83,9 @@ class SweepBar:
             self._bar.total = total
             self._bar.update(done - self._bar.n)
 
-    def close(self) -> None:
-        """Take the bar away."""
-        self._bar.close()
 
-
-class FileBar:
-    """A bar over many files, with the file in hand and how many have failed."""
+class FileBar(Silent):
+    """A bar over many files, with the current file and how many have failed."""
 
     def __init__(self, tasks: Sequence[Task]) -> None:
         self._tasks = tasks
@@ -110,37 +110,27 @@ class FileBar:
             self._shown = time.monotonic()
             self._bar.refresh()
 
-    def on_progress(self, stage: str, done: int, total: int) -> None:
-        """The steps within a file are not shown."""
 
-    def close(self) -> None:
-        """Take the bar away."""
-        self._bar.close()
-
-
-Bar = Silent | SweepBar | FileBar
-
-
-def bar(tasks: Sequence[Task], *, quiet: bool) -> Bar:
+def bar(tasks: Sequence[Task], *, quiet: bool) -> Silent:
     """The bar for a run; Silent with ``quiet`` or where standard error is no terminal."""
-    if quiet or not tasks or not talk.is_terminal(sys.stderr):
+    if quiet or not tasks or not console.is_terminal(sys.stderr):
         return Silent()
     if len(tasks) > 1:
         return FileBar(tasks)
     return SweepBar(tasks[0].relative, is_large=_size(tasks[0].input) >= _LARGE_BYTES)
 
 
-def stream_bar(name: str, *, quiet: bool) -> Bar:
+def stream_bar(name: str, *, quiet: bool) -> Silent:
     """The bar for a single mesh from a stream."""
-    if quiet or not talk.is_terminal(sys.stderr):
+    if quiet or not console.is_terminal(sys.stderr):
         return Silent()
     return SweepBar(name)
 
 
 @contextmanager
 def picture_bar(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """A bar for the pictures of a report; what it gives is told how many of how many are done."""
-    if quiet or not talk.is_terminal(sys.stderr):
+    """A bar for the pictures of a report; its function gets how many of how many are done."""
+    if quiet or not console.is_terminal(sys.stderr):
         yield lambda done, total: None
         return
     shown = _bar(desc="pictures", bar_format=_FORMAT, delay=_DELAY_S)
@@ -153,16 +143,6 @@ def picture_bar(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
         yield tell
     finally:
         shown.close()
-
-
-def heard_by(*listeners: Callable[[Event], None]) -> Callable[[Event], None]:
-    """One listener that tells all of ``listeners``."""
-
-    def tell(event: Event) -> None:
-        for listener in listeners:
-            listener(event)
-
-    return tell
 
 
 def _size(path: str) -> int:

@@ -3,53 +3,24 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from msal_cli.cli import console as talk
-from msal_cli.cli import exit_codes
-from msal_cli.cli import option_types as words
-from msal_cli.cli.stream_denoise import STREAM
-from msal_cli.cli.view import view_of, view_options
+from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli.options import STREAM
+from msal_cli.cli.view import view_options
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from msal_cli.view.parameter_grid import Cell, Grid
-
-_PATH = click.Path(readable=False, allow_dash=True)
+    from msal_cli.view.pictures import View
 
 SCHEMA = "msal.sweep/1"
 
 
-@dataclass(frozen=True)
-class Request:
-    """The command line of ``msal sweep``, as click has read it."""
-
-    source: str
-    output: str
-    method: str
-    rows: str | None
-    columns: str | None
-    assignments: tuple[str, ...]
-    reference: str | None
-    view: str
-    turn: float | None
-    tilt: float | None
-    up: str
-    size: int
-    shading: str
-    dark: bool
-    format: str | None
-    as_json: bool
-    quiet: bool
-    verbose: int
-
-
 @click.command(
     "sweep",
-    short_help="Try many values of two parameters on one mesh.",
     epilog="""\b
 Examples:
   msal sweep scan.ply -o grid.png
@@ -58,16 +29,21 @@ Examples:
 \b
 Exit status: see msal --help.""",
 )
-@click.argument("source", metavar="FILE", type=_PATH)
+@click.argument("source", metavar="FILE", type=options.PATH)
 @click.option(
-    "-o", "--output", metavar="OUT.png", required=True, type=_PATH, help="The picture to write."
+    "-o",
+    "--output",
+    metavar="OUT.png",
+    required=True,
+    type=options.PATH,
+    help="The picture to write.",
 )
 @click.option(
     "--method",
     metavar="NAME",
     default="msal",
     show_default=True,
-    shell_complete=words.completed_method,
+    shell_complete=options.complete_method,
     help="How to denoise; `msal methods` lists them.",
 )
 @click.option(
@@ -92,93 +68,81 @@ Exit status: see msal --help.""",
 @click.option(
     "--reference",
     metavar="TRUTH",
-    type=_PATH,
+    type=options.PATH,
     help="The clean mesh, with the same faces: adds the mean angle between face normals, and marks "
     "the cell where it is least.",
 )
 @view_options(360)
-@click.option(
-    "--format",
-    "format",
-    metavar="FORMAT",
-    help="The files' format, where neither their names nor their content tells.",
-)
+@options.FORMAT
 @click.option("--json", "as_json", is_flag=True, help="Print the numbers as one JSON document.")
-@click.option("-q", "--quiet", is_flag=True, help="Tell only errors.")
-@click.option(
-    "-v", "--verbose", count=True, help="Tell more of what goes on; -vv tells everything."
-)
-def command(**options: Any) -> int:
+@options.QUIET
+@options.verbose
+def command(
+    source: str,
+    output: str,
+    method: str,
+    rows: str | None,
+    columns: str | None,
+    assignments: tuple[str, ...],
+    reference: str | None,
+    view: View,
+    format: str | None,
+    as_json: bool,
+    quiet: bool,
+) -> int:
     """Denoise FILE with every pair of values of two parameters, and show all results beside it.
 
     Each cell of the picture has its numbers and the words that make it; the commands are printed
     too. No mesh is written.
     """
-    from msal_cli.cli import logs
-    from msal_cli.storage import urls
-
-    request = Request(**urls.settled_in(options, "source", "output", "reference"))
-    with logs.configured(request.verbose, None):
-        return _swept(request)
-
-
-def _swept(request: Request) -> int:
-    from msal_cli import codecs as files
     from msal_cli import methods
-    from msal_cli.job import comparison
+    from msal_cli.job.comparison import open_surface
+    from msal_cli.storage import atomic
     from msal_cli.view import parameter_grid
     from msal_cli.view.image_files import png_bytes
 
-    if os.path.splitext(request.output)[1].lower() != ".png":
-        raise UsageError(
-            f"-o {request.output}: the picture is called NAME.png", hint="give it that suffix"
-        )
-    if STREAM in (request.source, request.reference):
+    if os.path.splitext(output)[1].lower() != ".png":
+        raise UsageError(f"-o {output}: the picture is called NAME.png", hint="give it that suffix")
+    if STREAM in (source, reference):
         raise UsageError("FILE is a file", hint="write the stream to a file first")
-    format = words.settled_format(request.format, files.readable_suffixes, "--format")
-    words.check_threads_variable()
-    method = methods.find(request.method)
-    fixed = _fixed(request.assignments)
-    wanted = parameter_grid.grid(method, request.rows, request.columns, fixed)
-    surface = comparison.surface_of(comparison.opened(request.source, format))
-    truth = None
-    if request.reference is not None:
-        truth = comparison.surface_of(comparison.opened(request.reference, format))
-    view = view_of(request)
-    on = parameter_grid.subject(surface, request.source, truth, request.reference or "", view)
+    format = options.resolve_format(format)
+    options.check_threads_variable()
+    fixed = _parse_fixed(assignments)
+    grid = parameter_grid.grid(methods.find(method), rows, columns, fixed)
+    surface = open_surface(source, format)
+    truth = None if reference is None else open_surface(reference, format)
+    on = parameter_grid.subject(surface, source, truth, reference or "", view)
     done = []
     # The picture is what was asked for, even if nothing reads the numbers.
-    with talk.work_goes_on():
-        for cell, mesh in parameter_grid.cells(on, wanted):
+    with console.finish_work():
+        for cell, mesh in parameter_grid.cells(on, grid):
             done.append((cell, parameter_grid.drawn(on, mesh, view)))
-            if not request.as_json and not request.quiet:
-                talk.put(_told(cell))
-                talk.flush()
-        picture = parameter_grid.sheet(on, wanted, done, view)
-        files.write_whole(request.output, png_bytes(picture))
-        if request.as_json:
-            _print_json(request, wanted, [cell for cell, _ in done])
-        if not request.quiet:
-            from msal_cli.job.display_names import shown
-
-            talk.say(f"wrote {shown(request.output)}", "good")
+            if not as_json and not quiet:
+                console.put(_describe_cell(cell))
+                console.flush()
+        picture = parameter_grid.sheet(on, grid, done, view)
+        atomic.write_whole(output, png_bytes(picture))
+        if as_json:
+            _print_json(source, reference, grid, [cell for cell, _ in done])
+        if not quiet:
+            console.say_written(output)
     return exit_codes.SUCCESS
 
 
-def _fixed(assignments: tuple[str, ...]) -> dict[str, str]:
+def _parse_fixed(assignments: tuple[str, ...]) -> dict[str, str]:
     """Names and values of ``--set``; UsageError for one that is there twice."""
-    from msal_cli.cli.method_parameters import assignment
+    from msal_cli.cli.method_parameters import parse_assignment
 
     values: dict[str, str] = {}
     for text in assignments:
-        said, name, value = assignment(text)
+        option, name, value = parse_assignment(text)
         if name in values:
-            raise UsageError(f"{said}: {name} is set twice", hint="give it once")
+            raise UsageError(f"{option}: {name} is set twice", hint="give it once")
         values[name] = value
     return values
 
 
-def _told(cell: Cell) -> str:
+def _describe_cell(cell: Cell) -> str:
     from msal_cli.job.display_names import shown
 
     numbers = [f"moved {cell.mean_displacement_edges:.4g} e"]
@@ -189,19 +153,14 @@ def _told(cell: Cell) -> str:
     return f"{', '.join(numbers)}: {shown(cell.command)}\n"
 
 
-def _print_json(request: Request, wanted: Grid, cells: list[Cell]) -> None:
-    from msal_cli import __version__
-    from msal_cli.report import document
-    from msal_cli.report import json_report as as_json
-
-    data = {
-        "schema": SCHEMA,
-        "version": __version__,
-        "input": request.source,
-        "reference": request.reference,
-        "method": wanted.method.name,
-        "fixed": dict(wanted.fixed),
-        "cells": [
+def _print_json(source: str, reference: str | None, grid: Grid, cells: list[Cell]) -> None:
+    console.put_json(
+        SCHEMA,
+        input=source,
+        reference=reference,
+        method=grid.method.name,
+        fixed=dict(grid.fixed),
+        cells=[
             {
                 "parameters": cell.parameters,
                 "command": cell.command,
@@ -212,5 +171,4 @@ def _print_json(request: Request, wanted: Grid, cells: list[Cell]) -> None:
             }
             for cell in cells
         ],
-    }
-    talk.put_bytes(as_json.json_bytes(document.plain(data)))
+    )

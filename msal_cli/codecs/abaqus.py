@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import TextNumbers, line_of
+from msal_cli.codecs.layout import Layout
+from msal_cli.codecs.slots import Tokens, line_of
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words, indices_of
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TooLargeError, UnsupportedError
@@ -27,22 +27,6 @@ _SURFACE = re.compile(
     r"(?:STRI|DS|SFM3D|M3D|R3D|F3D|AC3D|WARP3D|CPEG|CPE|CPS|CAX|S)(3|4|6|8|9|65)(?![0-9])[A-Z0-9]*$"
 )
 _LINE = re.compile(r"(?:T2D|T3D|B2|B3|R2D|RB3D|SAX|PIPE)")
-
-
-def read(data: Buffer, format: str) -> PatchedFile:
-    """Open the Abaqus file ``data`` (its bytes).
-
-    Raises
-    ------
-    FormatError
-        if the file is not what its format says.
-    UnsupportedError
-        for a file that includes others, nodes in another system of coordinates or in the plane,
-        and curved elements.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
-    """
-    return PatchedFile(data, format, _parse)
 
 
 @dataclass(eq=False)
@@ -64,7 +48,9 @@ class _Block:
     stop: int
 
 
-def _parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
+    """Read an Abaqus file; UnsupportedError for one that includes others, nodes in another system
+    of coordinates or in the plane, and curved elements."""
     from msal_cli.kernels.text import as_bytes
 
     parts = [_Part()]
@@ -87,32 +73,30 @@ def _parse(data: Buffer) -> Content:
     parts = [part for part in parts if part.nodes]
     if not parts:
         raise FormatError("there is no *NODE", hint="check that it is an Abaqus input file")
-    corners, sizes, starts, stops = [], [], [], []
+    corners, starts, stops = [], [], []
     n_before = 0
     for part in parts:
-        first = np.concatenate([words.first_of_lines() for words in part.nodes])
         tags = []
         for words in part.nodes:
-            own, rows = _nodes(words)
+            own, spans = _nodes(words)
             tags.append(own)
-            starts.append(words.starts[rows])
-            stops.append(words.stops[rows])
-        numbers = np.concatenate(tags)
-        corners.append(indices_of(numbers, part.cells.corners()) + n_before)
-        sizes.append(part.cells.sizes())
-        n_before += len(first)
+            starts.append(spans[0])
+            stops.append(spans[1])
+        all_tags = np.concatenate(tags)
+        corners.append(indices_of(all_tags, part.cells.corners()) + n_before)
+        n_before += len(all_tags)
     warnings = [warning for part in parts for warning in part.cells.warnings()]
     if len(parts) > 1:
         warnings.append("parts are denoised where their own nodes are, not where they are placed")
-    return Content(
+    return Layout(
         "ascii",
         "text",
-        (TextNumbers(as_bytes(data), np.concatenate(starts), np.concatenate(stops)),),
+        (Tokens(as_bytes(data), np.concatenate(starts), np.concatenate(stops)),),
         np.concatenate(corners),
-        np.concatenate(sizes),
+        np.concatenate([part.cells.sizes() for part in parts]),
         properties=(f"{len(parts)} parts",) if len(parts) > 1 else (),
         warnings=tuple(warnings),
-        held=", ".join(filter(None, (part.cells.held() for part in parts))),
+        held=", ".join(filter(None, (part.cells.describe() for part in parts))),
     )
 
 
@@ -167,10 +151,9 @@ def _words(data: Buffer, block: _Block) -> Words:
     return Words(data, block.start, block.stop, comment=b"*", blanks=b",")
 
 
-def _nodes(words: Words) -> tuple[Longs, Longs]:
-    """Numbers (n,) of nodes, and the words (3 n,) of their coordinates."""
-    first = words.first_of_lines()
-    lengths = np.diff(np.append(first, len(words)))
+def _nodes(words: Words) -> tuple[Longs, tuple[Longs, Longs]]:
+    """UnitSlots (n,) of nodes, and the spans (3 n,) of their coordinates."""
+    first, lengths = words.lines_of_words()
     if len(first) and int(lengths.min()) < 4:
         at = int(first[int(np.argmin(lengths))])
         raise UnsupportedError(
@@ -178,18 +161,18 @@ def _nodes(words: Words) -> tuple[Longs, Longs]:
             where=words.where(at),
             hint="write three coordinates for each node",
         )
-    return words.integers(first), (first[:, None] + np.arange(1, 4)).reshape(-1)
+    return words.integers(first), words.row_spans(first + 1, 3)
 
 
 def _read_elements(data: Buffer, block: _Block, cells: SurfaceCells) -> None:
     kind = block.options.get("TYPE", "")
     words = _words(data, block)
-    found = _SURFACE.match(kind)
-    if not found:
-        name = "line" if _LINE.match(kind) else f"{kind or 'element'}"
+    surface = _SURFACE.match(kind)
+    if not surface:
+        name = "line" if _LINE.match(kind) else kind or "element"
         cells.count(name, len(words.first_of_lines()))
         return
-    corners = found[1]
+    corners = surface[1]
     if corners not in ("3", "4"):
         cells.refuse_curved(kind, len(words.first_of_lines()))
         return

@@ -8,15 +8,15 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import TextNumbers
+from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.tokens import Words, indices_of
 from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
 
-_FLAT = {b"tri": ("triangle", 3), b"quad": ("quad", 4)}
-_OTHERS = {
+_KINDS = {
+    b"tri": "triangle",
+    b"quad": "quad",
     b"pt": "vertex",
     b"line": "line",
     b"tet": "tetra",
@@ -26,82 +26,54 @@ _OTHERS = {
 }
 
 
-def read(data: Buffer, format: str) -> PatchedFile:
-    """Open the AVS UCD file ``data`` (its bytes).
-
-    Raises
-    ------
-    FormatError, TruncatedError
-        if the file is not what its format says.
-    UnsupportedError
-        for a binary file.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
-    """
-    return PatchedFile(data, format, _parse)
-
-
-def _parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
+    """Read an AVS UCD file; UnsupportedError for a binary one."""
     if bytes(memoryview(data)[:1]) == b"\7":
         raise UnsupportedError("binary AVS UCD is not read", hint="write it as ascii")
     words = Words(data, comment=b"#")
-    lines = words.first_of_lines()
+    lines, lengths = words.lines_of_words()
     n_nodes, n_cells = words.count(0, "nodes"), words.count(1, "cells")
     if len(lines) < 1 + n_nodes + n_cells:
         words.require(len(words) + 1, f"{n_nodes} nodes and {n_cells} cells")
-    lengths = np.diff(np.append(lines, len(words)))
-    nodes, of_cells = lines[1 : 1 + n_nodes], lines[1 + n_nodes : 1 + n_nodes + n_cells]
-    if n_nodes and int(lengths[1 : 1 + n_nodes].min()) < 4:
-        at = int(nodes[int(np.argmin(lengths[1 : 1 + n_nodes]))])
-        raise FormatError("a node has no three coordinates", where=words.where(at))
-    tags = words.integers(nodes)
-    places = (nodes[:, None] + np.arange(1, 4)).reshape(-1)
-    positions = TextNumbers(words.data, words.starts[places], words.stops[places])
-    cells = _cells(words, of_cells, lengths[1 + n_nodes : 1 + n_nodes + n_cells])
+    nodes = slice(1, 1 + n_nodes)
+    words.require_lengths(lines[nodes], lengths[nodes], 4, "node")
+    tags = words.integers(lines[nodes])
+    positions = words.float_rows(lines[nodes] + 1)
+    behind = slice(1 + n_nodes, 1 + n_nodes + n_cells)
+    cells = _cells(words, lines[behind], lengths[behind])
     n_data = [int(words.word(k)) for k in (2, 3) if k < lengths[0] and words.word(k).isdigit()]
     names = ("data of nodes", "data of cells")
-    return Content(
-        "ascii",
-        "text",
-        (positions,),
-        indices_of(tags, cells.corners()),
-        cells.sizes(),
+    return cells.content(
+        positions,
+        corners=indices_of(tags, cells.corners()),
         properties=tuple(name for name, count in zip(names, n_data, strict=False) if count),
-        warnings=cells.warnings(),
-        held=cells.held(),
     )
 
 
 def _cells(words: Words, first: Longs, lengths: Longs) -> SurfaceCells:
     """The cells whose lines begin with these words, of so many words each."""
     cells = SurfaceCells()
-    if len(first) and int(lengths.min()) < 4:
-        at = int(first[int(np.argmin(lengths))])
-        raise FormatError("a cell is too short", where=words.where(at), hint=EXPORT_AGAIN)
-    kinds = [words.word(at).lower() for at in (first + 2).tolist()]
+    words.require_lengths(first, lengths, 4, "cell")
+    names = [words.word(at).lower() for at in (first + 2).tolist()]
     start = 0
-    for stop in range(1, len(kinds) + 1):
-        if stop < len(kinds) and kinds[stop] == kinds[start]:
+    for stop in range(1, len(names) + 1):
+        if stop < len(names) and names[stop] == names[start]:
             continue
-        kind = kinds[start]
-        if kind in _FLAT:
-            name, size = _FLAT[kind]
-            wrong = lengths[start:stop] != size + 3
-            if wrong.any():
-                at = int(first[start + int(np.argmax(wrong))])
-                raise FormatError(
-                    f"a {name} has {size} nodes", where=words.where(at), hint=EXPORT_AGAIN
-                )
-            places = (first[start:stop, None] + 3 + np.arange(size)).reshape(-1)
-            cells.add(name, words.integers(places).reshape(-1, size))
-        elif kind in _OTHERS:
-            cells.count(_OTHERS[kind], stop - start)
-        else:
-            shown = kind[:40].decode("ascii", "backslashreplace")
+        kind = _KINDS.get(names[start], "")
+        if not kind:
+            shown = names[start][:40].decode("ascii", "backslashreplace")
             raise FormatError(
                 f"{shown!r} is no kind of cell",
                 where=words.where(int(first[start])),
                 hint=EXPORT_AGAIN,
             )
+        if size := cells.sort(kind, stop - start):
+            wrong = lengths[start:stop] != size + 3
+            if wrong.any():
+                at = int(first[start + int(np.argmax(wrong))])
+                raise FormatError(
+                    f"a {kind} has {size} nodes", where=words.where(at), hint=EXPORT_AGAIN
+                )
+            cells.add(kind, words.integer_rows(first[start:stop] + 3, size))
         start = stop
     return cells

@@ -14,8 +14,11 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.dae_scene import frames_of
 from msal_cli.codecs.frames import PLACEMENT, is_placed
-from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import TextNumbers, float_rows, integer_rows
+from msal_cli.codecs.layout import Layout
+from msal_cli.codecs.ply_writer import corners_of
+from msal_cli.codecs.slots import Tokens
+from msal_cli.codecs.surface_cells import strip_triangles
+from msal_cli.codecs.text_lines import float_lines, integer_lines
 from msal_cli.codecs.tokens import Words, require_indices
 from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import EXPORT_AGAIN, FormatError, MsalError, UnsupportedError
@@ -25,24 +28,12 @@ _SURFACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
 _WORDS = {"TEXCOORD": "texture coordinates", "COLOR": "vertex colours"}
 
 
-def read(data: Buffer, format: str) -> PatchedFile:
-    """Open the COLLADA file ``data`` (its bytes).
+def parse(data: Buffer) -> Layout:
+    """Read a COLLADA file.
 
-    Raises
-    ------
-    FormatError, TruncatedError
-        if the file is not what its format says.
-    UnsupportedError
-        for polygons with holes, and positions of other than three coordinates.
-    TooLargeError
-        for more elements than any mesh needs.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
+    Raises UnsupportedError for polygons with holes, and positions of other than three coordinates;
+    TooLargeError for more elements than any mesh needs.
     """
-    return PatchedFile(data, format, _parse)
-
-
-def _parse(data: Buffer) -> Content:
     root = parse_tree(data, "COLLADA")
     if root.name != "COLLADA":
         raise FormatError("the file is no COLLADA", where="line 1", hint=EXPORT_AGAIN)
@@ -69,7 +60,7 @@ def _parse(data: Buffer) -> Content:
         words = {f"{len(parts)} parts": None, **words}
     elif _is_placed(data, root, names[0]):
         words[PLACEMENT] = None
-    return Content(
+    return Layout(
         "ascii",
         "text",
         tuple(part.positions for part in parts),
@@ -94,11 +85,11 @@ def _is_placed(data: Buffer, root: Element, name: str) -> bool:
         return False
 
 
-def _empty(root: Element) -> Content:
+def _empty(root: Element) -> Layout:
     kinds = sorted({one.name for one in root.inner() if one.name in ("lines", "linestrips")})
     none = np.zeros(0, dtype=np.int64)
-    empty = TextNumbers(np.zeros(0, dtype=np.uint8), none, none)
-    return Content("ascii", "text", (empty,), none, none, held=", ".join(kinds))
+    empty = Tokens(np.zeros(0, dtype=np.uint8), none, none)
+    return Layout("ascii", "text", (empty,), none, none, held=", ".join(kinds))
 
 
 def _images(data: Buffer, root: Element) -> tuple[str, ...]:
@@ -120,9 +111,9 @@ class _Mesh:
     def __init__(self, data: Buffer, element: Element) -> None:
         self._data = data
         self._sources = {one.attributes.get("id", ""): one for one in element.all("source")}
-        self._arrays: dict[str, TextNumbers] = {}
+        self._arrays: dict[str, Tokens] = {}
         self._normal_starts: dict[str, int] = {}
-        self.normals: list[TextNumbers] = []
+        self.normals: list[Tokens] = []
         self.properties: list[str] = []
         self.warnings: list[str] = []
         vertices = element.find("vertices")
@@ -146,7 +137,7 @@ class _Mesh:
         if surfaces:
             require_indices(self.corners, len(self.positions.values))
 
-    def _array(self, name: str, *, is_normals: bool) -> TextNumbers:
+    def _array(self, name: str, *, is_normals: bool) -> Tokens:
         """The rows of a source of three numbers each."""
         if name in self._arrays:
             return self._arrays[name]
@@ -163,11 +154,8 @@ class _Mesh:
             raise UnsupportedError(f"positions or normals of {stride} numbers", hint="export in 3D")
         words = Words(self._data, array.inside, array.stop)
         words.require(offset + count * stride if count else 0, f"{count} rows of {name[:40]!r}")
-        places = offset + np.arange(count, dtype=np.int64)[:, None] * stride + np.arange(3)
-        places = places.reshape(-1)
-        self._arrays[name] = TextNumbers(
-            words.data, words.starts[places], words.stops[places], unit_length=is_normals
-        )
+        rows = offset + stride * np.arange(count, dtype=np.int64)
+        self._arrays[name] = words.float_rows(rows, unit_length=is_normals)
         return self._arrays[name]
 
     def _polygons(self, surface: Element) -> tuple[Longs, Longs, Longs]:
@@ -229,7 +217,8 @@ class _Mesh:
         elif surface.name == "polygons":
             sizes = counts
         else:
-            return _strips(counts, is_fan=surface.name == "trifans")
+            triangles = strip_triangles(counts, is_fan=surface.name == "trifans")
+            return triangles.reshape(-1), np.full(len(triangles), 3, dtype=np.int64)
         is_wrong = (sizes < 0) | (sizes > n_rows)
         if is_wrong.any() or int(sizes.sum()) != n_rows:
             raise FormatError(
@@ -257,20 +246,6 @@ def _number(element: Element, name: str, default: str) -> int:
     return int(word)
 
 
-def _strips(counts: Longs, *, is_fan: bool) -> tuple[Longs, Longs]:
-    """Rows of the corners of the triangles of strips or fans, and their sizes."""
-    n_triangles = np.maximum(counts - 2, 0)
-    first = np.repeat(np.cumsum(counts) - counts, n_triangles)
-    inside = np.arange(len(first)) - np.repeat(np.cumsum(n_triangles) - n_triangles, n_triangles)
-    if is_fan:
-        triangles = np.stack([first, first + inside + 1, first + inside + 2], axis=1)
-    else:
-        odd = inside % 2
-        at = first + inside
-        triangles = np.stack([at + odd, at + 1 - odd, at + 2], axis=1)
-    return triangles.reshape(-1), np.full(len(triangles), 3, dtype=np.int64)
-
-
 _TEMPLATE = """<?xml version="1.0" encoding="utf-8"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
 <asset><created>1970-01-01T00:00:00</created><modified>1970-01-01T00:00:00</modified>\
@@ -295,8 +270,8 @@ def written(points: Floats, faces: Ints, *, single: bool) -> bytes:
     """A new file of points (n, 3) and triangles (m, 3)."""
     return _TEMPLATE.format(
         n_numbers=points.size,
-        positions=float_rows(points, single=single),
+        positions=float_lines(points, single=single).decode(),
         n_vertices=len(points),
         n_faces=len(faces),
-        faces=integer_rows(faces),
+        faces=integer_lines(*corners_of(faces)).decode(),
     ).encode()

@@ -7,16 +7,12 @@ damaged, hostile or not understood has no counts here, and the reader says what 
 
 from __future__ import annotations
 
-import json
-import re
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from msal_cli.codecs import ply_header
 from msal_cli.codecs.detection import content_format, format_of_name
-from msal_cli.codecs.ply_header import Element, Header
+from msal_cli.codecs.headers import read_header
 from msal_cli.errors import MsalError
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, GZIP_MAGIC, LARGEST_RATIO
 from msal_cli.storage.limits import LOOKED_AT
@@ -29,9 +25,6 @@ libraries and the compiled kernels (36 to 46 MB measured)."""
 
 _LIBRARY_BYTES = 75_000_000
 """What a library and all that it imports take on top, for formats that only it reads."""
-
-_ALWAYS_BELIEVED = 256 << 20
-"""Bytes that the header of a compressed file may always claim."""
 
 # Bytes of resident memory per byte of the file, and per vertex and per triangle together, at the
 # peak of the default method.  From benchmarks/peak_memory.py on a torus with a million faces:
@@ -74,10 +67,6 @@ _BYTES_PER_FACE_ELSE = 24.0
 # Bytes per triangle that writing another format takes, what was written being read back.
 _CONVERTED = 450
 _CONVERTED_AS = {"avs": 500, "inp": 500, "vol": 500}
-
-_GLB_CHUNK = 20
-_VTK_TEXT = re.compile(rb"[^\n]*\n[^\n]*\n\s*ASCII", re.IGNORECASE)
-_FACET = re.compile(rb"\bfacet\s+(?:normal|outer)\b", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,52 +146,25 @@ def of_beginning(
         head, size = _expanded(head, size)
     found = format_of_name(name) if format is None else format.lower().removeprefix(".")
     found = found or content_format(head)
-    counts = _Counts(found)
-    try:
-        if found == "ply":
-            counts = _of_ply(head, size, is_packed=bool(packed))
-        elif found == "stl":
-            counts = _of_stl(head, size, is_packed=bool(packed))
-        elif found == "glb":
-            counts = _of_glb(head, size)
-        elif found == "vtk" and _VTK_TEXT.match(head):
-            counts = _Counts("vtk-ascii")
-        elif found == "gltf" and beside:
-            counts = _of_description(json.loads(head), size + beside)
-    except (MsalError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError):
-        # The reader will refuse it, and say why.
-        counts = _Counts(found)
-    size = max(size + beside, counts.size)
-    triangles = counts.triangles
+    header = read_header(found, head, size, is_packed=bool(packed), beside=beside)
+    flavour, triangles = header.flavour, header.n_triangles
+    size = max(size + beside, header.least_bytes)
     if triangles is None:
-        triangles = int(size / _BYTES_PER_FACE.get(counts.kind, _BYTES_PER_FACE_ELSE))
-    per_byte = _PER_BYTE.get(counts.kind, _PER_BYTE[""])
+        triangles = int(size / _BYTES_PER_FACE.get(flavour, _BYTES_PER_FACE_ELSE))
+    per_byte = _PER_BYTE.get(flavour, _PER_BYTE[""])
     per_face = method_bytes_per_face
     if to is not None:
         per_face += _CONVERTED_AS.get(to, _CONVERTED)
     needed = BASE_BYTES + per_byte * size + 2 * packed + per_face * triangles
-    if counts.kind not in _PER_BYTE:
+    if flavour not in _PER_BYTE:
         needed += _LIBRARY_BYTES
-    if counts.triangles is not None and counts.vertices is not None:
-        elements = counts.vertices + counts.triangles
-        needed += _PER_ELEMENT.get(counts.kind, _PER_ELEMENT_ELSE) * elements
-    elif counts.kind in _PER_ELEMENT or counts.kind in ("ply", "stl"):
-        # Sizes alone tell of these formats what they tell of any.
+    if header.n_triangles is not None and header.n_vertices is not None:
+        elements = header.n_vertices + header.n_triangles
+        needed += _PER_ELEMENT.get(flavour, _PER_ELEMENT_ELSE) * elements
+    elif flavour in _PER_ELEMENT:
+        # Sizes alone say of these formats what they say of any.
         needed += (_PER_BYTE_ELSE - per_byte) * size
-    return Forecast(found, counts.told_vertices, counts.faces, int(needed))
-
-
-@dataclass(frozen=True, slots=True)
-class _Counts:
-    """``kind`` is the key of the tables above; ``vertices`` and ``triangles`` may be estimates,
-    ``told_vertices`` and ``faces`` stand in the file, and ``size`` is what it must have."""
-
-    kind: str
-    vertices: int | None = None
-    triangles: int | None = None
-    told_vertices: int | None = None
-    faces: int | None = None
-    size: int = 0
+    return Forecast(found, header.vertices, header.faces, int(needed))
 
 
 def _beside(head: bytes, path: str) -> int:
@@ -233,95 +195,3 @@ def _expanded(head: bytes, size: int) -> tuple[bytes, int]:
         return beginning, len(beginning)
     ratio = 1.25 * len(beginning) / max(1, used)
     return beginning, int(min(ratio * size, max(ALWAYS_EXPANDED, LARGEST_RATIO * size)))
-
-
-def _of_ply(head: bytes, size: int, *, is_packed: bool) -> _Counts:
-    header = ply_header.parsed(memoryview(head))
-    vertex, face = header.find("vertex"), header.find("face")
-    strips = header.find("tristrips") if face is None else None
-    n_vertices = vertex.count if vertex is not None else 0
-    n_faces = face.count if face is not None else 0
-    is_text = header.encoding == "ascii"
-    kind = "ply-ascii" if is_text else "ply"
-    least = header.size + sum(_least_bytes(one, is_text) for one in header.elements)
-    if least > size and not is_packed:
-        return _Counts(kind)
-    if is_packed and least > max(_ALWAYS_BELIEVED, 4 * size):
-        # A header that claims so much more than its compressed bytes lies.
-        return _Counts(kind)
-    triangles = n_faces
-    if face is not None and not is_text and not is_packed:
-        triangles = max(triangles, _triangles(header, face, size - least))
-    if strips is not None:
-        # Each item of a strip but its first two is a triangle; how many there are, only reading
-        # the strips tells.
-        items = 4 * strips.count if is_packed else max(0, size - least) // (2 if is_text else 4)
-        return _Counts(kind, n_vertices, items, n_vertices, None, least)
-    if is_packed and not is_text:
-        # Triangles, as nearly all scans are.
-        lists = [one for one in face.properties if one.is_list] if face is not None else []
-        least += n_faces * sum(3 * _item_bytes(one.code) for one in lists)
-    return _Counts(kind, n_vertices, triangles, n_vertices, n_faces, least)
-
-
-def _least_bytes(element: Element, is_text: bool) -> int:
-    """The fewest bytes that an element can take: its lists empty."""
-    if is_text:
-        return 2 * element.count * len(element.properties)
-    return element.count * sum(
-        _item_bytes(one.count_code if one.is_list else one.code) for one in element.properties
-    )
-
-
-def _item_bytes(code: str) -> int:
-    return int(code[1])
-
-
-def _triangles(header: Header, face: Element, rest: int) -> int:
-    """The triangles that the polygons can be cut into, if all list items are their corners."""
-    lists = [_item_bytes(one.code) for one in face.properties if one.is_list]
-    others = (one.properties for one in header.elements if one is not face)
-    if not lists or any(one.is_list for properties in others for one in properties):
-        return 0
-    return max(0, rest // sum(lists) - 2 * face.count)
-
-
-def _of_stl(head: bytes, size: int, *, is_packed: bool) -> _Counts:
-    count = int.from_bytes(head[80:84], "little")
-    if b"\0" in head[:1024] or (len(head) >= 84 and size == 84 + 50 * count):
-        if len(head) < 84 or (size < 84 + 50 * count and not is_packed):
-            return _Counts("stl")
-        if is_packed and 84 + 50 * count > max(_ALWAYS_BELIEVED, 4 * size):
-            return _Counts("stl")
-        # A closed surface has half as many vertices as facets, once its corners are welded.
-        return _Counts("stl", count // 2, count, 3 * count, count, 84 + 50 * count)
-    facets = len(_FACET.findall(head))
-    if not facets:
-        return _Counts("stl-ascii")
-    # A facet that is cut off at the end of what was read does not count as one.
-    estimate = int(size * facets / len(head)) + 1
-    return _Counts("stl-ascii", estimate // 2, estimate)
-
-
-def _of_glb(head: bytes, size: int) -> _Counts:
-    length = int.from_bytes(head[12:16], "little")
-    if head[:4] != b"glTF" or _GLB_CHUNK + length > len(head):
-        return _Counts("glb")
-    return _of_description(json.loads(head[_GLB_CHUNK : _GLB_CHUNK + length]), size)
-
-
-def _of_description(document: dict[str, Any], size: int) -> _Counts:
-    """The counts of a glTF scene whose description and buffers have ``size`` bytes."""
-    accessors = document["accessors"]
-    positions: set[int] = set()
-    triangles = 0
-    for mesh in document["meshes"]:
-        for part in mesh["primitives"]:
-            position = part["attributes"]["POSITION"]
-            positions.add(position)
-            corners = part.get("indices", position)
-            triangles += int(accessors[corners]["count"]) // 3
-    vertices = sum(int(accessors[one]["count"]) for one in positions)
-    if not 0 <= vertices <= size or not 0 <= triangles <= size:
-        return _Counts("glb")
-    return _Counts("glb", vertices, triangles, vertices, triangles)

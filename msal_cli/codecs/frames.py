@@ -17,10 +17,14 @@ PLACEMENT = "placement in the scene"
 turns, scales or shifts it."""
 
 
-def can_be_undone(frame: Floats) -> bool:
+def is_usable(frame: Floats) -> bool:
     """Whether positions can be taken through a frame and back without harm."""
-    largest = np.abs(frame).max()
-    return bool(largest < _LARGEST and np.linalg.cond(frame[:3, :3]) < _STEEPEST)
+    try:
+        with np.errstate(all="ignore"):
+            is_steep = not np.linalg.cond(frame[:3, :3]) < _STEEPEST
+    except np.linalg.LinAlgError:
+        return False
+    return not is_steep and bool(np.abs(frame).max() < _LARGEST)
 
 
 def is_placed(frame: Floats) -> bool:
@@ -28,7 +32,7 @@ def is_placed(frame: Floats) -> bool:
     return not np.array_equal(frame, _IDENTITY)
 
 
-def moved_by(frame: Floats, points: Floats) -> Floats:
+def transform(points: Floats, frame: Floats) -> Floats:
     """Points (n, 3) after a transform; bit for bit the same for the identity.
 
     Those that are too large for it become infinite.

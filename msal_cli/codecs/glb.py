@@ -5,14 +5,20 @@ All else is kept.  Of the JSON only the bounds change that the format demands of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import struct
 
 from msal_cli.arrays import Floats
-from msal_cli.codecs.glb_chunks import parsed, with_text
 from msal_cli.codecs.gltf_file import SceneFile
-from msal_cli.codecs.gltf_frames import placed
-from msal_cli.errors import InternalError, MsalError
+from msal_cli.codecs.gltf_json import as_dict, as_list, parse_json, require_short
+from msal_cli.codecs.gltf_scene import Scene
+from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
+
+_HEAD = 20
+"""Bytes before the description: the header of the file and that of its first chunk."""
+
+_JSON, _BINARY = 0x4E4F534A, 0x004E4942
+_CUT = "the file was cut short; copy or export it again"
 
 
 def read(data: Buffer, name: str) -> GlbFile:
@@ -20,54 +26,93 @@ def read(data: Buffer, name: str) -> GlbFile:
 
     Raises
     ------
-    FormatError, TruncatedError
+    FormatError, TruncatedError, TooLargeError
         if the file is not what its format says.
     UnsupportedError
         for compressed or quantised positions, version 1, and data in other files.
     ContentError
         ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
     """
-    document = parsed(data)
-    parts, warnings = document.parts()
-    return GlbFile(data, document, parts, placed(document, parts), warnings)
+    return GlbFile(data)
 
 
-@dataclass(eq=False)
+def expected_bytes(head: memoryview, total: int) -> int:
+    """The bytes that a file of ``total`` bytes that begins with ``head`` should have.
+
+    Raises
+    ------
+    FormatError, TruncatedError, TooLargeError, UnsupportedError
+    """
+    if total < _HEAD:
+        raise TruncatedError(f"the file has only {total} bytes", hint=EXPORT_AGAIN)
+    magic, version, length, size, kind = struct.unpack_from("<4sIIII", head)
+    if magic != b"glTF" or (version == 2 and kind != _JSON):
+        raise FormatError(
+            "the file does not begin as a GLB file does", where="byte 0", hint=EXPORT_AGAIN
+        )
+    if version != 2:
+        raise UnsupportedError(
+            f"glTF version {version} is not read", hint="convert it to version 2"
+        )
+    if length > total or _HEAD + size > length:
+        raise TruncatedError(
+            f"the file should have {max(length, _HEAD + size)} bytes but has {total}",
+            where=f"byte {total}",
+            hint=_CUT,
+        )
+    require_short(size, "JSON chunk")
+    return int(length)
+
+
+def _split(data: Buffer) -> tuple[bytes, memoryview, int]:
+    """The description, all behind it, and how much of that belongs to the file."""
+    view = memoryview(data).cast("B")
+    length = expected_bytes(view, len(view))
+    (size,) = struct.unpack_from("<I", view, 12)
+    return bytes(view[_HEAD : _HEAD + size]), view[_HEAD + size :], length - _HEAD - size
+
+
+def _parse(text: bytes, rest: memoryview, length: int) -> Scene:
+    from msal_cli.kernels.text import as_bytes
+
+    content = parse_json(text, "JSON chunk")
+    size = 0
+    if length >= 8:
+        size, kind = struct.unpack_from("<II", rest)
+        size *= kind == _BINARY
+        if 8 + size > length:
+            end = _HEAD + len(text) + length
+            raise TruncatedError(
+                f"the binary chunk should have {size} bytes but has {length - 8}",
+                where=f"byte {end}",
+                hint=_CUT,
+            )
+    first = as_list(content.get("buffers"))[:1]
+    is_inside = "uri" not in as_dict(first[0] if first else None)
+    return Scene(content, as_bytes(rest), {0: (8 * (size > 0), size)} if is_inside else {})
+
+
 class GlbFile(SceneFile):
     """An opened GLB file."""
 
-    format: str = "glb"
+    format = "glb"
 
-    def replaced(self, vertices: Floats) -> Buffer:
-        """The file with other positions (n, 3), and the normals of what moved recomputed.
+    def __init__(self, data: Buffer) -> None:
+        parts = _split(data)
+        super().__init__(data, parts[0], _parse(*parts))
 
-        Raises
-        ------
-        ContentError
-            with code ``E_RANGE`` if a position does not fit into float32.
-        """
-        if not (vertices != self.vertices).any():
-            return self.data
-        output = self.patched(vertices)
-        text = self.document.bounded(output, [part.positions for part in self.parts])
-        return with_text(self.document, output, text)
+    def _pack(self, data: memoryview) -> bytes:
+        """The file with other data behind the description, whose padding is made to fit."""
+        begin = _HEAD + len(self.text)
+        head = memoryview(self.data).cast("B")[:begin]
+        text = self.text_of(data)
+        if text != head[_HEAD:]:
+            padding = len(text) - len(text.rstrip(b" "))
+            text = text[: len(text) - min(padding, 3)]
+            text += b" " * (-len(text) % 4)
+            size = _HEAD + len(text) + len(data)
+            head = memoryview(struct.pack("<4sIIII", b"glTF", 2, size, len(text), _JSON) + text)
+        return b"".join([head, data])
 
-    def check(self, output: Buffer, vertices: Floats) -> None:
-        """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
-        try:
-            there = parsed(output)
-        except MsalError as failure:
-            raise InternalError(f"the GLB file that was made cannot be read: {failure}") from None
-        new = self.check_data(output, there.binary_at - self.document.binary_at, vertices)
-        self.check_description(there.text, output, new)
-
-    def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
-        """The file with ``vertices`` (n, 3); GLB has one encoding and one precision.
-
-        Raises
-        ------
-        UnsupportedError
-            for another encoding or precision.
-        """
-        self.require_encoding(encoding, precision)
-        return self.replaced(vertices)
+    def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
+        return _split(output)[:2]

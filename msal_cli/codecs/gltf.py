@@ -9,16 +9,22 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from msal_cli.arrays import Floats
 from msal_cli.codecs import gltf_buffers
-from msal_cli.codecs.gltf_document import MOST_JSON, Document, as_dict, as_list, parsed_description
 from msal_cli.codecs.gltf_file import SceneFile
-from msal_cli.codecs.gltf_frames import placed
-from msal_cli.codecs.gltf_text import edited, entry_spans
+from msal_cli.codecs.gltf_json import (
+    as_dict,
+    as_list,
+    find_entries,
+    parse_json,
+    replace_spans,
+    require_short,
+)
+from msal_cli.codecs.gltf_scene import Scene
 from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import (
     EXPORT_AGAIN,
@@ -37,6 +43,7 @@ from msal_cli.storage.urls import is_url
 
 _MOST_BUFFERS = 10_000
 _PACK = "write one file with --to glb"
+_DATA_URI = b'"data:'
 
 
 def read(data: Buffer, name: str) -> GltfFile:
@@ -53,95 +60,89 @@ def read(data: Buffer, name: str) -> GltfFile:
     ContentError
         ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
     """
-    raw = bytes(data)
-    _require_short(raw)
-    text, content = parsed_description(raw, "description")
-    pieces = _Pieces(content, name)
-    document = Document(content, text, 0, pieces.places, pieces.joined(), pieces.failures)
+    text = bytes(data)
+    # Base64 inside the text does not count.
+    size, at = len(text), text.find(_DATA_URI)
+    while at >= 0:
+        end = max(text.find(b'"', at + 1), at)
+        size -= end - at
+        at = text.find(_DATA_URI, end + 1)
+    require_short(size)
+    content = parse_json(text, "description")
+    buffers = _Buffers(content, name)
     version = str(as_dict(content.get("asset")).get("version", ""))
     if not version.startswith("2."):
         raise UnsupportedError(
             f"glTF version {version[:20]!r} is not read", hint="convert it to version 2"
         )
-    parts, warnings = document.parts()
-    frames = placed(document, parts)
-    return GltfFile(data, document, parts, frames, warnings, pieces=pieces, path=name)
+    return GltfFile(data, text, buffers, name)
 
 
-def _require_short(raw: bytes) -> None:
-    """Raise TooLargeError for a long description; base64 inside it does not count."""
-    size, at = len(raw), 0
-    while size > MOST_JSON and (at := raw.find(b'"data:', at)) >= 0:
-        end = raw.find(b'"', at + 1)
-        size -= max(end, at) - at
-        at = max(end, at + 1)
-    if size > MOST_JSON:
-        raise TooLargeError(
-            f"the description has {size:,} bytes, more than the {MOST_JSON:,} that are read",
-            hint="it holds more than a mesh; export the mesh alone",
-        )
-
-
-class _Pieces:
+class _Buffers:
     """The buffers of a description, one behind the other.
 
     Attributes
     ----------
-    places : first byte and declared size of each buffer that could be read.
-    failures : why the others could not; that counts only if a surface is in them.
+    scene : the scene that they belong to.
     names : the files of those that are files, by their numbers.
-    spans : first byte and size of all that each buffer holds.
+    spans : first byte and size of all that each buffer holds, also behind its declared end.
     """
 
-    def __init__(self, content: dict[str, object], path: str) -> None:
-        self.places: dict[int, tuple[int, int]] = {}
-        self.failures: dict[int, MsalError] = {}
+    def __init__(self, content: dict[str, Any], path: str) -> None:
+        from msal_cli.kernels.text import as_bytes
+
         self.names: dict[int, str] = {}
         self.spans: dict[int, tuple[int, int]] = {}
         self._files: dict[str, tuple[int, int]] = {}
         self._contents: list[bytes] = []
         self._size = 0
         self._folder = gltf_buffers.folder_of(path)
-        buffers = as_list(content.get("buffers"))
-        if len(buffers) > _MOST_BUFFERS:
+        entries = as_list(content.get("buffers"))
+        if len(entries) > _MOST_BUFFERS:
             raise TooLargeError(
-                f"{len(buffers):,} buffers are more than the {_MOST_BUFFERS:,} that are read",
+                f"{len(entries):,} buffers are more than the {_MOST_BUFFERS:,} that are read",
                 hint="export the mesh alone",
             )
-        for number, entry in enumerate(buffers):
+        places: dict[int, tuple[int, int] | MsalError] = {}
+        for number, entry in enumerate(entries):
+            # What is wrong with a buffer counts only if a surface is in it.
             try:
-                self._add(number, as_dict(entry))
+                places[number] = self._add(number, as_dict(entry))
             except MsalError as failure:
-                self.failures[number] = failure
+                places[number] = failure
+        contents, self._contents = self._contents, []
+        data = contents[0] if len(contents) == 1 else b"".join(contents)
+        self.scene = Scene(content, as_bytes(data), places)
 
-    def _add(self, number: int, entry: dict[str, object]) -> None:
+    def _add(self, number: int, entry: dict[str, Any]) -> tuple[int, int]:
+        """Read a buffer; returns its first byte and its declared size."""
         where = f"buffer {number}"
-        uri, wanted = entry.get("uri"), entry.get("byteLength")
+        uri, declared = entry.get("uri"), entry.get("byteLength")
         if not isinstance(uri, str) or not uri:
             raise FormatError("the buffer names no data", where=where, hint=EXPORT_AGAIN)
-        if not isinstance(wanted, int) or isinstance(wanted, bool) or wanted < 0:
+        if not isinstance(declared, int) or isinstance(declared, bool) or declared < 0:
             raise FormatError(
-                f"byteLength is {wanted!r}, not a count", where=where, hint=EXPORT_AGAIN
+                f"byteLength is {declared!r}, not a count", where=where, hint=EXPORT_AGAIN
             )
-        content = gltf_buffers.embedded(uri, where)
+        content = gltf_buffers.decode_data_uri(uri, where)
         if content is None:
             name = gltf_buffers.file_name(uri, where)
             if name not in self._files:
-                self._files[name] = self._load(name, wanted, where)
+                self._files[name] = self._append(self._load(name, declared, where))
             span = self._files[name]
             self.names[number] = name
         else:
             span = self._append(content)
-        if span[1] < wanted:
+        if span[1] < declared:
             raise TruncatedError(
-                f"the buffer should have {wanted:,} bytes but has {span[1]:,}",
+                f"the buffer should have {declared:,} bytes but has {span[1]:,}",
                 where=where,
                 hint="the file was cut short; copy or export it again",
             )
         self.spans[number] = span
-        self.places[number] = span[0], wanted
+        return span[0], declared
 
-    def _load(self, name: str, wanted: int, where: str) -> tuple[int, int]:
+    def _load(self, name: str, declared: int, where: str) -> bytes:
         if self._folder is None:
             raise UnsupportedError(
                 f"the buffer {name!r} cannot be read, because the .gltf came without its folder",
@@ -149,7 +150,7 @@ class _Pieces:
                 hint="give the file by its path, or export it as .glb",
             )
         room = memory_bytes() // 2 - self._size
-        return self._append(gltf_buffers.loaded(name, self._folder, wanted, room, where))
+        return gltf_buffers.read_buffer(name, self._folder, declared, room, where)
 
     def _append(self, content: bytes) -> tuple[int, int]:
         span = self._size, len(content)
@@ -157,71 +158,54 @@ class _Pieces:
         self._size += len(content)
         return span
 
-    def joined(self) -> bytes:
-        """All contents; they are not kept here."""
-        contents, self._contents = self._contents, []
-        return contents[0] if len(contents) == 1 else b"".join(contents)
+    def changed(self, data: Buffer) -> set[int]:
+        """The buffers that differ in ``data``, that of the scene with new positions."""
+        new, old = memoryview(data), self.scene.data.data
+        spans = self.spans.items()
+        return {number for number, (at, n) in spans if new[at : at + n] != old[at : at + n]}
 
 
-@dataclass(eq=False)
 class GltfFile(SceneFile):
     """An opened .gltf file."""
 
-    pieces: _Pieces = field(kw_only=True, repr=False)
-    path: str = field(kw_only=True)
-    format: str = "gltf"
+    format = "gltf"
 
-    def replaced(self, vertices: Floats) -> Buffer:
-        """The text with other positions (n, 3), as far as they are in it; the files that hold the
-        others come from ``beside``."""
-        if not (vertices != self.vertices).any():
-            return self.data
-        output = self.patched(vertices)
-        edits = self.document.bound_edits(output, [part.positions for part in self.parts])
-        spans = entry_spans(self.document.text, "buffers")
-        for number, new in self._changed_texts(output).items():
-            edits.append((*spans[number]["uri"], new))
-        return edited(self.document.text, edits).encode()
+    def __init__(self, data: Buffer, text: bytes, buffers: _Buffers, path: str) -> None:
+        super().__init__(data, text, buffers.scene)
+        self.buffers = buffers
+        self._path = path
 
-    def _changed_texts(self, output: Buffer) -> dict[int, str]:
-        """The references, as JSON, of buffers inside the text that changed."""
-        found = {}
-        for number in self._changed(output):
-            if number not in self.pieces.names:
-                at, size = self.pieces.spans[number]
-                uri = self.document.entry("buffers", number)["uri"]
-                content = memoryview(output)[at : at + size]
-                found[number] = json.dumps(gltf_buffers.as_embedded(uri, content))
-        return found
+    def _pack(self, data: memoryview) -> bytes:
+        """The text with other data, as far as they are in it; the files that hold the others come
+        from ``beside``."""
+        text = self.text_of(data).decode("latin-1")
+        spans = find_entries(text, "buffers")
+        edits = []
+        for number in self.buffers.changed(data) - set(self.buffers.names):
+            at, size = self.buffers.spans[number]
+            uri = self.scene.entry("buffers", number)["uri"]
+            new = gltf_buffers.encode_data_uri(uri, data[at : at + size])
+            edits.append((spans[number]["uri"], json.dumps(new)))
+        return replace_spans(text, edits).encode("latin-1")
 
-    def _changed(self, output: Buffer) -> set[int]:
-        """The buffers that differ in ``output``, the data with new positions."""
-        new, old = memoryview(output), memoryview(self.document.data)
-        spans = self.pieces.spans.items()
-        return {number for number, (at, n) in spans if new[at : at + n] != old[at : at + n]}
-
-    def check(self, output: Buffer, vertices: Floats) -> None:
-        """Raise InternalError unless ``output`` is this text with only ``vertices`` replaced, and
-        the files beside it are to be the old ones with only these replaced."""
-        data = self.patched(vertices)
-        self.check_data(data, 0, vertices)
-        try:
-            text, content = parsed_description(bytes(output), "description")
-        except MsalError as failure:
-            raise InternalError(f"the .gltf file that was made cannot be read: {failure}") from None
+    def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
+        """The text with the buffers inside it as they were, and the data; those beside it are not
+        written yet."""
+        data = self.replace_data(vertices)
+        text = bytes(output).decode("latin-1")
+        content = parse_json(bytes(output), "description")
         restored = []
-        original = entry_spans(self.document.text, "buffers")
-        for number, spans in enumerate(entry_spans(text, "buffers")):
-            if number in self.pieces.names or number not in self.pieces.spans:
+        original = find_entries(self.text, "buffers")
+        for number, spans in enumerate(find_entries(text, "buffers")):
+            if number in self.buffers.names or number not in self.buffers.spans:
                 continue
-            at, size = self.pieces.spans[number]
+            at, size = self.buffers.spans[number]
             uri = content["buffers"][number]["uri"]
-            if gltf_buffers.embedded(uri, "") != bytes(data[at : at + size]):
+            if gltf_buffers.decode_data_uri(uri, "") != bytes(data[at : at + size]):
                 raise InternalError("a buffer of a .gltf file was not written right")
             start, stop = original[number]["uri"]
-            restored.append((*spans["uri"], self.document.text[start:stop]))
-        accessors = [part.positions for part in self.parts]
-        self.check_description(edited(text, restored), data, accessors)
+            restored.append((spans["uri"], self.text[start:stop]))
+        return replace_spans(text, restored).encode("latin-1"), data
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The text with ``vertices`` (n, 3); glTF has one encoding and one precision.
@@ -231,13 +215,12 @@ class GltfFile(SceneFile):
         UnsupportedError
             for another encoding or precision, and for a file with others beside it.
         """
-        self.require_encoding(encoding, precision)
-        if self.pieces.names:
+        if self.buffers.names:
             raise UnsupportedError(
                 "a .gltf with buffers of its own has one encoding",
                 hint="leave --encoding and --precision away",
             )
-        return self.replaced(vertices)
+        return super().encoded(vertices, encoding, precision)
 
     def beside(
         self, output: Buffer, vertices: Floats, path: str | None
@@ -254,7 +237,7 @@ class GltfFile(SceneFile):
         OutputError
             with code ``E_SIDECAR`` if a buffer of the input would be overwritten.
         """
-        if not self.pieces.names:
+        if not self.buffers.names:
             return output, ()
         is_moved = bool((vertices != self.vertices).any())
         if path is None or is_url(path):
@@ -263,22 +246,22 @@ class GltfFile(SceneFile):
             raise UnsupportedError(
                 "a .gltf whose mesh is in a file of its own goes to a folder only", hint=_PACK
             )
-        folder, own = Path(path).parent, Path(self.path)
+        folder, own = Path(path).parent, Path(self._path)
         if is_moved and _is_same(Path(path), own):
             raise UnsupportedError(
                 "a .gltf and the file of its mesh cannot be replaced at once",
                 hint="write to another folder, or convert it to .glb first",
             )
-        data = self.patched(vertices) if is_moved else self.document.data
-        changed = self._changed(data)
+        data = self.replace_data(vertices) if is_moved else self.scene.data.data
+        changed = self.buffers.changed(data)
         names = self._new_names(path, changed)
         companions: dict[str, Companion] = {}
         edits = []
-        for number, (at, size) in self.pieces.spans.items():
+        for number, (at, size) in self.buffers.spans.items():
             if number not in names:
                 continue
             name = names[number]
-            is_input = _is_same(folder / name, own.parent / self.pieces.names[number])
+            is_input = _is_same(folder / name, own.parent / self.buffers.names[number])
             if is_input and number not in changed:
                 continue
             if is_input:
@@ -289,21 +272,21 @@ class GltfFile(SceneFile):
                     hint="write to another folder",
                 )
             companions[name] = Companion(name, memoryview(data)[at : at + size])
-            if name != self.pieces.names[number]:
+            if name != self.buffers.names[number]:
                 edits.append((number, name))
         if edits:
-            text = bytes(output).decode()
-            spans = entry_spans(text, "buffers")
-            new = [(*spans[number]["uri"], json.dumps(quote(name))) for number, name in edits]
-            output = edited(text, new).encode()
+            text = bytes(output).decode("latin-1")
+            spans = find_entries(text, "buffers")
+            new = [(spans[number]["uri"], json.dumps(quote(name))) for number, name in edits]
+            output = replace_spans(text, new).encode("latin-1")
         return output, tuple(companions.values())
 
     def _new_names(self, path: str, changed: set[int]) -> dict[int, str]:
         """The names of the buffers' files beside an output at ``path``; some buffers changed."""
-        stem, new_stem = _stem(self.path), _stem(path)
+        stem, new_stem = _stem(self._path), _stem(path)
         names: dict[int, str] = {}
         taken: dict[str, str] = {}
-        for number, name in self.pieces.names.items():
+        for number, name in self.buffers.names.items():
             is_own = Path(name).name == f"{stem}.bin" and stem == new_stem
             if number not in changed or is_own:
                 names[number] = name
@@ -331,7 +314,7 @@ def names_of_buffers(data: Buffer) -> set[str]:
     """The files that the buffers of a .gltf file are in; none if it is no such file."""
     found = set()
     try:
-        _, content = parsed_description(bytes(data), "description")
+        content = parse_json(bytes(data), "description")
         for number, entry in enumerate(as_list(content.get("buffers"))):
             uri = as_dict(entry).get("uri")
             if isinstance(uri, str) and uri and not uri.startswith("data:"):

@@ -13,7 +13,7 @@ import os
 from pathlib import Path, PureWindowsPath
 from urllib.parse import unquote
 
-from msal_cli.codecs.gltf_document import has_scheme
+from msal_cli.codecs.gltf_scene import has_scheme
 from msal_cli.errors import (
     EXPORT_AGAIN,
     FormatError,
@@ -36,7 +36,7 @@ EMPTY_URI = "data:application/octet-stream;base64,"
 _PACK = "export it as .glb, which holds everything in one file"
 
 
-def embedded(uri: str, where: str) -> bytes | None:
+def decode_data_uri(uri: str, where: str) -> bytes | None:
     """The content of a ``data:`` reference; None for any other.
 
     Raises
@@ -60,7 +60,7 @@ def embedded(uri: str, where: str) -> bytes | None:
         ) from None
 
 
-def as_embedded(uri: str, content: Buffer) -> str:
+def encode_data_uri(uri: str, content: Buffer) -> str:
     """The ``data:`` reference ``uri`` with other content."""
     comma = uri.index(",")
     return uri[: comma + 1] + base64.b64encode(content).decode("ascii")
@@ -96,8 +96,8 @@ def file_name(uri: str, where: str) -> str:
     return name
 
 
-def loaded(name: str, folder: Path, wanted: int, room: int, where: str) -> bytes:
-    """The bytes of the file ``name`` in ``folder``: ``wanted`` at the least, ``room`` at the most.
+def read_buffer(name: str, folder: Path, declared: int, room: int, where: str) -> bytes:
+    """The bytes of the file ``name`` in ``folder``: from ``declared`` to ``room`` of them.
 
     Raises
     ------
@@ -117,9 +117,9 @@ def loaded(name: str, folder: Path, wanted: int, room: int, where: str) -> bytes
             )
         with open_regular(path) as file:
             status = os.fstat(file.fileno())
-            if status.st_size > min(2 * wanted + _MOST_BEHIND, room):
+            if status.st_size > min(2 * declared + _MOST_BEHIND, room):
                 raise TooLargeError(
-                    f"the buffer {name!r} has {status.st_size:,} bytes, not {wanted:,}",
+                    f"the buffer {name!r} has {status.st_size:,} bytes, not {declared:,}",
                     where=where,
                     hint="export the mesh again",
                 )
@@ -139,9 +139,9 @@ def loaded(name: str, folder: Path, wanted: int, room: int, where: str) -> bytes
             code="E_READ",
             hint="copy it beside the .gltf; a .gltf does not hold its mesh itself",
         ) from failure
-    if len(content) < wanted:
+    if len(content) < declared:
         raise TruncatedError(
-            f"the buffer {name!r} should have {wanted:,} bytes but has {len(content):,}",
+            f"the buffer {name!r} should have {declared:,} bytes but has {len(content):,}",
             where=where,
             hint="the file was cut short; copy or export it again",
         )

@@ -7,161 +7,151 @@ All else is kept: materials, textures, animations, extras, the order of everythi
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Ints
-from msal_cli.codecs.frames import PLACEMENT, moved_by
-from msal_cli.codecs.gltf_document import Accessor, Document, Part
-from msal_cli.codecs.gltf_frames import is_sole_part_placed
-from msal_cli.codecs.slots import as_float32
-from msal_cli.errors import InternalError, UnsupportedError
+from msal_cli.arrays import Flags, Floats
+from msal_cli.codecs.frames import PLACEMENT, is_placed, is_usable
+from msal_cli.codecs.gltf_json import find_entries, replace_spans, write_bound
+from msal_cli.codecs.gltf_scene import Part, Scene
+from msal_cli.codecs.layout import Layout, require_finite
+from msal_cli.codecs.slot_file import SlotFile
+from msal_cli.errors import InternalError, MsalError
+from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
 
 
-@dataclass(eq=False)
-class SceneFile:
+class SceneFile(SlotFile):
     """An opened scene; see ``codecs.mesh_file.MeshFile``.
 
-    GLB and .gltf differ in where its bytes lie.
+    ``vertices`` are those of every part, one behind the other.  With several parts they are in the
+    frame of the scene, since two parts may coincide in their own; with one part, in its own.
 
-    ``vertices`` are those of every part, one behind the other.  With several parts they stand in
-    the frame of the scene, since two parts may coincide in their own; with one part, in its own.
+    Its numbers lie in ``scene.data``; those who inherit put that into a file.
     """
 
-    data: Buffer = field(repr=False)
-    document: Document = field(repr=False)
-    parts: list[Part] = field(repr=False)
-    frames: list[Floats] = field(repr=False)
-    warnings: tuple[str, ...]
-    vertices: Floats = field(init=False)
-    faces: Ints = field(init=False)
-    n_polygons: int = field(init=False)
-    properties: tuple[str, ...] = field(init=False)
-    references: tuple[str, ...] = field(init=False)
-    format: str = ""
-    encoding: str = "binary_little_endian"
-    precision: str = "float32"
-    merged_vertices: int = 0
+    format = ""
 
-    def __post_init__(self) -> None:
-        self.vertices = np.concatenate(
-            [
-                moved_by(frame, part.positions.values(self.document.data))
-                for part, frame in zip(self.parts, self.frames, strict=True)
-            ]
-        )
-        self.faces = np.concatenate(
-            [part.faces + first.start for part, first in zip(self.parts, self._rows(), strict=True)]
-        ).astype(np.int32)
-        self.n_polygons = len(self.faces)
-        own = (PLACEMENT,) if is_sole_part_placed(self.document, self.parts) else ()
-        self.properties = self.document.properties(self.parts) + own
-        self.references = self.document.references()
+    def __init__(self, data: Buffer, text: bytes, scene: Scene) -> None:
+        self.data = data
+        self.scene = scene
+        self.text = text.decode("latin-1")
+        parts, warnings = scene.parts()
+        self._parts = parts
+        super().__init__(scene.data.data, self.format, lambda _: _layout(scene, parts, warnings))
 
-    def _rows(self) -> Iterator[slice]:
-        """The rows of ``vertices`` that belong to each part."""
-        start = 0
-        for part in self.parts:
-            yield slice(start, start + part.positions.count)
-            start += part.positions.count
-
-    def polygons(self) -> Ints:
-        """The triangles (m, 3)."""
-        return self.faces
-
-    def forget_vertices(self) -> None:
-        """Do nothing: to read them again takes long."""
-
-    def patched(self, vertices: Floats) -> bytearray:
-        """The document's data with other positions (n, 3), and the normals of what moved.
+    def replaced(self, vertices: Floats) -> Buffer:
+        """The file with other positions (n, 3), and the normals of what moved recomputed.
 
         Raises
         ------
         ContentError
             with code ``E_RANGE`` if a position does not fit into float32.
         """
-        output = bytearray(self.document.data)
-        for part, stored in zip(self.parts, self._positions(vertices), strict=True):
-            part.positions.store(output, stored)
-        for normals, stored in self._normals(vertices):
-            normals.store(output, stored)
-        return output
+        if not (vertices != self.vertices).any():
+            return self.data
+        return self._pack(self.replace_data(vertices))
 
-    def _positions(self, vertices: Floats) -> Iterator[NDArray[np.float32]]:
-        """What each part is to store: unmoved vertices exactly what they have."""
-        for part, frame, rows in zip(self.parts, self.frames, self._rows(), strict=True):
-            back = np.linalg.inv(frame).astype(np.float64)
-            own = moved_by(back, vertices[rows])
-            moved = (vertices[rows] != self.vertices[rows]).any(axis=1)
-            stored = part.positions.stored(self.document.data)
-            # Only rows that moved are rounded: the others would change in the last bit.
-            result = stored.copy()
-            result[moved] = as_float32(own[moved], rows.start)
-            yield result
+    def replace_data(self, vertices: Floats) -> memoryview:
+        """The data of the scene with other positions (n, 3)."""
+        return memoryview(super().replaced(vertices))
 
-    def _normals(self, vertices: Floats) -> Iterator[tuple[Accessor, NDArray[np.float32]]]:
-        """The normals to store, part by part, those of faces that did not move as they are."""
-        from msal_cli.kernels.geometry import regrouped_normals
-
-        for part, frame, rows in zip(self.parts, self.frames, self._rows(), strict=True):
-            if part.normals is None:
-                continue
-            linear = frame[:3, :3]
-            stored = part.normals.stored(self.document.data)
-            faces = part.faces.astype(np.int32)
-            # A stored normal may be anything.
-            with np.errstate(over="ignore", invalid="ignore"):
-                old = stored.astype(np.float64) @ np.linalg.inv(linear)
-                normals, changed = regrouped_normals(
-                    self.vertices[rows], vertices[rows], faces, faces, old
-                )
-                own = normals @ linear
-                length = np.sqrt((own * own).sum(axis=1, keepdims=True))
-                own = np.divide(own, length, out=np.zeros_like(own), where=length > 0.0)
-                new = own.astype(np.float32)
-            yield part.normals, np.where(changed[:, None], new, stored)
-
-    def check_data(self, output: Buffer, shift: int, vertices: Floats) -> list[Accessor]:
-        """Raise InternalError unless ``output``, whose rows lie ``shift`` bytes further on, is the
-        document's data with only ``vertices`` replaced; returns the accessors of its positions."""
-        begin = self.document.binary_at
-        restored = bytearray(memoryview(output).cast("B")[begin + shift :])
-        rest = bytearray(memoryview(self.document.data).cast("B")[begin:])
-        new = [part.positions.shifted(shift) for part in self.parts]
-        for accessor, rows in zip(new, self._positions(vertices), strict=True):
-            if accessor.stored(output).tobytes() != rows.tobytes():
-                raise InternalError("a position of a scene was not written right")
-        for part in self.parts:
-            for own in (part.positions, part.normals):
-                if own is not None:
-                    place = own.shifted(-begin)
-                    place.store(restored, own.stored(self.document.data))
-        if restored != rest:
-            raise InternalError("data other than positions and normals changed in a scene")
-        for accessor, rows in self._normals(vertices):
-            if accessor.shifted(shift).stored(output).tobytes() != rows.tobytes():
-                raise InternalError("a normal of a scene was not written right")
-        return new
-
-    def check_description(self, text: str, output: Buffer, accessors: list[Accessor]) -> None:
-        """Raise InternalError unless ``text``, spaces at its end aside, is the description with the
-        bounds that these accessors have in ``output``."""
-        expected = self.document.bounded_content(output, accessors)
+    def check(self, output: Buffer, vertices: Floats) -> None:
+        """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
+        try:
+            text, data = self._unpack(output, vertices)
+            content = json.loads(text.decode().removeprefix("\ufeff"))
+        except (MsalError, ValueError) as failure:
+            raise InternalError(
+                f"the {self.format} file that was made cannot be read: {failure}"
+            ) from None
+        super().check(data, vertices)
+        expected = json.loads(json.dumps(self.scene.content))
+        for part in self._parts:
+            entry = expected["accessors"][part.positions.index]
+            for word, new in part.bounds(as_bytes(data)).items():
+                if word in entry:
+                    entry[word] = json.loads(write_bound(json.dumps(entry[word]), new))
         # As text, because a number that is none, which Python reads, is not equal to itself.
-        content = json.loads(text.removeprefix("\ufeff"))
         is_right = json.dumps(content) == json.dumps(expected)
-        wanted = self.document.bounded(output, accessors)
-        if not is_right or text.rstrip(" ") != wanted.rstrip(" "):
+        if not is_right or text.rstrip(b" ") != self.text_of(data).rstrip(b" "):
             raise InternalError("the description of a scene is not what it should be")
 
-    def require_encoding(self, encoding: str, precision: str) -> None:
-        """Raise UnsupportedError for another encoding or precision than the one that there is."""
-        name = self.format.upper()
-        if encoding == "ascii":
-            raise UnsupportedError(f"{name} has no ascii encoding", hint="leave --encoding away")
-        if precision == "float64":
-            raise UnsupportedError(f"{name} has no float64", hint="use --to ply")
+    def text_of(self, data: Buffer) -> bytes:
+        """The description with the bounds that positions have in ``data``."""
+        spans = find_entries(self.text, "accessors")
+        edits = []
+        for part in self._parts:
+            own = spans[part.positions.index]
+            for word, new in part.bounds(as_bytes(data)).items():
+                if word in own:
+                    start, stop = own[word]
+                    edits.append((own[word], write_bound(self.text[start:stop], new)))
+        return replace_spans(self.text, edits).encode("latin-1")
+
+    def _pack(self, data: memoryview) -> Buffer:
+        """The file with other data, and with a description that fits them."""
+        raise NotImplementedError
+
+    def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
+        """The description and the data of a file that was made."""
+        raise NotImplementedError
+
+
+def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layout:
+    properties = scene.properties()
+    frames = scene.frames(parts)
+    if len(parts) > 1:
+        properties = (f"{len(parts)} parts", *properties)
+    elif is_placed(frames[0]):
+        properties = (*properties, PLACEMENT)
+    is_framed = len(parts) > 1 and all(map(is_usable, frames))
+    if not is_framed:
+        frames = [np.eye(4) for _ in parts]
+    positions = tuple(part.positions.slots(scene.data) for part in parts)
+    for part, slots in zip(parts, positions, strict=True):
+        require_finite(slots.values, f"accessor {part.positions.index}, vertex {{}}".format)
+    starts = np.cumsum([0, *(slots.count for slots in positions)])
+    faces = np.concatenate(
+        [part.faces + first for part, first in zip(parts, starts.tolist(), strict=False)]
+    ).astype(np.int32)
+    normals = [
+        (part, part.normals.slots(scene.data), frame, int(first))
+        for part, frame, first in zip(parts, frames, starts, strict=False)
+        if part.normals is not None
+    ]
+    return Layout(
+        "binary_little_endian",
+        "float32",
+        positions,
+        normals=tuple(slots for _, slots, _, _ in normals),
+        renew_normals=lambda old, new: [
+            _renew_normals(part, slots.values, frame[:3, :3], old[first:], new[first:])
+            for part, slots, frame, first in normals
+        ],
+        frames=tuple(frames) if is_framed else (),
+        properties=properties,
+        warnings=warnings,
+        references=scene.references(),
+        faces=faces,
+    )
+
+
+def _renew_normals(
+    part: Part, stored: Floats, linear: Floats, old: Floats, new: Floats
+) -> tuple[Floats, Flags]:
+    """The normals (n, 3) of a part, which ``linear`` (3, 3) takes into the scene, and which of them
+    changed; ``old`` and ``new`` begin with its vertices."""
+    from msal_cli.kernels.geometry import regrouped_normals
+
+    count = len(stored)
+    faces = part.faces.astype(np.int32)
+    # A stored normal may be anything.
+    with np.errstate(over="ignore", invalid="ignore"):
+        normals, is_changed = regrouped_normals(
+            old[:count], new[:count], faces, faces, stored @ np.linalg.inv(linear)
+        )
+        normals = normals @ linear
+        length = np.sqrt((normals * normals).sum(axis=1, keepdims=True))
+        normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0.0)
+    return normals, is_changed

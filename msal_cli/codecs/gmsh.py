@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Bytes, Longs
-from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers
-from msal_cli.codecs.surface_cells import SurfaceCells
+from msal_cli.codecs.layout import Layout
+from msal_cli.codecs.slots import BinaryNumbers, UnitSlots
+from msal_cli.codecs.surface_cells import CURVED, SurfaceCells, runs_of
 from msal_cli.codecs.tokens import Words, indices_of
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
@@ -23,29 +23,23 @@ _HEADER = re.compile(rb"\$MeshFormat\s+(\d+)(?:\.(\d+))?\s+([01])\s+(\d+)[ \t]*\
 _SIZES = {1: 2, 2: 3, 3: 4, 4: 4, 5: 8, 6: 6, 7: 5, 8: 3, 9: 6, 10: 9, 11: 10, 12: 27, 13: 18}
 _SIZES |= {14: 14, 15: 1, 16: 8, 17: 20, 18: 15, 19: 13, 20: 9, 21: 10, 22: 12, 23: 15, 24: 15}
 _SIZES |= {25: 21, 26: 4, 27: 5, 28: 6, 29: 20, 30: 35, 31: 56, 92: 64, 93: 125}
-_NAMES = {1: "line", 4: "tetra", 5: "hexahedron", 6: "wedge", 7: "pyramid", 15: "vertex"}
+_KINDS = {
+    1: "line",
+    2: "triangle",
+    3: "quad",
+    4: "tetra",
+    5: "hexahedron",
+    6: "wedge",
+    7: "pyramid",
+    15: "vertex",
+    **dict.fromkeys((9, 10, 16, 20, 21, 22, 23, 24, 25), CURVED),
+}
 _FLUENT = re.compile(rb"\s*\((?:0|1|2|10|12|13|39|45)\s")
 """The first section of a mesh of ANSYS Fluent: the number of its kind in parentheses."""
 
-_CURVED = (9, 10, 16, 20, 21, 22, 23, 24, 25)
 
-
-def read(data: Buffer, format: str) -> PatchedFile:
-    """Open the Gmsh file ``data`` (its bytes).
-
-    Raises
-    ------
-    FormatError, TruncatedError
-        if the file is not what its format says.
-    UnsupportedError
-        for versions 1 and 3, and curved elements.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
-    """
-    return PatchedFile(data, format, _parse)
-
-
-def _parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
+    """Read a Gmsh file; UnsupportedError for versions 1 and 3, and curved elements."""
     header = _HEADER.search(data, 0, 4096)
     if not header:
         if re.match(rb"\s*\$NOD\s", data):
@@ -79,15 +73,11 @@ def _parse(data: Buffer) -> Content:
         one.decode()
         for one in re.findall(rb"(?m)^\$((?:Element)?(?:Node)?Data|PhysicalNames)\b", data)
     ]
-    return Content(
-        "ascii" if is_text else "binary",
+    return cells.content(
+        positions,
         "text" if is_text else "float64",
-        (positions,),
-        indices_of(tags, cells.corners()),
-        cells.sizes(),
+        corners=indices_of(tags, cells.corners()),
         properties=tuple(dict.fromkeys(names)),
-        warnings=cells.warnings(),
-        held=cells.held(),
     )
 
 
@@ -113,13 +103,13 @@ def _section(data: Buffer, name: str) -> Words:
     return Words(data, start.end(), end.start())
 
 
-def _text_nodes(words: Words, version: tuple[int, int]) -> tuple[Longs, Numbers]:
-    """Numbers (n,) and positions of the nodes."""
+def _text_nodes(words: Words, version: tuple[int, int]) -> tuple[Longs, UnitSlots]:
+    """UnitSlots (n,) and positions of the nodes."""
     if version[0] == 2:
         count = words.count(0, "nodes")
         words.require(1 + 4 * count, f"{count} nodes")
         first = 1 + 4 * np.arange(count, dtype=np.int64)
-        return _tagged(words, words.integers(first), first + 1)
+        return words.integers(first), words.float_rows(first + 1)
     n_blocks = words.count(0, "blocks")
     tags, at = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
     is_old = version[1] == 0
@@ -140,12 +130,7 @@ def _text_nodes(words: Words, version: tuple[int, int]) -> tuple[Longs, Numbers]
             tags.append(words.integers(next_word + rows))
             at.append(next_word + count + rows * (3 + extra))
         next_word += count * (4 + extra)
-    return _tagged(words, np.concatenate(tags), np.concatenate(at))
-
-
-def _tagged(words: Words, tags: Longs, at: Longs) -> tuple[Longs, Numbers]:
-    places = (at[:, None] + np.arange(3)).reshape(-1)
-    return tags, TextNumbers(words.data, words.starts[places], words.stops[places])
+    return np.concatenate(tags), words.float_rows(np.concatenate(at))
 
 
 def _text_elements(words: Words, version: tuple[int, int], cells: SurfaceCells) -> None:
@@ -155,45 +140,34 @@ def _text_elements(words: Words, version: tuple[int, int], cells: SurfaceCells) 
         for _ in range(n_blocks):
             words.require(next_word + 4, "elements")
             kind, count = words.count(next_word + 2, "type"), words.count(next_word + 3, "elements")
-            size = 1 + _size_of(kind)
+            width = 1 + _size_of(kind)
             next_word += 4
-            words.require(next_word + count * size, f"{count} elements")
-            if kind in (2, 3):
-                numbers = words.integers(slice(next_word, next_word + count * size))
-                _add(cells, kind, numbers.reshape(-1, size)[:, 1:])
-            else:
-                _add_other(cells, kind, count)
-            next_word += count * size
+            words.require(next_word + count * width, f"{count} elements")
+            if _sort(cells, kind, count):
+                first = next_word + width * np.arange(count, dtype=np.int64)
+                cells.add(_KINDS[kind], words.integer_rows(first, width)[:, 1:])
+            next_word += count * width
         return
     count = words.count(0, "elements")
-    first = words.first_of_lines()
-    first = first[first > 0]
+    first, lengths = words.lines_of_words()
+    is_element = first > 0
+    first, lengths = first[is_element][:count], lengths[is_element][:count]
     if len(first) < count:
         raise TruncatedError(f"only {len(first)} of {count} elements are there", hint=EXPORT_AGAIN)
-    lengths = np.diff(np.append(first, len(words)))[:count]
-    first = first[:count]
-    if count and int(lengths.min()) < 3:
-        at = int(first[int(np.argmin(lengths))])
-        raise FormatError("an element is too short", where=words.where(at), hint=EXPORT_AGAIN)
+    words.require_lengths(first, lengths, 3, "element")
     kinds, n_tags = words.integers(first + 1), words.integers(first + 2)
-    starts = np.flatnonzero(np.diff(kinds, prepend=-1))
-    for start, stop in zip(starts, [*starts[1:], count], strict=False):
-        kind = int(kinds[start])
-        if kind not in (2, 3):
-            _add_other(cells, kind, int(stop - start))
-            continue
-        rows = slice(start, stop)
-        size = _size_of(kind)
-        if (n_tags[rows] < 0).any() or (lengths[rows] != 3 + n_tags[rows] + size).any():
-            wrong = (n_tags[rows] < 0) | (lengths[rows] != 3 + n_tags[rows] + size)
-            at = int(first[rows][int(np.argmax(wrong))])
-            raise FormatError(
-                "an element has not as many nodes as its type asks for",
-                where=words.where(at),
-                hint=EXPORT_AGAIN,
-            )
-        places = (first[rows] + 3 + n_tags[rows])[:, None] + np.arange(size)
-        _add(cells, kind, words.integers(places.reshape(-1)).reshape(-1, size))
+    for run in runs_of(kinds):
+        kind = int(kinds[run.start])
+        own, behind = first[run], n_tags[run]
+        if size := _sort(cells, kind, len(own)):
+            wrong = (behind < 0) | (lengths[run] != 3 + behind + size)
+            if wrong.any():
+                raise FormatError(
+                    "an element has not as many nodes as its type asks for",
+                    where=words.where(int(own[int(np.argmax(wrong))])),
+                    hint=EXPORT_AGAIN,
+                )
+            cells.add(_KINDS[kind], words.integer_rows(own + 3 + behind, size))
 
 
 def _size_of(kind: int) -> int:
@@ -202,14 +176,8 @@ def _size_of(kind: int) -> int:
     return _SIZES[kind]
 
 
-def _add(cells: SurfaceCells, kind: int, nodes: Longs) -> None:
-    cells.add("triangle" if kind == 2 else "quad", nodes)
-
-
-def _add_other(cells: SurfaceCells, kind: int, count: int) -> None:
-    if kind in _CURVED:
-        cells.refuse_curved(f"of type {kind}", count)
-    cells.count(_NAMES.get(kind, f"element of type {kind}"), count)
+def _sort(cells: SurfaceCells, kind: int, count: int) -> int:
+    return cells.sort(_KINDS.get(kind, f"element of type {kind}"), count, f"of type {kind}")
 
 
 # binary
@@ -272,7 +240,7 @@ class _Binary:
         return self.whole()[at : at + count * size].view(f"{self.order}i{size}").astype(np.int64)
 
 
-def _binary_nodes(source: _Binary, version: tuple[int, int]) -> tuple[Longs, Numbers]:
+def _binary_nodes(source: _Binary, version: tuple[int, int]) -> tuple[Longs, UnitSlots]:
     code = f"{source.order}f8"
     if version[0] == 2:
         count = source.text_count()
@@ -315,10 +283,8 @@ def _binary_elements(source: _Binary, version: tuple[int, int], cells: SurfaceCe
                 raise FormatError("a block of elements is damaged", where=f"byte {source.at}")
             size = 1 + n_tags + _size_of(kind)
             numbers = source.integers(count * size).reshape(-1, size)
-            if kind in (2, 3):
-                _add(cells, kind, numbers[:, 1 + n_tags :])
-            else:
-                _add_other(cells, kind, count)
+            if _sort(cells, kind, count):
+                cells.add(_KINDS[kind], numbers[:, 1 + n_tags :])
             left -= count
         return
     is_old = version[1] == 0
@@ -330,7 +296,5 @@ def _binary_elements(source: _Binary, version: tuple[int, int], cells: SurfaceCe
             raise FormatError("a block of elements is damaged", where=f"byte {source.at}")
         size = 1 + _size_of(kind)
         numbers = source.integers(count * size, 4 if is_old else source.size_bytes)
-        if kind in (2, 3):
-            _add(cells, kind, numbers.reshape(-1, size)[:, 1:])
-        else:
-            _add_other(cells, kind, count)
+        if _sort(cells, kind, count):
+            cells.add(_KINDS[kind], numbers.reshape(-1, size)[:, 1:])

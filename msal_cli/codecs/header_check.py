@@ -12,7 +12,8 @@ import os
 from typing import BinaryIO
 
 from msal_cli.codecs.detection import OWN_FORMATS, content_format, format_of_name
-from msal_cli.errors import FormatError, TooLargeError, TruncatedError
+from msal_cli.codecs.headers import read_header
+from msal_cli.errors import FormatError, TooLargeError
 from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import GZIP_MAGIC, read_in_large_pages, read_whole
 from msal_cli.storage.limits import LARGE_BYTES, LOOKED_AT, largest_bytes, too_large
@@ -64,33 +65,16 @@ def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
     # Another format than the name says is the codec's to explain.
     if not is_packed and seen not in ("", wanted):
         return
-    if is_packed:
-        is_text = True
-    elif wanted == "ply":
-        from msal_cli.codecs import ply_header
-
-        header = ply_header.parsed(memoryview(head), is_whole=False)
-        is_text = header.encoding == "ascii"
-        _require_bytes(size, header.least_bytes())
-        _refuse_behind(size, size if is_text else header.most_bytes())
-    elif wanted == "stl":
-        from msal_cli.codecs import stl
-
-        is_text = stl.is_text(head, size)
-        if not is_text:
-            _refuse_behind(size, stl.wanted_bytes(head, size))
-    elif wanted == "glb":
-        from msal_cli.codecs import glb_chunks
-
-        is_text = False
-        _refuse_behind(size, glb_chunks.wanted_bytes(memoryview(head), size))
-    elif wanted == "obj":
-        from msal_cli.codecs import obj_parser as obj_content
-
-        is_text = True
-        obj_content.refuse_binary(head)
-    else:
-        return
+    is_text = True
+    if not is_packed:
+        header = read_header(wanted, head, size)
+        if header.error is not None:
+            raise header.error
+        if header.is_text is None:
+            return
+        is_text = header.is_text
+        if header.most_bytes is not None:
+            _refuse_behind(size, header.most_bytes)
     # A text has no zero bytes, which a hole is made of, and compressed data have not many; some at
     # the end may be carried along.
     hole = _hole(file, size) if is_text else size
@@ -99,16 +83,6 @@ def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
             f"a hole full of zeros begins {size - hole:,} bytes before the end",
             where=f"byte {hole}",
             hint="the file was not written to its end; copy or export it again",
-        )
-
-
-def _require_bytes(size: int, least: int) -> None:
-    """Raise TruncatedError for a file shorter than its header asks for."""
-    if size < least:
-        raise TruncatedError(
-            f"the header counts {least:,} bytes at the least, but the file has {size:,}",
-            where=f"byte {size}",
-            hint="the file was cut short or its header counts are wrong; copy or export it again",
         )
 
 

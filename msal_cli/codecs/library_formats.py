@@ -18,24 +18,25 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs.library_guard import guarded
 from msal_cli.codecs.mesh_file import MeshFile
+from msal_cli.codecs.slot_file import SlotFile
 from msal_cli.storage.buffers import Buffer
 
-_CODECS = {
-    "off": "off",
-    "dae": "dae",
-    "vtk": "vtk",
-    "vtu": "vtk_xml",
-    "vtp": "vtk_xml",
-    "msh": "gmsh",
-    "mesh": "medit",
-    "meshb": "medit",
-    "inp": "abaqus",
-    "avs": "avs",
-    "vol": "netgen",
-    "med": "med",
-    "xdmf": "xdmf",
+_PARSERS = {
+    "off": "off.parse",
+    "dae": "dae.parse",
+    "vtk": "vtk.parse",
+    "vtu": "vtk_xml.parse_vtu",
+    "vtp": "vtk_xml.parse_vtp",
+    "msh": "gmsh.parse",
+    "mesh": "medit.parse",
+    "meshb": "medit.parse",
+    "inp": "abaqus.parse",
+    "avs": "avs.parse",
+    "vol": "netgen.parse",
+    "med": "med.parse",
+    "xdmf": "xdmf.parse",
 }
-"""Suffixes and the modules that read them, in the order in which help names them."""
+"""Suffixes and the functions that parse them, in the order in which help names them."""
 
 _BY_MESHIO = {
     "vtk": "vtk42",
@@ -56,7 +57,7 @@ _NEEDED = {"med": "h5py"}
 
 def readable() -> tuple[str, ...]:
     """The formats that are read here, in the order in which help names them."""
-    return tuple(_CODECS)
+    return tuple(_PARSERS)
 
 
 def writable() -> tuple[str, ...]:
@@ -82,9 +83,9 @@ def read(data: Buffer, format: str) -> MeshFile:
     TooLargeError, ResourceError
         if reading it takes too much memory or does not end.
     """
-    codec = importlib.import_module(f"msal_cli.codecs.{_CODECS[format]}")
-    file: MeshFile = codec.read(data, format)
-    return file
+    module, _, function = _PARSERS[format].partition(".")
+    parse = getattr(importlib.import_module(f"msal_cli.codecs.{module}"), function)
+    return SlotFile(data, format, parse)
 
 
 def cells_written(points: NDArray[Any], faces: Ints, format: str, encoding: str) -> bytes:

@@ -12,15 +12,16 @@ from typing import Any
 import numpy as np
 
 from msal_cli.arrays import Bytes, Longs
+from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.med_sandbox import answer_of
-from msal_cli.codecs.slot_file import Content, PatchedFile
 from msal_cli.codecs.slots import ColumnNumbers
-from msal_cli.codecs.surface_cells import SurfaceCells
+from msal_cli.codecs.surface_cells import CURVED, SurfaceCells
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
 
-_FLAT = {"TR3": "triangle", "QU4": "quad"}
-_OTHERS = {
+_KINDS = {
+    "TR3": "triangle",
+    "QU4": "quad",
     "PO1": "vertex",
     "SE2": "line",
     "SE3": "line",
@@ -28,34 +29,23 @@ _OTHERS = {
     "PY5": "pyramid",
     "PE6": "wedge",
     "HE8": "hexahedron",
+    **dict.fromkeys(("TR6", "TR7", "QU8", "QU9"), CURVED),
 }
-_CURVED = ("TR6", "TR7", "QU8", "QU9")
 
 
-def read(data: Buffer, format: str) -> PatchedFile:
-    """Open the MED file ``data`` (its bytes).
+def parse(data: Buffer) -> Layout:
+    """Read a MED file.
 
-    Raises
-    ------
-    FormatError, TruncatedError
-        if the file is not what its format says.
-    UnsupportedError
-        without h5py, and for several meshes or time steps, compressed numbers, numbers in another
-        file, polygons, and curved cells.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
+    Raises UnsupportedError without h5py, and for several meshes or time steps, compressed numbers,
+    numbers in another file, polygons, and curved cells.
     """
+    from msal_cli.kernels.text import as_bytes
+
     if not importlib.util.find_spec("h5py"):
         raise UnsupportedError(
             "MED files are not read without the package h5py",
             hint="pip install h5py, or install msal with the extra [formats]",
         )
-    return PatchedFile(data, format, _parse)
-
-
-def _parse(data: Buffer) -> Content:
-    from msal_cli.kernels.text import as_bytes
-
     if bytes(memoryview(data)[:4]) != b"\x89HDF":
         raise FormatError("the file is no HDF5", where="byte 0", hint=EXPORT_AGAIN)
     answer = answer_of("med_child", data, "med")
@@ -71,24 +61,17 @@ def _parse(data: Buffer) -> Content:
     positions = ColumnNumbers(source, points["at"], points["count"] // 3, points["type"])
     cells = SurfaceCells()
     for one in answer["cells"]:
-        kind, size = one["kind"], one["corners"]
-        if kind in _FLAT:
-            cells.add(_FLAT[kind], _columns(source, one, size))
-        elif kind in _CURVED:
-            cells.refuse_curved(kind, one["count"] // size)
-        elif kind == "POG":
+        name, size = one["kind"], one["corners"]
+        if name == "POG":
             raise UnsupportedError("polygons of MED files are not read", hint="export triangles")
-        else:
-            cells.count(_OTHERS.get(kind, f"cells {kind}"), one["count"] // max(size, 1))
-    return Content(
-        "binary",
+        kind = _KINDS.get(name, f"cells {name}")
+        if size := cells.sort(kind, one["count"] // max(size, 1), name):
+            cells.add(kind, _columns(source, one, size))
+    return cells.content(
+        positions,
         "float64",
-        (positions,),
-        cells.corners() - 1,
-        cells.sizes(),
+        corners=cells.corners() - 1,
         properties=tuple(f"field {name}" for name in answer["fields"]),
-        warnings=cells.warnings(),
-        held=cells.held(),
     )
 
 

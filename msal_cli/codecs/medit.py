@@ -8,27 +8,32 @@ is are kept without being looked into.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import BinaryNumbers, TextNumbers
-from msal_cli.codecs.surface_cells import SurfaceCells
+from msal_cli.arrays import Bytes, Longs
+from msal_cli.codecs.layout import Layout
+from msal_cli.codecs.slots import BinaryNumbers, UnitSlots
+from msal_cli.codecs.surface_cells import CORNERS, CURVED, SurfaceCells
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
 
-_FLAT = {"triangles": ("triangle", 3), "quadrilaterals": ("quad", 4)}
-_CURVED = ("trianglesp2", "quadrilateralsq2", "trianglesp3", "trianglesp4")
-_OTHERS = {
+_KINDS = {
+    "triangles": "triangle",
+    "quadrilaterals": "quad",
     "edges": "edge",
     "tetrahedra": "tetra",
     "hexahedra": "hexahedron",
     "prisms": "wedge",
     "pentahedra": "wedge",
     "pyramids": "pyramid",
+    "trianglesp2": CURVED,
+    "quadrilateralsq2": CURVED,
+    "trianglesp3": CURVED,
+    "trianglesp4": CURVED,
 }
-_NUMBERED = {
+_KEYWORDS = {
+    3: "dimension",
+    4: "vertices",
     5: "edges",
     6: "triangles",
     7: "quadrilaterals",
@@ -38,176 +43,173 @@ _NUMBERED = {
     24: "trianglesp2",
     25: "quadrilateralsq2",
     49: "pyramids",
+    54: "end",
     60: "normals",
 }
-_DIMENSION, _VERTICES, _END = 3, 4, 54
+"""The keywords of binary files."""
 
 
-def read(data: Buffer, format: str) -> PatchedFile:
-    """Open the Medit file ``data`` (its bytes).
-
-    Raises
-    ------
-    FormatError, TruncatedError
-        if the file is not what its format says.
-    UnsupportedError
-        for a mesh in the plane, and curved elements.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
-    """
+def parse(data: Buffer) -> Layout:
+    """Read a Medit file; UnsupportedError for a mesh in the plane, and curved elements."""
     head = bytes(memoryview(data)[:4])
-    is_binary = head in (b"\1\0\0\0", b"\0\0\0\1")
-    return PatchedFile(data, format, _parse_binary if is_binary else _parse_text)
-
-
-def _content(
-    cells: SurfaceCells, positions: TextNumbers | BinaryNumbers, precision: str, has_normals: bool
-) -> Content:
-    warnings = cells.warnings()
-    if has_normals:
-        warnings += ("normals are kept as they are",)
-    return Content(
-        "ascii" if precision == "text" else "binary",
-        precision,
-        (positions,),
-        cells.corners() - 1,
-        cells.sizes(),
-        properties=("normals",) if has_normals else (),
-        warnings=warnings,
-        held=cells.held(),
-    )
-
-
-def _refuse_plane(dimension: int) -> None:
-    if dimension != 3:
-        raise UnsupportedError(
-            f"points have {dimension} coordinates, not three", hint="write a 3D mesh"
-        )
-
-
-def _parse_text(data: Buffer) -> Content:
-    words = Words(data, comment=b"#")
-    keywords = words.keywords()
-    first = words.word(keywords[0]).lower() if keywords and keywords[0] == 0 else b""
-    if first != b"meshversionformatted":
-        raise FormatError(
-            "the file does not begin with MeshVersionFormatted", where="line 1", hint=EXPORT_AGAIN
-        )
+    reader: _Text | _Binary
+    reader = _Binary(data) if head in (b"\1\0\0\0", b"\0\0\0\1") else _Text(data)
     cells = SurfaceCells()
-    positions = None
+    positions: UnitSlots | None = None
     dimension = 3
     has_normals = False
-    for keyword, stop in zip(keywords, [*keywords[1:], len(words)], strict=False):
-        name = words.word(keyword).decode("ascii", "replace").lower()
-        if name == "end":
-            break
+    while (name := reader.next_keyword()) not in ("", "end"):
         if name == "dimension":
-            dimension = words.count(keyword + 1, "dimensions")
+            dimension = reader.dimension()
         elif name == "vertices":
-            _refuse_plane(dimension)
-            rows = _rows(words, keyword, stop, 4, "vertices")
-            places = (rows[:, None] + np.arange(3)).reshape(-1)
-            positions = TextNumbers(words.data, words.starts[places], words.stops[places])
-        elif name in _FLAT:
-            kind, size = _FLAT[name]
-            rows = _rows(words, keyword, stop, size + 1, name)
-            places = (rows[:, None] + np.arange(size)).reshape(-1)
-            cells.add(kind, words.integers(places).reshape(-1, size))
-        elif name in _OTHERS:
-            cells.count(_OTHERS[name], words.count(keyword + 1, name))
-        elif name in _CURVED:
-            cells.refuse_curved(name, words.count(keyword + 1, name))
+            if dimension != 3:
+                raise UnsupportedError(
+                    f"points have {dimension} coordinates, not three", hint="write a 3D mesh"
+                )
+            positions = reader.positions()
+        elif name in _KINDS:
+            kind = _KINDS[name]
+            if size := cells.sort(kind, 0 if kind in CORNERS else reader.count(), name):
+                cells.add(kind, reader.corners(size))
         elif name == "normals":
             has_normals = True
     if positions is None:
-        raise TruncatedError(
-            "there are no Vertices", where=words.where(len(words)), hint=EXPORT_AGAIN
-        )
-    return _content(cells, positions, "text", has_normals)
+        raise TruncatedError("there are no Vertices", where=reader.where(), hint=EXPORT_AGAIN)
+    return cells.content(
+        positions,
+        reader.precision,
+        corners=cells.corners() - 1,
+        properties=("normals",) if has_normals else (),
+        warnings=("normals are kept as they are",) if has_normals else (),
+    )
 
 
-def _rows(words: Words, keyword: int, stop: int, width: int, what: str) -> Longs:
-    """The first word of each row (n,) behind a keyword and its count."""
-    count = words.count(keyword + 1, what)
-    if stop - keyword - 2 != count * width:
-        kind = TruncatedError if stop == len(words) else FormatError
-        raise kind(
-            f"{count} {what} take {count * width} numbers, but {stop - keyword - 2} are there",
-            where=words.where(keyword),
-            hint=EXPORT_AGAIN,
-        )
-    return keyword + 2 + width * np.arange(count, dtype=np.int64)
+class _Text:
+    """The keywords of a text, one after the other."""
+
+    precision = "text"
+
+    def __init__(self, data: Buffer) -> None:
+        self._words = Words(data, comment=b"#")
+        self._keywords = [*self._words.keywords(), len(self._words)]
+        self._k = -1
+        if self._keywords[0] != 0 or self.next_keyword() != "meshversionformatted":
+            raise FormatError(
+                "the file does not begin with MeshVersionFormatted",
+                where="line 1",
+                hint=EXPORT_AGAIN,
+            )
+
+    def next_keyword(self) -> str:
+        """Go to the next keyword; empty at the end."""
+        self._k += 1
+        self._at = self._keywords[min(self._k, len(self._keywords) - 1)]
+        if self._at == len(self._words):
+            return ""
+        self._name = self._words.word(self._at).decode("ascii", "replace").lower()
+        return self._name
+
+    def where(self) -> str:
+        return self._words.where(self._at)
+
+    def count(self) -> int:
+        """The number behind the keyword."""
+        return self._words.count(self._at + 1, self._name)
+
+    dimension = count
+
+    def positions(self) -> UnitSlots:
+        return self._words.float_rows(self._rows(4))
+
+    def corners(self, size: int) -> Longs:
+        """The corners (p, size) of cells."""
+        return self._words.integer_rows(self._rows(size + 1), size)
+
+    def _rows(self, width: int) -> Longs:
+        """The first word of each row (n,) behind the keyword and its count."""
+        count, stop = self.count(), self._keywords[self._k + 1]
+        n_words = stop - self._at - 2
+        if n_words != count * width:
+            kind = TruncatedError if stop == len(self._words) else FormatError
+            raise kind(
+                f"{count} {self._name} take {count * width} numbers, but {n_words} are there",
+                where=self.where(),
+                hint=EXPORT_AGAIN,
+            )
+        return self._at + 2 + width * np.arange(count, dtype=np.int64)
 
 
-def _parse_binary(data: Buffer) -> Content:
-    from msal_cli.kernels.text import as_bytes
+class _Binary:
+    """The keywords of a binary file, each with the place of the next."""
 
-    source = as_bytes(data)
-    order = "<" if source[0] == 1 else ">"
-    at = 8
-    version = _integer(source, 4, f"{order}i4")
-    if not 1 <= version <= 4:
-        raise FormatError(f"version {version} of Medit's format is not known", where="byte 4")
-    real = f"{order}f4" if version == 1 else f"{order}f8"
-    whole = f"{order}i8" if version == 4 else f"{order}i4"
-    place = f"{order}i8" if version >= 3 else f"{order}i4"
-    cells = SurfaceCells()
-    positions = None
-    dimension = 3
-    has_normals = False
-    while True:
-        keyword = _integer(source, at, f"{order}i4")
-        if keyword == _END:
-            break
-        next_at = _integer(source, at + 4, place)
-        body = at + 4 + np.dtype(place).itemsize
-        if keyword == _DIMENSION:
-            dimension = _integer(source, body, f"{order}i4")
-        elif keyword == _VERTICES:
-            _refuse_plane(dimension)
-            size = 3 * np.dtype(real).itemsize + np.dtype(whole).itemsize
-            first, count = _table(source, body, whole, size)
-            rows = first + size * np.arange(count, dtype=np.int64)
-            positions = BinaryNumbers(source, rows, real)
-        elif (name := _NUMBERED.get(keyword, "")) in _FLAT:
-            kind, width = _FLAT[name]
-            size = (width + 1) * np.dtype(whole).itemsize
-            first, count = _table(source, body, whole, size)
-            numbers = source[first : first + size * count].view(whole).reshape(-1, width + 1)
-            cells.add(kind, numbers[:, :width].astype(np.int64))
-        elif name in _OTHERS:
-            cells.count(_OTHERS[name], _integer(source, body, whole))
-        elif name in _CURVED:
-            cells.refuse_curved(name, _integer(source, body, whole))
-        elif name:
-            has_normals = True
-        if next_at == 0:
-            break
-        if not body <= next_at <= len(source):
-            raise FormatError("the next keyword is not in the file", where=f"byte {at}")
-        at = next_at
-    if positions is None:
-        raise TruncatedError("there are no Vertices", where=f"byte {at}", hint=EXPORT_AGAIN)
-    return _content(cells, positions, "float32" if version == 1 else "float64", has_normals)
+    def __init__(self, data: Buffer) -> None:
+        from msal_cli.kernels.text import as_bytes
 
+        self._data: Bytes = as_bytes(data)
+        order = "<" if self._data[0] == 1 else ">"
+        self._short = f"{order}i4"
+        version = self._integer(4, self._short)
+        if not 1 <= version <= 4:
+            raise FormatError(f"version {version} of Medit's format is not known", where="byte 4")
+        self.precision = "float32" if version == 1 else "float64"
+        self._real = f"{order}f4" if version == 1 else f"{order}f8"
+        self._whole = f"{order}i8" if version == 4 else self._short
+        self._place = f"{order}i8" if version >= 3 else self._short
+        self._at, self._body, self._next_at = 0, 8, 8
 
-def _integer(source: NDArray[np.uint8], at: int, code: str) -> int:
-    size = np.dtype(code).itemsize
-    if at < 0 or at + size > len(source):
-        raise TruncatedError(
-            "the file ends before its End", where=f"byte {len(source)}", hint=EXPORT_AGAIN
-        )
-    return int(source[at : at + size].view(code)[0])
+    def next_keyword(self) -> str:
+        """Go to the next keyword; empty at the end, ``other`` for one that is not known."""
+        if self._next_at == 0:
+            return ""
+        if not self._body <= self._next_at <= len(self._data):
+            raise FormatError("the next keyword is not in the file", where=self.where())
+        self._at = self._next_at
+        name = _KEYWORDS.get(self._integer(self._at, self._short), "other")
+        if name != "end":
+            self._next_at = self._integer(self._at + 4, self._place)
+            self._body = self._at + 4 + np.dtype(self._place).itemsize
+        return name
 
+    def where(self) -> str:
+        return f"byte {self._at}"
 
-def _table(source: NDArray[np.uint8], body: int, whole: str, size: int) -> tuple[int, int]:
-    """The first byte and the number of rows behind a count."""
-    count = _integer(source, body, whole)
-    first = body + np.dtype(whole).itemsize
-    if count < 0 or first + count * size > len(source):
-        raise TruncatedError(
-            f"{count} rows are more than the file holds",
-            where=f"byte {body}",
-            hint=EXPORT_AGAIN,
-        )
-    return first, count
+    def dimension(self) -> int:
+        return self._integer(self._body, self._short)
+
+    def count(self) -> int:
+        """The number behind the keyword."""
+        return self._integer(self._body, self._whole)
+
+    def positions(self) -> UnitSlots:
+        size = 3 * np.dtype(self._real).itemsize + np.dtype(self._whole).itemsize
+        first, count = self._table(size)
+        rows = first + size * np.arange(count, dtype=np.int64)
+        return BinaryNumbers(self._data, rows, self._real)
+
+    def corners(self, size: int) -> Longs:
+        """The corners (p, size) of cells."""
+        first, count = self._table((size + 1) * np.dtype(self._whole).itemsize)
+        stop = first + (size + 1) * np.dtype(self._whole).itemsize * count
+        rows = self._data[first:stop].view(self._whole).reshape(-1, size + 1)
+        return rows[:, :size].astype(np.int64)
+
+    def _table(self, row_bytes: int) -> tuple[int, int]:
+        """The first byte and the number of the rows behind the count."""
+        count, first = self.count(), self._body + np.dtype(self._whole).itemsize
+        if count < 0 or first + count * row_bytes > len(self._data):
+            raise TruncatedError(
+                f"{count} rows are more than the file has bytes for",
+                where=f"byte {self._body}",
+                hint=EXPORT_AGAIN,
+            )
+        return first, count
+
+    def _integer(self, at: int, code: str) -> int:
+        size = np.dtype(code).itemsize
+        if at < 0 or at + size > len(self._data):
+            raise TruncatedError(
+                "the file ends before its End",
+                where=f"byte {len(self._data)}",
+                hint=EXPORT_AGAIN,
+            )
+        return int(self._data[at : at + size].view(code)[0])

@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import TextNumbers
-from msal_cli.codecs.surface_cells import SurfaceCells
+from msal_cli.codecs.layout import Layout
+from msal_cli.codecs.surface_cells import SurfaceCells, runs_of
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
@@ -21,28 +20,13 @@ _CORNERS_BEHIND = 5
 """Words in front of a surface element's corners: surface, condition, two domains, their number."""
 
 
-def read(data: Buffer, format: str) -> PatchedFile:
-    """Open the Netgen file ``data`` (its bytes).
-
-    Raises
-    ------
-    FormatError, TruncatedError
-        if the file is not what its format says.
-    UnsupportedError
-        for a mesh in the plane, and curved elements.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
-    """
-    return PatchedFile(data, format, _parse)
-
-
-def _parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
+    """Read a Netgen file; UnsupportedError for a mesh in the plane, and curved elements."""
     words = Words(data, comment=b"#")
     keywords = words.keywords()
     if not keywords or words.word(keywords[0]) not in (b"mesh3d", b"dimension"):
         raise FormatError("the file does not begin with mesh3d", where="line 1", hint=EXPORT_AGAIN)
-    lines = words.first_of_lines()
-    lengths = np.diff(np.append(lines, len(words)))
+    lines, lengths = words.lines_of_words()
     cells = SurfaceCells()
     positions = None
     for keyword in keywords:
@@ -63,39 +47,22 @@ def _parse(data: Buffer) -> Content:
         if name == b"volumeelements":
             cells.count("volume", count)
         elif name == b"points":
-            _require_length(words, rows, sizes, 3, "point")
-            places = (rows[:, None] + np.arange(3)).reshape(-1)
-            positions = TextNumbers(words.data, words.starts[places], words.stops[places])
+            words.require_lengths(rows, sizes, 3, "point")
+            positions = words.float_rows(rows)
         else:
             _add_surface(words, rows, sizes, cells)
     if positions is None:
         raise TruncatedError("there are no points", where=words.where(len(words)))
-    return Content(
-        "ascii",
-        "text",
-        (positions,),
-        cells.corners() - 1,
-        cells.sizes(),
-        warnings=cells.warnings(),
-        held=cells.held(),
-    )
+    return cells.content(positions, corners=cells.corners() - 1)
 
 
 def _add_surface(words: Words, rows: Longs, lengths: Longs, cells: SurfaceCells) -> None:
-    _require_length(words, rows, lengths, _CORNERS_BEHIND, "surface element")
+    words.require_lengths(rows, lengths, _CORNERS_BEHIND, "surface element")
     n_corners = words.integers(rows + 4)
-    starts = np.flatnonzero(np.diff(n_corners, prepend=-1))
-    for start, stop in zip(starts, [*starts[1:], len(rows)], strict=False):
-        size = int(n_corners[start])
+    for run in runs_of(n_corners):
+        size, own = int(n_corners[run.start]), rows[run]
         if size not in (3, 4):
-            cells.refuse_curved(f"of {size} points", int(stop - start))
-        own = rows[start:stop]
-        _require_length(words, own, lengths[start:stop], _CORNERS_BEHIND + size, "surface element")
-        places = (own[:, None] + _CORNERS_BEHIND + np.arange(size)).reshape(-1)
-        cells.add("triangle" if size == 3 else "quad", words.integers(places).reshape(-1, size))
-
-
-def _require_length(words: Words, rows: Longs, lengths: Longs, least: int, what: str) -> None:
-    if len(rows) and int(lengths.min()) < least:
-        at = int(rows[int(np.argmin(lengths))])
-        raise FormatError(f"a {what} is too short", where=words.where(at), hint=EXPORT_AGAIN)
+            cells.refuse_curved(f"of {size} points", len(own))
+        words.require_lengths(own, lengths[run], _CORNERS_BEHIND + size, "surface element")
+        kind = "triangle" if size == 3 else "quad"
+        cells.add(kind, words.integer_rows(own + _CORNERS_BEHIND, size))

@@ -82,7 +82,7 @@ def line_of(data: Buffer, at: int) -> int:
     return 1 + before.count(b"\n") + before.count(b"\r") - before.count(b"\r\n")
 
 
-def content(data: Buffer) -> Content:
+def parse_content(data: Buffer) -> Content:
     """Parse the bytes of an OBJ file.
 
     Raises FormatError (binary data, a word that is no number or corner, a statement that is too

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import TextNumbers
+from msal_cli.codecs.layout import Layout
+from msal_cli.codecs.slots import Tokens
 from msal_cli.codecs.tokens import Words, require_indices
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, InputError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
@@ -30,22 +30,8 @@ _HEADER = re.compile(
 _CONVERT = "convert it to PLY"
 
 
-def read(data: Buffer, format: str) -> PatchedFile:
-    """Open the OFF file ``data`` (its bytes).
-
-    Raises
-    ------
-    FormatError, TruncatedError
-        if the file is not what its format says.
-    UnsupportedError
-        for a binary file, or one of another number of dimensions.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
-    """
-    return PatchedFile(data, format, _parse)
-
-
-def _parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
+    """Read an OFF file; UnsupportedError for a binary one, or another number of dimensions."""
     header = _HEADER.match(data)
     if not header:
         raise FormatError("the file does not begin with OFF", where="line 1", hint=_CONVERT)
@@ -80,16 +66,12 @@ def _parse(data: Buffer) -> Content:
         except InputError:
             raise by_lines from None
     at, corners, sizes, extra = parsed.at, parsed.corners, parsed.sizes, parsed.n_extra
-    places = (at[:, None] + np.arange(3)).reshape(-1)
-    positions = TextNumbers(words.data, words.starts[places], words.stops[places])
-    normals: tuple[TextNumbers, ...] = ()
+    positions = words.float_rows(at)
+    normals: tuple[Tokens, ...] = ()
     if has_normals:
         if extra < 3:
             raise FormatError("a NOFF file without normals", hint=EXPORT_AGAIN)
-        places += 3
-        normals = (
-            TextNumbers(words.data, words.starts[places], words.stops[places], unit_length=True),
-        )
+        normals = (words.float_rows(at + 3, unit_length=True),)
     announced = width - 3
     properties = [
         word
@@ -109,7 +91,7 @@ def _parse(data: Buffer) -> Content:
             f"{np.count_nonzero(~is_face)} faces of fewer than three corners are kept and left out"
         )
         corners = corners[np.repeat(is_face, sizes)]
-    return Content(
+    return Layout(
         "ascii",
         "text",
         (positions,),
@@ -167,7 +149,7 @@ def _by_lines(words: Words, start: int, n_vertices: int, n_faces: int) -> _Parse
 
 
 def _by_words(words: Words, start: int, n_vertices: int, n_faces: int, width: int) -> _Parsed:
-    """Numbers one behind the other; what stands on a line behind a face is its colour."""
+    """UnitSlots one behind the other; what stands on a line behind a face is its colour."""
     words.require(start + n_vertices * width, f"{n_vertices} vertices")
     at = start + np.arange(n_vertices, dtype=np.int64) * width
     next_word = start + n_vertices * width

@@ -1,32 +1,42 @@
 """Ascii elements of a PLY file: where the words of their records stand, one record to a line.
 
-What stands otherwise is left to ``ply_stream``.
+Records on other lines are read as a stream of tokens.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Bytes, Floats, Longs
-from msal_cli.codecs import ply_fast as ply_plain
-from msal_cli.codecs.ply_fast import Numbers
-from msal_cli.codecs.ply_header import Element, Header
-from msal_cli.codecs.slots import number_hint
-from msal_cli.errors import FormatError, TruncatedError
+from msal_cli.arrays import Bytes, Floats, Ints, Longs
+from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header
+from msal_cli.codecs.slots import TextSlots, Tokens, number_hint
+from msal_cli.codecs.text_slots import Statements
+from msal_cli.errors import FormatError, InputError, TruncatedError
 
 _SAMPLE = 4_096
 """Bytes behind an ascii header that are searched for signs of binary data when a line is wrong."""
 
+_NONE = np.empty(0, dtype=np.int64)
+
+_ALL_DIGITS = 1_000
+"""Significant digits of which a file has never too many for fixed-point text."""
+
+_TOKEN = re.compile(rb"\S")
+
+_MOST_UNUSUAL = 5_000
+"""Records with numbers that are not plain, up to which each line keeps its own decimals."""
+
 CUT_HINT = "the file was cut short or its header counts are wrong; copy or export it again"
 
 
-class Tokens(NamedTuple):
+class Places(NamedTuple):
     """Words of ascii records: ``starts`` and ``stops`` (count, c) are those of the properties in
     ``columns`` (of a list: of its count), ``lengths`` (count, c) their items."""
 
@@ -36,9 +46,30 @@ class Tokens(NamedTuple):
     lengths: Longs
 
 
+@dataclass(frozen=True, eq=False)
+class Values:
+    """What was read of an element.
+
+    Attributes
+    ----------
+    names, values : scalars, and their values (count, len(names)).
+    statements : for positions and normals, if their three scalars are one behind the other, where
+        the first token of each record's is (count,), and the most decimals of the three (count,).
+    list_name, items, lengths : a list, all its items one record behind another, and the number
+        of each record's (count,); an empty name for none.
+    """
+
+    names: tuple[str, ...]
+    values: Floats
+    statements: dict[tuple[str, ...], tuple[Longs, Bytes]]
+    list_name: str
+    items: Ints
+    lengths: Ints
+
+
 @dataclass(frozen=True)
 class Lines:
-    """Ascii records, one to a line.
+    """Ascii records, one to a line, or if ``is_stream`` on whatever lines.
 
     ``kept`` are the properties whose values or words are known.  ``read`` are their values, where
     the records are plain; then the places of words are found only when they are asked for.
@@ -50,12 +81,15 @@ class Lines:
     start: int
     stop: int
     kept: tuple[str, ...]
-    read: Numbers | None
+    read: Values | None = None
+    is_stream: bool = False
 
     @functools.cached_property
-    def tokens(self) -> Tokens:
+    def tokens(self) -> Places:
         """The places of all words of the properties ``kept``."""
-        return _tokens(self.data, self.header, self.element, self.start, self.kept)[0]
+        return _find_tokens(
+            self.data, self.header, self.element, self.start, self.kept, self.is_stream
+        )[0]
 
     def where(self, record: int) -> str:
         """The record in words, with its line."""
@@ -82,16 +116,38 @@ class Lines:
             hint=number_hint(token),
         )
 
-    def numbers(self, names: Sequence[str]) -> Floats:
-        """The scalars of ``names`` as (count, len(names)) float64; FormatError with the line."""
+    def slots(self, names: Sequence[str]) -> TextSlots:
+        """Where the scalars of ``names`` are.
+
+        Raises FormatError with the line of one that is no number.
+        """
+        slots: TextSlots
+        read = self.read
+        if read is not None and names in read.statements:
+            values = np.require(self._read_values(names), None, ("C", "W"))
+            slots = Statements(self.data, *read.statements[names], values=values)
+        else:
+            starts, stops = self.spans(names)
+            values = self._values(names, starts, stops)
+            slots = Tokens(self.data, starts, stops, len(names), values=values)
+        slots.codes = tuple(one.code for one in self.element.find_all(names))
+        slots.unit_length = slots.whole_rows = names == NORMAL
+        slots.significant = _ALL_DIGITS
+        return slots
+
+    def _read_values(self, names: Sequence[str]) -> Floats:
+        assert self.read is not None
+        pick = [self.read.names.index(name) for name in names]
+        if pick == list(range(len(self.read.names))):
+            return self.read.values
+        return self.read.values[:, pick]
+
+    def _values(self, names: Sequence[str], starts: Longs, stops: Longs) -> Floats:
+        """The scalars of ``names``, whose tokens are there, as (count, len(names))."""
         from msal_cli.kernels.text import numbers_at
 
         if self.read is not None and set(names) <= set(self.read.names):
-            pick = [self.read.names.index(name) for name in names]
-            if pick == list(range(len(self.read.names))):
-                return self.read.values
-            return self.read.values[:, pick]
-        starts, stops = self.spans(names)
+            return self._read_values(names)
         values, bad = numbers_at(self.data, starts, stops)
         if bad >= 0:
             raise self.not_a_number(int(starts[bad]), "a number")
@@ -99,17 +155,24 @@ class Lines:
 
     def items(self, name: str) -> tuple[NDArray[np.integer[Any]], NDArray[np.integer[Any]]]:
         """All items of a list of whole numbers, and each record's number (count,)."""
-        from msal_cli.kernels.ply_scan import list_integers
+        from msal_cli.kernels.ply_scan import read_integers
+        from msal_cli.kernels.text import numbers_at
 
         if self.read is not None and name == self.read.list_name:
             return self.read.items, self.read.lengths
-        k = self.tokens.columns[name]
-        lengths = np.ascontiguousarray(self.tokens.lengths[:, k])
-        stops = np.ascontiguousarray(self.tokens.stops[:, k])
-        items = np.empty(int(lengths.sum()), dtype=np.int64)
-        bad = list_integers(self.data, stops, lengths, items)
+        starts, stops, lengths = self.item_spans(name)
+        if self.is_stream:
+            values, bad = numbers_at(self.data, starts, stops)
+            if bad < 0:
+                # Beyond this a double does not tell whole numbers apart.
+                is_whole = (np.rint(values) == values) & (np.abs(values) < 2.0**53)
+                bad = -1 if is_whole.all() else int(np.argmin(is_whole))
+            items = values.astype(np.int64) if bad < 0 else _NONE
+        else:
+            items = np.empty(len(starts), dtype=np.int64)
+            bad = int(read_integers(self.data, starts, stops, items))
         if bad >= 0:
-            raise self.not_a_number(int(bad), "a whole number")
+            raise self.not_a_number(int(starts[bad]), "a whole number")
         return items, lengths
 
     def item_spans(self, name: str) -> tuple[Longs, Longs, Longs]:
@@ -136,24 +199,150 @@ def plain_lines(
     """The section of an element whose records are plain; None for others."""
     if not can_hold(data, element, at):
         return None
-    found = ply_plain.numbers(data, element, at, wanted)
+    found = _read_quickly(data, element, at, wanted)
     if found is None:
         return None
     return Lines(data, header, element, at, found[1], kept_names(element, wanted), found[0])
 
 
+def _read_quickly(
+    data: Bytes, element: Element, at: int, wanted: Sequence[str]
+) -> tuple[Values, int] | None:
+    """The ``wanted`` properties of the element that begins at byte ``at``, and its end.
+
+    Nothing where its records are not plain, or not of the kind that is read here: scalars, or one
+    list among properties that are not wanted.
+    """
+    listed = element.properties
+    lists = [one.name for one in listed if one.is_list]
+    if not listed or not element.count or element.count > len(data):
+        return None
+    if lists:
+        return _read_lists(data, element, at, wanted)
+    return _read_scalars(data, element, at, wanted)
+
+
+def _read_scalars(
+    data: Bytes, element: Element, at: int, wanted: Sequence[str]
+) -> tuple[Values, int] | None:
+    from msal_cli.kernels.ply_scan import WHOLE, read_scalars
+
+    all_names = [one.name for one in element.properties]
+    names = tuple(name for name in all_names if name in wanted)
+    columns = np.array([names.index(name) if name in names else -1 for name in all_names])
+    together: list[tuple[str, ...]] = [
+        group
+        for group in (POSITION, NORMAL)
+        if set(group) <= set(names) and tuple(all_names[all_names.index(group[0]) :][:3]) == group
+    ]
+    groups = np.array(
+        [next((g for g, one in enumerate(together) if name in one), -1) for name in all_names]
+    )
+    values = np.empty((element.count, len(names)))
+    first_at = np.empty((len(together), element.count), dtype=np.int64)
+    decimals = np.empty((len(together), element.count), dtype=np.uint8)
+    stop, n_unusual, status = read_scalars(
+        data, at, element.count, columns, groups, values, first_at, decimals
+    )
+    if status != WHOLE or n_unusual > _MOST_UNUSUAL:
+        return None
+    none = np.empty(0, dtype=np.int32)
+    statements: dict[tuple[str, ...], tuple[Longs, Bytes]] = {
+        group: (first_at[g], decimals[g]) for g, group in enumerate(together)
+    }
+    return Values(names, values, statements, "", none, none), int(stop)
+
+
+def _read_lists(
+    data: Bytes, element: Element, at: int, wanted: Sequence[str]
+) -> tuple[Values, int] | None:
+    from msal_cli.kernels.ply_scan import FULL, WHOLE, read_lists
+
+    listed = element.properties
+    names = [one.name for one in listed if one.name in wanted]
+    if len(names) > 1 or not all(one.is_list for one in listed if one.name in wanted):
+        return None
+    is_list = np.array([one.is_list for one in listed])
+    which = element.index(names[0]) if names else -1
+    # An item is one digit and one blank at the least.
+    most = (len(data) - at) // 2 + 1
+    items = np.empty(min(3 * element.count, most) if names else 0, dtype=np.int32)
+    lengths = np.empty(element.count if names else 0, dtype=np.int32)
+    done = n_items = 0
+    while True:
+        done, at, n_items, status = read_lists(
+            data, at, done, element.count, is_list, which, items, n_items, lengths
+        )
+        if status == WHOLE:
+            break
+        if status != FULL or len(items) >= most:
+            return None
+        # As many for each record to come as those so far have.
+        alike = (n_items // max(done, 1) + 1) * element.count
+        larger = np.empty(min(max(alike, len(items) * 3 // 2 + 64), most), dtype=np.int32)
+        larger[:n_items] = items[:n_items]
+        items = larger
+    if len(lengths) and (lengths == lengths[0]).all():
+        # One number instead of one for each record.
+        lengths = np.broadcast_to(lengths[:1].copy(), lengths.shape)
+    name = names[0] if names else ""
+    return Values((), np.empty((element.count, 0)), {}, name, items[:n_items], lengths), int(at)
+
+
 def find_lines(
-    data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
+    data: Bytes,
+    header: Header,
+    element: Element,
+    at: int,
+    wanted: Sequence[str],
+    is_stream: bool = False,
 ) -> Lines:
-    """The section of an element that begins at byte ``at``, its words found one by one.
+    """The section of an element that begins at byte ``at``, its tokens found one by one.
 
     Raises TruncatedError and FormatError with the record and its line.
     """
     kept = kept_names(element, wanted)
-    tokens, stop = _tokens(data, header, element, at, kept)
-    lines = Lines(data, header, element, at, stop, kept, None)
+    tokens, stop = _find_tokens(data, header, element, at, kept, is_stream)
+    lines = Lines(data, header, element, at, stop, kept, is_stream=is_stream)
     lines.__dict__["tokens"] = tokens
     return lines
+
+
+def read_stream(
+    data: Bytes, header: Header, wanted: Callable[[Element], Sequence[str]]
+) -> tuple[dict[str, Lines], int] | None:
+    """The sections of all elements of an ascii file by name, and the byte behind the last one,
+    whatever lines the records are on; None if that leaves tokens over, or some are missing.
+
+    Some programs write several records on a line, or break a record over several, and most readers
+    do not look at line ends.  Without them a missing token shows only at the end.  So the elements
+    must take all tokens, and each begin on a line of its own where there are several lines.
+    """
+    filled = [one for one in header.elements if one.count and one.properties]
+    if not filled or not all(can_hold(data, one, header.size) for one in filled):
+        return None
+    if not data[header.size :].all():
+        return None
+    sections: dict[str, Lines] = {}
+    gaps: list[Bytes] = []
+    at = header.size
+    for element in header.elements:
+        try:
+            sections[element.name] = find_lines(data, header, element, at, wanted(element), True)
+        except InputError:
+            return None
+        stop = sections[element.name].stop
+        if stop > at:
+            first = _TOKEN.search(data.data, at)
+            gaps.append(data[at : first.start() if first else stop])
+        at = stop
+    body = data[header.size + len(gaps[0]) : at]
+    is_apart = all(_has_line_end(gap) for gap in gaps[1:]) or not _has_line_end(body)
+    return (sections, at) if is_apart and not data[at:].tobytes().strip() else None
+
+
+def _has_line_end(part: Bytes) -> bool:
+    return bool(((part == 10) | (part == 13)).any())
 
 
 def kept_names(element: Element, wanted: Sequence[str]) -> tuple[str, ...]:
@@ -167,44 +356,32 @@ def can_hold(data: Bytes, element: Element, at: int) -> bool:
     return 2 * len(element.properties) * element.count <= len(data) - at + 1
 
 
-def _tokens(
-    data: Bytes, header: Header, element: Element, at: int, kept: Sequence[str]
-) -> tuple[Tokens, int]:
-    """The places of the words of the properties ``kept``, and the end of the element."""
+def _find_tokens(
+    data: Bytes, header: Header, element: Element, at: int, kept: Sequence[str], is_stream: bool
+) -> tuple[Places, int]:
+    """The places of the tokens of the properties ``kept``, and the end of the element's last."""
+    from msal_cli.kernels.ply_scan import BAD_COUNT, CUT, TOO_FEW, WHOLE, walk_text
+
     names = kept if can_hold(data, element, at) else ()
     shape = (element.count if names else 0, len(names))
-    tokens = Tokens(
-        {name: k for k, name in enumerate(names)},
-        np.empty(shape, dtype=np.int64),
-        np.empty(shape, dtype=np.int64),
-        np.empty(shape, dtype=np.int64),
-    )
-    stop = at
-    if element.properties and element.count:
-        stop = _walked(data, header, element, at, tokens)
-    return tokens, stop
-
-
-def _walked(
-    data: Bytes,
-    header: Header,
-    element: Element,
-    at: int,
-    tokens: Tokens,
-) -> int:
-    """Fill ``tokens`` and return the end of the element's last line."""
-    from msal_cli.kernels.ply_scan import BAD_COUNT, CUT, TOO_FEW, TOO_MANY, WHOLE, walk_text
-
+    columns = {name: k for k, name in enumerate(names)}
+    starts, stops, lengths = (np.empty(shape, dtype=np.int64) for _ in range(3))
+    tokens = Places(columns, starts, stops, lengths)
     listed = element.properties
+    if not listed or not element.count:
+        return tokens, at
     records, stop, status = walk_text(
         data,
         at,
         min(element.count, len(data) + 1),
+        is_stream,
         np.array([one.is_list for one in listed]),
-        np.array([tokens.columns.get(one.name, -1) for one in listed]),
+        np.array([columns.get(one.name, -1) for one in listed]),
         *tokens[1:],
     )
-    if status != WHOLE and (data[header.size : header.size + _SAMPLE] == 0).any():
+    if status == WHOLE:
+        return tokens, int(stop)
+    if (data[header.size : header.size + _SAMPLE] == 0).any():
         raise FormatError(
             "the header says ascii, but binary data follow",
             where=f"line {header.format_line + 1}",
@@ -224,16 +401,9 @@ def _walked(
             f"the count of a list of {element.name} {records} is not a whole number from 0 up",
             where=place,
         )
-    if status == TOO_FEW:
-        raise FormatError(
-            f"{element.name} {records} has fewer values than the header declares",
-            where=place,
-            hint="each record of an ascii PLY file stands on one line of its own",
-        )
-    if status == TOO_MANY:
-        raise FormatError(
-            f"{element.name} {records} has more values than the header declares",
-            where=place,
-            hint="each record of an ascii PLY file stands on one line of its own",
-        )
-    return int(stop)
+    many = "fewer" if status == TOO_FEW else "more"
+    raise FormatError(
+        f"{element.name} {records} has {many} values than the header declares",
+        where=place,
+        hint="each record of an ascii PLY file stands on one line of its own",
+    )

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from msal_cli.codecs.ply_faces import CORNERS, corner_list
-from msal_cli.codecs.ply_header import Element, Header
+from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header
 from msal_cli.errors import FormatError
-
-POSITION = ("x", "y", "z")
-NORMAL = ("nx", "ny", "nz")
 
 
 def wanted_names(element: Element) -> Sequence[str]:

@@ -131,7 +131,7 @@ def corner_list(element: Element) -> str:
     return ""
 
 
-def surface(sections: Mapping[str, Section], n_vertices: int) -> Surface:
+def find_surface(sections: Mapping[str, Section], n_vertices: int) -> Surface:
     """The surface in the elements ``face`` and ``tristrips``.
 
     Raises ContentError (``E_INDEX`` with the face, ``E_NO_FACES``), FormatError (a corner is not

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
 from msal_cli.codecs.mesh_file import MeshFile
+from msal_cli.codecs.ply_writer import Column, corners_of, write_ply
 from msal_cli.errors import InternalError
 from msal_cli.storage.buffers import Buffer
 
@@ -40,34 +41,23 @@ def with_fields(
     colours : (n, 3), stored as ``red``, ``green`` and ``blue``; None for none.
     comments : lines of the header; what is no printable ASCII in them is escaped.
     """
-    from msal_cli.codecs.conversion import polygon_bytes
     from msal_cli.codecs.slots import as_float32
 
-    n = len(vertices)
     is_single = mesh_file.precision == "float32"
-    real, word = ("<f4", "float") if is_single else ("<f8", "double")
-    columns: list[tuple[str, str, str, NDArray[np.generic]]] = []
     positions: NDArray[Any] = as_float32(vertices) if is_single else vertices
-    columns += [(name, real, word, positions[:, k]) for k, name in enumerate("xyz")]
+    real = "<f4" if is_single else "<f8"
+    columns: list[Column] = [(name, real, positions[:, k]) for k, name in enumerate("xyz")]
     if colours is not None:
-        names = ("red", "green", "blue")
-        columns += [(name, "u1", "uchar", colours[:, k]) for k, name in enumerate(names)]
+        columns += [(name, "u1", colours[:, k]) for k, name in enumerate(("red", "green", "blue"))]
     for name, values in fields.items():
-        if not _NAME.fullmatch(name) or name in _TAKEN or len(values) != n:
-            raise InternalError(f"{name!r} cannot be a field of {n} vertices")
+        if not _NAME.fullmatch(name) or name in _TAKEN or len(values) != len(vertices):
+            raise InternalError(f"{name!r} cannot be a field of {len(vertices)} vertices")
         # What is too large for the type becomes infinite, which readers know.
         with np.errstate(over="ignore"):
-            columns.append((name, "<f4", "float", values.astype(np.float32)))
-    rows = np.empty(n, dtype=[(name, code) for name, code, _, _ in columns])
-    for name, _, _, column in columns:
-        rows[name] = column
-    faces, n_faces, count_word = polygon_bytes(mesh_file)
-    header = ["ply", "format binary_little_endian 1.0"]
-    header += [f"comment {_printable(one)}" for one in comments]
-    header += [f"element vertex {n}"]
-    header += [f"property {word} {name}" for name, _, word, _ in columns]
-    header += [f"element face {n_faces}", f"property list {count_word} int vertex_indices"]
-    return b"".join(("\n".join([*header, "end_header", ""]).encode(), rows.tobytes(), faces))
+            columns.append((name, "<f4", values.astype(np.float32)))
+    is_triangulated = mesh_file.n_polygons == len(mesh_file.faces)
+    corners, sizes = corners_of(mesh_file.faces if is_triangulated else mesh_file.polygons())
+    return write_ply(columns, corners, sizes, [_printable(one) for one in comments])
 
 
 def _printable(comment: str) -> str:

@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.errors import FormatError, TooLargeError, TruncatedError, UnsupportedError
 
+POSITION = ("x", "y", "z")
+NORMAL = ("nx", "ny", "nz")
+
 MOST_BYTES = 65_536
 """Longest header that is read; a file without an end to its header is not searched further."""
 

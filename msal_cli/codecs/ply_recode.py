@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.codecs.ply_ascii import Lines
 from msal_cli.codecs.ply_header import Element, Header, Property, retyped
-from msal_cli.codecs.ply_sections import Section, section_at, stored
-from msal_cli.codecs.ply_stream import read_stream
+from msal_cli.codecs.ply_sections import Section, section_at
+from msal_cli.codecs.slots import to_type
 from msal_cli.errors import ContentError, UsageError
 
 _ENCODINGS = {"ascii": "ascii", "binary": "binary_little_endian"}
@@ -97,14 +97,10 @@ class Recoding:
         written in place of the file's; ``end`` is the byte behind the last element."""
         output = bytearray(self.header())
         at = self._header.size
-        streamed: tuple[Mapping[str, Section], int] | None = None
-        if self._is_stream:
-            streamed = read_stream(self._data, self._header, _all_names)
         for element in self._header.elements:
-            if streamed is not None:
-                section = streamed[0][element.name]
-            else:
-                section = section_at(self._data, self._header, element, at, _all_names(element))
+            section = section_at(
+                self._data, self._header, element, at, _all_names(element), self._is_stream
+            )
             at = section.stop
             is_touched = any(
                 (element.name, one.name) in values or one.line in self._codes
@@ -139,7 +135,7 @@ class Recoding:
         else:
             given = section.column(one.name)
         if given.dtype.kind == "f" and dtype != given.dtype.newbyteorder("="):
-            column = stored(_as_float64(given), dtype)
+            column = to_type(_as_float64(given), dtype.str)
             if dtype.kind == "f":
                 _require_all(np.isfinite(column) | ~np.isfinite(given), section, one)
             return Column(one, column, lengths)
@@ -186,7 +182,7 @@ def _read_tokens(section: Lines, one: Property, dtype: np.dtype[Any]) -> Column:
         raise section.not_a_number(int(starts[bad]), "a number")
     column: NDArray[Any]
     if dtype.kind == "f":
-        column = stored(values, dtype)
+        column = to_type(values, dtype.str)
         fits = np.isfinite(column) | ~np.isfinite(values)
     elif dtype.itemsize == 8:
         column, fits = _long_integers(section, starts, stops, dtype)

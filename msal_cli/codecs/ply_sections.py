@@ -2,29 +2,26 @@
 
 Each element becomes a section: ``Fixed`` (binary records of one size, reached through strided
 views, nothing is copied), ``Varied`` (binary records that differ in size because of their lists)
-or ``Lines`` (ascii, in ``ply_ascii`` and ``ply_stream``).  No section is made before every byte
+or ``Lines`` (ascii, in ``ply_ascii``).  No section is made before every byte
 that its counts promise is known to be there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.ply_ascii import CUT_HINT, Lines, find_lines, plain_lines
-from msal_cli.codecs.ply_header import Element, Header, Property
-from msal_cli.codecs.ply_stream import read_stream
+from msal_cli.arrays import Bytes, Longs
+from msal_cli.codecs.ply_ascii import CUT_HINT, Lines, find_lines, plain_lines, read_stream
+from msal_cli.codecs.ply_header import NORMAL, Element, Header, Property
+from msal_cli.codecs.record_slots import Scattered, Strided
 from msal_cli.errors import FormatError, TruncatedError
 
 Wanted = Callable[[Element], Sequence[str]]
 """The properties of an element whose places are to be kept where that costs memory."""
-
-_RECORDS = 1 << 14
-"""Records of one size that are worked on at a time."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +44,8 @@ class Fixed:
         """The record in words."""
         return f"{self.element.name} {record}"
 
-    def column(self, name: str, within: Bytes | None = None) -> NDArray[np.generic]:
-        """The values of a scalar (count,) or of a list (count, k), as the file stores them.
-
-        A view into ``within``, the bytes of this section, or else into the file.
-        """
+    def column(self, name: str) -> NDArray[np.generic]:
+        """The values of a scalar (count,) or of a list (count, k), a view into the file."""
         one = self.element.properties[self.element.index(name)]
         dtype = np.dtype(self.order + one.code)
         place, length = self.places[name]
@@ -59,69 +53,21 @@ class Fixed:
         strides: tuple[int, ...] = (self.stride,)
         if one.is_list:
             shape, strides = (*shape, length), (*strides, dtype.itemsize)
-        buffer = self.data[self.start : self.stop] if within is None else within
         if not self.element.count or not length:
             return np.empty(shape, dtype)
-        return np.ndarray(shape, dtype, buffer=buffer, offset=place, strides=strides)
+        return np.ndarray(shape, dtype, self.data, self.start + place, strides)
 
     def items(self, name: str) -> tuple[NDArray[np.generic], Longs]:
         """All items of a list, one record behind another, and each record's number (count,)."""
         column = self.column(name)
         return column.reshape(-1), np.full(len(column), column.shape[1], dtype=np.int64)
 
-    def _packed(self, names: Sequence[str], within: Bytes | None) -> NDArray[np.generic] | None:
-        """The values of ``names`` (count, len(names)) as the file stores them, a view as in
-        ``column``, where the records hold nothing else; else nothing."""
-        columns = [self.column(name, within) for name in names]
-        size = columns[0].itemsize
-        if self.stride != len(names) * size or not columns[0].size:
-            return None
-        for k, (name, column) in enumerate(zip(names, columns, strict=True)):
-            if column.dtype != columns[0].dtype or self.places[name][0] != k * size:
-                return None
-        buffer = self.data[self.start : self.stop] if within is None else within
-        return np.ndarray((self.element.count, len(names)), columns[0].dtype, buffer)
-
-    def numbers(self, names: Sequence[str], within: Bytes | None = None) -> Floats:
-        """The scalars of ``names`` as (count, len(names)) float64."""
-        packed = self._packed(names, within)
-        # A signalling NaN is reported elsewhere, as what it is.
-        with np.errstate(invalid="ignore"):
-            if packed is not None:
-                # What is in one piece is read in one piece, which is much quicker.
-                return packed.astype(np.float64)
-            values = np.empty((self.element.count, len(names)))
-            for k, name in enumerate(names):
-                values[:, k] = self.column(name, within)
-        return values
-
-    def write(self, within: Bytes, names: Sequence[str], values: Floats, where: Flags) -> None:
-        """Store ``values`` (count, k) where ``where`` (count, k), into this section's bytes."""
-        packed = self._packed(names, within)
-        if packed is not None:
-            np.copyto(packed, stored(values, packed.dtype), where=where)
-            return
-        for k, name in enumerate(names):
-            column = self.column(name, within)
-            np.copyto(column, stored(values[:, k], column.dtype), where=where[:, k])
-
-    def restore(self, within: Bytes, names: Sequence[str], where: Flags) -> None:
-        """Store the file's own bytes where ``where`` (count, k), into a copy of this section."""
-        packed, own = self._packed(names, within), self._packed(names, None)
-        if packed is not None and own is not None:
-            np.copyto(packed, own, where=where)
-            return
-        for k, name in enumerate(names):
-            np.copyto(self.column(name, within), self.column(name), where=where[:, k])
-
-    def parts(self) -> Iterator[tuple[Fixed, slice]]:
-        """Sections of a few records each that make up this one, and which records they have:
-        what is done with one after the other stays in the processor's cache."""
-        for low in range(0, self.element.count, _RECORDS):
-            high = min(low + _RECORDS, self.element.count)
-            start, stop = self.start + low * self.stride, self.start + high * self.stride
-            element = replace(self.element, count=high - low)
-            yield replace(self, element=element, start=start, stop=stop), slice(low, high)
+    def slots(self, names: Sequence[str]) -> Strided:
+        """Where the scalars of ``names`` are."""
+        places = tuple(self.places[name][0] for name in names)
+        codes = _codes(self.element, self.order, names)
+        count, is_normal = self.element.count, names == NORMAL
+        return Strided(self.data, self.start, count, self.stride, places, codes, is_normal)
 
 
 @dataclass(frozen=True)
@@ -166,57 +112,17 @@ class Varied:
         """The values of a scalar (count,) as the file stores them, copied."""
         return self.items(name)[0]
 
-    def numbers(self, names: Sequence[str], within: Bytes | None = None) -> Floats:
-        """The scalars of ``names`` as (count, len(names)) float64."""
-        from msal_cli.kernels.ply_scan import gather
-
-        values = np.empty((self.element.count, len(names)))
-        for k, name in enumerate(names):
-            dtype, starts, sizes = self._pieces(name)
-            packed = np.empty(self.element.count * dtype.itemsize, dtype=np.uint8)
-            if within is None:
-                gather(self.data, starts, sizes, packed)
-            else:
-                gather(within, starts - self.start, sizes, packed)
-            with np.errstate(invalid="ignore"):
-                values[:, k] = packed.view(dtype)
-        return values
-
-    def write(self, within: Bytes, names: Sequence[str], values: Floats, where: Flags) -> None:
-        """Store ``values`` (count, k) where ``where`` (count, k), into this section's bytes."""
-        from msal_cli.kernels.ply_scan import scatter
-
-        for k, name in enumerate(names):
-            dtype, starts, sizes = self._pieces(name)
-            chosen = where[:, k]
-            packed = stored(values[chosen, k], dtype).view(np.uint8)
-            scatter(within, starts[chosen] - self.start, sizes[chosen], packed)
-
-    def restore(self, within: Bytes, names: Sequence[str], where: Flags) -> None:
-        """Store the file's own bytes where ``where`` (count, k), into a copy of this section."""
-        from msal_cli.kernels.ply_scan import gather, scatter
-
-        for k, name in enumerate(names):
-            _, starts, sizes = self._pieces(name)
-            starts, sizes = starts[where[:, k]], sizes[where[:, k]]
-            packed = np.empty(int(sizes.sum()), dtype=np.uint8)
-            gather(self.data, starts, sizes, packed)
-            scatter(within, starts - self.start, sizes, packed)
+    def slots(self, names: Sequence[str]) -> Scattered:
+        """Where the scalars of ``names`` are."""
+        at = tuple(np.ascontiguousarray(self.starts[:, self.columns[name]]) for name in names)
+        return Scattered(self.data, at, _codes(self.element, self.order, names), names == NORMAL)
 
 
 Section = Fixed | Varied | Lines
 
 
-def stored(values: Floats, dtype: np.dtype[np.generic]) -> NDArray[np.generic]:
-    """``values`` as a file of that number type stores them: rounded to the nearest.
-
-    A half goes to the even neighbour.  A value beyond the type's range becomes infinite (float)
-    or is wrapped (integer); callers must have excluded it, or must compare afterwards.
-    """
-    with np.errstate(over="ignore", invalid="ignore"):
-        if dtype.kind == "f":
-            return values.astype(dtype)
-        return np.rint(values).astype(dtype)
+def _codes(element: Element, order: str, names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(order + one.code for one in element.find_all(names))
 
 
 def located(
@@ -257,15 +163,21 @@ def _in_turn(
 
 
 def section_at(
-    data: Bytes, header: Header, element: Element, at: int, names: Sequence[str]
+    data: Bytes,
+    header: Header,
+    element: Element,
+    at: int,
+    names: Sequence[str],
+    is_stream: bool = False,
 ) -> Section:
-    """The section of one element that begins at byte ``at``; its ascii records have lines.
+    """The section of one element that begins at byte ``at``; its ascii records are one to a line,
+    unless ``is_stream``.
 
     ``names`` are the properties whose places are to be kept where that costs memory.
     Errors as in ``located``.
     """
     if header.encoding == "ascii":
-        return find_lines(data, header, element, at, names)
+        return find_lines(data, header, element, at, names, is_stream)
     return _records(data, header, element, at, names)
 
 

@@ -1,113 +1,146 @@
 """Where a file stores an array of numbers, and the bytes that take their place.
 
 An array of shape (n, k) lies in *units*: ranges of bytes that are replaced as a whole.  In a text
-each number is a unit, in binary data each row, in encoded data (base64) the whole block.
+each number is a unit, in binary data each row, in encoded data (base64) the whole block.  The
+module ``record_slots`` has arrays whose numbers are overwritten in place, without units, and
+``text_slots`` those of a text.
 """
 
 from __future__ import annotations
 
-import math
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.text_slots import usual_decimals
+from msal_cli.codecs.decimals import (
+    SIGNIFICANT_DIGITS,
+    print_numbers,
+    tolerance,
+    uniform_decimals,
+)
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError
 from msal_cli.storage.buffers import Buffer
 
-SHORTEST = 18
-"""In place of a number of decimals: the shortest text that is read back as the same double."""
-
-NORMAL_DECIMALS = 6
-"""Decimals that a recomputed unit normal has at the least."""
-
-_FAR_FINER = 1e-7
-"""Of the bounding box's diagonal: positions are written at least this finely."""
-
-_MOST_SIGNIFICANT = 15
-"""Decimal digits that float64 keeps whatever they are; beyond them the shortest text is used."""
+_UNREAD = np.empty((0, 0))
 
 
-class Numbers(Protocol):
+class Slots:
     """An array (n, k) inside a file.
 
     Attributes
     ----------
-    starts, stops : (q,) int64, ascending and disjoint, the units.
     values : (n, k) float64, exactly what is stored.
+    codes : numpy's type of each column where it limits what a number can be, empty where none does.
+    whole_rows : where one number of a row changes, all of them are written anew.
+    """
+
+    values: Floats
+    codes: tuple[str, ...] = ()
+    whole_rows: bool = False
+
+    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
+        """New values (n, k) as they will be read back, and how far off a number may be."""
+        raise NotImplementedError
+
+
+class UnitSlots(Slots):
+    """An array whose new bytes take the place of the old ones, which may be longer or shorter.
+
+    ``starts`` and ``stops`` (q,) int64, disjoint, are the units.
     """
 
     starts: Longs
     stops: Longs
-    values: Floats
 
     def units(self, is_changed: Flags) -> Flags:
         """Which units (q,) hold one of these numbers (n, k)."""
-        ...
+        raise NotImplementedError
 
-    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
+    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
         """The bytes of these units with new values (n, k), one behind the other, and their ends."""
-        ...
-
-    def stored(self, values: Floats) -> tuple[Floats, float]:
-        """New values (n, k) as they will be read back, and how far off a number may be."""
-        ...
+        raise NotImplementedError
 
 
 @dataclass(eq=False)
-class TextNumbers:
-    """Numbers that are words of a text; ``unit_length`` is True for normals."""
+class TextSlots(UnitSlots):
+    """What all numbers in a text have in common.
+
+    Attributes
+    ----------
+    data : (size,) uint8, the file.
+    values : (n, k) float64; read from the text where they are not given.
+    unit_length : the numbers are normals.
+    significant : digits that the file may ask for before the shortest text is written instead.
+    """
 
     data: Bytes = field(repr=False)
-    starts: Longs = field(repr=False)
-    stops: Longs = field(repr=False)
-    width: int = 3
-    unit_length: bool = False
-    values: Floats = field(init=False, repr=False)
+    values: Floats = field(default_factory=lambda: _UNREAD, repr=False, kw_only=True)
+    unit_length: bool = field(default=False, kw_only=True)
+    significant: int = field(default=SIGNIFICANT_DIGITS, kw_only=True)
+    codes: tuple[str, ...] = field(default=(), kw_only=True)
+    whole_rows: bool = field(default=False, kw_only=True)
 
-    def __post_init__(self) -> None:
-        self.values = parse_floats(self.data, self.starts, self.stops).reshape(-1, self.width)
+    def used_decimals(self) -> Bytes:
+        """Decimals that each of the file's numbers, or the finest of a row, has."""
+        from msal_cli.kernels.text import decimals_used
+
+        return decimals_used(self.data, self.starts, self.stops)
+
+    @functools.cached_property
+    def decimals(self) -> int:
+        """Decimals of new numbers, or ``SHORTEST``; see ``decimals.uniform_decimals``."""
+        return uniform_decimals(
+            self.used_decimals(),
+            self.values,
+            unit_length=self.unit_length,
+            significant=self.significant,
+        )
+
+    @property
+    def _is_whole(self) -> Flags:
+        """Which columns hold whole numbers."""
+        return np.array([code[-2] in "iu" for code in self.codes], dtype=bool)
+
+    @property
+    def has_whole_numbers(self) -> bool:
+        """Whether a column holds whole numbers."""
+        return bool(self._is_whole.any())
 
     def units(self, is_changed: Flags) -> Flags:
         return is_changed.reshape(-1)
 
-    def decimals(self) -> int:
-        """Digits behind the point of new numbers: as many as are usual in the file, or as 1e-7 of
-        the extent asks for, whichever is more."""
-        from msal_cli.kernels.text import decimals_used
+    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
+        decimals: int | Bytes = self.decimals
+        if self.has_whole_numbers:
+            columns = np.where(self._is_whole, 0, self.decimals).astype(np.uint8)
+            decimals = np.tile(columns, len(values))[units]
+        return print_numbers(values.reshape(-1)[units], decimals)
 
-        used = usual_decimals(decimals_used(self.data, self.starts, self.stops))
-        if self.unit_length:
-            needed, largest = NORMAL_DECIMALS, 1.0
-        else:
-            extent = self.values.max(axis=0) * 0.5 - self.values.min(axis=0) * 0.5
-            step = 2.0 * math.hypot(*extent.tolist()) * _FAR_FINER
-            if not 0.0 < step < math.inf:
-                return SHORTEST
-            needed = math.ceil(-math.log10(step))
-            largest = float(np.abs(self.values).max())
-        decimals = max(used, needed, 0)
-        before = max(0, math.ceil(math.log10(largest))) if largest > 0.0 else 0
-        return SHORTEST if decimals + before > _MOST_SIGNIFICANT else decimals
-
-    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
-        from msal_cli.kernels.text import printed, printed_shortest
-
-        decimals = self.decimals()
-        new = values.reshape(-1)[units]
-        return printed_shortest(new, False) if decimals == SHORTEST else printed(new, decimals)
-
-    def stored(self, values: Floats) -> tuple[Floats, float]:
-        decimals = self.decimals()
-        return values, 0.0 if decimals == SHORTEST else 0.5 * 10.0**-decimals * (1.0 + 1e-9)
+    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
+        if self.has_whole_numbers:
+            values = np.where(self._is_whole, np.rint(values), values)
+        return values, tolerance(self.decimals)
 
 
 @dataclass(eq=False)
-class BinaryNumbers:
+class Tokens(TextSlots):
+    """Numbers that are tokens: ``starts`` and ``stops`` (n * width,), row by row."""
+
+    starts: Longs = field(repr=False)
+    stops: Longs = field(repr=False)
+    width: int = 3
+
+    def __post_init__(self) -> None:
+        if self.values is _UNREAD:
+            self.values = parse_floats(self.data, self.starts, self.stops).reshape(-1, self.width)
+
+
+@dataclass(eq=False)
+class BinaryNumbers(UnitSlots):
     """Rows of binary numbers: ``at`` (n,) is the first byte of each, ``code`` numpy's type."""
 
     data: Bytes = field(repr=False)
@@ -117,30 +150,34 @@ class BinaryNumbers:
     starts: Longs = field(init=False, repr=False)
     stops: Longs = field(init=False, repr=False)
     values: Floats = field(init=False, repr=False)
+    codes: tuple[str, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        self.codes = (self.code,) * 3
         size = np.dtype(self.code).itemsize * self.width
         self.starts, self.stops = self.at, self.at + size
         rows = np.empty((len(self.at), size), dtype=np.uint8)
         for k in range(size):
             rows[:, k] = self.data[self.at + k]
-        self.values = rows.view(self.code).astype(np.float64)
+        # A signalling NaN is reported elsewhere, as what it is.
+        with np.errstate(invalid="ignore"):
+            self.values = rows.view(self.code).astype(np.float64)
 
     def units(self, is_changed: Flags) -> Flags:
         return np.asarray(is_changed.any(axis=1))
 
-    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
-        rows = to_type(values[units], self.code, np.flatnonzero(units))
+    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
+        rows = to_type(values[units], self.code)
         text = np.ascontiguousarray(rows).view(np.uint8).reshape(-1)
         size = np.dtype(self.code).itemsize * self.width
         return text, np.arange(1, len(rows) + 1, dtype=np.int64) * size
 
-    def stored(self, values: Floats) -> tuple[Floats, float]:
-        return to_type(values, self.code, np.arange(len(values))).astype(np.float64), 0.0
+    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
+        return to_type(values, self.code).astype(np.float64), 0.0
 
 
 @dataclass(eq=False)
-class ColumnNumbers:
+class ColumnNumbers(UnitSlots):
     """Binary numbers stored column by column: ``count`` x, then as many y, then z, from ``at``."""
 
     data: Bytes = field(repr=False)
@@ -150,8 +187,10 @@ class ColumnNumbers:
     starts: Longs = field(init=False, repr=False)
     stops: Longs = field(init=False, repr=False)
     values: Floats = field(init=False, repr=False)
+    codes: tuple[str, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        self.codes = (self.code,) * 3
         size = np.dtype(self.code).itemsize
         self.starts = self.at + size * np.arange(3 * self.count, dtype=np.int64)
         self.stops = self.starts + size
@@ -161,25 +200,24 @@ class ColumnNumbers:
     def units(self, is_changed: Flags) -> Flags:
         return is_changed.T.reshape(-1)
 
-    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
+    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
         new = values.T.reshape(-1)[units].astype(self.code)
         size = np.dtype(self.code).itemsize
         return new.view(np.uint8), size * np.arange(1, len(new) + 1, dtype=np.int64)
 
-    def stored(self, values: Floats) -> tuple[Floats, float]:
-        return values, 0.0
+    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
+        return to_type(values, self.code).astype(np.float64), 0.0
 
 
-def to_type(values: Floats, code: str, rows: NDArray[np.int64]) -> NDArray[np.floating]:
-    """Values (n, k) in a type of floating-point numbers; ``rows`` (n,) are their vertices.
+def to_type(values: Floats, code: str) -> NDArray[np.generic]:
+    """Values (n, k) as a file of that number type stores them: rounded to the nearest.
 
-    Raises ContentError (``E_RANGE``) for a number beyond float32.
+    A half goes to the even neighbour.  A value beyond the type's range becomes infinite (float)
+    or is wrapped (integer): ``require_range`` refuses it.
     """
-    if np.dtype(code).itemsize == 4:
-        finite = np.abs(values).max(axis=1, initial=0.0) <= float(np.finfo(np.float32).max)
-        first = int(rows[int(np.argmin(finite))]) if len(values) and not finite.all() else 0
-        return as_float32(values, first).astype(code)
-    return values.astype(code)
+    dtype = np.dtype(code)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return (values if dtype.kind == "f" else np.rint(values)).astype(dtype)
 
 
 def as_float32(positions: Floats, first: int = 0) -> NDArray[np.float32]:
@@ -205,6 +243,35 @@ def too_large_for_float32(where: str) -> ContentError:
         where=where,
         hint="scale the mesh, or write it to a format with float64",
     )
+
+
+def require_range(values: Floats, is_changed: Flags, codes: Sequence[str], first: int = 0) -> None:
+    """Raise ContentError (``E_RANGE``) where a changed number (n, k) does not fit its type.
+
+    ``codes`` are numpy's types of the columns, ``first`` the number of the file's first vertex.
+    """
+    dtypes = [np.dtype(code) for code in codes]
+    # Where all fit, two numbers say so; NaN does not.
+    largest = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
+    if all(one.kind == "f" and largest <= float(np.finfo(one).max) for one in dtypes):
+        return
+    for k, dtype in enumerate(dtypes):
+        limits = np.finfo(dtype) if dtype.kind == "f" else np.iinfo(dtype)
+        low, high = float(limits.min), float(limits.max)
+        if high > limits.max:
+            high = float(np.nextafter(high, 0.0))
+        column = values[:, k] if dtype.kind == "f" else np.rint(values[:, k])
+        # Written so that NaN counts as outside.
+        is_outside = is_changed[:, k] & ~((column >= low) & (column <= high))
+        if is_outside.any():
+            vertex = int(np.argmax(is_outside)) + first
+            raise ContentError(
+                f"the new {'xyz'[k]} of vertex {vertex} does not fit the file's number type",
+                where=f"vertex {vertex}",
+                hint="write the positions as doubles (--precision float64, --to ply), or scale "
+                "the mesh",
+                code="E_RANGE",
+            )
 
 
 def parse_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
@@ -259,13 +326,13 @@ def line_of(data: Buffer | Bytes, at: int) -> str:
     return f"line {int(np.count_nonzero(as_bytes(data)[:at] == 10)) + 1}"
 
 
-def spliced(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> memoryview:
+def splice(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> memoryview:
     """A file with units replaced: their starts, stops, new bytes and the ends of these."""
     from msal_cli.kernels import text
 
-    if len(edits) == 1:
-        return text.spliced(data, *edits[0]).data
     starts = np.concatenate([edit[0] for edit in edits])
+    if len(edits) == 1 and (starts[1:] > starts[:-1]).all():
+        return text.spliced(data, *edits[0]).data
     stops = np.concatenate([edit[1] for edit in edits])
     sizes = np.concatenate([np.diff(edit[3], prepend=0) for edit in edits])
     words = np.concatenate([edit[2] for edit in edits])
@@ -276,23 +343,3 @@ def spliced(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> 
         inside = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         words = words[np.repeat(first, sizes) + inside]
     return text.spliced(data, starts[order], stops[order], words, np.cumsum(sizes)).data
-
-
-def float_rows(values: Floats, *, single: bool) -> str:
-    """Numbers (n, 3) as lines of the shortest text that is read back as the same numbers."""
-    from msal_cli.kernels import text
-    from msal_cli.kernels import text_rows as rows
-
-    digits, stops = text.printed_shortest(values.reshape(-1), single)
-    ends = values.shape[1] * np.arange(1, len(values) + 1, dtype=np.int64)
-    return rows.lines(digits, stops, ends, b"").tobytes().decode()
-
-
-def integer_rows(values: NDArray[np.int32]) -> str:
-    """Whole numbers (n, 3) as lines of text."""
-    from msal_cli.kernels import text
-    from msal_cli.kernels import text_rows as rows
-
-    digits, stops = text.printed(values.reshape(-1).astype(np.float64), 0)
-    ends = values.shape[1] * np.arange(1, len(values) + 1, dtype=np.int64)
-    return rows.lines(digits, stops, ends, b"").tobytes().decode()

@@ -7,17 +7,17 @@ corners as little-endian float32, and one 16-bit word that some programs use for
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Ints
+from msal_cli.arrays import Floats
 from msal_cli.codecs import stl_ascii
-from msal_cli.codecs.slots import too_large_for_float32
-from msal_cli.codecs.stl_checks import (
+from msal_cli.codecs.slots import require_range
+from msal_cli.codecs.stl_facets import (
     FACET,
     HEADER_BYTES,
+    FacetFile,
     check_countable,
     check_not_empty,
     not_finite,
@@ -39,7 +39,6 @@ _PADDING = 8
 _NAMED_SOLID = re.compile(
     rb"\s*solid[ \t][^\r\n]*[\r\n]\s*facet\s+(?:normal|outer)\s", re.IGNORECASE
 )
-_SURELY_FLOAT32 = 3.4e38
 
 
 def read(data: Buffer, name: str) -> StlFile | stl_ascii.StlTextFile:
@@ -110,14 +109,13 @@ def is_text(head: bytes, size: int) -> bool:
 
 
 def _read_binary(data: Buffer, count: int) -> StlFile:
-    from msal_cli.kernels.corner_welding import indexed
+    from msal_cli.kernels.corner_welding import weld_corners
 
     trailing = len(memoryview(data).cast("B")) - _FIRST_FACET - FACET.itemsize * count
     check_not_empty(count, trailing)
     check_countable(count)
-    fixed = memoryview(data).toreadonly()
-    facets = np.frombuffer(fixed, dtype=FACET, count=count, offset=_FIRST_FACET)
-    vertices, faces, bad = indexed(facets["corners"])
+    facets = _facets(data, count)
+    vertices, faces, bad = weld_corners(facets["corners"])
     if bad >= 0:
         raise not_finite(bad, int(np.isfinite(facets["corners"][bad]).argmin()) // 3)
     warnings: list[str] = []
@@ -130,13 +128,19 @@ def _read_binary(data: Buffer, count: int) -> StlFile:
     return StlFile(data, vertices, faces, _properties(data, facets), tuple(warnings))
 
 
+def _facets(data: Buffer, count: int) -> NDArray[np.void]:
+    # One kind of array, whatever the buffer.
+    fixed = memoryview(data).toreadonly()
+    return np.frombuffer(fixed, dtype=FACET, count=count, offset=_FIRST_FACET)
+
+
 def _properties(data: Buffer, facets: NDArray[np.void]) -> tuple[str, ...]:
     """What a binary file has besides positions."""
     header = bytes(memoryview(data).cast("B")[:HEADER_BYTES])
     found = []
     # Neither zero nor minus zero; most files tell in the first part.
     parts = (facets["normal"][at : at + _AT_ONCE] for at in range(0, len(facets), _AT_ONCE))
-    if any((_bits(part) & 0x7FFFFFFF).any() for part in parts):
+    if any((part.view("<u4") & 0x7FFFFFFF).any() for part in parts):
         found.append("facet normals")
     if facets["attribute"].any():
         found.append("facet attribute words")
@@ -149,28 +153,11 @@ def _properties(data: Buffer, facets: NDArray[np.void]) -> tuple[str, ...]:
     return tuple(found)
 
 
-@dataclass(eq=False)
-class StlFile:
-    """A binary STL file; see ``codecs.mesh_file.MeshFile``.
+class StlFile(FacetFile):
+    """A binary STL file."""
 
-    ``vertices`` are the different positions of corners, in order of appearance.
-    """
-
-    data: Buffer = field(repr=False)
-    vertices: Floats
-    faces: Ints
-    properties: tuple[str, ...]
-    warnings: tuple[str, ...]
-    format: str = "stl"
-    encoding: str = "binary_little_endian"
-    precision: str = "float32"
-    references: tuple[str, ...] = ()
-    n_polygons: int = field(init=False)
-    merged_vertices: int = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.n_polygons = len(self.faces)
-        self.merged_vertices = self.faces.size - len(self.vertices)
+    encoding = "binary_little_endian"
+    precision = "float32"
 
     @property
     def _end(self) -> int:
@@ -178,31 +165,10 @@ class StlFile:
         return _FIRST_FACET + FACET.itemsize * self.n_polygons
 
     @property
-    def _facets(self) -> NDArray[np.void]:
-        return self._facets_of(self.data)
-
-    def _facets_of(self, data: Buffer) -> NDArray[np.void]:
-        # One kind of array, whatever the buffer.
-        fixed = memoryview(data).toreadonly()
-        return np.frombuffer(fixed, dtype=FACET, count=self.n_polygons, offset=_FIRST_FACET)
-
-    def polygons(self) -> Ints:
-        """The facets as an (m, 3) array."""
-        return self.faces
-
-    @property
     def normals(self) -> Floats:
         """The stored facet normals (m, 3), as they are."""
-        return _as_float64(self._facets["normal"])
-
-    @property
-    def solids(self) -> tuple[str, ...]:
-        """The header's text, as the name of the one solid."""
-        header = bytes(memoryview(self.data).cast("B")[:HEADER_BYTES])
-        return (header.split(b"\0")[0].decode("ascii", "replace").strip(),)
-
-    def forget_vertices(self) -> None:
-        """Do nothing: to read them again takes long."""
+        with np.errstate(invalid="ignore"):  # a signalling NaN
+            return _facets(self.data, self.n_polygons)["normal"].astype(np.float64)
 
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with other vertices (n, 3) and the normals of moved facets recomputed.
@@ -214,17 +180,17 @@ class StlFile:
         """
         if np.array_equal(self.vertices, vertices):
             return self.data
-        from msal_cli.kernels.facet_normals import replaced
+        from msal_cli.kernels.facet_normals import replace_facets
         from msal_cli.kernels.parallel import over_ranges
 
-        self._require_float32(vertices)
+        require_range(vertices, np.broadcast_to(True, vertices.shape), ("<f4",) * 3)
         before = np.frombuffer(self.data, dtype=np.uint8)
         output = np.empty_like(before)
         for rest in (slice(_FIRST_FACET), slice(self._end, None)):
             output[rest] = before[rest]
         facets = output[_FIRST_FACET : self._end].view(FACET)
         normals, corners = facets["normal"], facets["corners"]
-        untold = np.empty(0, dtype=bool)
+        none = np.empty(0, dtype=bool)
 
         def write(start: int, stop: int) -> None:
             for first in range(start, stop, _AT_ONCE):
@@ -234,20 +200,12 @@ class StlFile:
                 )
                 # Just copied, the bytes are near when they are changed.
                 output[part] = before[part]
-                replaced(first, last, self.vertices, vertices, self.faces, normals, corners, untold)
+                replace_facets(
+                    first, last, self.vertices, vertices, self.faces, normals, corners, none
+                )
 
         over_ranges(write, len(facets))
         return output.data
-
-    def _require_float32(self, vertices: Floats) -> None:
-        """Raise ContentError for a position that float32 does not hold."""
-        if max(vertices.max(), -vertices.min()) < _SURELY_FLOAT32:
-            return
-        with np.errstate(over="ignore"):
-            too_large = np.asarray(np.isinf(vertices.astype(np.float32)).any(axis=1))
-        if too_large.any():
-            facet = int(np.argmax(too_large[self.faces].any(axis=1)))
-            raise too_large_for_float32(f"facet {facet}")
 
     def check(self, output: Buffer, vertices: Floats) -> None:
         """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
@@ -259,12 +217,12 @@ class StlFile:
             raise InternalError("the STL header or the length of the file changed")
         if before[self._end :] != after[self._end :]:
             raise InternalError("the bytes behind the last facet changed")
-        old, new = self._facets, self._facets_of(output)
+        old, new = _facets(self.data, self.n_polygons), _facets(output, self.n_polygons)
         found: list[tuple[int, int]] = []
 
         def look(start: int, stop: int) -> None:
             found.append(
-                facets.checked(
+                facets.check_facets(
                     start,
                     stop,
                     self.vertices,
@@ -301,22 +259,14 @@ class StlFile:
         if encoding in ("same", "binary", self.encoding):
             refuse_float64(precision)
             return self.replaced(vertices)
-        from msal_cli.kernels.facet_normals import renewed_facet_normals
+        from msal_cli.kernels.facet_normals import renew_facet_normals
 
-        stored = self.normals
-        normals, _ = renewed_facet_normals(self.vertices, vertices, self.faces, stored)
+        normals, _ = renew_facet_normals(self.vertices, vertices, self.faces, self.normals)
         corners = vertices[self.faces].reshape(-1, 9)
-        return ascii_stl(corners, normals, self.solids[0], single=precision != "float64")
+        header = bytes(memoryview(self.data).cast("B")[:HEADER_BYTES])
+        name = header.split(b"\0")[0].decode("ascii", "replace")
+        return ascii_stl(corners, normals, name, single=precision != "float64")
 
 
 def _words(facets: NDArray[np.void]) -> NDArray[np.uint16]:
     return facets.view("<u2").reshape(-1, FACET.itemsize // 2)
-
-
-def _as_float64(stored: NDArray[np.float32]) -> Floats:
-    with np.errstate(invalid="ignore"):  # a signalling NaN
-        return stored.astype(np.float64)
-
-
-def _bits(stored: NDArray[np.float32]) -> NDArray[np.uint32]:
-    return stored.view("<u4")

@@ -5,15 +5,15 @@ Keywords may be in any case and apart by any white space; a solid's name is the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats
+from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.codecs.slots import as_float32, number_hint
-from msal_cli.codecs.stl_checks import check_countable, check_not_empty, not_finite
+from msal_cli.codecs.stl_facets import FacetFile, check_countable, check_not_empty, not_finite
 from msal_cli.codecs.stl_writer import binary_stl, refuse_float64
 from msal_cli.errors import (
     EXPORT_AGAIN,
@@ -63,34 +63,34 @@ def read(data: Buffer, name: str) -> StlTextFile:
     ContentError
         ``E_NO_FACES`` or ``E_NONFINITE``.
     """
-    from msal_cli.kernels.corner_welding import indexed
+    from msal_cli.kernels.corner_welding import weld_corners
 
-    found, numbers = _numbers(data)
-    vertices, faces, _ = indexed(numbers[:, 3:])
+    scan, numbers = _read_numbers(data)
+    vertices, faces, _ = weld_corners(numbers[:, 3:])
     normals = np.ascontiguousarray(numbers[:, :3])
-    return StlTextFile(data, found, vertices, normals, faces, _warnings(data, found, normals))
+    return StlTextFile(data, scan, vertices, normals, faces)
 
 
-def _numbers(data: Buffer) -> tuple[_Scan, Floats]:
+def _read_numbers(data: Buffer) -> tuple[_Scan, Floats]:
     """All facets of a text and their numbers (m, 12), positions finite; raises as ``read``."""
-    found, numbers = _scanned(data)
+    scan, numbers = _scan_text(data)
     check_not_empty(len(numbers))
     check_countable(len(numbers))
     doubtful = np.argwhere(~np.isfinite(numbers[:, 3:]))
     view = memoryview(data).cast("B")
     for facet, token in doubtful:
-        start = int(found.facet_at[facet] + found.offsets[facet, token + 3])
-        value = _slow_number(view, start)
+        start = int(scan.facet_at[facet] + scan.offsets[facet, token + 3])
+        value = _read_number(view, start)
         if not np.isfinite(value):
             raise not_finite(int(facet), int(token) // 3, _line(data, start))
         numbers[facet, token + 3] = value
     for facet, token in np.argwhere(np.isinf(numbers[:, :3])):
-        start = int(found.facet_at[facet] + found.offsets[facet, token])
-        numbers[facet, token] = _slow_number(view, start)
-    return found, numbers
+        start = int(scan.facet_at[facet] + scan.offsets[facet, token])
+        numbers[facet, token] = _read_number(view, start)
+    return scan, numbers
 
 
-def _slow_number(view: memoryview, start: int) -> float:
+def _read_number(view: memoryview, start: int) -> float:
     token = bytes(view[start : start + 4096]).split(None, 1)[0]
     try:
         return float(token)
@@ -98,22 +98,22 @@ def _slow_number(view: memoryview, start: int) -> float:
         return float("nan")
 
 
-def _warnings(data: Buffer, found: _Scan, normals: Floats) -> tuple[str, ...]:
-    trailing = len(memoryview(data).cast("B")) - found.end
+def _warnings(data: Buffer, scan: _Scan, normals: Floats) -> tuple[str, ...]:
+    trailing = len(memoryview(data).cast("B")) - scan.end
     n_bad = 0
     # A sum is finite only if all are, and quicker; it may overflow, too.
     with np.errstate(over="ignore", invalid="ignore"):
         is_odd = not np.isfinite(normals.sum())
     if is_odd:
-        n_bad = int((~np.isfinite(normals).all(axis=1)).sum()) - found.n_bare
+        n_bad = int((~np.isfinite(normals).all(axis=1)).sum()) - scan.n_bare
     warnings: list[str] = []
-    if found.n_bare:
+    if scan.n_bare:
         warnings.append(
-            f"{_counted(found.n_bare, 'facet has', 'facets have')} no normal, and none is added"
+            f"{_count_text(scan.n_bare, 'facet has', 'facets have')} no normal, and none is added"
         )
     if n_bad:
         warnings.append(
-            f"{_counted(n_bad, 'facet has', 'facets have')} a normal that is not three finite "
+            f"{_count_text(n_bad, 'facet has', 'facets have')} a normal that is not three finite "
             "numbers: it is kept, not recomputed"
         )
     if trailing:
@@ -121,14 +121,14 @@ def _warnings(data: Buffer, found: _Scan, normals: Floats) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-def _counted(number: int, one: str, many: str) -> str:
+def _count_text(number: int, one: str, many: str) -> str:
     return f"{number} {one if number == 1 else many}"
 
 
-def _scanned(data: Buffer) -> tuple[_Scan, Floats]:
+def _scan_text(data: Buffer) -> tuple[_Scan, Floats]:
     """All facets of a text and their numbers (m, 12), infinite where they are in doubt.
 
-    The arrays grow with what is found, never with what is claimed.
+    The arrays grow with what is scan, never with what is claimed.
     """
     from msal_cli.kernels import stl_scan
     from msal_cli.kernels.text import as_bytes
@@ -222,43 +222,22 @@ def _line(buf: Buffer | NDArray[np.uint8], at: int) -> int:
     return 1 + (feeds or int(np.count_nonzero(before == 13)))
 
 
-@dataclass(eq=False)
-class StlTextFile:
-    """An ascii STL file; see ``codecs.mesh_file.MeshFile``.
+class StlTextFile(FacetFile):
+    """An ascii STL file; ``normals`` (m, 3) are those of its facets, as they are stored."""
 
-    ``vertices`` are the different positions of corners, in order of appearance.
-    """
+    encoding = "ascii"
+    precision = "text"
 
-    data: Buffer = field(repr=False)
-    found: _Scan = field(repr=False)
-    vertices: Floats
-    normals: Floats
-    faces: NDArray[np.int32]
-    warnings: tuple[str, ...]
-    format: str = "stl"
-    encoding: str = "ascii"
-    precision: str = "text"
-    references: tuple[str, ...] = ()
-    n_polygons: int = field(init=False)
-    merged_vertices: int = field(init=False)
-    properties: tuple[str, ...] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.n_polygons = len(self.faces)
-        self.merged_vertices = self.faces.size - len(self.vertices)
-        named = tuple(f"solid {name!r}" for name in self.solids if name)
-        several = (f"{self.found.n_solids} solids",) if self.found.n_solids > 1 else ()
-        is_bare = self.found.n_bare == len(self.faces)
-        self.properties = (*(("facet normals",) * (not is_bare)), *several, *named)
-
-    @property
-    def solids(self) -> tuple[str, ...]:
-        """Names of the first solids."""
-        return self.found.names
-
-    def polygons(self) -> NDArray[np.int32]:
-        """The facets as an (m, 3) array."""
-        return self.faces
+    def __init__(
+        self, data: Buffer, scan: _Scan, vertices: Floats, normals: Floats, faces: Ints
+    ) -> None:
+        named = tuple(f"solid {name!r}" for name in scan.names if name)
+        several = (f"{scan.n_solids} solids",) if scan.n_solids > 1 else ()
+        has_normals = ("facet normals",) * (scan.n_bare != len(faces))
+        properties = (*has_normals, *several, *named)
+        super().__init__(data, vertices, faces, properties, _warnings(data, scan, normals))
+        self.normals = normals
+        self._scan = scan
 
     def _decimals(self) -> tuple[int, int]:
         """Digits behind the point for normals and for corners: never fewer than the file has.
@@ -268,7 +247,7 @@ class StlTextFile:
         """
         from msal_cli.kernels.digits import MOST_DECIMALS
 
-        plain_normal, plain, exponent_normal, exponent = (int(d) for d in self.found.decimals)
+        plain_normal, plain, exponent_normal, exponent = (int(d) for d in self._scan.decimals)
         span = self.vertices.max(axis=0) - self.vertices.min(axis=0)
         extent = max(float(np.sqrt((span * span).sum())), 1e-300)
         needed = int(np.ceil(-np.log10(extent * 1e-7)))
@@ -279,20 +258,17 @@ class StlTextFile:
 
     def _changes(self, vertices: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """The new numbers (m, 12) and which of them are to be written."""
-        from msal_cli.kernels.facet_normals import renewed_facet_normals
+        from msal_cli.kernels.facet_normals import renew_facet_normals
 
         m = len(self.faces)
         numbers, replace = np.empty((m, 12)), np.empty((m, 12), dtype=bool)
-        numbers[:, :3], changed = renewed_facet_normals(
+        numbers[:, :3], changed = renew_facet_normals(
             self.vertices, vertices, self.faces, self.normals
         )
         numbers[:, 3:] = vertices[self.faces].reshape(m, 9)
         replace[:, :3] = changed[:, None]
         replace[:, 3:] = (vertices != self.vertices)[self.faces].reshape(m, 9)
         return numbers, replace
-
-    def forget_vertices(self) -> None:
-        """Do nothing: to read them again takes long."""
 
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with other vertices (n, 3) and the normals of moved facets recomputed."""
@@ -304,22 +280,22 @@ class StlTextFile:
         numbers, replace = self._changes(vertices)
         buf = text.as_bytes(self.data)
         decimals = np.array(self._decimals(), dtype=np.int64)
-        found = self.found
+        scan = self._scan
         parts = (slice(at, at + _AT_ONCE) for at in range(0, len(numbers), _AT_ONCE))
         largest = max(
             float(np.abs(numbers[part]).max(where=replace[part], initial=0.0)) for part in parts
         )
         if largest >= FIXED_BELOW:
-            starts = (found.facet_at[:, None] + found.offsets)[replace]
-            return self._replaced_slowly(starts, numbers[replace])
+            starts = (scan.facet_at[:, None] + scan.offsets)[replace]
+            return self._write_shortest(starts, numbers[replace])
         width = text.fixed_width(largest, int(decimals.max()))
         out = np.empty(len(buf) + int(np.count_nonzero(replace)) * width, dtype=np.uint8)
-        length = stl_scan.patched(
-            buf, found.facet_at, found.offsets, replace, numbers, decimals, out
+        length = stl_scan.write_tokens(
+            buf, scan.facet_at, scan.offsets, replace, numbers, decimals, out
         )
         return out[:length].data
 
-    def _replaced_slowly(self, starts: NDArray[np.int64], numbers: Floats) -> bytes:
+    def _write_shortest(self, starts: NDArray[np.int64], numbers: Floats) -> bytes:
         """The text with tokens replaced by the shortest text of numbers of any size."""
         view = memoryview(self.data).cast("B")
         pieces: list[bytes | memoryview] = []
@@ -335,7 +311,7 @@ class StlTextFile:
         from msal_cli.kernels.text import as_bytes
 
         try:
-            other, there = _numbers(output)
+            other, there = _read_numbers(output)
         except InputError as failure:
             raise InternalError(
                 f"the STL text that was made cannot be read: {failure}", where=failure.where
@@ -343,11 +319,11 @@ class StlTextFile:
         if len(there) != len(self.faces):
             raise InternalError("the number of facets changed")
         _, replace = self._changes(vertices)
-        found = self.found
-        if not stl_scan.same_but_for(
+        scan = self._scan
+        if not stl_scan.is_same_outside(
             as_bytes(self.data),
-            found.facet_at,
-            found.offsets,
+            scan.facet_at,
+            scan.offsets,
             as_bytes(output),
             other.facet_at,
             other.offsets,
@@ -393,4 +369,4 @@ class StlTextFile:
             return self.replaced(vertices)
         refuse_float64(precision)
         numbers, _ = self._changes(vertices)
-        return binary_stl(numbers[:, 3:], numbers[:, :3], self.solids[0])
+        return binary_stl(numbers[:, 3:], numbers[:, :3], self._scan.names[0])

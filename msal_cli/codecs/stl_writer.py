@@ -6,7 +6,7 @@ import numpy as np
 
 from msal_cli.arrays import Floats
 from msal_cli.codecs.slots import as_float32
-from msal_cli.codecs.stl_checks import FACET, HEADER_BYTES
+from msal_cli.codecs.stl_facets import FACET, HEADER_BYTES
 from msal_cli.errors import UnsupportedError
 from msal_cli.storage.buffers import Buffer
 
@@ -29,24 +29,25 @@ def ascii_stl(corners: Floats, normals: Floats, name: str, *, single: bool) -> B
 
     ``single`` writes what float32 holds.
     """
-    from msal_cli.kernels import stl_scan, text
+    from msal_cli.kernels.text import printed_shortest
+    from msal_cli.kernels.text_rows import fill_rows
 
     numbers = np.concatenate([np.where(np.isfinite(normals), normals, 0.0), corners], axis=1)
     numbers[:, :3] = numbers[:, :3].astype(np.float32)
-    digits, stops = text.printed_shortest(numbers.reshape(-1), single)
-    space = " "
-    corner = ["\n      vertex ", space, space]
-    pieces = ["  facet normal ", space, space, "\n    outer loop" + corner[0], space, space]
-    pieces += corner * 2 + ["\n    endloop\n  endfacet\n"]
-    fixed = np.frombuffer("".join(pieces).encode(), dtype=np.uint8)
-    fixed_stops = np.cumsum([len(piece) for piece in pieces], dtype=np.int64)
-    out = np.empty(len(digits) + len(corners) * len(fixed), dtype=np.uint8)
-    length = stl_scan.facets_as_text(
-        text.as_bytes(fixed), fixed_stops, text.as_bytes(digits), stops, out
+    digits, stops = printed_shortest(numbers.reshape(-1), single)
+    corner = (b"\n      vertex ", b" ", b" ")
+    pieces: tuple[bytes, ...] = (
+        b"  facet normal ",
+        b" ",
+        b" ",
+        b"\n    outer loop" + corner[0],
+        b" ",
+        b" ",
     )
+    pieces = (*pieces, *corner, *corner, b"\n    endloop\n  endfacet\n")
     line = " ".join(name.split())
     head, tail = (f"{word} {line}".rstrip().encode() + b"\n" for word in ("solid", "endsolid"))
-    return b"".join([head, out[:length].data, tail])
+    return b"".join([head, *fill_rows(pieces, digits, stops), tail])
 
 
 def refuse_float64(precision: str) -> None:

@@ -1,133 +1,158 @@
-"""New positions and normals in a text file whose numbers are plain, and the check of the result.
+"""Numbers in a text of which three are one behind the other, as nearly all text meshes have them.
 
-Plain is nearly every text mesh: see ``kernels.fast_numbers``.  For the others the codecs of OBJ and
-PLY have slower ways, which take more memory.
+No place per number is kept, and one walk over the file replaces or compares them.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
-from msal_cli.arrays import Bytes, Floats, Longs
+from msal_cli.arrays import Bytes, Flags, Floats, Longs
+from msal_cli.codecs.decimals import SHORTEST_SINGLE, row_decimals
+from msal_cli.codecs.slots import TextSlots
+from msal_cli.errors import InternalError
 
-_MOST_RUNS = 4096
-"""Changes between positions and normals, on the way through a file, that are dealt with one by
-one; a file with more of them takes another way."""
+_MOST_TURNS = 4096
+"""Changes between positions and normals, on the way through a file, from which on all of its new
+numbers have the same decimals."""
+
+_ROWS = 1 << 16
+"""Statements of one kind that are replaced or compared at a time."""
 
 _BLOCK = 1 << 18
 """Bytes compared at a time; what they differ in fits the cache."""
 
 
-@dataclass(frozen=True, eq=False)
-class Statements:
-    """Three numbers each, with blanks between them, to be replaced where they changed.
+@dataclass(eq=False)
+class Statements(TextSlots):
+    """Three numbers each, with blanks between them.
 
     Attributes
     ----------
     at : (n,) int64, ascending, first byte of each; ``skipped`` bytes of it are a keyword.
-    old, new : (n, 3) float64; a number that is the same in both keeps its bytes.
-    decimals : (n,) uint8, digits behind the point of the new numbers.
+    used : (n,) uint8, the most decimals of each one's numbers.
     """
 
-    at: Longs
-    skipped: int
+    at: Longs = field(repr=False)
+    used: Bytes = field(repr=False)
+    skipped: int = 0
+
+    def used_decimals(self) -> Bytes:
+        return self.used
+
+    @functools.cached_property
+    def _spans(self) -> tuple[Longs, Longs]:
+        from msal_cli.kernels.statements import find_tokens
+
+        starts = np.empty(3 * len(self.at), dtype=np.int64)
+        stops = np.empty_like(starts)
+        find_tokens(self.data, self.at + self.skipped, starts, stops)
+        return starts, stops
+
+    @property
+    def starts(self) -> Longs:  # type: ignore[override]
+        return self._spans[0]
+
+    @property
+    def stops(self) -> Longs:  # type: ignore[override]
+        return self._spans[1]
+
+    def row_decimals(self, values: Floats) -> Bytes | None:
+        """Decimals (n,) for new ``values`` (n, 3), those of their own lines among them; None where
+        all have the same."""
+        if self.unit_length:
+            return row_decimals(np.zeros_like(self.used), self.decimals, 1.0)
+        largest = max(float(values.max()), -float(values.min()))
+        return row_decimals(self.used, self.decimals, largest)
+
+
+class Patch(NamedTuple):
+    """Statements, their new ``values`` (n, 3), and the ``decimals`` (n,) of each one's.
+
+    ``is_changed`` (n, 3) are the numbers to write, None for those that differ.
+    """
+
+    slots: Statements
+    values: Floats
+    decimals: Bytes
+    is_changed: Flags | None = None
+
+
+class _Block(NamedTuple):
+    """Statements one behind the other: see ``kernels.statements.replace``."""
+
+    begins: Longs
     old: Floats
     new: Floats
     decimals: Bytes
 
 
-def usual_decimals(decimals: Bytes) -> int:
-    """The fewest decimals that all but one in a hundred of ``decimals`` (n,) do not exceed.
+def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview:
+    """The file with its statements' changed numbers replaced."""
+    from msal_cli.kernels.statements import replace
+    from msal_cli.kernels.text import shortest
 
-    A few numbers that some program wrote with all 17 digits say nothing about the others.
-    """
-    if not len(decimals):
-        return 0
-    counts = np.bincount(decimals, minlength=256)
-    above = len(decimals) - np.cumsum(counts)
-    return int(np.argmax(above * 100 <= len(decimals)))
-
-
-def row_decimals(decimals: Bytes, least: int, largest: float) -> Bytes | None:
-    """The digits behind the point for each new position: its own, and at least ``least``.
-
-    ``decimals`` (n,) are those that the file has, ``largest`` the largest magnitude of a new
-    number.  They are cut down to what float64 tells apart, about 15 digits in all; None where
-    ``least`` are more than that.
-    """
-    from msal_cli.kernels.fast_numbers import MOST_DECIMALS, MOST_SCALED
-
-    most = MOST_DECIMALS
-    while most >= 0 and not largest * 10.0**most < MOST_SCALED:
-        most -= 1
-    if least > most:
-        return None
-    return np.clip(decimals, least, most).astype(np.uint8)
-
-
-def patched(data: Bytes, groups: Sequence[Statements]) -> memoryview | None:
-    """The file with its statements' changed numbers replaced; None where it takes another way."""
-    from msal_cli.kernels import fast_patch as plain_patch
-
-    runs = _runs(groups)
-    if runs is None:
-        return None
-    out = np.empty(len(data) + sum(map(_room, groups)) + 8, dtype=np.uint8)
+    out = np.empty(len(data) + sum(map(_room, patches)) + 8, dtype=np.uint8)
     done = to = 0
-    for which, start, stop in runs:
-        one = groups[which]
-        done, to = plain_patch.patched(
-            data, done, start, stop, one.at, one.skipped, one.old, one.new, one.decimals, out, to
-        )
+    for block in _blocks(patches):
+        row = axis = 0
+        while True:
+            done, to, row, axis = replace(data, done, out, to, row, axis, *block)
+            if row == len(block.begins):
+                break
+            is_single = block.decimals[row] == SHORTEST_SINGLE
+            text = shortest(float(block.new[row, axis]), is_single).encode()
+            out[to : to + len(text)] = np.frombuffer(text, dtype=np.uint8)
+            to, axis = to + len(text), axis + 1
     size = to + len(data) - done
     out[to:size] = data[done:]
     return out[:size].data
 
 
-def _room(one: Statements) -> int:
-    """Most bytes that new numbers take: sign, point, decimals, and digits before the point."""
-    if not len(one.at):
+def _room(patch: Patch) -> int:
+    """Most bytes that new numbers take."""
+    from msal_cli.kernels.text import fixed_width
+
+    if not len(patch.values):
         return 0
-    largest = max(float(one.new.max()), -float(one.new.min()))
-    return 3 * len(one.at) * (len(str(int(largest))) + int(one.decimals.max()) + 2)
+    largest = max(float(patch.values.max()), -float(patch.values.min()))
+    return 3 * len(patch.values) * fixed_width(largest, int(patch.decimals.max()))
 
 
-def compared(data: Bytes, result: Bytes, groups: Sequence[Statements]) -> tuple[int, int, int]:
-    """Whether ``result`` is the file with just that replaced: what ``plain_patch.compared`` says.
+def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> None:
+    """Raise InternalError unless ``result`` is the file with just that replaced."""
+    from msal_cli.kernels import statements
 
-    It is ODD too where this is not the way to compare them.  Also the group and the statement.
-    """
-    from msal_cli.kernels import fast_patch as plain_patch
-
-    runs = _runs(groups)
-    if runs is None:
-        return plain_patch.ODD, 0, 0
-    tolerances = 0.5 * 10.0 ** -np.arange(256.0) * (1.0 + 1e-9)
-    done = result_done = at = which = 0
-    for which, start, stop in runs:
-        one = groups[which]
-        status, at, done, result_done = plain_patch.compared(
-            data,
-            result,
-            done,
-            result_done,
-            start,
-            stop,
-            one.at,
-            one.skipped,
-            one.old,
-            one.new,
-            one.decimals,
-            tolerances,
-        )
-        if status != plain_patch.DONE:
-            return status, which, at
+    tolerances = np.append(0.5 * 10.0 ** -np.arange(18.0) * (1.0 + 1e-9), [0.0, 0.0])
+    done = result_done = row = axis = 0
+    for block in _blocks(patches):
+        row = axis = 0
+        status = statements.ASIDE
+        while status == statements.ASIDE:
+            status, done, result_done, row, axis = statements.compare(
+                data, done, result, result_done, row, axis, *block, tolerances
+            )
+            if status == statements.ASIDE:
+                token = result[result_done : result_done + 64].tobytes().split()[0]
+                expected = float(block.new[row, axis])
+                slack = tolerances[block.decimals[row]] + 4.5e-16 * abs(expected)
+                if not abs(float(token) - expected) <= slack:
+                    status = statements.WRONG_VALUE
+                result_done, axis = result_done + len(token), axis + 1
+        where = f"near byte {done}"
+        if status == statements.WRONG_VALUE:
+            raise InternalError("the output holds another number than it should", where=where)
+        if status == statements.DIFFERENT:
+            raise InternalError(
+                "the output differs from the input in more than positions and normals", where=where
+            )
     if not is_same(data[done:], result[result_done:]):
-        return plain_patch.DIFFERENT, which, at
-    return plain_patch.DONE, which, at
+        raise InternalError("the output differs from the input in more than positions and normals")
 
 
 def is_same(a: Bytes, b: Bytes) -> bool:
@@ -137,25 +162,41 @@ def is_same(a: Bytes, b: Bytes) -> bool:
     )
 
 
-def _runs(groups: Sequence[Statements]) -> list[tuple[int, int, int]] | None:
-    """Group, first statement and end of each run without one of another group between, in order.
+def is_interleaved(patches: Sequence[Patch]) -> bool:
+    """Whether statements of different patches take turns more than ``_MOST_TURNS`` times."""
+    if len(patches) == 1:
+        return False
+    n_turns, last = 0, -1
+    for spans in _rows_in_order(patches):
+        order = np.argsort(np.concatenate([one.slots.at[rows] for _, one, rows in spans]))
+        sizes = [rows.stop - rows.start for _, _, rows in spans]
+        owners = np.repeat([which for which, _, _ in spans], sizes)[order]
+        n_turns += int(np.count_nonzero(np.diff(owners, prepend=last)))
+        last = owners[-1]
+    return n_turns > _MOST_TURNS
 
-    None for more runs than ``_MOST_RUNS``.
-    """
-    runs = list(_merged([one.at for one in groups], _MOST_RUNS + 1))
-    return runs if len(runs) <= _MOST_RUNS else None
+
+def _rows_in_order(patches: Sequence[Patch]) -> Iterator[list[tuple[int, Patch, slice]]]:
+    """The statements in the order of the file, as rows of each patch, a block at a time."""
+    at = [patch.slots.at for patch in patches]
+    firsts = np.unique(np.concatenate([one[::_ROWS] for one in at]))
+    cuts = [np.append(np.searchsorted(one, firsts), len(one)).tolist() for one in at]
+    for k in range(len(firsts)):
+        rows = [slice(cut[k], cut[k + 1]) for cut in cuts]
+        yield [(i, patches[i], one) for i, one in enumerate(rows) if one.start < one.stop]
 
 
-def _merged(at: Sequence[Longs], most: int) -> Iterator[tuple[int, int, int]]:
-    """The first ``most`` runs of ascending lists merged: list, first item, end."""
-    next_ones = [0] * len(at)
-    for _ in range(most):
-        left = [k for k, one in enumerate(at) if next_ones[k] < len(one)]
-        if not left:
-            return
-        first = min(left, key=lambda k: at[k][next_ones[k]])
-        start = next_ones[first]
-        others = [at[k][next_ones[k]] for k in left if k != first]
-        stop = int(np.searchsorted(at[first], min(others))) if others else len(at[first])
-        next_ones[first] = stop
-        yield first, start, stop
+def _blocks(patches: Sequence[Patch]) -> Iterator[_Block]:
+    """The statements in the order of the file, a block at a time."""
+    for spans in _rows_in_order(patches):
+        blocks = []
+        for _, (slots, values, decimals, is_changed), rows in spans:
+            old = slots.values[rows]
+            if is_changed is not None:
+                old = np.where(is_changed[rows], np.nan, values[rows])
+            blocks.append(_Block(slots.at[rows] + slots.skipped, old, values[rows], decimals[rows]))
+        block = blocks[0]
+        if len(blocks) > 1:
+            order = np.argsort(np.concatenate([one.begins for one in blocks]), kind="stable")
+            block = _Block(*(np.concatenate(parts)[order] for parts in zip(*blocks, strict=True)))
+        yield block

@@ -7,35 +7,34 @@ mesh, and is denoised once.
 
 from __future__ import annotations
 
-import io
+import functools
 import math
-import zipfile
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Ints, Longs
-from msal_cli.codecs.frames import PLACEMENT, moved_by
-from msal_cli.codecs.threemf_model import Model, Surface, parsed
-from msal_cli.codecs.threemf_package import Package, Part
+from msal_cli.arrays import Bytes, Flags, Floats, Longs
+from msal_cli.codecs.decimals import (
+    SHORTEST,
+    SHORTEST_SINGLE,
+    SIGNIFICANT_DIGITS,
+    extent_decimals,
+    print_numbers,
+    usual_decimals,
+)
+from msal_cli.codecs.frames import PLACEMENT
+from msal_cli.codecs.layout import Layout
+from msal_cli.codecs.slot_file import SlotFile
+from msal_cli.codecs.slots import Tokens, require_range, splice
+from msal_cli.codecs.threemf_model import Model, parse_model
+from msal_cli.codecs.threemf_package import Package
 from msal_cli.codecs.zip_archive import Archive
 from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
 
-_SAME = "same"
-_FINEST = 1e-7
-"""Of the bounding box's diagonal: positions are written at least this finely."""
-
-_MOST_DIGITS = 15
-"""Digits in all that a new number has at the most: what float64 tells apart."""
-
-_BLOCK = 1 << 16
-"""Numbers of different decimals that are put in order at a time."""
-
-SHORTEST_DOUBLE, SHORTEST_SINGLE = 255, 254
-"""In place of a number of decimals: the shortest text that is read back as the same number."""
+_BETWEEN = b"\0"
+"""Between the texts of model parts, which have no such byte."""
 
 
 def read(data: Buffer, name: str) -> ThreeMfFile:
@@ -50,85 +49,69 @@ def read(data: Buffer, name: str) -> ThreeMfFile:
     ContentError
         ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
     """
-    return ThreeMfFile(data, Package(data))
+    return ThreeMfFile(data)
 
 
-@dataclass(frozen=True, eq=False)
-class _Change:
-    """Numbers of one model part to be written, in the order of its text: where the old ones lie,
-    the new values, and the decimals of each, or ``SHORTEST_DOUBLE`` or ``SHORTEST_SINGLE``."""
+class _Coordinates(Tokens):
+    """The positions of a mesh.
 
-    starts: Longs
-    stops: Longs
-    values: Floats
-    decimals: NDArray[np.uint8]
-
-
-@dataclass(eq=False)
-class ThreeMfFile:
-    """An opened 3MF file; see ``codecs.mesh_file.MeshFile``.
-
-    ``vertices`` are those of every mesh, one behind the other.  With several meshes they stand in
-    the frame of the build, since two may coincide in their own; with one, in its own.
+    A new number has as many decimals as are usual in the mesh, as the old one has, or as 1e-7 of
+    the mesh's extent asks for, whichever is most.
     """
 
-    data: Buffer = field(repr=False)
-    package: Package = field(repr=False)
-    vertices: Floats = field(init=False)
-    faces: Ints = field(init=False)
-    n_polygons: int = field(init=False)
-    properties: tuple[str, ...] = field(init=False)
-    warnings: tuple[str, ...] = ()
-    format: str = "3mf"
-    encoding: str = "binary"
-    precision: str = "text"
-    references: tuple[str, ...] = ()
-    merged_vertices: int = 0
+    @functools.cached_property
+    def _used(self) -> Bytes:
+        return self.used_decimals()
 
-    def __post_init__(self) -> None:
-        parts = self.package.parts
-        self.vertices = np.concatenate(
-            [moved_by(part.frame, part.surface.vertices) for part in parts]
-        )
-        self.faces = np.concatenate(
-            [part.surface.faces + rows.start for part, rows in self._rows()]
-        ).astype(np.int32)
-        self.n_polygons = len(self.faces)
-        self.properties = self._properties()
+    def _decimals(self, values: Floats) -> Bytes:
+        """Decimals (3 n,) of new ``values`` (n, 3), those that changed, or ``SHORTEST``."""
+        from msal_cli.kernels.digits import MOST_DECIMALS
 
-    def _rows(self) -> Iterator[tuple[Part, slice]]:
-        """Each mesh and its rows of ``vertices``."""
-        start = 0
-        for part in self.package.parts:
-            stop = start + len(part.surface.vertices)
-            yield part, slice(start, stop)
-            start = stop
+        needed = extent_decimals(self.values) or 0
+        largest = float(np.abs(values[values != self.values]).max(initial=0.0))
+        whole = math.ceil(math.log10(largest)) if largest > 1.0 else 0
+        most = min(SIGNIFICANT_DIGITS - whole, MOST_DECIMALS)
+        if needed > most or most < 0:
+            return np.full(values.size, SHORTEST, dtype=np.uint8)
+        least = min(max(usual_decimals(self._used), needed), most)
+        return np.clip(self._used, least, most).astype(np.uint8)
 
-    def _properties(self) -> tuple[str, ...]:
-        package = self.package
-        words = [f"{len(package.parts)} parts"] if len(package.parts) > 1 else []
-        unit = next(iter(package.models.values())).unit
-        if unit != "millimeter":
-            words.append(f"unit {unit}")
-        if package.has_instances:
-            words.append("instances")
-        if package.is_sole_part_placed:
-            words.append(PLACEMENT)
-        kept = (word for model in package.models.values() for word in model.words)
-        return tuple(dict.fromkeys([*words, *kept]))
+    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
+        return print_numbers(values.reshape(-1)[units], self._decimals(values)[units])
 
-    def polygons(self) -> Ints:
-        """The triangles (m, 3)."""
-        return self.faces
+    def rounded(self, values: Floats) -> tuple[Floats, Floats]:
+        decimals = self._decimals(values).reshape(values.shape)
+        slack = 0.5 * 10.0 ** -decimals.astype(np.float64) * (1.0 + 1e-9)
+        return values, np.where(decimals == SHORTEST, 0.0, slack)
 
-    def forget_vertices(self) -> None:
-        """Do nothing: to read them again takes long."""
+
+class ThreeMfFile(SlotFile):
+    """An opened 3MF file; see ``codecs.mesh_file.MeshFile``.
+
+    ``vertices`` are those of every mesh, one behind the other.  With several meshes they are in the
+    frame of the build, since two may coincide in their own; with one, in its own.
+
+    Its numbers lie in the texts of the model parts, one behind the other.
+    """
+
+    def __init__(self, data: Buffer) -> None:
+        package = Package(data)
+        text = _BETWEEN.join(package.texts.values())
+        package.texts.clear()
+
+        def parse(content: Buffer) -> Layout:
+            models: Mapping[str, Model] = package.models
+            if content is not text:
+                texts = [bytes(content)] if len(models) == 1 else bytes(content).split(_BETWEEN)
+                models = {n: parse_model(t, n) for n, t in zip(models, texts, strict=True)}
+            return _layout(package, models, content)
+
+        super().__init__(text, "3mf", parse)
+        self.data = data
+        self.package = package
 
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with the coordinates that differ from the stored ones replaced.
-
-        New positions have as many decimals as those of their mesh usually have, as their own old
-        number has, or as 1e-7 of the mesh's extent asks for, whichever is most.
 
         Raises
         ------
@@ -137,7 +120,8 @@ class ThreeMfFile:
         """
         if np.array_equal(vertices, self.vertices):
             return self.data
-        return self._written(vertices, _SAME)
+        self._require_free()
+        return self._pack(super().replaced(vertices))
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with ``vertices`` (n, 3), all of them as the shortest text that is read back as
@@ -152,16 +136,53 @@ class ThreeMfFile:
         """
         if encoding == "ascii":
             raise UnsupportedError("3MF has no ascii encoding", hint="leave --encoding away")
-        if precision == _SAME:
+        if precision == "same":
             return self.replaced(vertices)
-        return self._written(vertices, precision)
-
-    def _written(self, vertices: Floats, precision: str) -> bytes:
         self._require_free()
-        texts: dict[str, Buffer] = {}
-        for member, change in self._changes(vertices, precision):
-            texts[member] = _patched(self.package.models[member].text, change)
-        return self.package.archive.rewritten(texts)
+        style = SHORTEST_SINGLE if precision == "float32" else SHORTEST
+        edits = []
+        for slots, values in zip(self._layout.positions, self._to_file(vertices), strict=True):
+            assert isinstance(slots, Tokens)
+            if style == SHORTEST_SINGLE:
+                require_range(values, np.ones(values.shape, dtype=bool), ("<f4",) * 3)
+            text, ends = print_numbers(values.reshape(-1), style)
+            edits.append((slots.starts, slots.stops, text, ends))
+        return self._pack(splice(as_bytes(self._data), edits))
+
+    def check(self, output: Buffer, vertices: Floats) -> None:
+        """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
+        old = self.package.archive
+        try:
+            new = Archive(output)
+            texts = [
+                new.content(member, member.size)
+                for name in self.package.models
+                if (member := new.find(name)) is not None
+            ]
+        except MsalError as failure:
+            raise InternalError(f"the 3MF file that was made cannot be read: {failure}") from None
+        if [one.name for one in new.members] != [one.name for one in old.members]:
+            raise InternalError("the 3MF file that was made has other members")
+        for before, after in zip(old.members, new.members, strict=True):
+            own = old.data[before.header_at : before.stop]
+            is_model = before.name in self.package.models
+            if not is_model and own != new.data[after.header_at : after.stop]:
+                raise InternalError(f"{before.name} changed in a 3MF file")
+            if (before.flags, before.method) != (after.flags, after.method):
+                raise InternalError(f"{before.name} was packed in another way")
+        super().check(_BETWEEN.join(texts), vertices)
+
+    def _pack(self, content: Buffer) -> bytes:
+        """The archive with other texts of the model parts, those that changed."""
+        if content is self._data:
+            return bytes(self.data)
+        names = list(self.package.models)
+        if len(names) == 1:
+            return self.package.archive.replace({names[0]: content})
+        pairs = zip(bytes(self._data).split(_BETWEEN), bytes(content).split(_BETWEEN), strict=True)
+        return self.package.archive.replace(
+            {name: new for name, (old, new) in zip(names, pairs, strict=True) if new != old}
+        )
 
     def _require_free(self) -> None:
         stale = [word for model in self.package.models.values() for word in model.stale]
@@ -173,200 +194,52 @@ class ThreeMfFile:
                 hint="export it as a plain mesh, or convert it with --to",
             )
 
-    def _own(self, part: Part, rows: slice, vertices: Floats) -> Floats:
-        """The new positions of a mesh in its own frame; unmoved ones exactly what the file has."""
-        stored = part.surface.vertices
-        moved = (vertices[rows] != self.vertices[rows]).any(axis=1)
-        back = np.linalg.inv(part.frame).astype(np.float64)
-        own = np.where(moved[:, None], moved_by(back, vertices[rows]), stored)
-        finite = np.isfinite(own).all(axis=1)
-        if not finite.all():
-            raise ContentError(
-                "a new position is too large for the frame of its mesh",
-                code="E_RANGE",
-                where=f"vertex {rows.start + int(np.argmin(finite))}",
-                hint="scale the mesh down",
-            )
-        return own
-
-    def _changes(self, vertices: Floats, precision: str) -> Iterator[tuple[str, _Change]]:
-        """What is to be written, for each model part that changes."""
-        by_member: dict[str, list[_Change]] = {}
-        for part, rows in self._rows():
-            own = self._own(part, rows, vertices)
-            text = self.package.models[part.member].text
-            change = _change(part.surface, own, text, precision, rows.start)
-            if len(change.values):
-                by_member.setdefault(part.member, []).append(change)
-        for member, changes in by_member.items():
-            yield member, _joined(changes)
-
-    def check(self, output: Buffer, vertices: Floats) -> None:
-        """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
-        expected = dict(self._changes(vertices, _SAME))
-        _check_members(self.package, output, set(expected))
-        with zipfile.ZipFile(io.BytesIO(output)) as archive:
-            for member, change in expected.items():
-                _check_text(self.package.models[member], archive.read(member), change)
+    def _to_file(self, vertices: Floats) -> list[Floats]:
+        """New positions of each mesh in its own frame; unmoved ones exactly as they are stored."""
+        result = super()._to_file(vertices)
+        first = 0
+        for values in result:
+            is_finite = np.isfinite(values).all(axis=1)
+            if not is_finite.all():
+                raise ContentError(
+                    "a new position is too large for the frame of its mesh",
+                    code="E_RANGE",
+                    where=f"vertex {first + int(np.argmin(is_finite))}",
+                    hint="scale the mesh down",
+                )
+            first += len(values)
+        return result
 
 
-def _change(surface: Surface, own: Floats, text: bytes, precision: str, first: int) -> _Change:
-    """What is to be written for the new positions of a mesh, in its own frame.
-
-    ``first`` is the number of its first vertex, for messages.
-    """
-    if precision == _SAME:
-        is_new = own != surface.vertices
-        starts, stops, values = surface.starts[is_new], surface.stops[is_new], own[is_new]
-        decimals = _decimals(surface, values, text, starts, stops)
-        return _Change(starts, stops, values, decimals)
-    beyond = np.abs(own).max(axis=1) > float(np.finfo(np.float32).max)
-    if precision == "float32" and beyond.any():
-        raise ContentError(
-            "a position is too large for float32",
-            code="E_RANGE",
-            where=f"vertex {first + int(np.argmax(beyond))}",
-            hint="use --precision float64",
-        )
-    style = SHORTEST_SINGLE if precision == "float32" else SHORTEST_DOUBLE
-    values = own.reshape(-1)
-    decimals = np.full(len(values), style, dtype=np.uint8)
-    return _Change(surface.starts.reshape(-1), surface.stops.reshape(-1), values, decimals)
-
-
-def _decimals(
-    surface: Surface, values: Floats, text: bytes, starts: Longs, stops: Longs
-) -> NDArray[np.uint8]:
-    """Decimals (k,) of the new numbers of a mesh; the old ones lie at these bytes."""
-    from msal_cli.codecs.text_slots import usual_decimals
-    from msal_cli.kernels import text as texts
-    from msal_cli.kernels.digits import MOST_DECIMALS
-
-    if not len(values):
-        return np.zeros(0, dtype=np.uint8)
-    buffer = texts.as_bytes(text)
-    used = texts.decimals_used(buffer, surface.starts.reshape(-1), surface.stops.reshape(-1))
-    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    step = 2.0 * math.hypot(*(high * 0.5 - low * 0.5).tolist()) * _FINEST
-    needed = math.ceil(-math.log10(step)) if 0.0 < step < math.inf else 0
-    largest = float(np.abs(values).max())
-    whole = math.ceil(math.log10(largest)) if largest > 1.0 else 0
-    most = min(_MOST_DIGITS - whole, MOST_DECIMALS)
-    if needed > most or most < 0:
-        return np.full(len(values), SHORTEST_DOUBLE, dtype=np.uint8)
-    least = min(max(usual_decimals(used), needed), most)
-    own = texts.decimals_used(buffer, starts, stops)
-    return np.clip(own, least, most).astype(np.uint8)
-
-
-def _joined(changes: list[_Change]) -> _Change:
-    """The changes of one part as one, in the order of the text."""
-    starts = np.concatenate([one.starts for one in changes])
-    if len(changes) == 1 and (starts[:-1] < starts[1:]).all():
-        return changes[0]
-    order = np.argsort(starts, kind="stable")
-    return _Change(
-        starts[order],
-        np.concatenate([one.stops for one in changes])[order],
-        np.concatenate([one.values for one in changes])[order],
-        np.concatenate([one.decimals for one in changes])[order],
+def _layout(package: Package, models: Mapping[str, Model], text: Buffer) -> Layout:
+    data = as_bytes(text)
+    positions, faces = [], []
+    begin = n_vertices = 0
+    for model in models.values():
+        for mesh in model.meshes.values():
+            if len(mesh.faces):
+                # In place, because they take more memory than anything else.
+                mesh.starts += begin
+                mesh.stops += begin
+                starts, stops = mesh.starts.reshape(-1), mesh.stops.reshape(-1)
+                positions.append(_Coordinates(data, starts, stops, values=mesh.vertices))
+                faces.append(mesh.faces + n_vertices)
+                n_vertices += len(mesh.vertices)
+        begin += model.size + len(_BETWEEN)
+    properties = [f"{len(positions)} parts"] if len(positions) > 1 else []
+    unit = next(iter(models.values())).unit
+    if unit != "millimeter":
+        properties.append(f"unit {unit}")
+    if package.has_instances:
+        properties.append("instances")
+    if package.is_sole_part_placed:
+        properties.append(PLACEMENT)
+    properties += [word for model in models.values() for word in model.words]
+    return Layout(
+        "binary",
+        "text",
+        tuple(positions),
+        frames=package.frames,
+        properties=tuple(dict.fromkeys(properties)),
+        faces=np.concatenate(faces).astype(np.int32),
     )
-
-
-def _patched(text: bytes, change: _Change) -> memoryview:
-    """A part's text with new numbers."""
-    from msal_cli.kernels import text as texts
-
-    numbers, ends = _printed(change)
-    buffer = texts.as_bytes(text)
-    return texts.spliced(buffer, change.starts, change.stops, numbers, ends).data
-
-
-def _printed(change: _Change) -> tuple[NDArray[np.uint8], Longs]:
-    """The texts of the new numbers, one behind the other, and where each ends."""
-    if (change.decimals == change.decimals[0]).all():
-        return _printed_alike(change.values, int(change.decimals[0]))
-    pieces, ends, size = [], [], 0
-    for at in range(0, len(change.values), _BLOCK):
-        some = slice(at, at + _BLOCK)
-        text, stops = _printed_mixed(change.values[some], change.decimals[some])
-        pieces.append(text)
-        ends.append(stops + size)
-        size += len(text)
-    return np.concatenate(pieces), np.concatenate(ends)
-
-
-def _printed_mixed(values: Floats, decimals: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Longs]:
-    """The same for numbers with different decimals, of which there are not too many."""
-    lengths = np.zeros(len(values), dtype=np.int64)
-    groups = []
-    for one in np.unique(decimals):
-        rows = np.flatnonzero(decimals == one)
-        text, stops = _printed_alike(values[rows], int(one))
-        lengths[rows] = np.diff(stops, prepend=0)
-        groups.append((rows, text))
-    ends = np.cumsum(lengths)
-    out = np.empty(int(ends[-1]), dtype=np.uint8)
-    for rows, text in groups:
-        own = lengths[rows]
-        shift = ends[rows] - np.cumsum(own)
-        out[np.arange(len(text)) + np.repeat(shift, own)] = text
-    return out, ends
-
-
-def _printed_alike(values: Floats, decimals: int) -> tuple[NDArray[np.uint8], Longs]:
-    from msal_cli.kernels import text
-
-    if decimals in (SHORTEST_DOUBLE, SHORTEST_SINGLE):
-        return text.printed_shortest(values, decimals == SHORTEST_SINGLE)
-    return text.printed(values, decimals)
-
-
-def _check_members(package: Package, output: Buffer, changed: set[str]) -> None:
-    """Raise InternalError if more changed in the archive than the content of some members."""
-    old = package.archive
-    try:
-        new = Archive(output)
-    except MsalError as failure:
-        raise InternalError(f"the 3MF file that was made cannot be read: {failure}") from None
-    if [one.name for one in new.members] != [one.name for one in old.members]:
-        raise InternalError("the 3MF file that was made has other members")
-    for was, now in zip(old.members, new.members, strict=True):
-        if was.name not in changed and (
-            old.data[was.header_at : was.stop] != new.data[now.header_at : now.stop]
-        ):
-            raise InternalError(f"{was.name} changed in a 3MF file")
-        if (was.flags, was.method) != (now.flags, now.method):
-            raise InternalError(f"{was.name} was packed in another way")
-
-
-def _check_text(model: Model, output: bytes, change: _Change) -> None:
-    """Raise InternalError unless ``output`` is the text of ``model`` with just that replaced."""
-    from msal_cli.kernels import text as texts
-
-    try:
-        starts, stops = _tokens(parsed(output, ""))
-    except MsalError as failure:
-        raise InternalError(f"the 3MF model that was made cannot be read: {failure}") from None
-    before, _ = _tokens(model)
-    if len(starts) != len(before):
-        raise InternalError("the 3MF model that was made has other vertices")
-    which = np.searchsorted(before, change.starts)
-    starts, stops = starts[which], stops[which]
-    a, b = texts.as_bytes(model.text), texts.as_bytes(output)
-    if not texts.same_outside(a, change.starts, change.stops, b, starts, stops):
-        raise InternalError("the 3MF model that was made differs in more than positions")
-    values, bad = texts.numbers_at(b, starts, stops)
-    wanted = change.values
-    slack = 0.5 * 10.0 ** -change.decimals.astype(np.float64) * (1.0 + 1e-9)
-    if bad >= 0 or (np.abs(values - wanted) > slack + 4.5e-16 * np.abs(wanted)).any():
-        raise InternalError("a position of a 3MF file was not written right")
-
-
-def _tokens(model: Model) -> tuple[Longs, Longs]:
-    """Where all numbers of vertices lie in a part, in the order of its text."""
-    surfaces = model.surfaces.values()
-    starts = np.concatenate([one.starts.reshape(-1) for one in surfaces])
-    stops = np.concatenate([one.stops.reshape(-1) for one in surfaces])
-    order = np.argsort(starts)
-    return starts[order], stops[order]

@@ -25,7 +25,7 @@ _LIST = re.compile(rb"<(vertices|triangles)\s*>")
 _QUOTE, _LESS = 34, 60
 
 
-def plain_lists(text: bytes) -> Iterator[tuple[int, tuple[int, int]]]:
+def find_plain_lists(text: bytes) -> Iterator[tuple[int, tuple[int, int]]]:
     """Lists of vertices and triangles in plain form: where the tag begins that opens each, where
     the list begins, and where it ends."""
     for tag in _LIST.finditer(text):
@@ -34,7 +34,7 @@ def plain_lists(text: bytes) -> Iterator[tuple[int, tuple[int, int]]]:
             yield tag.start(), match.span()
 
 
-def quoted(region: NDArray[np.uint8], offset: int) -> tuple[Longs, Longs]:
+def find_quoted(region: NDArray[np.uint8], offset: int) -> tuple[Longs, Longs]:
     """What stands between the first three pairs of quotes of each element, (n, 3) starts and stops;
     ``offset`` is added to all."""
     quotes = np.flatnonzero(region == _QUOTE)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
-from msal_cli.codecs.threemf_fast import plain_lists, quoted
+from msal_cli.codecs.threemf_fast import find_plain_lists, find_quoted
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, UnsupportedError
 
 _MICROSOFT = "http://schemas.microsoft.com/3dmanufacturing/"
@@ -56,8 +56,8 @@ _IDENTITY = np.eye(4)
 _CORNERS = ("v1", "v2", "v3")
 
 
-@dataclass(frozen=True, eq=False)
-class Surface:
+@dataclass(eq=False)
+class ThreeMfMesh:
     """A mesh of a model part, in its own frame.
 
     Attributes
@@ -93,27 +93,27 @@ class Model:
 
     Attributes
     ----------
-    text : its bytes.
+    size : bytes of its text.
     unit : the word for it.
     ids : the numbers of its objects.
-    surfaces : the meshes by their objects' numbers, in the order of the file.
+    meshes : the meshes by their objects' numbers, in the order of the file.
     components : what an object is put together from.
     items : what is to be built.
     words : what else is carried along, for reports.
     stale : what would no longer fit the surface once it moved.
     """
 
-    text: bytes = field(repr=False)
+    size: int
     unit: str = "millimeter"
     ids: set[int] = field(default_factory=set)
-    surfaces: dict[int, Surface] = field(default_factory=dict)
+    meshes: dict[int, ThreeMfMesh] = field(default_factory=dict)
     components: dict[int, list[Use]] = field(default_factory=dict)
     items: list[Use] = field(default_factory=list)
     words: dict[str, None] = field(default_factory=dict)
     stale: dict[str, None] = field(default_factory=dict)
 
 
-def parsed(text: bytes, name: str) -> Model:
+def parse_model(text: bytes, name: str) -> Model:
     """Take a model part apart; ``name`` is for messages.
 
     Raises
@@ -161,13 +161,13 @@ class _Reader:
     """Follows Expat through a part."""
 
     def __init__(self, text: bytes, name: str) -> None:
-        self.model = Model(text)
+        self.model = Model(len(text))
         self._text = text
         self._name = name
         self._fed: list[int] = []
         """Bytes that Expat had got when a list was left out, and all bytes left out until then."""
         self._left_out: list[int] = [0]
-        self._lists = dict(plain_lists(text))
+        self._lists = dict(find_plain_lists(text))
         self._prefixes: dict[str, str] = {}
         self._path: list[str] = []
         self._object = -1
@@ -178,10 +178,11 @@ class _Reader:
         self._values, self._starts, self._stops = array("d"), array("q"), array("q")
         self._corners = array("q")
         self._parse()
+        # It names this reader, so that neither would be freed before long.
+        del self._parser
 
     def _parse(self) -> None:
         self._parser = parser = start_parser(self._text, self._name)
-        parser.ordered_attributes = True
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
         parser.StartNamespaceDeclHandler = self._note_prefix
@@ -216,7 +217,7 @@ class _Reader:
     def _note_prefix(self, prefix: str | None, uri: str | None) -> None:
         self._prefixes[prefix or ""] = uri or ""
 
-    def _start(self, name: str, attributes: list[str]) -> None:
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
         space, _, word = name.rpartition(" ")
         is_core = space in _CORES
         above = self._path[-1] if self._path else ""
@@ -234,26 +235,26 @@ class _Reader:
                     where=self._where(),
                     hint=EXPORT_AGAIN,
                 )
-            self._open_model(_pairs(attributes))
+            self._open_model(attributes)
         elif space in _STALE:
             self.model.stale[_STALE[space]] = None
         elif not is_core:
             if space == _MICROSOFT + "material/2015/02":
                 self.model.words["materials"] = None
         elif above == "vertices" and word == "vertex":
-            self._add_vertex(_pairs(attributes))
+            self._add_vertex(attributes)
         elif above == "triangles" and word == "triangle":
-            self._add_triangle(_pairs(attributes))
+            self._add_triangle(attributes)
         elif word in ("vertices", "triangles") and above == "mesh":
             self._open_list(word)
         elif word == "mesh" and above == "object":
-            if self._object in self.model.surfaces:
+            if self._object in self.model.meshes:
                 raise self._damaged("the object has two meshes")
             self._vertices = self._faces = None
         elif word == "object":
-            self._open_object(_pairs(attributes))
+            self._open_object(attributes)
         elif word in ("component", "item"):
-            use = self._use(_pairs(attributes))
+            use = self._use(attributes)
             self._n_uses += 1
             if self._n_uses > MOST_USES:
                 raise TooLargeError(
@@ -317,7 +318,7 @@ class _Reader:
             return
         begin, stop = self._lists[start]
         region = np.frombuffer(self._text, dtype=np.uint8)[begin:stop]
-        starts, stops = quoted(region, begin)
+        starts, stops = find_quoted(region, begin)
         if word == "vertices":
             self._vertices = self._numbers(starts, stops), starts, stops
             finite = np.isfinite(self._vertices[0]).all(axis=1)
@@ -418,8 +419,4 @@ class _Reader:
                 where=f"{self._where()}, object {self._object}, triangle {row}",
                 hint=EXPORT_AGAIN,
             )
-        self.model.surfaces[self._object] = Surface(vertices, starts, stops, self._faces)
-
-
-def _pairs(attributes: list[str]) -> dict[str, str]:
-    return dict(zip(attributes[::2], attributes[1::2], strict=True))
+        self.model.meshes[self._object] = ThreeMfMesh(vertices, starts, stops, self._faces)

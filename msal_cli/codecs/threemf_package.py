@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 from xml.parsers import expat
 
 import numpy as np
 
 from msal_cli.arrays import Floats
-from msal_cli.codecs.frames import can_be_undone, is_placed, moved_by
-from msal_cli.codecs.threemf_model import Model, Surface, Use, parsed, place_of, start_parser
+from msal_cli.codecs.frames import is_placed, is_usable, transform
+from msal_cli.codecs.threemf_model import (
+    Model,
+    Use,
+    parse_model,
+    place_of,
+    start_parser,
+)
 from msal_cli.codecs.zip_archive import Archive, Member
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
@@ -32,17 +37,6 @@ _ORIGIN_TYPE = (
 _ROOT = "_rels/.rels"
 
 
-@dataclass(frozen=True, eq=False)
-class Part:
-    """A mesh of the package: the member that it is in, its object's number, its surface, and its
-    frame in the build."""
-
-    member: str
-    object_id: int
-    surface: Surface
-    frame: Floats
-
-
 class Package:
     """A 3MF file taken apart.
 
@@ -50,7 +44,9 @@ class Package:
     ----------
     archive : the zip archive.
     models : its model parts by the names of their members, the root first.
-    parts : all meshes with triangles, those of the root first.
+    texts : the content of these members.
+    frames : the frame (4, 4) in the build of each mesh with triangles, in the order of ``models``;
+        empty where all of them stay in their own.
     is_signed : whether a digital signature holds its bytes.
     has_instances : whether an object is put to several places.
     is_sole_part_placed : whether there is one mesh only, and the build turns, scales or shifts it.
@@ -67,24 +63,27 @@ class Package:
         self.is_signed = False
         self._root = self._member(self._root_target(), _ROOT)
         self.models: dict[str, Model] = {}
+        self.texts: dict[str, bytes] = {}
         self._load()
-        frames, self.has_instances = self._frames()
-        self.parts = [
-            Part(name, number, surface, frames.get((name, number), np.eye(4)))
+        placed, self.has_instances = self._find_frames()
+        meshes = [
+            (mesh, placed.get((name, number), np.eye(4)))
             for name, model in self.models.items()
-            for number, surface in model.surfaces.items()
-            if len(surface.faces)
+            for number, mesh in model.meshes.items()
+            if len(mesh.faces)
         ]
-        if not self.parts:
+        if not meshes:
             raise ContentError(
                 "the file has no triangles",
                 code="E_NO_FACES",
                 hint="msal denoises surfaces; this file has none",
             )
-        self.is_sole_part_placed = len(self.parts) == 1 and is_placed(self.parts[0].frame)
-        if len(self.parts) == 1 or not all(map(_is_usable, self.parts)):
-            own = np.eye(4)
-            self.parts = [Part(o.member, o.object_id, o.surface, own) for o in self.parts]
+        self.is_sole_part_placed = len(meshes) == 1 and is_placed(meshes[0][1])
+        is_framed = len(meshes) > 1 and all(
+            is_usable(frame) and np.isfinite(transform(mesh.vertices, frame)).all()
+            for mesh, frame in meshes
+        )
+        self.frames = tuple(frame for _, frame in meshes) if is_framed else ()
 
     def _member(self, path: str, where: str) -> Member:
         member = self.archive.find(path)
@@ -142,8 +141,8 @@ class Package:
             member = waiting.popleft()
             if member.name in self.models:
                 continue
-            model = parsed(self._content(member), member.name)
-            self.models[member.name] = model
+            text = self.texts[member.name] = self._content(member)
+            model = self.models[member.name] = parse_model(text, member.name)
             for use in _uses(model):
                 if use.path:
                     other = self.archive.find(use.path)
@@ -160,10 +159,10 @@ class Package:
                 )
 
     def _missing(self, name: str, use: Use, what: str) -> FormatError:
-        where = place_of(self.models[name].text, name, use.at)
+        where = place_of(self.texts[name], name, use.at)
         return FormatError(f"{what} is not in the package", where=where, hint=EXPORT_AGAIN)
 
-    def _frames(self) -> tuple[dict[tuple[str, int], Floats], bool]:
+    def _find_frames(self) -> tuple[dict[tuple[str, int], Floats], bool]:
         """The frame of each object that is built, by the first way to it; if one has several.
 
         An object is followed once, however often it is used, since a file can nest uses so that
@@ -194,10 +193,3 @@ class Package:
 
 def _uses(model: Model) -> list[Use]:
     return [*model.items, *(use for uses in model.components.values() for use in uses)]
-
-
-def _is_usable(part: Part) -> bool:
-    """Whether a part can be put into its frame, and taken back."""
-    if not np.isfinite(part.frame).all() or not can_be_undone(part.frame):
-        return False
-    return bool(np.isfinite(moved_by(part.frame, part.surface.vertices)).all())

@@ -6,7 +6,6 @@ import io
 import zipfile
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
 
@@ -44,18 +43,19 @@ _EARLIEST = (1980, 1, 1, 0, 0, 0)
 _UNIX = 3
 
 
-def written(vertices: Floats, faces: Ints, *, single: bool) -> bytes:
+def to_3mf(vertices: Floats, faces: Ints, *, single: bool) -> bytes:
     """A 3MF file of vertices (n, 3) and triangles (m, 3); the same bytes on every run.
 
     Each number is the shortest text that is read back as the same float64, or float32.
     """
     from msal_cli.kernels import text
+    from msal_cli.kernels.text_rows import fill_rows
 
     digits, stops = text.printed_shortest(vertices.reshape(-1), single)
-    rows = _elements(b'<vertex x="', b'" y="', b'" z="', digits, stops)
+    rows = fill_rows((b'<vertex x="', b'" y="', b'" z="', b'"/>\n'), digits, stops)
     digits, stops = text.printed(faces.reshape(-1).astype(np.float64), 0)
-    triangles = _elements(b'<triangle v1="', b'" v2="', b'" v3="', digits, stops)
-    model = b"".join([_HEAD, rows, _MIDDLE, triangles, _TAIL])
+    triangles = fill_rows((b'<triangle v1="', b'" v2="', b'" v3="', b'"/>\n'), digits, stops)
+    model = b"".join([_HEAD, *rows, _MIDDLE, *triangles, _TAIL])
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
         for name, content in (
@@ -68,16 +68,3 @@ def written(vertices: Floats, faces: Ints, *, single: bool) -> bytes:
             entry.create_system = _UNIX
             archive.writestr(entry, content)
     return file.getvalue()
-
-
-def _elements(
-    first: bytes, second: bytes, third: bytes, digits: NDArray[np.uint8], stops: NDArray[np.int64]
-) -> memoryview:
-    """A line for each three numbers, which lie one behind the other in ``digits``."""
-    from msal_cli.kernels import text
-
-    line = first + second + third + b'"/>\n'
-    empty = text.as_bytes(line * (len(stops) // 3))
-    places = np.cumsum([len(first), len(second), len(third)])
-    at = (len(line) * np.arange(len(stops) // 3)[:, None] + places).reshape(-1)
-    return text.spliced(empty, at, at, digits, stops).data

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.slots import line_of, parse_floats
+from msal_cli.codecs.slots import Tokens, line_of, parse_floats
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, TruncatedError
 from msal_cli.storage.buffers import Buffer
 
@@ -95,6 +95,33 @@ class Words:
             )
         return values.astype(np.int64)
 
+    def integer_rows(self, first: Longs, width: int) -> Longs:
+        """Rows (n, width) of whole numbers, ``first`` (n,) being the first word of each."""
+        return self.integers(_row_words(first, width)).reshape(-1, width)
+
+    def float_rows(self, first: Longs, *, unit_length: bool = False) -> Tokens:
+        """Rows of three numbers, ``first`` (n,) being the first word of each."""
+        starts, stops = self.row_spans(first, 3)
+        return Tokens(self.data, starts, stops, unit_length=unit_length)
+
+    def row_spans(self, first: Longs, width: int) -> tuple[Longs, Longs]:
+        """Starts and stops (n * width,) of the words of rows whose first words are given."""
+        chosen = _row_words(first, width)
+        return self.starts[chosen], self.stops[chosen]
+
+    def lines_of_words(self) -> tuple[Longs, Longs]:
+        """The first word and the number of words of each line that has any."""
+        first = self.first_of_lines()
+        return first, np.diff(np.append(first, len(self)))
+
+    def require_lengths(self, first: Longs, lengths: Longs, least: int, what: str) -> None:
+        """Raise FormatError for a line, of these words, that is shorter than ``least`` words."""
+        if len(first) and int(lengths.min()) < least:
+            at = int(first[int(np.argmin(lengths))])
+            raise FormatError(
+                f"the line of a {what} is too short", where=self.where(at), hint=EXPORT_AGAIN
+            )
+
     def first_of_lines(self) -> Longs:
         """The first word of each line that has one."""
         first = np.ones(len(self), dtype=bool)
@@ -121,6 +148,10 @@ class Words:
 
 
 _NONE = np.zeros(0, dtype=np.int64)
+
+
+def _row_words(first: Longs, width: int) -> Longs:
+    return (first[:, None] + np.arange(width)).reshape(-1)
 
 
 def _pieces(

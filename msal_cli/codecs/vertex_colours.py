@@ -49,7 +49,7 @@ def _of_ply(mesh_file: MeshFile) -> NDArray[np.uint8] | None:
             return None
         wanted = functools.partial(_always, present)
         sections, _ = located(as_bytes(data), header, wanted, last="vertex")
-        return _as_bytes(sections["vertex"].numbers(present), 255.0 if code != "u1" else 1.0)
+        return _as_bytes(sections["vertex"].slots(present).values, 255.0 if code != "u1" else 1.0)
     return None
 
 

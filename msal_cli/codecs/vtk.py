@@ -12,9 +12,10 @@ import re
 from dataclasses import dataclass, field
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import Numbers
-from msal_cli.codecs.vtk_cells import Surface, surface_of
+from msal_cli.codecs.layout import Layout
+from msal_cli.codecs.slots import UnitSlots
+from msal_cli.codecs.surface_cells import SurfaceCells
+from msal_cli.codecs.vtk_cells import add_cells, add_cells_of_types, add_layer
 from msal_cli.codecs.vtk_stream import Stream
 from msal_cli.errors import EXPORT_AGAIN, FormatError, InputError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
@@ -34,34 +35,20 @@ _CELLS = {
 _PER_TUPLE = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
 
 
-def read(data: Buffer, format: str) -> PatchedFile:
-    """Open the VTK file ``data`` (its bytes).
-
-    Raises
-    ------
-    FormatError, TruncatedError
-        if the file is not what its format says.
-    UnsupportedError
-        for data sets without points of their own, and curved cells.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
-    """
-    return PatchedFile(data, format, _parse)
-
-
 @dataclass(eq=False)
 class _Parsed:
-    """What was found on the way through a file."""
+    """What a file holds, ``cells`` being those whose types are not read yet."""
 
-    points: Numbers | None = None
-    surface: Surface = field(default_factory=Surface)
+    points: UnitSlots | None = None
+    surface: SurfaceCells = field(default_factory=SurfaceCells)
     cells: tuple[Longs, Longs] | None = None
-    normals: Numbers | None = None
+    normals: UnitSlots | None = None
     properties: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
 
-def _parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
+    """Read a VTK file; UnsupportedError for data without points of their own, and curved cells."""
     header = _HEADER.match(data)
     if not header:
         raise FormatError(
@@ -95,24 +82,18 @@ def _parse(data: Buffer) -> Content:
     if parsed.points is None:
         raise FormatError("the file has no POINTS", where=stream.where(), hint=EXPORT_AGAIN)
     if kind == "STRUCTURED_GRID":
-        parsed.surface.add_layer(dimensions, len(parsed.points.values))
+        add_layer(parsed.surface, dimensions, len(parsed.points.values))
     elif parsed.cells is not None:
         raise FormatError("the file has no CELL_TYPES", where=stream.where(), hint=EXPORT_AGAIN)
-    corners, sizes = parsed.surface.polygons()
-    has_own = parsed.normals is not None and parsed.normals.values.shape == (
-        len(parsed.points.values),
-        3,
-    )
-    return Content(
-        "ascii" if is_text else "binary_big_endian",
+    normals = parsed.normals
+    has_normals = normals is not None and len(normals.values) == len(parsed.points.values)
+    return parsed.surface.content(
+        parsed.points,
         stream.precision,
-        (parsed.points,),
-        corners,
-        sizes,
-        (parsed.normals,) if parsed.normals is not None and has_own else (),
+        encoding="ascii" if is_text else "binary_big_endian",
+        normals=(normals,) if normals is not None and has_normals else (),
         properties=tuple(parsed.properties),
-        warnings=(*parsed.surface.warnings(), *parsed.warnings),
-        held=parsed.surface.held(),
+        warnings=tuple(parsed.warnings),
     )
 
 
@@ -123,15 +104,14 @@ def _read_section(stream: Stream, words: list[str], parsed: _Parsed) -> None:
         n_points = stream.count_of(words, 1, "points")
         parsed.points = stream.positions(n_points, stream.word_of(words, 2))
     elif keyword in _CELLS:
-        offsets, corners = stream.cells(words)
-        parsed.surface.add(_CELLS[keyword], offsets, corners)
+        add_cells(parsed.surface, _CELLS[keyword], *stream.cells(words))
     elif keyword == "CELLS":
         parsed.cells = stream.cells(words)
     elif keyword == "CELL_TYPES":
         if parsed.cells is None:
             raise FormatError("CELL_TYPES without CELLS", where=stream.where(), hint=EXPORT_AGAIN)
         types = stream.integers(stream.count_of(words, 1, "cells"), "int")
-        surface_of(types, *parsed.cells, parsed.surface)
+        add_cells_of_types(parsed.surface, types, *parsed.cells)
         parsed.cells = None
     elif keyword == "METADATA":
         stream.skip_paragraph()

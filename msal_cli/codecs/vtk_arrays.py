@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers, to_type
+from msal_cli.codecs.slots import BinaryNumbers, Tokens, UnitSlots, to_type
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element
 from msal_cli.errors import (
@@ -100,7 +100,7 @@ def integers(array: Element, coding: Coding) -> NDArray[np.int64]:
     return np.frombuffer(content, dtype=code).astype(np.int64)
 
 
-def numbers(array: Element, coding: Coding, count: int, *, are_normals: bool = False) -> Numbers:
+def numbers(array: Element, coding: Coding, count: int, *, are_normals: bool = False) -> UnitSlots:
     """The rows (count, 3) of an array of floating-point numbers."""
     from msal_cli.kernels.text import as_bytes
 
@@ -115,7 +115,7 @@ def numbers(array: Element, coding: Coding, count: int, *, are_normals: bool = F
     if array.attributes.get("format", "ascii") == "ascii":
         words = Words(data, array.inside, array.text_stop)
         _require_count(len(words), 3 * count, array)
-        return TextNumbers(data, words.starts, words.stops, unit_length=are_normals)
+        return Tokens(data, words.starts, words.stops, unit_length=are_normals)
     content, start, stop = _decoded(array, coding)
     size = 3 * np.dtype(code).itemsize
     _require_count(len(content), size * count, array)
@@ -136,7 +136,7 @@ def _require_count(there: int, wanted: int, array: Element) -> None:
 
 
 @dataclass(eq=False)
-class EncodedNumbers:
+class EncodedNumbers(UnitSlots):
     """An array that is one unit, since it is compressed or written in base64."""
 
     coding: Coding = field(repr=False)
@@ -158,16 +158,16 @@ class EncodedNumbers:
     def units(self, is_changed: Flags) -> Flags:
         return np.array([is_changed.any()])
 
-    def texts(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
+    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
         rows = np.frombuffer(self.content, dtype=self.code).reshape(-1, 3)
         # Rows that did not move keep their bits, the signs of zeros included.
         is_same = (values == self.values).all(axis=1)[:, None]
-        new = np.where(is_same, rows, to_type(values, self.code, np.arange(len(values))))
+        new = np.where(is_same, rows, to_type(values, self.code))
         text = np.frombuffer(_encoded(new.astype(self.code).tobytes(), self), dtype=np.uint8)
         return text, np.array([len(text)], dtype=np.int64)
 
-    def stored(self, values: Floats) -> tuple[Floats, float]:
-        return to_type(values, self.code, np.arange(len(values))).astype(np.float64), 0.0
+    def rounded(self, values: Floats) -> tuple[Floats, float]:
+        return to_type(values, self.code).astype(np.float64), 0.0
 
 
 def _decoded(array: Element, coding: Coding) -> tuple[Buffer, int, int]:

@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.slots import BinaryNumbers, Numbers, TextNumbers, line_of
+from msal_cli.codecs.slots import BinaryNumbers, Tokens, UnitSlots, line_of
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
@@ -89,7 +89,7 @@ class Stream:
             )
         return int(word)
 
-    def positions(self, n_points: int, kind: str) -> Numbers:
+    def positions(self, n_points: int, kind: str) -> UnitSlots:
         """The points (n, 3) that follow."""
         code = self._code(kind)
         if code not in (">f4", ">f8"):
@@ -101,7 +101,7 @@ class Stream:
         self.precision = "float32" if code == ">f4" else "float64"
         return self._floats(n_points, code, is_normals=False)
 
-    def normals(self, count: int, kind: str) -> Numbers | None:
+    def normals(self, count: int, kind: str) -> UnitSlots | None:
         """The normals (n, 3) that follow; None if they are stored as whole numbers."""
         code = self._code(kind)
         if code not in (">f4", ">f8"):
@@ -109,11 +109,11 @@ class Stream:
             return None
         return self._floats(count, code, is_normals=True)
 
-    def _floats(self, count: int, code: str, *, is_normals: bool) -> Numbers:
+    def _floats(self, count: int, code: str, *, is_normals: bool) -> UnitSlots:
         if self._words is not None:
             chosen = self._next_words(3 * count)
             starts, stops = self._words.starts[chosen], self._words.stops[chosen]
-            return TextNumbers(self._data, starts, stops, unit_length=is_normals)
+            return Tokens(self._data, starts, stops, unit_length=is_normals)
         size = 3 * np.dtype(code).itemsize
         at = self._next_bytes(size * count)
         return BinaryNumbers(self._data, at + np.arange(count, dtype=np.int64) * size, code)
@@ -128,7 +128,7 @@ class Stream:
         return self._data[at : at + size * count].view(code).astype(np.int64)
 
     def cells(self, words: list[str]) -> tuple[Longs, Longs]:
-        """Longs (k + 1,) and corners of the cells whose section begins with this line."""
+        """Sizes (k,) and corners of the cells whose section begins with this line."""
         first, second = (self.count_of(words, k, "cells") for k in (1, 2))
         at = self._at
         header = self.line()
@@ -138,29 +138,29 @@ class Stream:
             if not header or header[0].upper() != "CONNECTIVITY":
                 raise FormatError("no CONNECTIVITY", where=self.where(), hint=EXPORT_AGAIN)
             corners = self.integers(second, self.word_of(header, 1))
-            if offsets[0] != 0 or offsets[-1] != second or (np.diff(offsets) < 0).any():
+            sizes = np.diff(offsets)
+            if offsets[0] != 0 or offsets[-1] != second or (sizes < 0).any():
                 raise FormatError(
                     "the OFFSETS of cells are wrong", where=self.where(), hint=EXPORT_AGAIN
                 )
-            return offsets, corners
+            return sizes, corners
         self._at = at
         return self._counted_cells(first, self.integers(second, "int"))
 
     def _counted_cells(self, n_cells: int, numbers: Longs) -> tuple[Longs, Longs]:
-        """Longs and corners of cells that are stored as a count and their corners each."""
+        """Sizes and corners of cells that are stored as a count and their corners each."""
         if n_cells > len(numbers):
             raise FormatError("more cells than numbers", where=self.where(), hint=EXPORT_AGAIN)
         size = int(numbers[0]) + 1 if n_cells else 0
         if size > 0 and n_cells * size == len(numbers) and (numbers[::size] == size - 1).all():
             firsts = np.arange(n_cells, dtype=np.int64) * size
         else:
-            firsts = self._walk(n_cells, numbers)
-        sizes = numbers[firsts] if n_cells else _ZERO[:0]
+            firsts = self._find_counts(n_cells, numbers)
         is_corner = np.ones(len(numbers), dtype=bool)
         is_corner[firsts] = False
-        return np.concatenate([_ZERO, np.cumsum(sizes)]), numbers[is_corner]
+        return numbers[firsts], numbers[is_corner]
 
-    def _walk(self, n_cells: int, numbers: Longs) -> Longs:
+    def _find_counts(self, n_cells: int, numbers: Longs) -> Longs:
         firsts = np.empty(n_cells, dtype=np.int64)
         values = numbers.tolist()
         at = 0

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
-from msal_cli.codecs.slot_file import Content, Dependent, PatchedFile, Shift
-from msal_cli.codecs.slots import Numbers
+from msal_cli.codecs.layout import Dependent, Layout, Shift
+from msal_cli.codecs.slots import UnitSlots
+from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.vtk_arrays import Coding, code_of, integers, numbers
-from msal_cli.codecs.vtk_cells import Surface, surface_of
+from msal_cli.codecs.vtk_cells import add_cells, add_cells_of_types
 from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
@@ -27,24 +28,22 @@ _APPENDED = re.compile(rb"<AppendedData(?:\s+encoding\s*=\s*[\"'](\w+)[\"'])?\s*
 _POLYGONS = (("Verts", "vertex"), ("Lines", "line"), ("Strips", "strip"), ("Polys", "polygon"))
 
 
-def read(data: Buffer, format: str) -> PatchedFile:
-    """Open the VTU or VTP file ``data`` (its bytes).
+def parse_vtu(data: Buffer) -> Layout:
+    """Read an unstructured grid; errors as of ``_parse``."""
+    return _parse(data, "vtu")
 
-    Raises
-    ------
-    FormatError, TruncatedError
-        if the file is not what its format says.
-    UnsupportedError
-        for another compression, another type of VTK file, and curved cells.
-    TooLargeError
-        for an array that expands to more than any mesh does.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
+
+def parse_vtp(data: Buffer) -> Layout:
+    """Read polygonal data; errors as of ``_parse``."""
+    return _parse(data, "vtp")
+
+
+def _parse(data: Buffer, format: str) -> Layout:
+    """Read a VTU or VTP file.
+
+    Raises UnsupportedError for another compression, another type of VTK file, and curved cells,
+    TooLargeError for an array that expands to more than any mesh does.
     """
-    return PatchedFile(data, format, lambda content: _parse(content, format))
-
-
-def _parse(data: Buffer, format: str) -> Content:
     appended = _APPENDED.search(data)
     root = parse_tree(data, "VTKFile", appended.start() if appended else None)
     kind = root.attributes.get("type", "")
@@ -64,10 +63,10 @@ def _parse(data: Buffer, format: str) -> Content:
             "the file has no points", code="E_NO_FACES", hint="check the program that writes it"
         )
     starts = np.cumsum([0, *(part.n_points for part in parts)])
-    corners = [part.corners + start for part, start in zip(parts, starts, strict=False)]
+    corners = [part.cells.corners() + start for part, start in zip(parts, starts, strict=False)]
     normals = [part.normals for part in parts if part.normals is not None]
     positions = [part.points for part in parts]
-    warnings = [warning for part in parts for warning in part.surface.warnings()]
+    warnings = [warning for part in parts for warning in part.cells.warnings()]
     if 0 < len(normals) < len(parts):
         normals = []
         warnings.append("normals are kept as they are, since not all pieces have them")
@@ -76,16 +75,16 @@ def _parse(data: Buffer, format: str) -> Content:
         warnings.append("normals of cells are kept as they are")
     is_text = any(part.points_array.attributes.get("format") == "ascii" for part in parts)
     codes = {code_of(part.points_array, coding) for part in parts}
-    return Content(
+    return Layout(
         "ascii" if is_text else "binary",
         "float64" if coding.order + "f8" in codes else "float32",
         tuple(positions),
         np.concatenate(corners),
-        np.concatenate([part.sizes for part in parts]),
+        np.concatenate([part.cells.sizes() for part in parts]),
         tuple(normals),
         properties=tuple(dict.fromkeys(name for part in parts for name in part.properties)),
         warnings=tuple(dict.fromkeys(warnings)),
-        held=", ".join(filter(None, (part.surface.held() for part in parts))),
+        held=", ".join(filter(None, (part.cells.describe() for part in parts))),
         dependents=(
             *_offsets(data, root, coding),
             *(one for k, part in enumerate(parts) for one in _ranges(data, part.points_array, k)),
@@ -117,8 +116,8 @@ class _Piece:
 
     def __init__(self, piece: Element, coding: Coding) -> None:
         self.n_points = _count(piece, "NumberOfPoints")
-        self.surface = Surface()
-        self.normals: Numbers | None = None
+        self.cells = SurfaceCells()
+        self.normals: UnitSlots | None = None
         self.properties: list[str] = []
         if not self.n_points:
             return
@@ -133,14 +132,12 @@ class _Piece:
         self.points = numbers(points, coding, self.n_points)
         cells = piece.find("Cells")
         if cells is not None:
-            surface_of(
-                integers(_array(cells, "types"), coding), *_lists(cells, coding), self.surface
-            )
+            types = integers(_array(cells, "types"), coding)
+            add_cells_of_types(self.cells, types, *_lists(cells, coding))
         for name, kind in _POLYGONS:
             one = piece.find(name)
             if one is not None and _count(piece, f"NumberOf{name}"):
-                self.surface.add(kind, *_lists(one, coding))
-        self.corners, self.sizes = self.surface.polygons()
+                add_cells(self.cells, kind, *_lists(one, coding))
         self._read_attributes(piece, coding)
 
     def _read_attributes(self, piece: Element, coding: Coding) -> None:
@@ -182,15 +179,14 @@ def _array(group: Element, name: str) -> Element:
 
 
 def _lists(group: Element, coding: Coding) -> tuple[Longs, Longs]:
-    """Longs (k + 1,) and corners of the cells of a group."""
-    ends = integers(_array(group, "offsets"), coding)
+    """Sizes (k,) and corners of the cells of a group."""
+    sizes = np.diff(integers(_array(group, "offsets"), coding), prepend=0)
     corners = integers(_array(group, "connectivity"), coding)
-    offsets = np.concatenate([np.zeros(1, np.int64), ends])
-    if (np.diff(offsets) < 0).any() or offsets[-1] > len(corners):
+    if (sizes < 0).any() or sizes.sum() > len(corners):
         raise FormatError(
             "the offsets of cells are wrong", where=f"byte {group.start}", hint=EXPORT_AGAIN
         )
-    return offsets, corners[: offsets[-1]]
+    return sizes, corners[: sizes.sum()]
 
 
 def _offsets(data: Buffer, root: Element, coding: Coding) -> list[Dependent]:

@@ -9,45 +9,30 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
-from msal_cli.codecs.slot_file import Content, PatchedFile
-from msal_cli.codecs.slots import TextNumbers, float_rows, integer_rows
-from msal_cli.codecs.surface_cells import SurfaceCells
+from msal_cli.codecs.layout import Layout
+from msal_cli.codecs.ply_writer import corners_of
+from msal_cli.codecs.slots import Tokens
+from msal_cli.codecs.surface_cells import CORNERS, SurfaceCells
+from msal_cli.codecs.text_lines import float_lines, integer_lines
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
 
-_FLAT = {"triangle": 3, "quadrilateral": 4}
-_OTHERS = {
-    "polyvertex": 1,
-    "polyline": 2,
-    "tetrahedron": 4,
-    "pyramid": 5,
-    "wedge": 6,
-    "hexahedron": 8,
-}
-_MIXED = {4: ("triangle", 3), 5: ("quad", 4)}
-_MIXED_OTHERS = {6: ("tetrahedron", 4), 7: ("pyramid", 5), 8: ("wedge", 6), 9: ("hexahedron", 8)}
-_WITH_COUNT = {1: "vertex", 2: "line", 3: "polygon"}
+_SIZES = {"triangle": 3, "quadrilateral": 4, "polyvertex": 1, "polyline": 2}
+_SIZES |= {"tetrahedron": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
+_MIXED = {4: "triangle", 5: "quad", 6: "tetrahedron", 7: "pyramid", 8: "wedge", 9: "hexahedron"}
+"""Kinds of cells of one size in a topology of several kinds."""
+
+_WITH_COUNT = {1: "vertex", 2: "line", 3: "polygonal"}
+"""Kinds that are followed by the number of their corners."""
+
 _HINT = "write the numbers into the XDMF file itself (Format='XML'), or convert it to VTU or PLY"
 
 
-def read(data: Buffer, format: str) -> PatchedFile:
-    """Open the XDMF file ``data`` (its bytes).
-
-    Raises
-    ------
-    FormatError, TruncatedError
-        if the file is not what its format says.
-    UnsupportedError
-        for numbers in another file, several grids, points in the plane, and curved cells.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
-    """
-    return PatchedFile(data, format, _parse)
-
-
-def _parse(data: Buffer) -> Content:
+def parse(data: Buffer) -> Layout:
+    """Read an XDMF file; UnsupportedError for numbers in another file, several grids, points in
+    the plane, and curved cells."""
     root = parse_tree(data, "Xdmf")
     if root.name != "Xdmf":
         raise FormatError("the file is no Xdmf", where="line 1", hint=EXPORT_AGAIN)
@@ -69,19 +54,16 @@ def _parse(data: Buffer) -> Content:
     if len(words) % 3:
         raise FormatError("points have not three numbers each", hint=EXPORT_AGAIN)
     cells = SurfaceCells()
-    polygons = _read_cells(data, topology, cells)
+    _read_cells(data, topology, cells)
     is_single = item.attributes.get("Precision", "4") == "4"
-    return Content(
-        "ascii",
+    return cells.content(
+        Tokens(words.data, words.starts, words.stops),
         "float32" if is_single else "float64",
-        (TextNumbers(words.data, words.starts, words.stops),),
-        *(polygons or (cells.corners(), cells.sizes())),
+        encoding="ascii",
         properties=tuple(
             f"{one.attributes.get('Center', 'Node').lower()}.{one.attributes.get('Name', '')}"
             for one in grids[0].all("Attribute")
         ),
-        warnings=cells.warnings(),
-        held=cells.held(),
     )
 
 
@@ -108,37 +90,34 @@ def _type(element: Element, name: str, default: str) -> str:
     return element.attributes.get(name, element.attributes.get("Type", default)).lower()
 
 
-def _read_cells(data: Buffer, topology: Element, cells: SurfaceCells) -> tuple[Longs, Longs] | None:
-    """Add the cells; corners and sizes of polygons where there are such among them."""
+def _read_cells(data: Buffer, topology: Element, cells: SurfaceCells) -> None:
     kind = _type(topology, "TopologyType", "")
     item = topology.find("DataItem")
     numbers = np.zeros(0, dtype=np.int64)
     if item is not None:
         numbers = Words(data, item.inside, item.text_stop).integers(slice(None))
-    if kind in _FLAT:
-        if len(numbers) % _FLAT[kind]:
+    if kind in ("triangle", "quadrilateral"):
+        if len(numbers) % _SIZES[kind]:
             raise FormatError(f"the numbers of {kind}s are cut", hint=EXPORT_AGAIN)
-        cells.add("triangle" if kind == "triangle" else "quad", numbers.reshape(-1, _FLAT[kind]))
+        cells.add(kind.removesuffix("rilateral"), numbers.reshape(-1, _SIZES[kind]))
     elif kind == "polygon":
-        word = topology.attributes.get("NodesPerElement", "")
-        size = int(word) if word.isascii() and word.isdigit() and len(word) < 9 else 0
+        text = topology.attributes.get("NodesPerElement", "")
+        size = int(text) if text.isascii() and text.isdigit() and len(text) < 9 else 0
         if size < 3 or len(numbers) % size:
             raise FormatError("NodesPerElement of the polygons is wrong", hint=EXPORT_AGAIN)
-        cells.count("polygon", len(numbers) // size)
-        return numbers, np.full(len(numbers) // size, size, dtype=np.int64)
+        cells.add("polygonal", numbers.reshape(-1, size))
     elif kind == "mixed":
-        return _mixed(numbers, cells)
-    elif kind in _OTHERS:
-        cells.count(kind, len(numbers) // _OTHERS[kind])
+        _read_mixed(numbers, cells)
+    elif kind in _SIZES:
+        cells.count(kind, len(numbers) // _SIZES[kind])
     elif kind.startswith(("tri", "quad")):
         cells.refuse_curved(kind, len(numbers))
     else:
         cells.count(kind or "cell", 1)
-    return None
 
 
-def _mixed(numbers: Longs, cells: SurfaceCells) -> tuple[Longs, Longs]:
-    """Corners and sizes of the polygons of a topology of several kinds."""
+def _read_mixed(numbers: Longs, cells: SurfaceCells) -> None:
+    """Add the cells of a topology of several kinds: of each its kind, then its corners."""
     values = numbers.tolist()
     corners: list[int] = []
     sizes: list[int] = []
@@ -149,8 +128,9 @@ def _mixed(numbers: Longs, cells: SurfaceCells) -> tuple[Longs, Longs]:
         if kind in _WITH_COUNT and at < len(values):
             name, size = _WITH_COUNT[kind], values[at]
             at += 1
-        elif kind in _MIXED or kind in _MIXED_OTHERS:
-            name, size = (_MIXED | _MIXED_OTHERS)[kind]
+        elif kind in _MIXED:
+            name = _MIXED[kind]
+            size = CORNERS.get(name) or _SIZES[name]
         else:
             raise UnsupportedError(
                 f"cells of XDMF's type {kind} are not read", hint="write first-order cells"
@@ -160,9 +140,10 @@ def _mixed(numbers: Longs, cells: SurfaceCells) -> tuple[Longs, Longs]:
         if kind in (3, 4, 5) and size >= 3:
             corners += values[at : at + size]
             sizes.append(size)
-        cells.count(name, 1)
+        if kind not in (4, 5):
+            cells.count(name, 1)
         at += size
-    return np.array(corners, dtype=np.int64), np.array(sizes, dtype=np.int64)
+    cells.add_polygons("polygon", np.array(corners, np.int64), np.array(sizes, np.int64))
 
 
 _TEMPLATE = """<?xml version="1.0" encoding="utf-8"?>
@@ -181,8 +162,8 @@ def written(points: Floats, faces: Ints, *, single: bool) -> bytes:
     """A new file of points (n, 3) and triangles (m, 3), its numbers inside."""
     return _TEMPLATE.format(
         n_faces=len(faces),
-        faces=integer_rows(faces),
+        faces=integer_lines(*corners_of(faces)).decode(),
         n_vertices=len(points),
         precision=4 if single else 8,
-        positions=float_rows(points, single=single),
+        positions=float_lines(points, single=single).decode(),
     ).encode()

@@ -1,27 +1,43 @@
-"""What the record of one file tells of its mesh: the defects found, and what denoising changed."""
+"""What records say of meshes and of what became of them: defects, noise, displacement, volume."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.job.records import NormalChange, SelfIntersections
+from msal_cli.job.records import (
+    Area,
+    Displacement,
+    NoiseEstimate,
+    NormalChange,
+    SelfIntersections,
+    SurfaceDistance,
+    Volume,
+)
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from msal_cli.analysis.displacement import DisplacementStatistics, DistanceStatistics
     from msal_cli.analysis.harm import Harm
     from msal_cli.analysis.noise_estimate import NoiseLevel
-    from msal_cli.mesh import Defects, Prepared
-
-    Floats = NDArray[np.float64]
+    from msal_cli.arrays import Floats
+    from msal_cli.mesh import Defects, Mesh, Prepared
+    from msal_cli.methods import Method
 
 INSIDE_OUT = "W_INSIDE_OUT"
 """Code of the warning about a closed surface whose normals point inwards."""
 
+_LEAST_MOVE_EDGES = 0.005
+"""Mean displacement in mean edge lengths below which nothing worth a warning has happened."""
 
-_ADVICE = "try --auto, another method, fewer sweeps or --max-move"
+_RULED = 0.2
+"""The 99th percentile of lambda below which one spike rules it.  Without spikes it is 0.28 and more
+on scans and on models with any noise; one spike of ten mean edge lengths makes it 0.11 to 0.15."""
+
+_MOST_SAMPLED = 16_384
+"""Vertices whose lambda is looked at."""
+
+_DAMAGE_ADVICE = "try --auto, another method, fewer sweeps or --max-move"
 
 
 @dataclass(frozen=True)
@@ -33,24 +49,26 @@ class Measured:
     harm: Harm | None
 
 
-def defects_told(ready: Prepared, merged: int) -> dict[str, Any]:
-    """Fields of the record: the defects; ``merged`` vertices were one before the mesh was made."""
-    defects = ready.defects
-    return {
-        "components": defects.components,
-        "boundary_edges": defects.boundary_edges,
-        "non_manifold_edges": defects.non_manifold_edges,
-        "inconsistent_edges": defects.inconsistent_edges,
-        "degenerate_faces": defects.degenerate_faces,
-        "duplicate_faces": defects.duplicate_faces,
-        "unreferenced_vertices": defects.unreferenced_vertices,
-        "welded_vertices": defects.welded_vertices + merged,
+def defect_fields(ready: Prepared, n_merged: int) -> dict[str, Any]:
+    """Fields of the record: the defects; ``n_merged`` vertices were merged when the file was
+    read."""
+    names = (
+        "components",
+        "boundary_edges",
+        "non_manifold_edges",
+        "inconsistent_edges",
+        "degenerate_faces",
+        "duplicate_faces",
+        "unreferenced_vertices",
+    )
+    return {name: getattr(ready.defects, name) for name in names} | {
+        "welded_vertices": ready.defects.welded_vertices + n_merged,
         "mean_edge_length": ready.mesh.mean_edge_length,
     }
 
 
-def warnings_of(defects: Defects) -> tuple[str, ...]:
-    """What the user should be told of the defects."""
+def defect_warnings(defects: Defects) -> tuple[str, ...]:
+    """Warnings about the defects."""
     if not defects.inconsistent_edges:
         return ()
     return (
@@ -59,7 +77,69 @@ def warnings_of(defects: Defects) -> tuple[str, ...]:
     )
 
 
-def measured(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> Measured:
+def noise_field(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate:
+    """The noise as records have it; ``known`` is what was estimated of this mesh before."""
+    from msal_cli.analysis.noise_estimate import estimated
+
+    level = known or estimated(mesh)
+    character = level.character
+    return NoiseEstimate(
+        mean_edges=level.mean_edges,
+        file_units=level.file_units,
+        low_edges=level.low,
+        high_edges=level.high,
+        clean_edges=level.clean_edges,
+        rms_edges=level.rms_edges,
+        tail=level.tail,
+        negligible=level.is_negligible,
+        lowest_edges=level.lowest,
+        highest_edges=level.highest,
+        regions=level.regions,
+        uneven=level.is_uneven,
+        kind=character.kind,
+        rings=character.rings,
+        direction=character.direction,
+        axis=character.axis,
+        step_edges=character.step,
+        outliers=character.outliers,
+        confidence=character.confidence,
+        basis=character.basis,
+        words=character.words,
+    )
+
+
+def displacement_field(one: DisplacementStatistics, edge: float) -> Displacement:
+    """How far vertices moved, ``edge`` being the mean edge length before."""
+    return Displacement(**_length_fields(one, edge), moved_vertices=one.moved_vertices)
+
+
+def distance_field(one: DistanceStatistics, edge: float) -> SurfaceDistance:
+    """Distances to a surface, ``edge`` being the mean edge length before."""
+    return SurfaceDistance(**_length_fields(one, edge))
+
+
+def _length_fields(one: DistanceStatistics, edge: float) -> dict[str, float]:
+    """Each in file units and, its name ending in ``_edges``, in mean edge lengths."""
+    lengths = {"mean": one.mean, "rms": one.rms, "p95": one.p95, "max": one.max}
+    return lengths | {f"{name}_edges": length / edge for name, length in lengths.items()}
+
+
+def volume_changed(before: float, after: float, area: float, objection: str) -> Volume:
+    """The record of an enclosed volume; ``area`` is the area before, and ``objection`` says why the
+    volume means nothing, empty if it does."""
+    from msal_cli.analysis.volume import relative_volume_change
+
+    share = relative_volume_change(before, after, area)
+    percent = None if share is None else 100.0 * share
+    return Volume(before, after, after - before, percent, not objection, objection)
+
+
+def area_changed(before: float, after: float) -> Area:
+    """The record of an area."""
+    return Area(before, after, 100.0 * (after - before) / before if before else None)
+
+
+def measure(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> Measured:
     """What changed when the mesh's positions became ``moved`` (n, 3).
 
     ``noise`` is the noise of the mesh where it is known already.
@@ -68,26 +148,25 @@ def measured(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> Measur
     from msal_cli.analysis.enclosure import enclosure_of
     from msal_cli.analysis.harm import harmful_change
     from msal_cli.analysis.surface import surface_change
-    from msal_cli.job.comparison import area_changed, displaced, volume_changed
-    from msal_cli.job.inspection import noise_estimate
 
     before, after = ready.mesh, ready.mesh.moved(moved)
-    used = before.links.has_ring
-    one = displacement_statistics(before.vertices, after.vertices, used)
+    statistics = displacement_statistics(before.vertices, after.vertices, before.links.has_ring)
     surface = surface_change(before, after)
-    turned = surface.normals
+    normals = surface.normals
     objection = ready.defects.volume_objection
     enclosed = enclosure_of(before, ready.defects, surface.area_before, surface.volume_before)
     surface = enclosed.change(before, after, surface)
     warnings = [(INSIDE_OUT, enclosed.words)] if enclosed.is_inside_out else []
     harm = harmful_change(before, after, surface, has_volume=not objection)
     if harm is not None:
-        warnings.append((harm.code, f"this looks like damage: {harm.reason}; {_ADVICE}"))
+        warnings.append((harm.code, f"this looks like damage: {harm.reason}; {_DAMAGE_ADVICE}"))
     fields = {
-        "displacement": displaced(one, before.mean_edge_length),
-        "normal_change": NormalChange(turned.mean_angular_error_deg, turned.max_angular_error_deg),
-        "flipped_faces": turned.flipped_faces,
-        "noise_estimate": noise_estimate(before, noise),
+        "displacement": displacement_field(statistics, before.mean_edge_length),
+        "normal_change": NormalChange(
+            normals.mean_angular_error_deg, normals.max_angular_error_deg
+        ),
+        "flipped_faces": normals.flipped_faces,
+        "noise_estimate": noise_field(before, noise),
         "inside_out": enclosed.is_inside_out,
         "volume": volume_changed(
             surface.volume_before, surface.volume_after, surface.area_before, objection
@@ -97,10 +176,56 @@ def measured(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> Measur
     return Measured(fields, tuple(warnings), harm)
 
 
-def self_intersections(ready: Prepared, moved: Floats) -> SelfIntersections:
-    """How many pairs of faces intersect, and how many of them since the mesh's positions became
-    ``moved`` (n, 3)."""
+def count_self_intersections(before: Mesh, after: Mesh) -> SelfIntersections:
+    """How many pairs of faces intersect before and after, and how many of these are new; the
+    meshes have the same faces."""
     from msal_cli.analysis.self_intersections import self_intersection_change
 
-    change = self_intersection_change(ready.mesh, ready.mesh.moved(moved))
+    change = self_intersection_change(before, after)
     return SelfIntersections(change.before, change.after, change.created)
+
+
+def method_warnings(
+    method: Method,
+    parameters: Mapping[str, Any],
+    noise: NoiseEstimate,
+    displacement: Displacement,
+    is_ruled: bool,
+) -> tuple[str, ...]:
+    """Where a method that was asked for by name harms the mesh: each with the option to try.
+
+    ``is_ruled`` is what ``is_ruled_by_spike`` gave.
+    """
+    from msal_cli.analysis.noise_estimate import SURE
+
+    if displacement.mean_edges is None or displacement.mean_edges < _LEAST_MOVE_EDGES:
+        return ()
+    if noise.negligible and (noise.high_edges is None or noise.high_edges < SURE):
+        return (
+            f"no noise to speak of, and {method.name} moved vertices by "
+            f"{displacement.mean_edges:.2g} e: give no --method, or --min-noise auto, to leave "
+            "such meshes as they are",
+        )
+    warnings = []
+    most = method.most_noise_edges(parameters)
+    if noise.mean_edges > most:
+        warnings.append(
+            f"noise {noise.mean_edges:.2g} e is more than {method.name} is made for with these "
+            f"parameters (about {most:g} e): give no --method, or try --auto"
+        )
+    if is_ruled and method.uses_largest_sigma(parameters):
+        warnings.append(
+            "one spike rules lambda, which is next to nothing elsewhere: try --schedule robust"
+        )
+    return tuple(warnings)
+
+
+def is_ruled_by_spike(fidelity: Floats | None) -> bool:
+    """Whether lambda (n,) of the first sweep is small nearly everywhere beside its maximum, 1."""
+    import numpy as np
+
+    if fidelity is None:
+        return False
+    sample = fidelity[:: max(len(fidelity) // _MOST_SAMPLED, 1)]
+    sample = sample[sample > 0.0]
+    return len(sample) > 0 and float(np.quantile(sample, 0.99)) < _RULED

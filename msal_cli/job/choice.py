@@ -1,47 +1,119 @@
-"""A choice for one file: what is run, and what the record says of why."""
+"""What is run on one mesh: whether it stays as it is, without outliers, and which method.
+
+All of it counts as the stage ``choose`` of a record.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.auto import NONE, Wishes, chosen
 from msal_cli.job.records import ChoiceMade, MethodUsed, RunnerUp
+from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings
 
 if TYPE_CHECKING:
+    from msal_cli.analysis.harm import Harm
     from msal_cli.analysis.noise_estimate import NoiseLevel
     from msal_cli.mesh import Mesh
     from msal_cli.methods import Method
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
-    """What is run on a mesh: a method, or None where the mesh stays as it is, with parameters."""
+class Preparation:
+    """What is to be run on a mesh, and how that came about.
 
-    method: Method | None
-    used: MethodUsed
-    made: ChoiceMade
-    noise: NoiseLevel
-    warnings: tuple[str, ...]
+    Attributes
+    ----------
+    mesh : the mesh to denoise, without its outliers if they were brought back.
+    method : None where the mesh stays as it is.
+    parameters : of the method, every one of them.
+    noise : what was estimated of ``mesh`` on the way; None if nothing was.
+    known : fields of the record.
+    warnings : for the record.
+    """
+
+    mesh: Mesh
+    method: Method | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    noise: NoiseLevel | None = None
+    known: dict[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
 
-def settled(
+def looks_at_mesh(settings: Settings) -> bool:
+    """Whether ``prepare`` looks at a mesh, which takes time, or does the same with every mesh."""
+    is_named = settings.method not in CHOOSING
+    return not is_named or settings.looks_for_outliers or settings.min_noise is not None
+
+
+def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None]) -> Preparation:
+    """What ``settings`` mean for one mesh; ``on_step(done, total)`` is called while choosing."""
+    from msal_cli import methods
+    from msal_cli.analysis.noise_estimate import estimated
+
+    noise: NoiseLevel | None = None
+    if settings.min_noise is not None:
+        noise = estimated(mesh)
+        if why := skip_reason(noise, mesh, settings.min_noise):
+            known = {"left_alone": why, "method": MethodUsed(NONE, {})}
+            return Preparation(mesh, noise=noise, known=known)
+    despiked = None
+    warnings: tuple[str, ...] = ()
+    is_named = settings.method not in CHOOSING
+    if settings.looks_for_outliers:
+        from msal_cli.analysis.outliers import find_outliers
+
+        outliers = find_outliers(mesh)
+        despiked = 0
+        if settings.despike and outliers.are_too_many:
+            warnings = (
+                f"{100.0 * outliers.share:.0f} % of the vertices stand out, too many to be "
+                "outliers: none was brought back",
+            )
+        if outliers.count and (settings.despike or outliers.are_clear):
+            despiked = outliers.count
+            mesh = mesh.moved(outliers.vertices)
+            # That of the mesh without them; a choice estimates it anyway.
+            noise = estimated(mesh) if is_named else noise
+    known = {} if despiked is None else {"despiked": despiked}
+    if is_named:
+        method = methods.find(settings.method)
+        return Preparation(mesh, method, settings.parameters, noise, known, warnings)
+    made = choose(mesh, settings.parameters if settings.method == AUTO else None, on_step)
+    if despiked:
+        made.known["choice"] = _with_despiking(made.known["choice"])
+    return replace(made, known=known | made.known, warnings=warnings + made.warnings)
+
+
+def skip_reason(noise: NoiseLevel, mesh: Mesh, min_noise: str) -> str:
+    """Why a mesh with less noise than ``min_noise`` stays as it is; empty if it has more."""
+    level = f"noise {noise.mean_edges:.2g} e"
+    if min_noise == NEGLIGIBLE:
+        return f"{level}: none to speak of" if noise.is_negligible else ""
+    from msal_cli.job.constraints import parse_length
+
+    edge = mesh.mean_edge_length
+    bound = parse_length(min_noise, "--min-noise").in_units(edge) / edge
+    return f"{level}, below --min-noise {min_noise}" if noise.is_below(bound) else ""
+
+
+def choose(
     mesh: Mesh, wishes: Mapping[str, Any] | None, on_step: Callable[[int, int], None]
-) -> Settled:
+) -> Preparation:
     """The choice for ``mesh``: among all methods by ``wishes``, the fields of ``Wishes``, or within
     the family of equation (2) where they are None."""
     from msal_cli import methods
+    from msal_cli.auto import adaptive
 
     if wishes is None:
-        from msal_cli.auto import adaptive
-
         choice = adaptive.chosen(mesh, on_step)
     else:
         choice = chosen(mesh, Wishes(**wishes), on_step)
     method = None if choice.method == NONE else methods.find(choice.method)
     # Checked as if the user had given them.
-    values = {} if method is None else method.settled(choice.parameters)
+    parameters = {} if method is None else method.settled(choice.parameters)
     made = ChoiceMade(
         reason=choice.reason,
         surface=choice.surface,
@@ -50,31 +122,47 @@ def settled(
         tried=choice.tried,
         runners_up=tuple(RunnerUp(label, risk) for label, risk in choice.runners_up),
         wishes=dict(wishes or {}),
-        repeat=options_of(method, values),
+        repeat=options_of(method, parameters),
         among=choice.among,
     )
     warnings: tuple[str, ...] = ()
-    if mesh.trust is not None and method is not None and not method.has_data_term(values):
-        # A choice keeps away from this where it can.
+    if mesh.trust is not None and method is not None and not method.has_data_term(parameters):
+        # A choice avoids this where it can.
         warnings = (f"--weights has no effect: {method.name} has no pull to the scanned positions",)
-    return Settled(method, MethodUsed(choice.method, values), made, choice.noise, warnings)
+    known = {"method": MethodUsed(choice.method, parameters), "choice": made}
+    return Preparation(mesh, method, parameters, choice.noise, known, warnings)
 
 
-def with_despiking(made: ChoiceMade) -> ChoiceMade:
-    """A choice for a mesh whose outliers were brought back: words and options say so."""
+def _with_despiking(made: ChoiceMade) -> ChoiceMade:
+    """A choice for a mesh whose outliers were brought back: reason and options say so."""
     reason = made.reason.replace("left as it is", "the rest left as it is")
     return replace(made, reason=reason, repeat=(*made.repeat, "--despike"))
+
+
+def reject_choice(choice: ChoiceMade, despiked: int | None, harm: Harm) -> dict[str, Any]:
+    """Fields of the record where a mesh stays as it is because the chosen method would damage
+    it."""
+    return {
+        "method": MethodUsed(NONE, {}),
+        "despiked": None if despiked is None else 0,
+        "choice": replace(
+            choice,
+            reason=f"{choice.reason}; rejected, for {harm.reason}; left as it is",
+            risk_edges=None,
+            repeat=options_of(None, {}),
+        ),
+    }
 
 
 def options_of(method: Method | None, values: Mapping[str, Any]) -> tuple[str, ...]:
     """The options of ``msal denoise`` that run a method by hand; None leaves a mesh as it is."""
     if method is None:
         return ("--method", "msal", "--set", "iterations=0")
-    words = ["--method", method.name]
+    options = ["--method", method.name]
     for spec in method.parameters:
         value = values[spec.name]
         if value != spec.default:
             # repr gives the very number back.
             text = repr(value) if isinstance(value, float) else str(value)
-            words += ["--set", f"{spec.name}={text}"]
-    return tuple(words)
+            options += ["--set", f"{spec.name}={text}"]
+    return tuple(options)

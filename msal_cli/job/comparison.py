@@ -5,42 +5,32 @@ Like ``pipeline`` it never raises for a file's fault: that becomes a record with
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
-from msal_cli.errors import InternalError, MsalError, ResourceError
+from msal_cli.errors import MsalError
+from msal_cli.job import changes
 from msal_cli.job.comparison_record import ComparisonRecord
+from msal_cli.job.opened_mesh import open_mesh, to_known_error
 from msal_cli.job.records import (
     WITH_OUTPUT,
     Area,
-    Displacement,
     Failure,
     Reference,
     SelfIntersections,
-    SurfaceDistance,
     Volume,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from msal_cli.analysis.displacement import DisplacementStatistics, DistanceStatistics
     from msal_cli.analysis.enclosure import Enclosure
+    from msal_cli.arrays import Floats, Ints
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.records import MeshRecord
     from msal_cli.mesh import Mesh, Prepared
     from msal_cli.storage.buffers import Buffer
-
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int32]
-
-log = logging.getLogger("msal")
-
 
 HEATMAP_QUANTILE = 0.99
 """Share of the vertices that the range of a heat map's colours covers."""
@@ -64,11 +54,10 @@ class Surface:
 
 def opened(path: str, format: str | None = None) -> MeshFile:
     """The mesh file at ``path``; MsalError, which names the path, if it cannot be read."""
-    from msal_cli import codecs as files
+    from msal_cli.codecs import header_check
 
     try:
-        plain, _ = files.expanded(files.read_input(path, format), path)
-        return files.open_mesh(plain, path, format)
+        return open_mesh(header_check.read_input(path, format), path, format)[0]
     except MsalError as error:
         error.path = error.path or path
         raise
@@ -77,6 +66,11 @@ def opened(path: str, format: str | None = None) -> MeshFile:
 def surface_of(mesh_file: MeshFile) -> Surface:
     """The surface in an open file."""
     return Surface(mesh_file.vertices, mesh_file.faces, mesh_file.merged_vertices)
+
+
+def open_surface(path: str, format: str | None = None) -> Surface:
+    """The surface in the file at ``path``."""
+    return surface_of(opened(path, format))
 
 
 def compare_files(
@@ -88,14 +82,17 @@ def compare_files(
     """
     try:
         return compared(
-            surface_of(opened(before, format)),
-            surface_of(opened(after, format)),
+            open_surface(before, format),
+            open_surface(after, format),
             before,
             after,
             with_intersections=with_intersections,
         )
     except Exception as error:
-        return failed(before, after, error)
+        known = to_known_error(error, f"{before} and {after}")
+        where = f"{known.path}: {known.where}" if known.path and known.where else known.path
+        failure = Failure(known.code, known.message, known.hint, where or known.where)
+        return ComparisonRecord(before, after, version=__version__, error=failure)
 
 
 def with_references(
@@ -106,29 +103,17 @@ def with_references(
     There is a path for each record.  Records without an output stay as they are.
     """
     return [
-        replace(record, reference=_against(path, record.output, format))
+        replace(record, reference=_measure_against(path, record.output, format))
         if record.output is not None and record.status in WITH_OUTPUT
         else record
         for record, path in zip(records, references, strict=True)
     ]
 
 
-def _against(path: str, output: str, format: str | None) -> Reference:
-    told = compare_files(path, output, format)
+def _measure_against(path: str, output: str, format: str | None) -> Reference:
+    record = compare_files(path, output, format)
     shared = {one.name for one in fields(Reference)} - {"path"}
-    return Reference(path, **{name: getattr(told, name) for name in shared})
-
-
-def failed(before: str, after: str, error: Exception) -> ComparisonRecord:
-    """The record of two files that could not be compared."""
-    if isinstance(error, MemoryError):
-        error = ResourceError("not enough memory", code="E_MEMORY")
-    elif not isinstance(error, MsalError):
-        log.exception("internal error at %r and %r", before, after)
-        error = InternalError(f"{type(error).__name__}: {error}")
-    where = f"{error.path}: {error.where}" if error.path and error.where else error.path
-    failure = Failure(error.code, error.message, error.hint, where or error.where)
-    return ComparisonRecord(before, after, version=__version__, error=failure)
+    return Reference(path, **{name: getattr(record, name) for name in shared})
 
 
 def compared(
@@ -213,7 +198,7 @@ class Heatmap:
     high: float
 
 
-def heatmap(before: MeshFile, after: MeshFile, before_name: str) -> Heatmap:
+def build_heatmap(before: MeshFile, after: MeshFile, before_name: str) -> Heatmap:
     """``after`` as PLY with its deviations from ``before`` as property and colours.
 
     The colours go from no deviation to the 99th percentile, so that a few outliers do not leave
@@ -265,21 +250,21 @@ def _by_vertex(record: ComparisonRecord, first: Prepared, moved: Mesh) -> Compar
     record = _with_orientation(record, own, other)
     change = own.change(reference, moved, change)
     distances = metrics.moved_statistics(reference, moved)
-    volume = volume_changed(
+    volume = changes.volume_changed(
         change.volume_before,
         change.volume_after,
         change.area_before,
         first.defects.volume_objection,
     )
-    area = area_changed(change.area_before, change.area_after)
+    area = changes.area_changed(change.area_before, change.area_after)
     return replace(
         record,
         mean_angular_error_deg=change.normals.mean_angular_error_deg,
         max_angular_error_deg=change.normals.max_angular_error_deg,
         flipped_faces=change.normals.flipped_faces,
         vertex_error_percent=metrics.vertex_error_percent(reference, distances),
-        displacement=displaced(distances, reference.mean_edge_length),
-        **_changes(volume, area),
+        displacement=changes.displacement_field(distances, reference.mean_edge_length),
+        **_change_fields(volume, area),
     )
 
 
@@ -296,14 +281,14 @@ def _by_surface(record: ComparisonRecord, first: Prepared, second: Prepared) -> 
     for word, ready in (("before", first), ("after", second)):
         if ready.defects.volume_objection:
             objections.append(f"{word}: {ready.defects.volume_objection}")
-    volume = volume_changed(
+    volume = changes.volume_changed(
         own.volume(first.mesh, volume_before),
         other.volume(second.mesh, volume_after),
         area_before,
         "; ".join(objections),
     )
     record = _with_orientation(record, own, other)
-    return replace(record, **_changes(volume, area_changed(area_before, area_after)))
+    return replace(record, **_change_fields(volume, changes.area_changed(area_before, area_after)))
 
 
 def _with_orientation(
@@ -319,18 +304,17 @@ def _with_orientation(
 
 
 def _self_intersections(before: Mesh, after: Mesh, is_same: bool) -> SelfIntersections:
-    """The counts of two meshes; what was created is known where their faces are the same."""
-    from msal_cli.analysis import self_intersections as metrics
+    """The counts of two meshes; which are new is known where their faces are the same."""
+    from msal_cli.analysis.self_intersections import count_self_intersections
 
     if is_same:
-        change = metrics.self_intersection_change(before, after)
-        return SelfIntersections(change.before, change.after, change.created)
+        return changes.count_self_intersections(before, after)
     return SelfIntersections(
-        metrics.count_self_intersections(before), metrics.count_self_intersections(after), None
+        count_self_intersections(before), count_self_intersections(after), None
     )
 
 
-def _changes(volume: Volume, area: Area) -> dict[str, Any]:
+def _change_fields(volume: Volume, area: Area) -> dict[str, Any]:
     return {
         "volume": volume,
         "area": area,
@@ -340,7 +324,7 @@ def _changes(volume: Volume, area: Area) -> dict[str, Any]:
 
 
 def _with_distances(record: ComparisonRecord, reference: Mesh, moved: Mesh) -> ComparisonRecord:
-    """The record with what is between the surfaces, or with a warning that tells why not."""
+    """The record with what is between the surfaces, or with a warning that says why not."""
     from msal_cli.analysis import correspondence as metrics
     from msal_cli.analysis import surface_distance
 
@@ -354,8 +338,8 @@ def _with_distances(record: ComparisonRecord, reference: Mesh, moved: Mesh) -> C
     edge = reference.mean_edge_length
     record = replace(
         record,
-        distance_to_before=_distance(to_before, edge),
-        distance_to_after=_distance(to_after, edge),
+        distance_to_before=changes.distance_field(to_before, edge),
+        distance_to_after=changes.distance_field(to_after, edge),
         hausdorff=hausdorff,
         hausdorff_edges=hausdorff / edge,
     )
@@ -366,43 +350,3 @@ def _with_distances(record: ComparisonRecord, reference: Mesh, moved: Mesh) -> C
 
 def _warned(record: ComparisonRecord, warning: str) -> ComparisonRecord:
     return replace(record, warnings=(*record.warnings, warning))
-
-
-def _distance(one: DistanceStatistics, edge: float) -> SurfaceDistance:
-    return SurfaceDistance(**_length_fields(one, edge))
-
-
-def displaced(one: DisplacementStatistics, edge: float) -> Displacement:
-    """The record of how far vertices moved, ``edge`` being the mean edge length before."""
-    return Displacement(**_length_fields(one, edge), moved_vertices=one.moved_vertices)
-
-
-def _length_fields(one: DistanceStatistics, edge: float) -> dict[str, float]:
-    """Each in file units and, its name ending in ``_edges``, in mean edge lengths."""
-    lengths = {"mean": one.mean, "rms": one.rms, "p95": one.p95, "max": one.max}
-    return lengths | {f"{name}_edges": length / edge for name, length in lengths.items()}
-
-
-def volume_changed(before: float, after: float, area: float, objection: str) -> Volume:
-    """The record of an enclosed volume; ``area`` is the area before, and ``objection`` says why the
-    volume means nothing, empty if it does."""
-    from msal_cli.analysis.volume import relative_volume_change
-
-    share = relative_volume_change(before, after, area)
-    return Volume(
-        before=before,
-        after=after,
-        change=after - before,
-        change_percent=None if share is None else 100.0 * share,
-        valid=not objection,
-        reason=objection,
-    )
-
-
-def area_changed(before: float, after: float) -> Area:
-    """The record of an area."""
-    return Area(
-        before=before,
-        after=after,
-        change_percent=100.0 * (after - before) / before if before else None,
-    )

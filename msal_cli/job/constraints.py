@@ -16,14 +16,9 @@ from msal_cli.errors import ContentError, UsageError
 from msal_cli.job.units import COMPARISONS, UNIT_PATTERN, in_file_units
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from msal_cli.arrays import Flags, Floats
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.mesh import Mesh, Prepared
-
-    Floats = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
 
 BOUNDARY = "boundary"
 
@@ -62,7 +57,7 @@ class Lock:
     def __str__(self) -> str:
         return f"{self.name} {self.comparison} {self.value!r}"
 
-    def of(self, values: Floats) -> Flags:
+    def select(self, values: Floats) -> Flags:
         """For which of the property's values (n,) it is so.
 
         A property in single precision is compared in single precision: what was stored as 0.2 is
@@ -79,7 +74,7 @@ class Lock:
         return result
 
 
-def length(text: str, option: str = "--max-move", unit: str | None = None) -> Length:
+def parse_length(text: str, option: str = "--max-move", unit: str | None = None) -> Length:
     """``0.3e``, ``0.05``, or ``0.01mm`` where the files' ``unit`` is known; UsageError, which names
     the option, for anything else."""
     match = _LENGTH.fullmatch(text)
@@ -98,7 +93,7 @@ def length(text: str, option: str = "--max-move", unit: str | None = None) -> Le
     return Length(value, match[2] == "e")
 
 
-def lock(text: str) -> Lock | None:
+def parse_lock(text: str) -> Lock | None:
     """``confidence < 0.2``; None for the word ``boundary``; UsageError for anything else."""
     if text.strip() == BOUNDARY:
         return None
@@ -126,7 +121,7 @@ class Constraints:
     held: Flags | None
     limit: float | None
 
-    def applied(self, vertices: Floats) -> tuple[Floats, int]:
+    def apply(self, vertices: Floats) -> tuple[Floats, int]:
         """A method's result (n, 3) with pinned vertices back in their place and the ways of others
         cut to the limit, and how many were cut."""
         import numpy as np
@@ -134,17 +129,17 @@ class Constraints:
         before = self.mesh.vertices
         if self.held is not None:
             vertices = np.where(self.held[:, None], before, vertices)
-        return (vertices, 0) if self.limit is None else clamped(before, vertices, self.limit)
+        return (vertices, 0) if self.limit is None else clamp_moves(before, vertices, self.limit)
 
 
-def found(
+def build_constraints(
     ready: Prepared,
     mesh_file: MeshFile,
     max_move: str | None,
     locks: Sequence[str],
     weights: str | None,
 ) -> Constraints:
-    """The constraints of a file, for the words of the options.
+    """The constraints of a file, from the values of the options.
 
     Raises
     ------
@@ -152,13 +147,13 @@ def found(
         if the file has no such property (``E_PROPERTY``), or one that means nothing as trust.
     """
     mesh = ready.mesh
-    held = _held(ready, mesh_file, [lock(one) for one in locks]) if locks else None
-    trust = None if weights is None else _trust(ready, mesh_file, weights)
-    limit = None if max_move is None else length(max_move).in_units(mesh.mean_edge_length)
+    held = _find_held(ready, mesh_file, [parse_lock(one) for one in locks]) if locks else None
+    trust = None if weights is None else _build_trust(ready, mesh_file, weights)
+    limit = None if max_move is None else parse_length(max_move).in_units(mesh.mean_edge_length)
     return Constraints(mesh.constrained(held, trust), held, limit)
 
 
-def clamped(before: Floats, after: Floats, limit: float) -> tuple[Floats, int]:
+def clamp_moves(before: Floats, after: Floats, limit: float) -> tuple[Floats, int]:
     """Positions (n, 3) no further than ``limit`` from those ``before``, each in the direction in
     which it went, and how many went further.
 
@@ -179,32 +174,32 @@ def clamped(before: Floats, after: Floats, limit: float) -> tuple[Floats, int]:
     return after, len(beyond)
 
 
-def _held(ready: Prepared, mesh_file: MeshFile, locks: Sequence[Lock | None]) -> Flags:
+def _find_held(ready: Prepared, mesh_file: MeshFile, locks: Sequence[Lock | None]) -> Flags:
     """Which mesh vertices (n,) any lock pins: with one all that coincide with it."""
     import numpy as np
 
-    from msal_cli import codecs as files
+    from msal_cli import codecs
 
     held: Flags = np.zeros(len(ready.mesh.vertices), dtype=np.bool_)
     for one in locks:
         if one is None:
             held |= ready.mesh.links.boundary
         else:
-            flags = one.of(files.vertex_property(mesh_file, one.name))
-            held |= _largest(ready, flags.astype(np.float64)) > 0.0
+            flags = one.select(codecs.vertex_property(mesh_file, one.name))
+            held |= _spread_largest(ready, flags.astype(np.float64)) > 0.0
     return held
 
 
-def _trust(ready: Prepared, mesh_file: MeshFile, name: str) -> Floats:
+def _build_trust(ready: Prepared, mesh_file: MeshFile, name: str) -> Floats:
     """Trust (n,) from 0 to 1: the property over its largest value; below 0 there is none.
 
     Of vertices that coincide the most trusted counts.
     """
     import numpy as np
 
-    from msal_cli import codecs as files
+    from msal_cli import codecs
 
-    values = files.vertex_property(mesh_file, name)
+    values = codecs.vertex_property(mesh_file, name)
     if not np.isfinite(values).all():
         raise ContentError(
             f"the property {name!r} is not finite",
@@ -218,10 +213,10 @@ def _trust(ready: Prepared, mesh_file: MeshFile, name: str) -> Floats:
             f"the property {name!r} is nowhere above 0, so that no vertex is to be trusted",
             hint="choose another property, or denoise without --weights",
         )
-    return _largest(ready, np.clip(values / largest, 0.0, 1.0))
+    return _spread_largest(ready, np.clip(values / largest, 0.0, 1.0))
 
 
-def _largest(ready: Prepared, values: Floats) -> Floats:
+def _spread_largest(ready: Prepared, values: Floats) -> Floats:
     """For values (n_file,) of at least 0 at the file's vertices, the largest at each of the mesh's
     (n,)."""
     import numpy as np
@@ -229,6 +224,6 @@ def _largest(ready: Prepared, values: Floats) -> Floats:
     if ready.place is None:
         return values
     largest = np.zeros(len(ready.mesh.vertices))
-    stands = ready.place >= 0
-    np.maximum.at(largest, ready.place[stands], values[stands])
+    is_used = ready.place >= 0
+    np.maximum.at(largest, ready.place[is_used], values[is_used])
     return largest

@@ -16,14 +16,10 @@ from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.records import FieldsFile
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.mesh import Prepared
     from msal_cli.storage.buffers import Buffer
-
-    Floats = NDArray[np.float64]
 
 SUFFIX = ".fields.ply"
 """What takes the place of an output's suffix."""
@@ -57,7 +53,7 @@ KINDS = {
 """The fields by name, as they are stored."""
 
 
-def checked(names: Sequence[str]) -> tuple[str, ...]:
+def check_names(names: Sequence[str]) -> tuple[str, ...]:
     """The names, each once, in order; UsageError for one that is no field."""
     for name in names:
         if name not in KINDS:
@@ -74,7 +70,7 @@ def path_beside(output: str) -> str:
     return os.path.join(folder, os.path.splitext(stem)[0] + SUFFIX)
 
 
-def computed(
+def compute(
     names: Sequence[str],
     ready: Prepared,
     moved: Floats,
@@ -84,7 +80,7 @@ def computed(
     """The fields of a mesh that was denoised to ``moved`` (n, 3), at the file's vertices (n_file,).
 
     sigma, and the direction of a displacement, are measured along the normals that the method moves
-    along, where its ``parameters`` tell.  ``fidelity`` (n,) is lambda of the method's first sweep;
+    along, by its ``parameters``.  ``fidelity`` (n,) is lambda of the method's first sweep;
     without one, or where it pulls nothing back, lambda is sigma / max sigma.  Vertices that no face
     uses have 0.  Outward is away from the solid, also where its surface is inside out.
     """
@@ -126,10 +122,10 @@ def _at_file_vertices(field: Floats, ready: Prepared) -> Floats:
     return np.where(ready.place >= 0, known[ready.place], 0.0)
 
 
-def encoded(
+def build_file(
     mesh_file: MeshFile, vertices: Floats, values: Mapping[str, Floats], path: str
 ) -> tuple[Buffer, FieldsFile]:
-    """A PLY of the output with its fields, the first one as colours, and what is told of it.
+    """A PLY of the output with its fields, the first one as colours, and its part of the record.
 
     ``vertices`` (n, 3) are the new positions, ``values`` (n,) by name, one at least.
     """
@@ -164,8 +160,8 @@ def refuse_foreign(path: str) -> None:
     from msal_cli.storage.regular import open_regular
 
     try:
-        with open_regular(path) as there:
-            head = there.read(200)
+        with open_regular(path) as existing:
+            head = existing.read(200)
     except FileNotFoundError:
         return
     except OSError as error:

@@ -5,71 +5,49 @@ Like ``pipeline`` it never raises for a file's fault: that becomes a record with
 
 from __future__ import annotations
 
-import logging
 from typing import TYPE_CHECKING
 
-from msal_cli.errors import InternalError, MsalError, ResourceError
+from msal_cli.job.changes import defect_fields, noise_field
 from msal_cli.job.info_record import InfoRecord
-from msal_cli.job.records import Failure, NoiseEstimate
+from msal_cli.job.opened_mesh import open_mesh, prepare_mesh, to_known_error
+from msal_cli.job.records import Failure
 
 if TYPE_CHECKING:
-    from msal_cli.analysis.noise_estimate import NoiseLevel
     from msal_cli.codecs.mesh_file import MeshFile
-    from msal_cli.mesh import Mesh
     from msal_cli.storage.buffers import Buffer
-
-log = logging.getLogger("msal")
 
 
 def inspect_file(
-    path: str, format: str | None = None, *, with_intersections: bool = False
+    path: str,
+    format: str | None = None,
+    *,
+    data: Buffer | None = None,
+    with_intersections: bool = False,
 ) -> InfoRecord:
-    """What is in a file; a file that cannot be read gives a record with an error.
+    """What is in a file, or in its ``data``; one that cannot be read gives a record with an error.
 
     ``with_intersections`` counts the faces that intersect each other, which takes longer than all
     the rest.
     """
-    from msal_cli import codecs as files
+    from msal_cli.codecs import header_check
 
     try:
-        data = files.read_input(path, format)
-        return inspect_bytes(data, path, format, with_intersections=with_intersections)
-    except MsalError as error:
-        return _inspection_failure(path, error)
-
-
-def inspect_bytes(
-    data: Buffer, name: str, format: str | None = None, *, with_intersections: bool = False
-) -> InfoRecord:
-    """What is in the bytes of a file; see ``inspect_file``."""
-    try:
-        return _inspected(data, name, format, with_intersections)
-    except MsalError as error:
-        return _inspection_failure(name, error)
-    except MemoryError:
-        return _inspection_failure(name, ResourceError("not enough memory", code="E_MEMORY"))
+        if data is None:
+            data = header_check.read_input(path, format)
+        return _inspect(data, path, format, with_intersections)
     except Exception as error:
-        log.exception("internal error at %r", name)
-        return _inspection_failure(name, InternalError(f"{type(error).__name__}: {error}"))
+        known = to_known_error(error, path)
+        failure = Failure(known.code, known.message, known.hint, known.where)
+        return InfoRecord(input=path, error=failure)
 
 
-def _inspection_failure(name: str, error: MsalError) -> InfoRecord:
-    return InfoRecord(input=name, error=Failure(error.code, error.message, error.hint, error.where))
-
-
-def _inspected(data: Buffer, name: str, format: str | None, with_intersections: bool) -> InfoRecord:
-    from msal_cli import codecs as files
+def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bool) -> InfoRecord:
     from msal_cli.analysis.enclosure import enclosure_of
     from msal_cli.analysis.volume import area_and_volume
-    from msal_cli.mesh import prepared
+    from msal_cli.codecs.mesh_file import corner_count
 
-    plain, is_compressed = files.expanded(data, name)
-    mesh_file = files.open_mesh(plain, name, format)
-    ready = prepared(
-        mesh_file.vertices,
-        mesh_file.faces,
-        are_distinct=mesh_file.merged_vertices > 0,
-    )
+    mesh_file, is_compressed = open_mesh(data, name, format)
+    ready = prepare_mesh(mesh_file)
     defects = ready.defects
     area, volume = area_and_volume(ready.mesh)
     enclosed = enclosure_of(ready.mesh, defects, area, volume)
@@ -92,32 +70,21 @@ def _inspected(data: Buffer, name: str, format: str | None, with_intersections: 
         compressed=is_compressed,
         bytes=len(data),
         vertices=len(mesh_file.vertices),
-        corners=files.corner_count(mesh_file),
+        corners=corner_count(mesh_file),
         faces=mesh_file.n_polygons,
         triangles=len(mesh_file.faces),
         polygon_sizes=_polygon_sizes(mesh_file),
-        components=defects.components,
         closed=defects.boundary_edges == 0,
         winding=winding,
-        boundary_edges=defects.boundary_edges,
-        non_manifold_edges=defects.non_manifold_edges,
-        inconsistent_edges=defects.inconsistent_edges,
-        degenerate_faces=defects.degenerate_faces,
-        duplicate_faces=defects.duplicate_faces,
-        unreferenced_vertices=defects.unreferenced_vertices,
-        welded_vertices=defects.welded_vertices + mesh_file.merged_vertices,
-        bounds=(
-            (float(low[0]), float(low[1]), float(low[2])),
-            (float(high[0]), float(high[1]), float(high[2])),
-        ),
+        **defect_fields(ready, mesh_file.merged_vertices),
+        bounds=(tuple(low.tolist()), tuple(high.tolist())),
         area=area,
         inside_out=enclosed.is_inside_out,
         volume=None if defects.volume_objection else enclosed.volume(ready.mesh, volume),
         volume_valid=not defects.volume_objection,
         volume_reason=defects.volume_objection,
-        mean_edge_length=ready.mesh.mean_edge_length,
         self_intersections=n_intersections,
-        noise_estimate=noise_estimate(ready.mesh),
+        noise_estimate=noise_field(ready.mesh),
         properties=mesh_file.properties,
         references=mesh_file.references,
         warnings=mesh_file.warnings + ((enclosed.words,) if enclosed.is_inside_out else ()),
@@ -133,34 +100,3 @@ def _polygon_sizes(mesh_file: MeshFile) -> dict[str, int]:
         return {str(polygons.shape[1]): len(polygons)}
     sizes, counts = np.unique([len(polygon) for polygon in polygons], return_counts=True)
     return {str(size): int(count) for size, count in zip(sizes, counts, strict=True)}
-
-
-def noise_estimate(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate:
-    """The noise, as records tell it (see ``noise_estimate``); ``known`` is what
-    was estimated of this mesh before."""
-    from msal_cli.analysis.noise_estimate import estimated
-
-    level = known or estimated(mesh)
-    return NoiseEstimate(
-        mean_edges=level.mean_edges,
-        file_units=level.file_units,
-        low_edges=level.low,
-        high_edges=level.high,
-        clean_edges=level.clean_edges,
-        rms_edges=level.rms_edges,
-        tail=level.tail,
-        negligible=level.is_negligible,
-        lowest_edges=level.lowest,
-        highest_edges=level.highest,
-        regions=level.regions,
-        uneven=level.is_uneven,
-        kind=level.character.kind,
-        rings=level.character.rings,
-        direction=level.character.direction,
-        axis=level.character.axis,
-        step_edges=level.character.step,
-        outliers=level.character.outliers,
-        confidence=level.character.confidence,
-        basis=level.character.basis,
-        words=level.character.words,
-    )

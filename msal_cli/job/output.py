@@ -10,13 +10,9 @@ from msal_cli.errors import InternalError, LossError, MsalError, OutputError
 from msal_cli.job.settings import Settings, Task, is_mesh_name, suffix
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import Companion, MeshFile
     from msal_cli.storage.buffers import Buffer
-
-    Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +42,19 @@ class Output:
     losses: tuple[str, ...] = ()
 
 
-def built(
+@dataclass(frozen=True, eq=False)
+class MadeFile:
+    """An output that ``msal noise`` or ``msal scan`` made: its bytes, what it is in words, files
+    that hold a part of it, and the bytes of the file with the true positions."""
+
+    output: Buffer
+    description: str
+    warnings: tuple[str, ...] = ()
+    companions: tuple[Companion, ...] = ()
+    truth: Buffer | None = None
+
+
+def build_output(
     mesh_file: MeshFile, vertices: Floats, settings: Settings, path: str | None, source: Source
 ) -> Output:
     """The output for positions (n, 3) of a file's vertices, read back where it was encoded anew.
@@ -60,12 +68,14 @@ def built(
     InternalError
         where the output does not hold what it should.
     """
-    from msal_cli import codecs as files
+    from msal_cli import codecs
+    from msal_cli.codecs import detection
+    from msal_cli.storage import gzip_streams
 
     compress = source.is_compressed if path is None else path.lower().endswith(".gz")
     target = _target(mesh_file, path, settings)
     if target != mesh_file.format:
-        output, losses = files.converted(
+        output, losses = codecs.converted(
             mesh_file, vertices, target, settings.encoding, settings.precision
         )
         if losses and settings.strict:
@@ -76,8 +86,10 @@ def built(
         _check_reopened(output, target, mesh_file, vertices)
         lost = tuple(f"lost in {target}: {loss}" for loss in losses)
         # A scene that only changes its container still names its images.
-        references = mesh_file.references if {target, mesh_file.format} == files.SCENES else ()
-        return Output(files.compressed(output) if compress else output, references, losses=lost)
+        references = mesh_file.references if {target, mesh_file.format} == detection.SCENES else ()
+        return Output(
+            gzip_streams.compressed(output) if compress else output, references, losses=lost
+        )
     if settings.encoding != "same" or settings.precision != "same":
         output = mesh_file.encoded(vertices, settings.encoding, settings.precision)
         _check_reopened(output, target, mesh_file, vertices)
@@ -85,13 +97,13 @@ def built(
         output = mesh_file.replaced(vertices)
         mesh_file.check(output, vertices)
     elif compress == source.is_compressed:
-        output, companions = files.with_companions(mesh_file, source.data, vertices, path)
+        output, companions = codecs.with_companions(mesh_file, source.data, vertices, path)
         return Output(output, mesh_file.references, companions)
     else:
-        output = files.expanded(source.data, source.name)[0]
-    notes = files.normal_warnings(mesh_file, vertices)
-    output, companions = files.with_companions(mesh_file, output, vertices, path)
-    output = files.compressed(output) if compress else output
+        output = gzip_streams.expanded(source.data, source.name)[0]
+    notes = codecs.normal_warnings(mesh_file, vertices)
+    output, companions = codecs.with_companions(mesh_file, output, vertices, path)
+    output = gzip_streams.compressed(output) if compress else output
     return Output(output, mesh_file.references, companions, notes)
 
 
@@ -109,12 +121,13 @@ def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: 
     """Read a re-encoded or converted file back before it is trusted."""
     import numpy as np
 
-    from msal_cli import codecs as files
+    from msal_cli import codecs
+    from msal_cli.codecs import detection
 
-    if f".{target}" not in files.readable_suffixes():
+    if f".{target}" not in detection.readable_suffixes():
         return
     try:
-        again = files.open_mesh(bytes(output), f"output.{target}", target)
+        again = codecs.open_mesh(bytes(output), f"output.{target}", target)
     except MsalError as error:
         raise InternalError(f"the {target} output cannot be read back: {error}") from error
     if len(again.faces) != len(mesh_file.faces):
@@ -139,8 +152,8 @@ def _are_equal(vertices: Floats, others: Floats) -> bool:
 
 def make_folder_of(path: str) -> None:
     """Make the folder that a file is to be written to, if it is not there; stores have none."""
-    from msal_cli.codecs import is_url
     from msal_cli.storage.atomic import make_folders
+    from msal_cli.storage.urls import is_url
 
     if is_url(path):
         return
@@ -156,14 +169,25 @@ def make_folder_of(path: str) -> None:
 
 def keep_backup(task: Task, data: Buffer) -> None:
     """Write the original beside the file that is about to be replaced."""
-    from msal_cli import codecs as files
+    from msal_cli.storage import atomic, gzip_streams
 
     backup = task.input + str(task.backup)
     if os.path.lexists(backup):
-        if os.path.isfile(backup) and files.read_whole(backup) == data:
+        if os.path.isfile(backup) and gzip_streams.read_whole(backup) == data:
             return
         raise OutputError(
             f"the backup {backup!r} exists and is not this file",
             hint="move it away or choose another --backup suffix",
         )
-    files.write_whole(backup, [data], mode_like=task.input)
+    atomic.write_whole(backup, [data], mode_like=task.input)
+
+
+def write_output(path: str, data: Buffer, companions: tuple[Companion, ...] = ()) -> None:
+    """Write a file after those that hold a part of it; its folder is made if it is not there."""
+    from msal_cli.codecs.companions import write_companions
+    from msal_cli.storage import atomic
+
+    make_folder_of(path)
+    if companions:
+        write_companions(companions, path)
+    atomic.write_whole(path, [data])

@@ -1,12 +1,11 @@
 """One file from start to end: read, check, denoise, measure, verify, write, and the record.
 
-``denoise_file`` is the bracket that the batch runs for every file.  It never raises for a file's
-fault: whatever goes wrong becomes a failed record, and the output appears whole or not at all.
+``denoise_file`` is what the batch runs for every file.  It never raises for a file's fault:
+whatever goes wrong becomes a failed record, and the output appears whole or not at all.
 """
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,11 +13,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__, machine
-from msal_cli.errors import InternalError, MsalError, ResourceError
-from msal_cli.job import advice, changes, output
-from msal_cli.job.preparation import looks_at_mesh, prepare, reject_choice
+from msal_cli.errors import InternalError
+from msal_cli.job import changes, output
+from msal_cli.job.choice import Preparation, looks_at_mesh, prepare, reject_choice
+from msal_cli.job.opened_mesh import open_mesh, prepare_mesh, to_known_error
 from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, ObjectMark, Seconds
 from msal_cli.job.settings import (
+    CHOOSING,
     NO_LIMITS,
     SELF_INTERSECTIONS,
     Limits,
@@ -30,23 +31,21 @@ from msal_cli.job.settings import (
 )
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from msal_cli.analysis.noise_estimate import NoiseLevel
-    from msal_cli.codecs.mesh_file import Companion, MeshFile
+    from msal_cli.arrays import Floats
+    from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.constraints import Constraints
-    from msal_cli.job.preparation import Preparation
     from msal_cli.mesh import Mesh, Prepared
     from msal_cli.methods import Method
     from msal_cli.storage.buffers import Buffer
 
-    Floats = NDArray[np.float64]
-
 OnProgress = Callable[[str, int, int], None]
 """Called as ``on_progress(stage, done, total)``; the stages are those of ``records.Seconds``."""
 
-log = logging.getLogger("msal")
+
+def start_record(name: str, settings: Settings) -> MeshRecord:
+    """The record of a file before anything is known of it; it counts as failed until it is not."""
+    method = MethodUsed(settings.method, dict(settings.parameters))
+    return MeshRecord(input=name, status="failed", version=__version__, method=method)
 
 
 def denoise_file(
@@ -55,15 +54,15 @@ def denoise_file(
     on_progress: OnProgress | None = None,
     limits: Limits = NO_LIMITS,
 ) -> MeshRecord:
-    """Denoise one file and tell what happened; only KeyboardInterrupt and SystemExit pass.
+    """Denoise one file and report what happened; only KeyboardInterrupt and SystemExit pass.
 
-    A file beyond ``limits`` is refused before it is loaded, as far as its header tells:
+    A file beyond ``limits`` is refused before it is loaded, as far as its header shows it:
     ``E_MEMORY`` or ``E_TOO_LARGE``.
     """
-    run = _Run(task.input, settings, on_progress, limits)
+    run = _FileRun(task.input, settings, on_progress, limits)
     try:
-        from msal_cli import codecs as files
-        from msal_cli.storage import sidecars
+        from msal_cli.codecs import header_check
+        from msal_cli.storage import atomic
 
         with run.stage("read"):
             # The mark is older than the bytes: an object that changes in between is done again.
@@ -71,30 +70,21 @@ def denoise_file(
             if limits.memory_bytes is not None or limits.max_faces is not None:
                 refuse_oversized(forecast(task, settings), limits)
             size = task.input_mark.size if task.input_mark is not None else None
-            data = files.read_input(task.input, settings.format, size)
-        denoised = run.denoise(data, task.output)
+            data = header_check.read_input(task.input, settings.format, size)
+        made = run.denoise(data, task.output)
         with run.stage("write"):
             if task.in_place and task.backup:
                 output.keep_backup(task, data)
             output.make_folder_of(task.output)
-            # Before the output: what is there then has all that belongs to it.
+            # Before the output: as soon as that exists, all that belongs to it does.
             run.write_fields()
-            notes: tuple[str, ...] = ()
-            if run.references and not task.in_place:
-                notes = tuple(sidecars.carried(run.references, task.input, task.output))
-                marked = (note for note in notes if note.startswith("warning: "))
-                run.warn(*(note.removeprefix("warning: ") for note in marked))
-            if run.companions:
-                from msal_cli.codecs.companions import write_companions
-
-                notes += write_companions(run.companions, task.output)
-            mark = files.write_whole(
-                task.output, [denoised], mode_like=task.input if task.in_place else None
-            )
+            sidecars = run.carry_sidecars(task, made)
+            mode_like = task.input if task.in_place else None
+            mark = atomic.write_whole(task.output, [made.data], mode_like=mode_like)
             run.know(output_object=None if mark is None else ObjectMark(*mark))
-        return run.finished(task.output, sidecars=notes)
+        return run.finish(task.output, sidecars=sidecars)
     except Exception as error:
-        return run.failed(error)
+        return run.fail(error)
 
 
 def denoise_bytes(
@@ -108,12 +98,11 @@ def denoise_bytes(
 
     Of ``limits`` only ``max_faces`` counts: the file is in memory already.
     """
-    run = _Run(name, settings, on_progress, limits)
+    run = _FileRun(name, settings, on_progress, limits)
     try:
-        denoised = run.denoise(data, None)
-        return denoised, run.finished(None)
+        return run.denoise(data, None).data, run.finish(None)
     except Exception as error:
-        return None, run.failed(error)
+        return None, run.fail(error)
 
 
 def denoise_copy(
@@ -127,49 +116,41 @@ def denoise_copy(
     The record knows the mesh as ``task.relative`` and has no output; nothing is read or written
     beside the two files.
     """
-    run = _Run(task.relative, settings, on_progress, limits)
+    run = _FileRun(task.relative, settings, on_progress, limits)
     try:
-        from msal_cli import codecs as files
+        from msal_cli.codecs import header_check
+        from msal_cli.storage import atomic
 
         with run.stage("read"):
             refuse_oversized(forecast(task, settings), limits)
-            data = files.read_input(task.input, settings.format)
-        denoised = run.denoise(data, None)
+            data = header_check.read_input(task.input, settings.format)
+        made = run.denoise(data, None)
         with run.stage("write"):
-            files.write_whole(task.output, [denoised])
-        return run.finished(None)
+            atomic.write_whole(task.output, [made.data])
+        return run.finish(None)
     except Exception as error:
-        return run.failed(error)
+        return run.fail(error)
 
 
-class _Run:
-    """The state of one file on its way: what is known so far ends up in the record."""
+class _FileRun:
+    """One file on its way: its record so far, and the seconds of its stages."""
 
     def __init__(
         self, name: str, settings: Settings, on_progress: OnProgress | None, limits: Limits
     ) -> None:
-        self.settings = settings
+        self._settings = settings
         self._limits = limits
-        # Files that the output names too; a conversion drops them.
-        self.references: tuple[str, ...] = ()
-        # Files beside the output that hold a part of it.
-        self.companions: tuple[Companion, ...] = ()
         self._on_progress = on_progress or (lambda stage, done, total: None)
         self._started = self._counted = time.perf_counter()
         self._stage = "read"
         self._seconds: dict[str, float] = {}
-        self._record = MeshRecord(
-            input=name,
-            status="failed",
-            version=__version__,
-            method=MethodUsed(settings.method, dict(settings.parameters)),
-        )
-        self._changed = False
-        # What was estimated to choose a method.
-        self._noise: NoiseLevel | None = None
+        self._record = start_record(name, settings)
+        self._is_changed = False
         self._field_values: dict[str, Floats] = {}
         self._fields_file: tuple[Buffer, FieldsFile] | None = None
         self._output_digest: Callable[[], str] | None = None
+
+    # The record
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -191,37 +172,57 @@ class _Run:
         self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + now - self._counted
         self._counted = now
 
-    def _spent(self) -> Seconds:
-        """All seconds until now."""
-        self._count()
-        return Seconds(**self._seconds, total=self._counted - self._started)
-
     def know(self, **values: Any) -> None:
         """Set fields of the record."""
         self._record = replace(self._record, **values)
 
-    def warn(self, *warnings: str) -> None:
-        """Add warnings to the record."""
+    def _warn(self, *warnings: str) -> None:
         self.know(warnings=self._record.warnings + warnings)
 
-    def _warn_with_codes(self, warnings: tuple[tuple[str, str], ...]) -> None:
-        """Add warnings, each as a code and a text, to the record."""
-        self.warn(*(f"{text} ({code})" for code, text in warnings))
-        codes = tuple(code for code, _ in warnings)
-        self.know(warning_codes=self._record.warning_codes + codes)
+    def _report_steps(self, stage: str) -> Callable[[int, int], None]:
+        return lambda done, total: self._on_progress(stage, done, total)
 
-    def denoise(self, data: Buffer, output_path: str | None) -> Buffer:
-        """The bytes of the output file for the bytes of the input file."""
-        from msal_cli import codecs as files
+    def _close_record(self) -> Seconds:
+        """All seconds until now; the peak of memory goes into the record."""
+        self._count()
+        seconds = Seconds(**self._seconds, total=self._counted - self._started)
+        self.know(seconds=seconds, peak_memory_bytes=machine.peak_bytes())
+        return seconds
 
-        settings = self.settings
+    def finish(self, output_path: str | None, sidecars: tuple[str, ...] = ()) -> MeshRecord:
+        """The record of a file that was written."""
+        if self._output_digest is not None:
+            self.know(output_sha256=self._output_digest())
+        total = self._close_record().total
+        self.know(
+            status="written" if self._is_changed else "unchanged",
+            output=output_path,
+            sidecars=sidecars,
+            vertices_per_second=(self._record.vertices or 0) / total if total > 0.0 else None,
+        )
+        return self._record
+
+    def fail(self, error: Exception) -> MeshRecord:
+        """The record of a file that was not written, for any error."""
+        known = to_known_error(error, self._record.input)
+        self._close_record()
+        failure = Failure(known.code, known.message, known.hint, known.where)
+        self.know(status="failed", error=failure)
+        return self._record
+
+    # The way of a file
+
+    def denoise(self, data: Buffer, output_path: str | None) -> output.Output:
+        """The output file for the bytes of the input file; ``output_path`` is None for a pipe."""
+        from msal_cli.codecs.mesh_file import corner_count
+        from msal_cli.storage import allocator, digests
+
         name = self._record.input
         with self.stage("read"):
-            files.give_back_large_arrays()
-            digest = files.sha256_meanwhile(data)
+            allocator.give_back_large_arrays()
+            digest = digests.sha256_meanwhile(data)
             try:
-                plain, is_compressed = files.expanded(data, name)
-                mesh_file = files.open_mesh(plain, name, settings.format)
+                mesh_file, is_compressed = open_mesh(data, name, self._settings.format)
             finally:
                 # A file that cannot be read is known by its hash, too.
                 self.know(input_sha256=digest())
@@ -230,199 +231,160 @@ class _Run:
                 encoding=mesh_file.encoding,
                 precision=mesh_file.precision,
                 vertices=len(mesh_file.vertices),
-                corners=files.corner_count(mesh_file),
+                corners=corner_count(mesh_file),
                 faces=mesh_file.n_polygons,
                 triangles=len(mesh_file.faces),
             )
-            self.warn(*mesh_file.warnings)
+            self._warn(*mesh_file.warnings)
             refuse_faces(mesh_file.n_polygons, self._limits)
-        vertices = self._denoised(mesh_file)
+        vertices = self._move_vertices(mesh_file)
         with self.stage("write"):
             source = output.Source(data, name, is_compressed)
-            built = output.built(mesh_file, vertices, settings, output_path, source)
-            self.references = built.references
-            self.companions = built.companions
-            self.warn(*built.losses)
+            made = output.build_output(mesh_file, vertices, self._settings, output_path, source)
+            self._warn(*made.losses)
             if self._field_values and output_path is not None:
                 from msal_cli.job import fields
 
-                self._fields_file = fields.encoded(
+                self._fields_file = fields.build_file(
                     mesh_file, vertices, self._field_values, fields.path_beside(output_path)
                 )
-            self._changed = built.data is not data
-            self._output_digest = files.sha256_meanwhile(built.data)
-        return built.data
+            self._is_changed = made.data is not data
+            self._output_digest = digests.sha256_meanwhile(made.data)
+        return made
 
-    def _denoised(self, mesh_file: MeshFile) -> Floats:
-        """The new positions of a file's vertices; what leads to them is let go of before the
-        output is built, for that takes as much memory again."""
-        from msal_cli.mesh import prepared
+    def _move_vertices(self, mesh_file: MeshFile) -> Floats:
+        """The new positions of a file's vertices (n, 3).
 
-        settings = self.settings
+        Its arrays are freed before the output is built, which takes as much memory again.
+        """
+        settings = self._settings
         with self.stage("connectivity"):
-            ready = prepared(
-                mesh_file.vertices,
-                mesh_file.faces,
-                are_distinct=mesh_file.merged_vertices > 0,
-            )
-            self.know(**changes.defects_told(ready, mesh_file.merged_vertices))
-            self.warn(*changes.warnings_of(ready.defects))
-            constraints = self._constraints(ready, mesh_file)
+            ready = prepare_mesh(mesh_file)
+            self.know(**changes.defect_fields(ready, mesh_file.merged_vertices))
+            self._warn(*changes.defect_warnings(ready.defects))
+            constraints = self._build_constraints(ready, mesh_file)
             mesh_file.forget_vertices()
         given = ready.mesh if constraints is None else constraints.mesh
-        preparation = self._prepare(given)
-        mesh, method = preparation.mesh, preparation.method
-        parameters = preparation.parameters
-        fidelity = None
+        chosen = self._prepare(given)
+        method, noise = chosen.method, chosen.noise
+        fidelity, is_ruled = None, False
         with self.stage("sweeps"):
-            moved = mesh.vertices
+            moved, normals_s = chosen.mesh.vertices, 0.0
             if method is not None:
                 result = method.denoised(
-                    mesh,
-                    parameters,
-                    lambda done, total: self._on_progress("sweeps", done, total),
+                    chosen.mesh, chosen.parameters, self._report_steps("sweeps")
                 )
                 self._check_result(ready, result.vertices)
-                moved = result.vertices
+                moved, normals_s = result.vertices, result.seconds.get("normals", 0.0)
+                fidelity = result.fields.get("fidelity")
+                is_ruled = settings.method not in CHOOSING and changes.is_ruled_by_spike(fidelity)
+                if not settings.fields:
+                    fidelity = None
+                # It may hold more arrays, which nothing needs here.
+                del result
             if constraints is not None:
-                moved, n_clamped = constraints.applied(moved)
+                moved, n_clamped = constraints.apply(moved)
                 if constraints.limit is not None:
                     self.know(clamped_vertices=n_clamped)
         if method is not None:
-            # The method's own account tells how much of its time went into normals.
-            normals = result.seconds.get("normals", 0.0)
-            self._seconds["sweeps"] -= normals
-            self._seconds["normals"] = normals
-            fidelity = result.fields.get("fidelity") if settings.fields else None
-            is_ruled = self._record.choice is None and advice.is_ruled_by_spike(
-                result.fields.get("fidelity")
-            )
-            # It may hold more arrays, which nothing needs here.
-            del result
+            # The method itself measures how much of its time went into normals.
+            self._seconds["sweeps"] -= normals_s
+            self._seconds["normals"] = normals_s
         with self.stage("measure"):
-            measured = changes.measured(ready, moved, self._noise)
-            if measured.harm is not None and self._record.choice is not None:
-                if self._record.despiked:
-                    # It was estimated without the outliers.
-                    self._noise = None
-                choice, despiked = self._record.choice, self._record.despiked
+            measured = changes.measure(ready, moved, noise)
+            choice, despiked = self._record.choice, self._record.despiked
+            if measured.harm is not None and choice is not None:
                 self.know(**reject_choice(choice, despiked, measured.harm))
                 moved, method, fidelity = given.vertices, None, None
-                measured = changes.measured(ready, moved, self._noise)
+                # Where outliers were brought back, the noise was estimated without them.
+                measured = changes.measure(ready, moved, None if despiked else noise)
             self.know(**measured.fields)
-            self._warn_with_codes(measured.warnings)
-            if self._record.choice is None and method is not None:
-                self._advise(method, parameters, is_ruled)
+            self._warn(*(f"{text} ({code})" for code, text in measured.warnings))
+            codes = tuple(code for code, _ in measured.warnings)
+            self.know(warning_codes=self._record.warning_codes + codes)
+            if choice is None and method is not None:
+                self._warn_of_method(method, chosen.parameters, is_ruled)
             if settings.fields:
                 from msal_cli.job import fields
 
-                self._field_values = fields.computed(
-                    settings.fields, ready, moved, fidelity, parameters
+                self._field_values = fields.compute(
+                    settings.fields, ready, moved, fidelity, chosen.parameters
                 )
             if SELF_INTERSECTIONS in settings.checks:
-                self.know(self_intersections=changes.self_intersections(ready, moved))
+                after = ready.mesh.moved(moved)
+                self.know(self_intersections=changes.count_self_intersections(ready.mesh, after))
             ready.mesh.forget_normals()
             vertices = ready.scattered(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
 
-    def _advise(self, method: Method, parameters: dict[str, Any], is_ruled: bool) -> None:
-        """Warn where a method that was asked for by name harms the mesh."""
-        noise, moved = self._record.noise_estimate, self._record.displacement
-        if noise is not None and moved is not None:
-            self.warn(*advice.build_advice(method, parameters, noise, moved, is_ruled))
-
-    def _prepare(self, given: Mesh) -> Preparation:
-        """What is to be run on a mesh; the record and the noise are those of it."""
-        settings = self.settings
-        if not looks_at_mesh(settings):
-            return prepare(given, settings)
-        with self.stage("choose"):
-            found = prepare(
-                given, settings, lambda done, total: self._on_progress("choose", done, total)
-            )
-        self.know(**found.known)
-        self.warn(*found.warnings)
-        self._noise = found.noise
-        return found
-
-    def _constraints(self, ready: Prepared, mesh_file: MeshFile) -> Constraints | None:
+    def _build_constraints(self, ready: Prepared, mesh_file: MeshFile) -> Constraints | None:
         """What keeps vertices of this file near their place; None if nothing was asked for."""
-        settings = self.settings
+        settings = self._settings
         asked = (settings.max_move, settings.lock, settings.weights)
         if asked == (None, (), None):
             return None
-        from msal_cli.job import constraints
+        from msal_cli.job.constraints import build_constraints
 
-        found = constraints.found(ready, mesh_file, *asked)
-        if found.held is not None:
-            self.know(locked_vertices=int(found.held.sum()))
-        return found
+        constraints = build_constraints(ready, mesh_file, *asked)
+        if constraints.held is not None:
+            self.know(locked_vertices=int(constraints.held.sum()))
+        return constraints
 
-    def write_fields(self) -> None:
-        """Write the file of fields, if one was asked for, over nothing but its like."""
-        if self._fields_file is None:
-            return
-        from msal_cli import codecs as files
-        from msal_cli.job import fields
-
-        data, told = self._fields_file
-        if not files.is_url(told.path):
-            fields.refuse_foreign(told.path)
-        files.write_whole(told.path, [data])
-        self.know(fields=told)
+    def _prepare(self, given: Mesh) -> Preparation:
+        """What is to be run on a mesh; the record has how that came about."""
+        on_step = self._report_steps("choose")
+        if not looks_at_mesh(self._settings):
+            return prepare(given, self._settings, on_step)
+        with self.stage("choose"):
+            chosen = prepare(given, self._settings, on_step)
+        self.know(**chosen.known)
+        self._warn(*chosen.warnings)
+        return chosen
 
     def _check_result(self, ready: Prepared, vertices: Floats) -> None:
         """A method must return finite positions for the same vertices."""
         import numpy as np
 
+        name = self._settings.method if self._record.method is None else self._record.method.name
         if vertices.shape != ready.mesh.vertices.shape:
-            raise InternalError(f"{self._method_name()} changed the number of vertices")
+            raise InternalError(f"{name} changed the number of vertices")
         if not np.isfinite(vertices).all():
             bad = int(np.argmin(np.isfinite(vertices).all(axis=1)))
-            raise InternalError(
-                f"{self._method_name()} made a position that is not finite", where=f"vertex {bad}"
-            )
+            raise InternalError(f"{name} made a position that is not finite", where=f"vertex {bad}")
 
-    def _method_name(self) -> str:
-        return self.settings.method if self._record.method is None else self._record.method.name
+    def _warn_of_method(self, method: Method, parameters: Any, is_ruled: bool) -> None:
+        """Warn where a method that was asked for by name harms the mesh."""
+        noise, moved = self._record.noise_estimate, self._record.displacement
+        if noise is not None and moved is not None:
+            self._warn(*changes.method_warnings(method, parameters, noise, moved, is_ruled))
 
-    def finished(self, output_path: str | None, sidecars: tuple[str, ...] = ()) -> MeshRecord:
-        """The record of a file that was written."""
-        if self._output_digest is not None:
-            self.know(output_sha256=self._output_digest())
-        seconds = self._spent()
-        n = self._record.vertices or 0
-        self.know(
-            status="written" if self._changed else "unchanged",
-            output=output_path,
-            sidecars=sidecars,
-            seconds=seconds,
-            vertices_per_second=n / seconds.total if seconds.total > 0.0 else None,
-            peak_memory_bytes=machine.peak_bytes(),
-        )
-        return self._record
+    # Beside the output
 
-    def failed(self, error: Exception) -> MeshRecord:
-        """The record of a file that was not written, for any error."""
-        if machine.is_want_of_memory(error):
-            known: MsalError = ResourceError(
-                error.message if isinstance(error, MsalError) else "not enough memory",
-                code="E_MEMORY",
-                hint="run fewer jobs at once, or a machine with more memory",
-            )
-        elif isinstance(error, MsalError):
-            known = error
-        else:
-            log.exception("internal error at %r", self._record.input)
-            known = InternalError(
-                f"{type(error).__name__}: {error}",
-                hint="this is a defect of msal; please report it with the file",
-            )
-        self.know(
-            status="failed",
-            error=Failure(known.code, known.message, known.hint, known.where),
-            seconds=self._spent(),
-            peak_memory_bytes=machine.peak_bytes(),
-        )
-        return self._record
+    def write_fields(self) -> None:
+        """Write the file of fields, if one was asked for, over nothing but its like."""
+        if self._fields_file is None:
+            return
+        from msal_cli.job import fields
+        from msal_cli.storage import atomic, urls
+
+        data, described = self._fields_file
+        if not urls.is_url(described.path):
+            fields.refuse_foreign(described.path)
+        atomic.write_whole(described.path, [data])
+        self.know(fields=described)
+
+    def carry_sidecars(self, task: Task, made: output.Output) -> tuple[str, ...]:
+        """Notes on the files beside the output, copied or written, that it names."""
+        notes: tuple[str, ...] = ()
+        if made.references and not task.in_place:
+            from msal_cli.storage import sidecars
+
+            notes = tuple(sidecars.carried(made.references, task.input, task.output))
+            marked = (note for note in notes if note.startswith("warning: "))
+            self._warn(*(note.removeprefix("warning: ") for note in marked))
+        if made.companions:
+            from msal_cli.codecs.companions import write_companions
+
+            notes += write_companions(made.companions, task.output)
+        return notes

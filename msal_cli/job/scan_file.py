@@ -1,39 +1,20 @@
-"""One mesh scanned by simulation, or one volume made a mesh, from file to file: the bracket behind
-``msal scan``.  The output is checked, and appears whole or not at all.
-"""
+"""Scan one mesh file by simulation, or mesh one volume file: the work of ``msal scan``."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from msal_cli.errors import InternalError, UsageError
+from msal_cli.errors import InternalError, UnsupportedError, UsageError
+from msal_cli.job.output import MadeFile
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from msal_cli.analysis.simulation import ScannerSettings
     from msal_cli.analysis.simulation.volume_files import VolumeSettings
+    from msal_cli.arrays import Floats, Ints
     from msal_cli.storage.buffers import Buffer
 
-    Floats = NDArray[np.float64]
-    Ints = NDArray[np.int32]
-
 VOLUME_SUFFIXES = (".npy", ".raw")
-
-
-@dataclass(frozen=True)
-class Scanned:
-    """What was made: the file, the one with the true positions (or None), how many vertices and
-    faces both have, and in words what they were made with and what is to be known of them."""
-
-    output: Buffer
-    truth: Buffer | None
-    n_vertices: int
-    n_faces: int
-    description: str
-    warnings: tuple[str, ...] = ()
 
 
 def is_volume_name(name: str) -> bool:
@@ -50,13 +31,15 @@ def is_volume_content(data: Buffer) -> bool:
 
 def output_format(target: str, to: str | None) -> str:
     """The format of the output, PLY for a stream; UsageError for one that cannot be written."""
-    from msal_cli import codecs as files
+    from msal_cli import codecs
+    from msal_cli.codecs import detection
 
-    wanted = to or ("ply" if target == "-" else files.format_of_name(target))
-    if wanted not in files.writable_formats():
+    wanted = to or ("ply" if target == "-" else detection.format_of_name(target))
+    if wanted not in codecs.writable_formats():
         raise UsageError(
             f"a new mesh cannot be written as {wanted or target!r}",
-            hint=f"choose with --to, or the output's suffix: {', '.join(files.writable_formats())}",
+            hint="choose with --to, or the output's suffix: "
+            f"{', '.join(codecs.writable_formats())}",
         )
     return wanted
 
@@ -69,18 +52,23 @@ def scan_mesh(
     *,
     truth_to: str | None = None,
     format: str | None = None,
-) -> Scanned:
+) -> MadeFile:
     """What a simulated scanner makes of the mesh file ``name``, as a file of the format ``to``; and
     its true places as one of the format ``truth_to``, if that is given."""
-    from msal_cli import codecs as files
     from msal_cli.analysis.simulation import find_truth, simulate_scan
-    from msal_cli.mesh import prepared
+    from msal_cli.codecs.detection import format_of_name
+    from msal_cli.job.opened_mesh import open_mesh, prepare_mesh
 
-    plain, _ = files.expanded(data, name)
-    mesh_file = files.open_mesh(plain, name, format)
-    ready = prepared(
-        mesh_file.vertices, mesh_file.faces, are_distinct=mesh_file.merged_vertices > 0
-    )
+    try:
+        mesh_file, _ = open_mesh(data, name, format)
+    except UnsupportedError as error:
+        if error.code == "E_UNSUPPORTED" and format is None and not format_of_name(name):
+            error.hint = (
+                "a volume is a .npy file, or a raw one with --dims X,Y,Z; for a mesh, "
+                "give its format with --format"
+            )
+        raise
+    ready = prepare_mesh(mesh_file)
     scan = simulate_scan(ready.mesh, settings)
     warnings = mesh_file.warnings
     if n := scan.closed_holes:
@@ -93,44 +81,52 @@ def scan_mesh(
         places = find_truth(ready.mesh, scan) + ready.origin
         truth, truth_losses = _encode(places, scan.faces, truth_to)
         losses += tuple(one for one in truth_losses if one not in losses)
-    return Scanned(
+    return MadeFile(
         output=output,
         truth=truth,
-        n_vertices=len(scan.vertices),
-        n_faces=len(scan.faces),
-        description=f"{settings.scanner}, cells of {scan.cell:.4g}, seed {settings.seed}",
+        description=f"{settings.scanner}, cells of {scan.cell:.4g}, seed {settings.seed}: "
+        f"{len(scan.vertices):,} vertices, {len(scan.faces):,} faces",
         warnings=warnings + losses,
     )
 
 
-def scan_volume_file(data: Buffer, settings: VolumeSettings, to: str) -> Scanned:
+def mesh_volume_file(data: Buffer, settings: VolumeSettings, to: str) -> MadeFile:
     """The surface in a volume file, as a file of the format ``to``."""
     from msal_cli.analysis.simulation.volume_files import mesh_volume
 
     vertices, faces, iso = mesh_volume(memoryview(data), settings)
     output, losses = _encode(vertices, faces, to)
-    return Scanned(
+    return MadeFile(
         output=output,
-        truth=None,
-        n_vertices=len(vertices),
-        n_faces=len(faces),
-        description=f"the surface at the value {iso:g}",
+        description=f"the surface at the value {iso:g}: "
+        f"{len(vertices):,} vertices, {len(faces):,} faces",
         warnings=losses,
     )
+
+
+def compress_by_name(made: MadeFile, output: str, truth: str | None) -> MadeFile:
+    """``made`` with those files compressed by gzip whose names say so."""
+    from msal_cli.storage.gzip_streams import compressed
+
+    if output.lower().endswith(".gz"):
+        made = replace(made, output=compressed(made.output))
+    if made.truth is not None and truth is not None and truth.lower().endswith(".gz"):
+        made = replace(made, truth=compressed(made.truth))
+    return made
 
 
 def _encode(vertices: Floats, faces: Ints, to: str) -> tuple[Buffer, tuple[str, ...]]:
     """A new file, and what its format cannot hold, as warnings."""
     import numpy as np
 
-    from msal_cli import codecs as files
+    from msal_cli import codecs
 
     if not np.isfinite(vertices).all():
         raise InternalError("the scan made a position that is not finite")
-    output = files.encode_mesh(vertices, faces, to)
-    reopened = files.open_mesh(output, f"scan.{to}")
+    output = codecs.encode_mesh(vertices, faces, to)
+    reopened = codecs.open_mesh(output, f"scan.{to}")
     if len(reopened.faces) != len(faces):
         raise InternalError(f"the new {to} file has {len(reopened.faces)} faces of {len(faces)}")
     if reopened.precision != "float32":
         return output, ()
-    return output, tuple(f"lost in {to}: {loss}" for loss in files.digits_lost(vertices))
+    return output, tuple(f"lost in {to}: {loss}" for loss in codecs.digits_lost(vertices))

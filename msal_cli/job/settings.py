@@ -124,7 +124,7 @@ class Task:
 
 def is_mesh_name(name: str) -> bool:
     """True if the suffix, a final ``.gz`` aside, is that of a format that can be read."""
-    from msal_cli.codecs import readable_suffixes
+    from msal_cli.codecs.detection import readable_suffixes
 
     return suffix(name) in readable_suffixes()
 

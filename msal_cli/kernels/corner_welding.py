@@ -34,7 +34,7 @@ def _slot(x, y, z, shift):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _indexed(first, found, corners, shift, table, vertices, faces):  # type: ignore[no-untyped-def]
+def _index_corners(first, found, corners, shift, table, vertices, faces):  # type: ignore[no-untyped-def]
     """Number the corners of facets from ``first`` on.
 
     table (2^k,) int32 : 0 or one more than a vertex's number; ``shift`` is 64 - k.
@@ -92,7 +92,7 @@ def _indexed(first, found, corners, shift, table, vertices, faces):  # type: ign
 
 
 @compiled
-def _entered(vertices, shift, table):  # type: ignore[no-untyped-def]
+def _enter(vertices, shift, table):  # type: ignore[no-untyped-def]
     """Enter vertices that are all different into an empty table."""
     mask = len(table) - 1
     for number in range(len(vertices)):
@@ -102,7 +102,7 @@ def _entered(vertices, shift, table):  # type: ignore[no-untyped-def]
         table[slot] = number + 1
 
 
-def indexed(corners: NDArray[np.float32] | Floats) -> tuple[Floats, Ints, int]:
+def weld_corners(corners: NDArray[np.float32] | Floats) -> tuple[Floats, Ints, int]:
     """The facets ``corners`` (m, 9), of any strides, as an indexed mesh.
 
     Minus zero equals zero, and becomes it.  3 m must be below 2^31.
@@ -122,7 +122,7 @@ def indexed(corners: NDArray[np.float32] | Floats) -> tuple[Floats, Ints, int]:
     at = found = 0
     while True:
         shift = np.uint64(64 - bits)
-        at, found, is_bad = _indexed(at, found, corners, shift, table, vertices, faces)
+        at, found, is_bad = _index_corners(at, found, corners, shift, table, vertices, faces)
         if at == m or is_bad:
             break
         if found + 3 * _BLOCK_FACETS > len(vertices):
@@ -130,6 +130,6 @@ def indexed(corners: NDArray[np.float32] | Floats) -> tuple[Floats, Ints, int]:
         if found + 3 * _BLOCK_FACETS > len(table) // 2:
             bits += 1
             table = np.zeros(1 << bits, dtype=np.int32)
-            _entered(vertices[:found], np.uint64(64 - bits), table)
+            _enter(vertices[:found], np.uint64(64 - bits), table)
     vertices.resize((found, 3), refcheck=False)
     return vertices, faces, at if is_bad else -1

@@ -3,7 +3,8 @@
 Nothing is approximate.  A number is read through the first of three ways that is sure of the last
 bit: mantissa and power of ten both exact in float64 (Clinger 1990), the 128-bit product of the
 mantissa with a truncated power of ten whose error is bounded (Lemire 2021), Python's ``float``.
-A number is printed from the integer that its 53 bits are.
+A number is written with all digits of its product with a power of ten, whose rounding error is
+known (Dekker 1971).
 """
 
 from __future__ import annotations
@@ -13,6 +14,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.kernels.byte_words import (
+    count_digits,
+    format_digits,
+    load_eight,
+    parse_digits,
+    store_eight,
+)
 from msal_cli.kernels.compiled import compiled
 
 EXACT, NOT_A_NUMBER, UNDECIDED = 0, 1, 2
@@ -20,6 +28,10 @@ EXACT, NOT_A_NUMBER, UNDECIDED = 0, 1, 2
 
 MOST_DECIMALS = 17
 """Decimals beyond which fixed-point text is not used."""
+
+SHORTEST, SHORTEST_SINGLE = 18, 19
+"""In place of a number of decimals: the shortest text that is read back as the same float64, or
+float32."""
 
 FIXED_BELOW = 2.0**63
 """Magnitude from which on fixed-point text is not used."""
@@ -53,7 +65,7 @@ _REACH = 80
 
 _POWER_WORDS, _POWER_EXPONENTS = _truncated_powers(-_REACH, _REACH)
 _FLOAT_POWERS = np.array([float(f"1e{q}") for q in range(23)])
-_POWERS = np.array([10**q for q in range(20)], dtype=np.uint64)
+_POWERS = np.array([10**q for q in range(19)], dtype=np.int64)
 
 
 # Reading
@@ -194,6 +206,45 @@ def _long(buf, start, stop, decimals):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def read_plain(buf, at):  # type: ignore[no-untyped-def]
+    """``read_number`` for the numbers that nearly all files consist of: value, end, decimals.
+
+    Digits with a point or without and perhaps a minus, which make a whole number up to 2**53, so
+    that one division rounds correctly.  The end is -1 for other numbers.
+    """
+    negative = at < len(buf) and buf[np.uint64(at)] == 45
+    at += negative
+    first = at
+    mantissa = np.int64(0)
+    # One by one, because there are few: the processor guesses how many, and goes on meanwhile.
+    while at < len(buf) and at - first <= 9:
+        digit = np.int64(buf[np.uint64(at)]) - 48
+        if digit < 0 or digit > 9:
+            break
+        mantissa = mantissa * 10 + digit
+        at += 1
+    n_digits = at - first
+    is_more = n_digits > 9
+    decimals = np.int64(0)
+    if at < len(buf) and buf[np.uint64(at)] == 46:
+        at += 1
+        count = np.int64(8)
+        while count == 8 and decimals < 16:
+            word = load_eight(buf, at)
+            count = count_digits(word)
+            if count > 0:
+                mantissa = mantissa * _POWERS[count] + parse_digits(word, count)
+            decimals += count
+            at += count
+        is_more |= decimals == 16
+        n_digits += decimals
+    if n_digits == 0 or n_digits > 18 or is_more or mantissa > 1 << 53:
+        return 0.0, -1, 0
+    value = np.float64(mantissa) / _FLOAT_POWERS[decimals]
+    return -value if negative else value, at, decimals
+
+
+@compiled
 def _read_any(buf, start, stop):  # type: ignore[no-untyped-def]
     """``read_number`` for every number."""
     at = start
@@ -251,60 +302,75 @@ def read_number(buf, start, stop):  # type: ignore[no-untyped-def]
     ``end`` is the first byte that does not belong to it; whether a token may end there is the
     caller's to say.  ``decimals`` are the digits behind the point, the exponent counted in.
     """
-    # Short and small, for the numbers that nearly all files consist of.
-    at = start
-    negative = at < stop and buf[at] == 45
-    if negative:
-        at += 1
-    first = at
-    mantissa = np.int64(0)
-    decimals = np.int64(0)
-    while at < stop:
-        digit = np.int64(buf[at]) - 48
-        if digit < 0 or digit > 9:
-            break
-        mantissa = mantissa * 10 + digit
-        at += 1
-    n_digits = at - first
-    if at < stop and buf[at] == 46:
-        at += 1
-        point = at
-        while at < stop:
-            digit = np.int64(buf[at]) - 48
-            if digit < 0 or digit > 9:
-                break
-            mantissa = mantissa * 10 + digit
-            at += 1
-        decimals = at - point
-        n_digits += decimals
-    # 18 digits cannot overflow, and a letter may be an exponent or the beginning of a word.
-    if 0 < n_digits <= 18 and mantissa <= 1 << 53 and (at >= stop or buf[at] < 65):
-        value = np.float64(mantissa) / _FLOAT_POWERS[decimals]
-        return -value if negative else value, EXACT, at, decimals
+    value, end, decimals = read_plain(buf, start)
+    # A letter may be an exponent or the beginning of a word.
+    if 0 <= end <= stop and (end == stop or buf[np.uint64(end)] < 65):
+        return value, EXACT, end, decimals
     return _read_any(buf, start, stop)
 
 
-# Printing
+# Writing
 
 
 @compiled
-def _write_digits(word, n_digits, out, at):  # type: ignore[no-untyped-def]
-    """Write a uint64 with exactly ``n_digits`` digits; returns the end."""
-    ten = np.uint64(10)
-    for k in range(at + n_digits - 1, at - 1, -1):
-        rest = word // ten
-        out[k] = np.uint8(48 + np.int64(word - rest * ten))
-        word = rest
-    return at + n_digits
+def _write_eight(number, count, out, at):  # type: ignore[no-untyped-def]
+    """``_write_digits`` for up to eight digits."""
+    store_eight(out, at, format_digits(number * _POWERS[8 - count]))
+    return at + count
 
 
 @compiled
-def _n_digits(word):  # type: ignore[no-untyped-def]
-    """Decimal digits of a uint64, one for zero."""
+def _write_digits(number, count, out, at):  # type: ignore[no-untyped-def]
+    """Write an int64 with exactly ``count`` digits (up to 24); returns the end.
+
+    Up to seven bytes behind the end may be written over.
+    """
+    if count > 16:
+        at = _write_eight(number // 10**16, count - 16, out, at)
+        number %= 10**16
+        count = np.int64(16)
+    if count > 8:
+        at = _write_eight(number // 10**8, count - 8, out, at)
+        number %= 10**8
+        count = np.int64(8)
+    return _write_eight(number, count, out, at)
+
+
+@compiled
+def _n_digits(number):  # type: ignore[no-untyped-def]
+    """Decimal digits of an int64 from zero up, one for zero."""
     n = 1
-    while n < 20 and word >= _POWERS[n]:
+    while n < 19 and number >= _POWERS[n]:
         n += 1
     return n
+
+
+@compiled
+def _scaled_fraction(fraction, decimals, is_odd):  # type: ignore[no-untyped-def]
+    """The whole number nearest to fraction * 10**decimals, a half to the even one.
+
+    0 <= fraction < 1; ``is_odd`` is 1 where an even result would make the number odd.
+    """
+    power = _FLOAT_POWERS[decimals]
+    scaled = fraction * power
+    number = np.int64(scaled)
+    beyond = scaled - np.float64(number) - 0.5
+    if abs(beyond) > scaled * 2.0**-52:
+        return number + (beyond > 0.0)
+    # The product's own rounding may hide on which side of the half it lies: what it left away,
+    # after Dekker (1971), is exact.
+    spread = 134217729.0 * fraction
+    fraction_high = spread - (spread - fraction)
+    fraction_low = fraction - fraction_high
+    spread = 134217729.0 * power
+    power_high = spread - (spread - power)
+    power_low = power - power_high
+    error = (fraction_high * power_high - scaled) + fraction_high * power_low
+    beyond += (error + fraction_low * power_high) + fraction_low * power_low
+    number += np.int64(math.ceil(beyond))
+    if beyond == math.ceil(beyond) and (number + is_odd) & 1:
+        number += 1
+    return number
 
 
 @compiled
@@ -323,55 +389,31 @@ def write_fixed(value, decimals, out, at):  # type: ignore[no-untyped-def]
     """Write ``value`` with ``decimals`` (at most 17) digits behind the point; returns the end.
 
     Correctly rounded from the double, ties to the even digit; a result of zero has no sign.
-    Returns -1, with nothing written, for magnitudes of 2**63 and more and for NaN.
+    Up to seven bytes behind the end may be written over.  Returns -1, with nothing written, for
+    magnitudes of 2**63 and more and for NaN.
     """
-    if not abs(value) < FIXED_BELOW:
+    size = abs(value)
+    if not size < FIXED_BELOW:
         return -1
-    mantissa, exponent = _parts(value)
-    zero, one = np.uint64(0), np.uint64(1)
-    fraction = zero
-    if exponent >= 0:
-        whole = mantissa << np.uint64(exponent)
-    else:
-        shift = -exponent
-        # below one: the part of the mantissa that is worth less than one, in units of 2**-shift
-        whole = mantissa >> np.uint64(shift) if shift < 64 else zero
-        below_one = mantissa - (whole << np.uint64(shift)) if shift < 64 else mantissa
-        high, low = _product(below_one, _POWERS[decimals])
-        rest_high = zero
-        half_high = zero
-        if shift < 64:
-            fraction = (high << np.uint64(64 - shift)) | (low >> np.uint64(shift))
-            rest_low = low & ((one << np.uint64(shift)) - one)
-            half_low = one << np.uint64(shift - 1)
-        elif shift < 128:
-            rest_low = low
-            half_low = zero
-            if shift == 64:
-                fraction = high
-                half_low = one << np.uint64(63)
-            else:
-                fraction = high >> np.uint64(shift - 64)
-                rest_high = high & ((one << np.uint64(shift - 64)) - one)
-                half_high = one << np.uint64(shift - 65)
-        else:
-            # The product has 110 bits at most: far below one half.
-            rest_low, half_low = zero, one
-        last = fraction if decimals > 0 else whole
-        above = rest_high > half_high or (rest_high == half_high and rest_low > half_low)
-        tied = rest_high == half_high and rest_low == half_low
-        if above or (tied and last & one == one):
-            fraction += one
-        if fraction >= _POWERS[decimals]:
-            fraction -= _POWERS[decimals]
-            whole += one
-    if value < 0.0 and (whole != zero or fraction != zero):
-        out[at] = 45
+    whole = np.int64(size)
+    is_odd = whole & 1 if decimals == 0 else np.int64(0)
+    number = _scaled_fraction(size - np.float64(whole), decimals, is_odd)
+    if number >= _POWERS[decimals]:
+        whole += 1
+        number -= _POWERS[decimals]
+    out[np.uint64(at)] = 45
+    at += np.int64((value < 0.0) & (whole + number > 0))
+    # The usual sizes apart, because the compiler puts short code in place of a call.
+    if whole < 10:
+        out[np.uint64(at)] = np.uint8(48 + whole)
         at += 1
-    at = _write_digits(whole, _n_digits(whole), out, at)
+    else:
+        at = _write_digits(whole, _n_digits(whole), out, at)
     if decimals > 0:
-        out[at] = 46
-        at = _write_digits(fraction, decimals, out, at + 1)
+        out[np.uint64(at)] = 46
+        if decimals <= 8:
+            return _write_eight(number, decimals, out, at + 1)
+        at = _write_digits(number, decimals, out, at + 1)
     return at
 
 
@@ -409,16 +451,14 @@ def write_shortest(value, single, out, at):  # type: ignore[no-untyped-def]
     nothing written, where ``repr`` must decide.
     """
     if value == 0.0:
-        if np.float64(value).view(np.uint64) != np.uint64(0):
-            out[at] = 45
-            at += 1
+        out[at] = 45
+        at += np.int64(np.float64(value).view(np.uint64) != np.uint64(0))
         out[at] = 48
         return at + 1
     size = abs(value)
     # float32 numbers below 1.2e-38 have fewer digits than the rest.
     if not 1e-60 < size < 1e60 or (single and size < 1.2e-38):
         return -1
-    ten = np.uint64(10)
     # Low rather than high where the logarithm is unsure: too low shows, as one digit too many.
     lowest = math.floor(math.log10(size) - 1e-12)
     is_power_of_two = _parts(size)[0] == np.uint64(1 << 52)
@@ -430,7 +470,7 @@ def write_shortest(value, single, out, at):  # type: ignore[no-untyped-def]
     while n_digits <= most and reads == 0:
         exponent = lowest
         mantissa = _rounded_to(size, n_digits, exponent)
-        if mantissa >= _POWERS[n_digits]:
+        if np.int64(mantissa) >= _POWERS[n_digits]:
             exponent += 1
             mantissa = _rounded_to(size, n_digits, exponent)
         reads = _reads_back(mantissa, exponent - n_digits + 1, size, single)
@@ -441,34 +481,37 @@ def write_shortest(value, single, out, at):  # type: ignore[no-untyped-def]
         n_digits += 1
     if reads != 1:
         return -1
-    n_digits = _n_digits(mantissa)
-    while mantissa % ten == np.uint64(0):
-        mantissa //= ten
+    digits = np.int64(mantissa)
+    n_digits = _n_digits(digits)
+    while digits % 10 == 0:
+        digits //= 10
         n_digits -= 1
-    if value < 0.0:
-        out[at] = 45
-        at += 1
-    if -4 <= exponent < 0:
-        at = _write_digits(np.uint64(0), -exponent, out, at)
-        end = _write_digits(mantissa, n_digits, out, at + 1)
-        out[at] = out[at - 1]
-        out[at + exponent + 1] = 46
-        return end
-    if 0 <= exponent < 16:
-        if n_digits <= exponent + 1:
-            at = _write_digits(mantissa, n_digits, out, at)
-            return _write_digits(np.uint64(0), exponent + 1 - n_digits, out, at)
-        behind = n_digits - exponent - 1
-        whole = mantissa // _POWERS[behind]
-        at = _write_digits(whole, exponent + 1, out, at)
+    out[at] = 45
+    at += np.int64(value < 0.0)
+    has_exponent = not -4 <= exponent < 16
+    n_before = 1 if has_exponent else max(exponent + 1, 0)
+    n_behind = max(n_digits - n_before, 0)
+    digits *= _POWERS[n_before + n_behind - n_digits]
+    whole = digits // _POWERS[n_behind]
+    at = _write_digits(whole, max(n_before, 1), out, at)
+    if n_behind > 0:
         out[at] = 46
-        return _write_digits(mantissa - whole * _POWERS[behind], behind, out, at + 1)
-    first = mantissa // _POWERS[n_digits - 1]
-    at = _write_digits(first, 1, out, at)
-    if n_digits > 1:
-        out[at] = 46
-        rest = mantissa - first * _POWERS[n_digits - 1]
-        at = _write_digits(rest, n_digits - 1, out, at + 1)
-    out[at] = 101
-    out[at + 1] = 45 if exponent < 0 else 43
-    return _write_digits(np.uint64(abs(exponent)), 2, out, at + 2)
+        digits -= whole * _POWERS[n_behind]
+        n_zeros = 0 if has_exponent else max(-exponent - 1, 0)
+        at = _write_digits(digits, n_zeros + n_behind, out, at + 1)
+    if has_exponent:
+        out[at] = 101
+        out[at + 1] = 45 if exponent < 0 else 43
+        at = _write_digits(np.int64(abs(exponent)), 2, out, at + 2)
+    return at
+
+
+@compiled
+def write_number(value, decimals, out, at):  # type: ignore[no-untyped-def]
+    """Write ``value`` with that many decimals, SHORTEST or SHORTEST_SINGLE; returns the end.
+
+    -1, with nothing written, where Python must do it.  Seven bytes behind the end may be changed.
+    """
+    if decimals == SHORTEST or decimals == SHORTEST_SINGLE:
+        return write_shortest(value, decimals == SHORTEST_SINGLE, out, at)
+    return write_fixed(value, decimals, out, at)

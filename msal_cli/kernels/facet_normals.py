@@ -31,7 +31,7 @@ def _cross(vertices, a, b, c):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _scaled(vectors, lengths):  # type: ignore[no-untyped-def]
+def _normalise(vectors, lengths):  # type: ignore[no-untyped-def]
     """Take the roots of the first two rows of lengths, and divide the vectors by their lengths."""
     for row in range(2):
         for at in range(_BLOCK_FACETS):
@@ -43,10 +43,10 @@ def _scaled(vectors, lengths):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def replaced(start, stop, old, new, faces, normals, corners, changed):  # type: ignore[no-untyped-def]
+def replace_facets(start, stop, old, new, faces, normals, corners, changed):  # type: ignore[no-untyped-def]
     """Write the normals and corners that are others into facets.
 
-    normals (m, 3) : as stored; those that ``renewed_facet_normals`` says are replaced.
+    normals (m, 3) : as stored; those that ``renew_facet_normals`` says are replaced.
     corners (m, 9) : every coordinate that moved is replaced.  Without rows: none.
     changed (m,) bool : set for normals that are replaced.  Without rows: not told.
 
@@ -105,7 +105,7 @@ def replaced(start, stop, old, new, faces, normals, corners, changed):  # type: 
                             if old[i, k] != new[i, k]:
                                 corners[f, 3 * corner + k] = new[i, k]
             f += 1
-        _scaled(vectors, lengths)
+        _normalise(vectors, lengths)
         for at in range(count):
             length = lengths[_NEW, at]
             if not (
@@ -134,7 +134,7 @@ def replaced(start, stop, old, new, faces, normals, corners, changed):  # type: 
                 changed[g] = True
 
 
-def renewed_facet_normals(
+def renew_facet_normals(
     old: Floats, new: Floats, faces: Ints, normals: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Stored facet normals after vertices moved.
@@ -155,5 +155,5 @@ def renewed_facet_normals(
     """
     result = np.array(normals, dtype=np.float64)
     changed = np.zeros(len(result), dtype=np.bool_)
-    over_ranges(replaced, len(result), old, new, faces, result, np.empty((0, 9)), changed)
+    over_ranges(replace_facets, len(result), old, new, faces, result, np.empty((0, 9)), changed)
     return result, changed

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from msal_cli.kernels.byte_words import count_before, count_digits, load_eight, parse_digits
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.fast_numbers import eight, n_before, n_digits, read_plain, whole_number
+from msal_cli.kernels.digits import EXACT, read_number
 from msal_cli.kernels.obj_scan import (
     AT,
     COLOURED,
@@ -62,7 +63,7 @@ def _past_line(buf, at, is_comment):  # type: ignore[no-untyped-def]
     """The end of the line; -1 where a backslash is on the way, which only comments may have."""
     high = np.uint64(0x8080808080808080)
     while at < len(buf):
-        word = eight(buf, at)
+        word = load_eight(buf, at)
         # Marked are bytes below 14, of which line ends are two, and backslashes.
         slashes = word ^ np.uint64(0x5C5C5C5C5C5C5C5C)
         found = (word - np.uint64(0x0E0E0E0E0E0E0E0E)) & ~word
@@ -71,7 +72,7 @@ def _past_line(buf, at, is_comment):  # type: ignore[no-untyped-def]
         if found == 0:
             at += 8
             continue
-        at += n_before(found)
+        at += count_before(found)
         if at >= len(buf):
             break
         c = buf[at]
@@ -142,11 +143,11 @@ def walked(  # type: ignore[no-untyped-def]
                     break
                 normal = np.int64(-1)
                 for part in range(3):
-                    word = eight(buf, at)
-                    count = n_digits(word)
+                    word = load_eight(buf, at)
+                    count = count_digits(word)
                     at += count
                     if count > 0:
-                        number = whole_number(word, count) - 1
+                        number = parse_digits(word, count) - 1
                         if number < 0 or count == 8:
                             result = ODD
                         # The largest numbers of vt and vn, which come next, are kept from one.
@@ -194,8 +195,8 @@ def walked(  # type: ignore[no-untyped-def]
                 at = _past_blanks(buf, at)
                 if _is_line_end(buf, at):
                     break
-                value, end, used = read_plain(buf, at)
-                if end < 0 or (end < len(buf) and buf[np.uint64(end)] > 32):
+                value, status, end, used = read_number(buf, at, len(buf))
+                if status != EXACT or (end < len(buf) and buf[np.uint64(end)] > 32):
                     result = ODD
                 at = end
                 if count < 3:

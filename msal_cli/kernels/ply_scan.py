@@ -1,5 +1,8 @@
 """Walks over PLY data whose records differ in length, and the triangles of polygons and strips.
 
+Ascii records are read by two quick walks, ``read_scalars`` and ``read_lists``; ``walk_text`` finds
+the places of all tokens, and what is wrong where something is.
+
 The bytes come from strangers: every kernel here compares with the end of the data *before* it
 reads, since compiled code does not check bounds.  Offsets are bytes from the start of the file.
 """
@@ -8,8 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from msal_cli.kernels.byte_words import count_digits, load_eight, parse_digits
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.text import parse_integer
+from msal_cli.kernels.digits import EXACT, read_number, read_plain
+from msal_cli.kernels.text import parse_integer, skip_blanks, skip_token
 
 WHOLE = 0
 """All records are there."""
@@ -21,6 +26,10 @@ TOO_FEW = 3
 """An ascii line ends before all values of its record."""
 TOO_MANY = 4
 """An ascii line goes on after the last value of its record."""
+ODD = 5
+"""The next ascii record is not what a quick walk reads; ``walk_text`` says what is wrong."""
+FULL = 6
+"""There is no room for the items of the next record."""
 
 
 @compiled
@@ -71,23 +80,33 @@ def walk_binary(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _skipped_blanks(data, at):  # type: ignore[no-untyped-def]
-    """First byte from ``at`` on that is no blank; line ends are not blanks."""
-    while at < len(data) and (data[at] == 32 or data[at] == 9 or data[at] == 11 or data[at] == 12):
-        at += 1
+def _next_record(data, at):  # type: ignore[no-untyped-def]
+    """The first token of the next line that has one."""
+    at = skip_blanks(data, at)
+    while at < len(data) and (data[np.uint64(at)] == 10 or data[np.uint64(at)] == 13):
+        at = skip_blanks(data, at + 1)
     return at
 
 
 @compiled
-def _token_end(data, at):  # type: ignore[no-untyped-def]
-    while at < len(data) and (data[at] > 32 or data[at] < 9 or 13 < data[at] < 32):
-        at += 1
-    return at
+def _next_token(data, at, is_stream):  # type: ignore[no-untyped-def]
+    return _next_record(data, at) if is_stream else skip_blanks(data, at)
 
 
 @compiled
-def walk_text(data, at, count, is_list, columns, starts, stops, lengths):  # type: ignore[no-untyped-def]
-    """Find the fields of ``count`` ascii records, one to a line; blank lines are skipped.
+def _is_line_end(data, at):  # type: ignore[no-untyped-def]
+    return at >= len(data) or data[np.uint64(at)] == 10 or data[np.uint64(at)] == 13
+
+
+@compiled
+def _is_token_end(data, at):  # type: ignore[no-untyped-def]
+    return at >= len(data) or data[np.uint64(at)] == 32 or 9 <= data[np.uint64(at)] <= 13
+
+
+@compiled
+def walk_text(data, at, count, is_stream, is_list, columns, starts, stops, lengths):  # type: ignore[no-untyped-def]
+    """Find the fields of ``count`` ascii records, one to a line, or if ``is_stream`` on whatever
+    lines; blank lines are skipped.
 
     Parameters as in ``walk_binary``; a list's ``starts`` and ``stops`` are those of its count.
     Returns (records walked, end, status); the end is that of the last token, and after a fault
@@ -96,15 +115,12 @@ def walk_text(data, at, count, is_list, columns, starts, stops, lengths):  # typ
     end = len(data)
     n_properties = len(is_list)
     for record in range(count):
-        at = _skipped_blanks(data, at)
-        while at < end and (data[at] == 10 or data[at] == 13):
-            at = _skipped_blanks(data, at + 1)
+        at = _next_record(data, at)
         if at == end:
             return record, at, CUT
         for p in range(n_properties):
-            at = _skipped_blanks(data, at)
-            start = at
-            at = _token_end(data, at)
+            start = at = _next_token(data, at, is_stream)
+            at = skip_token(data, at)
             if at == start:
                 return record, at, TOO_FEW
             length = 1
@@ -116,16 +132,114 @@ def walk_text(data, at, count, is_list, columns, starts, stops, lengths):  # typ
                 if status != 0 or length < 0:
                     return record, start, BAD_COUNT
                 for _ in range(length):
-                    item = _skipped_blanks(data, at)
-                    at = _token_end(data, item)
+                    item = _next_token(data, at, is_stream)
+                    at = skip_token(data, item)
                     if at == item:
                         return record, at, TOO_FEW
             if columns[p] >= 0:
                 lengths[record, columns[p]] = length
-        rest = _skipped_blanks(data, at)
-        if rest < end and data[rest] != 10 and data[rest] != 13:
+        rest = skip_blanks(data, at)
+        if not is_stream and not _is_line_end(data, rest):
             return record, rest, TOO_MANY
     return count, at, WHOLE
+
+
+@compiled
+def read_scalars(data, at, count, columns, groups, values, first_at, decimals):  # type: ignore[no-untyped-def]
+    """Read ``count`` ascii records of scalars that begin at byte ``at``, one to a line.
+
+    Parameters
+    ----------
+    columns (P,) : for each property its column of ``values``, or -1 to pass over it.
+    groups (P,) : the group that a property belongs to, or -1.
+    values (count, C) : receives the numbers.
+    first_at, decimals (G, count) : receive, for each group, where its first token is and the
+        most decimals of its numbers.
+
+    Returns the end of the last record, the records with a number that is not plain, and WHOLE; or
+    ODD where a record is none, or has a number that must be read in another way.
+    """
+    n_unusual = 0
+    for record in range(count):
+        at = _next_record(data, at)
+        last_group = -1
+        is_unusual = False
+        for p in range(len(columns)):
+            begin = at = skip_blanks(data, at)
+            if columns[p] < 0:
+                at = skip_token(data, begin)
+                last_group = -1
+            else:
+                value, at, used = read_plain(data, begin)
+                if at < 0 or not _is_token_end(data, at):
+                    is_unusual = True
+                    value, status, at, used = read_number(data, begin, len(data))
+                    if status != EXACT or not np.isfinite(value):
+                        return at, n_unusual, ODD
+                    used = min(used, 255)
+                values[record, columns[p]] = value
+                group = groups[p]
+                if group >= 0:
+                    if group != last_group:
+                        first_at[group, record] = begin
+                        decimals[group, record] = used
+                    elif used > decimals[group, record]:
+                        decimals[group, record] = used
+                last_group = group
+            if at == begin:
+                return at, n_unusual, ODD
+        n_unusual += is_unusual
+        if not _is_line_end(data, skip_blanks(data, at)):
+            return at, n_unusual, ODD
+    return at, n_unusual, WHOLE
+
+
+@compiled
+def read_lists(data, at, start, count, is_list, wanted, items, n_items, lengths):  # type: ignore[no-untyped-def]
+    """Read the list that is property ``wanted`` of records from byte ``at`` on.
+
+    is_list (P,) : which properties are lists; all but the wanted one are passed over.
+    items (k,) int32 : receives the items, from ``n_items`` on; lengths (count,) int32 : how many
+        each record has.
+
+    Returns the records read, the end of the last one, the number of items, and WHOLE, ODD or FULL.
+    """
+    for record in range(start, count):
+        stop = at
+        first_item = n_items
+        at = _next_record(data, at)
+        for p in range(len(is_list)):
+            length = 0
+            if is_list[p]:
+                at = skip_blanks(data, at)
+                word = load_eight(data, at)
+                digits = count_digits(word)
+                if digits == 0 or digits == 8 or not _is_token_end(data, at + digits):
+                    return record, stop, first_item, ODD
+                length = parse_digits(word, digits)
+                at += digits
+            if is_list[p] and p == wanted:
+                if length > len(items) - n_items:
+                    return record, stop, first_item, FULL
+                for k in range(n_items, n_items + length):
+                    at = skip_blanks(data, at)
+                    word = load_eight(data, at)
+                    digits = count_digits(word)
+                    at += digits
+                    if digits == 0 or digits == 8 or not _is_token_end(data, at):
+                        return record, stop, first_item, ODD
+                    items[k] = parse_digits(word, digits)
+                n_items += length
+                lengths[record] = length
+            else:
+                for _ in range(length if is_list[p] else 1):
+                    begin = skip_blanks(data, at)
+                    at = skip_token(data, begin)
+                    if at == begin:
+                        return record, stop, first_item, ODD
+        if not _is_line_end(data, skip_blanks(data, at)):
+            return record, stop, first_item, ODD
+    return count, at, n_items, WHOLE
 
 
 @compiled
@@ -136,29 +250,20 @@ def list_tokens(data, stops, lengths, item_starts, item_stops):  # type: ignore[
     for record in range(len(stops)):
         at = stops[record]
         for _ in range(lengths[record]):
-            start = _skipped_blanks(data, at)
-            at = _token_end(data, start)
+            start = _next_record(data, at)
+            at = skip_token(data, start)
             item_starts[k] = start
             item_stops[k] = at
             k += 1
 
 
 @compiled
-def list_integers(data, stops, lengths, items):  # type: ignore[no-untyped-def]
-    """The whole numbers of lists that ``walk_text`` found, into ``items`` (sum of lengths,).
-
-    Returns the place of the first token that is not a whole number, or -1.
-    """
-    k = 0
-    for record in range(len(stops)):
-        at = stops[record]
-        for _ in range(lengths[record]):
-            start = _skipped_blanks(data, at)
-            at = _token_end(data, start)
-            items[k], status = parse_integer(data, start, at)
-            if status != 0:
-                return start
-            k += 1
+def read_integers(data, starts, stops, values):  # type: ignore[no-untyped-def]
+    """The whole numbers (k,) that are these tokens; returns the first that is none, or -1."""
+    for k in range(len(starts)):
+        values[k], status = parse_integer(data, starts[k], stops[k])
+        if status != EXACT:
+            return k
     return -1
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from msal_cli.kernels.compiled import compiled
 
 RIGHT, CORNER, NORMAL, ATTRIBUTE = range(4)
-"""What ``checked`` found wrong with a facet."""
+"""What ``check_facets`` found wrong with a facet."""
 
 _CORNERS, _ATTRIBUTE = 6, 24
 _LENGTH_ERROR = 1e-5
@@ -15,10 +15,10 @@ _LENGTH_ERROR = 1e-5
 
 
 @compiled
-def checked(  # type: ignore[no-untyped-def]
+def check_facets(  # type: ignore[no-untyped-def]
     start, stop, old, new, faces, words_before, words, corners_before, normals, corners
 ):
-    """The first facet that is not as ``facet_normals.replaced`` must leave it, and its fault.
+    """The first facet that is not as ``facet_normals.replace_facets`` must leave it, and its fault.
 
     old, new (n, 3) float64 : vertices; ``faces`` (m, 3) are the facets' corners among them.
     normals (m, 3), corners (m, 9) float32 : views into the file, after and before.

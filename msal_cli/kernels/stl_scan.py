@@ -15,7 +15,7 @@ import numpy as np
 
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.digits import EXACT, UNDECIDED, read_number, write_fixed
-from msal_cli.kernels.text import is_same
+from msal_cli.kernels.text import is_same, skip_token
 
 WHOLE = 0
 """All of the text is read."""
@@ -50,21 +50,14 @@ def _is_space(c):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _past_spaces(buf, at):  # type: ignore[no-untyped-def]
+def _skip_spaces(buf, at):  # type: ignore[no-untyped-def]
     while at < len(buf) and _is_space(buf[at]):
         at += 1
     return at
 
 
 @compiled
-def _token_stop(buf, at):  # type: ignore[no-untyped-def]
-    while at < len(buf) and not _is_space(buf[at]):
-        at += 1
-    return at
-
-
-@compiled
-def _past_word(buf, at, word):  # type: ignore[no-untyped-def]
+def _skip_word(buf, at, word):  # type: ignore[no-untyped-def]
     """The end of ``word``, in any case, if it stands whole at ``at``; else -1."""
     stop = at + _LENGTHS[word]
     if stop > len(buf):
@@ -78,12 +71,12 @@ def _past_word(buf, at, word):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _past_two_words(buf, at, word):  # type: ignore[no-untyped-def]
+def _skip_two_words(buf, at, word):  # type: ignore[no-untyped-def]
     """The end of ``word`` where it stands in two, as in ``end facet``; else -1."""
-    middle = _token_stop(buf, at)
-    tail = _past_spaces(buf, middle)
+    middle = skip_token(buf, at)
+    tail = _skip_spaces(buf, middle)
     stop = tail + _LENGTHS[word] - 3
-    if middle - at != 3 or stop > len(buf) or _token_stop(buf, tail) != stop:
+    if middle - at != 3 or stop > len(buf) or skip_token(buf, tail) != stop:
         return -1
     for k in range(_LENGTHS[word]):
         c = buf[at + k] if k < 3 else buf[tail + k - 3]
@@ -96,7 +89,7 @@ def _past_two_words(buf, at, word):  # type: ignore[no-untyped-def]
 def _is_bare(buf, at, word):  # type: ignore[no-untyped-def]
     """Whether the outer loop begins at ``at``, where ``word`` or its numbers should be: a facet
     without a normal."""
-    return word == NORMAL and _past_word(buf, at, OUTER) >= 0
+    return word == NORMAL and _skip_word(buf, at, OUTER) >= 0
 
 
 @compiled
@@ -109,7 +102,7 @@ def _number(buf, at):  # type: ignore[no-untyped-def]
     value, status, stop, decimals = read_number(buf, at, len(buf))
     if status == EXACT and (stop == len(buf) or _is_space(buf[stop])):
         return value, stop, decimals
-    end = _token_stop(buf, at)
+    end = skip_token(buf, at)
     if status == UNDECIDED and stop == end:
         return np.inf, end, decimals
     first = at
@@ -141,14 +134,14 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
     at, n, n_solids = state[AT], state[FACETS], state[SOLIDS]
     inside = state[INSIDE] != 0
     while True:
-        at = _past_spaces(buf, at)
+        at = _skip_spaces(buf, at)
         state[AT], state[FACETS], state[SOLIDS], state[INSIDE] = at, n, n_solids, inside
         if at >= len(buf):
             return (CUT if inside else WHOLE), at, FACET
         word = ENDSOLID if inside else SOLID
-        stop = _past_word(buf, at, word)
+        stop = _skip_word(buf, at, word)
         if stop < 0 and inside and (buf[at] | 32) == 101:
-            stop = _past_two_words(buf, at, ENDSOLID)
+            stop = _skip_two_words(buf, at, ENDSOLID)
         if stop >= 0:
             if not inside:
                 if n_solids < len(solid_at):
@@ -161,18 +154,18 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
             continue
         if not inside:
             return OUTSIDE, at, SOLID
-        if n == len(facet_at) and _past_word(buf, at, FACET) >= 0:
+        if n == len(facet_at) and _skip_word(buf, at, FACET) >= 0:
             return FULL, at, FACET
         facet = at
         token = 0
         for word in (FACET, NORMAL, OUTER, LOOP, VERTEX, VERTEX, VERTEX, ENDLOOP, ENDFACET):
-            at = _past_spaces(buf, at)
+            at = _skip_spaces(buf, at)
             if at >= len(buf):
                 return CUT, at, word
-            stop = _past_word(buf, at, word)
+            stop = _skip_word(buf, at, word)
             if stop < 0:
                 if word >= ENDLOOP:
-                    stop = _past_two_words(buf, at, word)
+                    stop = _skip_two_words(buf, at, word)
                 elif _is_bare(buf, at, word):
                     stop = at
                 if stop < 0:
@@ -181,7 +174,7 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
             if word != NORMAL and word != VERTEX:
                 continue
             for _ in range(3):
-                at = _past_spaces(buf, at)
+                at = _skip_spaces(buf, at)
                 if at >= len(buf):
                     return CUT, at, word
                 value, stop, used = _number(buf, at)
@@ -195,7 +188,7 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
                         break
                     if word != NORMAL or _is_bare(buf, at, word):
                         return BAD_NUMBER, at, word
-                    value, stop, used = np.nan, _token_stop(buf, at), 0
+                    value, stop, used = np.nan, skip_token(buf, at), 0
                 if stop - facet > 0x7FFFFFFF:
                     return TOO_LONG, facet, word
                 offsets[n, token] = at - facet
@@ -216,7 +209,7 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
 
 
 @compiled
-def patched(buf, facet_at, offsets, replace, numbers, decimals, out):  # type: ignore[no-untyped-def]
+def write_tokens(buf, facet_at, offsets, replace, numbers, decimals, out):  # type: ignore[no-untyped-def]
     """Copy ``buf`` to ``out`` with the tokens that ``replace`` (n, 12) marks printed anew.
 
     decimals (2,) int64 : of normals and of corners.  The numbers must fit fixed-point text and
@@ -233,14 +226,14 @@ def patched(buf, facet_at, offsets, replace, numbers, decimals, out):  # type: i
                 out[to + k - copied] = buf[k]
             to += start - copied
             to = write_fixed(numbers[f, token], decimals[0 if token < 3 else 1], out, to)
-            copied = _token_stop(buf, start)
+            copied = skip_token(buf, start)
     for k in range(copied, len(buf)):
         out[to + k - copied] = buf[k]
     return to + len(buf) - copied
 
 
 @compiled
-def same_but_for(  # type: ignore[no-untyped-def]
+def is_same_outside(  # type: ignore[no-untyped-def]
     buf, facet_at, offsets, other, other_facet_at, other_offsets, replace
 ):
     """Whether two texts of n facets each are equal outside the tokens that ``replace`` marks."""
@@ -256,28 +249,6 @@ def same_but_for(  # type: ignore[no-untyped-def]
                 continue
             if a_stop - a != b_stop - b or not is_same(buf, a, other, b, a_stop - a):
                 return False
-            a = _token_stop(buf, a_stop)
-            b = _token_stop(other, b_stop)
+            a = skip_token(buf, a_stop)
+            b = skip_token(other, b_stop)
     return True
-
-
-@compiled
-def facets_as_text(pieces, piece_stops, text, text_stops, out):  # type: ignore[no-untyped-def]
-    """Write facets to ``out``: the 13 fixed ``pieces`` around the 12 texts of each; its length."""
-    to = 0
-    read = 0
-    for token in range(len(text_stops)):
-        place = token % 12
-        first = 0 if place == 0 else piece_stops[place - 1]
-        for k in range(first, piece_stops[place]):
-            out[to] = pieces[k]
-            to += 1
-        while read < text_stops[token]:
-            out[to] = text[read]
-            to += 1
-            read += 1
-        if place == 11:
-            for k in range(piece_stops[11], piece_stops[12]):
-                out[to] = pieces[k]
-                to += 1
-    return to

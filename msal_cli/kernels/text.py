@@ -14,12 +14,14 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.digits import (
     EXACT,
     FIXED_BELOW,
+    MOST_DECIMALS,
     NOT_A_NUMBER,
+    SHORTEST,
+    SHORTEST_SINGLE,
     UNDECIDED,
     WIDEST_SHORTEST,
     read_number,
-    write_fixed,
-    write_shortest,
+    write_number,
 )
 
 
@@ -119,13 +121,13 @@ def decimals_used(buf: Bytes, starts: Longs, stops: Longs) -> Bytes:
     return decimals
 
 
-# Printing
+# Writing
 
 
 @compiled
 def _printed(values, first, decimals, out, at, stops):  # type: ignore[no-untyped-def]
     for i in range(first, len(values)):
-        end = write_fixed(values[i], decimals, out, at)
+        end = write_number(values[i], decimals, out, at)
         if end < 0:
             return i, at
         stops[i] = at = end
@@ -134,44 +136,36 @@ def _printed(values, first, decimals, out, at, stops):  # type: ignore[no-untype
 
 def fixed_width(largest: float, decimals: int) -> int:
     """Most bytes that any number up to ``largest`` takes in ``printed``, its fallback included."""
-    whole = len(str(int(largest))) if largest < FIXED_BELOW else 19
-    return max(whole + decimals + 3, WIDEST_SHORTEST)
+    if decimals > MOST_DECIMALS:
+        return WIDEST_SHORTEST
+    if largest < FIXED_BELOW:
+        return len(str(int(largest))) + decimals + 3
+    return max(decimals + 22, WIDEST_SHORTEST)
 
 
 def printed(values: Floats, decimals: int) -> tuple[Bytes, Longs]:
-    """Fixed-point text of k numbers with ``decimals`` (0 to 17) digits behind the point.
+    """Text of k numbers: fixed-point with ``decimals`` (0 to 17) digits behind the point, or the
+    shortest that is read back as the same number (SHORTEST) or the same float32 (SHORTEST_SINGLE).
 
     Returns the texts one behind the other, (size,) uint8, and where each ends, (k,) int64.
     Correctly rounded from the double, so the same on every machine; ``-0.000`` is printed
-    ``0.000``.  A number of magnitude 2**63 or more, or one that is not finite, is printed as
-    Python's ``repr`` does.
+    ``0.000``.  A fixed-point number of magnitude 2**63 or more, or one that is not finite, is
+    printed as Python's ``repr`` does.
     """
+    if decimals == SHORTEST_SINGLE:
+        with np.errstate(over="ignore"):
+            values = np.asarray(values).astype(np.float32)
     values = np.ascontiguousarray(values, dtype=np.float64)
     stops = np.empty(len(values), dtype=np.int64)
-    largest = float(np.abs(values).max(initial=0.0))
+    largest = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
     out = np.empty(len(values) * fixed_width(largest, decimals), dtype=np.uint8)
     done, at = _printed(values, 0, decimals, out, 0, stops)
     while done < len(values):
-        at = stops[done] = _put(out, at, repr(float(values[done])))
+        text = shortest(values[done], decimals == SHORTEST_SINGLE).encode()
+        out[at : at + len(text)] = np.frombuffer(text, dtype=np.uint8)
+        at = stops[done] = at + len(text)
         done, at = _printed(values, done + 1, decimals, out, at, stops)
     return out[:at], stops
-
-
-def _put(out: Bytes, at: int, text: str) -> int:
-    """Write ``text`` to ``out`` at ``at``; returns the end."""
-    end = at + len(text)
-    out[at:end] = np.frombuffer(text.encode(), dtype=np.uint8)
-    return end
-
-
-@compiled
-def _printed_shortest(values, first, single, out, at, stops):  # type: ignore[no-untyped-def]
-    for i in range(first, len(values)):
-        end = write_shortest(values[i], single, out, at)
-        if end < 0:
-            return i, at
-        stops[i] = at = end
-    return len(values), at
 
 
 def shortest(value: float, single: bool) -> str:
@@ -180,22 +174,33 @@ def shortest(value: float, single: bool) -> str:
 
 
 def printed_shortest(values: Floats, single: bool) -> tuple[Bytes, Longs]:
-    """Shortest text of k numbers that is read back as the same float64, or float32 if ``single``.
+    """``printed`` with SHORTEST_SINGLE or SHORTEST."""
+    return printed(values, SHORTEST_SINGLE if single else SHORTEST)
 
-    Returns the texts one behind the other, (size,) uint8, and where each ends, (k,) int64.
-    For ``single`` the values are rounded to float32 first.
-    """
-    if single:
-        with np.errstate(over="ignore"):
-            values = np.asarray(values).astype(np.float32)
-    values = np.ascontiguousarray(values, dtype=np.float64)
-    stops = np.empty(len(values), dtype=np.int64)
-    out = np.empty(len(values) * WIDEST_SHORTEST, dtype=np.uint8)
-    done, at = _printed_shortest(values, 0, single, out, 0, stops)
-    while done < len(values):
-        at = stops[done] = _put(out, at, shortest(values[done], single))
-        done, at = _printed_shortest(values, done + 1, single, out, at, stops)
-    return out[:at], stops
+
+# Tokens
+
+
+@compiled
+def skip_blanks(buf, at):  # type: ignore[no-untyped-def]
+    """The first byte from ``at`` on that is no blank, tab, vertical tab or form feed."""
+    while at < len(buf):
+        c = buf[np.uint64(at)]
+        if c != 32 and c != 9 and c != 11 and c != 12:
+            break
+        at += 1
+    return at
+
+
+@compiled
+def skip_token(buf, at):  # type: ignore[no-untyped-def]
+    """The end of the token at ``at``: the next blank or line end, or ``at`` itself."""
+    while at < len(buf):
+        c = buf[np.uint64(at)]
+        if c == 32 or 9 <= c <= 13:
+            break
+        at += 1
+    return at
 
 
 # Tokens replaced inside a text

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.text import as_bytes
+from msal_cli.kernels.text import as_bytes, spliced
+
+_BLOCK = 1 << 14
+"""Rows that are made at a time."""
 
 
 @compiled
@@ -53,3 +58,23 @@ def lines(
     out = np.empty(size + len(row_stops) * len(prefix), dtype=np.uint8)
     fixed = np.frombuffer(prefix, dtype=np.uint8)
     return out[: _lines(as_bytes(text), stops, row_stops, as_bytes(fixed), doubled, out)]
+
+
+def fill_rows(
+    pieces: Sequence[bytes], text: Bytes, stops: NDArray[np.int64]
+) -> Iterator[memoryview]:
+    """Rows of tokens between ``pieces``, of which there is one more than tokens in a row.
+
+    ``text`` (size,) and ``stops`` (k,) are the tokens of all rows one behind the other, as
+    ``text.printed`` gives them.
+    """
+    row = b"".join(pieces)
+    places = np.cumsum([len(piece) for piece in pieces[:-1]])
+    begin = 0
+    for first in range(0, len(stops), _BLOCK * len(places)):
+        ends = stops[first : first + _BLOCK * len(places)]
+        count = len(ends) // len(places)
+        at = (len(row) * np.arange(count)[:, None] + places).reshape(-1)
+        tokens = text[begin : ends[-1]]
+        yield spliced(as_bytes(row * count), at, at, tokens, ends - begin).data
+        begin = int(ends[-1])

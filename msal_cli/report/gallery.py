@@ -16,8 +16,9 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.analysis import colour_maps as colours
+from msal_cli.codecs import header_check
 from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface
 from msal_cli.job.records import WITH_OUTPUT, MeshRecord
@@ -26,6 +27,7 @@ from msal_cli.mesh import Mesh
 from msal_cli.report.document import known_values
 from msal_cli.report.phrases import counted
 from msal_cli.report.ranking import worst_first
+from msal_cli.storage import gzip_streams
 from msal_cli.view import pictures, viewer
 from msal_cli.view.camera import Camera
 from msal_cli.view.illustrations import Gallery, Pictures, Scale
@@ -155,11 +157,11 @@ def _surface(path: str, sha256: str | None, format: str | None, bounds: Bounds) 
 
     if not os.path.isfile(path) or os.path.getsize(path) > bounds.file_bytes:
         return None
-    data = files.read_input(path, format)
+    data = header_check.read_input(path, format)
     if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
         return None
-    plain, _ = files.expanded(data, path)
-    mesh_file = files.open_mesh(plain, path, format)
+    plain, _ = gzip_streams.expanded(data, path)
+    mesh_file = codecs.open_mesh(plain, path, format)
     return comparison.surface_of(mesh_file) if len(mesh_file.faces) <= bounds.faces else None
 
 

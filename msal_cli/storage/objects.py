@@ -13,7 +13,7 @@ import contextlib
 import inspect
 import os
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
 
@@ -21,20 +21,6 @@ from msal_cli.errors import InputError, MsalError, OutputError, UsageError, inst
 from msal_cli.storage import urls
 from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.limits import largest_bytes, too_large
-from msal_cli.storage.urls import is_url
-
-__all__ = [
-    "Mark",
-    "beginning",
-    "is_in_process",
-    "is_url",
-    "listed",
-    "mark",
-    "read_many",
-    "read_whole",
-    "removed",
-    "write_whole",
-]
 
 _EXTRA = "cloud"
 
@@ -90,24 +76,29 @@ def read_whole(url: str, size: int | None = None) -> bytes:
     Raises InputError (``E_READ``) if there is none, or the store does not give it; TooLargeError
     if it has more than half of the machine's memory; UsageError if a package is missing.
     """
-    try:
-        system, path = _opened(url)
+    with _input_errors(url, "the object cannot be read"):
+        system, path = _open(url)
         if urls.split(url)[0] in urls.WEB:
             return _read_from_web(system, path)
         if size is None or size < 0:
-            there = _mark(system, path)
-            size = there.size if there is not None else 0
+            known = _mark(system, path)
+            size = known.size if known is not None else 0
         if size > largest_bytes():
             raise too_large(size)
         data: bytes = system.cat_file(path, **_in_one_request(system))
+    return data
+
+
+@contextlib.contextmanager
+def _input_errors(url: str, message: str) -> Iterator[None]:
+    """Make InputError (``E_READ``) of whatever a file system raises."""
+    try:
+        yield
     except (MsalError, MemoryError):
         raise
     except Exception as failure:
-        reason, hint = _told(failure)
-        raise InputError(
-            f"the object cannot be read: {reason}", path=url, code="E_READ", hint=hint
-        ) from None
-    return data
+        reason, hint = _explain(failure)
+        raise InputError(f"{message}: {reason}", path=url, code="E_READ", hint=hint) from None
 
 
 def _read_from_web(system: Any, path: str) -> bytes:
@@ -135,25 +126,17 @@ def beginning(url: str, length: int) -> tuple[bytes, int]:
     there = mark(url)
     if there is None:
         raise InputError("there is no such object", path=url, code="E_READ")
-    data: bytes
-    try:
-        system, path = _opened(url)
+    data = b""
+    with _input_errors(url, "the object cannot be read"):
+        system, path = _open(url)
         if urls.split(url)[0] in urls.WEB:
             # A server may send all of it, whatever range is asked for, and in small pieces.
-            data = b""
             with system.open(path, "rb", block_size=0) as stream:
                 while len(data) < length and (piece := stream.read(length - len(data))):
                     data += piece
-        else:
+        elif there.size:
             # A range of nothing is an error to some stores.
-            data = system.cat_file(path, start=0, end=length) if there.size else b""
-    except (MsalError, MemoryError):
-        raise
-    except Exception as failure:
-        reason, hint = _told(failure)
-        raise InputError(
-            f"the object cannot be read: {reason}", path=url, code="E_READ", hint=hint
-        ) from None
+            data = system.cat_file(path, start=0, end=length)
     return data, max(there.size, len(data))
 
 
@@ -185,7 +168,7 @@ def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> Mark:
         buffers = (buffers,)
     data = b"".join(buffers)
     try:
-        system, path = _opened(url)
+        system, path = _open(url)
         if urls.split(url)[0] in _OBJECT_STORES:
             system.pipe_file(path, data)
         else:
@@ -197,7 +180,7 @@ def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> Mark:
         if isinstance(failure, FileNotFoundError):
             reason, hint = "there is no such bucket or folder", "check the output's name"
         else:
-            reason, hint = _told(failure)
+            reason, hint = _explain(failure)
         raise OutputError(f"the object cannot be written: {reason}", path=url, hint=hint) from None
     if there is None or there.size != len(data):
         size = "none" if there is None else str(there.size)
@@ -231,15 +214,8 @@ def mark(url: str) -> Mark | None:
 
     Raises InputError (``E_READ``) if the store does not answer; UsageError if a package is missing.
     """
-    try:
-        return _mark(*_opened(url))
-    except (MsalError, MemoryError):
-        raise
-    except Exception as failure:
-        reason, hint = _told(failure)
-        raise InputError(
-            f"the object cannot be looked at: {reason}", path=url, code="E_READ", hint=hint
-        ) from None
+    with _input_errors(url, "the object cannot be looked at"):
+        return _mark(*_open(url))
 
 
 def listed(url: str, depth: int | None = None) -> dict[str, Mark]:
@@ -258,20 +234,13 @@ def listed(url: str, depth: int | None = None) -> dict[str, Mark]:
     UsageError
         if a package is missing.
     """
-    try:
-        system, path = _opened(url)
+    with _input_errors(url, "the folder cannot be listed"):
+        system, path = _open(url)
         system.invalidate_cache()
         limit = {} if depth is None else {"maxdepth": depth}
-        found: dict[str, dict[str, Any]] = system.find(path, detail=True, **limit)
-    except (MsalError, MemoryError):
-        raise
-    except FileNotFoundError:
-        return {}
-    except Exception as failure:
-        reason, hint = _told(failure)
-        raise InputError(
-            f"the folder cannot be listed: {reason}", path=url, code="E_READ", hint=hint
-        ) from None
+        found: dict[str, dict[str, Any]] = {}
+        with contextlib.suppress(FileNotFoundError):
+            found = system.find(path, detail=True, **limit)
     start = path.rstrip("/") + "/"
     return {
         full[len(start) :]: _mark_of(info)
@@ -285,7 +254,7 @@ def removed(some: Sequence[str]) -> None:
     if not some:
         return
     with contextlib.suppress(Exception):
-        opened = [_opened(url) for url in some]
+        opened = [_open(url) for url in some]
         system = opened[0][0]
         paths = [path for _, path in opened]
         if hasattr(system, "bulk_delete"):
@@ -296,7 +265,7 @@ def removed(some: Sequence[str]) -> None:
             system.rm_file(path)
 
 
-def _opened(url: str) -> tuple[Any, str]:
+def _open(url: str) -> tuple[Any, str]:
     """The file system of a URL and the path in it."""
     protocol = urls.split(url)[0]
     kind = _kind(protocol)
@@ -420,7 +389,7 @@ _WITHOUT_CREDENTIALS = {
 }
 
 
-def _told(failure: BaseException) -> tuple[str, str]:
+def _explain(failure: BaseException) -> tuple[str, str]:
     """The reason of a failure in words, and a hint, for any file system."""
     kinds = {
         kind.__name__

@@ -16,7 +16,8 @@ from msal_cli.analysis import correspondence as metrics
 from msal_cli.analysis.enclosure import enclosure
 from msal_cli.analysis.surface import normal_statistics, surface_change
 from msal_cli.errors import ContentError, UsageError
-from msal_cli.job.comparison import Surface, prepare_surface, volume_changed
+from msal_cli.job.changes import volume_changed
+from msal_cli.job.comparison import Surface, prepare_surface
 from msal_cli.mesh import Mesh, Prepared
 from msal_cli.methods import Method
 from msal_cli.view import pictures

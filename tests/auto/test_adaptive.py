@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.analysis.added_noise import noisy
 from msal_cli.analysis.noise_estimate import estimated
 from msal_cli.analysis.surface import normal_statistics
@@ -142,7 +141,7 @@ def test_an_unrelated_part_changes_nothing_elsewhere():
 def test_texture_as_fine_as_the_mesh_gets_less_smoothing():
     """Where the Wiener fidelity would take texture for noise, Stein's risk shows it."""
     path = SAMPLES / "dragon_egg_noisy.ply"
-    mesh_file = files.open_mesh(path.read_bytes(), path.name)
+    mesh_file = codecs.open_mesh(path.read_bytes(), path.name)
     mesh = prepared(mesh_file.vertices, mesh_file.faces).mesh
     choice = adaptive.chosen(mesh)
     assert choice.tried == 3 and len(choice.runners_up) == 2

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from msal_cli import auto as selection
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.analysis import added_noise as noise
 from msal_cli.analysis.noise_estimate import estimated
 from msal_cli.analysis.surface import normal_statistics
@@ -20,6 +19,7 @@ from msal_cli.auto.search import RUN, START
 from msal_cli.kernels import parallel
 from msal_cli.mesh import Mesh, prepared
 from msal_cli.methods.blend import read
+from msal_cli.storage import gzip_streams
 from tests.shapes import grid, noisy, torus
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
@@ -386,8 +386,8 @@ def test_an_interruption_passes_through(mesh):
 
 
 def sample(name):
-    data, _ = files.expanded((SAMPLES / name).read_bytes(), name)
-    mesh_file = files.open_mesh(data, name)
+    data, _ = gzip_streams.expanded((SAMPLES / name).read_bytes(), name)
+    mesh_file = codecs.open_mesh(data, name)
     return prepared(mesh_file.vertices, mesh_file.faces).mesh
 
 

@@ -255,7 +255,7 @@ def test_an_upload_that_is_killed_halfway_leaves_no_object(server):
 
 
 def test_large_objects_go_up_in_parts_and_come_whole_or_not_at_all(server, monkeypatch):
-    system, _ = remote._opened("s3://out/big")
+    system, _ = remote._open("s3://out/big")
     real = system.pipe_file
     monkeypatch.setattr(system, "pipe_file", lambda *given: real(*given, chunksize=5 << 20))
     data = os.urandom(11 << 20)

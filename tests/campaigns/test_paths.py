@@ -255,16 +255,16 @@ def test_a_backup_whose_name_is_too_long(tmp_path):
 
 
 def test_what_changes_while_a_run_goes_on(tmp_path, monkeypatch):
-    from msal_cli import codecs as files
+    from msal_cli.codecs import header_check
 
     scans = folder_of(tmp_path / "in", a=SCAN)
-    read = files.read_input
+    read = header_check.read_input
 
     def vanishing(path, *given):
         Path(path).unlink()
         return read(path, *given)
 
-    monkeypatch.setattr(files, "read_input", vanishing)
+    monkeypatch.setattr(header_check, "read_input", vanishing)
     status, told, said = statuses(scans, "-o", tmp_path / "out")
     assert (status, told) == (1, {"a.ply": "failed"})
     assert "(E_READ)" in said

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -73,3 +74,15 @@ def process(*arguments, **options):
 def lines_of(path):
     """A text file's lines."""
     return Path(path).read_text().splitlines()
+
+
+def record_of(made, code=0):
+    """The only record that a command printed as JSON; it must have ended with status ``code``."""
+    assert made.exit_code == code, made.stderr
+    (record,) = json.loads(made.stdout)["records"]
+    return record
+
+
+def records_of(made):
+    """The records that a command printed as JSON, by the names of their inputs."""
+    return {one["input"].rpartition("/")[2]: one for one in json.loads(made.stdout)["records"]}

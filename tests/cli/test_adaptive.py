@@ -13,7 +13,7 @@ from msal_cli.analysis.added_noise import noisy
 from msal_cli.analysis.noise_estimate import estimated
 from msal_cli.auto import adaptive
 from msal_cli.mesh import prepared
-from tests.cli.scans import closed_scan, folder_of, msal, msal_on, ply_text
+from tests.cli.scans import closed_scan, folder_of, msal, msal_on, ply_text, records_of
 from tests.shapes import torus
 
 
@@ -32,7 +32,7 @@ def scans(tmp_path_factory):
 def run(*words):
     made = msal("denoise", *words, "--json")
     assert made.exit_code == 0, made.stderr
-    return {one["input"].split("/")[-1]: one for one in json.loads(made.stdout)["records"]}, made
+    return records_of(made), made
 
 
 def test_the_record_has_the_choice(scans, tmp_path):
@@ -83,23 +83,6 @@ def test_any_parameter_is_the_filter_of_the_paper(scans, tmp_path, words):
     assert all(record["choice"] is None for record in records.values())
     for name in ("loud.ply", "clean.ply"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--method", "adaptive", "-n", "3"), "--method adaptive and -n contradict"),
-        (("--method", "adaptive", "--auto"), "--auto and --method adaptive contradict"),
-        (
-            ("--method", "adaptive", "--keep", "edges"),
-            "--keep, which implies --auto, and --method adaptive contradict",
-        ),
-    ],
-)
-def test_contradictions_are_refused(scans, tmp_path, words, said):
-    made = msal("denoise", scans, "-o", tmp_path / "out", *words)
-    assert (made.exit_code, (tmp_path / "out").exists()) == (2, False)
-    assert said in made.stderr
 
 
 def test_a_stream(scans):

@@ -33,6 +33,7 @@ from tests.cli.scans import (
     open_scan,
     ply_text,
     process,
+    record_of,
 )
 from tests.report.schemas import report_schema
 from tests.shapes import torus
@@ -78,7 +79,7 @@ def scan(tmp_path):
     return folder_of(tmp_path / "in", scan=closed_scan()) / "scan.ply"
 
 
-def record_of(*words):
+def denoised_record(*words):
     made = msal("denoise", *words, "--json", "-q")
     assert made.exit_code == 0, made.stderr
     document = json.loads(made.stdout)
@@ -106,39 +107,10 @@ def record_of(*words):
 )
 def test_every_way_to_ask_reaches_the_chooser(scan, tmp_path, choose, words, wishes):
     chooser = choose(fixed())
-    record = record_of(scan, "-o", tmp_path / "o.ply", *words)
+    record = denoised_record(scan, "-o", tmp_path / "o.ply", *words)
     assert chooser.wishes == [selection.Wishes(**wishes)]
     assert repr(record["choice"]["wishes"]["strength"]) != "-0.0"
     assert selection.Wishes(**record["choice"]["wishes"]) == chooser.wishes[0]
-
-
-@pytest.mark.parametrize(
-    "hand",
-    [
-        ("--method", "al"),
-        ("--method", "msal"),
-        ("-n", "3"),
-        ("-K", "0.5"),
-        ("--mollify", "0"),
-        ("--schedule", "plain"),
-        ("--set", "iterations=4"),
-    ],
-)
-@pytest.mark.parametrize("asking", [("--auto",), ("--keep", "shape"), ("--strength", "0")])
-def test_what_is_given_by_hand_contradicts_it(scan, tmp_path, hand, asking):
-    made = msal("denoise", scan, "-o", tmp_path / "o.ply", *asking, *hand)
-    assert made.exit_code == 2
-    assert asking[0] in made.stderr and hand[0] in made.stderr
-    assert "contradict each other" in made.stderr
-    assert "hint: let --auto choose" in made.stderr
-    assert ("implies --auto" in made.stderr) == (asking[0] != "--auto")
-    assert not (tmp_path / "o.ply").exists()
-
-
-def test_the_method_auto_takes_no_parameters(scan, tmp_path):
-    made = msal("denoise", scan, "-o", tmp_path / "o.ply", "--method", "auto", "-n", "3")
-    assert made.exit_code == 2
-    assert "--method auto and -n contradict each other" in made.stderr
 
 
 @pytest.mark.parametrize(
@@ -147,8 +119,8 @@ def test_the_method_auto_takes_no_parameters(scan, tmp_path):
         (("--strength", "2.5"), "'2.5' is not a number from -2 to 2"),
         (("--strength", "nan"), "'nan' is not a number from -2 to 2"),
         (("--strength", "much"), "'much' is not a number from -2 to 2"),
-        (("--auto-budget", "0.5"), "'0.5' is not a number from 1 up"),
-        (("--auto-budget", "inf"), "'inf' is not a number from 1 up"),
+        (("--auto-budget", "0.5"), "'0.5' is not a number from 1"),
+        (("--auto-budget", "inf"), "'inf' is not a number from 1"),
         (("--keep", "noise"), "'texture', 'edges', 'shape'"),
         (("--prefer", "speed"), "'positions', 'normals', 'volume'"),
     ],
@@ -179,7 +151,7 @@ def test_the_words_on_the_command_line_are_those_of_the_pipeline():
 
 def test_the_record_tells_what_was_run_and_why(scan, tmp_path, choose):
     choose(fixed("msal", {"K": 0.7, "iterations": 3}))
-    record = record_of(scan, "-o", tmp_path / "o.ply", "--keep", "shape")
+    record = denoised_record(scan, "-o", tmp_path / "o.ply", "--keep", "shape")
     settled = methods.find("msal").settled({"K": 0.7, "iterations": 3})
     assert record["method"] == {"name": "msal", "parameters": settled}
     assert record["choice"] == {
@@ -328,7 +300,7 @@ def test_gates_know_the_risk(scan, tmp_path, choose):
 
 
 def test_it_can_be_measured_against_a_reference(scan, tmp_path):
-    record = record_of(scan, "-o", tmp_path / "o.ply", "--auto", "--reference", scan)
+    record = denoised_record(scan, "-o", tmp_path / "o.ply", "--auto", "--reference", scan)
     # The reference is compared with what is in the file, to single precision.
     assert record["reference"]["vertex_error_percent"] == pytest.approx(
         100 * record["displacement"]["mean_edges"], rel=1e-4
@@ -343,7 +315,7 @@ def test_none_gives_the_very_bytes_back(scan, tmp_path, choose):
     output = tmp_path / "o.ply"
     made = msal("denoise", scan, "-o", output, "--auto", "--max-move", "0.1e", "--json")
     assert output.read_bytes() == scan.read_bytes()
-    (record,) = json.loads(made.stdout)["records"]
+    record = record_of(made)
     assert record["status"] == "unchanged"
     assert record["method"] == {"name": "none", "parameters": {}}
     assert record["choice"]["reason"] == REASON
@@ -356,7 +328,7 @@ def test_none_gives_the_very_bytes_back(scan, tmp_path, choose):
 def test_none_in_another_format_is_a_conversion(scan, tmp_path, choose):
     choose(fixed("none"))
     one, other = tmp_path / "1.obj", tmp_path / "2.obj"
-    assert record_of(scan, "-o", one, "--auto")["status"] == "written"
+    assert denoised_record(scan, "-o", one, "--auto")["status"] == "written"
     assert msal("denoise", scan, "-o", other, "-n", "0").exit_code == 0
     assert one.read_bytes() == other.read_bytes()
 
@@ -374,8 +346,8 @@ def test_the_options_told_repeat_the_result(scan, tmp_path, choose, name, given)
     choose(fixed(name, given))
     one, other = tmp_path / "1.ply", tmp_path / "2.ply"
     limit = ("--max-move", "0.3e")
-    record = record_of(scan, "-o", one, "--auto", *limit)
-    again = record_of(scan, "-o", other, *record["choice"]["repeat"], *limit)
+    record = denoised_record(scan, "-o", one, "--auto", *limit)
+    again = denoised_record(scan, "-o", other, *record["choice"]["repeat"], *limit)
     assert again["method"] == record["method"]
     assert one.read_bytes() == other.read_bytes() != scan.read_bytes()
 
@@ -384,10 +356,10 @@ def test_the_options_told_repeat_the_result(scan, tmp_path, choose, name, given)
 def test_the_options_told_repeat_a_real_choice(tmp_path, keep):
     one, other = tmp_path / "1.ply", tmp_path / "2.ply"
     scan = "sample_meshes/toadstool_noisy.ply"
-    record = record_of(scan, "-o", one, "--auto", *keep)
+    record = denoised_record(scan, "-o", one, "--auto", *keep)
     assert record["method"]["name"] in (*selection.METHODS, selection.NONE)
     assert record["choice"]["reason"].startswith("noise 0.")
-    again = record_of(scan, "-o", other, *record["choice"]["repeat"])
+    again = denoised_record(scan, "-o", other, *record["choice"]["repeat"])
     if record["method"]["name"] != selection.NONE:
         assert again["method"] == record["method"]
     assert one.read_bytes() == other.read_bytes()
@@ -396,8 +368,7 @@ def test_the_options_told_repeat_a_real_choice(tmp_path, keep):
 def test_a_failure_before_the_choice_says_what_was_asked(tmp_path):
     scans = folder_of(tmp_path / "in", bad=b"ply\n")
     made = msal("denoise", scans, "-o", tmp_path / "out", "--strength", "1", "--json")
-    assert made.exit_code == 1
-    (record,) = json.loads(made.stdout)["records"]
+    record = record_of(made, 1)
     assert record["method"]["name"] == "auto"
     assert record["method"]["parameters"]["strength"] == 1.0
     assert record["choice"] is None
@@ -434,7 +405,7 @@ def test_it_works_in_a_pipe(scan, tmp_path):
 def test_it_works_with_constraints_and_fields(tmp_path):
     scan = folder_of(tmp_path / "in", scan=open_scan()) / "scan.ply"
     words = ("--lock", "boundary", "--max-move", "0.05e", "--fields", "lambda,displacement")
-    record = record_of(scan, "-o", tmp_path / "o.ply", "--auto", *words)
+    record = denoised_record(scan, "-o", tmp_path / "o.ply", "--auto", *words)
     assert record["locked_vertices"] == record["boundary_edges"]
     assert record["displacement"]["max_edges"] <= 0.05
     assert record["fields"]["names"] == ["lambda", "displacement"]
@@ -459,7 +430,7 @@ def test_with_trust_the_method_has_a_data_term(tmp_path):
     for at, wish in enumerate(([], ["--keep", "edges"], ["--strength", "2"])):
         words = ("--weights", "quality")
         one, other = tmp_path / f"{at}.ply", tmp_path / f"again-{at}.ply"
-        record = record_of(scan, "-o", one, "--auto", *wish, *words)
+        record = denoised_record(scan, "-o", one, "--auto", *wish, *words)
         assert record["method"]["name"] != selection.NONE
         assert (
             msal("denoise", scan, "-o", other, *record["choice"]["repeat"], *words).exit_code == 0
@@ -475,7 +446,7 @@ def test_trust_without_effect_is_a_warning(tmp_path, choose):
     body = [line + b" 1" if 2 < at < 3 + len(vertices) else line for at, line in enumerate(lines)]
     scan = tmp_path / "scan.ply"
     scan.write_bytes(head + b"\nproperty float q\nelement face" + b"\n".join(body))
-    record = record_of(scan, "-o", tmp_path / "o.ply", "--auto", "--weights", "q")
+    record = denoised_record(scan, "-o", tmp_path / "o.ply", "--auto", "--weights", "q")
     assert record["warnings"] == [
         "--weights has no effect: al has no pull to the scanned positions"
     ]
@@ -544,8 +515,7 @@ def test_ctrl_c_ends_a_run_that_is_choosing(tmp_path, slow_to_choose):
 def test_a_chooser_that_fails_is_a_failed_record(scan, tmp_path, choose):
     choose(lambda *given: 1 / 0)
     made = msal("denoise", scan, "-o", tmp_path / "o.ply", "--auto", "--json")
-    assert made.exit_code == 1
-    (record,) = json.loads(made.stdout)["records"]
+    record = record_of(made, 1)
     assert record["error"]["code"] == "E_INTERNAL"
     assert record["seconds"]["choose"] > 0.0
     assert not (tmp_path / "o.ply").exists()

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from tests.cli.scans import closed_scan, folder_of, msal, open_scan
+from tests.cli.scans import closed_scan, folder_of, msal, open_scan, record_of
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def test_a_gate_at_the_limit_holds(scan, tmp_path):
 
 def test_without_the_options_nothing_is_said(scan, tmp_path):
     made = msal("denoise", scan, "-o", tmp_path / "a.ply", "--json")
-    (record,) = json.loads(made.stdout)["records"]
+    record = record_of(made)
     assert record["clamped_vertices"] is record["locked_vertices"] is None
     assert "constraints" not in made.stderr
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
 from msal_cli import auto as selection
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.analysis.added_noise import noisy
 from msal_cli.analysis.noise_estimate import estimated
 from msal_cli.auto import adaptive
 from msal_cli.mesh import prepared
-from tests.cli.scans import folder_of, msal, ply_text
+from tests.cli.scans import folder_of, msal, ply_text, record_of
 from tests.shapes import torus
 
 SPIKED = np.arange(40, 1800, 88)
@@ -36,13 +33,11 @@ def scans(tmp_path_factory):
 
 def run(*words, code=0):
     made = msal("denoise", *words, "--json")
-    assert made.exit_code == code, made.stderr
-    [record] = json.loads(made.stdout)["records"]
-    return record, made
+    return record_of(made, code), made
 
 
 def vertices_of(path):
-    return files.open_mesh(path.read_bytes(), path.name).vertices
+    return codecs.open_mesh(path.read_bytes(), path.name).vertices
 
 
 def true_vertices():

@@ -7,7 +7,7 @@ import json
 import pytest
 from jsonschema import Draft202012Validator
 
-from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on, open_scan
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on, open_scan, record_of
 from tests.report.schemas import info_schema
 
 
@@ -62,7 +62,7 @@ def test_json_has_one_shape_for_one_file_and_for_many(scans, names, status):
 
 def test_standard_input():
     made = msal_on(closed_scan(), "info", "-", "--json")
-    (record,) = json.loads(made.stdout)["records"]
+    record = record_of(made)
     assert (record["input"], record["vertices"]) == ("-", 288)
 
 

@@ -28,7 +28,7 @@ def speak():
     + [(2, ["detail", "step", "careful", "Traceback"])],
 )
 def test_what_is_said(capsys, verbosity, heard):
-    with logs.configured(verbosity, None):
+    with logs.log_to_console(verbosity):
         speak()
     said = capsys.readouterr().err.splitlines()
     assert len(said) == len(heard)
@@ -38,7 +38,7 @@ def test_what_is_said(capsys, verbosity, heard):
 def test_everything_goes_to_the_file(tmp_path, capsys):
     path = tmp_path / "msal.log"
     for _ in range(2):
-        with logs.configured(-1, str(path)):
+        with logs.log_to_console(-1, str(path)):
             speak()
     lines = path.read_text().splitlines()
     assert len(lines) == 8
@@ -51,7 +51,7 @@ def test_names_that_are_no_text_go_to_the_file(tmp_path):
     path = tmp_path / "msal.log"
     code = (
         "import logging, sys; from msal_cli.cli import logs\n"
-        "with logs.configured(-1, sys.argv[1]):\n"
+        "with logs.log_to_console(-1, sys.argv[1]):\n"
         "    logging.getLogger('msal.batch').warning('name a\\udcff')"
     )
     subprocess.run([sys.executable, "-c", code, str(path)], check=True)
@@ -61,7 +61,7 @@ def test_names_that_are_no_text_go_to_the_file(tmp_path):
 @pytest.mark.parametrize("name", HOSTILE_NAMES)
 def test_a_name_is_no_entry_and_no_escape(tmp_path, capsys, name):
     path = tmp_path / "msal.log"
-    with logs.configured(1, str(path)):
+    with logs.log_to_console(1, str(path)):
         logging.getLogger("msal.denoise").info("%s: written", name)
         try:
             raise ValueError(name)
@@ -76,7 +76,7 @@ def test_a_name_is_no_entry_and_no_escape(tmp_path, capsys, name):
 
 def test_an_unexpected_exception_is_traced_there_only(tmp_path, capsys):
     path = tmp_path / "msal.log"
-    with pytest.raises(ZeroDivisionError), logs.configured(0, str(path)):
+    with pytest.raises(ZeroDivisionError), logs.log_to_console(0, str(path)):
         1 / 0  # noqa: B018
     assert "ZeroDivisionError: division by zero" in path.read_text()
     assert capsys.readouterr().err == ""
@@ -84,18 +84,18 @@ def test_an_unexpected_exception_is_traced_there_only(tmp_path, capsys):
 
 def test_an_error_of_ours_is_not_traced(tmp_path):
     path = tmp_path / "msal.log"
-    with pytest.raises(UsageError), logs.configured(0, str(path)):
+    with pytest.raises(UsageError), logs.log_to_console(0, str(path)):
         raise UsageError("x")
     assert path.read_text() == ""
 
 
 def test_handlers_do_not_pile_up():
     before = list(logs.logger.handlers)
-    with logs.configured(0, None):
+    with logs.log_to_console(0):
         assert len(logs.logger.handlers) == len(before) + 1
     assert logs.logger.handlers == before
 
 
 def test_a_log_file_that_cannot_be_opened(tmp_path):
-    with pytest.raises(UsageError, match="log file"), logs.configured(0, str(tmp_path)):
+    with pytest.raises(UsageError, match="log file"), logs.log_to_console(0, str(tmp_path)):
         pytest.fail("the block must not run")

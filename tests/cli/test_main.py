@@ -135,7 +135,7 @@ def test_memory_that_ran_out_is_said(monkeypatch, tmp_path):
 
 
 def test_every_command_is_a_module():
-    for name in main_module._COMMANDS:
+    for name in main_module.COMMANDS:
         assert main_module.program.get_command(None, name).name == name
 
 
@@ -286,7 +286,8 @@ def test_a_stream_that_is_interrupted(tmp_path, signum, status):
 def test_an_info_that_is_terminated(tmp_path):
     begun = tmp_path / "begun"
     code = (
-        "import sys, time; from msal_cli import inspection; from msal_cli.cli.main import program\n"
+        "import sys, time; from msal_cli.job import inspection\n"
+        "from msal_cli.cli.main import program\n"
         "def wait(*given, **named):\n"
         f"    open({str(begun)!r}, 'w').close()\n"
         "    time.sleep(60)\n"
@@ -326,7 +327,7 @@ def test_the_end_waits_for_threads_that_python_waits_for():
         "import threading, time\n"
         "threading.Thread(target=lambda: (time.sleep(0.3), print('late'))).start()"
     )
-    assert (ended.returncode, ended.stdout.splitlines()[-1]) == (0, "late")
+    assert (ended.returncode, "late" in ended.stdout) == (0, True)
 
 
 def test_a_setting_for_blas_is_left_alone():

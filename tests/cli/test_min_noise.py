@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import gzip
-import json
 
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.analysis.added_noise import noisy
 from msal_cli.mesh import prepared
-from tests.cli.scans import folder_of, msal, msal_on, ply_text
+from tests.cli.scans import folder_of, msal, msal_on, ply_text, record_of, records_of
 from tests.shapes import torus
 
 
@@ -27,10 +26,6 @@ def scans(tmp_path):
     """Files with noise of 0, 0.04 and 0.2 mean edge lengths."""
     folder = folder_of(tmp_path / "in", clean=torus_with(0.0), fair=torus_with(0.04))
     return folder_of(folder, loud=torus_with(0.2))
-
-
-def records_of(made):
-    return {record["input"].split("/")[-1]: record for record in json.loads(made.stdout)["records"]}
 
 
 def test_quiet_files_stay_byte_for_byte(scans, tmp_path):
@@ -71,7 +66,7 @@ def test_levels(scans, tmp_path, level, name, is_kept):
 def test_without_it_a_method_by_name_denoises_every_file(scans, tmp_path):
     words = ("--method", "msal", "--json")
     made = msal("denoise", scans / "clean.ply", "-o", tmp_path / "out.ply", *words)
-    (record,) = json.loads(made.stdout)["records"]
+    record = record_of(made)
     assert record["status"] == "written"
     assert record["left_alone"] is None
     assert record["noise_estimate"]["negligible"]
@@ -106,11 +101,11 @@ def test_in_place(scans):
 def test_another_format_has_the_same_positions(scans, tmp_path):
     output = tmp_path / "out.obj"
     made = msal("denoise", scans / "clean.ply", "-o", output, "--min-noise", "auto", "--json")
-    (record,) = json.loads(made.stdout)["records"]
+    record = record_of(made)
     assert record["status"] == "written"
     assert record["left_alone"]
     both = [
-        files.open_mesh(path.read_bytes(), path.name).vertices
+        codecs.open_mesh(path.read_bytes(), path.name).vertices
         for path in (scans / "clean.ply", output)
     ]
     assert np.array_equal(both[0], both[1])
@@ -119,7 +114,7 @@ def test_another_format_has_the_same_positions(scans, tmp_path):
 def test_another_level_is_another_result(scans, tmp_path):
     def status(*words):
         made = msal("denoise", scans / "fair.ply", "-o", tmp_path / "out", *words, "--json")
-        (record,) = json.loads(made.stdout)["records"]
+        record = record_of(made)
         return record["status"]
 
     (tmp_path / "out").mkdir()
@@ -132,7 +127,7 @@ def test_another_level_is_another_result(scans, tmp_path):
 def test_with_auto_a_quiet_file_is_left_alone_before_anything_is_tried(scans, tmp_path):
     words = ("--auto", "--min-noise", "0.06e", "--json")
     made = msal("denoise", scans / "fair.ply", "-o", tmp_path / "out.ply", *words)
-    (record,) = json.loads(made.stdout)["records"]
+    record = record_of(made)
     assert record["status"] == "unchanged"
     assert record["choice"] is None
     assert record["left_alone"]
@@ -149,5 +144,5 @@ def test_what_is_no_level(scans, tmp_path, wrong):
 
 def test_the_field(scans, tmp_path):
     msal("denoise", scans / "loud.ply", "-o", tmp_path / "out.ply", "--fields", "noise")
-    made = files.open_mesh((tmp_path / "out.fields.ply").read_bytes(), "fields.ply")
+    made = codecs.open_mesh((tmp_path / "out.fields.ply").read_bytes(), "fields.ply")
     assert any("noise" in one for one in made.properties)

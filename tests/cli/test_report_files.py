@@ -59,7 +59,7 @@ def test_reports_are_written_with_their_folder(tmp_path):
 def test_one_that_cannot_be_written_does_not_keep_back_the_others(tmp_path):
     (tmp_path / "file").write_text("")
     good = tmp_path / "good.json"
-    with pytest.raises(OutputError, match="folder of the report"):
+    with pytest.raises(OutputError, match="cannot be made"):
         reports.write([str(tmp_path / "file" / "a.json"), str(good)], RUN, [written()])
     assert good.exists()
 
@@ -94,7 +94,7 @@ def test_who_waits_for_the_end_gets_a_page_without_pictures(tmp_path, monkeypatc
 
     asked = []
     monkeypatch.setattr(gallery, "made", lambda *_, **options: asked.append(options) or EMPTY)
-    reports.write([str(tmp_path / "a.html")], RUN, [written()], is_in_haste=True)
+    reports.write([str(tmp_path / "a.html")], RUN, [written()], without_pictures=True)
     assert asked == []
     reports.write([str(tmp_path / "b.html")], RUN, [written()], backup=".raw")
     assert asked[0]["backup"] == ".raw"

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from tests.cli.scans import folder_of, msal, msal_on, ply_text
+from tests.cli.scans import folder_of, msal, msal_on, ply_text, records_of
 from tests.shapes import torus
 
 CHECK = ("--check", "self-intersections")
@@ -25,21 +25,17 @@ def scans(tmp_path):
     return folder_of(tmp_path / "scans", clean=scan(False), pushed=scan(True))
 
 
-def records(made):
-    return {one["input"].rpartition("/")[2]: one for one in json.loads(made.stdout)["records"]}
-
-
 def test_they_are_counted_on_demand(scans, tmp_path):
     given = ("denoise", scans, "-o", tmp_path / "out", "--json", "--method", "al", "-n", "1")
-    counted = records(msal(*given))
+    counted = records_of(msal(*given))
     assert counted["pushed.ply"]["self_intersections"] is None
-    counted = records(msal(*given, *CHECK))
+    counted = records_of(msal(*given, *CHECK))
     assert counted["clean.ply"]["self_intersections"] == {"before": 0, "after": 0, "created": 0}
     counts = counted["pushed.ply"]["self_intersections"]
     assert counts["before"] > 0 and counts["created"] <= counts["after"]
     # It was made again to be counted, and is current now.
     assert {one["status"] for one in counted.values()} == {"written"}
-    assert {one["status"] for one in records(msal(*given, *CHECK)).values()} == {"up-to-date"}
+    assert {one["status"] for one in records_of(msal(*given, *CHECK)).values()} == {"up-to-date"}
 
 
 def test_the_summary_tells_of_them(scans, tmp_path):
@@ -52,7 +48,7 @@ def test_a_gate_has_them_counted(scans, tmp_path):
     gate = ("--fail-on", "self_intersections > 0")
     good = msal("denoise", scans / "clean.ply", "-o", tmp_path / "a.ply", "--json", *gate)
     assert good.exit_code == 0, good.stderr
-    assert records(good)["clean.ply"]["self_intersections"]["created"] == 0
+    assert records_of(good)["clean.ply"]["self_intersections"]["created"] == 0
     before = ("--fail-on", "self_intersections.before > 0")
     bad = msal("denoise", scans, "-o", tmp_path / "out", *before)
     assert bad.exit_code == 4

@@ -11,9 +11,18 @@ import sys
 
 import pytest
 
-from msal_cli.cli.stream_denoise import Pipe, pipe, target_format
+from msal_cli.cli.streams import Stream, choose_format, find_stream
 from msal_cli.errors import UsageError
-from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, msal_on, process
+from tests.cli.scans import (
+    BAD_SCAN,
+    MSAL,
+    closed_scan,
+    folder_of,
+    msal,
+    msal_on,
+    process,
+    record_of,
+)
 
 SCAN = closed_scan()
 
@@ -50,7 +59,7 @@ def test_a_stream_to_a_file(tmp_path, denoised):
     made = msal_on(SCAN, "denoise", "-", "-o", output, "--json", "-q")
     assert made.exit_code == 0
     assert output.read_bytes() == denoised
-    (record,) = json.loads(made.stdout)["records"]
+    record = record_of(made)
     assert (record["input"], record["output"]) == ("-", str(output))
     assert record["output_sha256"] == hashlib.sha256(denoised).hexdigest()
 
@@ -64,7 +73,7 @@ def test_a_file_is_compressed_if_its_name_says_so(tmp_path, denoised, is_packed,
     assert made.exit_code == 0
     written = output.read_bytes()
     assert (gzip.decompress(written) if name.endswith(".gz") else written) == denoised
-    (record,) = json.loads(made.stdout)["records"]
+    record = record_of(made)
     assert record["output_sha256"] == hashlib.sha256(written).hexdigest()
 
 
@@ -115,12 +124,6 @@ def test_an_output_that_cannot_be_written_is_reported(tmp_path):
         (["FOLDER", "-o", "-"], "is a folder"),
         (["nowhere.ply", "-o", "-"], "is no file"),
         (["-", "-o", "FOLDER"], "has no name to put there"),
-        (["-", "--in-place"], "--in-place is for files"),
-        (["-", "--include", "*"], "--include is for files"),
-        (["-", "--exclude", "*"], "--exclude is for files"),
-        (["-", "--dry-run"], "--dry-run is for files"),
-        (["-", "--json"], "cannot both go to standard output"),
-        (["SCAN", "-o", "-", "--json"], "cannot both go to standard output"),
         (["-", "--report", "-"], "needs the name of a file"),
         (["-", "-o", "o.ply", "--to", "stl"], "say two formats"),
         (["SCAN", "-o", "-", "--report", "SCAN"], "no known format"),
@@ -142,13 +145,8 @@ def test_a_mesh_does_not_go_to_a_terminal_unasked(monkeypatch):
 
     monkeypatch.setattr(sys, "stdout", Terminal())
     with pytest.raises(UsageError, match="would go to the terminal"):
-        pipe(("-",), None)
-    assert pipe(("-",), "-") == Pipe("-", "-")
-
-
-def test_what_is_no_pipe():
-    assert pipe(("a.ply", "b.ply"), "out") is None
-    assert pipe(("./-",), "out") is None
+        find_stream(("-",), None)
+    assert find_stream(("-",), "-") == Stream("-", "-")
 
 
 @pytest.mark.parametrize(
@@ -157,7 +155,7 @@ def test_what_is_no_pipe():
     + [("o.PLY", "ply", "ply"), ("o.dat", None, None), ("o.dat", "stl", "stl")],
 )
 def test_the_format_of_the_target(target, to, format):
-    assert target_format(Pipe("-", target), to) == format
+    assert choose_format(Stream("-", target), to) == format
 
 
 def test_real_pipes(tmp_path, denoised):

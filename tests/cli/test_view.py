@@ -124,7 +124,7 @@ def test_standard_output_takes_a_picture(scans):
         (("a.ply", "-o", "a.ply"), 2, "NAME.png"),
         (("a.ply",), 2, "-o"),
         (("a.ply", "-o", "p.png", "--size", "9"), 2, "48"),
-        (("a.ply", "-o", "p.png", "--turn", "nan"), 2, "degrees"),
+        (("a.ply", "-o", "p.png", "--turn", "nan"), 2, "from -360 to 360"),
         (("a.ply", "-o", "p.png", "--view", "inside"), 2, "inside"),
         (("-", "-o", "p.png"), 2, "stream"),
     ],

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from msal_cli.codecs import converted, encode_mesh, open_mesh, readable_suffixes, writable_formats
+from msal_cli.codecs import converted, encode_mesh, open_mesh, writable_formats
+from msal_cli.codecs.detection import readable_suffixes
 from msal_cli.errors import UnsupportedError
 from tests.codecs import plain_stl
 from tests.shapes import cube, noisy, torus

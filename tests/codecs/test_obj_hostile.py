@@ -2,12 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-
-import numpy as np
 import pytest
 
 from msal_cli.codecs import obj
@@ -152,17 +146,6 @@ def test_a_last_line_without_its_end_is_fine() -> None:
         assert obj.read(data, "").faces.tolist() == [[0, 1, 2]]
 
 
-def test_every_prefix_of_a_file_is_whole_or_refused() -> None:
-    data = b"mtllib a.mtl\r\n" + V + b"vt 0 0\nvn 0 0 1e0\nf 1/1/1 2/1/1 \\\n3/1/1\nf -3 -2 -1\n"
-    for stop in range(len(data)):
-        try:
-            file = obj.read(data[:stop], "")
-        except InputError:
-            continue
-        assert bytes(file.replaced(file.vertices.copy())) == data[:stop]
-        assert stop > data.index(b"f 1/1/1")
-
-
 def test_claims_do_not_take_memory() -> None:
     # Counted as statements at first sight, and none of them is one.
     data = V + F + b"#" + b" v" * 300_000 + b" f" * 300_000 + b"\n"
@@ -180,100 +163,3 @@ def test_normals_of_any_length_are_replaced_without_a_word() -> None:
     output = bytes(file.replaced(vertices))
     file.check(output, vertices)
     assert b"308" not in output
-
-
-SEEDS = (
-    V + F,
-    b"\xef\xbb\xbf# s\r\nmtllib a b.mtl\r\no x\r\n" + (V + F).replace(b"\n", b"\r\n"),
-    V
-    + b"vt 0 0\nvt 1 0\nvn 0 0 1\nvn 0 1 0\nusemtl m\nf 1/1/1 2/2/1 3/1/2\nf -1/-1/-1 -2//-2 1/2\n",
-    b"v 0 0 0 1 0 0\nv 1e0 .5 -0 1\nv 1 1 1 0.5 0.5 0.5 1\nv 0 1 0\nf 1 2 \\\n 3 4\ns 1\nl 1 2\n",
-    b"\tv 1.00000000000000000000001 1e-300 1e30\rv 0\t1 0\rv 1 0 0\rg a\rf 1 2 3\rfo 3 2 1 2\r",
-)
-SPLICES = (
-    b"v", b"vn ", b"vt", b"f", b"/", b"//", b"\\\n", b"\\", b"\n", b"\r", b"#", b"-", b".", b"e",
-    b"nan", b"inf", b"0", b"9" * 30, b"1e400", b"1.#IND", b" ", b"\t", b"\x00", b"\xff",
-    b"\xef\xbb\xbf",
-    b"mtllib x.mtl \\\n", b"f 1 1 1\n", b"v 1 2 3\n", b"f " + b"1 " * 60, b"2147483648",
-    b"-2147483649",
-)  # fmt: skip
-
-
-def mutant(random: np.random.Generator) -> bytes:
-    """One of the seeds with a few bytes flipped, cut out, doubled, moved or put in."""
-    data = bytearray(SEEDS[random.integers(len(SEEDS))])
-    for _ in range(random.integers(1, 4)):
-        at = int(random.integers(len(data) + 1))
-        stop = min(len(data), at + int(random.integers(1, 12)))
-        how = random.integers(6)
-        if how == 0 and at < len(data):
-            data[at] ^= 1 << random.integers(8)
-        elif how == 1:
-            del data[at:]
-        elif how == 2:
-            del data[at:stop]
-        elif how == 3:
-            data[at:at] = SPLICES[random.integers(len(SPLICES))]
-        elif how == 4:
-            data[at:at] = data[at:stop]
-        elif at < len(data):
-            data[at] = random.integers(256)
-    return bytes(data)
-
-
-@contextmanager
-def at_most(seconds: float) -> Iterator[None]:
-    """Fail instead of hanging, where the system can interrupt."""
-    has_alarm = hasattr(signal, "setitimer") and (
-        threading.current_thread() is threading.main_thread()
-    )
-    if not has_alarm:
-        yield
-        return
-
-    def stop(*_: object) -> None:
-        raise AssertionError(f"no end after {seconds} s")
-
-    old = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, old)
-
-
-def campaign(count: int, seed: int) -> tuple[int, int]:
-    """Read mutants; those that are read are written and checked too.  Numbers read and refused."""
-    random = np.random.default_rng(seed)
-    read = 0
-    for _ in range(count):
-        data = mutant(random)
-        try:
-            file = obj.read(data, "mutant.obj")
-        except InputError as error:
-            assert error.hint and str(error), data
-            continue
-        read += 1
-        assert np.isfinite(file.vertices).all() and len(file.faces), data
-        assert file.faces.min() >= 0 and file.faces.max() < len(file.vertices), data
-        assert bytes(file.replaced(file.vertices.copy())) == data
-        vertices = file.vertices + np.where(random.random(file.vertices.shape) < 0.7, 0.25, 0.0)
-        output = bytes(file.replaced(vertices))
-        file.check(output, vertices)
-        again = obj.read(output, "again.obj")
-        assert (again.faces == file.faces).all() and again.warnings == file.warnings, data
-    return read, count - read
-
-
-def test_mutants() -> None:
-    with at_most(60.0):
-        read, refused = campaign(1000, 1)
-    assert read > 100 and refused > 100
-
-
-@pytest.mark.slow
-def test_many_mutants() -> None:
-    with at_most(600.0):
-        read, refused = campaign(10_000, 2)
-    assert read > 1000 and refused > 1000

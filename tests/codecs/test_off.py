@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from msal_cli.codecs import open_mesh
-from msal_cli.errors import InternalError, MsalError
+from msal_cli.errors import MsalError
 from tests.codecs.patching import changed_lines, patched, texts_between_numbers
-from tests.shapes import noisy
 
 POINTS = ["0 0 0", "1 0 0", "0.0 1.0 0.0", "0 0 1"]
 FACES = ["3 0 2 1", "3 0 1 3", "3 1 2 3", "3 2 0 3"]
@@ -159,21 +158,6 @@ def test_damage_is_placed(data, code, where):
     with pytest.raises(MsalError) as caught:
         open_mesh(data, "a.off", "off")
     assert (caught.value.code, where in caught.value.where) == (code, True), caught.value.where
-
-
-def test_check_notices_a_changed_byte_anywhere():
-    data = off("COFF\n4 4 6 # c", [point + " 1 2 3 4" for point in POINTS])
-    file = open_mesh(data, "a.off")
-    moved = noisy(file.vertices)
-    output = bytearray(file.replaced(moved))
-    for at in range(len(output)):
-        wrong = bytes(output[:at]) + bytes([output[at] ^ 1]) + bytes(output[at + 1 :])
-        try:
-            file.check(wrong, moved)
-        except InternalError:
-            continue
-        # Below the last decimal that counts, a digit may differ by one.
-        assert np.abs(open_mesh(wrong, "a.off").vertices - moved).max() <= 1e-7
 
 
 @pytest.mark.parametrize("head", [b"#" * 5000 + b"\nX", b"# # " * 5000, b"#\n" * 50_000])

@@ -8,7 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from msal_cli.codecs import content_format, converted, format_of_name, open_mesh, writable_formats
+from msal_cli.codecs import converted, open_mesh, writable_formats
+from msal_cli.codecs.detection import content_format, format_of_name
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron

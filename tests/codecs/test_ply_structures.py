@@ -148,7 +148,7 @@ def normal_names(file: Ply) -> list[tuple[str, str]]:
 @given(structures())
 def test_what_is_read_is_what_was_written(file):
     data = plain_ply.written(file)
-    mesh = ply.read(data, "random.ply")
+    mesh = ply.read(data)
     assert np.array_equal(mesh.vertices, positions(file))
     assert mesh.faces.tolist() == plain_ply.triangles(file)
     assert mesh.faces.dtype == np.int32
@@ -166,7 +166,7 @@ def test_what_is_read_is_what_was_written(file):
 @settings(max_examples=60, deadline=None)
 @given(structures(encodings=("binary_little_endian", "binary_big_endian")))
 def test_binary_differs_in_moved_coordinates_and_normals_only(file):
-    mesh = ply.read(plain_ply.written(file), "random.ply")
+    mesh = ply.read(plain_ply.written(file))
     vertices = moved(mesh.vertices)
     output = bytes(mesh.replaced(vertices))
     mesh.check(output, vertices)
@@ -182,7 +182,7 @@ def test_binary_differs_in_moved_coordinates_and_normals_only(file):
 @given(structures(encodings=("ascii",)))
 def test_ascii_differs_in_moved_tokens_only(file):
     data = plain_ply.written(file)
-    mesh = ply.read(data, "random.ply")
+    mesh = ply.read(data)
     vertices = moved(mesh.vertices)
     output = bytes(mesh.replaced(vertices))
     mesh.check(output, vertices)
@@ -212,7 +212,7 @@ def test_ascii_differs_in_moved_tokens_only(file):
     st.sampled_from(["same", "float32", "float64"]),
 )
 def test_encoded_keeps_all_but_encoding_and_types(file, encoding, precision):
-    mesh = ply.read(plain_ply.written(file), "random.ply")
+    mesh = ply.read(plain_ply.written(file))
     vertices = moved(mesh.vertices)
     output = bytes(mesh.encoded(vertices, encoding, precision))
     result = plain_ply.read(output)
@@ -253,14 +253,14 @@ def test_encoded_keeps_all_but_encoding_and_types(file, encoding, precision):
                 assert np.allclose(got, wanted, rtol=2e-7, atol=slack)
             else:
                 assert got == wanted
-    again = ply.read(output, "again.ply")
+    again = ply.read(output)
     assert np.array_equal(again.faces, mesh.faces)
 
 
 @settings(max_examples=60, deadline=None)
 @given(structures())
 def test_recomputed_normals_are_unit_vectors_near_moved_vertices(file):
-    mesh = ply.read(plain_ply.written(file), "random.ply")
+    mesh = ply.read(plain_ply.written(file))
     vertices = mesh.vertices.copy()
     vertices[0] += [0.5, -0.25, 1.0]
     result = plain_ply.read(bytes(mesh.replaced(vertices)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import struct
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 from msal_cli.codecs import header_check as first_look
 from msal_cli.codecs import ply
 from msal_cli.errors import FormatError, InternalError, MsalError
-from tests.codecs.test_ply_hostile import survives
 
 HEADER = """ply
 format ascii 1.0
@@ -64,7 +62,7 @@ def masked(text: bytes) -> list[bytes]:
 @pytest.mark.parametrize("name", STREAMS)
 def test_records_on_any_lines_are_read_replaced_and_checked(name):
     data = STREAMS[name].encode()
-    file, plain = ply.read(data, "a.ply"), ply.read(PLAIN.encode(), "a.ply")
+    file, plain = ply.read(data), ply.read(PLAIN.encode())
     assert np.array_equal(file.vertices, plain.vertices)
     assert np.array_equal(file.faces, plain.faces)
     assert [list(one) for one in file.polygons()] == [list(one) for one in plain.polygons()]
@@ -76,18 +74,18 @@ def test_records_on_any_lines_are_read_replaced_and_checked(name):
     size = data.index(b"end_header") + len(b"end_header")
     assert output[:size] == data[:size]
     assert masked(output[size:]) == masked(data[size:])
-    assert np.array_equal(ply.read(output, "a.ply").vertices, vertices)
+    assert np.array_equal(ply.read(output).vertices, vertices)
 
 
 @pytest.mark.parametrize("name", STREAMS)
 def test_another_encoding_is_what_a_plain_file_gives(name):
-    file, plain = (ply.read(one.encode(), "a.ply") for one in (STREAMS[name], PLAIN))
+    file, plain = (ply.read(one.encode()) for one in (STREAMS[name], PLAIN))
     vertices = moved(file)
     for encoding, precision in (("binary", "same"), ("binary", "float64")):
         want = bytes(plain.encoded(vertices, encoding, precision)).replace(b"\r\n", b"\n")
         got = bytes(file.encoded(vertices, encoding, precision)).replace(b"\r\n", b"\n")
         assert got == want
-    doubles = ply.read(file.encoded(vertices, "ascii", "float64"), "a.ply")
+    doubles = ply.read(file.encoded(vertices, "ascii", "float64"))
     assert np.array_equal(doubles.vertices, vertices)
     assert np.array_equal(doubles.faces, file.faces)
 
@@ -104,9 +102,9 @@ def test_normals_and_other_properties_of_a_stream():
         f"7 {k} {'5 ' * k}0 0 1 {z} {y} {x}"
         for k, (x, y, z) in enumerate([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
     ]
-    plain = ply.read((header + "\n".join(rows) + "\n" + FACES).encode(), "a.ply")
+    plain = ply.read((header + "\n".join(rows) + "\n" + FACES).encode())
     data = (header + " ".join(rows).replace(" ", "\n", 9) + "\n" + FACES).encode()
-    file = ply.read(data, "a.ply")
+    file = ply.read(data)
     assert np.array_equal(file.vertices, plain.vertices)
     assert np.array_equal(file.vertex_property("red"), [7.0] * 4)
     vertices = moved(file)
@@ -121,7 +119,7 @@ def test_normals_and_other_properties_of_a_stream():
 def test_an_element_without_records_or_properties_takes_no_words_of_a_stream():
     more = "element nothing 99999999999\nelement none 0\nproperty list uchar int a\nelement face"
     data = STREAMS["one word a line"].replace("element face", more).encode()
-    assert len(ply.read(data, "a.ply").faces) == 4
+    assert len(ply.read(data).faces) == 4
 
 
 @pytest.mark.parametrize(
@@ -139,7 +137,7 @@ def test_an_element_without_records_or_properties_takes_no_words_of_a_stream():
 )
 def test_a_stream_that_leaves_or_lacks_words_is_refused(data):
     with pytest.raises(MsalError) as caught:
-        ply.read(data.encode(), "a.ply")
+        ply.read(data.encode())
     assert caught.value.code in ("E_FORMAT", "E_TRUNCATED")
     assert "line" in caught.value.where
 
@@ -148,7 +146,7 @@ def test_a_stream_that_leaves_or_lacks_words_is_refused(data):
 def test_a_corner_of_a_stream_must_be_a_whole_number(word):
     data = STREAMS["two records on a line"].replace("3 1 2 3", f"3 1 2 {word}")
     with pytest.raises(FormatError, match="is not a whole number"):
-        ply.read(data.encode(), "a.ply")
+        ply.read(data.encode())
 
 
 @pytest.mark.parametrize(
@@ -165,7 +163,7 @@ def test_a_corner_of_a_stream_must_be_a_whole_number(word):
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_a_header_line_without_a_keyword_is_kept_like_a_comment(before, stray, end):
     data = PLAIN.replace(before, stray + before, 1).replace("\n", end).encode()
-    file = ply.read(data, "a.ply")
+    file = ply.read(data)
     line = data[: data.index(stray.strip().encode())].count(end.encode()) + 1
     assert len(file.warnings) == 1
     assert "no known keyword" in file.warnings[0] and f"in line {line}" in file.warnings[0]
@@ -174,13 +172,13 @@ def test_a_header_line_without_a_keyword_is_kept_like_a_comment(before, stray, e
     file.check(output, vertices)
     size = data.index(b"end_header")
     assert output[:size] == data[:size]
-    again = ply.read(file.encoded(vertices, "binary", "float64"), "a.ply")
+    again = ply.read(file.encoded(vertices, "binary", "float64"))
     assert again.warnings == file.warnings
     assert np.array_equal(again.vertices, vertices)
 
 
 def test_strays_are_counted():
-    file = ply.read(PLAIN.replace("element vertex", "a\nb\nelement vertex").encode(), "a.ply")
+    file = ply.read(PLAIN.replace("element vertex", "a\nb\nelement vertex").encode())
     assert file.warnings == (
         "2 header lines have no known keyword and are kept like comments: 'a' in line 3, ...",
     )
@@ -195,37 +193,17 @@ def binary(stray: str = "") -> bytes:
 
 
 def test_a_stray_line_among_elements_must_not_hide_data():
-    assert len(ply.read(binary("polygons 1\n"), "a.ply").faces) == 1
+    assert len(ply.read(binary("polygons 1\n")).faces) == 1
     with pytest.raises(FormatError, match="'polygons 1' is not understood, and 4 bytes") as caught:
-        ply.read(binary("polygons 1\n") + bytes(4), "a.ply")
+        ply.read(binary("polygons 1\n") + bytes(4))
     assert caught.value.where == "line 7"
     # Before the first element it declares nothing, and what follows the data is kept.
     data = binary().replace(b"element vertex", BLENDER.encode() + b"element vertex") + bytes(4)
-    assert len(ply.read(data, "a.ply").warnings) == 2
+    assert len(ply.read(data).warnings) == 2
 
 
 def test_a_large_file_with_a_stray_line_passes_the_first_look(tmp_path):
     path = tmp_path / "a.ply"
     data = PLAIN.replace("element vertex", BLENDER + "element vertex").encode() + b"\n" * 70_000
     path.write_bytes(data)
-    assert len(ply.read(first_look.read_input(path), "a.ply").faces) == 4
-
-
-def test_damaged_streams_end_in_a_typed_error_or_in_a_mesh():
-    dice = random.Random(5)
-    seeds = [one.encode() for one in STREAMS.values()]
-    survivors = 0
-    for _ in range(300):
-        data = bytearray(dice.choice(seeds))
-        at = dice.randrange(len(data))
-        change = dice.randrange(4)
-        if change == 0:
-            data[at] = dice.choice(b"\0\xff \n\r09-.e")
-        elif change == 1:
-            del data[at : at + dice.randint(1, 9)]
-        elif change == 2:
-            data[at:at] = data[at : at + dice.randint(1, 9)]
-        else:
-            del data[at:]
-        survivors += survives(bytes(data))
-    assert 5 < survivors < 290
+    assert len(ply.read(first_look.read_input(path)).faces) == 4

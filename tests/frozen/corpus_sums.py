@@ -29,32 +29,24 @@ import random
 import re
 import subprocess
 import sys
-import tarfile
 import time
 import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
 
-from msal_cli.codecs import (
-    converted,
-    expanded,
-    normal_warnings,
-    open_mesh,
-    vertex_property,
-    writable_formats,
-)
+from msal_cli.codecs import converted, normal_warnings, open_mesh, vertex_property, writable_formats
 from msal_cli.codecs.forecast import of_beginning
 from msal_cli.errors import MsalError
+from msal_cli.storage.gzip_streams import expanded
 from tests.frozen.sums import REAL, ROOT, environment
 from tests.fuzz import corpus, mutants
+from tests.fuzz.seeds import archived, seeds
 
 KEPT = Path(__file__).with_name("corpus_sums.json")
-INPUTS = Path(__file__).with_name("inputs.tar.xz")
 
 FUZZED = ("ply", "obj", "stl", "glb", "gltf", "3mf", "gz")
 """Formats with mutants and a corpus of their own; for all others bytes and numbers are changed."""
@@ -230,22 +222,6 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
     return steps
 
 
-@functools.cache
-def archived() -> dict[str, bytes]:
-    """The files of ``inputs.tar.xz`` by name: ``seeds/FORMAT/...``, ``malformed/...`` and
-    ``made/FORMAT/...``."""
-    with tarfile.open(INPUTS) as archive:
-        entries = [(entry.name, archive.extractfile(entry)) for entry in archive]
-        return {name: file.read() for name, file in entries if file is not None}
-
-
-@functools.cache
-def seeds(format: str) -> tuple[bytes, ...]:
-    """The good files of which the mutants of a format are made."""
-    start = f"seeds/{format}/"
-    return tuple(data for name, data in sorted(archived().items()) if name.startswith(start))
-
-
 def formats() -> tuple[str, ...]:
     """All formats that are compared."""
     found = {name.split("/")[1] for name in archived() if name.startswith(("seeds/", "made/"))}
@@ -253,12 +229,7 @@ def formats() -> tuple[str, ...]:
 
 
 def mutant(format: str, number: int) -> bytes:
-    """The mutant of that number, made of the archived seeds."""
-    with mock.patch.object(mutants, "seeds", seeds):
-        return _mutant(format, number)
-
-
-def _mutant(format: str, number: int) -> bytes:
+    """The mutant of that number."""
     if format in FUZZED:
         return mutants.mutant(format, number)
     dice = random.Random(f"{format} {number}")

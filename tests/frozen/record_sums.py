@@ -30,8 +30,9 @@ from unittest import mock
 from click.testing import CliRunner
 
 from msal_cli.cli import environment
-from msal_cli.cli.main import _COMMANDS, program
-from msal_cli.cli.stopwatch import Clock
+from msal_cli.cli.environment import Clock
+from msal_cli.cli.main import COMMANDS as CLI_COMMANDS
+from msal_cli.cli.main import program
 from tests.frozen.corpus_sums import digest, here
 from tests.frozen.sums import ROOT
 from tests.report.made import HOSTILE_NAMES
@@ -236,7 +237,7 @@ def outcomes(chosen: list[str]) -> Iterator[tuple[str, str, str]]:
     with (
         mock.patch.object(Clock, "now", staticmethod(lambda: "2026-01-02T03:04:05.678Z")),
         mock.patch.object(Clock, "seconds", lambda self: 1.0),
-        mock.patch.object(environment, "described", lambda: {"system": "Linux"}),
+        mock.patch.object(environment, "describe_machine", lambda: {"system": "Linux"}),
         mock.patch.dict(os.environ, COLUMNS="100", NO_COLOR="1", TERM="dumb"),
     ):
         yield from _outcomes(chosen)
@@ -267,7 +268,7 @@ def _outcomes(chosen: list[str]) -> Iterator[tuple[str, str, str]]:
                 told = CliRunner().invoke(program, ["report", "stored.json", "-v"]).stdout
                 yield "stored text", "", told
                 yield "stored gates", *run(["report", "stored.json", "--fail-on", GATE], folder)
-            for command in (*_COMMANDS, "") if is_chosen("help") else ():
+            for command in (*CLI_COMMANDS, "") if is_chosen("help") else ():
                 words = [command, "--help"] if command else ["--help"]
                 yield f"help {command}", "", CliRunner().invoke(program, words).stdout
     for path in sorted((ROOT / "docs").glob("*.schema.json")):

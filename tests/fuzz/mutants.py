@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import base64
 import copy
-import functools
 import gzip
 import io
 import json
@@ -29,6 +28,7 @@ import zlib
 from collections import Counter
 from typing import Any
 
+from tests.fuzz.seeds import seeds
 from tests.fuzz.survival import FORMATS, outcome
 
 NUMBERS = [
@@ -70,43 +70,6 @@ VALUES: list[Any] = [
     0.5, -0.0, 1e300, 1e39, True, None, "", "VEC3", "SCALAR", "POSITION", "\ud800", [], {}, [0],
     [[]], [0] * 16, {"a": {}},
 ]  # fmt: skip
-
-
-@functools.cache
-def seeds(format: str) -> tuple[bytes, ...]:
-    """Small good files that between them use every path of a reader."""
-    from tests.codecs import (
-        test_glb,
-        test_gltf,
-        test_obj_hostile,
-        test_ply_hostile,
-        test_stl_hostile,
-        test_threemf,
-    )
-
-    if format == "ply":
-        return tuple(test_ply_hostile.seeds())
-    if format == "obj":
-        return tuple(test_obj_hostile.SEEDS)
-    if format == "stl":
-        text = test_stl_hostile.TEXT
-        return test_stl_hostile.BINARY, text, text.replace(b"\n", b"\r\n") + text
-    if format == "glb":
-        scenes = (
-            test_glb.simple(),
-            test_glb.simple(False, 20, "<u1"),
-            test_glb.two_parts(translation=[1, 2, 3]),
-        )
-        return tuple(scene.data() for scene in scenes)
-    if format == "gltf":
-        return tuple(test_gltf.as_text(data) for data in seeds("glb"))
-    if format == "3mf":
-        return (
-            test_threemf.simple(),
-            test_threemf.simple(streamed=True),
-            test_threemf.parts_of_equal_numbers(),
-        )
-    return tuple(one for inner in ("ply", "obj", "stl", "glb") for one in seeds(inner)[:3])
 
 
 def mutant(format: str, number: int) -> bytes:

@@ -47,7 +47,7 @@ _SCANNERS = (
     "obj_plain",
     "obj_scan",
     "plain_patch",
-    "obj_patch",
+    "statements",
     "ply_plain",
     "ply_scan",
     "stl_scan",
@@ -97,7 +97,6 @@ def main(arguments: list[str]) -> None:
 
         if is_interpreted:
             import msal_cli.kernels.obj_fast
-            import msal_cli.kernels.obj_patch
             import msal_cli.kernels.obj_scan
             import msal_cli.kernels.ply_scan
             import msal_cli.kernels.stl_scan  # noqa: F401

@@ -27,7 +27,7 @@ def mesh():
 def settled_as(monkeypatch, mesh, name, given):
     choice = selection.Choice(name, given, "because", "organic", estimated(mesh))
     monkeypatch.setattr("msal_cli.job.choice.chosen", lambda *ignored: choice)
-    return automatic.settled(mesh, {}, lambda done, total: None)
+    return automatic.choose(mesh, {}, lambda done, total: None)
 
 
 @pytest.mark.parametrize("name", methods.names())
@@ -45,10 +45,10 @@ def test_the_options_told_give_every_method_its_parameters_back(monkeypatch, mes
         values = method.settled(given)
     except UsageError:
         values = method.settled({})
-    words = settled_as(monkeypatch, mesh, name, values).made.repeat
+    words = settled_as(monkeypatch, mesh, name, values).known["choice"].repeat
     assert words[:2] == ("--method", name)
     assert set(words[2::2]) <= {"--set"}
-    assert parameters.settled(method, map(parameters.assignment, words[3::2])) == values
+    assert parameters.resolve(method, map(parameters.parse_assignment, words[3::2])) == values
 
 
 def test_values_that_no_user_could_give_are_refused(monkeypatch, mesh):

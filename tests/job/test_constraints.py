@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.errors import InputError, UnsupportedError, UsageError
 from msal_cli.job import constraints
 from msal_cli.job.pipeline import denoise_bytes
@@ -56,7 +55,7 @@ def settings(method="msal", **asked):
 def denoised(data, **asked):
     output, record = denoise_bytes(data, "a.ply", settings(**asked))
     assert record.error is None, record.error
-    return files.open_mesh(bytes(output), "a.ply").vertices, record
+    return codecs.open_mesh(bytes(output), "a.ply").vertices, record
 
 
 # Words
@@ -67,9 +66,9 @@ def denoised(data, **asked):
     [("0.3e", 0.3, True), ("0.05", 0.05, False), (" 1e-3 ", 1e-3, False), ("2e3e", 2e3, True)],
 )
 def test_lengths(text, value, in_edges):
-    found = constraints.length(text)
+    found = constraints.parse_length(text)
     assert (found.value, found.in_edges) == (value, in_edges)
-    assert constraints.length(str(found)) == found
+    assert constraints.parse_length(str(found)) == found
 
 
 @pytest.mark.parametrize(
@@ -89,17 +88,17 @@ def test_lengths(text, value, in_edges):
     ],
 )
 def test_lengths_with_a_unit(text, unit, value):
-    found = constraints.length(text, unit=unit)
+    found = constraints.parse_length(text, unit=unit)
     assert (found.value, found.in_edges) == (value, False)
 
 
 def test_a_unit_means_nothing_where_that_of_the_file_is_not_known():
     with pytest.raises(UsageError, match=r"--max-move 0\.01mm: mesh files have no unit") as caught:
-        constraints.length("0.01mm")
+        constraints.parse_length("0.01mm")
     assert "--unit mm" in caught.value.hint
     # Edges and file units need none.
-    assert constraints.length("0.3e", unit="m").in_edges
-    assert constraints.length("0.05", unit="m").value == 0.05
+    assert constraints.parse_length("0.3e", unit="m").in_edges
+    assert constraints.parse_length("0.05", unit="m").value == 0.05
 
 
 @pytest.mark.parametrize(
@@ -109,7 +108,7 @@ def test_a_unit_means_nothing_where_that_of_the_file_is_not_known():
 )
 def test_what_is_no_length_is_refused(text):
     with pytest.raises(UsageError, match=r"no length|too large"):
-        constraints.length(text, unit="m")
+        constraints.parse_length(text, unit="m")
 
 
 @pytest.mark.parametrize(
@@ -117,7 +116,7 @@ def test_what_is_no_length_is_refused(text):
 )
 def test_what_is_no_lock_is_refused(text):
     with pytest.raises(UsageError, match="neither"):
-        constraints.lock(text)
+        constraints.parse_lock(text)
 
 
 @pytest.mark.parametrize(
@@ -132,16 +131,16 @@ def test_what_is_no_lock_is_refused(text):
     ],
 )
 def test_comparisons(text, expected):
-    one = constraints.lock(text)
-    assert one.of(np.array([1.0, 2.0, 3.0])).tolist() == expected
-    assert constraints.lock(str(one)) == one
+    one = constraints.parse_lock(text)
+    assert one.select(np.array([1.0, 2.0, 3.0])).tolist() == expected
+    assert constraints.parse_lock(str(one)) == one
 
 
 def test_a_single_precision_property_is_compared_in_single_precision():
     stored = np.array([0.2, 0.3], dtype=np.float32).astype(float)
     assert stored[0] > 0.2
-    assert constraints.lock("q <= 0.2").of(stored).tolist() == [True, False]
-    assert constraints.lock("q == 0.2").of(np.array([0.2, 0.3])).tolist() == [True, False]
+    assert constraints.parse_lock("q <= 0.2").select(stored).tolist() == [True, False]
+    assert constraints.parse_lock("q == 0.2").select(np.array([0.2, 0.3])).tolist() == [True, False]
 
 
 # The limit
@@ -186,7 +185,7 @@ def test_a_limit_that_nobody_reaches_changes_no_byte():
 def test_single_precision_goes_beyond_the_limit_by_rounding_only():
     vertices, faces = noisy()
     data = ply(vertices + 1000.0, faces, kind="float")
-    start = files.open_mesh(data, "a.ply").vertices
+    start = codecs.open_mesh(data, "a.ply").vertices
     kept, _ = denoised(data, max_move="0.01")
     ulp = np.spacing(np.float32(1000.0))
     assert np.linalg.norm(kept - start, axis=1).max() <= 0.01 + np.sqrt(3.0) * ulp
@@ -197,7 +196,7 @@ def test_clamping_never_exceeds_the_limit_not_even_by_rounding(scale):
     before = scale * (random().standard_normal((2000, 3)) + 50.0)
     after = before + scale * np.random.default_rng(8).standard_normal((2000, 3))
     limit = 0.1 * scale
-    kept, n_clamped = constraints.clamped(before, after, limit)
+    kept, n_clamped = constraints.clamp_moves(before, after, limit)
     assert n_clamped == (distances(before, after) > limit).sum() > 1000
     assert distances(before, kept).max() <= limit
     assert not np.shares_memory(kept, after)
@@ -228,7 +227,7 @@ def test_locked_vertices_keep_their_very_bytes(method, encoding):
     vertices, faces = noisy()
     quality = random().random(len(vertices))
     data = ply(vertices, faces, {"quality": quality}, encoding=encoding)
-    before = files.open_mesh(data, "a.ply").vertices
+    before = codecs.open_mesh(data, "a.ply").vertices
     after, record = denoised(data, method=method, lock=("quality < 0.3",))
     is_locked = quality < 0.3
     assert record.locked_vertices == is_locked.sum()
@@ -373,10 +372,10 @@ def test_trust_is_the_property_over_its_largest_value():
 def test_properties_are_read(encoding, kind):
     vertices, faces = grid()
     stored = {"confidence": np.arange(len(vertices)) / 8, "quality": np.ones(len(vertices))}
-    file = files.open_mesh(ply(vertices, faces, stored, kind, encoding), "a.ply")
-    assert np.array_equal(files.vertex_property(file, "confidence"), stored["confidence"])
-    assert np.allclose(files.vertex_property(file, "z"), vertices[:, 2])
-    assert files.vertex_property(file, "quality").dtype == np.float64
+    file = codecs.open_mesh(ply(vertices, faces, stored, kind, encoding), "a.ply")
+    assert np.array_equal(codecs.vertex_property(file, "confidence"), stored["confidence"])
+    assert np.allclose(codecs.vertex_property(file, "z"), vertices[:, 2])
+    assert codecs.vertex_property(file, "quality").dtype == np.float64
 
 
 def test_properties_behind_lists_are_read():
@@ -384,10 +383,10 @@ def test_properties_behind_lists_are_read():
     top = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
     top += "property float z\nproperty list uchar int near\nproperty float q\nelement face 1\n"
     top += "property list uchar int vertex_indices\nend_header\n"
-    file = files.open_mesh((top + "\n".join(rows) + "\n3 0 1 2\n").encode(), "a.ply")
-    assert files.vertex_property(file, "q").tolist() == [0.5, 1.5, 2.5]
+    file = codecs.open_mesh((top + "\n".join(rows) + "\n3 0 1 2\n").encode(), "a.ply")
+    assert codecs.vertex_property(file, "q").tolist() == [0.5, 1.5, 2.5]
     with pytest.raises(InputError, match="that is a number"):
-        files.vertex_property(file, "near")
+        codecs.vertex_property(file, "near")
 
 
 def test_a_property_that_is_not_there_is_an_error_that_lists_the_others():
@@ -411,6 +410,6 @@ def test_trust_that_means_nothing_is_an_error(values, code):
 
 
 def test_other_formats_have_no_properties():
-    file = files.open_mesh(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj")
+    file = codecs.open_mesh(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj")
     with pytest.raises(UnsupportedError, match="from PLY, not from OBJ"):
-        files.vertex_property(file, "confidence")
+        codecs.vertex_property(file, "confidence")

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from msal_cli.kernels.corner_welding import indexed
+from msal_cli.kernels.corner_welding import weld_corners
 
 
 def by_dictionary(corners: np.ndarray) -> tuple[list[tuple[float, ...]], list[int]]:
@@ -27,7 +27,7 @@ def by_dictionary(corners: np.ndarray) -> tuple[list[tuple[float, ...]], list[in
     )
 )
 def test_corners_are_numbered_in_order_of_appearance(corners):
-    vertices, faces, bad = indexed(corners)
+    vertices, faces, bad = weld_corners(corners)
     wanted, numbers = by_dictionary(corners)
     assert bad == -1
     assert vertices.tolist() == [list(p) for p in wanted]
@@ -44,7 +44,7 @@ def test_everything_grows_where_more_is_found_than_usual(share):
         [np.arange(len(positions)), rng.integers(0, len(positions), 30_000 - len(positions))]
     )
     corners = positions[rng.permutation(order)].reshape(-1, 9)
-    vertices, faces, bad = indexed(corners)
+    vertices, faces, bad = weld_corners(corners)
     assert bad == -1
     assert np.array_equal(vertices[faces].reshape(-1, 9), corners)
     assert len(np.unique(vertices, axis=0)) == len(vertices)
@@ -54,7 +54,7 @@ def test_views_into_a_file_are_read():
     facets = np.zeros(700, dtype=[("normal", "<f4", 3), ("corners", "<f4", 9), ("word", "<u2")])
     facets["corners"] = np.random.default_rng(2).integers(0, 9, (700, 9))
     shifted = np.frombuffer(b"xx" + facets.tobytes(), dtype=facets.dtype, offset=2)
-    vertices, faces, bad = indexed(shifted["corners"])
+    vertices, faces, bad = weld_corners(shifted["corners"])
     assert bad == -1
     assert np.array_equal(vertices[faces].reshape(-1, 9), facets["corners"])
     assert len(vertices) == len(by_dictionary(facets["corners"])[0])
@@ -66,4 +66,4 @@ def test_the_first_facet_that_is_not_finite_is_told(wrong, facet):
     corners = np.zeros((1000, 9))
     corners[facet, 8] = wrong
     corners[999, 0] = wrong
-    assert indexed(corners)[2] == facet
+    assert weld_corners(corners)[2] == facet

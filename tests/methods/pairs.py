@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.analysis.surface import normal_statistics
 from msal_cli.mesh import Mesh, prepared
+from msal_cli.storage.gzip_streams import expanded, read_whole
 
 PAIRS = ("Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2")
 
@@ -19,7 +19,7 @@ PAIRS = ("Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2")
 def opened(noisy: Path, clean: Path) -> tuple[Mesh, Mesh]:
     """The noisy mesh, and the same with the positions of the clean one."""
     one, other = (
-        files.open_mesh(files.expanded(files.read_whole(str(path)), path.name)[0], path.name)
+        codecs.open_mesh(expanded(read_whole(str(path)), path.name)[0], path.name)
         for path in (noisy, clean)
     )
     ready = prepared(one.vertices, one.faces)

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.analysis.surface import normal_statistics
 from msal_cli.kernels.operators import AnisotropicLaplacian
 from msal_cli.kernels.robust_laplacian import DEVIATIONS, SCALINGS, WEIGHTS, RobustLaplacian
 from msal_cli.mesh import prepared
+from msal_cli.storage import gzip_streams
 from tests import paper
 from tests.methods.pairs import all_errors, errors, opened
 from tests.shapes import fan, grid, noisy, torus
@@ -303,7 +303,7 @@ def test_reference_figures_of_al_and_msal(real_data):
 def test_weights_keep_edges_under_weak_noise(real_data, deviation, expected):
     # Fandisk with normal noise of a tenth of the mean edge: degrees after three sweeps.
     path = str(real_data / "clean" / "fandisk.obj")
-    one = files.open_mesh(files.read_whole(path), path)
+    one = codecs.open_mesh(gzip_streams.read_whole(path), path)
     clean = prepared(one.vertices, one.faces).mesh
     rng = np.random.default_rng(0)
     along = rng.normal(0, 0.1 * clean.mean_edge_length, (len(clean.vertices), 1))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.analysis.surface import normal_statistics
 from msal_cli.kernels.connectivity import connectivity
 from msal_cli.kernels.dihedral_flaps import dihedral_angles, flaps
 from msal_cli.mesh import prepared
 from msal_cli.methods import l0
+from msal_cli.storage import gzip_streams
 from tests.shapes import grid, noisy, torus
 
 METHOD = methods.find("l0")
@@ -184,7 +184,7 @@ MEASURED = {
 def test_figures_as_measured_elsewhere(real_data, name):
     folder = real_data / "pairs" / name
     noisy_file, original_file = (
-        files.open_mesh(files.read_whole(str(folder / one)), one)
+        codecs.open_mesh(gzip_streams.read_whole(str(folder / one)), one)
         for one in ("Noisy.obj", "Original.obj")
     )
     ready = prepared(noisy_file.vertices, noisy_file.faces)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.analysis.surface import normal_statistics
 from msal_cli.kernels.geometry import area_and_volume, with_volume_of
 from msal_cli.mesh import prepared
+from msal_cli.storage import gzip_streams
 from tests.shapes import cube, grid, noisy, torus
 
 METHOD = methods.find("mean_curvature_flow")
@@ -270,7 +270,7 @@ def pair(request, real_data):
     """Name, prepared noisy mesh and the original with its vertices about the same origin."""
     folder = real_data / "pairs" / request.param
     noisy_file, original = (
-        files.open_mesh(files.read_whole(str(folder / name)), name)
+        codecs.open_mesh(gzip_streams.read_whole(str(folder / name)), name)
         for name in ("Noisy.obj", "Original.obj")
     )
     ready = prepared(noisy_file.vertices, noisy_file.faces)

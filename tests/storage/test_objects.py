@@ -10,10 +10,10 @@ import threading
 
 import pytest
 
-from msal_cli import codecs as files
+from msal_cli.codecs import header_check
 from msal_cli.codecs.forecast import forecast
 from msal_cli.errors import InputError, OutputError, TooLargeError, UsageError
-from msal_cli.storage import limits, sidecars
+from msal_cli.storage import atomic, gzip_streams, limits, sidecars
 from msal_cli.storage import objects as remote
 from msal_cli.storage.objects import Mark, listed, mark, read_many, read_whole, removed, write_whole
 
@@ -44,7 +44,7 @@ class Refusing:
 @pytest.fixture
 def failing(monkeypatch):
     def with_failure(failure):
-        monkeypatch.setattr(remote, "_opened", lambda url: (Refusing(failure), "a.ply"))
+        monkeypatch.setattr(remote, "_open", lambda url: (Refusing(failure), "a.ply"))
 
     return with_failure
 
@@ -58,9 +58,9 @@ def test_what_is_written_is_read_back():
 
 
 def test_the_ordinary_functions_take_urls():
-    there = files.write_whole("memory://b/a.ply", [b"data"])
+    there = atomic.write_whole("memory://b/a.ply", [b"data"])
     assert there == mark("memory://b/a.ply")
-    assert files.read_whole("memory://b/a.ply") == b"data"
+    assert gzip_streams.read_whole("memory://b/a.ply") == b"data"
 
 
 def test_another_content_of_the_same_size_has_another_mark():
@@ -350,4 +350,4 @@ class TestBounds:
 
         server.answer = answer
         assert read_whole(server.url) == data
-        assert files.read_input(server.url) == data
+        assert header_check.read_input(server.url) == data

@@ -270,7 +270,8 @@ def test_size_and_time_alone_do_not_make_files_the_same(tmp_path):
 
 
 def test_the_real_textured_scan(real_data, tmp_path):
-    from msal_cli.codecs import open_mesh, read_whole
+    from msal_cli.codecs import open_mesh
+    from msal_cli.storage.gzip_streams import read_whole
 
     source = real_data / "textured" / "bunny10k_textured.obj"
     mesh = open_mesh(read_whole(source), source.name)

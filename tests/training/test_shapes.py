@@ -174,12 +174,13 @@ def test_cut_meshes_are_one_piece_with_a_border():
 
 
 def test_command_writes_ply_that_msal_reads(tmp_path: Path):
-    from msal_cli import codecs as files
+    from msal_cli import codecs
+    from msal_cli.storage import gzip_streams
 
     mesh = build_shape(Recipe("metaballs", "marching_cubes"), np.random.default_rng(1), 0.2)
     path = tmp_path / "shape.ply"
     write_ply(path, mesh.vertices, mesh.faces.astype(np.int32))
-    back = files.open_mesh(files.read_whole(str(path)), path.name)
+    back = codecs.open_mesh(gzip_streams.read_whole(str(path)), path.name)
     assert np.array_equal(back.vertices, mesh.vertices)
     assert np.array_equal(back.faces, mesh.faces)
     assert [p.name for p in tmp_path.iterdir()] == ["shape.ply"]

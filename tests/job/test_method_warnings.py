@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
 from msal_cli import methods
 from msal_cli.analysis.added_noise import noisy
-from msal_cli.job.advice import is_ruled_by_spike
+from msal_cli.job.changes import is_ruled_by_spike
 from msal_cli.mesh import prepared
-from tests.cli.scans import msal, ply_text
+from tests.cli.scans import msal, ply_text, record_of
 from tests.shapes import torus
 
 
@@ -27,7 +25,7 @@ def scan_with(path, level, spike=0.0):
 
 def warnings_of(scan, *words):
     made = msal("denoise", scan, "-o", scan.with_name("out.ply"), "--force", "--json", *words)
-    (record,) = json.loads(made.stdout)["records"]
+    record = record_of(made)
     return record["warnings"]
 
 

@@ -1,4 +1,4 @@
-"""Plain numbers, eight digits at a time: against ``float``, ``int`` and ``%``, which are exact."""
+"""Eight bytes at a time, and numbers written with a fixed number of decimals, against Python."""
 
 from __future__ import annotations
 
@@ -7,25 +7,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.kernels import fast_numbers as plain
+from msal_cli.kernels import byte_words, digits
 from msal_cli.kernels.text import as_bytes
-
-NUMBER = st.from_regex(r"\A-?[0-9]{0,11}(\.[0-9]{0,18})?\Z")
 
 
 @given(st.binary(max_size=20), st.integers(0, 20))
 @settings(deadline=None)
 def test_eight_bytes_are_one_word_and_beyond_the_end_are_zeros(data: bytes, at: int) -> None:
     wanted = int.from_bytes(data[at : at + 8], "little")
-    assert int(plain.eight(as_bytes(data), at)) == wanted
+    assert int(byte_words.load_eight(as_bytes(data), at)) == wanted
 
 
 @given(st.integers(0, 2**64 - 1))
 @settings(deadline=None)
 def test_a_word_is_put_and_found_again(word: int) -> None:
     out = np.full(10, 7, dtype=np.uint8)
-    plain.put_eight(out, 1, np.uint64(word))
-    assert int(plain.eight(as_bytes(out), 1)) == word
+    byte_words.store_eight(out, 1, np.uint64(word))
+    assert int(byte_words.load_eight(as_bytes(out), 1)) == word
     assert (out[0], out[9]) == (7, 7)
 
 
@@ -34,7 +32,7 @@ def test_a_word_is_put_and_found_again(word: int) -> None:
 def test_digits_are_counted_up_to_the_first_other_byte(letters: list[int]) -> None:
     word = np.uint64(int.from_bytes(bytes(letters), "little"))
     wanted = next((k for k, c in enumerate(letters) if not 48 <= c <= 57), 8)
-    assert plain.n_digits(word) == wanted
+    assert byte_words.count_digits(word) == wanted
 
 
 @given(st.integers(0, 10**8 - 1), st.integers(1, 8))
@@ -42,29 +40,12 @@ def test_digits_are_counted_up_to_the_first_other_byte(letters: list[int]) -> No
 def test_whole_numbers(number: int, count: int) -> None:
     text = b"%08d" % number
     word = np.uint64(int.from_bytes(text[8 - count :] + b"/x: 9.-\xff"[: 8 - count], "little"))
-    assert plain.whole_number(word, count) == number % 10**count
-
-
-@given(NUMBER, st.sampled_from(["", " ", "\n", "x", "e5"]))
-@settings(deadline=None)
-def test_what_is_read_is_what_float_reads(token: str, behind: str) -> None:
-    value, end, decimals = plain.read_plain(as_bytes((" " + token + behind).encode()), 1)
-    digits = token.lstrip("-").replace(".", "")
-    is_plain = 0 < len(digits) <= 18 and int(digits) <= 2**53
-    is_plain &= len(token.lstrip("-").partition(".")[0]) <= 9
-    if end < 0:
-        # Sixteen decimals may be refused: more could follow.
-        assert not is_plain or len(token.partition(".")[2]) >= 16
-        return
-    assert is_plain
-    assert (end, decimals) == (1 + len(token), len(token.partition(".")[2]))
-    assert value == float(token)
-    assert np.signbit(value) == token.startswith("-")
+    assert byte_words.parse_digits(word, count) == number % 10**count
 
 
 def printed(value: float, decimals: int) -> bytes:
     out = np.full(60, 42, dtype=np.uint8)
-    end = plain.put_plain(value, decimals, out, 1)
+    end = digits.write_fixed(value, decimals, out, 1)
     assert out[0] == 42
     assert (out[end + 8 :] == 42).all()
     return out[1:end].tobytes()
@@ -75,12 +56,10 @@ def exact(value: float, decimals: int) -> bytes:
     return text.lstrip(b"-") if float(text) == 0.0 else text
 
 
-@given(st.floats(-9e15, 9e15), st.integers(-12, 0), st.integers(0, plain.MOST_DECIMALS))
+@given(st.floats(-9e18, 9e18), st.integers(-12, 0), st.integers(0, digits.MOST_DECIMALS))
 @settings(deadline=None)
 def test_what_is_printed_is_correctly_rounded(value: float, power: int, decimals: int) -> None:
     value *= 10.0**power
-    while abs(value) * 10.0**decimals >= plain.MOST_SCALED:
-        value /= 16.0
     assert printed(value, decimals) == exact(value, decimals)
 
 

@@ -1,4 +1,4 @@
-"""Standard input, read to its end within bounds of memory and time."""
+"""Standard input and output: which of them a command uses, and reading within limits."""
 
 from __future__ import annotations
 
@@ -7,9 +7,19 @@ import queue
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.errors import InputError, MsalError, OutputError, ResourceError, TooLargeError
+from msal_cli.cli import console
+from msal_cli.cli.options import STREAM
+from msal_cli.errors import (
+    InputError,
+    MsalError,
+    OutputError,
+    ResourceError,
+    TooLargeError,
+    UsageError,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -24,6 +34,75 @@ _MOST_WAITING = 4
 _LARGE_BYTES = 4 << 20
 
 
+@dataclass(frozen=True)
+class Stream:
+    """Where one mesh comes from and goes to; ``-`` is a standard stream."""
+
+    source: str
+    target: str
+
+
+def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream:
+    """The stream that these inputs and this output, one of which is ``-``, ask for.
+
+    Raises
+    ------
+    UsageError
+        if a stream is to be shared by several files, or would fill a terminal with a mesh; if the
+        output is called like a file of no known format.
+    """
+    if len(inputs) > 1:
+        raise UsageError(
+            "standard input and standard output hold one mesh, not several",
+            hint="give one input, or a folder with -o",
+        )
+    from msal_cli.storage.urls import is_url
+
+    (source,) = inputs
+    if source != STREAM and not is_url(source) and not os.path.isfile(source):
+        what = "no regular file" if os.path.exists(source) else "no file"
+        what = "a folder" if os.path.isdir(source) else what
+        raise UsageError(
+            f"-o - takes one file, and {source!r} is {what}", hint="name an output folder with -o"
+        )
+    if output is None and console.is_terminal(sys.stdout):
+        raise UsageError(
+            "the mesh would go to the terminal",
+            hint="redirect it (> out.ply), name a file with -o, or insist with -o -",
+        )
+    if output is not None and os.path.isdir(output):
+        raise UsageError(
+            f"the output {output!r} is a folder, and standard input has no name to put there",
+            hint="name a file with -o",
+        )
+    if output is not None and output != STREAM:
+        from msal_cli.job.settings import refuse_unknown_format
+
+        refuse_unknown_format(output)
+    return Stream(source, output or STREAM)
+
+
+def choose_format(stream: Stream, to: str | None) -> str | None:
+    """The format to convert to: that of ``--to``, else that of the output's suffix, if any.
+
+    Raises
+    ------
+    UsageError
+        if the two contradict each other.
+    """
+    from msal_cli.job.settings import is_mesh_name, output_name
+
+    if stream.target == STREAM or not is_mesh_name(stream.target):
+        return to
+    stem = stream.target[:-3] if stream.target.lower().endswith(".gz") else stream.target
+    suffix = os.path.splitext(stem)[1].lstrip(".").lower()
+    if to is not None and output_name(stream.target, to).lower() != stream.target.lower():
+        raise UsageError(
+            f"--to {to} and the output {stream.target!r} say two formats", hint="give one of them"
+        )
+    return suffix
+
+
 def read_stream() -> Buffer:
     """All of standard input.
 
@@ -36,12 +115,13 @@ def read_stream() -> Buffer:
     ResourceError
         with code ``E_MEMORY`` as soon as it has more than is left of the memory.
     """
-    most = _most_bytes()
-    # Joined pieces would be held twice for a moment.
+    limit, error = _find_limit()
+    # Joining a list of pieces would need twice the memory.
     data = bytearray()
     for piece in _pieces():
         data += piece
-        most.check(len(data))
+        if len(data) > limit:
+            raise error
     # A library would copy what is no ``bytes``; a large file is not copied.
     return bytes(data) if len(data) < _LARGE_BYTES else memoryview(data).toreadonly()
 
@@ -60,13 +140,14 @@ def copy_stream(path: str, timeout_s: float | None, memory_bytes: int | None) ->
         as ``read_stream``.
     """
     begun = time.monotonic()
-    most = _most_bytes(memory_bytes)
+    limit, too_large = _find_limit(memory_bytes)
     size = 0
     try:
         with open(path, "xb", buffering=0) as file:
             for piece in _pieces(timeout_s):
                 size += len(piece)
-                most.check(size)
+                if size > limit:
+                    raise too_large
                 rest = memoryview(piece)
                 while rest:
                     rest = rest[file.write(rest) or 0 :]
@@ -79,48 +160,26 @@ def copy_stream(path: str, timeout_s: float | None, memory_bytes: int | None) ->
     return None if timeout_s is None else timeout_s - (time.monotonic() - begun)
 
 
-class _Most:
+def _find_limit(memory_limit: int | None = None) -> tuple[int, MsalError]:
     """The most bytes that standard input may have, and the error if it has more."""
-
-    def __init__(self, size: int, error: Callable[[str], MsalError]) -> None:
-        self._size = size
-        self._error = error
-
-    def check(self, size: int) -> None:
-        if size > self._size:
-            raise self._error(f"the stream has more than {self._size:,} bytes")
-
-
-def _most_bytes(memory_limit: int | None = None) -> _Most:
     from msal_cli.machine import available_bytes
     from msal_cli.storage.limits import largest_bytes
 
-    def beyond_limit(what: str) -> MsalError:
-        return ResourceError(
-            f"{what}, and the memory limit is no more",
-            code="E_MEMORY",
-            hint="raise --memory-limit if the machine has more",
-        )
-
-    def beyond_free(what: str) -> MsalError:
-        return ResourceError(
-            f"{what}, and no more memory is left",
-            code="E_MEMORY",
-            hint="use a machine, or a container, with more memory",
-        )
-
-    def beyond_half(what: str) -> MsalError:
-        return TooLargeError(
-            f"{what}, and more cannot be held in the memory of this machine",
-            hint="cut the mesh into parts, or use a machine with more memory",
-        )
-
     half, free = largest_bytes(), available_bytes()
     if memory_limit is not None and memory_limit < half:
-        return _Most(memory_limit, beyond_limit)
-    if memory_limit is None and free is not None and free < half:
-        return _Most(free, beyond_free)
-    return _Most(half, beyond_half)
+        size, why = memory_limit, "the memory limit is no more"
+        hint = "raise --memory-limit if the machine has more"
+    elif memory_limit is None and free is not None and free < half:
+        size, why = free, "no more memory is left"
+        hint = "use a machine, or a container, with more memory"
+    else:
+        return half, TooLargeError(
+            f"the stream has more than {half:,} bytes, and more does not fit into the memory of "
+            "this machine",
+            hint="cut the mesh into parts, or use a machine with more memory",
+        )
+    message = f"the stream has more than {size:,} bytes, and {why}"
+    return size, ResourceError(message, code="E_MEMORY", hint=hint)
 
 
 def _pieces(timeout_s: float | None = None) -> Iterator[bytes]:

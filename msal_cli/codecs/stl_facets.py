@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, TooLargeError
+from msal_cli.storage.buffers import Buffer
 
 HEADER_BYTES = 80
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u2")])
@@ -43,3 +45,34 @@ def not_finite(facet: int, corner: int, line: int | None = None) -> ContentError
         where=f"facet {facet}, corner {corner}" + (f", line {line}" if line else ""),
         hint="remove the facet, or export the scan again",
     )
+
+
+class FacetFile:
+    """An STL file; see ``codecs.mesh_file.MeshFile``.
+
+    ``vertices`` are the different positions of corners, in order of appearance.
+    """
+
+    format = "stl"
+    references: tuple[str, ...] = ()
+
+    def __init__(
+        self,
+        data: Buffer,
+        vertices: Floats,
+        faces: Ints,
+        properties: tuple[str, ...],
+        warnings: tuple[str, ...],
+    ) -> None:
+        self.data = data
+        self.vertices, self.faces = vertices, faces
+        self.properties, self.warnings = properties, warnings
+        self.n_polygons = len(faces)
+        self.merged_vertices = faces.size - len(vertices)
+
+    def polygons(self) -> Ints:
+        """The facets as an (m, 3) array."""
+        return self.faces
+
+    def forget_vertices(self) -> None:
+        """Do nothing: to read them again takes long."""

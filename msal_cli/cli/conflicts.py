@@ -1,0 +1,142 @@
+"""Options that contradict or need each other, as tables that one function reads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import click
+
+from msal_cli.errors import UsageError
+
+AUTOMATIC = ("auto", "keep", "strength", "prefer", "auto_budget")
+"""Options of which each asks for ``--auto``."""
+
+BY_HAND = ("method", "iterations", "factor", "mollify", "schedule", "assignments")
+"""Options that give a method and its parameters."""
+
+_FOR_FILES = (
+    "in_place",
+    "include",
+    "exclude",
+    "dry_run",
+    "shard",
+    "retry_failed",
+    "dask",
+    "fail_fast",
+    "fields",
+    "retries",
+    "max_failures",
+)
+
+_AUTO_HINT = (
+    "--keep, --strength, --prefer and --auto-budget imply --auto: let it choose, or give method "
+    "and parameters by hand"
+)
+_ONE = "give one of them"
+
+# Two names of ``find_given`` that do not go together, a message in place of the usual one, a hint.
+_CONFLICTS = (
+    ("quiet", "verbose", "", _ONE),
+    ("in_place", "output", "", _ONE),
+    (
+        "in_place",
+        "to",
+        "--in-place cannot change the format",
+        "name an output with -o to use --to",
+    ),
+    ("backup", "no_backup", "", _ONE),
+    ("fail_fast", "max_failures", "", _ONE),
+    (
+        "fields",
+        "in_place",
+        "--fields writes a file beside each output, which the next run in place would take for an "
+        "input",
+        "name another folder with -o",
+    ),
+    (
+        "dask",
+        "in_place",
+        "--in-place cannot be used with Dask, which may do a file twice",
+        "name an output folder with -o, or leave --engine dask away",
+    ),
+    (
+        "cluster",
+        "jobs",
+        "-j is for this machine; a Dask cluster has as many workers as it has",
+        "leave -j away, or use --scheduler local",
+    ),
+    *((one, other, "", _AUTO_HINT) for one in AUTOMATIC for other in ("adaptive", *BY_HAND)),
+    *((one, other, "", _AUTO_HINT) for one in ("automatic", "adaptive") for other in BY_HAND),
+    *(
+        ("stream", other, "{other} is for files, not for standard input or output", "")
+        for other in _FOR_FILES
+    ),
+    (
+        "stdout",
+        "reference",
+        "--reference measures a file, and the mesh goes to standard output",
+        "name a file with -o",
+    ),
+    (
+        "stdout",
+        "as_json",
+        "the mesh and --json cannot both go to standard output",
+        "name a file with -o for the mesh, or with --report for the records",
+    ),
+)
+
+# A name that is of no use without the other, and a hint.
+_NEEDS = (
+    ("backup", "in_place", "other inputs are never replaced"),
+    ("no_backup", "in_place", "other inputs are never replaced"),
+    ("scheduler", "dask", "add --engine dask"),
+    (
+        "dask",
+        "scheduler",
+        "give --scheduler tcp://HOST:8786, or --scheduler local for this machine",
+    ),
+    ("tolerance", "baseline", "name an earlier report with --baseline"),
+    ("type", "dims", "a raw volume needs its counts, too: --dims X,Y,Z"),
+)
+
+
+def find_given(context: click.Context) -> dict[str, str]:
+    """The options of a command line that have another value than without them, as users write them.
+
+    Three values count as options of their own: ``automatic`` and ``adaptive`` for those words in
+    place of a method, and ``dask``.
+    """
+    given = {
+        parameter.name: max(parameter.opts, key=len)
+        for parameter in context.command.params
+        if parameter.name is not None and _is_given(parameter, context)
+    }
+    method = context.params.get("method")
+    if method in ("auto", "adaptive"):
+        del given["method"]
+        given["automatic" if method == "auto" else method] = f"--method {method}"
+    if given.pop("engine", None):
+        given["dask"] = "--engine dask"
+    if context.params.get("scheduler") not in (None, "local"):
+        given["cluster"] = "--scheduler"
+    return given
+
+
+def _is_given(parameter: click.Parameter, context: click.Context) -> bool:
+    value: Any = context.params.get(str(parameter.name))
+    # 0 is given, too.
+    is_empty = value is None or value is False or value == ()
+    return not is_empty and value != parameter.get_default(context)
+
+
+def refuse_conflicts(given: Mapping[str, str]) -> None:
+    """Refuse the first two options of the tables that do not go together; UsageError."""
+    for one, other, message, hint in _CONFLICTS:
+        if one in given and other in given:
+            message = message or "{one} and {other} contradict each other"
+            raise UsageError(message.format(one=given[one], other=given[other]), hint=hint)
+    for one, other, hint in _NEEDS:
+        if one in given and other not in given:
+            need = "--engine dask" if other == "dask" else f"--{other.replace('_', '-')}"
+            raise UsageError(f"{given[one]} needs {need}", hint=hint)

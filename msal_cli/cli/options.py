@@ -1,0 +1,323 @@
+"""Options that several commands share, the types of their values, and what a shell completes."""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import math
+import os
+import re
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from msal_cli.errors import UsageError
+from msal_cli.job.settings import SELF_INTERSECTIONS
+from msal_cli.job.units import METRES
+
+STREAM = "-"
+"""The name of standard input and standard output."""
+
+_MOST_JOBS = 4096
+_MOST_DIGITS = 15
+
+_NUMBER_AND_UNIT = r"(?ai)(\d{1,15}(?:\.\d{0,9})?|\.\d{1,9})\s*([a-z]*)"
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_BYTES = {
+    **{f"{letter}{end}": 1000**n for n, letter in enumerate("kmgt", 1) for end in ("", "b")},
+    **{f"{letter}ib": 1024**n for n, letter in enumerate("kmgt", 1)},
+}
+
+# Types.  A function as a type gets the text of the option; its BadParameter names the option.
+
+
+class PathOrUrl(click.Path):
+    """A path, or a URL without ``file://`` and without its secrets."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path; UsageError for two signed links that differ in their signature only."""
+        path = super().convert(value, param, ctx)
+        if "://" not in str(path):
+            return path
+        from msal_cli.storage import urls
+
+        return urls.settled(str(path))
+
+
+PATH = PathOrUrl(readable=False, allow_dash=True)
+
+
+def parse_jobs(text: str) -> int | None:
+    """A number of files at the same time; None for ``auto``."""
+    if text == "auto":
+        return None
+    if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:9]) <= _MOST_JOBS:
+        raise click.BadParameter(
+            f"{text!r} is neither auto nor a whole number from 1 to {_MOST_JOBS}"
+        )
+    return int(text[:9])
+
+
+def number(
+    low: float = -math.inf, high: float = math.inf, unit: str = ""
+) -> Callable[[str], float]:
+    """The type of finite numbers from ``low`` to ``high``, which ``unit`` may follow."""
+    limits = "" if low == -math.inf else f" from {low:g}" + (f" to {high:g}" * (high < math.inf))
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text.removesuffix(unit))
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high or math.isinf(value):
+            raise click.BadParameter(f"{text!r} is not a number{limits}")
+        # Not -0.0, which would be shown.
+        return value + 0.0
+
+    return parse
+
+
+def parse_list(text: str) -> tuple[str, ...]:
+    """Words between commas."""
+    return tuple(word.strip() for word in text.split(","))
+
+
+def _parse_with_unit(text: str, units: dict[str, float] | dict[str, int]) -> float:
+    """A number with one of ``units`` behind it, times that unit; 0 for anything else."""
+    match = re.fullmatch(_NUMBER_AND_UNIT, text.strip())
+    return float(match[1]) * units.get(match[2].lower(), 0) if match else 0.0
+
+
+def parse_duration(text: str) -> float | None:
+    """Seconds: ``90``, ``1.5m``, ``2h``; None for ``none``."""
+    seconds = _parse_with_unit(text, _SECONDS)
+    if text != "none" and not seconds > 0.0:
+        raise click.BadParameter(f"{text!r} is not a time such as 90, 90s, 5m or 1h")
+    return seconds or None
+
+
+def parse_size(text: str) -> int | None:
+    """Bytes: ``500MB`` is 500 million, ``500MiB`` is 500 * 1024 * 1024; None for ``none``.
+
+    A number without a unit is refused: it is hardly meant in bytes.
+    """
+    size = _parse_with_unit(text, _BYTES)
+    if text != "none" and not size >= 1.0:
+        raise click.BadParameter(f"{text!r} is not a size such as 500M, 2G or 1.5GiB")
+    return int(size) or None
+
+
+def parse_percentage(text: str) -> float:
+    """A share that is written in percent."""
+    match = re.fullmatch(r"(?a)(\d{1,9}(?:\.\d{1,9})?)\s*%", text.strip())
+    if match is None:
+        raise click.BadParameter(f"{text!r} is not a percentage such as 2% or 0.5%")
+    return float(match[1]) / 100.0
+
+
+def _parse_three(text: str) -> tuple[float, float, float]:
+    """Three numbers between commas; three times NaN for anything else."""
+    try:
+        x, y, z = map(float, text.split(","))
+    except ValueError:
+        return math.nan, math.nan, math.nan
+    return x, y, z
+
+
+def parse_direction(text: str) -> tuple[float, float, float]:
+    """Three numbers between commas, or an axis such as ``z`` or ``-z``."""
+    axis = _AXES.get(text.lower().removeprefix("-").removeprefix("+"))
+    if axis is not None:
+        sign = -1.0 if text.startswith("-") else 1.0
+        # Not -0.0, which would be shown.
+        x, y, z = (sign * one + 0.0 for one in axis)
+        return x, y, z
+    x, y, z = _parse_three(text)
+    if math.isnan(x + y + z):
+        raise click.BadParameter(
+            f"{text!r} is neither an axis such as z or -z nor three numbers such as 0,-1,0.5"
+        )
+    if not 1e-100 < math.hypot(x, y, z) < 1e100:
+        raise click.BadParameter(
+            f"{text!r} has no length between 1e-100 and 1e100, so it is no direction"
+        )
+    return x, y, z
+
+
+def parse_lengths(text: str) -> tuple[float, float, float]:
+    """Three numbers above 0 between commas."""
+    lengths = _parse_three(text)
+    if not all(0.0 < one < math.inf for one in lengths):
+        raise click.BadParameter(f"{text!r} is not three numbers above 0 such as 1,1,3")
+    return lengths
+
+
+def parse_counts(text: str) -> tuple[int, int, int]:
+    """Three whole numbers above 0 between commas."""
+    if not re.fullmatch(r"(?a)(0*[1-9]\d{0,8}(,|$)){3}", text) or text.endswith(","):
+        raise click.BadParameter(f"{text!r} is not three whole numbers such as 512,512,100")
+    x, y, z = map(int, text.split(","))
+    return x, y, z
+
+
+def parse_resolution(text: str) -> tuple[int | None, float | None]:
+    """``96`` cells along the longest side, or cells of ``0.8e``, mean edge lengths."""
+    if text.isascii() and text.isdigit() and len(text) < 6:
+        return int(text), None
+    try:
+        edges = float(text.removesuffix("e")) if text.endswith("e") else math.nan
+    except ValueError:
+        edges = math.nan
+    if not math.isfinite(edges):
+        raise click.BadParameter(
+            f"{text!r} is neither a number of cells such as 96 nor a cell such as 0.8e"
+        )
+    return None, edges
+
+
+# Values that are checked when the command runs, because that imports more.
+
+
+def resolve_format(
+    text: str | None, known: Callable[[], tuple[str, ...]] | None = None, option: str = "--format"
+) -> str | None:
+    """A format in the spelling of what ``known`` gives, a leading dot aside; None for None.
+
+    Without ``known`` it is a format that can be read.  UsageError, with the closest, if it is none.
+    """
+    if text is None:
+        return None
+    from msal_cli.codecs import detection
+
+    names = tuple(name.lstrip(".") for name in (known or detection.readable_suffixes)())
+    plain = text.lower().lstrip(".")
+    if plain in names:
+        return plain
+    import difflib
+
+    close = difflib.get_close_matches(plain, names, n=2, cutoff=0.5)
+    raise UsageError(
+        f"{option} {text}: there is no such format",
+        hint=f"did you mean {' or '.join(close)}?" if close else f"known are: {', '.join(names)}",
+    )
+
+
+def check_threads_variable() -> None:
+    """Refuse a value of ``MSAL_THREADS`` that means nothing; UsageError."""
+    value = os.environ.get("MSAL_THREADS", "")
+    is_number = value.isascii() and value.isdigit() and len(value) <= _MOST_DIGITS
+    if value and not (is_number and int(value) > 0):
+        raise UsageError(
+            f"MSAL_THREADS is {value!r}, which is not a whole number from 1 up",
+            hint="set it to a number of threads, or unset it",
+        )
+
+
+def list_methods() -> tuple[str, ...]:
+    """The names of all methods: those of ``methods.names()``, found without importing any."""
+    import pkgutil
+
+    found = importlib.util.find_spec("msal_cli.methods")
+    folders = found.submodule_search_locations if found is not None else None
+    names = (module.name for module in pkgutil.iter_modules(folders))
+    return tuple(sorted(name for name in names if not name.startswith("_")))
+
+
+def complete_method(
+    context: click.Context, parameter: click.Parameter, incomplete: str
+) -> list[str]:
+    """The methods that begin like this, for the shell."""
+    return [name for name in list_methods() if name.startswith(incomplete)]
+
+
+# Options.
+
+Decorator = Callable[[Any], Any]
+
+
+def combine(*options: Decorator) -> Decorator:
+    """One decorator for several options, which help shows in this order."""
+
+    def decorate(command: Any) -> Any:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+INPUTS = click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=PATH)
+
+FORMAT = click.option(
+    "--format",
+    "format",
+    metavar="FORMAT",
+    help="Format of the input files, where neither their names nor their content show it.",
+)
+
+FILES = combine(
+    click.option(
+        "--include",
+        metavar="PATTERN",
+        multiple=True,
+        help="Take only files whose path or name matches, such as '*.ply'. Repeatable.",
+    ),
+    click.option(
+        "--exclude",
+        metavar="PATTERN",
+        multiple=True,
+        help="Leave out files or folders that match. Repeatable; wins over --include.",
+    ),
+)
+
+UNIT = click.option(
+    "--unit",
+    type=click.Choice(tuple(METRES)),
+    metavar="UNIT",
+    help="What the numbers in the files are: mm, m, in, ... Then lengths may have a unit (0.01mm).",
+)
+
+CHECK = click.option(
+    "--check",
+    "checks",
+    type=click.Choice((SELF_INTERSECTIONS,)),
+    multiple=True,
+    help="Count the faces that intersect each other, too: a second for 100,000 faces.",
+)
+
+METHOD_PARAMETER = click.option(
+    "--set",
+    "assignments",
+    metavar="NAME=VALUE",
+    multiple=True,
+    help="Any parameter of the method; `msal methods NAME` lists them. Repeatable.",
+)
+
+FORCE = click.option(
+    "--force", is_flag=True, help="Replace files in OUT that no msal denoise wrote."
+)
+
+JSON_REPORT = click.option(
+    "--json", "as_json", is_flag=True, help="Print the JSON report to standard output."
+)
+
+QUIET = click.option("-q", "--quiet", is_flag=True, help="No progress and no summary; only errors.")
+
+
+def verbose(function: Callable[..., int]) -> Callable[..., int]:
+    """``-v``, and a log of that level while the command runs, which does not get the option."""
+
+    @functools.wraps(function)
+    def run(*arguments: Any, verbose: int, **options: Any) -> int:
+        from msal_cli.cli import logs
+
+        with logs.log_to_console(verbose):
+            return function(*arguments, **options)
+
+    option: Callable[[Any], Any] = click.option(
+        "-v", "--verbose", count=True, help="Show more of what is done; -vv shows everything."
+    )
+    decorated: Callable[..., int] = option(run)
+    return decorated

@@ -1,0 +1,202 @@
+"""What every codec promises, whatever the format: over small files of all formats.
+
+The files are the seeds of the mutants, which use every path of a reader.  What only one format has
+is tested beside that format.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from msal_cli.codecs import open_mesh
+from msal_cli.errors import ContentError, InternalError, MsalError, TruncatedError
+from tests.codecs.patching import texts_between_numbers
+from tests.frozen import corpus_sums
+from tests.fuzz.seeds import seeds
+
+FORMATS = tuple(one for one in corpus_sums.formats() if seeds(one) and one != "gz")
+TEXTS = ("obj", "avs", "inp", "mesh", "off", "vol")
+LARGEST = 4000
+"""Bytes of the files that are tried."""
+
+AT_MOST = 5
+"""Files of a format of simulation programs, of which there are many that differ little."""
+
+
+def cases(format: str):
+    files = [data for data in seeds(format) if len(data) <= LARGEST]
+    chosen = files if format in corpus_sums.FUZZED else files[-AT_MOST:]
+    return [pytest.param(format, data, id=f"{format}-{k}") for k, data in enumerate(chosen)]
+
+
+CASES = [one for format in FORMATS for one in cases(format)]
+FIRST = [cases(format)[0] for format in FORMATS]
+
+
+def moved(file, every: int = 2):
+    """New positions: every second vertex by up to a hundredth of the extent."""
+    vertices = file.vertices.copy()
+    extent = np.ptp(vertices, axis=0).max()
+    shift = 0.01 * extent * np.sin(np.arange(0, len(vertices), every)[:, None] + np.arange(3.0))
+    vertices[::every] += shift
+    return np.rint(vertices) if any("whole numbers" in one for one in file.warnings) else vertices
+
+
+def tolerance(file, vertices) -> float:
+    """How far a position may be from the one asked for, once it is written."""
+    largest = np.abs(vertices).max()
+    step = {"float32": 6e-8 * largest, "float64": 0.0, "integer": 0.5}
+    return max(step.get(file.precision, 0.0), 1e-7 * largest)
+
+
+@pytest.mark.parametrize(("format", "data"), CASES)
+def test_nothing_moved_gives_back_the_very_bytes(format, data):
+    file = open_mesh(data, f"a.{format}")
+    assert bytes(file.replaced(file.vertices.copy())) == data
+    file.check(data, file.vertices)
+    assert bytes(file.encoded(file.vertices, "same", "same")) == data
+
+
+@pytest.mark.parametrize(("format", "data"), CASES)
+def test_what_is_written_is_the_same_mesh_with_other_positions(format, data):
+    file = open_mesh(data, f"a.{format}")
+    vertices = moved(file)
+    wanted = vertices.copy()
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    assert np.array_equal(vertices, wanted), "the array that was given is left alone"
+    assert bytes(file.encoded(vertices, "same", "same")) == output
+    again = open_mesh(output, f"a.{format}")
+    # An STL whose corners come to lie together has fewer vertices.
+    if len(again.vertices) == len(vertices):
+        assert np.abs(again.vertices - vertices).max() <= tolerance(file, vertices)
+        assert np.array_equal(again.vertices[1::2], file.vertices[1::2]), "bits of what stayed"
+        assert np.array_equal(again.faces, file.faces)
+        assert np.array_equal(
+            np.concatenate(list(map(np.ravel, again.polygons()))),
+            np.concatenate(list(map(np.ravel, file.polygons()))),
+        )
+    for name in ("format", "encoding", "precision", "n_polygons", "properties", "references"):
+        assert getattr(again, name) == getattr(file, name), name
+    assert len(again.warnings) == len(file.warnings)
+    if format in TEXTS:
+        assert texts_between_numbers(output) == texts_between_numbers(data)
+
+
+@pytest.mark.parametrize(("format", "data"), CASES)
+def test_the_check_sees_every_wrong_byte_that_matters(format, data):
+    """What it lets pass is the same mesh: a last digit, the sign of a zero, the date in an archive,
+    a normal of nearly the same direction."""
+    file = open_mesh(data, f"a.{format}")
+    vertices = moved(file)
+    output = bytes(file.replaced(vertices))
+    rng = np.random.default_rng(len(data))
+    places = range(len(output))
+    if len(output) > 200:
+        places = np.sort(rng.choice(len(output), 200, replace=False)).tolist()
+    n_passed = 0
+    for at in places:
+        wrong = bytearray(output)
+        wrong[at] ^= 1 << int(rng.integers(8))
+        try:
+            file.check(bytes(wrong), vertices)
+        except Exception:  # archives and descriptions are not understood at all
+            continue
+        n_passed += 1
+        if format in ("3mf", "glb"):
+            continue  # their readers look at more of the container than the check does
+        again = open_mesh(bytes(wrong), f"a.{format}")
+        assert np.abs(again.vertices - vertices).max() <= 2 * tolerance(file, vertices)
+        assert np.array_equal(again.faces, file.faces)
+        if format in TEXTS:
+            assert texts_between_numbers(bytes(wrong)) == texts_between_numbers(output)
+    assert n_passed < 0.2 * len(places)
+    for wrong in (output[:-1], output + b"\n", data):
+        if wrong != output:
+            with pytest.raises(InternalError):
+                file.check(wrong, vertices)
+
+
+@pytest.mark.parametrize(("format", "data"), CASES)
+def test_every_prefix_is_refused_or_is_a_mesh(format, data):
+    step = max(1, len(data) // 150)
+    for size in range(0, len(data), step):
+        try:
+            file = open_mesh(data[:size], f"a.{format}")
+        except MsalError as error:
+            assert error.message, size
+            assert size or isinstance(error, TruncatedError)
+            continue
+        assert np.isfinite(file.vertices).all()
+        assert file.faces.min() >= 0 and file.faces.max() < len(file.vertices)
+        assert bytes(file.replaced(file.vertices.copy())) == data[:size]
+
+
+@pytest.mark.parametrize(("format", "data"), FIRST)
+def test_what_cannot_be_a_position_is_refused(format, data):
+    file = open_mesh(data, f"a.{format}")
+    if format != "stl":  # whose kernels trust the job
+        for bad in (np.nan, np.inf, -np.inf):
+            vertices = file.vertices.copy()
+            vertices[1, 2] = bad
+            with pytest.raises((InternalError, ContentError)):
+                file.check(file.replaced(vertices), vertices)
+        with pytest.raises((InternalError, ValueError)):
+            file.replaced(file.vertices[:-1])
+    vertices = file.vertices.copy()
+    vertices[1, 2] = 1e300
+    if file.precision == "float32" and file.encoding.startswith("binary"):
+        with pytest.raises(ContentError) as caught:
+            file.replaced(vertices)
+        assert caught.value.code == "E_RANGE"
+
+
+@pytest.mark.parametrize(("format", "data"), FIRST)
+@pytest.mark.parametrize("kind", [bytearray, memoryview, lambda data: memoryview(bytearray(data))])
+def test_every_kind_of_buffer_is_read_and_left_alone(format, data, kind):
+    buffer = kind(data)
+    file, plain = open_mesh(buffer, f"a.{format}"), open_mesh(data, f"a.{format}")
+    vertices = moved(plain)
+    assert np.array_equal(file.vertices, plain.vertices)
+    output = bytes(file.replaced(vertices))
+    assert output == bytes(plain.replaced(vertices))
+    file.check(memoryview(output), vertices)
+    assert bytes(buffer) == data
+
+
+@pytest.mark.parametrize(("format", "data"), CASES)
+def test_another_encoding_is_the_same_mesh_or_is_refused(format, data):
+    file = open_mesh(data, f"a.{format}")
+    vertices = moved(file)
+    for encoding, precision in itertools.product(("ascii", "binary"), ("float32", "float64")):
+        try:
+            output = bytes(file.encoded(vertices, encoding, precision))
+        except MsalError as error:
+            assert error.code in ("E_UNSUPPORTED", "E_RANGE"), error
+            continue
+        again = open_mesh(output, f"a.{format}")
+        assert again.encoding.startswith(encoding)
+        assert again.n_polygons == file.n_polygons
+        if len(again.vertices) == len(vertices):
+            assert np.abs(again.vertices - vertices).max() <= tolerance(again, vertices)
+            assert np.array_equal(again.faces, file.faces)
+
+
+@pytest.mark.parametrize("format", [one for one in FORMATS if one not in corpus_sums.FUZZED])
+def test_mutants_end_in_an_error_or_in_a_mesh(format):
+    for number in range(60):
+        data = corpus_sums.mutant(format, number)
+        try:
+            file = open_mesh(data, f"a.{format}")
+            vertices = moved(file)
+            output = file.replaced(vertices)
+        except InternalError:
+            raise
+        except MsalError as error:
+            assert error.message
+            continue
+        assert bytes(file.replaced(file.vertices.copy())) == data
+        file.check(output, vertices)
