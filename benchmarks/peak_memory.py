@@ -29,7 +29,7 @@ from msal_cli import methods, selection
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import AUTO, Settings, Task
 source, target, name = sys.argv[1:]
-given = asdict(selection.Wishes()) if name == AUTO else methods.find(name).settled({})
+given = asdict(selection.Wishes()) if name == AUTO else methods.find(name).validate({})
 record = denoise_file(Task(source, target, "x"), Settings(name, given))
 assert record.error is None, record.error
 for line in open("/proc/self/status"):

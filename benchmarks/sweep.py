@@ -40,7 +40,7 @@ def shuffled(mesh: Mesh) -> Mesh:
 
 def runs(mesh: Mesh, sweeps: int) -> dict[str, Callable[[], object]]:
     """What is measured, by name; each makes ``sweeps`` sweeps, or one copy."""
-    links = mesh.links
+    links = mesh.topology
     normals = mesh.vertex_normals("uniform", 1)
     free = np.ones(len(mesh.vertices), dtype=bool)
     unit = mesh.mean_edge_length

@@ -19,7 +19,7 @@ from msal_cli import auto as selection
 from msal_cli import codecs, methods
 from msal_cli.auto import adaptive
 from msal_cli.job.comparison import Surface
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
 from msal_cli.view import parameter_grid, pictures
 from msal_cli.view.camera import framing, turned
@@ -54,23 +54,23 @@ def opened(path: Path) -> tuple[Array, Array]:
 def denoised(path: Path, method: str, **parameters: Any) -> tuple[Array, Array]:
     """Vertices and triangles of a sample after a method, as ``msal denoise`` makes them."""
     vertices, faces = opened(path)
-    ready = prepared(vertices, faces)
+    ready = prepare_mesh(vertices, faces)
     chosen = methods.find(method)
-    result = chosen.denoised(ready.mesh, chosen.settled(parameters))
-    return ready.scattered(result.vertices, vertices), faces
+    result = chosen.denoise(ready.mesh, chosen.validate(parameters))
+    return ready.to_file_vertices(result.vertices, vertices), faces
 
 
 def plain(path: Path) -> tuple[Array, Array]:
     """The same as ``msal denoise`` without a method makes them."""
     vertices, faces = opened(path)
-    choice = adaptive.chosen(prepared(vertices, faces).mesh)
+    choice = adaptive.choose_adaptive(prepare_mesh(vertices, faces).mesh)
     return denoised(path, choice.method, **choice.parameters)
 
 
 def automatic(path: Path) -> tuple[Array, Array]:
     """The same as ``msal denoise --auto`` makes them."""
     vertices, faces = opened(path)
-    choice = selection.chosen(prepared(vertices, faces).mesh, selection.Wishes())
+    choice = selection.choose_method(prepare_mesh(vertices, faces).mesh, selection.Wishes())
     return denoised(path, choice.method, **choice.parameters)
 
 

@@ -54,7 +54,7 @@ def draw(example: Example) -> Shown:
     true = true_mesh(example.model)
     pair = Pair(example.make(true), true)
     vertices, reason = scanner_outcomes.denoise(pair.noisy, COMMAND)
-    result = pair.noisy.moved(vertices)
+    result = pair.noisy.with_vertices(vertices)
     turn = make_pictures.VIEWS[example.model]
     axes = turned(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *turn)
     camera = framing(axes, true.vertices)

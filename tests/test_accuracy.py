@@ -17,9 +17,9 @@ from benchmarks import (
 from benchmarks.accuracy_grid import Setting, defaults, grid
 from benchmarks.accuracy_outcomes import AUTO, NOISY, Outcome
 from msal_cli import methods
-from msal_cli.analysis.noise_estimate import estimated
+from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.auto import Choice
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import torus
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "accuracy.md"
@@ -69,7 +69,7 @@ def test_other_trials_are_apart_from_the_classes():
     assert len(set(others)) == len(others) and not classes & set(others)
     assert {"torus 0.05", "knot 0.5", "torus 0.2 mixed", "knot 0.1 gaussian"} <= set(others)
     noisy, true = next(accuracy_trials.other_cases()).made()
-    assert estimated(noisy).mean_edges == pytest.approx(0.05, rel=0.1)
+    assert estimate_noise(noisy).mean_edges == pytest.approx(0.05, rel=0.1)
     assert (noisy.faces == true.faces).all()
 
 
@@ -81,7 +81,7 @@ def test_the_grid_has_every_default_and_nothing_twice(coarse):
     texts = [one.text for one in settings]
     assert len(set(texts)) == len(texts) > 50
     settled = {
-        (one.method, *methods.find(one.method).settled(one.given).items()) for one in settings
+        (one.method, *methods.find(one.method).validate(one.given).items()) for one in settings
     }
     assert len(settled) == len(settings)
 
@@ -174,7 +174,7 @@ def test_what_was_not_run_is_never_best():
 def small(monkeypatch):
     """One small torus in every class, three settings, and a choice that costs nothing; gives the
     list of what is run."""
-    true = prepared(*torus(24, 12)).mesh
+    true = prepare_mesh(*torus(24, 12)).mesh
     cases = [
         ground_truth.Case(
             f"torus {n}",
@@ -192,7 +192,7 @@ def small(monkeypatch):
 
     def chosen(mesh, wishes):
         parameters = {"iterations": 2 + int(wishes.strength)}
-        return Choice("al", parameters, "for a test", "organic", estimated(mesh))
+        return Choice("al", parameters, "for a test", "organic", estimate_noise(mesh))
 
     monkeypatch.setattr(ground_truth, "cases", lambda quick=False: iter(cases))
     monkeypatch.setattr(accuracy_trials, "WISHED", ("torus 1",))
@@ -200,7 +200,7 @@ def small(monkeypatch):
     monkeypatch.setattr(accuracy, "grid", lambda coarse=False: SETTINGS)
     monkeypatch.setattr(accuracy, "defaults", lambda: SETTINGS[:1])
     monkeypatch.setattr(accuracy_outcomes, "run_setting", counted)
-    monkeypatch.setattr(accuracy_outcomes, "chosen", chosen)
+    monkeypatch.setattr(accuracy_outcomes, "choose_method", chosen)
     return ran
 
 

@@ -147,12 +147,12 @@ def test_stages_prints_its_table(capsys):
 
 @pytest.mark.parametrize("across", [45, 108])
 def test_the_rippled_torus_is_closed_and_as_noisy_as_said(across, monkeypatch):
-    from msal_cli.mesh import prepared
+    from msal_cli.mesh import prepare_mesh
 
     noisy = auto_seconds.rippled_torus(across)
     monkeypatch.setattr(auto_seconds, "NOISE", 0.0)
     smooth = auto_seconds.rippled_torus(across)
-    ready = prepared(noisy.vertices, noisy.faces)
+    ready = prepare_mesh(noisy.vertices, noisy.faces)
     assert len(noisy.vertices) == 3 * across**2 and len(noisy.faces) == 6 * across**2
     assert ready.defects.boundary_edges == ready.defects.inconsistent_edges == 0
     moved = np.linalg.norm(noisy.vertices - smooth.vertices, axis=1)
@@ -183,11 +183,11 @@ def test_batch_prints_its_tables(tmp_path, capsys):
 
 
 def test_ways_of_pulling_back_are_held_against_the_truth(capsys, monkeypatch):
-    from msal_cli.mesh import prepared
+    from msal_cli.mesh import prepare_mesh
     from tests.shapes import torus
 
     vertices, faces = torus(32, 16)
-    true = prepared(vertices, faces).mesh
+    true = prepare_mesh(vertices, faces).mesh
     cases = [
         ground_truth.Case("torus", of, lambda: ground_truth.corrupted(true, 0.2, 1))
         for of in fidelity.CLASSES

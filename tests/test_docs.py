@@ -287,4 +287,4 @@ def test_parameters_that_pages_set_are_allowed() -> None:
         name, _, value = word.partition("=")
         if word != "NAME=VALUE":
             assert name in known, word
-            assert value == "VALUE" or known[name].settled(value) is not None
+            assert value == "VALUE" or known[name].validate(value) is not None

@@ -14,7 +14,7 @@ from msal_cli import codecs
 from msal_cli.codecs import detection
 from msal_cli.job import pipeline
 from msal_cli.job.settings import is_mesh_name
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
 from tests.codecs import plain_ply
 from tests.fuzz import mutants
@@ -55,8 +55,8 @@ def require_same(name: str, data: bytes) -> None:
     assert output is not None and bytes(output) == data
     whole, _ = gzip_streams.expanded(data, name)
     file = codecs.open_mesh(whole, name)
-    ready = prepared(file.vertices, file.faces)
-    back = ready.scattered(ready.mesh.vertices.copy(), file.vertices)
+    ready = prepare_mesh(file.vertices, file.faces)
+    back = ready.to_file_vertices(ready.mesh.vertices.copy(), file.vertices)
     assert np.array_equal(back, file.vertices)
     assert bytes(file.replaced(back)) == bytes(whole)
     file.check(whole, back)

@@ -220,7 +220,7 @@ def test_denoising_comes_nearer_to_the_truth(name: str, tmp_path: Path) -> None:
 
     source = one(name, "noisy")
     result = tmp_path / source.name
-    settings = Settings("msal", find("msal").settled({}))
+    settings = Settings("msal", find("msal").validate({}))
     record = denoise_file(Task(str(source), str(result), source.name), settings)
     assert record.status == "written", record.error
     assert record.seam_gap == 0.0
@@ -242,7 +242,7 @@ def test_no_sweeps_give_the_file_back(name: str) -> None:
 
     path = one(name, "noisy")
     data = path.read_bytes()
-    settings = Settings("msal", find("msal").settled({"iterations": 0}))
+    settings = Settings("msal", find("msal").validate({"iterations": 0}))
     output, record = denoise_bytes(data, path.name, settings)
     assert record.status == "unchanged", record.error
     assert output == data

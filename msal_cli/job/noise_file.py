@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from msal_cli.analysis.added_noise import AddedNoise
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import MeshFile
-    from msal_cli.mesh import Prepared
+    from msal_cli.mesh import PreparedMesh
     from msal_cli.storage.buffers import Buffer
 
 
@@ -49,7 +49,7 @@ def add_noise_to_file(
     if not np.isfinite(positions).all():
         raise InternalError("noise made a position that is not finite")
     original = mesh_file.vertices
-    vertices = ready.scattered(positions, original)
+    vertices = ready.to_file_vertices(positions, original)
     n_moved = int(np.count_nonzero((vertices != original).any(axis=1)))
     compress = target.lower().endswith(".gz") if target != "-" else is_compressed
     is_kept = not n_moved and compress == is_compressed
@@ -81,7 +81,7 @@ def _replace_positions(mesh_file: MeshFile, vertices: Floats) -> Buffer:
     return output
 
 
-def read_weights(mesh_file: MeshFile, ready: Prepared, name: str) -> Floats:
+def read_weights(mesh_file: MeshFile, ready: PreparedMesh, name: str) -> Floats:
     """A vertex property of the file at the mesh's vertices (n,); of vertices at one place the
     first in the file counts."""
     import numpy as np
@@ -89,8 +89,8 @@ def read_weights(mesh_file: MeshFile, ready: Prepared, name: str) -> Floats:
     from msal_cli import codecs
 
     values = codecs.vertex_property(mesh_file, name)
-    if ready.place is None:
+    if ready.vertex_map is None:
         return values
-    is_used = ready.place >= 0
-    _, first = np.unique(ready.place[is_used], return_index=True)
+    is_used = ready.vertex_map >= 0
+    _, first = np.unique(ready.vertex_map[is_used], return_index=True)
     return values[is_used][first]

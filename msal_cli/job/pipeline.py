@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.constraints import Constraints
-    from msal_cli.mesh import Mesh, Prepared
+    from msal_cli.mesh import Mesh, PreparedMesh
     from msal_cli.methods import Method
     from msal_cli.storage.buffers import Buffer
 
@@ -271,7 +271,7 @@ class _FileRun:
         with self.stage("sweeps"):
             moved, normals_s = chosen.mesh.vertices, 0.0
             if method is not None:
-                result = method.denoised(
+                result = method.denoise(
                     chosen.mesh, chosen.parameters, self._report_steps("sweeps")
                 )
                 self._check_result(ready, result.vertices)
@@ -311,14 +311,14 @@ class _FileRun:
                     settings.fields, ready, moved, fidelity, chosen.parameters
                 )
             if SELF_INTERSECTIONS in settings.checks:
-                after = ready.mesh.moved(moved)
+                after = ready.mesh.with_vertices(moved)
                 self.know(self_intersections=changes.count_self_intersections(ready.mesh, after))
-            ready.mesh.forget_normals()
-            vertices = ready.scattered(moved, mesh_file.vertices)
+            ready.mesh.release_normals()
+            vertices = ready.to_file_vertices(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
 
-    def _build_constraints(self, ready: Prepared, mesh_file: MeshFile) -> Constraints | None:
+    def _build_constraints(self, ready: PreparedMesh, mesh_file: MeshFile) -> Constraints | None:
         """What keeps vertices of this file near their place; None if nothing was asked for."""
         settings = self._settings
         asked = (settings.max_move, settings.lock, settings.weights)
@@ -342,7 +342,7 @@ class _FileRun:
         self._warn(*chosen.warnings)
         return chosen
 
-    def _check_result(self, ready: Prepared, vertices: Floats) -> None:
+    def _check_result(self, ready: PreparedMesh, vertices: Floats) -> None:
         """A method must return finite positions for the same vertices."""
         import numpy as np
 

@@ -174,7 +174,7 @@ def _pictures(scene: Scene, camera: Camera, reach: float) -> Pictures:
     deviation = None
     if scene.deviation is not None and scene.is_signed:
         moved = scene.deviation / scene.before.mean_edge_length
-        painted = colours.mapped(moved, -reach, reach, "diverging")
+        painted = colours.map_colours(moved, -reach, reach, "diverging")
         deviation = jpeg_bytes(_image(after, camera, _SIZE, painted))
     before = jpeg_bytes(_image(scene.before, camera, _SIZE))
     return Pictures(before, jpeg_bytes(_image(after, camera, _SIZE)), deviation)
@@ -203,7 +203,7 @@ def _reach(records: Sequence[MeshRecord]) -> float:
 
 def _scale(reach: float) -> Scale:
 
-    table = colours.table("diverging")
+    table = colours.colour_table("diverging")
     rows = [table[round(at * (len(table) - 1) / (_SHADES - 1))] for at in range(_SHADES)]
     return Scale(
         title="Deviation, along the normals, the same scale for all files:",

@@ -8,7 +8,7 @@ from typing import Any
 
 from msal_cli.analysis import correspondence as metrics
 from msal_cli.analysis import surface_distance
-from msal_cli.analysis.enclosure import enclosure
+from msal_cli.analysis.enclosure import measure_enclosure
 from msal_cli.arrays import Floats
 from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface, prepare_surface
@@ -87,17 +87,17 @@ def scene_of(
     first = prepare_surface(before, names[0])
     if after is None:
         return Scene(names, first.mesh)
-    if metrics.correspond(before.vertices, before.faces, after.vertices, after.faces):
+    if metrics.have_same_faces(before.vertices, before.faces, after.vertices, after.faces):
         record = comparison.compared(before, after, *names, to_surface=False)
         moved = metrics.at_other_positions(first, after.vertices)
         step = moved.vertices - first.mesh.vertices
         along = (step * first.mesh.vertex_normals()).sum(axis=1)
-        along *= enclosure(first).outward_signs(first.mesh)
+        along *= measure_enclosure(first).outward_signs(first.mesh)
         return Scene(names, first.mesh, moved, along, True, record)
     to_surface = to_surface and surface_distance.is_available()
     record = comparison.compared(before, after, *names, to_surface=to_surface)
     second = prepare_surface(after, names[1])
-    there = second.mesh.moved(second.mesh.vertices + (second.origin - first.origin))
+    there = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))
     distances = None
     if to_surface:
         distances = surface_distance.distances_to_surface(there.vertices, first.mesh)
@@ -222,7 +222,7 @@ def panel_height(camera: Camera, width: int) -> int:
 
 
 def _used(mesh: Mesh) -> Any:
-    return mesh.links.has_ring
+    return mesh.topology.has_ring
 
 
 def count_of_vertices(mesh: Mesh) -> int:

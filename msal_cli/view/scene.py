@@ -243,6 +243,6 @@ def _deviation(
         "span": span,
         "low": low,
         "high": high if high > low else low + 1.0,
-        "colours": base64.b64encode(colours.table(name).tobytes()).decode("ascii"),
+        "colours": base64.b64encode(colours.colour_table(name).tobytes()).decode("ascii"),
     }
     return scale, _planes(steps.astype(np.int64), 2)

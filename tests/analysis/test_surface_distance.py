@@ -15,7 +15,7 @@ from msal_cli.analysis.correspondence import (
 )
 from msal_cli.analysis.surface_distance import distances_to_surface, distances_to_triangles
 from msal_cli.errors import UnsupportedError
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 
 needs_library = pytest.mark.skipif(
@@ -88,8 +88,8 @@ def test_pieces_are_put_together_in_order(monkeypatch):
 
 @needs_library
 def test_both_ways_and_hausdorff_of_two_cubes():
-    small = prepared(*cube()).mesh
-    large = small.moved(3.0 * small.vertices)
+    small = prepare_mesh(*cube()).mesh
+    large = small.with_vertices(3.0 * small.vertices)
     to_small, to_large, hausdorff = surface_distances(small, large)
     assert to_small.max == pytest.approx(np.sqrt(3.0))
     assert to_large.max == pytest.approx(1.0)
@@ -145,10 +145,10 @@ def test_of_vertices_that_are_one_the_first_counts():
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]])
     vertices = np.concatenate([[[7.0, 7.0, 7.0]], vertices])
     faces = np.array([[1, 2, 3], [4, 5, 6]], dtype=np.int32)
-    ready = prepared(vertices, faces)
+    ready = prepare_mesh(vertices, faces)
     other = vertices + np.arange(7.0)[:, None]
     got = at_other_positions(ready, other).vertices + ready.origin
-    place = ready.place
+    place = ready.vertex_map
     assert place is not None and place[0] == -1 and place[1] == place[4] and place[3] == place[5]
     for file_vertex in (1, 2, 3, 6):
         assert got[place[file_vertex]] == pytest.approx(other[file_vertex])

@@ -103,7 +103,7 @@ def test_files_and_records_are_those_of_one_process(folder, cluster):
     for n in range(7):
         (folder / f"in/{n}.obj").write_text(obj(n))
     (folder / "in/bad.obj").write_text("v 1 2\nf 1 2 3\n")
-    settings = Settings("msal", methods.find("msal").settled({}))
+    settings = Settings("msal", methods.find("msal").validate({}))
     here = run(plan_of("here"), settings, jobs=1)
     events = []
     engine = partial(DaskEngine, scheduler=cluster.scheduler_address)
@@ -359,7 +359,7 @@ class TestLocal:
             time.sleep(0.02)
         assert processes_of(process.pid) == []
         assert "Traceback" not in said and "distributed" not in said
-        settings = Settings("msal", methods.find("msal").settled({"iterations": 1000}))
+        settings = Settings("msal", methods.find("msal").validate({"iterations": 1000}))
         planned = run(plan_of(), settings, dry_run=True)
         assert 4 <= statuses(planned).count("up-to-date") < 60
 

@@ -55,7 +55,7 @@ def scans():
 
 
 def settings(**given):
-    return Settings("msal", methods.find("msal").settled(given))
+    return Settings("msal", methods.find("msal").validate(given))
 
 
 def denoised(inputs="memory://scans", output="memory://out", given=None, **options):
@@ -205,7 +205,7 @@ def test_from_store_to_store(scans):
 def test_to_another_format_and_packed(scans):
     write_whole("memory://scans/z.obj.gz", __import__("gzip").compress(obj(5).encode()))
     plan = build_plan(discover_inputs(["memory://scans"]), "memory://out", to="ply")
-    run(plan, Settings("msal", methods.find("msal").settled({}), to="ply"))
+    run(plan, Settings("msal", methods.find("msal").validate({}), to="ply"))
     assert sorted(outputs()) == ["2.ply", "a/0.ply", "a/b/1.ply", "z.ply.gz"]
 
 

@@ -114,7 +114,7 @@ def server():
 
 @pytest.fixture(scope="module")
 def expected():
-    settings = Settings("msal", methods.find("msal").settled({}))
+    settings = Settings("msal", methods.find("msal").validate({}))
     return {
         name: bytes(denoise_bytes(obj(n).encode(), name, settings)[0])
         for n, name in enumerate(NAMES)

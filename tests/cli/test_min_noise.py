@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from msal_cli import codecs
-from msal_cli.analysis.added_noise import noisy
-from msal_cli.mesh import prepared
+from msal_cli.analysis.added_noise import add_plain_noise
+from msal_cli.mesh import prepare_mesh
 from tests.cli.scans import folder_of, msal, msal_on, ply_text, record_of, records_of
 from tests.shapes import torus
 
@@ -17,8 +17,8 @@ from tests.shapes import torus
 def torus_with(level):
     """The bytes of a torus with noise of so many mean edge lengths."""
     vertices, faces = torus(60, 30)
-    mesh = prepared(vertices, faces).mesh
-    return ply_text(noisy(mesh, "gaussian-normal", level, 1), faces)
+    mesh = prepare_mesh(vertices, faces).mesh
+    return ply_text(add_plain_noise(mesh, "gaussian-normal", level, 1), faces)
 
 
 @pytest.fixture

@@ -184,7 +184,8 @@ import sys
 from msal_cli import methods
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import Settings, Task
-record = denoise_file(Task(*sys.argv[1:3], "x"), Settings("msal", methods.find("msal").settled({})))
+parameters = methods.find("msal").validate({})
+record = denoise_file(Task(*sys.argv[1:3], "x"), Settings("msal", parameters))
 assert record.error is None, record.error
 print(next(int(line.split()[1]) * 1024 for line in open("/proc/self/status") if "VmHWM" in line))
 """

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli import codecs
-from msal_cli.codecs import detection
+from msal_cli.codecs import detection, mesh_file
 from msal_cli.errors import InternalError, MsalError
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
 
 Floats = NDArray[np.float64]
@@ -54,8 +54,8 @@ def _outcome(data: bytes, format: str) -> str:
     assert bytes(file.replaced(vertices.copy())) == bytes(whole)
     file.polygons()
     if len(faces) <= _PREPARED_UP_TO:
-        ready = prepared(vertices, faces)
-        scattered = ready.scattered(ready.mesh.vertices, vertices)
+        ready = prepare_mesh(vertices, faces)
+        scattered = ready.to_file_vertices(ready.mesh.vertices, vertices)
         assert np.array_equal(scattered, vertices)
     moved = vertices.copy()
     moved[::2] += 0.0078125 * np.abs(vertices).max() + 0.125
@@ -69,7 +69,7 @@ def _outcome(data: bytes, format: str) -> str:
 
 
 def _encode(
-    file: codecs.MeshFile, vertices: Floats, name: str, encoding: str, precision: str
+    file: mesh_file.MeshFile, vertices: Floats, name: str, encoding: str, precision: str
 ) -> None:
     """Write the file another way and read that; what the format cannot hold may be refused."""
     try:
@@ -82,7 +82,7 @@ def _encode(
     _require_same_faces(again, file)
 
 
-def _require_same_faces(again: codecs.MeshFile, file: codecs.MeshFile) -> None:
+def _require_same_faces(again: mesh_file.MeshFile, file: mesh_file.MeshFile) -> None:
     if file.format == "stl":
         # Corners that were apart may be at one place once they are rounded.
         assert again.faces.shape == file.faces.shape

@@ -11,7 +11,7 @@ from msal_cli.job import constraints
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.settings import Settings
 from msal_cli.kernels.geometry import distances
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import grid, torus
 
 ALL = methods.names()
@@ -24,7 +24,7 @@ def random():
 
 def noisy(maker=torus):
     vertices, faces = maker()
-    edge = prepared(vertices, faces).mesh.mean_edge_length
+    edge = prepare_mesh(vertices, faces).mesh.mean_edge_length
     return vertices + 0.2 * edge * random().standard_normal(vertices.shape), faces
 
 
@@ -49,7 +49,7 @@ def ply(vertices, faces, properties=(), kind="double", encoding="binary_little_e
 
 def settings(method="msal", **asked):
     given = asked.pop("given", {})
-    return Settings(method, methods.find(method).settled(given), **asked)
+    return Settings(method, methods.find(method).validate(given), **asked)
 
 
 def denoised(data, **asked):
@@ -149,7 +149,7 @@ def test_a_single_precision_property_is_compared_in_single_precision():
 @pytest.mark.parametrize("method", ALL)
 def test_no_vertex_of_any_method_goes_further_than_the_limit(method):
     vertices, faces = noisy()
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     data = ply(vertices, faces)
     limit = 0.05 * mesh.mean_edge_length
     free, _ = denoised(data, method=method)
@@ -240,13 +240,13 @@ def test_locked_vertices_keep_their_very_bytes(method, encoding):
 )
 def test_neighbours_see_locked_vertices_where_they_are(method):
     """Pinning afterwards would give other positions: the sweeps know of the pins."""
-    ready = prepared(*noisy())
+    ready = prepare_mesh(*noisy())
     held = np.zeros(len(ready.mesh.vertices), dtype=bool)
     held[::3] = True
     found = methods.find(method)
-    parameters = found.settled({})
-    free = found.denoised(ready.mesh, parameters).vertices
-    pinned = found.denoised(ready.mesh.constrained(held, None), parameters).vertices
+    parameters = found.validate({})
+    free = found.denoise(ready.mesh, parameters).vertices
+    pinned = found.denoise(ready.mesh.with_constraints(held, None), parameters).vertices
     assert np.array_equal(pinned[held], ready.mesh.vertices[held])
     assert np.abs(pinned - free)[~held].max() > 1e-3 * ready.mesh.mean_edge_length
 
@@ -290,19 +290,19 @@ def test_several_locks_add_up():
     ],
 )
 def test_full_trust_is_the_method_itself_and_none_is_no_data_term(method, given):
-    mesh = prepared(*noisy()).mesh
+    mesh = prepare_mesh(*noisy()).mesh
     found = methods.find(method)
-    parameters = found.settled(given)
+    parameters = found.validate(given)
     assert found.has_data_term(parameters)
     n = len(mesh.vertices)
-    plain = found.denoised(mesh, parameters)
-    full = found.denoised(mesh.constrained(None, np.ones(n)), parameters)
+    plain = found.denoise(mesh, parameters)
+    full = found.denoise(mesh.with_constraints(None, np.ones(n)), parameters)
     assert np.abs(full.vertices - plain.vertices).max() < 1e-13
     assert np.array_equal(full.fields["fidelity"], plain.fields["fidelity"])
-    none = found.denoised(mesh.constrained(None, np.zeros(n)), parameters)
+    none = found.denoise(mesh.with_constraints(None, np.zeros(n)), parameters)
     assert not none.fields["fidelity"].any()
     if given.get("schedule") == "constant":
-        free = found.denoised(mesh, found.settled(given | {"schedule": "plain"}))
+        free = found.denoise(mesh, found.validate(given | {"schedule": "plain"}))
         assert np.abs(free.vertices - none.vertices).max() < 1e-13
     # Without the pull vertices go further.
     ways = [distances(mesh.vertices, one.vertices).mean() for one in (none, plain)]
@@ -310,30 +310,32 @@ def test_full_trust_is_the_method_itself_and_none_is_no_data_term(method, given)
 
 
 def test_lambda_is_scaled_vertex_by_vertex():
-    mesh = prepared(*noisy()).mesh
+    mesh = prepare_mesh(*noisy()).mesh
     trust = random().random(len(mesh.vertices))
     found = methods.find("msal")
-    plain = found.denoised(mesh, found.settled({})).fields["fidelity"]
-    scaled = found.denoised(mesh.constrained(None, trust), found.settled({})).fields["fidelity"]
+    plain = found.denoise(mesh, found.validate({})).fields["fidelity"]
+    scaled = found.denoise(mesh.with_constraints(None, trust), found.validate({})).fields[
+        "fidelity"
+    ]
     assert np.allclose(scaled, trust * plain, rtol=1e-15, atol=0.0)
 
 
 def test_one_sweep_by_hand():
     """From v the first sweep pulls nothing back; the second does by w lambda."""
-    mesh = prepared(*noisy()).mesh
+    mesh = prepare_mesh(*noisy()).mesh
     found = methods.find("al")
     given = {"schedule": "constant", "fidelity": 0.25}
     trust = random().random(len(mesh.vertices))
 
     def after(sweeps, one, fidelity):
-        return found.denoised(
-            one, found.settled(given | {"iterations": sweeps, "fidelity": fidelity})
+        return found.denoise(
+            one, found.validate(given | {"iterations": sweeps, "fidelity": fidelity})
         ).vertices
 
     first = after(1, mesh, 0.25)
     pushed = after(2, mesh, 0.0)
     expected = pushed + 0.25 * trust[:, None] * (mesh.vertices - first)
-    found_there = after(2, mesh.constrained(None, trust), 0.25)
+    found_there = after(2, mesh.with_constraints(None, trust), 0.25)
     assert np.abs(found_there - expected).max() < 1e-13
 
 
@@ -342,8 +344,8 @@ def test_one_sweep_by_hand():
 )
 def test_methods_without_a_data_term_say_so(method):
     found = methods.find(method)
-    assert not found.has_data_term(found.settled({}))
-    assert not methods.find("al").has_data_term(methods.find("al").settled({}))
+    assert not found.has_data_term(found.validate({}))
+    assert not methods.find("al").has_data_term(methods.find("al").validate({}))
 
 
 def test_trust_is_the_property_over_its_largest_value():

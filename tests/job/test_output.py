@@ -59,7 +59,7 @@ def built(vertices=VERTICES, path="out.obj", data=None, is_compressed=False, **o
     data = obj(VERTICES) if data is None else data
     settings = Settings("none", {}, **options)
     source = output.Source(data, "scan.obj", is_compressed)
-    return output.built(opened(), vertices, settings, path, source)
+    return output.build_output(opened(), vertices, settings, path, source)
 
 
 def test_what_has_not_changed_is_the_input_itself():

@@ -24,7 +24,7 @@ from tests.shapes import cube, grid, noisy, torus
 
 def settings(method="msal", **given):
     own = {key: given.pop(key) for key in list(given) if key in Settings.__dataclass_fields__}
-    return Settings(method, methods.find(method).settled(given), **own)
+    return Settings(method, methods.find(method).validate(given), **own)
 
 
 def obj_text(vertices, faces):
@@ -175,12 +175,12 @@ def test_the_output_holds_what_the_method_made(scan, tmp_path):
     denoised(scan, out)
     before = codecs.open_mesh(scan.read_bytes(), scan.name)
     after = codecs.open_mesh(out.read_bytes(), out.name)
-    from msal_cli.mesh import prepared
+    from msal_cli.mesh import prepare_mesh
 
-    ready = prepared(before.vertices, before.faces)
+    ready = prepare_mesh(before.vertices, before.faces)
     method = methods.find("msal")
-    result = method.denoised(ready.mesh, method.settled({}))
-    expected = ready.scattered(result.vertices, before.vertices)
+    result = method.denoise(ready.mesh, method.validate({}))
+    expected = ready.to_file_vertices(result.vertices, before.vertices)
     assert (after.faces == before.faces).all()
     assert np.abs(after.vertices - expected).max() < 1e-6
 
@@ -319,7 +319,7 @@ def test_an_unexpected_error_is_a_record_too(scan, tmp_path, monkeypatch):
     def broken(*_):
         raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr("msal_cli.analysis.surface.surface_change", broken)
+    monkeypatch.setattr("msal_cli.analysis.measures.measure_surface_change", broken)
     record = denoised(scan, tmp_path / "out.ply")
     assert record.error.code == "E_INTERNAL"
     assert "ZeroDivisionError: oops" in record.error.message
@@ -334,7 +334,7 @@ def test_a_method_that_misbehaves_is_caught(scan, tmp_path, monkeypatch):
         vertices[5, 1] = np.nan
         return _contract.Result(vertices)
 
-    monkeypatch.setattr(_contract.Method, "denoised", nonfinite)
+    monkeypatch.setattr(_contract.Method, "denoise", nonfinite)
     record = denoised(scan, tmp_path / scan.name)
     assert record.error.code == "E_INTERNAL"
     assert record.error.where == "vertex 5"

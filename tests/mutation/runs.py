@@ -339,7 +339,8 @@ def _interpret(module: str) -> None:
     """Let the kernels of ``module`` run as Python, and those that the library lacks for it."""
     if not module.startswith("msal_cli.kernels."):
         return
-    from msal_cli.kernels import compiled, library
+    from msal_cli.errors import InternalError
+    from msal_cli.kernels import compiled
 
     load = compiled.Kernel._load
 
@@ -348,7 +349,7 @@ def _interpret(module: str) -> None:
             return self.function
         try:
             return load(self, arg_types)
-        except (LookupError, TypeError, library.InternalError):
+        except (LookupError, TypeError, InternalError):
             return self.function
 
     compiled.Kernel._load = load_or_interpret  # type: ignore[method-assign]

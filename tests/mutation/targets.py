@@ -16,26 +16,27 @@ PIPELINE = [
 ]
 
 TARGETS: dict[str, list[str]] = {
-    "analysis/volume": ["tests/analysis/test_metrics.py", "tests/job/test_comparison.py"],
-    "analysis/displacement": ["tests/analysis/test_metrics.py"],
+    "analysis/measures": ["tests/analysis/test_metrics.py", "tests/job/test_comparison.py"],
     "analysis/correspondence": [
         "tests/analysis/test_surface_distance.py",
         "tests/job/test_comparison.py",
     ],
     "analysis/surface_distance": ["tests/analysis/test_surface_distance.py"],
     "batch/resume": ["tests/batch/test_resume.py", "tests/batch/test_manifest.py"],
-    "job/output": ["tests/job/test_output.py"],
-    "job/pipeline": [
-        *PIPELINE,
-        "tests/job/test_advice.py",
-        "tests/cli/test_constraints.py",
-        "tests/cli/test_despike.py",
-        "tests/cli/test_fields.py",
-    ],
-    "job/preparation": [
+    "codecs/slot_file": ["tests/codecs/test_off.py", "tests/codecs/test_contract.py"],
+    "codecs/slots": ["tests/codecs/test_off.py", "tests/codecs/test_contract.py"],
+    "job/choice": [
         "tests/job/test_choice.py",
         "tests/cli/test_despike.py",
         "tests/cli/test_min_noise.py",
+    ],
+    "job/output": ["tests/job/test_output.py"],
+    "job/pipeline": [
+        *PIPELINE,
+        "tests/job/test_method_warnings.py",
+        "tests/cli/test_constraints.py",
+        "tests/cli/test_despike.py",
+        "tests/cli/test_fields.py",
     ],
     "kernels/schedules": ["tests/kernels/test_sweeps.py"],
     "kernels/sweeps": ["tests/kernels/test_sweeps.py", "tests/kernels/test_ring_blocks.py"],

@@ -19,7 +19,7 @@ def test_one_stray_vertex_does_not_pale_the_rest():
     values = np.append(np.linspace(-1.0, 1.0, 1000), 500.0)
     scale = scale_of(values, is_signed=True)
     assert 0.95 < scale.high <= 1.0
-    assert (scale.painted(np.array([500.0])) == colours.table("diverging")[-1]).all()
+    assert (scale.painted(np.array([500.0])) == colours.colour_table("diverging")[-1]).all()
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ def test_a_palette_keeps_the_background_and_comes_near_to_all_else():
     image = np.full((120, 200, 3), (254, 255, 251), dtype=np.uint8)
     # Clay over most of it, and a small scale with all colours of a map.
     image[:80] = random.integers(60, 220, (80, 200, 1)) + np.array([4, 2, 0])
-    image[100, :200] = colours.table("diverging")[:200]
+    image[100, :200] = colours.colour_table("diverging")[:200]
     back = Image.open(io.BytesIO(png_bytes(image, 256))).convert("RGB")
     off = np.abs(np.asarray(back).astype(int) - image).max(axis=2)
     assert (off[85:95] == 0).all()
