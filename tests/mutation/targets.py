@@ -23,8 +23,16 @@ TARGETS: dict[str, list[str]] = {
     ],
     "analysis/surface_distance": ["tests/analysis/test_surface_distance.py"],
     "batch/resume": ["tests/batch/test_resume.py", "tests/batch/test_manifest.py"],
-    "codecs/slot_file": ["tests/codecs/test_off.py", "tests/codecs/test_contract.py"],
-    "codecs/slots": ["tests/codecs/test_off.py", "tests/codecs/test_contract.py"],
+    "codecs/slot_file": [
+        "tests/codecs/test_off.py",
+        "tests/codecs/test_vtk.py",
+        "tests/codecs/test_ply_unusual.py",
+    ],
+    "codecs/slots": [
+        "tests/codecs/test_off.py",
+        "tests/codecs/test_vtk.py",
+        "tests/codecs/test_ply_unusual.py",
+    ],
     "job/choice": [
         "tests/job/test_choice.py",
         "tests/cli/test_despike.py",
