@@ -16,7 +16,11 @@ PIPELINE = [
 ]
 
 TARGETS: dict[str, list[str]] = {
-    "analysis/measures": ["tests/analysis/test_metrics.py", "tests/job/test_comparison.py"],
+    "analysis/measures": [
+        "tests/analysis/test_metrics.py",
+        "tests/analysis/test_curvature.py",
+        "tests/job/test_comparison.py",
+    ],
     "analysis/correspondence": [
         "tests/analysis/test_surface_distance.py",
         "tests/job/test_comparison.py",
@@ -29,9 +33,9 @@ TARGETS: dict[str, list[str]] = {
         "tests/codecs/test_ply_unusual.py",
     ],
     "codecs/slots": [
+        "tests/codecs/test_slots.py",
         "tests/codecs/test_off.py",
         "tests/codecs/test_vtk.py",
-        "tests/codecs/test_ply_unusual.py",
     ],
     "job/choice": [
         "tests/job/test_choice.py",
