@@ -83,12 +83,13 @@ def test_positions_beyond_float32_are_refused():
 def test_a_number_fits_its_type_or_not(code, value, fits):
     values, is_changed = VALUES.copy(), np.zeros((4, 3), dtype=bool)
     values[2, 1] = value
-    codes = ["<f8", code, "<f8"]
-    require_range(values, is_changed, codes)  # what stays as it is may be anything
-    is_changed[2, 1] = True
-    if fits:
-        require_range(values, is_changed, codes, first=5)
-    else:
+    for codes in (["<f8", code, "<f8"], [code] * 3):
+        is_changed[2, 1] = False
+        require_range(values, is_changed, codes)  # what stays as it is may be anything
+        is_changed[2, 1] = True
+        if fits:
+            require_range(values, is_changed, codes, first=5)
+            continue
         with pytest.raises(ContentError, match="the new y of vertex 7 does not fit") as caught:
             require_range(values, is_changed, codes, first=5)
         assert (caught.value.where, caught.value.code) == ("vertex 7", "E_RANGE")

@@ -15,6 +15,11 @@ PIPELINE = [
     "--deselect=tests/job/test_pipeline.py::test_real_files",
 ]
 
+TEXTS = [
+    f"tests/codecs/test_{name}.py"
+    for name in ("off", "vtk", "vtk_xml", "medit", "gmsh", "avs_and_netgen", "ply_unusual")
+] + ["tests/codecs/test_decimal_comma.py"]
+
 TARGETS: dict[str, list[str]] = {
     "analysis/measures": [
         "tests/analysis/test_metrics.py",
@@ -27,16 +32,8 @@ TARGETS: dict[str, list[str]] = {
     ],
     "analysis/surface_distance": ["tests/analysis/test_surface_distance.py"],
     "batch/resume": ["tests/batch/test_resume.py", "tests/batch/test_manifest.py"],
-    "codecs/slot_file": [
-        "tests/codecs/test_off.py",
-        "tests/codecs/test_vtk.py",
-        "tests/codecs/test_ply_unusual.py",
-    ],
-    "codecs/slots": [
-        "tests/codecs/test_slots.py",
-        "tests/codecs/test_off.py",
-        "tests/codecs/test_vtk.py",
-    ],
+    "codecs/slot_file": TEXTS,
+    "codecs/slots": ["tests/codecs/test_slots.py", *TEXTS],
     "job/choice": [
         "tests/job/test_choice.py",
         "tests/cli/test_despike.py",
