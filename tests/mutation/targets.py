@@ -32,7 +32,7 @@ TARGETS: dict[str, list[str]] = {
     ],
     "analysis/surface_distance": ["tests/analysis/test_surface_distance.py"],
     "batch/resume": ["tests/batch/test_resume.py", "tests/batch/test_manifest.py"],
-    "codecs/slot_file": TEXTS,
+    "codecs/slot_file": [*TEXTS, "tests/codecs/test_frames.py", "tests/codecs/test_ply_ascii.py"],
     "codecs/slots": ["tests/codecs/test_slots.py", *TEXTS],
     "job/choice": [
         "tests/job/test_choice.py",
