@@ -102,3 +102,10 @@ def test_many_items_in_a_list_find_room() -> None:
     wide = b"600 " + b" ".join(b"%d" % k for k in range(600))
     file = ply.read(scan(lines).replace(b"3 0 1 2", wide))
     assert (len(file.faces), file.faces[-1].tolist()) == (598, [0, 598, 599])
+
+
+def test_letters_behind_a_number_do_not_stand_for_the_next_one() -> None:
+    data = scan([b"0 0 0 7", b"0 0 1.0`1", b"0 1 0 7"])
+    data = data.replace(b"element face", b"property uchar red\nelement face")
+    with pytest.raises(InputError, match="fewer values"):
+        ply.read(data)
