@@ -157,7 +157,8 @@ def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
 def _read_glb(head: bytes, size: int, is_packed: bool) -> Header:
     from msal_cli.codecs import glb
 
-    most, error = size, None
+    most: int | None = size
+    error: MsalError | None = None
     if not is_packed:
         most, error = _try(lambda: glb.expected_bytes(memoryview(head), size))
     stop = _GLB_CHUNK + int.from_bytes(head[12:16], "little")
