@@ -104,7 +104,6 @@ def test_many_items_in_a_list_find_room() -> None:
     assert (len(file.faces), file.faces[-1].tolist()) == (598, [0, 598, 599])
 
 
-<<<<<<< HEAD
 def vertices_of(*properties: str, rows: str) -> bytes:
     """An ascii PLY file of three vertices and one triangle."""
     head = [
@@ -132,10 +131,10 @@ def test_a_fraction_in_a_column_of_whole_numbers_is_kept_where_it_is_not_moved()
     output = bytes(file.replaced(vertices))
     file.check(output, vertices)
     assert b"\n-1.5 0 0" in output and b"\n7 0 0\n0 5 0\n" in output
-=======
+
+
 def test_letters_behind_a_number_do_not_stand_for_the_next_one() -> None:
     data = scan([b"0 0 0 7", b"0 0 1.0`1", b"0 1 0 7"])
     data = data.replace(b"element face", b"property uchar red\nelement face")
     with pytest.raises(InputError, match="fewer values"):
         ply.read(data)
->>>>>>> v2
