@@ -88,7 +88,7 @@ def cases(folder: Path, around: int, words: list[str]) -> dict[str, Path]:
             if to == "ply":
                 output = opened.encoded(opened.vertices, encoding, precision)
             else:
-                output, _ = codecs.converted(opened, opened.vertices, to, encoding, precision)
+                output, _ = codecs.convert(opened, opened.vertices, to, encoding, precision)
         except Exception as error:
             print(f"{name}: {error}", file=sys.stderr)
             continue
@@ -97,7 +97,7 @@ def cases(folder: Path, around: int, words: list[str]) -> dict[str, Path]:
     for name in ("ply", "obj"):
         if name in made and (not words or f"{name}-gz" in words):
             made[f"{name}-gz"] = made[name].with_suffix(f".{name}.gz")
-            made[f"{name}-gz"].write_bytes(gzip_streams.compressed(made[name].read_bytes()))
+            made[f"{name}-gz"].write_bytes(gzip_streams.compress(made[name].read_bytes()))
     return {name: path for name, path in made.items() if not words or name in words}
 
 

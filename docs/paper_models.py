@@ -17,7 +17,7 @@ from msal_cli.job import comparison
 from msal_cli.kernels.geometry import face_normals_and_areas, ring_means
 from msal_cli.mesh import Mesh, PreparedMesh, prepare_mesh
 from msal_cli.view.camera import Camera
-from msal_cli.view.shading import CREASE_DEG, shaded
+from msal_cli.view.shading import CREASE_DEG, shade
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -111,7 +111,7 @@ def drawn(
     width, height = size[0] + 2 * margin, size[1] + 2 * margin
     share = camera.pixels_per_unit(*size) / camera.pixels_per_unit(width, height)
     wide = closer(camera, 0.0, 0.0, 1.0 / share)
-    image = shaded(mesh.vertices, mesh.faces, wide, width, height, colours, crease_deg=crease_deg)
+    image = shade(mesh.vertices, mesh.faces, wide, width, height, colours, crease_deg=crease_deg)
     return image[margin:-margin, margin:-margin]
 
 

@@ -71,13 +71,15 @@ class Mesh:
         ``weighting`` is ``"uniform"`` or ``"area"``; see ``kernels.geometry.vertex_normals``.  They
         are computed once and shared: do not write to them.
         """
-        from msal_cli.kernels.geometry import mollified
+        from msal_cli.kernels import geometry
 
         known = self._cached_normals
         if (weighting, mollify) not in known:
             normals = self._plain_normals(weighting)
             links = self.topology
-            known[weighting, mollify] = mollified(normals, links.ring_start, links.ring, mollify)
+            known[weighting, mollify] = geometry.mollify(
+                normals, links.ring_start, links.ring, mollify
+            )
         return known[weighting, mollify]
 
     @functools.cached_property
@@ -213,10 +215,10 @@ class PreparedMesh:
 
         A vertex whose mesh vertex did not move, or that has none, keeps ``original``'s very value.
         """
-        from msal_cli.kernels.welding import scattered
+        from msal_cli.kernels.welding import scatter
 
         mesh = self.mesh
-        return scattered(
+        return scatter(
             mesh.vertices, vertices, mesh.topology.has_ring, self.vertex_map, self.origin, original
         )
 

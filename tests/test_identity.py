@@ -53,7 +53,7 @@ def require_same(name: str, data: bytes) -> None:
     assert record.error is None, record.error
     assert record.status == "unchanged"
     assert output is not None and bytes(output) == data
-    whole, _ = gzip_streams.expanded(data, name)
+    whole, _ = gzip_streams.expand(data, name)
     file = codecs.open_mesh(whole, name)
     ready = prepare_mesh(file.vertices, file.faces)
     back = ready.to_file_vertices(ready.mesh.vertices.copy(), file.vertices)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 
-from benchmarks import scanner_cases, scanner_outcomes, scanner_settings, scanner_tables, scanners
+from benchmarks import scanner_cases, scanner_outcomes, scanner_tables, scanners
 from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_outcomes import NOISY, Errors, Outcome
 from benchmarks.scanner_settings import PEER_SETTINGS
@@ -61,16 +59,6 @@ def test_every_simulated_scanner_sees_its_model(one_model, monkeypatch):
         assert 0.0 < far.mean() < 2.0 * cell, kind
 
 
-def test_kinds_and_models_are_picked_by_words(one_model):
-    assert list(scanner_cases.cases(kinds=["shared", "half"])) == [
-        "shared over 1 ring 0.2",
-        "shared over 2 rings 0.2",
-        "shared over 3 rings 0.2",
-        "half 0.25",
-    ]
-    assert scanner_cases.cases(models=["bunny"]) == {}
-
-
 def test_errors_of_a_known_result():
     # A ball that shrinks by a tenth keeps its normals, and its vertices move inwards by a tenth.
     true = prepare_mesh(*ball(24, 12)).mesh
@@ -120,19 +108,6 @@ def test_the_command_runs_as_users_run_it():
         found = scanner_outcomes.run_command(pair, name)
         assert found.errors.angle_deg < 0.8 * noisy.angle_deg, name
         assert bool(found.reason) == (name in ("plain", "auto")), name
-
-
-def test_the_seventeen_settings_are_apart():
-    labels = [one.label for one in PEER_SETTINGS]
-    assert len(set(labels)) == len(labels) == 17
-    assert len({(one.filter, str(one.parameters), one.times) for one in PEER_SETTINGS}) == 17
-
-
-def test_a_tool_that_fails_is_named():
-    meshes = {"0": small_torus()}
-    setting = scanner_settings.PeerSetting("x", "nonsuch", "smooth")
-    with pytest.raises(RuntimeError, match=r"(?s)nonsuch: .*KeyError"):
-        scanner_settings.run_peers(sys.executable, meshes, {"0": [setting]})
 
 
 def test_the_cache_is_used_until_the_mesh_changes(tmp_path, monkeypatch):

@@ -37,13 +37,13 @@ class DisplacementStatistics(DistanceStatistics):
 
 def distance_statistics(lengths: Floats) -> DistanceStatistics:
     """Statistics of distances (n,), n >= 1."""
-    from msal_cli.kernels.quantiles import ranked
+    from msal_cli.kernels.quantiles import select_ranks
 
     rank = min(len(lengths) - 1, int(np.ceil(0.95 * len(lengths))) - 1)
     return DistanceStatistics(
         mean=float(lengths.mean()),
         rms=float(np.sqrt((lengths * lengths).mean())),
-        p95=ranked(lengths, rank)[0],
+        p95=select_ranks(lengths, rank)[0],
         max=float(lengths.max()),
     )
 

@@ -108,7 +108,7 @@ class NoiseModel:
     def draw(self, mesh: Mesh, normals: Floats, generator: np.random.Generator) -> Floats:
         """One field of displacements (n, 3), file units; ``normals`` (n, 3) are those of the
         surface without the noise."""
-        return self.displaced(mesh, normals, lambda: generator.standard_normal(len(mesh.vertices)))
+        return self.displace(mesh, normals, lambda: generator.standard_normal(len(mesh.vertices)))
 
     def probe(self, mesh: Mesh, normals: Floats, generator: np.random.Generator) -> Floats:
         """A field (n, 3) of the same covariance for measuring a divergence, which scatters less:
@@ -117,9 +117,9 @@ class NoiseModel:
         def signs() -> Floats:
             return np.where(generator.random(len(mesh.vertices)) < 0.5, -1.0, 1.0)
 
-        return self.displaced(mesh, normals, signs)
+        return self.displace(mesh, normals, signs)
 
-    def displaced(self, mesh: Mesh, normals: Floats, numbers: Callable[[], Floats]) -> Floats:
+    def displace(self, mesh: Mesh, normals: Floats, numbers: Callable[[], Floats]) -> Floats:
         """Displacements (n, 3) made of ``numbers``, uncorrelated (n,) of variance 1 at each
         call."""
         count = 3 if self.direction == ISOTROPIC else 1

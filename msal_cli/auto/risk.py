@@ -273,7 +273,7 @@ class SimulatedRisk:
             heights -= np.median(heights)
             spread = float(heights[part.judged].std()) if part.judged.any() else 0.0
             if added == DEALT and spread > 0.0:
-                moved = self._noise.displaced(
+                moved = self._noise.displace(
                     truth, self._normals, lambda: generator.permutation(heights) / spread
                 )
             else:

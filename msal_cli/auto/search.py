@@ -123,7 +123,7 @@ def search(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
         if on_step is not None:
             on_step(1, 1)
         return choose_least(noise, wishes, CLEAN, CLEAN)
-    return _Search(mesh, wishes, noise, on_step).chosen()
+    return _Search(mesh, wishes, noise, on_step).choose()
 
 
 class _Search:
@@ -167,7 +167,7 @@ class _Search:
             self.levels = spread_levels(self.local[mesh.topology.has_ring])
         self._whole: CandidateRuns | None = None
 
-    def chosen(self) -> Choice:
+    def choose(self) -> Choice:
         """The best blend, or single method, that the budget allows."""
         usable = [one for one in CANDIDATES if self._is_usable(one)]
         # A budget of one run leaves nothing for trials.
@@ -218,7 +218,7 @@ class _Search:
         judges.append((last_one, 1.0))
         self.unit = last_one.level if self.added == MIRRORED else self.level
         risks = _risks(judges)
-        final = self._pruned(members, risks)
+        final = self._prune(members, risks)
         rows = self._by_level(study.part, judges, final)
         self._finish()
         return self._choice(members, final, rows, risks, surface, tried)
@@ -369,7 +369,7 @@ class _Search:
         best = np.argsort(self._scores([risk]), kind="stable")[:count]
         return sorted({*np.flatnonzero(weights >= 0.01).tolist(), *best.tolist()})
 
-    def _pruned(self, members: Sequence[Candidate], risks: Sequence[Risk]) -> Floats:
+    def _prune(self, members: Sequence[Candidate], risks: Sequence[Risk]) -> Floats:
         """The best weights, rounded, of few members whose runs over the mesh fit the budget."""
         spare = self.allowance * (1.0 - SEARCH) / len(self.mesh.vertices)
         costs = np.array([member.cost for member in members])

@@ -206,7 +206,7 @@ def _compare_two(
         _say_failure(record)
         return exit_codes.FATAL
     if not as_json:
-        console.put_lines(comparison_text.told(record))
+        console.put_lines(comparison_text.describe_comparison(record))
     console.say_lines(comparison_text.broken_gates([record]))
     if failure is not None:
         raise failure

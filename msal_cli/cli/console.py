@@ -64,18 +64,18 @@ def say_failure(name: str, failure: Failure) -> None:
 
 
 def _say_error_words(words: str, hint: str) -> None:
-    from msal_cli.job.display_names import shown
+    from msal_cli.job.display_names import escape_for_display
 
     say(f"msal: error: {words}", "bad")
     if hint:
-        say(f"hint: {shown(hint)}")
+        say(f"hint: {escape_for_display(hint)}")
 
 
 def say_written(path: str) -> None:
     """That a file was written."""
-    from msal_cli.job.display_names import shown
+    from msal_cli.job.display_names import escape_for_display
 
-    say(f"wrote {shown(path)}", "good")
+    say(f"wrote {escape_for_display(path)}", "good")
 
 
 def put(text: str) -> None:

@@ -83,7 +83,7 @@ def parse_gates(request: Request) -> tuple[Gate, ...]:
     from msal_cli.job.records import MeshRecord
     from msal_cli.report import gates
 
-    found = gates.parsed(request.fail_on, MeshRecord, request.unit)
+    found = gates.parse_gates(request.fail_on, MeshRecord, request.unit)
     if request.reference is None:
         gates.refuse_without_reference(found, "give --reference TRUTH")
     return found

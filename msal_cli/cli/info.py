@@ -87,7 +87,7 @@ def _print_text(records: Iterator[InfoRecord]) -> int:
         if n_printed:
             console.put("\n")
         n_printed += 1
-        console.put_lines(info_text.told(record))
+        console.put_lines(info_text.describe_info(record))
         console.flush()
     return exit_codes.of_files(n_printed + n_failed, n_failed)
 

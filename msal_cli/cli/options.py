@@ -43,7 +43,7 @@ class PathOrUrl(click.Path):
             return path
         from msal_cli.storage import urls
 
-        return urls.settled(str(path))
+        return urls.normalize_url(str(path))
 
 
 PATH = PathOrUrl(readable=False, allow_dash=True)

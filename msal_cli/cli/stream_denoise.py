@@ -104,10 +104,10 @@ def _write(output: Buffer, record: MeshRecord, target: str) -> MeshRecord:
     from msal_cli.job.output import write_output
     from msal_cli.storage import gzip_streams
 
-    plain, is_compressed = gzip_streams.expanded(output, "")
+    plain, is_compressed = gzip_streams.expand(output, "")
     compress = target.lower().endswith(".gz")
     if compress != is_compressed:
-        output = gzip_streams.compressed(plain) if compress else plain
+        output = gzip_streams.compress(plain) if compress else plain
     # From here on there is something to clean up.
     with interrupts.noticed(interrupts.raise_for):
         write_output(target, output)

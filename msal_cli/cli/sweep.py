@@ -116,7 +116,7 @@ def command(
     # The picture is the result, even if nothing reads the numbers.
     with console.finish_work():
         for cell, mesh in parameter_grid.cells(on, grid):
-            done.append((cell, parameter_grid.drawn(on, mesh, view)))
+            done.append((cell, parameter_grid.draw_grid(on, mesh, view)))
             if not as_json and not quiet:
                 console.put(_describe_cell(cell))
                 console.flush()
@@ -143,14 +143,14 @@ def _parse_fixed(assignments: tuple[str, ...]) -> dict[str, str]:
 
 
 def _describe_cell(cell: Cell) -> str:
-    from msal_cli.job.display_names import shown
+    from msal_cli.job.display_names import escape_for_display
 
     numbers = [f"moved {cell.mean_displacement_edges:.4g} e"]
     if cell.volume_change_percent is not None:
         numbers.append(f"volume {cell.volume_change_percent:+.3g} %")
     if cell.mean_angular_error_deg is not None:
         numbers.append(f"normals {cell.mean_angular_error_deg:.3f} degrees off")
-    return f"{', '.join(numbers)}: {shown(cell.command)}\n"
+    return f"{', '.join(numbers)}: {escape_for_display(cell.command)}\n"
 
 
 def _print_json(source: str, reference: str | None, grid: Grid, cells: list[Cell]) -> None:

@@ -140,7 +140,7 @@ def command(
     if kind == "html":
         data = _build_page(output, scene, view)
     else:
-        data = png_bytes(pictures.drawn(scene, view))
+        data = png_bytes(pictures.draw_picture(scene, view))
     if output == STREAM:
         console.put_bytes(data)
         return exit_codes.SUCCESS

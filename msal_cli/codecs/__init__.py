@@ -120,7 +120,7 @@ def _article(format: str) -> str:
     return "an" if format[0] in "aeiomsfx" and format not in ("mesh", "med", "fem") else "a"
 
 
-def converted(
+def convert(
     mesh_file: MeshFile,
     vertices: NDArray[np.float64],
     to: str,

@@ -81,7 +81,7 @@ def compare_files(
     ``with_intersections`` counts the faces of each that intersect each other.
     """
     try:
-        return compared(
+        return compare_meshes(
             open_surface(before, format),
             open_surface(after, format),
             before,
@@ -116,7 +116,7 @@ def _measure_against(path: str, output: str, format: str | None) -> Reference:
     return Reference(path, **{name: getattr(record, name) for name in shared})
 
 
-def compared(
+def compare_meshes(
     before: Surface,
     after: Surface,
     before_name: str,

@@ -56,12 +56,12 @@ def add_noise_to_file(
     if n_moved:
         output = _replace_positions(mesh_file, vertices)
     else:
-        output = data if is_kept else gzip_streams.expanded(data, name)[0]
+        output = data if is_kept else gzip_streams.expand(data, name)[0]
     path = None if target == "-" else target
     output, companions = codecs.with_companions(mesh_file, output, vertices, path)
     settings = noise.describe()
     return MadeFile(
-        output=gzip_streams.compressed(output) if compress and not is_kept else output,
+        output=gzip_streams.compress(output) if compress and not is_kept else output,
         description=f"{noise.kind} noise of {noise.level:g} mean edge lengths "
         f"({noise.level * ready.mesh.mean_edge_length:.4g}), {settings + ', ' if settings else ''}"
         f"{n_moved:,} of {len(original):,} vertices moved, seed {noise.seed}",

@@ -21,7 +21,7 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshF
     from msal_cli import codecs
     from msal_cli.storage import gzip_streams
 
-    plain, is_compressed = gzip_streams.expanded(data, name)
+    plain, is_compressed = gzip_streams.expand(data, name)
     return codecs.open_mesh(plain, name, format), is_compressed
 
 

@@ -75,7 +75,7 @@ def build_output(
     compress = source.is_compressed if path is None else path.lower().endswith(".gz")
     target = _target(mesh_file, path, settings)
     if target != mesh_file.format:
-        output, losses = codecs.converted(
+        output, losses = codecs.convert(
             mesh_file, vertices, target, settings.encoding, settings.precision
         )
         if losses and settings.strict:
@@ -88,7 +88,7 @@ def build_output(
         # A scene that only changes its container still names its images.
         references = mesh_file.references if {target, mesh_file.format} == detection.SCENES else ()
         return Output(
-            gzip_streams.compressed(output) if compress else output, references, losses=lost
+            gzip_streams.compress(output) if compress else output, references, losses=lost
         )
     if settings.encoding != "same" or settings.precision != "same":
         output = mesh_file.encoded(vertices, settings.encoding, settings.precision)
@@ -100,10 +100,10 @@ def build_output(
         output, companions = codecs.with_companions(mesh_file, source.data, vertices, path)
         return Output(output, mesh_file.references, companions)
     else:
-        output = gzip_streams.expanded(source.data, source.name)[0]
+        output = gzip_streams.expand(source.data, source.name)[0]
     notes = codecs.normal_warnings(mesh_file, vertices)
     output, companions = codecs.with_companions(mesh_file, output, vertices, path)
-    output = gzip_streams.compressed(output) if compress else output
+    output = gzip_streams.compress(output) if compress else output
     return Output(output, mesh_file.references, companions, notes)
 
 

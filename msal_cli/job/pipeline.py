@@ -380,7 +380,7 @@ class _FileRun:
         if made.references and not task.in_place:
             from msal_cli.storage import sidecars
 
-            notes = tuple(sidecars.carried(made.references, task.input, task.output))
+            notes = tuple(sidecars.carry(made.references, task.input, task.output))
             marked = (note for note in notes if note.startswith("warning: "))
             self._warn(*(note.removeprefix("warning: ") for note in marked))
         if made.companions:

@@ -106,12 +106,12 @@ def mesh_volume_file(data: Buffer, settings: VolumeSettings, to: str) -> MadeFil
 
 def compress_by_name(made: MadeFile, output: str, truth: str | None) -> MadeFile:
     """``made`` with those files compressed by gzip whose names say so."""
-    from msal_cli.storage.gzip_streams import compressed
+    from msal_cli.storage.gzip_streams import compress
 
     if output.lower().endswith(".gz"):
-        made = replace(made, output=compressed(made.output))
+        made = replace(made, output=compress(made.output))
     if made.truth is not None and truth is not None and truth.lower().endswith(".gz"):
-        made = replace(made, truth=compressed(made.truth))
+        made = replace(made, truth=compress(made.truth))
     return made
 
 

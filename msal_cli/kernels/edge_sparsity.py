@@ -88,7 +88,7 @@ def _pattern(corners, start, incident, row_start, columns, slots):
 
 
 @compiled
-def _assembled(
+def _assemble(
     start,
     stop,
     coefficients,
@@ -170,7 +170,7 @@ class EdgeSparsity:
         pulls = np.empty((n, 3))
         rows = self.flap_start, self.incident, self.slots, self.row_start
         results = diagonal, values, pulls
-        over_ranges(_assembled, n, coefficients, deltas, alpha, beta, *rows, *results)
+        over_ranges(_assemble, n, coefficients, deltas, alpha, beta, *rows, *results)
         return RowMatrix(diagonal, self.row_start, self.columns, values), pulls
 
 

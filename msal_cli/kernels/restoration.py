@@ -61,7 +61,7 @@ def _squares(start, stop, levels, powers):
 
 
 @compiled
-def _averaged(start, stop, ring_start, ring, powers, averages):
+def _average(start, stop, ring_start, ring, powers, averages):
     """Means over the one-rings of the five powers of each vertex, which are side by side.
 
     Five sums by name stay in registers, where a loop over the bands would go through memory, and
@@ -174,11 +174,11 @@ def restoration(
     levels = np.empty((bands, n))
     powers, averages = np.empty((n, bands)), np.empty((n, bands))
 
-    def averaged(passes: int) -> None:
+    def average(passes: int) -> None:
         nonlocal powers, averages
         for _ in range(passes):
             flat = powers.reshape(-1), averages.reshape(-1)
-            over_ranges(_averaged, n, ring_start, ring, *flat)
+            over_ranges(_average, n, ring_start, ring, *flat)
             powers, averages = averages, powers
 
     def alone(caution: float) -> Floats:
@@ -192,12 +192,12 @@ def restoration(
 
     levels[0] = residual
     cut(levels)
-    averaged(PLACE)
+    average(PLACE)
     # Nothing needs the averages until the next pass: their memory holds the levels of the guess.
     guess = averages.reshape(bands, n)
     over_ranges(_first_look, n, levels, powers, alone(CAUTION * caution), guess[0])
     cut(guess)
-    averaged(SECOND_PLACE)
+    average(SECOND_PLACE)
     returned, share = np.empty(n), np.empty(n)
     over_ranges(_second_look, n, levels, powers, alone(SECOND_CAUTION * caution), returned, share)
     return Restoration(returned, share)

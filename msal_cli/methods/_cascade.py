@@ -29,7 +29,7 @@ from msal_cli.kernels.normal_regression import (
     NormalDescriber,
     measure_ripples,
 )
-from msal_cli.kernels.vertex_update import untangle, updated_vertices
+from msal_cli.kernels.vertex_update import untangle, update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sweeps import free_vertices
 
@@ -76,7 +76,7 @@ class Cascade:
     ) -> Floats:
         """Positions (n, 3) that fit the normals (m, 3) better, after ``passes`` passes."""
         mesh = self.mesh
-        return updated_vertices(
+        return update_vertices(
             positions, normals, mesh.faces, mesh.topology, self.free, passes, on_pass
         )
 

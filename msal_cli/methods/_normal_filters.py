@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from msal_cli.arrays import Floats
-from msal_cli.kernels.vertex_update import updated_vertices
+from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import sliding_parameter, undo_sliding
@@ -86,7 +86,7 @@ def run(
     timer = Timer()
     normals = filtered_normals(passes)
     timer.start_sweeps()
-    vertices = updated_vertices(
+    vertices = update_vertices(
         mesh.vertices,
         normals,
         mesh.faces,

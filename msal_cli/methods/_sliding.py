@@ -10,7 +10,7 @@ from msal_cli.analysis.noise_estimate.local import apply_umbrella
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.quantiles import median
-from msal_cli.kernels.vertex_update import updated_vertices
+from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh, cached_by_mesh
 from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import free_vertices
@@ -52,7 +52,7 @@ def undo_sliding(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> 
     heights = np.einsum("ij,ij->i", positions - mesh.vertices, normals)
     has_normal = (normals != 0.0).any(axis=1)[:, None]
     on_lines = np.where(has_normal, mesh.vertices + heights[:, None] * normals, positions)
-    return updated_vertices(
+    return update_vertices(
         on_lines,
         face_normals(positions, mesh.faces),
         mesh.faces,

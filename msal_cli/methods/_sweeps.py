@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats
 from msal_cli.kernels.operators import AnisotropicLaplacian, Operator
 from msal_cli.kernels.schedules import Constant, Multiscale, Plain, Schedule, Wiener
-from msal_cli.kernels.sweeps import Swept, swept
+from msal_cli.kernels.sweeps import Swept, run_sweeps
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 
@@ -236,7 +236,7 @@ def run(
         return sigma
 
     timer.start_sweeps()
-    result = swept(
+    result = run_sweeps(
         mesh.vertices, made, schedule, parameters.iterations, on_sweep, scale, mesh.trust
     )
     if isinstance(schedule, Wiener) and parameters.iterations:

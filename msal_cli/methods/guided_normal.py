@@ -51,7 +51,7 @@ from msal_cli.kernels.face_guides import patches
 from msal_cli.kernels.face_rings import face_centroids, faces_within, mean_centroid_distance
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_averages import joint_bilateral
-from msal_cli.kernels.vertex_update import updated_vertices
+from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import sliding_parameter, undo_sliding
@@ -148,7 +148,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
             sigma_s=parameters.closeness * (unit or mesh.mean_edge_length),
             sigma_r=parameters.similarity,
         )
-        positions = updated_vertices(
+        positions = update_vertices(
             positions, wanted, faces, links, free, parameters.vertex_iterations
         )
         on_sweep(iteration + 1, parameters.iterations)

@@ -54,7 +54,7 @@ from msal_cli.kernels.operators import Operator
 from msal_cli.kernels.projections import normal_spread, towards_planes
 from msal_cli.kernels.quantiles import clusters
 from msal_cli.kernels.schedules import Multiscale, Plain
-from msal_cli.kernels.sweeps import swept
+from msal_cli.kernels.sweeps import run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
@@ -145,9 +145,9 @@ def _presmooth(
 ) -> tuple[Floats, Floats]:
     """Positions (n, 3) after ``sweeps`` of AL, and after as many of MSAL."""
     start = mesh.vertices
-    plain = swept(start, laplacian, Plain(), sweeps, lambda done, _: on_sweep(done, total))
+    plain = run_sweeps(start, laplacian, Plain(), sweeps, lambda done, _: on_sweep(done, total))
     # Nothing new is done, but a long run must stay interruptible.
-    sharp = swept(start, laplacian, Multiscale(K), sweeps, lambda *_: on_sweep(sweeps, total))
+    sharp = run_sweeps(start, laplacian, Multiscale(K), sweeps, lambda *_: on_sweep(sweeps, total))
     return plain.vertices, sharp.vertices
 
 

@@ -46,7 +46,7 @@ from functools import partial
 from msal_cli.kernels.face_rings import face_rings
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.normal_diffusion import difference_width, diffused_normals
-from msal_cli.kernels.vertex_update import updated_vertices
+from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import sliding_parameter, undo_sliding
@@ -130,7 +130,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
             parameters.normal_iterations,
             on_step,
         )
-        positions = updated_vertices(
+        positions = update_vertices(
             positions, normals, faces, links, free, parameters.vertex_iterations, on_step
         )
         on_sweep(done + 1, parameters.iterations)

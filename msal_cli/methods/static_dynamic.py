@@ -54,7 +54,7 @@ from msal_cli.kernels.face_guides import Patches, patches
 from msal_cli.kernels.face_rings import face_centroids, faces_within, mean_centroid_distance
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.static_dynamic import minimising_normals, pair_weights
-from msal_cli.kernels.vertex_update import updated_vertices
+from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import sliding_parameter, undo_sliding
@@ -184,7 +184,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     for iteration in range(parameters.iterations):
         # During a long filtering too, so that the caller may end the run.
         on_step = partial(on_sweep, iteration, parameters.iterations)
-        positions = updated_vertices(
+        positions = update_vertices(
             positions,
             _filtered_normals(positions, mesh, around, parameters, on_step),
             mesh.faces,

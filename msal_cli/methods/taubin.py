@@ -29,7 +29,7 @@ from dataclasses import dataclass
 
 from msal_cli.errors import UsageError
 from msal_cli.kernels.schedules import Alternating
-from msal_cli.kernels.sweeps import swept
+from msal_cli.kernels.sweeps import run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
@@ -102,7 +102,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     timer = Timer()
     operator = Umbrella(*ring_of(mesh, parameters.boundary))
     timer.start_sweeps()
-    result = swept(
+    result = run_sweeps(
         mesh.vertices,
         operator,
         Alternating(parameters.shrink, parameters.outward_step),

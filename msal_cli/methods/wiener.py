@@ -52,8 +52,8 @@ from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_averages import joint_bilateral
 from msal_cli.kernels.restoration import restoration
 from msal_cli.kernels.schedules import Plain
-from msal_cli.kernels.sweeps import swept
-from msal_cli.kernels.vertex_update import updated_vertices
+from msal_cli.kernels.sweeps import run_sweeps
+from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sweeps import (
@@ -139,7 +139,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     noise = resolve_noise_level(mesh, parameters.noise)
     laplacian = anisotropic_laplacian(mesh, parameters)
     timer.start_sweeps()
-    smooth = swept(mesh.vertices, laplacian, Plain(), parameters.iterations, on_sweep).vertices
+    smooth = run_sweeps(mesh.vertices, laplacian, Plain(), parameters.iterations, on_sweep).vertices
     normals, links = laplacian.normals, mesh.topology
 
     residual = np.einsum("ij,ij->i", smooth - mesh.vertices, normals)
@@ -174,7 +174,7 @@ def _fit_to_normals(mesh: Mesh, parameters: Parameters, guide: Floats, noise: fl
             sigma_s=parameters.closeness * (unit or mesh.mean_edge_length),
             sigma_r=parameters.similarity * noise / mesh.mean_edge_length,
         )
-    return updated_vertices(
+    return update_vertices(
         guide,
         normals,
         faces,

@@ -25,7 +25,7 @@ from msal_cli.job.records import WITH_OUTPUT, MeshRecord
 from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.mesh import Mesh
 from msal_cli.report.document import known_values
-from msal_cli.report.phrases import counted
+from msal_cli.report.phrases import format_count
 from msal_cli.report.ranking import worst_first
 from msal_cli.storage import gzip_streams
 from msal_cli.view import pictures, viewer
@@ -34,7 +34,7 @@ from msal_cli.view.illustrations import Gallery, Pictures, Scale
 from msal_cli.view.image_files import jpeg_bytes, png_bytes
 from msal_cli.view.pictures import Scene
 from msal_cli.view.scene import encode_scene
-from msal_cli.view.shading import Image, Style, shaded
+from msal_cli.view.shading import Image, Style, shade
 
 log = logging.getLogger("msal")
 
@@ -63,7 +63,7 @@ class Bounds:
     picture_bytes: int = 18_000_000
 
 
-def made(
+def build_gallery(
     records: Sequence[MeshRecord],
     *,
     backup: str = DEFAULT_BACKUP,
@@ -101,9 +101,7 @@ def made(
             camera = pictures.camera_of(scene, pictures.View())
             shown = _pictures(scene, camera, reach)
             if len(scenes) < bounds.scenes:
-                scenes[at] = _embedded(
-                    record, scene, camera, reach, bounds.scene_faces, f"scene{at}"
-                )
+                scenes[at] = _embed(record, scene, camera, reach, bounds.scene_faces, f"scene{at}")
                 n_decimated += len(scene.before.faces) > bounds.scene_faces
         except Exception:
             # A picture is an extra: whatever keeps it from being made keeps back no report.
@@ -160,7 +158,7 @@ def _surface(path: str, sha256: str | None, format: str | None, bounds: Bounds) 
     data = header_check.read_input(path, format)
     if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
         return None
-    plain, _ = gzip_streams.expanded(data, path)
+    plain, _ = gzip_streams.expand(data, path)
     mesh_file = codecs.open_mesh(plain, path, format)
     return comparison.surface_of(mesh_file) if len(mesh_file.faces) <= bounds.faces else None
 
@@ -184,7 +182,7 @@ def _image(
     mesh: Mesh, camera: Camera, size: tuple[int, int], painted: Image | None = None
 ) -> Image:
     style = Style(background=(236, 238, 241))
-    return shaded(mesh.vertices, mesh.faces, camera, *size, painted, style=style)
+    return shade(mesh.vertices, mesh.faces, camera, *size, painted, style=style)
 
 
 def _reach(records: Sequence[MeshRecord]) -> float:
@@ -216,7 +214,7 @@ def _scale(reach: float) -> Scale:
 # Scenes
 
 
-def _embedded(
+def _embed(
     record: MeshRecord, scene: Scene, camera: Camera, reach: float, most_faces: int, key: str
 ) -> str:
 
@@ -243,12 +241,12 @@ def _remarks(
     if n_late:
         limits = f"{bounds.seconds:.0f} seconds or {bounds.picture_bytes / 1e6:.0f} MB"
         remarks.append(
-            f"Pictures are of the worst {counted(n_shown, 'file')}: the other {n_late:,} would "
-            f"have taken more than {limits}."
+            f"Pictures are of the worst {format_count(n_shown, 'file')}: the other {n_late:,} "
+            f"would have taken more than {limits}."
         )
     if n_large:
         remarks.append(
-            f"{counted(n_large, 'file')} of more than {bounds.faces:,} faces or "
+            f"{format_count(n_large, 'file')} of more than {bounds.faces:,} faces or "
             f"{bounds.file_bytes / 1e6:.0f} MB without pictures here; `msal view` makes them."
         )
     if n_decimated:

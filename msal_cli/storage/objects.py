@@ -218,7 +218,7 @@ def mark(url: str) -> Mark | None:
         return _mark(*_open(url))
 
 
-def listed(url: str, depth: int | None = None) -> dict[str, Mark]:
+def list_objects(url: str, depth: int | None = None) -> dict[str, Mark]:
     """Every object below a folder by its name there, written with ``/``; empty if there is none.
 
     On object stores that is one request for a thousand objects, however deep they lie.
@@ -249,7 +249,7 @@ def listed(url: str, depth: int | None = None) -> dict[str, Mark]:
     }
 
 
-def removed(some: Sequence[str]) -> None:
+def remove_object(some: Sequence[str]) -> None:
     """Remove objects of one store, as far as it lets us; what stays is no error."""
     if not some:
         return
@@ -285,18 +285,18 @@ def _open(url: str) -> tuple[Any, str]:
     key = (protocol, repr(sorted(options.items())))
     with _lock:
         if key not in _file_systems:
-            _file_systems[key] = _connected(protocol, options)
+            _file_systems[key] = _connect(protocol, options)
         return _file_systems[key], path
 
 
-def _connected(protocol: str, options: dict[str, Any]) -> Any:
+def _connect(protocol: str, options: dict[str, Any]) -> Any:
     import fsspec
 
     try:
         system = fsspec.filesystem(protocol, **options)
     except (ImportError, TypeError, ValueError) as failure:
         raise UsageError(
-            f"{protocol}:// cannot be used: {urls.redacted(_one_line(failure))}",
+            f"{protocol}:// cannot be used: {urls.redact(_one_line(failure))}",
             hint="chained URLs and archives are not supported",
         ) from None
     if isinstance(getattr(system, "retries", None), int):
@@ -397,7 +397,7 @@ def _explain(failure: BaseException) -> tuple[str, str]:
         if one is not None
         for kind in type(one).__mro__
     }
-    said = urls.redacted(_one_line(failure))
+    said = urls.redact(_one_line(failure))
     if "FileNotFoundError" in kinds:
         if "bucket" in said.lower():
             return "there is no such bucket", "check the bucket's name"

@@ -36,7 +36,7 @@ _ONE_WORD = frozenset(
 _NUMBERS = (b"-o", b"-s", b"-t")
 
 
-def carried(
+def carry(
     references: Sequence[str],
     input_path: str | os.PathLike[str],
     output_path: str | os.PathLike[str],
@@ -80,7 +80,7 @@ def carried(
             notes.append(f"warning: only the first {MOST_REFERENCES} references are followed")
             break
         done.add(reference)
-        notes.append(_carried(reference, source_folder, target_folder, budget))
+        notes.append(_carry(reference, source_folder, target_folder, budget))
         relative = _relative(reference, source_folder)
         if not reference.lower().endswith(".mtl") or relative is None:
             continue
@@ -138,7 +138,7 @@ class _Budget:
         return True
 
 
-def _carried(reference: str, source_folder: Path, target_folder: Path, budget: _Budget) -> str:
+def _carry(reference: str, source_folder: Path, target_folder: Path, budget: _Budget) -> str:
     """Carry one file; what was done, empty if nothing had to be."""
     relative = _relative(reference, source_folder)
     if relative is None:
@@ -199,7 +199,7 @@ def _copy(source: Path, target: Path) -> None:
         if not write_new(target, _pieces(source), mode_like=source) and not _is_same(
             source, target
         ):
-            raise _taken(source, target)
+            raise _take(source, target)
     except OSError as failure:
         raise OutputError(
             f"{source.name} cannot be copied beside the output: {failure.strerror}",
@@ -208,7 +208,7 @@ def _copy(source: Path, target: Path) -> None:
         ) from failure
 
 
-def _taken(source: Path, target: Path) -> OutputError:
+def _take(source: Path, target: Path) -> OutputError:
     return OutputError(
         f"there is another {target.name} beside the output than {source}, which the input names",
         code="E_SIDECAR",

@@ -32,7 +32,7 @@ def is_url(text: str) -> bool:
     return match is not None and match["protocol"].lower() not in _FILES
 
 
-def settled(text: str) -> str:
+def normalize_url(text: str) -> str:
     """A path or URL as everything else here takes it: ``file://`` gone, secrets put away.
 
     Raises UsageError if two signed links differ in nothing but their signature.
@@ -60,13 +60,13 @@ def settled_in(options: dict[str, Any], *names: str) -> dict[str, Any]:
 
     def of(value: Any) -> Any:
         if isinstance(value, tuple):
-            return tuple(map(settled, value))
-        return value if value is None else settled(value)
+            return tuple(map(normalize_url, value))
+        return value if value is None else normalize_url(value)
 
     return options | {name: of(options[name]) for name in names}
 
 
-def redacted(text: str) -> str:
+def redact(text: str) -> str:
     """``text``, such as a word of a command line or a message, without what is secret in it."""
     text = _QUERY.sub(r"\1?***", _PASSWORD.sub(r"\1:***@", text))
     for secret in _kept().values():
@@ -129,7 +129,7 @@ def split(url: str) -> tuple[str, str]:
     return protocol, path
 
 
-def joined(url: str, relative: str) -> str:
+def join_url(url: str, relative: str) -> str:
     """The URL of ``relative``, written with ``/``, below a URL."""
     return f"{folder(url)}{relative}"
 

@@ -102,7 +102,7 @@ def viewed(
     points = vertices[_used(len(vertices), faces)]
     if also is not None:
         points = np.concatenate([points, also])
-    return framing(turned(stance.front, stance.up, turn, tilt), points)
+    return framing(rotate(stance.front, stance.up, turn, tilt), points)
 
 
 # Degrees round to the right and up from the front.
@@ -116,7 +116,7 @@ _ANGLES = {
 }
 
 
-def turned(front: Floats, up: Floats, turn_deg: float, tilt_deg: float) -> Floats:
+def rotate(front: Floats, up: Floats, turn_deg: float, tilt_deg: float) -> Floats:
     """(3, 3) axes of an eye that went round and up from ``front``; straight above it still knows
     where the front is, which is at the bottom of its picture."""
     forward, right, upward = _frame(front, up)

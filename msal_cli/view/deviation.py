@@ -33,7 +33,7 @@ class Scale:
         """The map of ``colours``."""
         return "diverging" if self.is_signed else "sequential"
 
-    def painted(self, values: Floats) -> NDArray[np.uint8]:
+    def paint(self, values: Floats) -> NDArray[np.uint8]:
         """(n, 3) colours of ``values`` (n,)."""
         return colours.map_colours(values, self.low, self.high, self.map_name)
 

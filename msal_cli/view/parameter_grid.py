@@ -221,7 +221,7 @@ def command(wanted: Grid, name: str, chosen: Mapping[str, object]) -> str:
     return shlex.join(words)
 
 
-def drawn(on: Subject, mesh: Mesh, view: View) -> Image:
+def draw_grid(on: Subject, mesh: Mesh, view: View) -> Image:
     """(h, w, 3) uint8: one mesh of the grid, or the input, seen by the one camera."""
 
     return pictures.panel(mesh, on.camera, view)
@@ -235,11 +235,11 @@ def sheet(
 ) -> Image:
     """(H, W, 3) uint8: at the left the input and the reference, then the grid with its numbers."""
 
-    sides = [(drawn(on, on.ready.mesh, view), pictures.titles_of((on.name,))[0], ["input"])]
+    sides = [(draw_grid(on, on.ready.mesh, view), pictures.titles_of((on.name,))[0], ["input"])]
     if on.reference is not None:
         error = normal_statistics(on.reference, on.ready.mesh).mean_angular_error_deg
         words = f"normals of the input {error:.2f}\N{DEGREE SIGN}"
-        sides.append((drawn(on, on.reference, view), "reference", [words]))
+        sides.append((draw_grid(on, on.reference, view), "reference", [words]))
     style = pictures.style_of(view)
     empty: Panel = (np.full_like(sides[0][0], style.background), "", [])
     width = len(wanted.columns.values)

@@ -146,7 +146,7 @@ def test_a_weakly_noisy_range_scan_is_left_to_the_learned_filter():
     shared = true.with_vertices(add_noise(true, AddedNoise("correlated", 0.08, seed=3, rings=3)))
     mesh = shared.with_vertices(add_noise(shared, AddedNoise("gaussian-normal", 0.05, seed=4)))
     search = _Search(mesh, Wishes(), range_level(mesh, "white", 0.98), None)
-    choice = search.chosen()
+    choice = search.choose()
     made = result_of(mesh, choice)
     angles = [normal_statistics(true, one).mean_angular_error_deg for one in (mesh, made)]
     assert "learned (noise times" in choice.reason

@@ -386,7 +386,7 @@ def test_an_interruption_passes_through(mesh):
 
 
 def sample(name):
-    data, _ = gzip_streams.expanded((SAMPLES / name).read_bytes(), name)
+    data, _ = gzip_streams.expand((SAMPLES / name).read_bytes(), name)
     mesh_file = codecs.open_mesh(data, name)
     return prepare_mesh(mesh_file.vertices, mesh_file.faces).mesh
 

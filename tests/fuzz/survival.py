@@ -40,7 +40,7 @@ def outcome(data: bytes, format: str) -> str:
 
 
 def _outcome(data: bytes, format: str) -> str:
-    whole, _ = gzip_streams.expanded(data, f"scan.{format}")
+    whole, _ = gzip_streams.expand(data, f"scan.{format}")
     if format == "gz":
         # Formats that libraries read are not ours to bend.
         if detection.content_format(whole) not in detection.OWN_FORMATS:

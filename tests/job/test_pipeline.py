@@ -410,7 +410,7 @@ def test_real_files(real_data, tmp_path, name):
     assert record.status == "written"
     assert record.seam_gap == 0.0
     assert 0 < record.displacement.mean_edges < 0.2
-    plain = [gzip_streams.expanded(p.read_bytes(), p.name)[0] for p in (path, out)]
+    plain = [gzip_streams.expand(p.read_bytes(), p.name)[0] for p in (path, out)]
     before, after = (codecs.open_mesh(data, "x." + record.format) for data in plain)
     assert (before.faces == after.faces).all()
     assert np.linalg.norm(before.vertices - after.vertices, axis=1).max() == pytest.approx(
@@ -472,7 +472,7 @@ class TestLimits:
         assert record.vertices == 288
         opened = codecs.open_mesh(path.read_bytes(), "a.obj")
         as_ply = path.with_suffix(".ply")
-        as_ply.write_bytes(codecs.converted(opened, opened.vertices, "ply")[0])
+        as_ply.write_bytes(codecs.convert(opened, opened.vertices, "ply")[0])
         monkeypatch.setattr(header_check, "read_whole", None)
         record = self.done(as_ply, max_faces=575)
         assert record.error.code == "E_TOO_LARGE" and record.vertices is None

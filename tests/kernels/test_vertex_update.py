@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli.kernels.geometry import face_normals
-from msal_cli.kernels.vertex_update import untangle, updated_vertices
+from msal_cli.kernels.vertex_update import untangle, update_vertices
 from msal_cli.mesh import prepare_mesh
 from tests.kernels.plain_faces import rim, unit, updated
 from tests.shapes import fan, grid, noisy, torus
@@ -16,7 +16,7 @@ def run(vertices, normals, faces, passes=1, fixed=(), on_pass=None):
     mesh = prepare_mesh(vertices, faces).mesh
     free = np.ones(len(vertices), dtype=bool)
     free[list(fixed)] = False
-    return updated_vertices(vertices, normals, mesh.faces, mesh.topology, free, passes, on_pass)
+    return update_vertices(vertices, normals, mesh.faces, mesh.topology, free, passes, on_pass)
 
 
 def test_one_pass_worked_by_hand():

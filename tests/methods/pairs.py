@@ -11,7 +11,7 @@ import numpy as np
 from msal_cli import codecs, methods
 from msal_cli.analysis.measures import normal_statistics
 from msal_cli.mesh import Mesh, prepare_mesh
-from msal_cli.storage.gzip_streams import expanded, read_whole
+from msal_cli.storage.gzip_streams import expand, read_whole
 
 PAIRS = ("Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2")
 
@@ -20,7 +20,7 @@ PAIRS = ("Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2")
 def opened(noisy: Path, clean: Path) -> tuple[Mesh, Mesh]:
     """The noisy mesh, and the same with the positions of the clean one."""
     one, other = (
-        codecs.open_mesh(expanded(read_whole(str(path)), path.name)[0], path.name)
+        codecs.open_mesh(expand(read_whole(str(path)), path.name)[0], path.name)
         for path in (noisy, clean)
     )
     ready = prepare_mesh(one.vertices, one.faces)

@@ -17,11 +17,9 @@ from tests.shapes import torus
 from training import noise_mixture, regression
 from training.noise_mixture import MIXTURE, draw_noise
 from training.samples import (
-    coarsen,
     collect_samples,
     draw_estimate,
     draw_meshes,
-    roughen,
 )
 from training.scans import SHARES, draw_scan
 
@@ -71,16 +69,6 @@ def test_scans_know_their_true_normals(scanner, monkeypatch):
     away = centres - 3.0 * around / np.linalg.norm(around, axis=1)[:, None]
     away /= np.linalg.norm(away, axis=1)[:, None]
     assert np.median(np.einsum("ij,ij->i", truth[known], away)) > 0.97
-
-
-def test_meshes_are_made_coarser_and_rougher():
-    vertices, faces = torus(120, 60)
-    coarse = coarsen(vertices, faces, draw())
-    assert len(coarse[1]) < 0.62 * len(faces)
-    rough, same = roughen(vertices, faces, draw())
-    away = np.linalg.norm(rough - prepare_mesh(vertices, faces).mesh.vertices, axis=1)
-    assert away.max() > 0.0
-    assert (same == faces).all()
 
 
 def test_the_noise_that_is_given_is_nearly_right_or_missing():

@@ -130,7 +130,7 @@ def characterize(mesh: Mesh, white: WhiteEstimate) -> Characterized:
         colour = find_colour(survey, fine=white.level.mean_edges)
 
     if steps is not None and steps.level > LEAST_STEP_LEVEL:
-        return _by_region(white, _stepped(white, steps, axis))
+        return _by_region(white, _step(white, steps, axis))
     spikes = find_spikes(mesh, white, survey, colour)
     if spikes is not None:
         return _by_region(white, _spiked(white, spikes))
@@ -345,7 +345,7 @@ def _along(white: WhiteEstimate, axis: AxisEvidence, colour: Colour | None) -> N
     return noise if rings or colour is None or colour.rings == 0 else _reach_up(noise, colour)
 
 
-def _stepped(white: WhiteEstimate, steps: Steps, axis: AxisEvidence | None) -> NoiseLevel:
+def _step(white: WhiteEstimate, steps: Steps, axis: AxisEvidence | None) -> NoiseLevel:
     level = steps.level
     if steps.axis is None:
         character = NoiseCharacter(
