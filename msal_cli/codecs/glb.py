@@ -5,13 +5,20 @@ All else is kept.  Of the JSON only the bounds change that the format demands of
 
 from __future__ import annotations
 
+import operator
 import struct
 
 from msal_cli.arrays import Floats
 from msal_cli.codecs.gltf_file import SceneFile
 from msal_cli.codecs.gltf_json import as_dict, as_list, parse_json, require_short
 from msal_cli.codecs.gltf_scene import Scene
-from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import (
+    EXPORT_AGAIN,
+    FormatError,
+    InternalError,
+    TruncatedError,
+    UnsupportedError,
+)
 from msal_cli.storage.buffers import Buffer
 
 _HEAD = 20
@@ -115,4 +122,8 @@ class GlbFile(SceneFile):
         return b"".join([head, data])
 
     def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
-        return _split(output)[:2]
+        text, data, length = _split(output)
+        heads = (memoryview(one).cast("B")[:_HEAD] for one in (output, self.data))
+        if length != len(data) and operator.ne(*heads):
+            raise InternalError("the length in its header is not what it should be")
+        return text, data

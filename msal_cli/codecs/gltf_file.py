@@ -15,7 +15,7 @@ from msal_cli.codecs.frames import PLACEMENT, is_placed, is_usable
 from msal_cli.codecs.gltf_json import find_entries, replace_spans, write_bound
 from msal_cli.codecs.gltf_scene import Part, Scene
 from msal_cli.codecs.layout import Layout, require_finite
-from msal_cli.codecs.slot_file import SlotFile
+from msal_cli.codecs.slot_file import Change, SlotFile
 from msal_cli.errors import InternalError, MsalError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
@@ -48,7 +48,7 @@ class SceneFile(SlotFile):
         ContentError
             with code ``E_RANGE`` if a position does not fit into float32.
         """
-        if not (vertices != self.vertices).any():
+        if np.array_equal(vertices, self.vertices):
             return self.data
         return self._pack(self.replace_data(vertices))
 
@@ -76,6 +76,16 @@ class SceneFile(SlotFile):
         is_right = json.dumps(content) == json.dumps(expected)
         if not is_right or text.rstrip(b" ") != self.text_of(data).rstrip(b" "):
             raise InternalError("the description of a scene is not what it should be")
+
+    def _changes(self, vertices: Floats) -> list[Change]:
+        """The arrays that change.
+
+        Raises ContentError (``E_RANGE``), also when checked, where positions of the first part that
+        moved cannot be stored.
+        """
+        changes = super()._changes(vertices)
+        self._require_ranges(changes[:1])
+        return changes
 
     def text_of(self, data: Buffer) -> bytes:
         """The description with the bounds that positions have in ``data``."""

@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from msal_cli.codecs import ply_header
 from msal_cli.errors import MsalError, TruncatedError
@@ -21,6 +21,9 @@ _ALWAYS_BELIEVED = 256 << 20
 _GLB_CHUNK = 20
 _VTK_TEXT = re.compile(rb"[^\n]*\n[^\n]*\n\s*ASCII", re.IGNORECASE)
 _FACET = re.compile(rb"\bfacet\s+(?:normal|outer)\b", re.IGNORECASE)
+
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +37,7 @@ class Header:
     least_bytes, most_bytes : how many bytes the file must and may have; None for no limit.
     vertices, faces : what the header counts, polygons as the file does; None where it does not.
     n_vertices, n_triangles : the same, estimated where the header does not count them.
-    error : why the reader will refuse the file; then nothing else is known.
+    error : why the reader will refuse the file.
     """
 
     flavour: str
@@ -78,7 +81,13 @@ def _believed(size: int, is_packed: bool) -> int:
 
 def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
     is_whole = is_packed or len(head) >= size
-    header = ply_header.parsed(memoryview(head), is_whole)
+    view = memoryview(head)
+    header, error = _try(lambda: ply_header.parsed(view, is_whole))
+    if header is None:
+        # The end of the last line may be all that was not read.
+        header, _ = _try(lambda: ply_header.parsed(view))
+    if header is None:
+        return Header("ply", error=error)
     vertex, face = header.find("vertex"), header.find("face")
     strips = header.find("tristrips") if face is None else None
     n_vertices = vertex.count if vertex is not None else 0
@@ -88,7 +97,8 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
     most = None if is_text else header.most_bytes()
     least = header.least_bytes() + is_text
     if least > _believed(size, is_packed):
-        error = _too_short(size, least - is_text) if least - is_text > size else None
+        if error is None and least - is_text > size:
+            error = _too_short(size, least - is_text)
         return Header(flavour, is_text, most_bytes=most, error=error)
     n_triangles: int = n_faces
     if strips is not None:
@@ -102,7 +112,8 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
         items = (int(one.code[1]) for one in face.properties if one.is_list)
         least += n_faces * 3 * sum(items)
     faces = None if strips is not None else n_faces
-    return Header(flavour, is_text, least, most, n_vertices, faces, n_vertices, n_triangles)
+    counts = n_vertices, faces, n_vertices, n_triangles
+    return Header(flavour, is_text, least, most, *counts, error)
 
 
 def _most_triangles(header: ply_header.Header, face: ply_header.Element, rest: int) -> int:
@@ -117,26 +128,51 @@ def _most_triangles(header: ply_header.Header, face: ply_header.Element, rest: i
 def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
     from msal_cli.codecs import stl
 
-    if not stl.is_text(head, size):
-        wanted = stl.wanted_bytes(head, _believed(size, is_packed))
-        count = int.from_bytes(head[80:84], "little")
+    is_text = stl.is_text(head, size)
+    most, error = (None, None) if is_text else _try(lambda: stl.wanted_bytes(head, size))
+    count = int.from_bytes(head[80:84], "little")
+    least = 84 + 50 * count
+    # A text with zeros behind it is foreseen as a binary file whose count is not known.
+    if b"\0" in head[:1024] or (len(head) >= 84 and size == least):
+        if len(head) < 84 or least > _believed(size, is_packed):
+            return Header("stl", is_text, error=error)
         # A closed surface has half as many vertices as facets, once its corners are welded.
-        return Header("stl", False, wanted, wanted, 3 * count, count, count // 2, count)
+        counts = 3 * count, count, count // 2, count
+        return Header("stl", is_text, least, most, *counts, error)
     facets = len(_FACET.findall(head))
     if not facets:
-        return Header("stl-ascii", True)
+        return Header("stl-ascii", is_text, most_bytes=most, error=error)
     # A facet that is cut off at the end of what was read does not count as one.
     n_facets = int(size * facets / len(head)) + 1
-    return Header("stl-ascii", True, n_vertices=n_facets // 2, n_triangles=n_facets)
+    return Header(
+        "stl-ascii",
+        is_text,
+        most_bytes=most,
+        n_vertices=n_facets // 2,
+        n_triangles=n_facets,
+        error=error,
+    )
 
 
 def _read_glb(head: bytes, size: int, is_packed: bool) -> Header:
     from msal_cli.codecs import glb
 
-    most = size if is_packed else glb.expected_bytes(memoryview(head), size)
+    most: int | None = size
+    error: MsalError | None = None
+    if not is_packed:
+        most, error = _try(lambda: glb.expected_bytes(memoryview(head), size))
     stop = _GLB_CHUNK + int.from_bytes(head[12:16], "little")
-    counts = _described(head[_GLB_CHUNK:stop], size) if stop <= len(head) else {}
-    return Header("glb", False, most_bytes=most, **counts)
+    is_there = head[:4] == b"glTF" and stop <= len(head)
+    counts = _described(head[_GLB_CHUNK:stop], size) if is_there else {}
+    return Header("glb", False, most_bytes=most, error=error, **counts)
+
+
+def _try(read: Callable[[], _T]) -> tuple[_T | None, MsalError | None]:
+    """What ``read`` returns, or its error."""
+    try:
+        return read(), None
+    except MsalError as error:
+        return None, error
 
 
 def _described(text: bytes, size: int) -> dict[str, Any]:
@@ -163,9 +199,9 @@ def _described(text: bytes, size: int) -> dict[str, Any]:
 
 
 def _read_obj(head: bytes) -> Header:
-    from msal_cli.codecs import obj_parser
+    from msal_cli.codecs import obj_errors
 
-    obj_parser.refuse_binary(head)
+    obj_errors.refuse_binary(head)
     return Header("obj", True)
 
 

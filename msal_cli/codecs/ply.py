@@ -32,7 +32,7 @@ from msal_cli.codecs.ply_description import (
 from msal_cli.codecs.ply_faces import Surface, find_surface
 from msal_cli.codecs.ply_header import NORMAL, POSITION, Header, parsed
 from msal_cli.codecs.ply_sections import Section, located
-from msal_cli.codecs.slot_file import SlotFile
+from msal_cli.codecs.slot_file import SlotFile, require_shape
 from msal_cli.codecs.slots import Slots, require_range
 from msal_cli.errors import InputError
 from msal_cli.kernels.text import as_bytes
@@ -202,7 +202,7 @@ class PlyFile(SlotFile):
         recoding = Recoding(data, layout.header, encoding, precision, retypable, is_stream)
         if recoding.is_same:
             return self.replaced(vertices)
-        self._require_shape(vertices)
+        require_shape(vertices, self.vertices)
         element = layout.sections["vertex"].element
         codes = tuple(recoding.code(one) for one in element.find_all(POSITION))
         require_range(vertices, np.ones(vertices.shape, dtype=bool), codes)

@@ -106,9 +106,7 @@ class SlotFile:
         changes = self._changes(vertices)
         if not changes:
             return self._data
-        for slots, values, is_changed in changes:
-            if slots in self._layout.positions and slots.codes:
-                require_range(values, is_changed, slots.codes)
+        self._require_ranges(changes)
         require_finite_result(vertices)
         if self._is_binary:
             return overwrite(as_bytes(self._data), _overwrites(changes))
@@ -116,6 +114,12 @@ class SlotFile:
         if patches:
             return replace_statements(as_bytes(self._data), patches)
         return self._spliced(changes, vertices)
+
+    def _require_ranges(self, changes: Sequence[Change]) -> None:
+        """Raise ContentError (``E_RANGE``) for a position that its number type cannot store."""
+        for slots, values, is_changed in changes:
+            if slots in self._layout.positions and slots.codes:
+                require_range(values, is_changed, slots.codes)
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with ``vertices`` (n, 3); its encoding and its precision cannot be changed.
@@ -142,6 +146,7 @@ class SlotFile:
         """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced, and
         the normals of what moved."""
         changes = self._changes(vertices)
+        require_finite_result(vertices)
         data, result = as_bytes(self._data), as_bytes(output)
         if self._is_binary or not changes:
             check_overwritten(data, result, _overwrites(changes))
@@ -232,16 +237,9 @@ class SlotFile:
                 f"the {self.format} file that was made differs in more than positions and normals"
             )
 
-    def _require_shape(self, vertices: Floats) -> None:
-        if vertices.shape != self.vertices.shape or vertices.dtype != np.float64:
-            raise InternalError(
-                f"positions of shape {vertices.shape} and type {vertices.dtype} for a file with "
-                f"{len(self.vertices)} vertices"
-            )
-
     def _changes(self, vertices: Floats) -> list[Change]:
         """The arrays that change; none where no vertex moves."""
-        self._require_shape(vertices)
+        require_shape(vertices, self.vertices)
         is_moved = vertices != self.vertices
         if not is_moved.any():
             return []
@@ -255,7 +253,7 @@ class SlotFile:
             if isinstance(slots, TextSlots):
                 rounded, _ = slots.rounded(values)
                 if rounded is not values:
-                    values, is_changed = rounded, rounded != slots.values
+                    values, is_changed = rounded, is_changed & (rounded != slots.values)
             changes.append(Change(slots, values, is_changed))
         changes += self._changed_normals(vertices)
         return [one for one in changes if one.is_changed.any()]
@@ -341,6 +339,14 @@ class SlotFile:
             normals, rows = regrouped_normals(old, new, self.faces, entries, normals)
         cuts = np.cumsum([len(one) for one in arrays])[:-1]
         return list(zip(np.split(normals, cuts), np.split(rows, cuts), strict=True))
+
+
+def require_shape(vertices: Floats, old: Floats) -> None:
+    if vertices.shape != old.shape or vertices.dtype != np.float64:
+        raise InternalError(
+            f"positions of shape {vertices.shape} and type {vertices.dtype} for a file with "
+            f"{len(old)} vertices"
+        )
 
 
 def require_finite_result(vertices: Floats) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
 from msal_cli.codecs import stl_ascii
+from msal_cli.codecs.slot_file import require_finite_result, require_shape
 from msal_cli.codecs.slots import require_range
 from msal_cli.codecs.stl_facets import (
     FACET,
@@ -178,6 +179,7 @@ class StlFile(FacetFile):
         ContentError
             with code ``E_RANGE`` if a position does not fit into float32.
         """
+        require_shape(vertices, self.vertices)
         if np.array_equal(self.vertices, vertices):
             return self.data
         from msal_cli.kernels.facet_normals import replace_facets
@@ -212,6 +214,8 @@ class StlFile(FacetFile):
         from msal_cli.kernels import stl_check as facets
         from msal_cli.kernels.parallel import over_ranges
 
+        require_shape(vertices, self.vertices)
+        require_finite_result(vertices)
         before, after = memoryview(self.data).cast("B"), memoryview(output).cast("B")
         if len(before) != len(after) or before[:_FIRST_FACET] != after[:_FIRST_FACET]:
             raise InternalError("the STL header or the length of the file changed")
@@ -261,6 +265,7 @@ class StlFile(FacetFile):
             return self.replaced(vertices)
         from msal_cli.kernels.facet_normals import renew_facet_normals
 
+        require_shape(vertices, self.vertices)
         normals, _ = renew_facet_normals(self.vertices, vertices, self.faces, self.normals)
         corners = vertices[self.faces].reshape(-1, 9)
         header = bytes(memoryview(self.data).cast("B")[:HEADER_BYTES])

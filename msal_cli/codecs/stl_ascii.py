@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
+from msal_cli.codecs.slot_file import require_finite_result, require_shape
 from msal_cli.codecs.slots import as_float32, number_hint
 from msal_cli.codecs.stl_facets import FacetFile, check_countable, check_not_empty, not_finite
 from msal_cli.codecs.stl_writer import binary_stl, refuse_float64
@@ -245,7 +246,7 @@ class StlTextFile(FacetFile):
         Tokens with an exponent can have any number (``1.5e-17``); theirs count as far as they
         mean something beside the size of the mesh.
         """
-        from msal_cli.kernels.digits import MOST_DECIMALS
+        from msal_cli.kernels.digit_writing import MOST_DECIMALS
 
         plain_normal, plain, exponent_normal, exponent = (int(d) for d in self._scan.decimals)
         span = self.vertices.max(axis=0) - self.vertices.min(axis=0)
@@ -260,6 +261,8 @@ class StlTextFile(FacetFile):
         """The new numbers (m, 12) and which of them are to be written."""
         from msal_cli.kernels.facet_normals import renew_facet_normals
 
+        require_shape(vertices, self.vertices)
+        require_finite_result(vertices)
         m = len(self.faces)
         numbers, replace = np.empty((m, 12)), np.empty((m, 12), dtype=bool)
         numbers[:, :3], changed = renew_facet_normals(
@@ -272,10 +275,10 @@ class StlTextFile(FacetFile):
 
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with other vertices (n, 3) and the normals of moved facets recomputed."""
-        if not (vertices != self.vertices).any():
+        if np.array_equal(vertices, self.vertices):
             return self.data
         from msal_cli.kernels import stl_scan, text
-        from msal_cli.kernels.digits import FIXED_BELOW
+        from msal_cli.kernels.digit_writing import FIXED_BELOW
 
         numbers, replace = self._changes(vertices)
         buf = text.as_bytes(self.data)

@@ -65,7 +65,7 @@ class _Coordinates(Tokens):
 
     def _decimals(self, values: Floats) -> Bytes:
         """Decimals (3 n,) of new ``values`` (n, 3), those that changed, or ``SHORTEST``."""
-        from msal_cli.kernels.digits import MOST_DECIMALS
+        from msal_cli.kernels.digit_writing import MOST_DECIMALS
 
         needed = extent_decimals(self.values) or 0
         largest = float(np.abs(values[values != self.values]).max(initial=0.0))
@@ -152,24 +152,23 @@ class ThreeMfFile(SlotFile):
     def check(self, output: Buffer, vertices: Floats) -> None:
         """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
         old = self.package.archive
+        texts, changed = [], {}
         try:
             new = Archive(output)
-            texts = [
-                new.content(member, member.size)
-                for name in self.package.models
-                if (member := new.find(name)) is not None
-            ]
+            for name in self.package.models:
+                before, after = old.find(name), new.find(name)
+                assert before is not None
+                if after is None:
+                    raise InternalError(f"{name} is missing in a 3MF file")
+                texts.append(new.content(after, after.size))
+                packed = new.packed(after)
+                if packed != old.packed(before):
+                    changed[name] = packed, after.numbers
+            expected = old.assemble(changed)
         except MsalError as failure:
             raise InternalError(f"the 3MF file that was made cannot be read: {failure}") from None
-        if [one.name for one in new.members] != [one.name for one in old.members]:
-            raise InternalError("the 3MF file that was made has other members")
-        for before, after in zip(old.members, new.members, strict=True):
-            own = old.data[before.header_at : before.stop]
-            is_model = before.name in self.package.models
-            if not is_model and own != new.data[after.header_at : after.stop]:
-                raise InternalError(f"{before.name} changed in a 3MF file")
-            if (before.flags, before.method) != (after.flags, after.method):
-                raise InternalError(f"{before.name} was packed in another way")
+        if expected != output:
+            raise InternalError("a 3MF file changed outside its models")
         super().check(_BETWEEN.join(texts), vertices)
 
     def _pack(self, content: Buffer) -> bytes:

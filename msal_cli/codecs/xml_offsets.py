@@ -101,6 +101,9 @@ def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
         raise UnsupportedError(
             f"the XML is written in another way than UTF-8: {failure}", hint="save it as UTF-8"
         ) from None
+    finally:
+        # Each names the other, so that neither would be freed before long.
+        del builder.parser
     if builder.root is None:
         raise FormatError(f"there is no {what} in the file", hint=EXPORT_AGAIN)
     return builder.root

@@ -237,7 +237,7 @@ class Archive:
         is_in_header = not member.flags & _HAS_DESCRIPTOR
         if is_in_header and self._read(_LOCAL_HEADER, member.header_at) != member.numbers:
             raise _damaged(f"{member.name} has other sizes in its local header", member.header_at)
-        packed = self.data[member.data_at : member.data_at + member.packed_size]
+        packed = self.packed(member)
         if member.method == _STORED:
             content = bytes(packed)
         elif member.method == _DEFLATED:
@@ -254,8 +254,24 @@ class Archive:
             )
         return content
 
+    def packed(self, member: Member) -> memoryview:
+        """The data of a member as they are stored."""
+        return self.data[member.data_at : member.data_at + member.packed_size]
+
     def replace(self, contents: Mapping[str, Buffer]) -> bytes:
         """The archive with new contents for the members of these names; all else is kept."""
+        new = {}
+        for name, content in contents.items():
+            packed = content
+            if self._by_key[_key(name)].method == _DEFLATED:
+                deflate = zlib.compressobj(_LEVEL, zlib.DEFLATED, -15)
+                packed = deflate.compress(content) + deflate.flush()
+            numbers = {"crc": zlib.crc32(content), "packed": len(packed), "size": len(content)}
+            new[name] = packed, numbers
+        return self.assemble(new)
+
+    def assemble(self, contents: Mapping[str, tuple[Buffer, _Numbers]]) -> bytes:
+        """The archive with new data, as they are stored, and new numbers of some members."""
         pieces: list[Buffer] = []
         size = done = 0
         tail = bytearray(self.data[self._central_at :])
@@ -264,12 +280,12 @@ class Archive:
             size += member.header_at - done
             new = {"offset": size}
             if member.name in contents:
-                packed, numbers = self._pack(member, contents[member.name])
-                new |= numbers
+                own = self._wrap(member, *contents[member.name])
+                new |= contents[member.name][1]
             else:
-                packed = [self.data[member.header_at : member.stop]]
-            pieces += packed
-            size += sum(map(len, packed))
+                own = [self.data[member.header_at : member.stop]]
+            pieces += own
+            size += sum(map(len, own))
             done = member.stop
             _write(tail, self._places(_ENTRY, member.entry_at), new, self._central_at)
         pieces.append(self.data[done : self._central_at])
@@ -280,13 +296,8 @@ class Archive:
         self._move_end(tail, size - done)
         return b"".join([*pieces, tail])
 
-    def _pack(self, member: Member, content: Buffer) -> tuple[list[Buffer], _Numbers]:
-        """A member's bytes with new content, and its numbers."""
-        packed = content
-        if member.method == _DEFLATED:
-            deflate = zlib.compressobj(_LEVEL, zlib.DEFLATED, -15)
-            packed = deflate.compress(content) + deflate.flush()
-        new = {"crc": zlib.crc32(content), "packed": len(packed), "size": len(content)}
+    def _wrap(self, member: Member, packed: Buffer, new: _Numbers) -> list[Buffer]:
+        """New data of a member between its header and what follows, with new numbers in both."""
         head = bytearray(self.data[member.header_at : member.data_at])
         tail = bytearray(self.data[member.data_at + member.packed_size : member.stop])
         # With a descriptor the header need not have them, but some programs write them twice.
@@ -295,7 +306,7 @@ class Archive:
             _write(head, places, new, member.header_at)
         if member.flags & _HAS_DESCRIPTOR:
             _write_descriptor(tail, member, new)
-        return [head, packed, tail], new
+        return [head, packed, tail]
 
     def _move_end(self, tail: bytearray, shift: int) -> None:
         """Move the directory's offset in the end records of ``tail`` by ``shift``."""

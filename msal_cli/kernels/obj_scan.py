@@ -444,20 +444,3 @@ def scanned(  # type: ignore[no-untyped-def]
     state[LARGEST_VERTEX] = largest
     state[LAST_FACE_AT] = last_face
     return result
-
-
-@compiled
-def fans(corners, sizes, triangles):  # type: ignore[no-untyped-def]
-    """Cut polygons into triangles about their first corners.
-
-    ``corners`` (k,) lie one face behind the other, ``sizes`` (m,); ``triangles`` is (k - 2 m, 3).
-    """
-    start = 0
-    triangle = 0
-    for face in range(len(sizes)):
-        for k in range(start + 1, start + sizes[face] - 1):
-            triangles[triangle, 0] = corners[start]
-            triangles[triangle, 1] = corners[k]
-            triangles[triangle, 2] = corners[k + 1]
-            triangle += 1
-        start += sizes[face]

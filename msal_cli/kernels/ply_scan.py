@@ -174,7 +174,7 @@ def read_scalars(data, at, count, columns, groups, values, first_at, decimals): 
                 if at < 0 or not _is_token_end(data, at):
                     is_unusual = True
                     value, status, at, used = read_number(data, begin, len(data))
-                    if status != EXACT or not np.isfinite(value):
+                    if status != EXACT or not np.isfinite(value) or not _is_token_end(data, at):
                         return at, n_unusual, ODD
                     used = min(used, 255)
                 values[record, columns[p]] = value

@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.digits import EXACT, UNDECIDED, read_number, write_fixed
+from msal_cli.kernels.digit_writing import write_fixed
+from msal_cli.kernels.digits import EXACT, UNDECIDED, read_number
 from msal_cli.kernels.text import is_same, skip_token
 
 WHOLE = 0

@@ -186,8 +186,11 @@ def _image(
 
 
 def _reach(records: Sequence[MeshRecord]) -> float:
-    """Mean edge lengths at the ends of the colours of all files: twice what 95 % of the vertices
-    of a typical file stay below, rounded up, so that a bad file is visible."""
+    """Mean edge lengths at the ends of the colours, the same for all files.
+
+    What 95 % of the vertices of a typical file stay below, doubled and rounded up, so that a bad
+    file is visible.
+    """
 
     done = [record for record in records if record.status in WITH_OUTPUT]
     moves = known_values(done, "displacement.p95_edges")

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.analysis.measures import area_and_volume, displacement_statistics, normal_statistics
+from msal_cli.analysis.measures import (
+    DisplacementStatistics,
+    area_and_volume,
+    displacement_statistics,
+    is_negative,
+    normal_statistics,
+    relative_volume_change,
+)
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import cube, fan, torus
 
@@ -24,7 +31,8 @@ def test_displacement_by_hand():
 
 def test_displacement_counts_only_what_is_asked_for():
     before, after = np.zeros((4, 3)), np.ones((4, 3))
-    assert displacement_statistics(before, after, np.zeros(4, dtype=bool)).max == 0.0
+    none = displacement_statistics(before, after, np.zeros(4, dtype=bool))
+    assert none == DisplacementStatistics(0.0, 0.0, 0.0, 0.0, 0)
     one = displacement_statistics(before, after, np.array([True, False, True, False]))
     assert one.moved_vertices == 2
 
@@ -57,3 +65,12 @@ def test_volume_of_a_cube_anywhere():
     area, volume = area_and_volume(prepare_mesh(vertices + 1e6, faces).mesh)
     assert area == pytest.approx(6.0)
     assert volume == pytest.approx(1.0)
+
+
+def test_a_volume_that_is_rounding_is_none():
+    flat = 8.0 * 1e-9  # the area is 4, and 4 ** 1.5 is 8
+    above = np.nextafter(flat, 1.0)
+    assert is_negative(-above, 4.0) and not is_negative(-flat, 4.0)
+    assert relative_volume_change(flat, 1.0, 4.0) is None
+    assert relative_volume_change(above, 0.0, 4.0) == -1.0
+    assert relative_volume_change(-2.0, -3.0, 4.0) == 0.5

@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from msal_cli.analysis import surface_distance
-from msal_cli.analysis.correspondence import surface_distances
+from msal_cli.analysis.correspondence import (
+    at_other_positions,
+    surface_distances,
+    used_vertices,
+)
 from msal_cli.analysis.surface_distance import distances_to_surface, distances_to_triangles
 from msal_cli.errors import UnsupportedError
 from msal_cli.mesh import Mesh, prepare_mesh
@@ -58,7 +62,20 @@ def test_as_a_search_through_all_triangles(scale):
     triangles = surface.vertices[surface.faces]
     for point, distance in zip(points, got, strict=True):
         everywhere = distances_to_triangles(np.tile(point, (len(triangles), 1)), triangles)
-        assert distance == pytest.approx(everywhere.min(), rel=1e-6)
+        assert distance == pytest.approx(everywhere.min(), rel=1e-6, abs=0.0)
+
+
+@needs_library
+def test_points_on_the_surface_or_very_far_from_it():
+    vertices, faces = cube()
+    for scale in (1e-3, 1.0, 1e6):
+        surface = Mesh(scale * (vertices + np.pi), faces)
+        corners = surface.vertices[faces]
+        assert not distances_to_surface(corners.mean(axis=1), surface).any()
+        off = corners.mean(axis=1) + scale * 1e-12
+        assert distances_to_surface(off, surface).all()
+    far = np.array([[1e25, 0.0, 0.0]])
+    assert distances_to_surface(far, Mesh(vertices, faces)) == pytest.approx([1e25])
 
 
 @needs_library
@@ -103,3 +120,35 @@ def test_without_the_library_the_error_says_how_to_get_it(monkeypatch):
         distances_to_surface(np.zeros((1, 3)), Mesh(*cube()))
     assert caught.value.code == "E_NO_LIBRARY"
     assert "pip install fcpw" in caught.value.hint
+    with pytest.raises(UnsupportedError):
+        surface_distance.build_scene(Mesh(*cube()), 1.0)
+
+
+def test_the_library_is_looked_for(monkeypatch):
+    for found in (None, "a module"):
+        monkeypatch.setattr("importlib.util.find_spec", lambda name, found=found: found)
+        assert surface_distance.is_available() is (found is not None)
+
+
+@needs_library
+def test_vertices_without_faces_do_not_count():
+    vertices, faces = cube()
+    with_loose = Mesh(np.concatenate([vertices, [[9.0, 9.0, 9.0]]]), faces)
+    assert len(used_vertices(with_loose)) == 8
+    figures = surface_distances(Mesh(vertices, faces), with_loose)
+    assert [one.max for one in figures[:2]] == [0.0, 0.0]
+    assert figures[2] == 0.0
+
+
+def test_of_vertices_that_are_one_the_first_counts():
+    # Corners of a square as two triangles without shared vertices, and one that no face uses.
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]])
+    vertices = np.concatenate([[[7.0, 7.0, 7.0]], vertices])
+    faces = np.array([[1, 2, 3], [4, 5, 6]], dtype=np.int32)
+    ready = prepare_mesh(vertices, faces)
+    other = vertices + np.arange(7.0)[:, None]
+    got = at_other_positions(ready, other).vertices + ready.origin
+    place = ready.vertex_map
+    assert place is not None and place[0] == -1 and place[1] == place[4] and place[3] == place[5]
+    for file_vertex in (1, 2, 3, 6):
+        assert got[place[file_vertex]] == pytest.approx(other[file_vertex])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import io
 import json
 import struct
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from msal_cli.codecs import glb, gltf_scene, open_mesh
-from msal_cli.errors import MsalError
+from msal_cli.errors import ContentError, InternalError, MsalError
 from tests.codecs.plain_glb import Scene, content_of
 from tests.shapes import cube, grid, noisy, torus
 
@@ -267,6 +268,29 @@ def test_a_mesh_in_two_places_counts_once():
     vertices = noisy(file.vertices)
     file.check(file.replaced(vertices), vertices)
     assert "instances" not in glb.read(simple().data(), "").properties
+
+
+@pytest.mark.parametrize("at", [8, 12])
+def test_the_check_sees_a_wrong_length(at):
+    """Of the file and of its description, which some readers go by."""
+    file = glb.read(simple().data(), "")
+    vertices = noisy(file.vertices)
+    output = bytearray(file.replaced(vertices))
+    file.check(output, vertices)
+    output[at] -= 4
+    with pytest.raises(InternalError):
+        file.check(output, vertices)
+
+
+def test_the_check_sees_a_position_beyond_float32():
+    data = simple().data()
+    file = glb.read(data, "")
+    vertices = file.vertices.copy()
+    vertices[3, 1] = 1e39
+    for work in (file.replaced, functools.partial(file.check, data)):
+        with pytest.raises(ContentError) as caught:
+            work(vertices)
+        assert caught.value.code == "E_RANGE"
 
 
 def test_the_text_of_the_description_is_kept_but_for_bounds():

@@ -15,7 +15,8 @@ import pytest
 
 from msal_cli.codecs import conversion as convert
 from msal_cli.codecs import open_mesh, threemf
-from msal_cli.errors import MsalError, UnsupportedError
+from msal_cli.codecs.zip_archive import Archive
+from msal_cli.errors import InternalError, MsalError, UnsupportedError
 from tests.codecs import plain_3mf
 from tests.codecs.plain_3mf import MODEL, mesh, model, package, rels, shape
 from tests.shapes import cube, noisy, torus
@@ -270,6 +271,22 @@ OTHER_FORMS = {
     "exponents": mesh([[f"{x:+.2e}" for x in row] for row in VERTICES], FACES),
     "in a comment": "<!-- <vertices> <vertex x=\"1\" y=\"1\" z=\"1\"/> </vertices> -->" + CUBE,
 }  # fmt: skip
+
+
+@pytest.mark.parametrize("streamed", [False, True])
+def test_the_check_sees_every_byte_of_the_archive(streamed):
+    """Times, flags, sizes in local headers and behind the data: what other readers may go by."""
+    file = threemf.read(simple(streamed=streamed), "")
+    vertices = moved_corner(file)
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    packed = Archive(output).find(MODEL)
+    # Compressed data have a checksum of their own, and bits that mean nothing.
+    for at in (*range(packed.data_at), *range(packed.data_at + packed.packed_size, len(output))):
+        wrong = bytearray(output)
+        wrong[at] ^= 1
+        with pytest.raises(InternalError):
+            file.check(wrong, vertices)
 
 
 @pytest.mark.parametrize("name", OTHER_FORMS)

@@ -13,13 +13,14 @@ import argparse
 import os
 import random
 import sys
+import time
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from tests.mutation.judged import read_judged
 from tests.mutation.mutants import find_mutants
-from tests.mutation.runs import ROOT, measure_coverage, run_mutants
-from tests.mutation.targets import TARGETS
+from tests.mutation.runs import Target, run_mutants
+from tests.mutation.targets import ROOT, TARGETS
 
 ENOUGH = 0.9
 
@@ -27,36 +28,43 @@ ENOUGH = 0.9
 def main() -> int:
     """Run the mutants of the targets named on the command line, or of all."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutation")
-    parser.add_argument("targets", nargs="*", help=", ".join(TARGETS))
-    parser.add_argument("--sample", type=int, help="of each target so many mutants only")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("targets", nargs="*", metavar="TARGET", help=", ".join(TARGETS))
+    parser.add_argument("--sample", type=int, help="at most so many mutants of each target")
+    parser.add_argument("--seed", type=int, default=0, help="of the sample")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     options = parser.parse_args()
-    judged = read_judged()
-    n_killed = n_counted = 0
+    killed = counted = 0
     for target in options.targets or TARGETS:
-        file = ROOT / "msal_cli" / f"{target}.py"
-        mutants = find_mutants(file.read_text("utf-8"))
-        if options.sample and options.sample < len(mutants):
-            mutants = random.Random(options.seed).sample(mutants, options.sample)
-        coverage = measure_coverage(file, TARGETS[target])
-        killed = counted = 0
-        for mutant, outcome in run_mutants(file, mutants, coverage, options.jobs):
-            key = f"{target} {mutant.function}: {mutant.words}"
-            if outcome == "killed":
-                killed += 1
-            elif key in judged:
-                continue
-            else:
-                print(
-                    f"{outcome:11} {target}:{mutant.line} {mutant.function}: {mutant.words}",
-                    flush=True,
-                )
-            counted += 1
-        print(f"{target}: {killed} of {counted} killed, {len(mutants) - counted} without effect")
-        n_killed, n_counted = n_killed + killed, n_counted + counted
-    print(f"{n_killed} of {n_counted} killed: {n_killed / max(n_counted, 1):.1%}")
-    return int(n_killed < ENOUGH * n_counted)
+        result = run_target(target, options.sample, options.seed, options.jobs)
+        killed, counted = killed + result[0], counted + result[1]
+    print(f"{killed} of {counted} killed: {killed / max(counted, 1):.1%}")
+    return int(killed < ENOUGH * counted)
+
+
+def run_target(name: str, sample: int | None, seed: int, jobs: int) -> tuple[int, int]:
+    """How many mutants were killed, of how many that a user can notice.  Prints the others."""
+    start = time.monotonic()
+    judged = read_judged()
+    file = ROOT / "msal_cli" / f"{name}.py"
+    mutants = find_mutants(file.read_text("utf-8"))
+    if sample is not None and sample < len(mutants):
+        mutants = random.Random(seed).sample(mutants, sample)
+    killed = counted = 0
+    for mutant, outcome in run_mutants(Target(ROOT, file, TARGETS[name]), mutants, jobs):
+        key = f"{name} {mutant.function}: {mutant.words}"
+        if outcome != "killed" and key in judged:
+            continue
+        counted += 1
+        killed += outcome == "killed"
+        if outcome != "killed":
+            words = f"{mutant.function}: {mutant.words}"
+            print(f"{outcome:11} {name}:{mutant.line} {words}", flush=True)
+    print(
+        f"{name}: {killed} of {counted} killed, {len(mutants) - counted} without effect, "
+        f"{time.monotonic() - start:.0f} s",
+        flush=True,
+    )
+    return killed, counted
 
 
 if __name__ == "__main__":

@@ -9,9 +9,26 @@ import pytest
 
 from msal_cli.errors import UsageError
 from msal_cli.job.plain_data import as_data, from_data
-from msal_cli.job.records import Area, MeshRecord, NormalChange, Volume
-from msal_cli.report.gates import evaluate_gates, parse_gates, refuse_without_reference, with_gates
-from msal_cli.report.gates.quantities import EDGES, LENGTH, NUMBER, PERCENT, SHORT_NAMES, quantities
+from msal_cli.job.records import Area, Failure, MeshRecord, NormalChange, Reference, Volume
+from msal_cli.report.gates import (
+    evaluate_gates,
+    is_any_broken,
+    names_field,
+    parse_gates,
+    refuse_without_reference,
+    with_gates,
+)
+from msal_cli.report.gates.quantities import (
+    EDGES,
+    LENGTH,
+    NUMBER,
+    PERCENT,
+    RELATIVE,
+    SHORT_NAMES,
+    TRUTH,
+    Unit,
+    quantities,
+)
 from tests.report.made import failed, written
 
 # Volume 10 -> 9.9734 (-0.266 %), displacement 0.1 to 0.4, which is 1 to 4 mean edge lengths.
@@ -137,6 +154,21 @@ def test_verdicts_by_hand(text, is_broken):
 )
 def test_units_that_do_not_go_together_are_refused(text):
     with pytest.raises(UsageError, match=r"column \d+: "):
+        parse_gates([text], MeshRecord)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("max_displacement > area.after", "a length and an area do not go together"),
+        ("volume.after > 1%", "a volume and a percentage do not go together"),
+        ("volume_change > 1e", "a percentage and a length do not go together"),
+        ("flipped_faces > 1%", "a plain number and a percentage do not go together"),
+        ("faces * 2 > 1%", "a plain number and a percentage do not go together"),
+    ],
+)
+def test_the_units_are_named(text, message):
+    with pytest.raises(UsageError, match=message):
         parse_gates([text], MeshRecord)
 
 
@@ -269,3 +301,89 @@ def test_what_needs_a_reference_is_not_judged_by_the_input(name):
     asked = f"known({name}) and {text}"
     refuse_without_reference(parse_gates([asked], MeshRecord), "give one")
     assert not result(asked).broken
+
+
+def test_angles_are_those_to_the_reference():
+    reference = Reference(
+        "t.ply", "vertices", mean_angular_error_deg=7.0, max_angular_error_deg=9.0
+    )
+    record = dataclasses.replace(CLOSED, reference=reference)
+    assert result("mean_angular_error_deg == 7 and max_angular_error_deg == 9", record).broken
+    assert result("normal_change.mean_deg == 5", record).broken
+
+
+@pytest.mark.parametrize(("inside_out", "is_broken"), [(True, True), (False, False)])
+def test_inside_out_is_a_gate(inside_out, is_broken):
+    found = result("inside_out", dataclasses.replace(CLOSED, inside_out=inside_out))
+    assert (found.broken, found.decided) == (is_broken, True)
+
+
+def test_figures_of_an_invalid_volume_are_not_known():
+    assert OPEN.volume.before is OPEN.volume.change_percent is None
+    for text in ("volume.before > 0", "volume.change > 0", "volume_change > 0"):
+        found = result(text, OPEN)
+        assert not found.decided
+        assert "open (8 edges)" in found.reason
+
+
+def test_the_fields_that_gates_name():
+    gates = parse_gates(["faces > 9", "abs(volume_change) > 1%"], MeshRecord)
+    assert all(names_field(gates, name) for name in ("faces", "volume", "volume.change_percent"))
+    assert not any(names_field(gates, name) for name in ("face", "volume.change", "area"))
+    assert not names_field((), "faces")
+
+
+def test_one_broken_gate_is_enough():
+    gates = parse_gates(["faces > 9", "faces < 9"], MeshRecord)
+    assert is_any_broken(with_gates(gates, [CLOSED]))
+    assert not is_any_broken(with_gates(gates[1:], [CLOSED]))
+    assert not is_any_broken([])
+
+
+FAILED_REFERENCE = Reference("t.ply", "vertices", error=Failure("E_READ", "it is not there", ""))
+
+
+@pytest.mark.parametrize(
+    ("name", "record", "reason"),
+    [
+        ("hausdorff", CLOSED, "nothing was measured against a reference"),
+        (
+            "hausdorff",
+            dataclasses.replace(CLOSED, reference=FAILED_REFERENCE),
+            "it is not there",
+        ),
+        (
+            "hausdorff",
+            dataclasses.replace(CLOSED, reference=Reference("t.ply", "vertices")),
+            "hausdorff is not known for this file",
+        ),
+        ("self_intersections", CLOSED, "count them with --check self-intersections"),
+        ("despiked", CLOSED, "outliers were not looked for"),
+        ("seam_gap", CLOSED, "seam_gap is not known for this file"),
+        ("seam_gap", OPEN, "seam_gap is not known for this file"),
+        ("volume_change", OPEN, "open (8 edges)"),
+    ],
+)
+def test_why_a_value_is_not_known(name, record, reason):
+    found = result(f"{name} > 0", record)
+    assert not found.decided
+    assert found.reason.endswith(reason) or reason in found.reason.partition(": ")[2]
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("area.change_percent", PERCENT),
+        ("displacement.max_edges", EDGES),
+        ("boundary_edges", NUMBER),
+        ("displacement.rms", LENGTH),
+        ("mean_edge_length", LENGTH),
+        ("area.after", Unit("length", 2)),
+        ("volume.before", Unit("length", 3)),
+        ("seconds.total", NUMBER),
+        ("volume_change", RELATIVE),
+        ("volume.valid", TRUTH),
+    ],
+)
+def test_units_by_hand(name, unit):
+    assert quantities(MeshRecord)[name].unit == unit

@@ -71,6 +71,7 @@ def test_what_binds_how(text, expected):
         ("faces > 1\x1b[2J", 10, "means nothing"),
         ("(" * 30 + "1" + ")" * 30, 22, "deeper than 20"),
         ("1 > 0" + " " * LONGEST, LONGEST, "longer"),
+        ("+faces", 2, "it is a number"),
     ],
 )
 def test_what_is_wrong_is_told_with_its_column(text, column, words):
@@ -79,6 +80,33 @@ def test_what_is_wrong_is_told_with_its_column(text, column, words):
     assert f"column {column}: " in caught.value.message
     assert words in caught.value.message
     assert caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("faces > 1 1", "column 11: '1' is out of place"),
+        ("faces > (", "column 10: it ends too early"),
+        ("faces > (1", "column 11: ')' is missing, it ends too early"),
+        ("faces > (1 2", "column 12: ')' is missing, '2' is out of place"),
+        ("known(faces, faces)", "column 1: known takes one value"),
+        ("abs(1, 2) > 0", "column 1: abs takes one value"),
+        ("0 < min(" + "1, " * 9 + "1)", "column 5: min takes 1 to 9 values"),
+        ("0 < max(" + "1, " * 9 + "1)", "column 5: max takes 1 to 9 values"),
+        ("1 > 0".ljust(301), "column 300: it is longer than 300 characters"),
+    ],
+)
+def test_the_whole_message(text, message):
+    with pytest.raises(UsageError) as caught:
+        parse_gates([text], MeshRecord)
+    assert caught.value.message.endswith(message)
+
+
+@pytest.mark.parametrize(
+    "text", ["0 < min(" + "1, " * 8 + "1)", "1 > max(0)", "1 > 0".ljust(300), "(1 > 0)"]
+)
+def test_what_is_just_allowed(text):
+    assert evaluate_gates(parse_gates([text], MeshRecord), RECORD)[0].decided
 
 
 @pytest.mark.parametrize("sign", ["+1", "-1", "*1", "/1", " or 1>2", " and 1>0", "-"])

@@ -1,0 +1,125 @@
+"""Arrays of numbers inside a file, by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli.codecs.slots import (
+    BinaryNumbers,
+    ColumnNumbers,
+    as_float32,
+    line_of,
+    number_hint,
+    parse_floats,
+    require_range,
+    splice,
+)
+from msal_cli.errors import ContentError, FormatError
+
+VALUES = np.arange(12.0).reshape(4, 3)
+LARGEST = float(np.finfo(np.float32).max)
+
+
+def as_bytes(*parts):
+    return np.frombuffer(b"".join(parts), dtype=np.uint8)
+
+
+def replaced(slots, values, is_changed):
+    units = slots.units(is_changed)
+    text, ends = slots.encode(values, units)
+    return bytes(splice(slots.data, [(slots.starts[units], slots.stops[units], text, ends)]))
+
+
+@pytest.mark.parametrize("code", ["<f4", ">f4", "<f8", "<i2"])
+def test_binary_numbers_in_rows_and_in_columns(code):
+    new = VALUES.copy()
+    new[1, 2], new[3, 0] = 77.0, 88.0
+    rows = [b"head", *(row.astype(code).tobytes() + b"pad" for row in VALUES)]
+    step = len(rows[1])
+    by_rows = BinaryNumbers(as_bytes(*rows), 4 + step * np.arange(4), code)
+    columns = as_bytes(b"head", VALUES.T.astype(code).tobytes(), b"tail")
+    by_columns = ColumnNumbers(columns, 4, 4, code)
+    for slots in (by_rows, by_columns):
+        assert (slots.values == VALUES).all()
+        assert slots.codes == (code,) * 3 and not slots.whole_rows
+        rounded, slack = slots.rounded(VALUES + 1.0)
+        assert (rounded == VALUES + 1.0).all() and slack == 0.0
+    assert (by_rows.units(new != VALUES) == [False, True, False, True]).all()
+    assert by_columns.units(new != VALUES).sum() == 2
+    expected = b"".join([b"head", *(row.astype(code).tobytes() + b"pad" for row in new)])
+    assert replaced(by_rows, new, new != VALUES) == expected
+    expected = b"head" + new.T.astype(code).tobytes() + b"tail"
+    assert replaced(by_columns, new, new != VALUES) == expected
+
+
+def test_positions_beyond_float32_are_refused():
+    assert as_float32(VALUES * (1.0 + 1e-9)).tolist() == VALUES.tolist()
+    assert as_float32(np.array([[LARGEST, -LARGEST, 1e-60]])).tolist() == [[LARGEST, -LARGEST, 0]]
+    values = VALUES.copy()
+    values[2, 1] = 1e39
+    with pytest.raises(ContentError, match="too large") as caught:
+        as_float32(values, first=10)
+    assert (caught.value.where, caught.value.code) == ("row 12", "E_RANGE")
+
+
+@pytest.mark.parametrize(
+    ("code", "value", "fits"),
+    [
+        ("<f4", LARGEST, True),
+        ("<f4", -LARGEST, True),
+        ("<f4", 1.1 * LARGEST, False),
+        ("<f4", -1.1 * LARGEST, False),
+        ("<f4", np.nan, False),
+        ("<f8", 1e300, True),
+        ("|u1", 255.4, True),
+        ("|u1", 255.6, False),
+        ("|u1", -0.4, True),
+        ("|u1", -0.6, False),
+        ("<i8", 2.0**63, False),
+        ("<i8", -(2.0**63), True),
+    ],
+)
+def test_a_number_fits_its_type_or_not(code, value, fits):
+    values, is_changed = VALUES.copy(), np.zeros((4, 3), dtype=bool)
+    values[2, 1] = value
+    for codes in (["<f8", code, "<f8"], [code] * 3):
+        is_changed[2, 1] = False
+        require_range(values, is_changed, codes)  # what stays as it is may be anything
+        is_changed[2, 1] = True
+        if fits:
+            require_range(values, is_changed, codes, first=5)
+            continue
+        with pytest.raises(ContentError, match="the new y of vertex 7 does not fit") as caught:
+            require_range(values, is_changed, codes, first=5)
+        assert (caught.value.where, caught.value.code) == ("vertex 7", "E_RANGE")
+
+
+def words(*texts):
+    ends = np.cumsum([len(text) + 1 for text in texts])
+    starts = ends - [len(text) + 1 for text in texts]
+    return as_bytes(*(text + b"\n" for text in texts)), starts, ends - 1
+
+
+def test_words_are_numbers():
+    assert parse_floats(*words(b"1", b"-2.5e1")).tolist() == [1.0, -25.0]
+    assert parse_floats(*words(b"1", b"2d1", b"3D-1", b"4e1")).tolist() == [1.0, 20.0, 0.3, 40.0]
+    for texts, line in (((b"1", b"x"), 2), ((b"1d0", b"1,5"), 2), ((b"1,5", b"1"), 1)):
+        with pytest.raises(FormatError, match="is not a number") as caught:
+            parse_floats(*words(*texts))
+        assert caught.value.where == f"line {line}"
+    assert "comma" in number_hint(b"1,5") and number_hint(b"1.5", "other") == "other"
+    assert line_of(b"a\nb\nc", 4) == "line 3"
+
+
+def test_edits_in_any_order():
+    data = as_bytes(b"0123456789")
+    ints = np.array
+
+    def edit(starts, stops, text, ends):
+        return ints(starts), ints(stops), as_bytes(text), ints(ends)
+
+    first, second = edit([2, 6], [3, 8], b"AAB", [2, 3]), edit([4, 0], [5, 1], b"CDDD", [1, 4])
+    assert bytes(splice(data, [first])) == b"01AA345B89"
+    assert bytes(splice(data, [first, second])) == b"DDD1AA3C5B89"
+    assert bytes(splice(data, [second])) == b"DDD123C56789"
