@@ -61,7 +61,7 @@ def killed_runs(scans, whole, output, count, seed):
     A run that ends before its kill does not count.  Says what the kills met.
     """
     choice = random.Random(seed)
-    met = {"kills": 0, "with the folder in hand": 0, "a temporary left": 0, "runs to the end": 0}
+    met = {"kills": 0, "with the folder made": 0, "a temporary left": 0, "runs to the end": 0}
     slowest = 0.0
     while met["kills"] < count:
         shutil.rmtree(output, ignore_errors=True)
@@ -81,7 +81,7 @@ def killed_runs(scans, whole, output, count, seed):
             slowest = max(slowest, time.monotonic() - began)
             assert whole.faults(output) == [], met
             met["kills"] += 1
-            met["with the folder in hand"] += output.exists()
+            met["with the folder made"] += output.exists()
             met["a temporary left"] += any(output.rglob(".*.tmp"))
         status, _, said = ended(words)
         assert (status, whole.last_faults(output)) == (STATUS, []), (met, said)
