@@ -14,7 +14,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from msal_cli import files, methods
+from msal_cli import codecs, methods
+from msal_cli.codecs.detection import readable_suffixes
 
 
 def run(*words: object) -> None:
@@ -35,8 +36,8 @@ def main(samples: Path, out: Path) -> None:
     for name in methods.names():
         run("denoise", mesh, "-o", out / f"{name}.ply", "--method", name, "-q")
     run("denoise", mesh, "-o", out / "auto.ply", "--auto", "-q")
-    readable = files.readable_suffixes()
-    for name in files.writable_formats():
+    readable = readable_suffixes()
+    for name in codecs.writable_formats():
         made = out / f"mesh.{name}"
         run("denoise", mesh, "-o", made, "--to", name, "-q")
         if f".{name}" in readable:
@@ -52,7 +53,7 @@ def main(samples: Path, out: Path) -> None:
     run("view", mesh, out / "auto.ply", "-o", out / "view.png")
     n_files = len(os.listdir(out))
     print(
-        f"{len(methods.names())} methods, {len(files.writable_formats())} formats: {n_files} files"
+        f"{len(methods.names())} methods, {len(codecs.writable_formats())} formats: {n_files} files"
     )
 
 

@@ -112,7 +112,7 @@ def grid(coarse: bool = False) -> list[Setting]:
     found: list[Setting] = []
     seen: set[tuple[Any, ...]] = set()
     for setting in _with_sliding([*defaults(), *_products(_COARSE if coarse else _GRID)]):
-        settled = (setting.method, *methods.find(setting.method).settled(setting.given).items())
+        settled = (setting.method, *methods.find(setting.method).validate(setting.given).items())
         if settled not in seen:
             seen.add(settled)
             found.append(setting)

@@ -17,10 +17,9 @@ from typing import Any
 from benchmarks.accuracy_grid import Setting
 from benchmarks.ground_truth import Case
 from msal_cli import methods
-from msal_cli.analysis.correspondence import moved_statistics, vertex_error_percent
-from msal_cli.analysis.surface import normal_statistics
-from msal_cli.analysis.volume import area_and_volume
-from msal_cli.auto import NONE, Wishes, chosen
+from msal_cli.analysis.correspondence import displacement_of_moved, vertex_error_percent
+from msal_cli.analysis.measures import area_and_volume, normal_statistics
+from msal_cli.auto import NONE, Wishes, choose_method
 from msal_cli.mesh import Mesh
 
 NOISY = "noisy"
@@ -130,7 +129,7 @@ def outcome_of(noisy: Mesh, true: Mesh, result: Mesh, reason: str = "") -> Outco
     before, after = area_and_volume(noisy)[1], area_and_volume(result)[1]
     return Outcome(
         normal_statistics(true, result).mean_angular_error_deg,
-        vertex_error_percent(true, moved_statistics(true, result)),
+        vertex_error_percent(true, displacement_of_moved(true, result)),
         100.0 * (after / before - 1.0) if before else 0.0,
         reason,
     )
@@ -141,12 +140,12 @@ def run_setting(
 ) -> Outcome:
     """What a method makes of ``noisy``."""
     method = methods.find(name)
-    vertices = method.denoised(noisy, method.settled(given)).vertices
-    return outcome_of(noisy, true, noisy.moved(vertices), reason)
+    vertices = method.denoise(noisy, method.validate(given)).vertices
+    return outcome_of(noisy, true, noisy.with_vertices(vertices), reason)
 
 
 def _automatic(noisy: Mesh, true: Mesh, wishes: Wishes) -> Outcome:
-    choice = chosen(noisy, wishes)
+    choice = choose_method(noisy, wishes)
     if choice.method == NONE:
         return outcome_of(noisy, true, noisy, choice.reason)
     return run_setting(noisy, true, choice.method, choice.parameters, choice.reason)

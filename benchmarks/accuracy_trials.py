@@ -11,7 +11,7 @@ from benchmarks import ground_truth, scans
 from benchmarks.accuracy_outcomes import AUTO
 from benchmarks.ground_truth import Case
 from msal_cli.auto import Wishes
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
 
 WISHES = {
     AUTO: Wishes(),
@@ -80,4 +80,4 @@ def other_cases() -> Iterator[Case]:
 
 def _torus() -> Mesh:
     made = scans.scan("torus", 160, 60, 0.0, seed=0)
-    return prepared(made.vertices.astype(np.float64), made.faces).mesh
+    return prepare_mesh(made.vertices.astype(np.float64), made.faces).mesh

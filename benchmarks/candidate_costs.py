@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from msal_cli import methods
-from msal_cli.analysis.added_noise import noisy
+from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.auto.candidates import CANDIDATES
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
 
 LEVEL = 0.2
 
@@ -44,19 +44,19 @@ def torus(vertices: int) -> Mesh:
             np.stack([here, across, above], axis=-1).reshape(-1, 3),
         ]
     )
-    clean = prepared(points.reshape(-1, 3), faces.astype(np.int32)).mesh
-    return clean.moved(noisy(clean, "gaussian-normal", LEVEL, 1))
+    clean = prepare_mesh(points.reshape(-1, 3), faces.astype(np.int32)).mesh
+    return clean.with_vertices(add_plain_noise(clean, "gaussian-normal", LEVEL, 1))
 
 
 def seconds(mesh: Mesh, name: str, given: dict[str, Any], repeats: int) -> float:
     """The least processor time of a run; the one-rings are known, as they are in a command."""
     method = methods.find(name)
-    settled = method.settled(given)
+    settled = method.validate(given)
     best = float("inf")
     for _ in range(repeats):
-        fresh = mesh.moved(mesh.vertices.copy())
+        fresh = mesh.with_vertices(mesh.vertices.copy())
         started = time.process_time()
-        method.denoised(fresh, settled)
+        method.denoise(fresh, settled)
         best = min(best, time.process_time() - started)
     return best
 

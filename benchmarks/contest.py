@@ -132,12 +132,12 @@ def best_peer(rows: list[Row]) -> Row | None:
 
 def compared(source: Path, target: Path) -> str:
     """How an output compares with its input: counts that differ, and how far vertices moved."""
-    from msal_cli import codecs as files
+    from msal_cli import codecs
     from msal_cli.errors import MsalError
 
-    before = files.open_mesh(source.read_bytes(), source.name)
+    before = codecs.open_mesh(source.read_bytes(), source.name)
     try:
-        after = files.open_mesh(target.read_bytes(), target.name)
+        after = codecs.open_mesh(target.read_bytes(), target.name)
     except MsalError as error:
         return f"not a mesh: {error}"
     if len(after.faces) != len(before.faces):

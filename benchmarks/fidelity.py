@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from benchmarks import ground_truth, machine
 from msal_cli import methods
-from msal_cli.analysis.correspondence import moved_statistics, vertex_error_percent
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.correspondence import displacement_of_moved, vertex_error_percent
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.mesh import Mesh
 
 CLASSES = ("texture 0.1", "texture 0.2", "organic")
@@ -55,9 +55,9 @@ ROWS: dict[str, list[Setting]] = {
     "`msal`, default": [("msal", {})],
     "`robust`, default": [("msal", {"schedule": "robust"})],
     "`wiener` schedule, default": [("msal", {"schedule": "wiener"})],
-    "`wiener` schedule, noise told": [("msal", {"schedule": "wiener", "noise": None})],
+    "`wiener` schedule, noise given": [("msal", {"schedule": "wiener", "noise": None})],
     "`wiener` method, default": [("wiener", {})],
-    "`wiener` method, noise told": [("wiener", {"noise": None})],
+    "`wiener` method, noise given": [("wiener", {"noise": None})],
 }
 """Settings by row; a noise of None is the true one."""
 
@@ -65,7 +65,7 @@ ROWS: dict[str, list[Setting]] = {
 def errors(true: Mesh, mesh: Mesh) -> Floats:
     """Mean angle in degrees, and vertex error in %."""
     angle = normal_statistics(true, mesh).mean_angular_error_deg
-    return np.array([angle, vertex_error_percent(true, moved_statistics(true, mesh))])
+    return np.array([angle, vertex_error_percent(true, displacement_of_moved(true, mesh))])
 
 
 def outcome(setting: Setting, noisy: Mesh, true: Mesh) -> Floats:
@@ -75,7 +75,7 @@ def outcome(setting: Setting, noisy: Mesh, true: Mesh) -> Floats:
         heights = ((noisy.vertices - true.vertices) * true.vertex_normals()).sum(axis=1)
         given = {**given, "noise": float(heights.std()) / noisy.mean_edge_length}
     method = methods.find(name)
-    return errors(true, noisy.moved(method.denoised(noisy, method.settled(given)).vertices))
+    return errors(true, noisy.with_vertices(method.denoise(noisy, method.validate(given)).vertices))
 
 
 def told(setting: Setting) -> str:
@@ -112,7 +112,7 @@ def medians_of_lambda(noisy: Mesh) -> str:
     """The median lambda of the first sweep under both schedules."""
     method = methods.find("msal")
     found = [
-        np.median(method.denoised(noisy, method.settled(given)).fields["fidelity"])
+        np.median(method.denoise(noisy, method.validate(given)).fields["fidelity"])
         for given in ({}, {"schedule": "robust"})
     ]
     return " | ".join(f"{one:.3f}" for one in found)
@@ -128,7 +128,9 @@ def spike_table() -> None:
             vertices = noisy.vertices.copy()
             at = len(vertices) // 2
             vertices[at] += 50.0 * noisy.mean_edge_length * noisy.vertex_normals()[at]
-            print(f"| the same with one spike | {medians_of_lambda(noisy.moved(vertices))} |")
+            print(
+                f"| the same with one spike | {medians_of_lambda(noisy.with_vertices(vertices))} |"
+            )
     folder = ground_truth.data_folder()
     scan = folder / "scans" / "face000.ply" if folder else None
     if scan is not None and scan.exists():

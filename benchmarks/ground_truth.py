@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import machined_shapes
-from msal_cli import codecs as files
-from msal_cli.analysis.added_noise import noisy
-from msal_cli.mesh import Mesh, prepared
+from msal_cli import codecs
+from msal_cli.analysis.added_noise import add_plain_noise
+from msal_cli.mesh import Mesh, prepare_mesh
+from msal_cli.storage import gzip_streams
 
 SAMPLES = Path(__file__).resolve().parents[1] / "sample_meshes"
 
@@ -56,18 +57,18 @@ def data_folder() -> Path | None:
 
 def opened(path: Path) -> Mesh:
     """A mesh file, ready for computing."""
-    data, _ = files.expanded(files.read_whole(str(path)), path.name)
-    mesh_file = files.open_mesh(data, path.name)
-    return prepared(mesh_file.vertices, mesh_file.faces).mesh
+    data, _ = gzip_streams.expand(gzip_streams.read_whole(str(path)), path.name)
+    mesh_file = codecs.open_mesh(data, path.name)
+    return prepare_mesh(mesh_file.vertices, mesh_file.faces).mesh
 
 
 def pair(folder: Path) -> tuple[Mesh, Mesh]:
     """The noisy and the true mesh of a folder with Noisy.obj and Original.obj."""
     both = []
     for name in ("Noisy.obj", "Original.obj"):
-        both.append(files.open_mesh(files.read_whole(str(folder / name)), name))
-    ready = prepared(both[0].vertices, both[0].faces)
-    return ready.mesh, ready.mesh.moved(both[1].vertices - ready.origin)
+        both.append(codecs.open_mesh(gzip_streams.read_whole(str(folder / name)), name))
+    ready = prepare_mesh(both[0].vertices, both[0].faces)
+    return ready.mesh, ready.mesh.with_vertices(both[1].vertices - ready.origin)
 
 
 def corrupted(
@@ -79,13 +80,13 @@ def corrupted(
     """
     if level == 0.0:
         return true, true
-    return true.moved(noisy(true, kind, level, seed, fraction=0.5)), true
+    return true.with_vertices(add_plain_noise(true, kind, level, seed, fraction=0.5)), true
 
 
 def _made(name: str) -> Mesh:
     """A machined shape that is made here."""
     vertices, faces = getattr(machined_shapes, name)()
-    return prepared(vertices, faces).mesh
+    return prepare_mesh(vertices, faces).mesh
 
 
 def sources(quick: bool = False) -> dict[str, Callable[[], Mesh]]:

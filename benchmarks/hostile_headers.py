@@ -192,7 +192,9 @@ def lies() -> Iterator[Lie]:
 
 CHILD = """
 import sys, time
-from msal_cli import files
+from msal_cli import codecs
+from msal_cli.codecs.header_check import read_input
+from msal_cli.storage.gzip_streams import expanded
 from msal_cli.kernels import obj_scan, ply_scan, stl_scan
 from msal_cli.errors import MsalError
 
@@ -202,11 +204,11 @@ def resident():
 
 goods, bads = sys.argv[1:5], sys.argv[5:]
 for path in goods:
-    files.open_mesh(files.read_input(path), path)
+    codecs.open_mesh(read_input(path), path)
 for path in bads:
     before, began, code = resident(), time.process_time(), "ok"
     try:
-        files.open_mesh(files.expanded(files.read_input(path), path)[0], path)
+        codecs.open_mesh(expanded(read_input(path), path)[0], path)
     except MsalError as error:
         code = error.code
     print(code, time.process_time() - began, resident() - before)

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from msal_cli import codecs as files
-from msal_cli import methods
-from msal_cli.mesh import Mesh, prepared
+from msal_cli import codecs, methods
+from msal_cli.mesh import Mesh, prepare_mesh
+from msal_cli.storage import gzip_streams
 
 CPP_SECONDS = {
     "bilateral_non_iterative": 6.0,
@@ -31,12 +31,12 @@ CPP_SECONDS = {
 def seconds(mesh: Mesh, name: str, repeats: int) -> float:
     """The least time of ``repeats`` runs at the default setting, one-rings known."""
     method = methods.find(name)
-    settled = method.settled({})
+    settled = method.validate({})
     best = float("inf")
     for _ in range(repeats):
-        fresh = mesh.moved(mesh.vertices.copy())
+        fresh = mesh.with_vertices(mesh.vertices.copy())
         started = time.perf_counter()
-        method.denoised(fresh, settled)
+        method.denoise(fresh, settled)
         best = min(best, time.perf_counter() - started)
     return best
 
@@ -50,13 +50,13 @@ def main() -> None:
         parser.error("set MSAL_DATA to the folder that holds clean/igea.ply")
     os.environ["MSAL_THREADS"] = "1"
     path = Path(os.environ["MSAL_DATA"]) / "clean" / "igea.ply"
-    opened = files.open_mesh(files.read_whole(str(path)), path.name)
-    clean = prepared(opened.vertices, opened.faces).mesh
+    opened = codecs.open_mesh(gzip_streams.read_whole(str(path)), path.name)
+    clean = prepare_mesh(opened.vertices, opened.faces).mesh
     heights = np.random.default_rng(0).normal(
         0.0, 0.2 * clean.mean_edge_length, len(clean.vertices)
     )
-    noisy = clean.moved(clean.vertices + heights[:, None] * clean.vertex_normals())
-    small = prepared(opened.vertices, opened.faces[:2000]).mesh
+    noisy = clean.with_vertices(clean.vertices + heights[:, None] * clean.vertex_normals())
+    small = prepare_mesh(opened.vertices, opened.faces[:2000]).mesh
     print("| method | seconds | C++ |")
     print("|---|--:|--:|")
     for name in methods.names():

@@ -20,9 +20,9 @@ import numpy as np
 
 from benchmarks import ground_truth, machine
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.noise_estimate import NoiseLevel, estimated
+from msal_cli.analysis.noise_estimate import NoiseLevel, estimate_noise
 from msal_cli.analysis.simulation import ScannerSettings, find_truth, simulate_scan
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
 
 SHAPES = (
     "Fandisk",
@@ -117,11 +117,11 @@ def corrupt(true: Mesh, noise: AddedNoise | ScannerSettings | None) -> tuple[Mes
         return true, 0.0
     if isinstance(noise, ScannerSettings):
         scan = simulate_scan(true, noise)
-        ready = prepared(scan.vertices, scan.faces)
+        ready = prepare_mesh(scan.vertices, scan.faces)
         distances = scan.vertices - find_truth(true, scan)
         rms = math.sqrt(float((distances * distances).sum(axis=1).mean()))
         return ready.mesh, rms / ready.mesh.mean_edge_length
-    mesh = true.moved(add_noise(true, noise))
+    mesh = true.with_vertices(add_noise(true, noise))
     if noise.kind == "outliers":
         return mesh, noise.level * true.mean_edge_length / mesh.mean_edge_length
     displacements = mesh.vertices - true.vertices
@@ -139,7 +139,7 @@ def outcomes(shapes: list[str], kinds: list[str]) -> Iterator[Outcome]:
         true = sources[shape]()
         for kind in kinds:
             mesh, level = corrupt(true, KINDS[kind].noise)
-            yield Outcome(kind, shape, level, estimated(mesh))
+            yield Outcome(kind, shape, level, estimate_noise(mesh))
 
 
 def write_tables(found: list[Outcome]) -> str:

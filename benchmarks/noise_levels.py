@@ -17,8 +17,8 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks import ground_truth, machine
-from msal_cli.analysis.added_noise import noisy
-from msal_cli.analysis.noise_estimate import NoiseLevel, estimated
+from msal_cli.analysis.added_noise import add_plain_noise
+from msal_cli.analysis.noise_estimate import NoiseLevel, estimate_noise
 from msal_cli.mesh import Mesh
 
 LEVELS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7)
@@ -27,20 +27,24 @@ SEED = 7
 
 def moved(true: Mesh, level: float, kind: str = "gaussian-normal", fraction: float = 0.5) -> Mesh:
     """The shape with noise of so many of its mean edge lengths."""
-    return true.moved(noisy(true, kind, level, SEED, fraction=fraction)) if level else true
+    return (
+        true.with_vertices(add_plain_noise(true, kind, level, SEED, fraction=fraction))
+        if level
+        else true
+    )
 
 
 def halves(true: Mesh) -> Mesh:
     """The shape with noise of 0.05 on one half, and 0.2 on the other."""
-    quiet = noisy(true, "gaussian-normal", 0.05, SEED)
-    loud = noisy(true, "gaussian-normal", 0.2, SEED + 1)
+    quiet = add_plain_noise(true, "gaussian-normal", 0.05, SEED)
+    loud = add_plain_noise(true, "gaussian-normal", 0.2, SEED + 1)
     side = true.vertices[:, 0] < np.median(true.vertices[:, 0])
-    return true.moved(np.where(side[:, None], quiet, loud))
+    return true.with_vertices(np.where(side[:, None], quiet, loud))
 
 
 def cell(true: Mesh, mesh: Mesh, level: float) -> str:
     """The estimate in mean edge lengths of the true shape."""
-    noise = estimated(mesh)
+    noise = estimate_noise(mesh)
     longer = mesh.mean_edge_length / true.mean_edge_length
     is_within = noise.low * longer <= level <= noise.high * longer
     return f"{noise.mean_edges * longer:.3f}{'' if is_within else '*'}"
@@ -48,13 +52,13 @@ def cell(true: Mesh, mesh: Mesh, level: float) -> str:
 
 def clean_cell(true: Mesh) -> str:
     """The estimate of a shape without added noise, and whether it is none to speak of."""
-    noise = estimated(true)
+    noise = estimate_noise(true)
     return f"{noise.mean_edges:.3f}{' –' if noise.is_negligible else ''}"
 
 
 def rms_cell(true: Mesh, mesh: Mesh) -> str:
     """Level, level with spikes, and tail in per cent."""
-    noise: NoiseLevel = estimated(mesh)
+    noise: NoiseLevel = estimate_noise(mesh)
     longer = mesh.mean_edge_length / true.mean_edge_length
     return (
         f"{noise.mean_edges * longer:.3f} / {noise.rms_edges * longer:.3f}, "
@@ -64,7 +68,7 @@ def rms_cell(true: Mesh, mesh: Mesh) -> str:
 
 def halves_cell(mesh: Mesh, longer: float) -> str:
     """Least and most noisy region."""
-    noise = estimated(mesh)
+    noise = estimate_noise(mesh)
     word = "" if noise.is_uneven else " (even)"
     return f"{noise.lowest * longer:.3f} to {noise.highest * longer:.3f}{word}"
 
@@ -98,7 +102,7 @@ def main(words: list[str] | None = None) -> None:
         cells = [clean_cell(true)]
         cells += [cell(true, moved(true, level), level) for level in LEVELS[1:]]
         true.vertex_normals("uniform", 1)
-        spent = cpu_seconds(lambda true=true: estimated(true))
+        spent = cpu_seconds(lambda true=true: estimate_noise(true))
         row = f"| {name} | {len(true.vertices):,} | {' | '.join(cells)} | {1000.0 * spent:.1f} |"
         print(row, flush=True)
 

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from benchmarks import ground_truth, machine
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.correspondence import (
-    moved_statistics,
+    displacement_of_moved,
     surface_distances,
     vertex_error_percent,
 )
+from msal_cli.analysis.measures import measure_surface_change
 from msal_cli.analysis.outliers import find_outliers
-from msal_cli.analysis.surface import surface_change
 from msal_cli.auto import Wishes
 from msal_cli.job import choice as automatic
 from msal_cli.kernels.geometry import distances
@@ -46,7 +46,7 @@ def planted(true: Mesh, level: float, share: float) -> tuple[Mesh, Flags]:
     kind = AddedNoise("outliers", level=level, seed=SEED, fraction=share)
     vertices = add_noise(true, kind)
     far = distances(true.vertices, vertices) > 0.99 * true.mean_edge_length
-    return true.moved(vertices), far & true.links.has_ring
+    return true.with_vertices(vertices), far & true.topology.has_ring
 
 
 def detection(shapes: Mapping[str, Mesh]) -> None:
@@ -72,12 +72,12 @@ def errors(mesh: Mesh, true: Mesh, wishes: dict[str, Any] | None) -> str:
     made = automatic.choose(mesh, wishes, lambda done, total: None)
     vertices = mesh.vertices
     if made.method is not None:
-        run = made.method.denoised(mesh, made.parameters, lambda done, total: None)
+        run = made.method.denoise(mesh, made.parameters, lambda done, total: None)
         vertices = run.vertices
-    result = true.moved(vertices)
-    angle = surface_change(true, result).normals.mean_angular_error_deg
+    result = true.with_vertices(vertices)
+    angle = measure_surface_change(true, result).normals.mean_angular_error_deg
     distance = 100.0 * surface_distances(true, result)[0].mean / true.mean_edge_length
-    vertices_off = vertex_error_percent(true, moved_statistics(true, result))
+    vertices_off = vertex_error_percent(true, displacement_of_moved(true, result))
     return f"{angle:.2f} / {vertices_off:.1f} / {distance:.1f}"
 
 
@@ -94,7 +94,7 @@ def gains(shapes: Mapping[str, Mesh], with_auto: bool) -> None:
                 continue
             true = shapes[name]
             mesh, _ = planted(true, level, 0.05)
-            back = mesh.moved(find_outliers(mesh).vertices)
+            back = mesh.with_vertices(find_outliers(mesh).vertices)
             cells = [errors(one, true, wish) for wish in ways.values() for one in (mesh, back)]
             print(f"| {name} | {level:g} | {' | '.join(cells)} |", flush=True)
 

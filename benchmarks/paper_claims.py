@@ -17,41 +17,40 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli import codecs as files
-from msal_cli import methods
-from msal_cli.analysis.surface import normal_statistics
-from msal_cli.analysis.volume import area_and_volume
-from msal_cli.mesh import Mesh, Prepared, prepared
+from msal_cli import codecs, methods
+from msal_cli.analysis.measures import area_and_volume, normal_statistics
+from msal_cli.mesh import Mesh, PreparedMesh, prepare_mesh
+from msal_cli.storage import gzip_streams
 
 SWEEPS = 3
 REPEATS = 5
 
 
-def opened(path: Path) -> Prepared:
+def opened(path: Path) -> PreparedMesh:
     """A mesh file of the data folder."""
-    data, _ = files.expanded(files.read_whole(str(path)), path.name)
-    mesh_file = files.open_mesh(data, path.name)
-    return prepared(mesh_file.vertices, mesh_file.faces)
+    data, _ = gzip_streams.expand(gzip_streams.read_whole(str(path)), path.name)
+    mesh_file = codecs.open_mesh(data, path.name)
+    return prepare_mesh(mesh_file.vertices, mesh_file.faces)
 
 
 def with_noise(clean: Mesh, level: float, seed: int = 0) -> Mesh:
     """Uniform noise of +-``level`` mean edge lengths in every coordinate of used vertices."""
     amount = level * clean.mean_edge_length
     noise = np.random.default_rng(seed).uniform(-amount, amount, clean.vertices.shape)
-    used = np.diff(clean.links.ring_start) > 0
-    return clean.moved(clean.vertices + noise * used[:, None])
+    used = np.diff(clean.topology.ring_start) > 0
+    return clean.with_vertices(clean.vertices + noise * used[:, None])
 
 
 def run(mesh: Mesh, name: str, **given: Any) -> tuple[Mesh, float]:
     """The mesh after a method, and the seconds of its sweeps."""
     method = methods.find(name)
-    result = method.denoised(mesh, method.settled(given))
-    return mesh.moved(result.vertices), result.seconds["sweeps"]
+    result = method.denoise(mesh, method.validate(given))
+    return mesh.with_vertices(result.vertices), result.seconds["sweeps"]
 
 
 def errors(clean: Mesh, mesh: Mesh) -> str:
     """Mean angle between face normals / mean vertex distance in % of the mean edge length."""
-    used = np.diff(clean.links.ring_start) > 0
+    used = np.diff(clean.topology.ring_start) > 0
     distance = np.linalg.norm(mesh.vertices - clean.vertices, axis=1)[used].mean()
     angle = normal_statistics(clean, mesh).mean_angular_error_deg
     return f"{angle:.2f}° / {100 * distance / clean.mean_edge_length:.1f} %"
@@ -138,7 +137,7 @@ def irregular_torus() -> Mesh:
     one = np.stack([at(i, j), at(i + 1, j), at(i + 1, j + 1)], axis=-1)
     two = np.stack([at(i, j), at(i + 1, j + 1), at(i, j + 1)], axis=-1)
     faces = np.concatenate([one.reshape(-1, 3), two.reshape(-1, 3)]).astype(np.int32)
-    return prepared(vertices.reshape(-1, 3), faces).mesh
+    return prepare_mesh(vertices.reshape(-1, 3), faces).mesh
 
 
 def irregularity() -> str:

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.job.settings import AUTO, Settings, Task, forecast
+from msal_cli.storage import gzip_streams
 
 _CHILD = """
 import sys
@@ -29,7 +29,7 @@ from msal_cli import methods, selection
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import AUTO, Settings, Task
 source, target, name = sys.argv[1:]
-given = asdict(selection.Wishes()) if name == AUTO else methods.find(name).settled({})
+given = asdict(selection.Wishes()) if name == AUTO else methods.find(name).validate({})
 record = denoise_file(Task(source, target, "x"), Settings(name, given))
 assert record.error is None, record.error
 for line in open("/proc/self/status"):
@@ -80,7 +80,7 @@ def cases(folder: Path, around: int, words: list[str]) -> dict[str, Path]:
     made = {"ply": folder / "ply.ply"}
     data = torus(around, around // 2)
     made["ply"].write_bytes(data)
-    opened = files.open_mesh(data, "torus.ply")
+    opened = codecs.open_mesh(data, "torus.ply")
     for name, (to, encoding, precision) in _TARGETS.items():
         if words and name not in words and f"{name}-gz" not in words:
             continue
@@ -88,7 +88,7 @@ def cases(folder: Path, around: int, words: list[str]) -> dict[str, Path]:
             if to == "ply":
                 output = opened.encoded(opened.vertices, encoding, precision)
             else:
-                output, _ = files.converted(opened, opened.vertices, to, encoding, precision)
+                output, _ = codecs.convert(opened, opened.vertices, to, encoding, precision)
         except Exception as error:
             print(f"{name}: {error}", file=sys.stderr)
             continue
@@ -97,7 +97,7 @@ def cases(folder: Path, around: int, words: list[str]) -> dict[str, Path]:
     for name in ("ply", "obj"):
         if name in made and (not words or f"{name}-gz" in words):
             made[f"{name}-gz"] = made[name].with_suffix(f".{name}.gz")
-            made[f"{name}-gz"].write_bytes(files.compressed(made[name].read_bytes()))
+            made[f"{name}-gz"].write_bytes(gzip_streams.compress(made[name].read_bytes()))
     return {name: path for name, path in made.items() if not words or name in words}
 
 

@@ -61,7 +61,7 @@ def settings_of(products: tuple[tuple[str, dict[str, tuple[Any, ...]]], ...]) ->
 
 def plain(noisy: Mesh, true: Mesh) -> Outcome:
     """What the plain command makes of a mesh."""
-    choice = adaptive.chosen(noisy)
+    choice = adaptive.choose_adaptive(noisy)
     if choice.method == NONE:
         return outcome_of(noisy, true, noisy, choice.reason)
     return run_setting(noisy, true, choice.method, choice.parameters, choice.reason)

@@ -14,8 +14,8 @@ from typing import Any
 
 from benchmarks import ground_truth
 from msal_cli import methods
-from msal_cli.analysis.correspondence import moved_statistics, vertex_error_percent
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.correspondence import displacement_of_moved, vertex_error_percent
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.mesh import Mesh
 
 PUBLISHED = (
@@ -88,7 +88,7 @@ PUBLISHED = (
 def errors(true: Mesh, mesh: Mesh) -> str:
     """Mean angle in degrees / mean vertex error in % of the mean edge length."""
     angle = normal_statistics(true, mesh).mean_angular_error_deg
-    percent = vertex_error_percent(true, moved_statistics(true, mesh))
+    percent = vertex_error_percent(true, displacement_of_moved(true, mesh))
     return f"{angle:.2f} / {percent:.1f}"
 
 
@@ -105,8 +105,8 @@ def main() -> None:
         method = methods.find(name)
         cells = []
         for (noisy, true), other in zip(pairs, beside, strict=True):
-            vertices = method.denoised(noisy, method.settled(given)).vertices
-            cell = errors(true, noisy.moved(vertices))
+            vertices = method.denoise(noisy, method.validate(given)).vertices
+            cell = errors(true, noisy.with_vertices(vertices))
             cells.append(f"{cell} ({other})" if other else cell)
         return f"| {label} | " + " | ".join(cells) + " |"
 

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli import codecs as files
-from msal_cli import methods
-from msal_cli.analysis.surface import normal_statistics
-from msal_cli.mesh import Prepared, prepared
+from msal_cli import codecs, methods
+from msal_cli.analysis.measures import normal_statistics
+from msal_cli.mesh import PreparedMesh, prepare_mesh
+from msal_cli.storage import gzip_streams
 
 SAMPLES = Path(__file__).resolve().parents[1] / "sample_meshes"
 
@@ -31,32 +31,32 @@ SETTINGS: tuple[tuple[str, dict[str, Any]], ...] = (
 )
 
 
-def opened(path: Path) -> Prepared:
+def opened(path: Path) -> PreparedMesh:
     """A sample, ready for computing."""
-    data, _ = files.expanded(path.read_bytes(), path.name)
-    mesh_file = files.open_mesh(data, path.name)
-    return prepared(mesh_file.vertices, mesh_file.faces)
+    data, _ = gzip_streams.expand(path.read_bytes(), path.name)
+    mesh_file = codecs.open_mesh(data, path.name)
+    return prepare_mesh(mesh_file.vertices, mesh_file.faces)
 
 
 def errors(name: str) -> list[tuple[float, float]]:
     """Angle (degrees) and distance (mean edge lengths): noisy first, then every setting."""
     noisy, clean = (opened(next(SAMPLES.glob(f"{name}_{k}.*"))) for k in ("noisy", "clean"))
     mesh = noisy.mesh
-    truth = mesh.moved(_in_order(noisy, clean) - noisy.origin)
+    truth = mesh.with_vertices(_in_order(noisy, clean) - noisy.origin)
     normals = truth.vertex_normals()
     rows = []
     for setting in (None, *SETTINGS):
         vertices = mesh.vertices
         if setting is not None:
             method = methods.find(setting[0])
-            vertices = method.denoised(mesh, method.settled(setting[1])).vertices
-        angle = normal_statistics(mesh.moved(vertices), truth).mean_angular_error_deg
+            vertices = method.denoise(mesh, method.validate(setting[1])).vertices
+        angle = normal_statistics(mesh.with_vertices(vertices), truth).mean_angular_error_deg
         along = ((vertices - truth.vertices) * normals).sum(axis=1)
         rows.append((angle, float(np.sqrt((along**2).mean()) / truth.mean_edge_length)))
     return rows
 
 
-def _in_order(noisy: Prepared, clean: Prepared) -> np.ndarray:
+def _in_order(noisy: PreparedMesh, clean: PreparedMesh) -> np.ndarray:
     """The clean positions (n, 3), numbered as the noisy mesh's: both weld in the same order."""
     positions = clean.mesh.vertices + clean.origin
     if positions.shape != noisy.mesh.vertices.shape:

@@ -18,10 +18,11 @@ import numpy as np
 
 from benchmarks import ground_truth
 from benchmarks.true_surface import TrueSurface
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.simulation import ScannerSettings, simulate_scan
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
+from msal_cli.storage import gzip_streams
 
 CLEAN = "clean"
 """The kind without noise: what moves there is harm."""
@@ -151,7 +152,7 @@ def add_kind(kind: str, model: str, source: Source) -> Pair:
     true = source()
     seed = _seed(kind, model)
     noise = AddedNoise(**ADDED[kind], seed=seed, direction=draw_direction(seed))
-    return Pair(true.moved(add_noise(true, noise)), true)
+    return Pair(true.with_vertices(add_noise(true, noise)), true)
 
 
 def scan_kind(kind: str, model: str, source: Source) -> Pair:
@@ -160,8 +161,8 @@ def scan_kind(kind: str, model: str, source: Source) -> Pair:
     seed = _seed(kind, model)
     settings = ScannerSettings(**SIMULATED[kind], seed=seed, direction=draw_direction(seed))
     scan = simulate_scan(true, settings)
-    ready = prepared(scan.vertices, scan.faces)
-    return Pair(ready.mesh, true.moved(true.vertices - ready.origin))
+    ready = prepare_mesh(scan.vertices, scan.faces)
+    return Pair(ready.mesh, true.with_vertices(true.vertices - ready.origin))
 
 
 def _clean(source: Source) -> Pair:
@@ -171,10 +172,12 @@ def _clean(source: Source) -> Pair:
 
 def _opened_pair(noisy: Path, true: Path) -> Pair:
     """Two files in one frame, whatever their faces."""
-    both = [files.open_mesh(files.read_whole(str(path)), path.name) for path in (noisy, true)]
-    first, second = (prepared(one.vertices, one.faces) for one in both)
+    both = [
+        codecs.open_mesh(gzip_streams.read_whole(str(path)), path.name) for path in (noisy, true)
+    ]
+    first, second = (prepare_mesh(one.vertices, one.faces) for one in both)
     shift = second.origin - first.origin
-    return Pair(first.mesh, second.mesh.moved(second.mesh.vertices + shift))
+    return Pair(first.mesh, second.mesh.with_vertices(second.mesh.vertices + shift))
 
 
 def _real() -> Iterator[Case]:

@@ -20,10 +20,13 @@ from numpy.typing import NDArray
 
 from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_settings import PeerSetting, run_peers
-from msal_cli import codecs as files
-from msal_cli import methods
-from msal_cli.analysis.correspondence import moved_statistics, used_vertices, vertex_error_percent
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli import codecs, methods
+from msal_cli.analysis.correspondence import (
+    displacement_of_moved,
+    used_vertices,
+    vertex_error_percent,
+)
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.analysis.surface_distance import distances_to_surface
 from msal_cli.auto import Wishes
 from msal_cli.job.pipeline import denoise_bytes
@@ -83,7 +86,7 @@ def measure_errors(pair: Pair, result: Mesh) -> Errors:
     if pair.has_same_faces:
         edge = true.mean_edge_length
         angle = normal_statistics(true, result).mean_angular_error_deg
-        vertex = vertex_error_percent(true, moved_statistics(true, result))
+        vertex = vertex_error_percent(true, displacement_of_moved(true, result))
     else:
         edge = pair.noisy.mean_edge_length
         angle = float(np.degrees(pair.true_surface.angles_of(result)).mean())
@@ -183,7 +186,7 @@ class Outcomes:
         )
         for key, number in numbers.items():
             for label, vertices in positions[number].items():
-                result = pairs[key].noisy.moved(np.ascontiguousarray(vertices))
+                result = pairs[key].noisy.with_vertices(np.ascontiguousarray(vertices))
                 self._rows[key][label] = Outcome(measure_errors(pairs[key], result))
 
     def _write(self) -> None:
@@ -213,7 +216,7 @@ def run_command(pair: Pair, name: str) -> Outcome:
     started = time.process_time()
     vertices, reason = denoise(pair.noisy, name)
     seconds = round(time.process_time() - started, 3)
-    return Outcome(measure_errors(pair, pair.noisy.moved(vertices)), seconds, reason)
+    return Outcome(measure_errors(pair, pair.noisy.with_vertices(vertices)), seconds, reason)
 
 
 def denoise(mesh: Mesh, name: str) -> tuple[Floats, str]:
@@ -228,7 +231,7 @@ def denoise(mesh: Mesh, name: str) -> tuple[Floats, str]:
     if data is None:
         raise RuntimeError(f"{name}: {record.error}")
     reason = record.choice.reason if record.choice is not None else ""
-    return files.open_mesh(data, "scan.ply").vertices, reason
+    return codecs.open_mesh(data, "scan.ply").vertices, reason
 
 
 def _settings(name: str) -> Settings:
@@ -236,7 +239,7 @@ def _settings(name: str) -> Settings:
         return Settings(AUTO, asdict(Wishes()))
     if name == "plain":
         return Settings(ADAPTIVE)
-    return Settings(name, methods.find(name).settled({}))
+    return Settings(name, methods.find(name).validate({}))
 
 
 def to_ply(mesh: Mesh) -> bytes:

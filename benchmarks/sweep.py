@@ -23,7 +23,7 @@ from benchmarks import machine, scans
 from msal_cli.kernels.operators import AnisotropicLaplacian, RingBilateral, RingOperator
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.schedules import Multiscale, Plain, Schedule
-from msal_cli.kernels.sweeps import swept
+from msal_cli.kernels.sweeps import run_sweeps
 from msal_cli.machine import usable_cores
 from msal_cli.mesh import Mesh
 
@@ -40,7 +40,7 @@ def shuffled(mesh: Mesh) -> Mesh:
 
 def runs(mesh: Mesh, sweeps: int) -> dict[str, Callable[[], object]]:
     """What is measured, by name; each makes ``sweeps`` sweeps, or one copy."""
-    links = mesh.links
+    links = mesh.topology
     normals = mesh.vertex_normals("uniform", 1)
     free = np.ones(len(mesh.vertices), dtype=bool)
     unit = mesh.mean_edge_length
@@ -55,7 +55,7 @@ def runs(mesh: Mesh, sweeps: int) -> dict[str, Callable[[], object]]:
             np.copyto(copy[low:high], one[low:high])
 
     def run(operator: RingOperator, schedule: Schedule) -> Callable[[], object]:
-        return lambda: swept(mesh.vertices, operator, schedule, sweeps)
+        return lambda: run_sweeps(mesh.vertices, operator, schedule, sweeps)
 
     return {
         "copy": lambda: over_ranges(copied_part, len(free)),

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.kernels.geometry import area_and_volume
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
+from msal_cli.storage import gzip_streams
 
 SWEEPS = 3
 LEVEL = 0.1
@@ -31,8 +31,8 @@ def volumes(path: Path, seeds: int) -> tuple[float, np.ndarray]:
 
     The volumes are about the file's origin, as the Bunny is open.
     """
-    mesh_file = files.open_mesh(files.read_whole(str(path)), path.name)
-    clean = prepared(mesh_file.vertices, mesh_file.faces)
+    mesh_file = codecs.open_mesh(gzip_streams.read_whole(str(path)), path.name)
+    clean = prepare_mesh(mesh_file.vertices, mesh_file.faces)
     amplitude = LEVEL * clean.mesh.mean_edge_length
 
     def volume(mesh: Mesh, vertices: np.ndarray, origin: np.ndarray) -> float:
@@ -43,11 +43,11 @@ def volumes(path: Path, seeds: int) -> tuple[float, np.ndarray]:
         noise = np.random.default_rng(seed).uniform(
             -amplitude, amplitude, clean.mesh.vertices.shape
         )
-        noisy = prepared(mesh_file.vertices + noise, mesh_file.faces)
+        noisy = prepare_mesh(mesh_file.vertices + noise, mesh_file.faces)
         row = [volume(noisy.mesh, noisy.mesh.vertices, noisy.origin)]
         for name in ("al", "msal"):
             method = methods.find(name)
-            result = method.denoised(noisy.mesh, method.settled({"iterations": SWEEPS}))
+            result = method.denoise(noisy.mesh, method.validate({"iterations": SWEEPS}))
             row.append(volume(noisy.mesh, result.vertices, noisy.origin))
         rows.append(row)
     return volume(clean.mesh, clean.mesh.vertices, clean.origin), np.array(rows)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold
 
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
 from training import relief
 from training.connectivity import Floats
 from training.organic import FieldSurface, capsule_distance, polygonise, smooth_union
@@ -47,7 +47,7 @@ def unseen_shapes() -> dict[str, Callable[[], Mesh]]:
 
 def _ready(mesh: LabelledMesh) -> Mesh:
     scaled = scale_to_unit_edges(mesh)
-    return prepared(scaled.vertices, scaled.faces.astype(np.int32)).mesh
+    return prepare_mesh(scaled.vertices, scaled.faces.astype(np.int32)).mesh
 
 
 def _generator(number: int) -> np.random.Generator:

@@ -20,7 +20,7 @@ from make_pictures import DOCS, opened, panel, row, sample, write_png
 
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.simulation import ScannerSettings, simulate_scan
-from msal_cli.mesh import Prepared, prepared
+from msal_cli.mesh import PreparedMesh, prepare_mesh
 
 Array = NDArray[Any]
 
@@ -52,19 +52,19 @@ SCANNERS = (
 )
 
 
-def with_noise(ready: Prepared, noise: AddedNoise) -> tuple[Array, Array]:
+def with_noise(ready: PreparedMesh, noise: AddedNoise) -> tuple[Array, Array]:
     """Vertices and triangles of the sample with noise."""
     return add_noise(ready.mesh, noise) + ready.origin, ready.mesh.faces
 
 
-def scanned(ready: Prepared, settings: ScannerSettings) -> tuple[Array, Array]:
+def scanned(ready: PreparedMesh, settings: ScannerSettings) -> tuple[Array, Array]:
     """Vertices and triangles of the sample as a scanner makes it."""
     scan = simulate_scan(ready.mesh, settings)
     return scan.vertices + ready.origin, scan.faces
 
 
 def main() -> None:
-    part, animal = (prepared(*opened(sample(name, "clean"))) for name in (PART, ANIMAL))
+    part, animal = (prepare_mesh(*opened(sample(name, "clean"))) for name in (PART, ANIMAL))
     size = (230, 200)
     rows = [row([panel(PART, with_noise(part, one), size) for one in some]) for some in NOISE]
     write_png(DOCS / "images" / "noise_kinds.png", np.concatenate(rows), 64)

@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli import auto as selection
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.auto import adaptive
 from msal_cli.job.comparison import Surface
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
+from msal_cli.storage import gzip_streams
 from msal_cli.view import parameter_grid, pictures
-from msal_cli.view.camera import framing, turned
+from msal_cli.view.camera import framing, rotate
 from msal_cli.view.image_files import png_bytes
-from msal_cli.view.shading import shaded
+from msal_cli.view.shading import shade
 
 Array = NDArray[Any]
 
@@ -46,31 +46,31 @@ VIEWS = {  # turn and tilt in degrees
 
 def opened(path: Path) -> tuple[Array, Array]:
     """Vertices (n, 3) and triangles (m, 3) of a sample."""
-    data, _ = files.expanded(path.read_bytes(), path.name)
-    mesh_file = files.open_mesh(data, path.name)
+    data, _ = gzip_streams.expand(path.read_bytes(), path.name)
+    mesh_file = codecs.open_mesh(data, path.name)
     return mesh_file.vertices, mesh_file.faces
 
 
 def denoised(path: Path, method: str, **parameters: Any) -> tuple[Array, Array]:
     """Vertices and triangles of a sample after a method, as ``msal denoise`` makes them."""
     vertices, faces = opened(path)
-    ready = prepared(vertices, faces)
+    ready = prepare_mesh(vertices, faces)
     chosen = methods.find(method)
-    result = chosen.denoised(ready.mesh, chosen.settled(parameters))
-    return ready.scattered(result.vertices, vertices), faces
+    result = chosen.denoise(ready.mesh, chosen.validate(parameters))
+    return ready.to_file_vertices(result.vertices, vertices), faces
 
 
 def plain(path: Path) -> tuple[Array, Array]:
     """The same as ``msal denoise`` without a method makes them."""
     vertices, faces = opened(path)
-    choice = adaptive.chosen(prepared(vertices, faces).mesh)
+    choice = adaptive.choose_adaptive(prepare_mesh(vertices, faces).mesh)
     return denoised(path, choice.method, **choice.parameters)
 
 
 def automatic(path: Path) -> tuple[Array, Array]:
     """The same as ``msal denoise --auto`` makes them."""
     vertices, faces = opened(path)
-    choice = selection.chosen(prepared(vertices, faces).mesh, selection.Wishes())
+    choice = selection.choose_method(prepare_mesh(vertices, faces).mesh, selection.Wishes())
     return denoised(path, choice.method, **choice.parameters)
 
 
@@ -118,11 +118,11 @@ def _read_png(path: Path) -> Array:
 
 def panel(name: str, mesh: tuple[Array, Array], size: tuple[int, int]) -> Array:
     """One mesh as a picture, framed as the clean one is."""
-    axes = turned(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *VIEWS[name])
+    axes = rotate(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *VIEWS[name])
     camera = framing(axes, opened(sample(name, "clean"))[0])
     stored = vertex_colours(name)
     colours = None if stored is None else stored.astype(np.uint8)
-    return shaded(*mesh, camera, *size, colours)
+    return shade(*mesh, camera, *size, colours)
 
 
 def compared(name: str) -> Array:
@@ -131,7 +131,7 @@ def compared(name: str) -> Array:
     moved, _ = plain(sample(name, "noisy"))
     names = (f"{name}_noisy.ply", f"{name}.ply")
     scene = pictures.scene_of(Surface(vertices, faces), Surface(moved, faces), names)
-    return pictures.drawn(scene, pictures.View(size=420))
+    return pictures.draw_picture(scene, pictures.View(size=420))
 
 
 def tried(name: str) -> Array:
@@ -141,7 +141,7 @@ def tried(name: str) -> Array:
     on = parameter_grid.subject(noisy, f"{name}_noisy.ply", clean, f"{name}_clean.ply", view)
     wanted = parameter_grid.grid(methods.find("msal"), "iterations=2,4", "K=0.25,0.5,1", {})
     made = parameter_grid.cells(on, wanted)
-    done = [(cell, parameter_grid.drawn(on, mesh, view)) for cell, mesh in made]
+    done = [(cell, parameter_grid.draw_grid(on, mesh, view)) for cell, mesh in made]
     return parameter_grid.sheet(on, wanted, done, view)
 
 

@@ -26,9 +26,9 @@ from scanner_examples import EXAMPLES, Example, true_mesh
 from benchmarks import scanner_cases, scanner_outcomes, scanner_tables, scanners
 from benchmarks.scanner_cases import Pair
 from benchmarks.scanner_outcomes import NOISY, Outcomes
-from msal_cli.view.camera import framing, turned
+from msal_cli.view.camera import framing, rotate
 from msal_cli.view.image_files import png_bytes
-from msal_cli.view.shading import shaded
+from msal_cli.view.shading import shade
 
 Image = NDArray[np.uint8]
 
@@ -54,12 +54,12 @@ def draw(example: Example) -> Shown:
     true = true_mesh(example.model)
     pair = Pair(example.make(true), true)
     vertices, reason = scanner_outcomes.denoise(pair.noisy, COMMAND)
-    result = pair.noisy.moved(vertices)
+    result = pair.noisy.with_vertices(vertices)
     turn = make_pictures.VIEWS[example.model]
-    axes = turned(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *turn)
+    axes = rotate(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *turn)
     camera = framing(axes, true.vertices)
     panels = [
-        shaded(mesh.vertices, mesh.faces, camera, *SIZE) for mesh in (pair.noisy, result, true)
+        shade(mesh.vertices, mesh.faces, camera, *SIZE) for mesh in (pair.noisy, result, true)
     ]
     return Shown(
         make_pictures.row(panels),

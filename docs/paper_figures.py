@@ -30,8 +30,8 @@ from paper_models import (
 )
 
 from msal_cli.analysis import colour_maps as colours
-from msal_cli.analysis.curvature import mean_curvature
-from msal_cli.analysis.noise_estimate import estimated
+from msal_cli.analysis.measures import mean_curvature
+from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.view.camera import viewed
 from msal_cli.view.panels import Legend, labelled_panels
 
@@ -111,7 +111,7 @@ def figure_2(folder: Path) -> Made:
         ends = before[part].mean(), then[part].mean()
         cells = [f"{end:.1f}°" for end in ends]
         table.append([name, *cells, f"{100.0 * (ends[1] / ends[0] - 1.0):+.0f} %"])
-    levels = [estimated(mesh).file_units / scan.mean_edge_length for mesh in (scan, result)]
+    levels = [estimate_noise(mesh).file_units / scan.mean_edge_length for mesh in (scan, result)]
     cells = [f"{100.0 * level:.1f} %" for level in levels]
     change = f"{100.0 * (levels[1] / levels[0] - 1.0):+.0f} %"
     table.append(["noise that `msal info` estimates, in mean edge lengths", *cells, change])
@@ -127,7 +127,9 @@ def figure_3(folder: Path) -> Made:
     table = [["", "scan", "AL"]]
     turns = [f"{bends(mesh)[1].mean():.2f}°" for mesh in (scan, result)]
     table.append(["bend between neighbouring faces", *turns])
-    levels = [100.0 * estimated(mesh).file_units / scan.mean_edge_length for mesh in (scan, result)]
+    levels = [
+        100.0 * estimate_noise(mesh).file_units / scan.mean_edge_length for mesh in (scan, result)
+    ]
     table.append(["estimated noise, in mean edge lengths", *(f"{one:.1f} %" for one in levels)])
     return Made(labelled_panels(panels(shown, camera, (420, 540))), table)
 
@@ -159,17 +161,19 @@ def figure_4(folder: Path) -> Made:
 def figure_5(folder: Path) -> Made:
     """lambda at the vertices of a scanned face."""
     scan = opened(folder, FACE).mesh
-    used = scan.links.has_ring
+    used = scan.topology.has_ring
     values = fidelity(scan)
     known = values[used]
     high = float(np.quantile(known, 0.99))
     camera = closer(viewed(scan.vertices, scan.faces), 0.0, 0.0, 0.92)
     plain = drawn(scan, camera, (430, 560))
-    painted = colours.mapped(values, 0.0, high)
+    painted = colours.map_colours(values, 0.0, high)
     face = drawn(scan, camera, (430, 560), painted)
     ticks = tuple((share, f"{share * high:.2f}", "") for share in (0.0, 0.5, 1.0))
     legend = Legend(
-        ("lambda; the scale ends at the 99th percentile",), colours.table("sequential"), ticks
+        ("lambda; the scale ends at the 99th percentile",),
+        colours.colour_table("sequential"),
+        ticks,
     )
     parts: list[Panel] = [
         (plain, "the scan", []),
@@ -194,7 +198,7 @@ def _scatter(values: Floats, width: int, height: int) -> Image:
     down = ((1.0 - values) * (height - 1)).round().astype(int)
     np.add.at(image, (down, across), 1.0)
     shade = np.log1p(image) / np.log1p(image.max())
-    inked = colours.mapped(shade.reshape(-1), 0.0, 1.0).reshape(height, width, 3)
+    inked = colours.map_colours(shade.reshape(-1), 0.0, 1.0).reshape(height, width, 3)
     inked[image == 0.0] = 255
     inked[-1], inked[:, 0] = 120, 120
     return inked
@@ -279,7 +283,7 @@ def figure_9(folder: Path) -> Made:
     high = 0.25
     table = [["", *(title for title, _ in shown)]]
     moved = [offset(scan, mesh) for _, mesh in shown]
-    spread = [float(np.abs(values[scan.links.has_ring]).mean()) for values in curvatures]
+    spread = [float(np.abs(values[scan.topology.has_ring]).mean()) for values in curvatures]
     pairs_bent = [bends(mesh)[1].mean() for _, mesh in shown]
     table.append(["mean size of the mean curvature, 1/e", *(f"{one:.3f}" for one in spread)])
     table.append(["bend between neighbouring faces", *(f"{one:.2f}°" for one in pairs_bent)])
@@ -296,11 +300,11 @@ def figure_9(folder: Path) -> Made:
         shown,
         strict=True,
     ):
-        painted = colours.mapped(values, -high, high, "diverging")
+        painted = colours.map_colours(values, -high, high, "diverging")
         image = drawn(mesh, camera, size, painted)
         below.append((image, title, []))
     ticks = tuple((0.5 + 0.5 * one, f"{one * high:g}", "") for one in (-1.0, 0.0, 1.0))
-    legend = Legend(("1/e: inverse mean edge lengths",), colours.table("diverging"), ticks)
+    legend = Legend(("1/e: inverse mean edge lengths",), colours.colour_table("diverging"), ticks)
     picture = labelled_panels(panels(shown, camera, size))
     return Made(picture, table, second=labelled_panels(below, legend))
 

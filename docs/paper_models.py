@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from msal_cli import methods
 from msal_cli.analysis import added_noise as noise
-from msal_cli.analysis.correspondence import moved_statistics, vertex_error_percent
-from msal_cli.analysis.surface import normal_statistics, surface_change
+from msal_cli.analysis.correspondence import displacement_of_moved, vertex_error_percent
+from msal_cli.analysis.measures import measure_surface_change, normal_statistics
 from msal_cli.job import comparison
 from msal_cli.kernels.geometry import face_normals_and_areas, ring_means
-from msal_cli.mesh import Mesh, Prepared, prepared
+from msal_cli.mesh import Mesh, PreparedMesh, prepare_mesh
 from msal_cli.view.camera import Camera
-from msal_cli.view.shading import CREASE_DEG, shaded
+from msal_cli.view.shading import CREASE_DEG, shade
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -29,33 +29,33 @@ LEVEL = 0.1
 """The paper's "about 10 %": standard deviation in mean edge lengths."""
 
 
-def opened(folder: Path, name: str) -> Prepared:
+def opened(folder: Path, name: str) -> PreparedMesh:
     """A model of the data folder, made ready."""
     mesh_file = comparison.opened(str(folder / name))
-    return prepared(mesh_file.vertices, mesh_file.faces)
+    return prepare_mesh(mesh_file.vertices, mesh_file.faces)
 
 
 def corrupted(clean: Mesh, kind: str = "mixed", level: float = LEVEL) -> Mesh:
     """The mesh with noise of ``level`` mean edge lengths."""
-    return clean.moved(noise.noisy(clean, kind, level, SEED))
+    return clean.with_vertices(noise.add_plain_noise(clean, kind, level, SEED))
 
 
 def after(mesh: Mesh, method: str, **given: Any) -> Mesh:
     """The mesh after a method with these parameters."""
     chosen = methods.find(method)
-    return mesh.moved(chosen.denoised(mesh, chosen.settled(given)).vertices)
+    return mesh.with_vertices(chosen.denoise(mesh, chosen.validate(given)).vertices)
 
 
 def fidelity(mesh: Mesh) -> Floats:
     """lambda (n,) of eq. (7) in the first sweep of MSAL."""
     chosen = methods.find("msal")
-    return chosen.denoised(mesh, chosen.settled({"iterations": 1})).fields["fidelity"]
+    return chosen.denoise(mesh, chosen.validate({"iterations": 1})).fields["fidelity"]
 
 
 def volume(mesh: Mesh, origin: Floats) -> float:
     """Signed volume about the file's own origin, which matters where the mesh is open."""
-    placed = mesh.moved(mesh.vertices + origin)
-    return surface_change(placed, placed).volume_before
+    placed = mesh.with_vertices(mesh.vertices + origin)
+    return measure_surface_change(placed, placed).volume_before
 
 
 def angle(clean: Mesh, mesh: Mesh) -> float:
@@ -73,14 +73,14 @@ def face_angles(clean: Mesh, mesh: Mesh) -> Floats:
 
 def roughness(mesh: Mesh) -> Floats:
     """How rough the surface is around each face (m,): lambda, averaged over the one-rings."""
-    links = mesh.links
+    links = mesh.topology
     around = ring_means(fidelity(mesh), links.ring_start, links.ring)
     return around[mesh.faces].mean(axis=1)
 
 
 def offset(clean: Mesh, mesh: Mesh) -> float:
     """Mean distance between corresponding vertices in % of the mean edge length."""
-    return vertex_error_percent(clean, moved_statistics(clean, mesh))
+    return vertex_error_percent(clean, displacement_of_moved(clean, mesh))
 
 
 def errors(clean: Mesh, mesh: Mesh) -> str:
@@ -111,7 +111,7 @@ def drawn(
     width, height = size[0] + 2 * margin, size[1] + 2 * margin
     share = camera.pixels_per_unit(*size) / camera.pixels_per_unit(width, height)
     wide = closer(camera, 0.0, 0.0, 1.0 / share)
-    image = shaded(mesh.vertices, mesh.faces, wide, width, height, colours, crease_deg=crease_deg)
+    image = shade(mesh.vertices, mesh.faces, wide, width, height, colours, crease_deg=crease_deg)
     return image[margin:-margin, margin:-margin]
 
 
@@ -161,9 +161,9 @@ def uneven_head(solid: Mesh) -> Mesh:
         rows = slice(start, start + 128)
         near = directions[rows] @ seen.T > np.cos(np.radians(1.0))
         outer[rows] = np.where(near, radii, 0.0).max(axis=1)
-    mesh = prepared(outer[:, None] * directions, faces.astype(np.int32)).mesh
-    scale = (215.0 / surface_change(mesh, mesh).volume_before) ** (1.0 / 3.0)
-    return mesh.moved(scale * mesh.vertices)
+    mesh = prepare_mesh(outer[:, None] * directions, faces.astype(np.int32)).mesh
+    scale = (215.0 / measure_surface_change(mesh, mesh).volume_before) ** (1.0 / 3.0)
+    return mesh.with_vertices(scale * mesh.vertices)
 
 
 def _refined(points: Floats, faces: Any, chosen: NDArray[np.bool_]) -> tuple[Floats, Any]:

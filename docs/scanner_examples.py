@@ -10,7 +10,7 @@ from make_pictures import opened, sample
 
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.simulation import ScannerSettings, simulate_scan
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,16 @@ class Example:
 
 def true_mesh(name: str) -> Mesh:
     """The clean sample of that name."""
-    return prepared(*opened(sample(name, "clean"))).mesh
+    return prepare_mesh(*opened(sample(name, "clean"))).mesh
 
 
 def _added(*noises: AddedNoise) -> Callable[[Mesh], Mesh]:
     """A mesh with noises added, one after the other."""
 
     def add(true: Mesh) -> Mesh:
-        return functools.reduce(lambda mesh, one: mesh.moved(add_noise(mesh, one)), noises, true)
+        return functools.reduce(
+            lambda mesh, one: mesh.with_vertices(add_noise(mesh, one)), noises, true
+        )
 
     return add
 
@@ -56,8 +58,8 @@ def _scanned(settings: ScannerSettings) -> Callable[[Mesh], Mesh]:
 
     def scan(true: Mesh) -> Mesh:
         made = simulate_scan(true, settings)
-        ready = prepared(made.vertices, made.faces)
-        return ready.mesh.moved(ready.mesh.vertices + ready.origin)
+        ready = prepare_mesh(made.vertices, made.faces)
+        return ready.mesh.with_vertices(ready.mesh.vertices + ready.origin)
 
     return scan
 

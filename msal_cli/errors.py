@@ -137,7 +137,7 @@ DISTRIBUTION = "msal-cli"
 def install_hint(extra: str) -> str:
     """What to do where a package of an extra, such as ``msal-cli[cloud]``, is missing.
 
-    It names the packages that the extra stands for: msal may have come from a checkout or a wheel,
+    It names the packages of the extra: msal may have come from a checkout or a wheel,
     and pip would look for ``msal-cli`` itself on an index that does not have it.
     """
     import shlex

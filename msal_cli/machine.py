@@ -28,7 +28,7 @@ def group_folders(
         if controllers and controller not in controllers.split(","):
             continue
         inner = base / path.lstrip("/")
-        # A container often sees its own group at the top although it is told the host's path.
+        # A container often sees its own group at the top although the host's path is given.
         for folder in [inner, *inner.parents]:
             if not folder.is_relative_to(base):
                 break
@@ -46,7 +46,7 @@ def usable_cores() -> int:
     return max(1, cores if quota is None else min(cores, -(-quota // 1000)))
 
 
-# Every large kernel asks for it, and a quota is not changed while a process runs.
+# Every large kernel needs it, and a quota is not changed while a process runs.
 @functools.cache
 def _quota(groups: Path, membership: Path) -> int | None:
     """The tightest quota of this process's control groups in thousandths of a core, if any."""
@@ -74,10 +74,10 @@ def available_bytes(
     proc: Path = _PROC,
     groups: Path = GROUPS,
 ) -> int | None:
-    """Memory that may be taken without anything being killed or swapped; None if nobody tells.
+    """Memory that may be taken without anything being killed or swapped; None if it is not known.
 
     The least of what the machine has left and what every control group leaves.  Cached files
-    count as free: the system drops them when memory is asked for.
+    count as free: the system drops them when memory is needed.
     """
     told = [_of_machine(proc / "meminfo")]
     told += [
@@ -87,16 +87,16 @@ def available_bytes(
 
 
 def oom_kills(proc: Path = _PROC, groups: Path = GROUPS) -> int:
-    """Processes of this one's groups that the system has killed for want of memory so far.
+    """Processes of this one's groups that the system has killed so far because memory ran out.
 
-    Where no group counts them, those of the whole machine; 0 where nobody counts.
+    Where no group counts them, those of the whole machine; 0 where they are not counted.
     """
     counter = _counter(proc, groups)
     kills = None if counter is None else _entry(counter, "oom_kill")
     return (_entry(proc / "vmstat", "oom_kill") or 0) if kills is None else kills
 
 
-# It is asked before every file, and looking for it takes longer than reading it.
+# It is needed before every file, and looking for it takes longer than reading it.
 @functools.cache
 def _counter(proc: Path, groups: Path) -> Path | None:
     """The file in which the innermost group that does so counts its kills."""
@@ -146,7 +146,7 @@ def _entry(path: Path, name: str) -> int | None:
 
 
 def peak_bytes() -> int | None:
-    """The largest resident size of this process so far; None where the system does not tell."""
+    """The largest resident size of this process so far; None where it is not known."""
     if sys.platform == "win32":
         return _peak_on_windows()
     import resource

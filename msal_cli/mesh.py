@@ -1,16 +1,18 @@
 """The one gate between a file's arrays and the mathematics.
 
-``prepared`` checks shape, type, index range and finiteness once, and makes from the file's
+``prepare_mesh`` checks shape, type, index range and finiteness once, and makes from the file's
 vertices and triangles a mesh that every method can use: coincident vertices welded, useless faces
-left out, wound one way, about a local origin.  ``Prepared.scattered`` takes the result back.
+left out, wound one way, about a local origin.  ``PreparedMesh.to_file_vertices`` maps the result
+back to the file's vertices.
 """
 
 from __future__ import annotations
 
 import functools
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,17 +42,17 @@ class Mesh:
     ----------
     vertices : (n, 3) float64, finite, about a local origin, file units.
     faces : (m, 3) int32, three different vertices each, m >= 1, counter-clockwise from outside.
-    held : (n,) vertices that must stay where they are; None if all may move.
+    fixed_vertices : (n,) vertices that must stay where they are; None if all may move.
     trust : (n,) from 0 to 1, how much of the pull to the data each vertex gets; None for all of it.
     """
 
     vertices: Floats
     faces: Ints
-    held: NDArray[np.bool_] | None = None
+    fixed_vertices: NDArray[np.bool_] | None = None
     trust: Floats | None = None
 
     @functools.cached_property
-    def links(self) -> Connectivity:
+    def topology(self) -> Connectivity:
         """Neighbourhoods of vertices and counts of edges."""
         from msal_cli.kernels.connectivity import connectivity
 
@@ -61,7 +63,7 @@ class Mesh:
         """Mean length of the unique edges, file units."""
         from msal_cli.kernels.geometry import mean_edge_length
 
-        return mean_edge_length(self.vertices, self.links.ring_start, self.links.ring)
+        return mean_edge_length(self.vertices, *self.topology.one_ring)
 
     def vertex_normals(self, weighting: str = "uniform", mollify: int = 0) -> Floats:
         """Unit normals (n, 3), ``mollify`` times mollified; zeros where there is none.
@@ -69,17 +71,19 @@ class Mesh:
         ``weighting`` is ``"uniform"`` or ``"area"``; see ``kernels.geometry.vertex_normals``.  They
         are computed once and shared: do not write to them.
         """
-        from msal_cli.kernels.geometry import mollified
+        from msal_cli.kernels import geometry
 
-        known = self._known_normals
+        known = self._cached_normals
         if (weighting, mollify) not in known:
             normals = self._plain_normals(weighting)
-            links = self.links
-            known[weighting, mollify] = mollified(normals, links.ring_start, links.ring, mollify)
+            links = self.topology
+            known[weighting, mollify] = geometry.mollify(
+                normals, links.ring_start, links.ring, mollify
+            )
         return known[weighting, mollify]
 
     @functools.cached_property
-    def _known_normals(self) -> dict[tuple[str, int], Floats]:
+    def _cached_normals(self) -> dict[tuple[str, int], Floats]:
         return {}
 
     def _plain_normals(self, weighting: str) -> Floats:
@@ -91,12 +95,12 @@ class Mesh:
         if weighting == "uniform":
             left = self.__dict__.pop("_left_normals", None)
         if left is None:
-            left = self._known_normals.get((weighting, 0))
+            left = self._cached_normals.get((weighting, 0))
         return vertex_normals(self.vertices, self.faces, weighting) if left is None else left
 
-    def forget_normals(self) -> None:
+    def release_normals(self) -> None:
         """Free the memory of all normals; they are computed anew when needed."""
-        self._known_normals.clear()
+        self._cached_normals.clear()
         self.__dict__.pop("_left_normals", None)
 
     @functools.cached_property
@@ -110,19 +114,37 @@ class Mesh:
         )
         return flat
 
-    def constrained(self, held: NDArray[np.bool_] | None, trust: Floats | None) -> Mesh:
+    def with_constraints(
+        self, fixed_vertices: NDArray[np.bool_] | None, trust: Floats | None
+    ) -> Mesh:
         """The same mesh with vertices that are fixed, or trusted more or less; see above."""
-        other = Mesh(self.vertices, self.faces, held, trust)
+        other = Mesh(self.vertices, self.faces, fixed_vertices, trust)
         own = {one: value for one, value in self.__dict__.items() if one not in other.__dict__}
         other.__dict__.update(own)
         return other
 
-    def moved(self, vertices: Floats) -> Mesh:
+    def with_vertices(self, vertices: Floats) -> Mesh:
         """The same mesh with its vertices at other positions (n, 3); connectivity is shared."""
-        other = Mesh(vertices, self.faces, self.held, self.trust)
-        if "links" in self.__dict__:
-            other.__dict__["links"] = self.links
+        other = Mesh(vertices, self.faces, self.fixed_vertices, self.trust)
+        if "topology" in self.__dict__:
+            other.__dict__["topology"] = self.topology
         return other
+
+
+Value = TypeVar("Value")
+
+
+def cached_by_mesh(compute: Callable[[Mesh], Value]) -> Callable[[Mesh], Value]:
+    """``compute``, which runs once for each mesh; the value is kept as long as the mesh."""
+    cache: weakref.WeakKeyDictionary[Mesh, Value] = weakref.WeakKeyDictionary()
+
+    @functools.wraps(compute)
+    def cached(mesh: Mesh) -> Value:
+        if mesh not in cache:
+            cache[mesh] = compute(mesh)
+        return cache[mesh]
+
+    return cached
 
 
 @dataclass(frozen=True)
@@ -158,58 +180,58 @@ class Defects:
     def volume_objection(self) -> str:
         """Why the volume is not to be trusted; empty if it is."""
         if self.boundary_edges:
-            return f"open ({_counted(self.boundary_edges, 'boundary edge')})"
+            return f"open ({_count_text(self.boundary_edges, 'boundary edge')})"
         if self.non_manifold_edges:
-            return f"non-manifold ({_counted(self.non_manifold_edges, 'edge')})"
+            return f"non-manifold ({_count_text(self.non_manifold_edges, 'edge')})"
         if self.unorientable_parts:
             return "not orientable"
         return ""
 
 
-def _counted(number: int, noun: str) -> str:
+def _count_text(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class PreparedMesh:
     """A mesh for the mathematics and the way back to the file's vertices.
 
     Attributes
     ----------
     mesh : welded, cleaned, wound one way, about ``origin``.
     origin : (3,), subtracted from the file's positions.
-    place : (n_file,) int32, the mesh vertex that stands for each file vertex, -1 for none; or
+    vertex_map : (n_file,) int32, the mesh vertex of each file vertex, -1 for none; or
         None where they are the same, one for one.
     defects : what was found on the way.
     """
 
     mesh: Mesh
     origin: Floats
-    place: Ints | None
+    vertex_map: Ints | None
     defects: Defects
 
-    def scattered(self, vertices: Floats, original: Floats) -> Floats:
+    def to_file_vertices(self, vertices: Floats, original: Floats) -> Floats:
         """File positions (n_file, 3) for mesh positions (n, 3).
 
         A vertex whose mesh vertex did not move, or that has none, keeps ``original``'s very value.
         """
-        from msal_cli.kernels.welding import scattered
+        from msal_cli.kernels.welding import scatter
 
         mesh = self.mesh
-        return scattered(
-            mesh.vertices, vertices, mesh.links.has_ring, self.place, self.origin, original
+        return scatter(
+            mesh.vertices, vertices, mesh.topology.has_ring, self.vertex_map, self.origin, original
         )
 
     def seam_gap(self, vertices: Floats) -> float:
         """Largest distance between file positions (n_file, 3) that were one point before."""
-        if self.place is None:
+        if self.vertex_map is None:
             return 0.0
         from msal_cli.kernels.welding import widest_gap
 
-        return widest_gap(vertices, self.place, len(self.mesh.vertices))
+        return widest_gap(vertices, self.vertex_map, len(self.mesh.vertices))
 
 
-def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Prepared:
+def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> PreparedMesh:
     """Check a file's arrays and make them fit for computing.
 
     Parameters
@@ -235,7 +257,7 @@ def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Pr
         used_vertices,
     )
 
-    vertices, faces, (low, high) = _gated(vertices, faces)
+    vertices, faces, (low, high) = _validate_arrays(vertices, faces)
     n_file = len(vertices)
     used = used_vertices(n_file, faces)
     first, n_welded = np.empty(0, dtype=np.int32), 0
@@ -262,13 +284,13 @@ def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Pr
             code="E_NO_FACES",
             hint="check the file in a viewer; there is no surface to denoise",
         )
-    place = None
+    vertex_map = None
     if n_welded or n_repeated:
         used = used_vertices(n_file, faces)
     n_unreferenced = n_file - n_welded - int(np.count_nonzero(used))
     if n_welded:
         number = np.cumsum(used, dtype=np.int32) - np.int32(1)
-        place = np.where(used[first], number[first], np.int32(-1)).astype(np.int32)
+        vertex_map = np.where(used[first], number[first], np.int32(-1)).astype(np.int32)
         faces = number[faces]
         vertices = vertices[used]
         used = np.ones(len(vertices), dtype=bool)
@@ -305,7 +327,7 @@ def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Pr
         )
     origin = (low + high) / 2.0
     mesh = Mesh(vertices - origin, faces)
-    mesh.__dict__["links"] = links
+    mesh.__dict__["topology"] = links
     components, _, _ = at_once(
         len(vertices),
         lambda: count_components(len(vertices), faces, used),
@@ -324,7 +346,7 @@ def prepared(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -> Pr
         unorientable_parts=unorientable,
         components=components,
     )
-    return Prepared(mesh, origin, place, defects)
+    return PreparedMesh(mesh, origin, vertex_map, defects)
 
 
 def _is_within(faces: Ints, n_vertices: int) -> bool:
@@ -349,7 +371,7 @@ def _bounds(vertices: Floats) -> tuple[Floats, Floats]:
     return ends[0], ends[1]
 
 
-def _gated(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[Floats, Floats]]:
+def _validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[Floats, Floats]]:
     """The arrays with the right shape and type and the vertices' bounds, or the reason why they
     cannot be used."""
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)

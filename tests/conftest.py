@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,3 +17,12 @@ def real_data() -> Path:
     if not folder:
         pytest.skip("MSAL_DATA is not set: no real scans at hand")
     return Path(folder)
+
+
+@pytest.fixture(autouse=True)
+def default_logger() -> Iterator[None]:
+    """Undo what a command that a test ran in this process has set for its log."""
+    yield
+    logger = logging.getLogger("msal")
+    logger.propagate = True
+    logger.setLevel(logging.NOTSET)

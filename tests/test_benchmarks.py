@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import re
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,9 +15,7 @@ from benchmarks import (
     fidelity,
     ground_truth,
     large_file,
-    machine,
     measured,
-    peers,
     scans,
     small_file,
     stages,
@@ -45,17 +41,6 @@ def test_a_scan_is_a_grid_with_noise(surface):
     assert 0.0 < moved.mean() < 1.0
 
 
-def test_the_forms_of_a_scan_hold_the_same_mesh(tmp_path):
-    import trimesh
-
-    made = scans.scan("vase", 12, 9, 0.1, seed=0)
-    for form in scans.FORMS:
-        path = scans.file_of(tmp_path, "scan", form, lambda: made)
-        read = trimesh.load_mesh(path, process=False)
-        corners = read.vertices[read.faces]
-        assert np.allclose(corners, made.vertices[made.faces], atol=1e-6), form
-
-
 def test_a_run_is_measured():
     busy = [sys.executable, "-c", "held = bytearray(200 << 20)\nfor _ in range(10**6): pass"]
     ran = measured.run(busy, is_pinned=True)
@@ -67,17 +52,6 @@ def test_a_run_is_measured():
     failed = measured.run([sys.executable, "-c", "raise OSError('no')"], is_pinned=False)
     assert failed.fault == "exit status 1: OSError: no"
     assert "nonsuch" in measured.run(["nonsuch"], is_pinned=False).fault
-
-
-@pytest.mark.parametrize("peer", peers.PEERS, ids=lambda peer: peer.script)
-def test_every_peer_has_its_script(peer):
-    path = Path(peer.command("python", Path("in.ply"), Path("out.ply"))[1])
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    functions = {one.name: one for one in tree.body if isinstance(one, ast.FunctionDef)}
-    assert [one.arg for one in functions["denoise"].args.args] == ["source", "target"]
-    assert "msal" not in ast.dump(tree)
-    steps = [one.value for one in tree.body if isinstance(one, ast.Assign)]
-    assert 4 in [one.value for one in steps if isinstance(one, ast.Constant)]
 
 
 def test_the_best_peer_is_a_tool_if_there_is_any():
@@ -94,12 +68,6 @@ def test_the_best_peer_is_a_tool_if_there_is_any():
     assert contest.best_peer([msal, by_hand, slow, failed, fast]) is fast
     assert contest.best_peer([msal, by_hand, failed]) is by_hand
     assert contest.best_peer([msal]) is None
-
-
-def test_a_peer_that_is_not_there_is_skipped(monkeypatch, capsys):
-    monkeypatch.setattr(peers, "PEERS", (peers.Peer("nonsuch", "No such tool", ("no-such",)),))
-    assert peers.installed(sys.executable)[0] == []
-    assert "skipped: No such tool" in capsys.readouterr().err
 
 
 def test_outputs_are_compared_with_inputs(tmp_path):
@@ -120,39 +88,14 @@ def test_outputs_are_compared_with_inputs(tmp_path):
     assert words[3].startswith("not a mesh")
 
 
-def test_large_file_prints_its_tables(tmp_path, capsys):
-    words = ["--around", "24", "--repeats", "1", "--cores", "all", "--folder", str(tmp_path)]
-    large_file.main([*words, "--forms", "ply-ascii", *PEER])
-    said = capsys.readouterr().out
-    assert machine.processor() in said
-    rows = re.findall(
-        r"^\| (\*\*msal\*\*|meshio and numpy) \| \d.*moved 0\.\d+ \| 1 \|$", said, re.M
-    )
-    assert rows == ["**msal**", "meshio and numpy"]
-    assert len(re.findall(r"^\| ascii PLY \| all \d+ \| .*\(meshio", said, re.M)) == 1
-
-
-@pytest.mark.slow
-def test_small_file_prints_its_tables(capsys):
-    small_file.main(["--around", "24", "--repeats", "1", "--cores", "one", "--forms", "obj", *PEER])
-    said = capsys.readouterr().out
-    assert len(re.findall(r"^\| OBJ \| one \| .*\(meshio", said, re.M)) == 1
-
-
-@pytest.mark.slow
-def test_stages_prints_its_table(capsys):
-    stages.main(["--around", "24", "--repeats", "1", "--forms", "obj"])
-    assert re.search(r"^\| OBJ \| \d.* \d+\.\d % \| \d+ \|$", capsys.readouterr().out, re.M)
-
-
 @pytest.mark.parametrize("across", [45, 108])
 def test_the_rippled_torus_is_closed_and_as_noisy_as_said(across, monkeypatch):
-    from msal_cli.mesh import prepared
+    from msal_cli.mesh import prepare_mesh
 
     noisy = auto_seconds.rippled_torus(across)
     monkeypatch.setattr(auto_seconds, "NOISE", 0.0)
     smooth = auto_seconds.rippled_torus(across)
-    ready = prepared(noisy.vertices, noisy.faces)
+    ready = prepare_mesh(noisy.vertices, noisy.faces)
     assert len(noisy.vertices) == 3 * across**2 and len(noisy.faces) == 6 * across**2
     assert ready.defects.boundary_edges == ready.defects.inconsistent_edges == 0
     moved = np.linalg.norm(noisy.vertices - smooth.vertices, axis=1)
@@ -160,34 +103,12 @@ def test_the_rippled_torus_is_closed_and_as_noisy_as_said(across, monkeypatch):
     assert spread == pytest.approx(0.15, rel=0.03)
 
 
-@pytest.mark.slow
-def test_auto_seconds_prints_its_table(tmp_path, capsys):
-    words = ["--across", "12", "--repeats", "1", "--cores", "one", "--folder", str(tmp_path)]
-    auto_seconds.main(words)
-    said = capsys.readouterr().out
-    assert re.search(r"^\| 432 \| one \| default \| .* \| 1\.0 \| 1\.0 \|$", said, re.M)
-    assert re.search(r"^\| 432 \| one \| --auto \| .* \| \d+\.\d \|$", said, re.M)
-    assert re.search(r"^432 vertices: noise 0\.\d", said, re.M)
-
-
-def test_batch_prints_its_tables(tmp_path, capsys):
-    words = ["--files", "6", "--most", "300", "--repeats", "1", "--sample", "1"]
-    batch.main([*words, "--folder", str(tmp_path), *PEER])
-    said = capsys.readouterr().out
-    assert "6 scans" in said
-    assert re.search(r"^\| \*\*msal\*\* \| \d", said, re.M)
-    assert re.search(r"^\| meshio and numpy \| \d.* \| 6 files \|$", said, re.M)
-    assert re.search(r"^\| meshio and numpy, a process per file \| \d.* \| 1 files \|$", said, re.M)
-    # Another run finds the scans that this one left, and makes none.
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["scans-6-300"]
-
-
 def test_ways_of_pulling_back_are_held_against_the_truth(capsys, monkeypatch):
-    from msal_cli.mesh import prepared
+    from msal_cli.mesh import prepare_mesh
     from tests.shapes import torus
 
     vertices, faces = torus(32, 16)
-    true = prepared(vertices, faces).mesh
+    true = prepare_mesh(vertices, faces).mesh
     cases = [
         ground_truth.Case("torus", of, lambda: ground_truth.corrupted(true, 0.2, 1))
         for of in fidelity.CLASSES
@@ -207,3 +128,47 @@ def test_ways_of_pulling_back_are_held_against_the_truth(capsys, monkeypatch):
         float(found[one].split("/")[0]) for one in ("noisy", "`wiener` method, default")
     )
     assert wiener < 0.6 * noisy
+
+
+ONE_RUN = ["--repeats", "1", "--folder", "."]
+SCRIPTS = {
+    large_file: (
+        ["--around", "24", "--cores", "all", "--forms", "ply-ascii", *ONE_RUN, *PEER],
+        [r"\| (\*\*msal\*\*|meshio and numpy) \| \d.*moved 0\.\d+ \| 1 \|"]
+        + [r"\| ascii PLY \| all \d+ \| .*\(meshio.*"],
+    ),
+    small_file: (
+        ["--around", "24", "--repeats", "1", "--cores", "one", "--forms", "obj", *PEER],
+        [r"\| OBJ \| one \| .*\(meshio.*"],
+    ),
+    stages: (
+        ["--around", "24", "--repeats", "1", "--forms", "obj"],
+        [r"\| OBJ \| \d.* \d+\.\d % \| \d+ \|"],
+    ),
+    auto_seconds: (
+        ["--across", "12", "--cores", "one", *ONE_RUN],
+        [r"\| 432 \| one \| default \| .* \| 1\.0 \| 1\.0 \|"]
+        + [r"\| 432 \| one \| --auto \| .* \| \d+\.\d \|", r"432 vertices: noise 0\.\d.*"],
+    ),
+    batch: (
+        ["--files", "6", "--most", "300", "--sample", "1", *ONE_RUN, *PEER],
+        [r".*6 scans.*", r"\| \*\*msal\*\* \| \d.*"]
+        + [r"\| meshio and numpy \| \d.* \| 6 files \|"]
+        + [r"\| meshio and numpy, a process per file \| \d.* \| 1 files \|"],
+    ),
+}
+"""By script its options, and lines that it prints."""
+
+
+@pytest.mark.parametrize(
+    "script",
+    [pytest.param(one, marks=[] if one is large_file else pytest.mark.slow) for one in SCRIPTS],
+    ids=lambda script: script.__name__,
+)
+def test_a_script_prints_its_tables(script, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    options, lines = SCRIPTS[script]
+    script.main(options)
+    said = capsys.readouterr().out
+    for line in lines:
+        assert re.search(rf"^{line}$", said, re.M), line

@@ -15,8 +15,9 @@ from xml.etree import ElementTree
 import pytest
 
 from tests.cli.scans import closed_scan, open_scan
-from tests.refreshing import refresh
+from tests.scripts import load_script
 
+refresh = load_script("docs/refresh.py")
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/ci.md").read_text("utf-8")
 RECIPE = re.compile(r"^<!-- recipe: (\S+) -->\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -25,15 +25,6 @@ def test_every_lie_is_refused(tmp_path):
     assert sum(grown for _, _, grown in found) < MOST_BYTES
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("one", list(lies()), ids=lambda one: one.name)
-def test_none_is_dear_in_a_process_of_its_own(one, tmp_path):
-    ((code, seconds, grown),) = refused([one], tmp_path)
-    assert code == one.code
-    assert seconds < 10 * MOST_SECONDS
-    assert grown < MOST_BYTES
-
-
 def test_the_measure_notices_what_is_dear(tmp_path):
     text = hostile_headers.GOOD[".ply"].replace(b"0 0 1\n3", b"0 0 1" + b" " * 50_000_000 + b"\n3")
     whole = hostile_headers.lie("whole.ply", "ok", text)

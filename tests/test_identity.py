@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
+from msal_cli import codecs
+from msal_cli.codecs import detection
 from msal_cli.job import pipeline
 from msal_cli.job.settings import is_mesh_name
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
+from msal_cli.storage import gzip_streams
 from tests.codecs import plain_ply
 from tests.fuzz import mutants
 from tests.job.test_pipeline import WRITERS, settings
@@ -24,7 +26,7 @@ SAMPLES = Path(__file__).parents[1] / "sample_meshes"
 
 def meshes_in(folder: Path) -> list[Path]:
     known = (path for path in sorted(folder.rglob("*")) if is_mesh_name(path.name))
-    return [path for path in known if files.format_of_name(path.name) in files.OWN_FORMATS]
+    return [path for path in known if detection.format_of_name(path.name) in detection.OWN_FORMATS]
 
 
 def fixtures() -> Iterator[tuple[str, bytes]]:
@@ -34,7 +36,7 @@ def fixtures() -> Iterator[tuple[str, bytes]]:
     for encoding in plain_ply.ENCODINGS:
         for kind in ("float", "double"):
             yield f"cube {encoding} {kind}.ply", plain_ply.written(plain_ply.cube(encoding, kind))
-    for format in files.OWN_FORMATS:
+    for format in detection.OWN_FORMATS:
         for number, data in enumerate(mutants.seeds(format)):
             yield f"seed {number}.{format}", data
             # Another compressor's header, time and level: the very file is kept, not only its
@@ -51,10 +53,10 @@ def require_same(name: str, data: bytes) -> None:
     assert record.error is None, record.error
     assert record.status == "unchanged"
     assert output is not None and bytes(output) == data
-    whole, _ = files.expanded(data, name)
-    file = files.open_mesh(whole, name)
-    ready = prepared(file.vertices, file.faces)
-    back = ready.scattered(ready.mesh.vertices.copy(), file.vertices)
+    whole, _ = gzip_streams.expand(data, name)
+    file = codecs.open_mesh(whole, name)
+    ready = prepare_mesh(file.vertices, file.faces)
+    back = ready.to_file_vertices(ready.mesh.vertices.copy(), file.vertices)
     assert np.array_equal(back, file.vertices)
     assert bytes(file.replaced(back)) == bytes(whole)
     file.check(whole, back)
@@ -62,7 +64,7 @@ def require_same(name: str, data: bytes) -> None:
         # One vertex there and, from what was written, back again: nothing else may have moved.
         moved = file.vertices.copy()
         moved[0] += 0.5
-        there = files.open_mesh(bytes(file.replaced(moved)), name, file.format)
+        there = codecs.open_mesh(bytes(file.replaced(moved)), name, file.format)
         assert np.array_equal(there.vertices[1:], file.vertices[1:])
 
 

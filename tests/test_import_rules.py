@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,39 +16,20 @@ import msal_cli
 
 PACKAGE = Path(msal_cli.__file__).parent
 
-# What every layer may import; these import nothing of the package.
-EVERYWHERE = {"errors", "arrays", "machine"}
+PAGE = (PACKAGE.parent / "docs/architecture.md").read_text("utf-8")
 
-MAY_IMPORT = {
-    "errors": set(),
-    "arrays": set(),
-    "machine": set(),
-    "kernels": set(),
-    "mesh": {"kernels"},
-    "storage": set(),
-    "codecs": {"storage", "mesh", "kernels"},
-    "analysis": {"mesh", "kernels"},
-    "methods": {"analysis", "mesh", "kernels"},
-    "auto": {"methods", "analysis", "mesh", "kernels"},
-    "job": {"auto", "methods", "analysis", "codecs", "storage", "mesh", "kernels"},
-    "view": {"job", "methods", "analysis", "codecs", "mesh", "kernels"},
-    "report": {"view", "job", "analysis", "codecs", "mesh"},
-    "batch": {"job", "storage"},
-    "cli": {
-        "batch",
-        "report",
-        "view",
-        "job",
-        "auto",
-        "methods",
-        "analysis",
-        "codecs",
-        "storage",
-        "mesh",
-    },
-    "__main__": {"cli"},
-    "__init__": set(),
-}
+
+def read_table() -> list[tuple[list[str], list[str]]]:
+    """The layers of each row of the page's first table, and what they may import."""
+    lines = PAGE.partition("## The way")[0].splitlines()
+    rows = [line.split("|") for line in lines if line.startswith("| `")]
+    return [(re.findall(r"`(\w+)`", row[1]), re.findall(r"`(\w+)`", row[3])) for row in rows]
+
+
+# The first row is of what every layer may import.
+(EVERYWHERE, _), *LAYERS = read_table()
+MAY_IMPORT = {layer: set(allowed) for layers, allowed in LAYERS for layer in layers}
+MAY_IMPORT |= {layer: set() for layer in EVERYWHERE} | {"__main__": {"cli"}, "__init__": set()}
 
 ONLY_IN = {
     "kernel_build": {"kernels.library"},
@@ -106,7 +89,7 @@ def test_imports_keep_to_the_table(path):
     for name in imports(path):
         parts = name.split(".")
         if parts[0] == "msal_cli" and len(parts) > 1 and parts[1] != "__version__":
-            allowed = MAY_IMPORT[layer] | EVERYWHERE | {layer}
+            allowed = MAY_IMPORT[layer] | {*EVERYWHERE, layer}
             assert parts[1] in allowed, f"{layer} imports {name}"
         if parts[0] in ONLY_IN:
             module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
@@ -139,3 +122,27 @@ def test_heavy_libraries_wait_until_they_are_needed(module):
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout
     assert seen.strip() == "[]"
+
+
+def test_the_table_is_short_and_names_every_layer():
+    assert len(LAYERS) + 1 <= 14
+    assert {layer_of(path) for path in modules()} == set(MAY_IMPORT)
+
+
+def test_every_name_of_the_page_is_one_in_the_code():
+    names = set(re.findall(r"`((?:[a-z_]+\.)+\w+)`", PAGE)) - {"string.Template"}
+    assert len(names) > 40
+    for name in names:
+        if name.endswith((".py", ".md")):
+            continue
+        parts = name.split(".")
+        for k in range(len(parts), 0, -1):
+            try:
+                found = importlib.import_module(".".join(["msal_cli", *parts[:k]]))
+            except ModuleNotFoundError:
+                continue
+            for part in parts[k:]:
+                found = getattr(found, part)
+            break
+        else:
+            raise AssertionError(f"{name} of docs/architecture.md does not exist")

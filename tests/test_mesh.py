@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli.errors import ContentError, TooLargeError
-from msal_cli.mesh import MOST_FACES, prepared
+from msal_cli.mesh import MOST_FACES, prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 
 
@@ -47,14 +47,14 @@ def soup(vertices, faces):
 )
 def test_what_is_refused(vertices, faces, code, where):
     with pytest.raises(ContentError) as caught:
-        prepared(np.asarray(vertices), np.asarray(faces))
+        prepare_mesh(np.asarray(vertices), np.asarray(faces))
     assert caught.value.code == code
     assert caught.value.where == where
 
 
 def test_a_soup_becomes_the_mesh_it_was():
     vertices, faces = torus()
-    ready = prepared(*soup(vertices, faces))
+    ready = prepare_mesh(*soup(vertices, faces))
     assert len(ready.mesh.vertices) == len(vertices)
     assert ready.defects.welded_vertices == 3 * len(faces) - len(vertices)
     assert ready.defects.boundary_edges == 0
@@ -73,15 +73,15 @@ def test_the_way_back(seed, as_soup, loose):
     if as_soup:
         vertices, faces = soup(vertices, faces)
     vertices = np.concatenate([vertices, np.full((loose, 3), vertices[0])])
-    ready = prepared(vertices, faces)
+    ready = prepare_mesh(vertices, faces)
     assert ready.defects.unreferenced_vertices == loose
-    same = ready.scattered(ready.mesh.vertices, vertices)
+    same = ready.to_file_vertices(ready.mesh.vertices, vertices)
     assert (same == vertices).all()
     rng = np.random.default_rng(seed)
     moved = ready.mesh.vertices + rng.normal(size=ready.mesh.vertices.shape)
     some = rng.random(len(moved)) < 0.5
     moved[some] = ready.mesh.vertices[some]
-    out = ready.scattered(moved, vertices)
+    out = ready.to_file_vertices(moved, vertices)
     assert (out[len(vertices) - loose :] == vertices[len(vertices) - loose :]).all()
     corners = out[faces] - ready.origin
     assert np.allclose(corners, moved[ready.mesh.faces], rtol=0, atol=1e-14)
@@ -90,7 +90,7 @@ def test_the_way_back(seed, as_soup, loose):
 
 def test_a_torn_seam_is_seen():
     vertices, faces = soup(*torus(7, 5))
-    ready = prepared(vertices, faces)
+    ready = prepare_mesh(vertices, faces)
     torn = vertices.copy()
     torn[3] += [0.0, 0.25, 0.0]
     assert ready.seam_gap(torn) == pytest.approx(0.25)
@@ -99,7 +99,7 @@ def test_a_torn_seam_is_seen():
 def test_dirt_is_counted_and_put_aside():
     vertices, faces = torus()
     dirty = np.concatenate([faces, faces[:3], faces[5:7, ::-1], [[0, 0, 1]]])
-    ready = prepared(vertices, dirty)
+    ready = prepare_mesh(vertices, dirty)
     assert ready.defects.duplicate_faces == 5
     assert ready.defects.degenerate_faces == 1
     assert ready.defects.boundary_edges == 0
@@ -112,10 +112,10 @@ def test_inconsistent_winding_is_reported_and_mended_for_the_mathematics():
     vertices, faces = torus()
     mixed = faces.copy()
     mixed[::9] = mixed[::9, ::-1]
-    ready = prepared(vertices, mixed)
+    ready = prepare_mesh(vertices, mixed)
     assert ready.defects.inconsistent_edges > 0
     assert ready.defects.turned_faces == len(mixed[::9])
-    straight = prepared(vertices, faces)
+    straight = prepare_mesh(vertices, faces)
     assert (ready.mesh.vertex_normals() == straight.mesh.vertex_normals()).all()
 
 
@@ -128,14 +128,14 @@ def test_inconsistent_winding_is_reported_and_mended_for_the_mathematics():
     ],
 )
 def test_why_a_volume_is_not_to_be_trusted(shape, objection):
-    assert prepared(*shape).defects.volume_objection.startswith(objection)
-    assert bool(prepared(*shape).defects.volume_objection) == bool(objection)
+    assert prepare_mesh(*shape).defects.volume_objection.startswith(objection)
+    assert bool(prepare_mesh(*shape).defects.volume_objection) == bool(objection)
 
 
 def test_far_from_the_origin_nothing_is_lost():
     vertices, faces = torus()
     far = np.round(vertices * 1000) / 1000 + [4_650_000.0, 1_250_000.0, 300.0]
-    ready = prepared(far, faces)
+    ready = prepare_mesh(far, faces)
     near = np.round(vertices * 1000) / 1000
     edges = ready.mesh.vertices[faces[:, 0]] - ready.mesh.vertices[faces[:, 1]]
     assert np.allclose(edges, near[faces[:, 0]] - near[faces[:, 1]], rtol=0, atol=2e-9)
@@ -146,7 +146,7 @@ def test_more_faces_than_can_be_counted_are_refused():
     # One row of zeros, repeated without taking memory.
     faces = np.broadcast_to(np.zeros(3, dtype=np.int32), (MOST_FACES + 1, 3))
     with pytest.raises(TooLargeError, match="357,913,942 triangles"):
-        prepared(np.zeros((3, 3)), faces)
+        prepare_mesh(np.zeros((3, 3)), faces)
 
 
 def test_vertices_known_to_be_distinct_need_no_welding():
@@ -154,7 +154,7 @@ def test_vertices_known_to_be_distinct_need_no_welding():
     vertices, faces = torus(12, 8)
     vertices = np.concatenate([noisy(vertices), [[9.0, 9.0, 9.0]]])
     faces = np.concatenate([faces, [[0, 0, len(vertices) - 1]]])
-    one, two = prepared(vertices, faces), prepared(vertices, faces, are_distinct=True)
+    one, two = prepare_mesh(vertices, faces), prepare_mesh(vertices, faces, are_distinct=True)
     assert one.defects == two.defects
     assert np.array_equal(one.mesh.vertices, two.mesh.vertices)
     assert np.array_equal(one.mesh.faces, two.mesh.faces)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE = (DOCS / "reproduction.md").read_text("utf-8")
@@ -47,21 +45,8 @@ def test_a_refined_sphere_is_closed_and_keeps_its_winding() -> None:
     for seed in range(5):
         chosen = np.random.default_rng(seed).random(len(faces)) < 0.3
         finer, made = _refined(points, faces, chosen)
-        defects = prepared(finer, made.astype(np.int32)).defects
+        defects = prepare_mesh(finer, made.astype(np.int32)).defects
         assert defects.boundary_edges == defects.non_manifold_edges == 0
         assert defects.inconsistent_edges == defects.turned_faces == 0
         assert len(made) >= len(faces) + 3 * chosen.sum()
         assert len(finer) - len(made) / 2 == 2  # Euler's formula
-
-
-def test_missing_models_are_told(tmp_path: Path) -> None:
-    script = str(DOCS / "make_reproduction.py")
-    ran = subprocess.run(
-        [sys.executable, script, "fig2", "fig6"],
-        env={"MSAL_DATA": str(tmp_path), "PYTHONPATH": str(DOCS.parent)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert re.findall(r"^(\w+): left out", ran.stdout, re.M) == ["fig2", "fig6", "table1"]
-    assert (DOCS / "reproduction.md").read_text("utf-8") == PAGE

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 
-from benchmarks import scanner_cases, scanner_outcomes, scanner_settings, scanner_tables, scanners
+from benchmarks import scanner_cases, scanner_outcomes, scanner_tables, scanners
 from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_outcomes import NOISY, Errors, Outcome
 from benchmarks.scanner_settings import PEER_SETTINGS
 from benchmarks.true_surface import TrueSurface, corner_normals
 from msal_cli.analysis.surface_distance import distances_to_surface, nearest_on_surface
 from msal_cli.kernels.geometry import face_normals
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import ball, cube, torus
 
 pytest.importorskip("fcpw")
 
 
 def small_torus() -> Mesh:
-    return prepared(*torus(32, 16)).mesh
+    return prepare_mesh(*torus(32, 16)).mesh
 
 
 @pytest.fixture
@@ -61,26 +59,16 @@ def test_every_simulated_scanner_sees_its_model(one_model, monkeypatch):
         assert 0.0 < far.mean() < 2.0 * cell, kind
 
 
-def test_kinds_and_models_are_picked_by_words(one_model):
-    assert list(scanner_cases.cases(kinds=["shared", "half"])) == [
-        "shared over 1 ring 0.2",
-        "shared over 2 rings 0.2",
-        "shared over 3 rings 0.2",
-        "half 0.25",
-    ]
-    assert scanner_cases.cases(models=["bunny"]) == {}
-
-
 def test_errors_of_a_known_result():
     # A ball that shrinks by a tenth keeps its normals, and its vertices move inwards by a tenth.
-    true = prepared(*ball(24, 12)).mesh
-    small = true.moved(0.9 * true.vertices)
+    true = prepare_mesh(*ball(24, 12)).mesh
+    small = true.with_vertices(0.9 * true.vertices)
     same = scanner_outcomes.measure_errors(Pair(small, true), small)
     assert same.angle_deg == pytest.approx(0.0, abs=1e-5)
     assert same.vertex_percent == pytest.approx(10.0 / true.mean_edge_length, rel=1e-6)
     assert same.distance_percent == pytest.approx(same.vertex_percent, rel=0.02)
     # Other faces: a finer ball is nearer than the facets of the coarse one are wide.
-    finer = prepared(*ball(96, 48)).mesh
+    finer = prepare_mesh(*ball(96, 48)).mesh
     other = scanner_outcomes.measure_errors(Pair(small, finer), small)
     assert other.vertex_percent is None
     assert 0.0 < other.angle_deg < 10.0
@@ -91,24 +79,24 @@ def test_errors_of_a_known_result():
 def test_angles_to_a_surface_are_those_between_planes():
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-    flat = prepared(corners, faces).mesh
+    flat = prepare_mesh(corners, faces).mesh
     tilt = np.radians(20.0)
     turned = np.array(
         [[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]]
     )
-    angles = TrueSurface(flat).angles_of(flat.moved(flat.vertices @ turned))
+    angles = TrueSurface(flat).angles_of(flat.with_vertices(flat.vertices @ turned))
     assert np.degrees(angles) == pytest.approx([20.0, 20.0])
 
 
 def test_true_normals_are_smooth_on_a_ball_and_sharp_on_a_cube():
-    coarse = prepared(*ball(24, 12)).mesh
-    points = prepared(*ball(96, 48)).mesh.vertices
+    coarse = prepare_mesh(*ball(24, 12)).mesh
+    points = prepare_mesh(*ball(96, 48)).mesh.vertices
     radial = points / np.linalg.norm(points, axis=1)[:, None]
     facets = face_normals(coarse.vertices, coarse.faces)[nearest_on_surface(points, coarse)[0]]
     smooth = TrueSurface(coarse).normals_at(points)
     errors = [np.arccos(np.clip((one * radial).sum(axis=1), -1, 1)) for one in (smooth, facets)]
     assert errors[0].mean() < 0.3 * errors[1].mean()
-    box = prepared(*cube()).mesh
+    box = prepare_mesh(*cube()).mesh
     normals = face_normals(box.vertices, box.faces)
     assert np.allclose(corner_normals(box), normals[:, None, :])
 
@@ -122,19 +110,6 @@ def test_the_command_runs_as_users_run_it():
         assert bool(found.reason) == (name in ("plain", "auto")), name
 
 
-def test_the_seventeen_settings_are_apart():
-    labels = [one.label for one in PEER_SETTINGS]
-    assert len(set(labels)) == len(labels) == 17
-    assert len({(one.filter, str(one.parameters), one.times) for one in PEER_SETTINGS}) == 17
-
-
-def test_a_tool_that_fails_is_named():
-    meshes = {"0": small_torus()}
-    setting = scanner_settings.PeerSetting("x", "nonsuch", "smooth")
-    with pytest.raises(RuntimeError, match=r"(?s)nonsuch: .*KeyError"):
-        scanner_settings.run_peers(sys.executable, meshes, {"0": [setting]})
-
-
 def test_the_cache_is_used_until_the_mesh_changes(tmp_path, monkeypatch):
     path = tmp_path / "cache.json"
     made = []
@@ -142,7 +117,7 @@ def test_the_cache_is_used_until_the_mesh_changes(tmp_path, monkeypatch):
     def make(level: float) -> Pair:
         made.append(level)
         true = small_torus()
-        return Pair(true.moved((1.0 + level) * true.vertices), true)
+        return Pair(true.with_vertices((1.0 + level) * true.vertices), true)
 
     def rows(level: float, again: bool = False):
         outcomes = scanner_outcomes.Outcomes(path, None)

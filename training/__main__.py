@@ -16,10 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from msal_cli import codecs as files
+from msal_cli import codecs
+from msal_cli.codecs import detection
 from msal_cli.kernels.normal_descriptors import VECTORS, WIDE_FILTERED
 from msal_cli.kernels.normal_regression import Network
 from msal_cli.methods._cascade import write_networks
+from msal_cli.storage import gzip_streams
 from training.regression import Schedule, train_network
 from training.samples import NoisyMesh, Shape, collect_samples, draw_meshes
 from training.shapes import build_shapes
@@ -86,8 +88,8 @@ def main(words: list[str] | None = None) -> int:
 def read_meshes(folder: Path) -> Iterator[Shape]:
     """The meshes of a folder, those of a name with a suffix that msal reads, in their order."""
     for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in files.readable_suffixes():
-            mesh_file = files.open_mesh(files.read_whole(str(path)), path.name)
+        if path.suffix.lower() in detection.readable_suffixes():
+            mesh_file = codecs.open_mesh(gzip_streams.read_whole(str(path)), path.name)
             yield path.name, mesh_file.vertices, mesh_file.faces
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from msal_cli.errors import ContentError
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.normal_regression import Descriptors, Network
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
 from msal_cli.methods._cascade import Cascade
 from msal_cli.methods.learned import STAGE_PASSES
 from training.noise_mixture import draw_noise
@@ -118,7 +118,7 @@ def coarsen(vertices: Floats, faces: Ints, generator: Generator) -> tuple[Floats
 
 def roughen(vertices: Floats, faces: Ints, generator: Generator) -> tuple[Floats, Ints]:
     """The mesh with relief along its normals: waves 3 to 10 edges long, or ridges of them."""
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     edge = mesh.mean_edge_length
     wavelength = edge * float(np.exp(generator.uniform(np.log(3.0), np.log(10.0))))
     ways = generator.standard_normal((N_WAVES, 3))
@@ -161,8 +161,8 @@ def draw_meshes(shapes: Iterable[Shape], copies: int, generator: Generator) -> l
 
 
 def _add_noise(vertices: Floats, faces: Ints, generator: Generator) -> NoisyMesh:
-    clean = prepared(vertices, faces[choose_patch(vertices, faces, generator)]).mesh
-    noisy = clean.moved(draw_noise(clean, generator))
+    clean = prepare_mesh(vertices, faces[choose_patch(vertices, faces, generator)]).mesh
+    noisy = clean.with_vertices(draw_noise(clean, generator))
     truth = face_normals(clean.vertices, clean.faces)
     return _start(noisy, clean.vertices, truth, generator)
 
@@ -170,7 +170,7 @@ def _add_noise(vertices: Floats, faces: Ints, generator: Generator) -> NoisyMesh
 def _scan(vertices: Floats, faces: Ints, generator: Generator) -> NoisyMesh | None:
     """A part of a simulated scan; None where its faces cannot be taken as they are."""
     try:
-        scan = draw_scan(prepared(vertices, faces).mesh, generator)
+        scan = draw_scan(prepare_mesh(vertices, faces).mesh, generator)
     except ContentError:
         return None
     points, triangles, true_points, truth = scan
@@ -180,8 +180,12 @@ def _scan(vertices: Floats, faces: Ints, generator: Generator) -> NoisyMesh | No
     used = np.unique(triangles[chosen])
     number = np.zeros(len(points), dtype=np.int32)
     number[used] = np.arange(len(used))
-    noisy = prepared(points[used], number[triangles[chosen]])
-    if noisy.place is not None or noisy.defects.turned_faces or len(noisy.mesh.faces) < len(chosen):
+    noisy = prepare_mesh(points[used], number[triangles[chosen]])
+    if (
+        noisy.vertex_map is not None
+        or noisy.defects.turned_faces
+        or len(noisy.mesh.faces) < len(chosen)
+    ):
         return None
     return _start(noisy.mesh, true_points[used] - noisy.origin, truth[chosen], generator)
 
@@ -194,7 +198,7 @@ def _start(mesh: Mesh, true_vertices: Floats, truth: Floats, generator: Generato
 def draw_estimate(mesh: Mesh, true_vertices: Floats, generator: Generator) -> float | None:
     """What the estimate may say of the noise of a mesh: nearly right, too low, or nothing."""
     heights = np.einsum("ij,ij->i", mesh.vertices - true_vertices, mesh.vertex_normals())
-    among = mesh.links.has_ring
+    among = mesh.topology.has_ring
     typical = float(np.median(np.abs(heights[among]))) / 0.6745
     square = float(np.sqrt((heights[among] ** 2).mean()))
     share = generator.random()

@@ -167,7 +167,7 @@ def add_noise(mesh: Mesh, noise: AddedNoise, weights: Floats | None = None) -> F
         return result
     if noise.kind == "mixed":
         lengths, angles = draw.standard_normal(n), draw.uniform(0.0, 2.0 * np.pi, n)
-        first, second = _across(normals)
+        first, second = _tangents(normals)
         across = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
         return mesh.vertices + amount * (heights[:, None] * normals + lengths[:, None] * across)
     heights = amount * share_over_rings(mesh, heights, noise.count_rings())
@@ -188,7 +188,9 @@ def add_noise(mesh: Mesh, noise: AddedNoise, weights: Floats | None = None) -> F
     return result
 
 
-def noisy(mesh: Mesh, kind: str, level: float, seed: int, fraction: float = 0.1) -> Floats:
+def add_plain_noise(
+    mesh: Mesh, kind: str, level: float, seed: int, fraction: float = 0.1
+) -> Floats:
     """Short for ``add_noise`` where a kind has no other settings."""
     return add_noise(mesh, AddedNoise(kind, level, seed, fraction))
 
@@ -203,12 +205,12 @@ def share_over_rings(mesh: Mesh, heights: Floats, rings: int) -> Floats:
 
     if not rings:
         return heights
-    ring_start, ring = mesh.links.ring_start, mesh.links.ring
+    ring_start, ring = mesh.topology.ring_start, mesh.topology.ring
     counts = np.diff(ring_start).astype(np.float64)
     for _ in range(rings):
         means = ring_means(heights, ring_start, ring)
         heights = (counts * means + heights) / (counts + 1.0)
-    used = heights[mesh.links.has_ring]
+    used = heights[mesh.topology.has_ring]
     return heights / math.sqrt(float((used * used).mean()))
 
 
@@ -250,7 +252,7 @@ def _regional_weights(
     if noise.kind not in ("half", "ramp"):
         return np.ones(len(mesh.vertices))
     depths = (mesh.vertices * axis).sum(axis=1)
-    used = depths[mesh.links.has_ring]
+    used = depths[mesh.topology.has_ring]
     low, extent = float(used.min()), float(np.ptp(used))
     if not extent:
         # A flat sheet seen head-on is all in the middle.
@@ -265,7 +267,7 @@ def _regional_weights(
     return smooth
 
 
-def _across(normals: Floats) -> tuple[Floats, Floats]:
+def _tangents(normals: Floats) -> tuple[Floats, Floats]:
     """Two unit vectors (n, 3) each at right angles to the normals and to each other."""
     # From the axis that the normal leans to least.
     axis = np.zeros_like(normals)

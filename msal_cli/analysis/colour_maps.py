@@ -1,6 +1,6 @@
 """Numbers as colours: two maps that are even to the eye and safe for the colour-blind.
 
-The control points stand in OKLab (Ottosson 2020), where equal steps look equally large, and the
+The control points are in OKLab (Ottosson 2020), where equal steps look equally large, and the
 colours between them are found there too.  Lightness never turns back within a map (within each half
 of the diverging one), so that order can be read off without telling hues apart, and in print.
 """
@@ -62,7 +62,7 @@ def map_names() -> tuple[str, ...]:
 
 
 @functools.cache
-def table(map_name: str) -> Colours:
+def colour_table(map_name: str) -> Colours:
     """The colours of a map, (SHADES, 3) from the lowest to the highest; do not write to it."""
     places, lightness, chroma, hue = np.array(_CONTROL_POINTS[map_name]).T
     turned = np.radians(hue)
@@ -81,7 +81,7 @@ def table(map_name: str) -> Colours:
     return colours
 
 
-def mapped(
+def map_colours(
     values: NDArray[np.float64], low: float, high: float, map_name: str = "sequential"
 ) -> Colours:
     """Colours (n, 3) of values (n,): ``low`` gets the map's first one, ``high`` its last.
@@ -90,7 +90,7 @@ def mapped(
     ``low`` equal to ``high`` every value up to them gets the first colour (of the diverging map,
     the middle one), and those beyond the last.
     """
-    colours = table(map_name)
+    colours = colour_table(map_name)
     values = np.asarray(values, dtype=np.float64)
     if high > low:
         with np.errstate(invalid="ignore", over="ignore"):

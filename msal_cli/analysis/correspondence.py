@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.analysis.displacement import (
+from msal_cli.analysis.measures import (
     DisplacementStatistics,
     DistanceStatistics,
     displacement_statistics,
@@ -12,26 +12,28 @@ from msal_cli.analysis.displacement import (
 )
 from msal_cli.analysis.surface_distance import distances_to_surface
 from msal_cli.arrays import Floats, Ints
-from msal_cli.mesh import Mesh, Prepared
+from msal_cli.mesh import Mesh, PreparedMesh
 
 
-def correspond(vertices: Floats, faces: Ints, other_vertices: Floats, other_faces: Ints) -> bool:
+def have_same_faces(
+    vertices: Floats, faces: Ints, other_vertices: Floats, other_faces: Ints
+) -> bool:
     """Whether two files have as many vertices and the very same faces, in the same order."""
     return len(vertices) == len(other_vertices) and np.array_equal(faces, other_faces)
 
 
-def at_other_positions(ready: Prepared, vertices: Floats) -> Mesh:
+def at_other_positions(ready: PreparedMesh, vertices: Floats) -> Mesh:
     """The prepared mesh with its vertices where ``vertices`` (n_file, 3) of another file are.
 
     Of file vertices that are one in the mesh the first counts; see ``Prepared.seam_gap``.
     """
-    if ready.place is None:
-        return ready.mesh.moved(vertices - ready.origin)
+    if ready.vertex_map is None:
+        return ready.mesh.with_vertices(vertices - ready.origin)
     positions = np.array(ready.mesh.vertices)
     # The first comes last, and so prevails.
-    there = np.flatnonzero(ready.place >= 0)[::-1]
-    positions[ready.place[there]] = vertices[there] - ready.origin
-    return ready.mesh.moved(positions)
+    there = np.flatnonzero(ready.vertex_map >= 0)[::-1]
+    positions[ready.vertex_map[there]] = vertices[there] - ready.origin
+    return ready.mesh.with_vertices(positions)
 
 
 def vertex_error_percent(reference: Mesh, statistics: DisplacementStatistics) -> float:
@@ -39,9 +41,9 @@ def vertex_error_percent(reference: Mesh, statistics: DisplacementStatistics) ->
     return 100.0 * statistics.mean / reference.mean_edge_length
 
 
-def moved_statistics(before: Mesh, after: Mesh) -> DisplacementStatistics:
+def displacement_of_moved(before: Mesh, after: Mesh) -> DisplacementStatistics:
     """How far the vertices that faces use are apart in two meshes with the same faces."""
-    return displacement_statistics(before.vertices, after.vertices, before.links.has_ring)
+    return displacement_statistics(before.vertices, after.vertices, before.topology.has_ring)
 
 
 def vertex_distances(before: Floats, after: Floats) -> Floats:
@@ -53,7 +55,7 @@ def vertex_distances(before: Floats, after: Floats) -> Floats:
 
 def used_vertices(mesh: Mesh) -> Floats:
     """Positions (k, 3) of the vertices that faces use."""
-    has_ring = mesh.links.has_ring
+    has_ring = mesh.topology.has_ring
     return mesh.vertices if has_ring.all() else mesh.vertices[has_ring]
 
 

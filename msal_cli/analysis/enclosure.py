@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.surface import SurfaceChange
-from msal_cli.analysis.volume import area_and_volume, is_negative
+from msal_cli.analysis.measures import SurfaceChange, area_and_volume, is_negative
 from msal_cli.arrays import Floats
-from msal_cli.mesh import Defects, Mesh, Prepared
+from msal_cli.mesh import Defects, Mesh, PreparedMesh
 
 MOST_PARTS = 1000
 """Parts beyond which only the sum of all is looked at: each is compared with each other."""
@@ -79,7 +78,7 @@ class Enclosure:
         return signs
 
 
-def enclosure(ready: Prepared) -> Enclosure:
+def measure_enclosure(ready: PreparedMesh) -> Enclosure:
     """What a surface encloses; one that has no volume has no inside."""
     return enclosure_of(ready.mesh, ready.defects, *area_and_volume(ready.mesh))
 
@@ -90,13 +89,13 @@ def enclosure_of(mesh: Mesh, defects: Defects, area: float, volume: float) -> En
     if defects.volume_objection:
         return Enclosure(None, 0, n_parts)
     if 1 < n_parts <= MOST_PARTS:
-        return _of_parts(mesh)
+        return _enclosure_by_part(mesh)
     if is_negative(volume, area):
         return Enclosure(np.ones(len(mesh.faces), dtype=bool), n_parts, n_parts)
     return Enclosure(None, 0, n_parts)
 
 
-def _of_parts(mesh: Mesh) -> Enclosure:
+def _enclosure_by_part(mesh: Mesh) -> Enclosure:
     from msal_cli.kernels.components import component_labels
 
     labels = component_labels(len(mesh.vertices), mesh.faces)
@@ -126,7 +125,7 @@ def _negative_parts(mesh: Mesh, parts: NDArray[np.intp], n_parts: int) -> NDArra
 
 def _boxes(mesh: Mesh, parts: NDArray[np.intp], n_parts: int) -> tuple[Floats, Floats]:
     """Least and greatest coordinates (n_parts, 3) of the vertices that faces use, by part."""
-    used = np.flatnonzero(mesh.links.has_ring)
+    used = np.flatnonzero(mesh.topology.has_ring)
     order = used[np.argsort(parts[used], kind="stable")]
     starts = np.searchsorted(parts[order], np.arange(n_parts))
     positions = mesh.vertices[order]

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msal_cli.analysis.surface import SurfaceChange
-from msal_cli.analysis.volume import relative_volume_change
+from msal_cli.analysis.measures import SurfaceChange, relative_volume_change
 from msal_cli.mesh import Mesh
 
 FLIPPED_SHARE = 0.02
@@ -73,7 +72,7 @@ def harmful_change(
 def folded_faces(mesh: Mesh) -> int:
     """How many faces face away from the mollified normals at their corners.
 
-    Beyond ``MOST_SAMPLED`` faces those are counted that stand at even distances, and stand for all.
+    Of more than ``MOST_SAMPLED`` faces every k-th one is counted, and the count is scaled.
     """
     from msal_cli.kernels.geometry import face_normals
 

@@ -85,11 +85,11 @@ class Outliers:
 def find_outliers(mesh: Mesh) -> Outliers:
     """The outliers of a mesh, and their places on the surface.
 
-    A vertex is held against a robust fit of degree 2 to its two-ring without itself: how far it is
+    A vertex is compared with a robust fit of degree 2 to its two-ring without itself: how far it is
     across and along the surface, how rough its faces make the surface, and how rough it would be
     with the vertex in its place.  All is in units of the local edges, less what noise and texture
     around it explain.  Corners, edges and tips that their faces around them go on are smooth that
-    way.  Held vertices, and those on open borders, are never outliers.  It costs about as much as
+    way.  Fixed vertices, and those on open borders, are never outliers.  It costs about as much as
     one sweep where there are none.
     """
     return _Search(mesh).run()
@@ -103,16 +103,16 @@ class _Search:
         self.mesh = mesh
         self.positions = mesh.vertices
         self.agreements = np.ones(n)
-        self.may_move = mesh.links.has_ring.copy()
-        if mesh.held is not None:
-            self.may_move &= ~mesh.held
+        self.may_move = mesh.topology.has_ring.copy()
+        if mesh.fixed_vertices is not None:
+            self.may_move &= ~mesh.fixed_vertices
         self.scores = np.full(n, outliers.NOT_JUDGED)
         self.flags = np.zeros(n, dtype=np.bool_)
 
     def run(self) -> Outliers:
         """All passes."""
         mesh = self.mesh
-        n_used = max(int(np.count_nonzero(mesh.links.has_ring)), 1)
+        n_used = max(int(np.count_nonzero(mesh.topology.has_ring)), 1)
         self._score(np.ones(len(self.flags), dtype=np.bool_))
         if not (self.scores > BOUND).any():
             return Outliers(self.flags, mesh.vertices, False, 0.0)
@@ -120,7 +120,7 @@ class _Search:
         bound = BOUND
         self.positions = mesh.vertices.copy()
         for _ in range(MOST_PASSES):
-            found = outliers.pick(self.scores, bound, mesh.links)
+            found = outliers.pick(self.scores, bound, mesh.topology)
             if len(found):
                 are_certain = are_certain or bool((self.scores[found] > CERTAIN).any())
                 self.flags[found] = True
@@ -135,16 +135,16 @@ class _Search:
                 break
         for _ in range(RETURNS):
             self._bring_back(np.flatnonzero(self.flags))
-        self._let_go(bound)
+        self._restore_inliers(bound)
         share = int(np.count_nonzero(self.flags)) / n_used
         are_clear = (are_certain or share >= FEWEST) and self._are_beyond(self._noise().rms_edges)
         return Outliers(self.flags, self.positions, are_clear, share)
 
     def _noise(self) -> NoiseLevel:
         """The noise of all others."""
-        from msal_cli.analysis.noise_estimate import estimated
+        from msal_cli.analysis.noise_estimate import estimate_noise
 
-        return estimated(self.mesh.moved(self.positions))
+        return estimate_noise(self.mesh.with_vertices(self.positions))
 
     def _are_beyond(self, noise_edges: float) -> bool:
         """Whether the outliers went much further than noise of so many mean edge lengths does."""
@@ -154,7 +154,9 @@ class _Search:
     def _score(self, changed: Flags) -> None:
         """Set the scores of vertices whose surroundings have changed."""
         mesh = self.mesh
-        outliers.measure_agreement(self.positions, mesh.faces, mesh.links, changed, self.agreements)
+        outliers.measure_agreement(
+            self.positions, mesh.faces, mesh.topology, changed, self.agreements
+        )
         self.scores[changed] = outliers.NOT_JUDGED
         chosen = np.flatnonzero(changed & self.may_move & ~self.flags & (self.agreements < ROUGH))
         self.scores[chosen], _ = self._judge(chosen, is_known=False)
@@ -167,7 +169,7 @@ class _Search:
             mesh.vertices[chosen],
             self.positions,
             mesh.faces,
-            mesh.links,
+            mesh.topology,
             self.agreements,
             mesh.mean_edge_length,
             is_known,
@@ -178,7 +180,7 @@ class _Search:
         _, targets = self._judge(found)
         self._move(found, targets)
 
-    def _let_go(self, bound: float) -> None:
+    def _restore_inliers(self, bound: float) -> None:
         """Put back what is no outlier any more now that its neighbours are in their places."""
         found = np.flatnonzero(self.flags)
         scores, _ = self._judge(found)
@@ -189,7 +191,7 @@ class _Search:
 
     def _move(self, which: Longs, targets: Floats) -> None:
         self.positions[which] = targets
-        self._score(outliers.mark_two_rings(which, self.mesh.links))
+        self._score(outliers.mark_two_rings(which, self.mesh.topology))
 
 
 def _more_likely(share: float) -> float:

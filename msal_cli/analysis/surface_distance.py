@@ -113,20 +113,20 @@ def distances_to_triangles(points: Floats, corners: Floats) -> Floats:
     best = np.full(len(points), np.inf)
     first, second, third = corners[:, 0], corners[:, 1], corners[:, 2]
     normals = np.cross(second - first, third - first)
-    squared = _dotted(normals, normals)
+    squared = _dot_rows(normals, normals)
     within = squared > 0.0
     for start, end in ((first, second), (second, third), (third, first)):
         edge, offset = end - start, points - start
-        length = _dotted(edge, edge)
-        share = _dotted(offset, edge) / np.where(length > 0.0, length, 1.0)
+        length = _dot_rows(edge, edge)
+        share = _dot_rows(offset, edge) / np.where(length > 0.0, length, 1.0)
         rest = offset - np.clip(share, 0.0, 1.0)[:, None] * edge
-        np.minimum(best, _dotted(rest, rest), out=best)
-        within &= _dotted(np.cross(edge, offset), normals) >= 0.0
-    height = _dotted(points - first, normals)
+        np.minimum(best, _dot_rows(rest, rest), out=best)
+        within &= _dot_rows(np.cross(edge, offset), normals) >= 0.0
+    height = _dot_rows(points - first, normals)
     flat = height * height / np.where(squared > 0.0, squared, 1.0)
     return np.sqrt(np.where(within, np.minimum(flat, best), best))
 
 
-def _dotted(first: Floats, second: Floats) -> Floats:
+def _dot_rows(first: Floats, second: Floats) -> Floats:
     products: Floats = np.einsum("ij,ij->i", first, second)
     return products

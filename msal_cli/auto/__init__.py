@@ -26,7 +26,7 @@ __all__ = [
     "NONE",
     "Choice",
     "Wishes",
-    "chosen",
+    "choose_method",
 ]
 
 METHODS = (
@@ -56,7 +56,7 @@ BYTES = 25_000_000
 run on a part of it.  Measured by benchmarks/peak_memory.py, as ``auto``."""
 
 
-def chosen(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
+def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
     """The method and the parameters for ``mesh``.
 
     Vertices that the mesh holds stay where they are.  Where it has trust (``Mesh.trust``) the
@@ -64,4 +64,4 @@ def chosen(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
     """
     from msal_cli.auto import search
 
-    return search.chosen(mesh, wishes, on_step)
+    return search.search(mesh, wishes, on_step)

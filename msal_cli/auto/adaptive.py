@@ -18,24 +18,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from msal_cli import methods
-from msal_cli.analysis.noise_estimate import SURE, NoiseLevel, estimated
+from msal_cli.analysis.noise_estimate import SURE, NoiseLevel, estimate_noise
 from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.arrays import Floats
 from msal_cli.auto.blend_weights import FLOOR
 from msal_cli.auto.candidates import Candidate, wiener_al
-from msal_cli.auto.evidence_words import describe_noise
+from msal_cli.auto.choices import build_recipe, describe_noise
 from msal_cli.auto.levels import FEWEST_JUDGED, RELAX, level_masks, spread_levels
 from msal_cli.auto.noise_model import ISOTROPIC, NoiseModel, build_model
-from msal_cli.auto.recipe import recipe
-from msal_cli.auto.risk import Risk, Stein
-from msal_cli.auto.sample_patch import Part, representative
+from msal_cli.auto.risk import DRAWN, SteinRisk
+from msal_cli.auto.sample_patch import Part, select_patch
+from msal_cli.auto.trials import CandidateRuns
 from msal_cli.auto.wishes import FAMILY, NONE, Choice
 from msal_cli.methods._triangles import even_out
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from msal_cli.auto.wishes import OnStep
     from msal_cli.mesh import Mesh
 
@@ -56,31 +53,31 @@ MARGIN = 0.1
 usual one: as much as one probe scatters."""
 
 
-def chosen(mesh: Mesh, on_step: OnStep | None = None) -> Choice:
+def choose_adaptive(mesh: Mesh, on_step: OnStep | None = None) -> Choice:
     """Parameters for ``mesh`` within the family of equation (2), or none.
 
     The choice depends on the mesh alone.
     """
     step = on_step or (lambda done, total: None)
-    choice = _chosen(mesh, step)
+    choice = _choose(mesh, step)
     step(1, 1)
     return choice
 
 
-def _chosen(mesh: Mesh, on_step: OnStep) -> Choice:
-    noise = estimated(mesh)
-    n_used = int(np.count_nonzero(mesh.links.has_ring))
+def _choose(mesh: Mesh, on_step: OnStep) -> Choice:
+    noise = estimate_noise(mesh)
+    n_used = int(np.count_nonzero(mesh.topology.has_ring))
     if n_used < FEWEST_VERTICES:
-        return _none(noise, f"{n_used:,} vertices are too few to tell noise from shape")
+        return _keep_input(noise, f"{n_used:,} vertices are too few to tell noise from shape")
     if noise.is_negligible and noise.high < SURE:
-        return _none(noise, f"noise {noise.mean_edges:.2g} e; clean")
+        return _keep_input(noise, f"noise {noise.mean_edges:.2g} e; clean")
     if noise.is_negligible:
         what = f"noise not separable from texture, at most {noise.high:.2g} e"
         candidate = wiener_al(noise.high)
-        made = recipe([candidate], np.ones((1, 1)), round(noise.high, 4))
+        made = build_recipe([candidate], np.ones((1, 1)), round(noise.high, 4))
         reason = f"{what}; {made.label}"
         return Choice(made.method, made.parameters, reason, None, noise, among=FAMILY)
-    return _by_risk(mesh, noise, on_step)
+    return _choose_by_risk(mesh, noise, on_step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +101,7 @@ class _Case:
     relax: int
 
 
-def _case(mesh: Mesh, noise: NoiseLevel) -> _Case:
+def _build_case(mesh: Mesh, noise: NoiseLevel) -> _Case:
     model = build_model(mesh, noise)
     relax, local = 0, np.empty(0)
     levels: tuple[float, ...] = ()
@@ -113,33 +110,25 @@ def _case(mesh: Mesh, noise: NoiseLevel) -> _Case:
         relax = RELAX if model.direction == ISOTROPIC else 0
         if model.shares is not None:
             local = local_levels(mesh)
-            levels = spread_levels(local[mesh.links.has_ring])
+            levels = spread_levels(local[mesh.topology.has_ring])
     model = model.along_normals() if model.direction == ISOTROPIC else model
     loudest = levels[-1] * mesh.mean_edge_length if levels else 0.0
     base = even_out(mesh, relax)
-    height = model.height(mesh.links.has_ring, mesh.vertex_normals("uniform", 1))
+    height = model.height(mesh.topology.has_ring, mesh.vertex_normals("uniform", 1))
     edges = max(height, loudest) / base.mean_edge_length
     return _Case(base, model, edges, local, levels, relax)
 
 
-def _by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep) -> Choice:
-    case = _case(mesh, noise)
+def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep) -> Choice:
+    case = _build_case(mesh, noise)
     mesh = case.mesh
     candidates = _candidates(mesh, case.edges, case.model.rings)
     what = describe_noise(noise)
     if noise.is_impulsive or not case.model.is_gaussian:
         # Stein's lemma holds for Gaussian noise.
-        return _choice(case, noise, candidates[0], np.ones(1))
-    part = representative(mesh, PART, SEEDS)
-    edges = round(case.edges * mesh.mean_edge_length / part.mesh.mean_edge_length, 4)
-    usual, *others = [_run(one, edges) for one in candidates]
-    moves = usual(part.mesh)
-    first = part.mesh.moved(part.mesh.vertices + moves)
-    # What the usual one does to the part itself is known.
-    runs = [lambda mesh: moves if mesh is part.mesh else usual(mesh), *others]
-    model = case.model.on_part(part.numbers)
-    judge = Stein(part, model, first.vertex_normals("uniform"), PROBES)
-    total = len(runs) * (1 + PROBES) + 1
+        return _build_choice(case, noise, candidates[0], np.ones(1))
+    part = select_patch(mesh, PART, SEEDS)
+    total = len(candidates) * (1 + PROBES) + 1
     done = 0
 
     def count() -> None:
@@ -147,25 +136,30 @@ def _by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep) -> Choice:
         done += 1
         on_step(done, total)
 
-    for run in runs:
-        judge.add(run, count)
+    model = case.model.on_part(part.numbers)
+    edges = case.edges * mesh.mean_edge_length / part.mesh.mean_edge_length
+    runs = CandidateRuns(part, model, DRAWN, count, edges)
+    first = runs.positions(candidates[:1], np.ones(1))
+    judge = runs.by_stein(candidates, first, PROBES)
     risk = judge.risk()
-    scores = _scores(risk)
+    places, tilts = risk.log_errors(FLOOR)
+    # 0 is the error of the input.
+    scores = places + tilts
     scores[0] -= MARGIN
     order = np.argsort(scores, kind="stable").tolist()
     if scores[order[0]] >= 0.0:
-        return _none(noise, f"{what}; every setting would add more error than it takes away")
+        return _keep_input(noise, f"{what}; every setting would add more error than it takes away")
     unit = model.height(part.judged) / mesh.mean_edge_length
     errors = np.sqrt(np.maximum(risk.positions.singles(), 0.0)) * unit
     next_best = tuple((candidates[k].label, float(errors[k])) for k in order[1:])
     weights = _weights(case, part, judge, order[0])
-    choice = _choice(case, noise, candidates[order[0]], weights)
+    choice = _build_choice(case, noise, candidates[order[0]], weights)
     return dataclasses.replace(
-        choice, risk=float(errors[order[0]]), tried=len(runs), runners_up=next_best
+        choice, risk=float(errors[order[0]]), tried=len(candidates), runners_up=next_best
     )
 
 
-def _weights(case: _Case, part: Part, judge: Stein, at: int) -> Floats:
+def _weights(case: _Case, part: Part, judge: SteinRisk, at: int) -> Floats:
     """How much of a setting is best at each level of local noise, by Stein's lemma."""
     weights = []
     for judged in level_masks(part, case.local, case.levels) if case.levels else ():
@@ -178,14 +172,6 @@ def _weights(case: _Case, part: Part, judge: Stein, at: int) -> Floats:
     return np.array(weights) if any(weights) else np.ones(1)
 
 
-def _scores(risk: Risk) -> Floats:
-    """Logarithms of the errors of positions and slopes together (k,); 0 is that of the input."""
-    places = np.log(np.maximum(risk.positions.singles(), FLOOR))
-    tilts = np.log(np.maximum(risk.slopes.singles(), FLOOR))
-    scores: Floats = places + tilts
-    return scores
-
-
 def _candidates(mesh: Mesh, level: float, rings: int) -> list[Candidate]:
     """What is tried, the usual one first; with trust only what has a data term."""
     robust = Candidate("msal", {"schedule": "robust", "K": 0.2, "iterations": 3}, 1.0)
@@ -194,24 +180,12 @@ def _candidates(mesh: Mesh, level: float, rings: int) -> list[Candidate]:
     return found if mesh.trust is not None else [*found, single]
 
 
-def _run(candidate: Candidate, edges: float) -> Callable[[Mesh], Floats]:
-    """What the candidate moves a mesh by, for noise of so many mean edge lengths."""
-    method = methods.find(candidate.method)
-    parameters = method.settled(candidate.settings(edges))
-
-    def run(mesh: Mesh) -> Floats:
-        moves: Floats = method.denoised(mesh, parameters).vertices - mesh.vertices
-        return moves
-
-    return run
-
-
-def _none(noise: NoiseLevel, why: str) -> Choice:
+def _keep_input(noise: NoiseLevel, why: str) -> Choice:
     return Choice(NONE, {}, f"{why}; left as it is", None, noise, among=FAMILY)
 
 
-def _choice(case: _Case, noise: NoiseLevel, candidate: Candidate, weights: Floats) -> Choice:
+def _build_choice(case: _Case, noise: NoiseLevel, candidate: Candidate, weights: Floats) -> Choice:
     levels = case.levels if len(weights) > 1 else ()
-    made = recipe([candidate], weights[:, None], round(case.edges, 4), levels, case.relax)
+    made = build_recipe([candidate], weights[:, None], round(case.edges, 4), levels, case.relax)
     reason = f"{describe_noise(noise)}; {made.label}"
     return Choice(made.method, made.parameters, reason, None, noise, among=FAMILY)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 FLOOR = 0.02
-"""Estimated errors below this part of the input's are not told apart: they are mostly scatter."""
+"""Estimated errors below this share of the input's count as equal: they are mostly scatter."""
 
 ROUNDS = 8
 """Rounds in which the shares of places and slopes follow the errors that are reached."""
@@ -117,7 +117,7 @@ def _least_on(matrix: Floats, vector: Floats, inside: Sequence[int]) -> Floats:
     return solved
 
 
-def rounded(weights: Floats, steps: int = 100) -> Floats:
+def round_weights(weights: Floats, steps: int = 100) -> Floats:
     """The same in whole hundredths, with the sum that the sum itself rounds to.
 
     What is written down is short, and last digits of the arithmetic do not show in it: parts of a

@@ -24,7 +24,7 @@ class Candidate:
         scans are in worse order than those of its torus.
     takes_noise : it has a parameter ``noise``, in mean edge lengths, that it must be given.
     times : how many times the noise it is given, to reach farther.
-    is_last_resort : dear, and worth trying only where others that sharpen edges do well.
+    is_last_resort : expensive, and tried only where other filters that sharpen edges do well.
     """
 
     method: str

@@ -29,8 +29,7 @@ vertices from their places."""
 
 
 def spread_levels(local: Floats) -> tuple[float, ...]:
-    """Levels of local noise (n,) that stand for quiet, usual and loud places; none if they are
-    much alike."""
+    """Levels of local noise (n,) for quiet, usual and loud places; none if they differ little."""
     found: list[float] = []
     for level in np.quantile(local, QUANTILES).tolist():
         if not found or level > LEAST_RATIO * found[-1] + LEAST_GAP:

@@ -8,7 +8,7 @@ One draw is a field of heights along a direction, with a colour and a level by r
     a  the vertex normals, or one axis; isotropic noise has three such fields, one per coordinate
     level_i  one level, or that of the region
 
-Its covariance is what Stein's lemma and a rehearsal need, and both need only draws of it.
+Stein's lemma and simulations need only draws from it.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class NoiseModel:
         return dataclasses.replace(self, shares=self.shares[numbers])
 
     def variance(self, judged: NDArray[np.bool_]) -> float:
-        """Mean of the squared displacement over the vertices that are ``judged``, file units."""
+        """Mean of the squared displacement over the ``judged`` vertices, file units."""
         coordinates = 3.0 if self.direction == ISOTROPIC else 1.0
         if self.shares is None or not judged.any():
             return coordinates * self.level * self.level
@@ -108,7 +108,7 @@ class NoiseModel:
     def draw(self, mesh: Mesh, normals: Floats, generator: np.random.Generator) -> Floats:
         """One field of displacements (n, 3), file units; ``normals`` (n, 3) are those of the
         surface without the noise."""
-        return self.displaced(mesh, normals, lambda: generator.standard_normal(len(mesh.vertices)))
+        return self.displace(mesh, normals, lambda: generator.standard_normal(len(mesh.vertices)))
 
     def probe(self, mesh: Mesh, normals: Floats, generator: np.random.Generator) -> Floats:
         """A field (n, 3) of the same covariance for measuring a divergence, which scatters less:
@@ -117,9 +117,9 @@ class NoiseModel:
         def signs() -> Floats:
             return np.where(generator.random(len(mesh.vertices)) < 0.5, -1.0, 1.0)
 
-        return self.displaced(mesh, normals, signs)
+        return self.displace(mesh, normals, signs)
 
-    def displaced(self, mesh: Mesh, normals: Floats, numbers: Callable[[], Floats]) -> Floats:
+    def displace(self, mesh: Mesh, normals: Floats, numbers: Callable[[], Floats]) -> Floats:
         """Displacements (n, 3) made of ``numbers``, uncorrelated (n,) of variance 1 at each
         call."""
         count = 3 if self.direction == ISOTROPIC else 1
@@ -151,7 +151,7 @@ def build_model(mesh: Mesh, noise: NoiseLevel) -> NoiseModel:
     # Along an axis, regions differ by their slope.
     if noise.is_uneven and not noise.is_impulsive and character.axis is None and level > 0.0:
         local = np.maximum(local_levels(mesh) * (mesh.mean_edge_length / level), QUIETEST)
-        used = local[mesh.links.has_ring]
+        used = local[mesh.topology.has_ring]
         shares = local / math.sqrt(float((used * used).mean()))
     return NoiseModel(
         level,

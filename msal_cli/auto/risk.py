@@ -8,19 +8,20 @@ error over the vertices is a quadratic in w,
 for noisy positions y = t + noise.  M can be seen; the truth t, and so b and c, cannot.  Two ways to
 know them, which err differently:
 
-``Stein`` takes the mesh as it is.  With Gaussian noise of covariance C the mean of <d_k, noise> is
-the trace of C times the derivative of d_k (Stein's lemma), and that is measured with probes u that
-are drawn from the same covariance: u . (d_k(y + e u) - d_k(y)) / e.  So any colour, direction and
-level by region will do.
+``SteinRisk`` takes the mesh as it is.  With Gaussian noise of covariance C the mean of <d_k, noise>
+is the trace of C times the derivative of d_k (Stein's lemma), and that is measured with probes u
+that are drawn from the same covariance: u . (d_k(y + e u) - d_k(y)) / e.  So any colour, direction
+and level by region will do.
 
-``Rehearsal`` takes a mesh whose truth is known: a first result stands for the truth, noise of the
-same kind is put on it, and every filter is run on that.  Of noise of an unknown kind that is what
-the first result took away, with the other sign: of the same colour, direction and level everywhere.
+``SimulatedRisk`` takes a mesh whose truth is known: a first result is taken as the truth, noise of
+the same kind is added to it, and every filter is run on that.  Of noise of an unknown kind that is
+what the first result took away, with the other sign: of the same colour, direction and level
+everywhere.
 
 Both are taken for the positions, and for the slopes, the differences along edges over their
 length, which the angles between face normals follow.  Where noise is in all directions the whole
 difference counts, not only its part across the surface: it also tells how jagged triangles are.
-Vertices that are not judged do not count.
+Only ``judged`` vertices count.
 """
 
 from __future__ import annotations
@@ -52,14 +53,14 @@ PROBE_STEP = 0.1
 """How far a probe moves vertices, in standard deviations of the noise."""
 
 DRAWN, DEALT, MIRRORED = "drawn", "dealt", "mirrored"
-"""What a rehearsal puts on a first result."""
+"""What a simulation adds to a first result."""
 
 SHORTEST_EDGE = 0.3
 """In mean edge lengths: shorter ones are taken for so long, or single slivers would count for
 all."""
 
 LEAST_SHARE = 1e-9
-"""Noise in parts of the moves, as squares: less is taken for so much where moves are judged."""
+"""Noise in parts of the moves, as squares: a smaller value counts as this one."""
 
 LEAST_NOISE = 1e-6
 """In mean edge lengths: less noise is taken for so much, for errors are in parts of it."""
@@ -116,6 +117,11 @@ class Risk:
         positions, slopes = self.positions.of(members), self.slopes.of(members)
         return Risk(positions, slopes, self.drift[rows], self.importance)
 
+    def log_errors(self, floor: float) -> tuple[Floats, Floats]:
+        """Logarithms of the errors of positions and of slopes (k,), each at least ``floor``."""
+        positions = np.log(np.maximum(self.positions.singles(), floor))
+        return positions, np.log(np.maximum(self.slopes.singles(), floor))
+
     def counted(self, importance: float) -> Risk:
         """The same, of another importance beside other estimates of the same filters."""
         return Risk(self.positions, self.slopes, self.drift, importance)
@@ -123,7 +129,7 @@ class Risk:
 
 @dataclass(frozen=True, eq=False)
 class _Slopes:
-    """Differences of moves along the judged edges of a mesh, over the edges' lengths: of heights
+    """Differences of moves along the evaluated edges of a mesh, over the edges' lengths: of heights
     along ``directions`` (e, 3), or whole where these are numbers (e, 1)."""
 
     first: NDArray[np.int32]
@@ -142,8 +148,8 @@ def _slopes(
     mesh: Mesh, normals: Floats, judged: NDArray[np.bool_], is_isotropic: bool = False
 ) -> _Slopes:
     """Lengths are those along the surface: across it edges are as long as the noise makes them,
-    which would tie the slope to the very noise that is to be judged."""
-    links = mesh.links
+    which would make the slope depend on the noise that is to be evaluated."""
+    links = mesh.topology
     counts = np.diff(links.ring_start)
     first = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     kept = (first < links.ring) & judged[first] & judged[links.ring]
@@ -173,7 +179,7 @@ def _gram(rows: Floats) -> Floats:
     return gram
 
 
-class Stein:
+class SteinRisk:
     """The risk by Stein's lemma, for filters that are added one after the other.
 
     ``normals`` (m, 3) are the directions that ``noise`` is along, if it is along normals: those of
@@ -191,7 +197,7 @@ class Stein:
             generator = np.random.Generator(np.random.PCG64(probe + 1))
             push = self._noise.probe(mesh, normals, generator)
             self._pushes.append(push)
-            self._probes.append(mesh.moved(mesh.vertices + PROBE_STEP * push))
+            self._probes.append(mesh.with_vertices(mesh.vertices + PROBE_STEP * push))
         self._moves: list[Floats] = []
         self._changes: list[list[Floats]] = []
 
@@ -238,7 +244,7 @@ class Stein:
         )
 
 
-class Rehearsal:
+class SimulatedRisk:
     """Filters on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with ``noise``.
 
     ``added`` says what is put on it: noise that is ``DRAWN``; or ``DEALT``, with heights that the
@@ -256,7 +262,7 @@ class Rehearsal:
         on_run: Callable[[], object],
     ) -> None:
         self._part, self._noise = part, _at_least(noise, part.mesh)
-        truth = part.mesh.moved(pilot)
+        truth = part.mesh.with_vertices(pilot)
         self._normals = truth.vertex_normals("uniform")
         generator = np.random.Generator(np.random.PCG64(PROBES + 1))
         taken = part.mesh.vertices - pilot
@@ -267,12 +273,12 @@ class Rehearsal:
             heights -= np.median(heights)
             spread = float(heights[part.judged].std()) if part.judged.any() else 0.0
             if added == DEALT and spread > 0.0:
-                moved = self._noise.displaced(
+                moved = self._noise.displace(
                     truth, self._normals, lambda: generator.permutation(heights) / spread
                 )
             else:
                 moved = self._noise.draw(truth, self._normals, generator)
-        self._noisy = truth.moved(pilot + moved)
+        self._noisy = truth.with_vertices(pilot + moved)
         self._back = pilot - self._noisy.vertices
         self._moves = np.empty((len(runs), *pilot.shape))
         for k, run in enumerate(runs):
@@ -333,6 +339,6 @@ def _drift(mesh: Mesh, seen: Floats, noise: float) -> Floats:
     from msal_cli.kernels.geometry import area_and_volume
 
     area, volume = area_and_volume(mesh.vertices, mesh.faces)
-    inner = ~mesh.links.boundary[:, None]
+    inner = ~mesh.topology.boundary[:, None]
     swept = [area_and_volume(mesh.vertices + inner * move, mesh.faces)[1] - volume for move in seen]
     return np.array(swept) / max(area * noise, np.finfo(float).tiny)

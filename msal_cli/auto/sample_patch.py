@@ -1,4 +1,4 @@
-"""A part of a large mesh that stands for the whole: some patches, spread over it evenly."""
+"""A sample of a large mesh: some patches, spread over it evenly."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ PATCH = 2_000
 """Vertices of a patch, about: in smaller ones too much is near the cut."""
 
 MARGIN = 3
-"""Rings at the cut of a patch that are filtered with it, but not judged: what lies beyond is
-missing there."""
+"""Rings at the cut of a patch that are filtered but not evaluated: their neighbours beyond the cut
+are missing."""
 
 CELLS = 1024
-"""Steps along each axis of the order in which vertices are told apart by place."""
+"""Cells along each axis, for the order of vertices in space."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What stands for a mesh.
+    """A sample of a mesh, or the whole.
 
     Attributes
     ----------
     mesh : the patches as one mesh, or the whole.
-    judged : (m,) bool, vertices of it that count where results are compared.
+    judged : (m,) bool, vertices at which errors are evaluated.
     numbers : (m,) which vertices of the whole these are; None for all of them.
     """
 
@@ -43,21 +43,27 @@ class Part:
     numbers: Ints | None = None
 
 
-def representative(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
+def select_patch(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
     """Patches of about ``most`` vertices together; the whole mesh if it has hardly more.
 
     Patches grow from any vertex, or from one of about ``seeds`` vertices evenly over their numbers:
     to order a million of them by place takes longer than a short search can spend.
 
-    Vertices that the mesh holds are not judged, nor are those that no face has.  The part itself
-    neither holds nor trusts any.
+    Fixed vertices and those that no face uses are not evaluated.  The sample itself has no fixed
+    vertices and no trust.
     """
-    links, n = mesh.links, len(mesh.vertices)
-    judged = links.has_ring if mesh.held is None else links.has_ring & ~mesh.held
+    links, n = mesh.topology, len(mesh.vertices)
+    judged = (
+        links.has_ring if mesh.fixed_vertices is None else links.has_ring & ~mesh.fixed_vertices
+    )
     if n <= most + most // 4:
-        whole = mesh if mesh.held is None and mesh.trust is None else mesh.constrained(None, None)
+        whole = (
+            mesh
+            if mesh.fixed_vertices is None and mesh.trust is None
+            else mesh.with_constraints(None, None)
+        )
         return Part(whole, judged)
-    # Where nobody is judged there is nothing to learn, and patches need not begin there.
+    # Patches begin only at vertices that are evaluated.
     places = np.flatnonzero(judged if judged.any() else links.has_ring)
     if seeds is not None and len(places) > 2 * seeds:
         places = places[:: len(places) // seeds]
@@ -73,7 +79,7 @@ def representative(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
         # A vertex with more neighbours than a patch has room for may leave no face whole.
         chosen = np.flatnonzero(inside[mesh.faces].any(axis=1))[:most]
     used, corners = np.unique(mesh.faces[chosen], return_inverse=True)
-    kept = judged[used] & ~_near_cut(used, links)[used]
+    kept = judged[used] & ~_cut_rings(used, links)[used]
     part = Mesh(mesh.vertices[used], corners.reshape(-1, 3).astype(np.int32))
     return Part(part, kept if kept.any() else judged[used], used)
 
@@ -113,7 +119,7 @@ def _grow(
             front = reached[~inside[reached]][: size - marked]
 
 
-def _near_cut(used: Ints, links: Connectivity) -> Flags:
+def _cut_rings(used: Ints, links: Connectivity) -> Flags:
     """Which vertices (n,) are within ``MARGIN`` rings of one that is not ``used``."""
     near = np.ones(len(links.has_ring), dtype=np.bool_)
     near[used] = False

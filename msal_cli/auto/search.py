@@ -1,11 +1,11 @@
 """The search: candidates on parts of the mesh, their errors estimated, the best blend of them.
 
-1. The noise is estimated.  Where there is none to speak of nothing is done, see ``leaving``.
+1. The noise is estimated.  Where there is none to speak of nothing is done, see ``choices``.
 2. Every candidate that the budget allows runs on a small part of the mesh and on a probe of it, and
    Stein's lemma gives the error of any blend of them; the best blend is a first result.
 3. The members of that and the best by themselves are tried on a larger part.  If the first result
    has sharp edges between smooth parts, or noise could hide them, expensive filters join in.
-4. They rehearse: the best result yet stands for the truth, with noise put on it.
+4. A simulation: the best result so far is taken as the truth, and noise is added to it.
 5. The blend that is best by both estimates is taken, without members that hardly count.  Stein's
    counts the more the less sure it is what is noise and what is texture.
 
@@ -22,27 +22,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from msal_cli import methods
-from msal_cli.analysis.noise_estimate import NoiseLevel, estimated
+from msal_cli.analysis.noise_estimate import NoiseLevel, estimate_noise
 from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.arrays import Flags, Floats
-from msal_cli.auto.blend_weights import FLOOR, best_weights, rounded
+from msal_cli.auto.blend_weights import FLOOR, best_weights, round_weights
 from msal_cli.auto.candidates import CANDIDATES, FARTHER, LEARNED, ROBUST, SMOOTHER, Candidate
-from msal_cli.auto.evidence_words import describe_noise
-from msal_cli.auto.least import SHAPE, STRENGTH, choose_least
+from msal_cli.auto.choices import SHAPE, STRENGTH, build_recipe, choose_least, describe_noise
 from msal_cli.auto.levels import FEWEST_JUDGED, RELAX, level_masks, spread_levels
 from msal_cli.auto.noise_model import ISOTROPIC, build_model
-from msal_cli.auto.recipe import recipe
-from msal_cli.auto.risk import DEALT, DRAWN, MIRRORED, PROBES, Rehearsal, Risk, Stein
-from msal_cli.auto.sample_patch import Part, representative
+from msal_cli.auto.risk import DEALT, DRAWN, MIRRORED, PROBES, Risk, SimulatedRisk, SteinRisk
+from msal_cli.auto.sample_patch import Part, select_patch
 from msal_cli.auto.surface_kind import (
     CLEAN,
     MACHINED,
     ORGANIC,
     TEXTURED,
     is_seen_from_one_side,
-    kind_of,
+    surface_kind,
 )
-from msal_cli.auto.trials import Trials
+from msal_cli.auto.trials import CandidateRuns
 from msal_cli.auto.wishes import NONE, Choice, Wishes
 from msal_cli.mesh import Mesh
 from msal_cli.methods._triangles import even_out
@@ -56,7 +54,8 @@ if TYPE_CHECKING:
 RUN = 1.7
 """What a default run costs beyond its filter, in filters of its kind over the same mesh: reading,
 measuring and writing.  benchmarks/auto_seconds.py measures 2.7 at a million vertices, where the
-filter takes 0.13 s; less is reckoned with, since candidates cost more on scans in a worse order."""
+filter takes 0.13 s; a smaller value is used, since candidates cost more on scans in a worse
+order."""
 
 START = 1_000_000
 """Vertices that the filter would do while a run starts."""
@@ -71,8 +70,8 @@ PART = 6_000
 """Vertices that the best are tried on; on fewer the estimates scatter too much."""
 
 LONGER_LOOK, SECOND_LOOK = 6, 3
-"""The best candidates by themselves that rehearse beside the members of the first blend, and of
-the second."""
+"""The best single candidates that are simulated in addition to the members of the first blend, and
+of the second."""
 
 LEAST_WEIGHT = 0.04
 """Members below this weight are left out."""
@@ -85,8 +84,8 @@ WIDE = 0.3
 """Width of the interval below the level, in parts of it, up to which it is a usual one."""
 
 SURE, UNSURE = 0.13, 0.23
-"""The same width, up to which a rehearsal is believed alone, and from which on
-Stein's risk counts as much."""
+"""The same width, up to which only the simulation counts, and from which on Stein's risk counts as
+much."""
 
 UNEVEN_WIDTH = 0.18
 """The same width, as it is taken for noise that is not the same everywhere."""
@@ -117,14 +116,14 @@ _DRIFT = {"volume": 1000.0}
 _KEEP = {"texture": (0.9, 0.5), "edges": (1.0, 0.7), "shape": (SHAPE, 0.4)}
 
 
-def chosen(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
-    """See ``selection.chosen``."""
-    noise = estimated(mesh)
-    if noise.is_negligible or not mesh.links.has_ring.any():
+def search(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
+    """The best method or blend for ``mesh``; see ``auto.choose_method``."""
+    noise = estimate_noise(mesh)
+    if noise.is_negligible or not mesh.topology.has_ring.any():
         if on_step is not None:
             on_step(1, 1)
         return choose_least(noise, wishes, CLEAN, CLEAN)
-    return _Search(mesh, wishes, noise, on_step).chosen()
+    return _Search(mesh, wishes, noise, on_step).choose()
 
 
 class _Search:
@@ -161,17 +160,17 @@ class _Search:
             self.relax = RELAX
             self.mesh = even_out(mesh, RELAX)
             self.model = self.model.along_normals()
-        # Of the mesh as the blend gets it, and without what is wished.
+        # Of the mesh as the blend gets it, and without the wishes.
         self.local, self.levels = np.empty(0), ()
         if self.model.shares is not None and mesh.trust is None:
             self.local = local_levels(mesh)
-            self.levels = spread_levels(self.local[mesh.links.has_ring])
-        self._whole: Trials | None = None
+            self.levels = spread_levels(self.local[mesh.topology.has_ring])
+        self._whole: CandidateRuns | None = None
 
-    def chosen(self) -> Choice:
+    def choose(self) -> Choice:
         """The best blend, or single method, that the budget allows."""
         usable = [one for one in CANDIDATES if self._is_usable(one)]
-        # A budget of one run leaves nothing for looking around.
+        # A budget of one run leaves nothing for trials.
         usable = usable or [min(CANDIDATES, key=lambda one: one.cost)]
         later = [one for one in usable if one is LEARNED]
         last = [one for one in usable if one.is_last_resort]
@@ -184,7 +183,7 @@ class _Search:
         glance = self._trials(GLANCE)
         risk = self._look(glance, at_first)
         weights = self._best([risk])
-        surface = kind_of(glance.part.mesh.moved(glance.positions(at_first, weights)))
+        surface = surface_kind(glance.part.mesh.with_vertices(glance.positions(at_first, weights)))
         shortlist = self._shortlist(risk, weights, LONGER_LOOK)
         members = [at_first[k] for k in shortlist]
         weights = weights[shortlist]
@@ -200,41 +199,41 @@ class _Search:
             first = study.positions([self.pilot], np.ones(1))
         else:
             first = study.positions(members, weights)
-        again = study.by_rehearsal(members, first)
+        again = study.simulate(members, first)
         weights = self._best([again.risk()])
-        # Only what is any good rehearses twice.
+        # Only the best are simulated twice.
         shortlist = self._shortlist(again.risk(), weights, SECOND_LOOK)
-        rehearsed = len(members)
+        n_simulated = len(members)
         members, weights = [members[k] for k in shortlist], weights[shortlist]
-        judges: list[tuple[Stein | Rehearsal, float]] = []
+        judges: list[tuple[SteinRisk | SimulatedRisk, float]] = []
         if self._is_gaussian and self._doubt > 0.0 and not is_sharp:
             judges.append((study.by_stein(members, first, PROBES), self._doubt))
             both = [judges[0][0].risk().counted(self._doubt), again.risk().of(shortlist)]
             weights = self._best(both)
         if self.added != MIRRORED:
             first = study.positions(members, weights)
-        # The same members on the same mesh once more would tell the same.
-        is_known = self.added == MIRRORED and len(members) == rehearsed
-        last_one = again if is_known else study.by_rehearsal(members, first)
+        # The same members on the same mesh would give the same.
+        is_known = self.added == MIRRORED and len(members) == n_simulated
+        last_one = again if is_known else study.simulate(members, first)
         judges.append((last_one, 1.0))
         self.unit = last_one.level if self.added == MIRRORED else self.level
         risks = _risks(judges)
-        final = self._pruned(members, risks)
+        final = self._prune(members, risks)
         rows = self._by_level(study.part, judges, final)
         self._finish()
         return self._choice(members, final, rows, risks, surface, tried)
 
-    def _look(self, glance: Trials, candidates: Sequence[Candidate]) -> Risk:
+    def _look(self, glance: CandidateRuns, candidates: Sequence[Candidate]) -> Risk:
         """The risk of all candidates, by Stein's lemma where it holds."""
         if self._is_gaussian:
             first = glance.positions([SMOOTHER], np.ones(1))
             return glance.by_stein(candidates, first, 1).risk()
         pilot = self.pilot if self.added == MIRRORED else ROBUST
         first = glance.positions([pilot], np.ones(1))
-        return glance.by_rehearsal(candidates, first).risk()
+        return glance.simulate(candidates, first).risk()
 
     def _by_level(
-        self, part: Part, judges: Sequence[tuple[Stein | Rehearsal, float]], weights: Floats
+        self, part: Part, judges: Sequence[tuple[SteinRisk | SimulatedRisk, float]], weights: Floats
     ) -> Floats:
         """Weights (levels, k) of the members that ``weights`` (k,) has, for places of each level
         of local noise; one row where noise is the same everywhere."""
@@ -248,12 +247,12 @@ class _Search:
                 row[kept] = np.where(some >= LEAST_WEIGHT, some, 0.0)
         return rows
 
-    def _trials(self, size: int) -> Trials:
-        """Trials on a part of about so many vertices; on the same one where it is the whole."""
-        part = representative(self.mesh, size)
+    def _trials(self, size: int) -> CandidateRuns:
+        """Runs on a sample of about so many vertices; kept where that is the whole mesh."""
+        part = select_patch(self.mesh, size)
         if self._whole is not None and part.numbers is None:
             return self._whole
-        trials = Trials(part, self.model.on_part(part.numbers), self.added, self._step)
+        trials = CandidateRuns(part, self.model.on_part(part.numbers), self.added, self._step)
         if part.numbers is None:
             self._whole = trials
         return trials
@@ -278,7 +277,7 @@ class _Search:
         return is_weak and not noise.is_uneven and is_seen_from_one_side(self.mesh)
 
     def _mirror(self) -> Sequence[Candidate]:
-        """Let rehearsals put on what the learned filter takes away, where that is noise.
+        """Let simulations add what the learned filter removes, where that is noise.
 
         On a machined surface it is, of whatever kind.  Elsewhere it is believed to be where no draw
         of the noise is like it.  Smooth surfaces bear a farther reach, and what keeps more of the
@@ -286,7 +285,7 @@ class _Search:
         """
         trials = self._trials(GLANCE)
         moved = trials.positions([LEARNED], np.ones(1))
-        surface = kind_of(trials.part.mesh.moved(moved))
+        surface = surface_kind(trials.part.mesh.with_vertices(moved))
         character, is_other = self.noise.character, self._is_of_other_kind
         is_doubtful = (
             is_other
@@ -303,7 +302,7 @@ class _Search:
         if not (self._is_machined or is_doubtful or is_smooth):
             return ()
         self.added, self._whole = MIRRORED, None
-        # What is put on is not drawn of the level: no doubt about texture lessens it.
+        # The added noise does not follow the level: doubt about texture does not reduce it.
         edge = self.mesh.mean_edge_length
         self.level = max(self.level, self.noise.mean_edges * self.wished * edge)
         self.model = self.model.at_level(self.level)
@@ -317,9 +316,9 @@ class _Search:
 
     @property
     def _doubt(self) -> float:
-        """How much Stein's risk counts beside a rehearsal, 0 to 1.
+        """Weight of Stein's risk against that of a simulation, 0 to 1.
 
-        A rehearsal scatters less, but takes for noise whatever the first result has taken away:
+        A simulation scatters less, but treats all that the first result removed as noise:
         the wider the noise's interval, the more of that may be texture.
         """
         return min(max((self._width - SURE) / (UNSURE - SURE), 0.0), 1.0)
@@ -341,7 +340,7 @@ class _Search:
         spare = self.allowance * (1.0 - SEARCH)
         if self.mesh.trust is not None:
             method = methods.find(candidate.method)
-            return method.has_data_term(method.settled(candidate.given))
+            return method.has_data_term(method.validate(candidate.given))
         return candidate.cost * len(self.mesh.vertices) <= spare
 
     def _noise_edges(self, mesh: Mesh) -> float:
@@ -355,14 +354,13 @@ class _Search:
             weights[int(np.argmin(self._scores(risks)))] = 1.0
             return weights
         # Rounded at once: what the last digits of a solver are must not show in what follows.
-        return rounded(best_weights(risks, self.slopes, self.drift))
+        return round_weights(best_weights(risks, self.slopes, self.drift))
 
     def _scores(self, risks: Sequence[Risk]) -> Floats:
         """How the candidates do by themselves; less is better."""
         score = np.zeros(len(risks[0].drift))
         for risk in risks:
-            places = np.log(np.maximum(risk.positions.singles(), FLOOR))
-            tilts = np.log(np.maximum(risk.slopes.singles(), FLOOR))
+            places, tilts = risk.log_errors(FLOOR)
             score += risk.importance * ((1.0 - self.slopes) * places + self.slopes * tilts)
         return score
 
@@ -371,7 +369,7 @@ class _Search:
         best = np.argsort(self._scores([risk]), kind="stable")[:count]
         return sorted({*np.flatnonzero(weights >= 0.01).tolist(), *best.tolist()})
 
-    def _pruned(self, members: Sequence[Candidate], risks: Sequence[Risk]) -> Floats:
+    def _prune(self, members: Sequence[Candidate], risks: Sequence[Risk]) -> Floats:
         """The best weights, rounded, of few members whose runs over the mesh fit the budget."""
         spare = self.allowance * (1.0 - SEARCH) / len(self.mesh.vertices)
         costs = np.array([member.cost for member in members])
@@ -410,7 +408,7 @@ class _Search:
         together = max(*(risk.positions.at(weights) for risk in counted), 0.0)
         order = np.argsort(self._scores(risks), kind="stable").tolist()
         beside = [k for k in order if weights[k] < 1.0][:3]
-        made = recipe(members, rows, self._noise_edges(self.mesh), self.levels, self.relax)
+        made = build_recipe(members, rows, self._noise_edges(self.mesh), self.levels, self.relax)
         choice = Choice(
             made.method,
             made.parameters,
@@ -438,7 +436,7 @@ class _Search:
 
 
 def _risks(
-    judges: Sequence[tuple[Stein | Rehearsal, float]], judged: Flags | None = None
+    judges: Sequence[tuple[SteinRisk | SimulatedRisk, float]], judged: Flags | None = None
 ) -> list[Risk]:
-    """The risks by judges of some importance each, over the vertices (m,) that are ``judged``."""
+    """The risks by weighted estimators, over the ``judged`` vertices (m,)."""
     return [judge.risk(judged).counted(importance) for judge, importance in judges]

@@ -1,4 +1,4 @@
-"""What kind of surface a mesh is, told by the angles across its edges."""
+"""The kind of a surface, by the angles across its edges."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def is_seen_from_one_side(mesh: Mesh) -> bool:
     """Whether the mesh is open and hardly any of its area faces away: a scan from one view."""
     from msal_cli.kernels.geometry import face_normals_and_areas
 
-    if not mesh.links.boundary.any():
+    if not mesh.topology.boundary.any():
         return False
     normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
     axis = np.einsum("ij,i->j", normals, areas)
@@ -34,7 +34,7 @@ def is_seen_from_one_side(mesh: Mesh) -> bool:
     return float(away.sum()) <= AWAY * float(areas.sum())
 
 
-def kind_of(mesh: Mesh) -> str:
+def surface_kind(mesh: Mesh) -> str:
     """``MACHINED``, ``TEXTURED`` or ``ORGANIC``, for a mesh without much noise."""
     angles = _angles_deg(mesh)
     if not len(angles):
@@ -51,7 +51,7 @@ def _angles_deg(mesh: Mesh) -> Floats:
     from msal_cli.kernels.geometry import face_normals_and_areas
 
     normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
-    start, ring = face_rings(mesh.faces, mesh.links, "edge")
+    start, ring = face_rings(mesh.faces, mesh.topology, "edge")
     first = np.repeat(np.arange(len(start) - 1), np.diff(start))
     kept = (first < ring) & (areas[first] > 0.0) & (areas[ring] > 0.0)
     alike = np.einsum("ij,ij->i", normals[first[kept]], normals[ring[kept]])

@@ -1,4 +1,4 @@
-"""Candidates on one part of the mesh: what they move it by, and how well they are judged to do."""
+"""Candidates on one part of the mesh: their moves, and estimates of their errors."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from msal_cli import methods
 from msal_cli.arrays import Floats
-from msal_cli.auto.risk import Rehearsal, Stein
+from msal_cli.auto.risk import SimulatedRisk, SteinRisk
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -21,23 +21,31 @@ LEAST_SHARE = 0.01
 """Members of a first result below this weight are left out of it."""
 
 
-class Trials:
+class CandidateRuns:
     """Runs of candidates on a part, each of which is made once.
 
     Parameters
     ----------
     part : of the mesh.
     noise : on it.
-    added : what rehearsals put on a first result, see ``Rehearsal``.
+    added : what simulations put on a first result, see ``SimulatedRisk``.
     on_run : called after every run.
+    edges : the noise that candidates are given, mean edge lengths of the part; None for its height.
     """
 
     def __init__(
-        self, part: Part, noise: NoiseModel, added: str, on_run: Callable[[], object]
+        self,
+        part: Part,
+        noise: NoiseModel,
+        added: str,
+        on_run: Callable[[], object],
+        edges: float | None = None,
     ) -> None:
         self.part, self.noise = part, noise
         self._added, self._on_run = added, on_run
-        self._edges = float(round(noise.height(part.judged) / part.mesh.mean_edge_length, 4))
+        if edges is None:
+            edges = noise.height(part.judged) / part.mesh.mean_edge_length
+        self._edges = float(round(edges, 4))
         self._known: dict[str, Floats] = {}
 
     def moves(self, candidate: Candidate) -> Floats:
@@ -54,32 +62,32 @@ class Trials:
                 positions += weight * self.moves(candidate)
         return positions
 
-    def by_stein(self, candidates: Sequence[Candidate], first: Floats, probes: int) -> Stein:
-        """Candidates judged by Stein's lemma, with normals that the part has at ``first``
+    def by_stein(self, candidates: Sequence[Candidate], first: Floats, probes: int) -> SteinRisk:
+        """Candidates rated by Stein's lemma, with normals that the part has at ``first``
         (m, 3)."""
-        normals = self.part.mesh.moved(first).vertex_normals("uniform")
-        judge = Stein(self.part, self.noise, normals, probes)
+        normals = self.part.mesh.with_vertices(first).vertex_normals("uniform")
+        judge = SteinRisk(self.part, self.noise, normals, probes)
         for candidate in candidates:
             judge.add(self._run_once(candidate), self._on_run)
         return judge
 
-    def by_rehearsal(self, candidates: Sequence[Candidate], first: Floats) -> Rehearsal:
-        """Candidates judged on ``first`` (m, 3) with the noise put on it."""
+    def simulate(self, candidates: Sequence[Candidate], first: Floats) -> SimulatedRisk:
+        """Candidates rated on ``first`` (m, 3) with noise added to it."""
         runs = [self._runner(candidate) for candidate in candidates]
-        return Rehearsal(self.part, first, runs, self.noise, self._added, self._on_run)
+        return SimulatedRisk(self.part, first, runs, self.noise, self._added, self._on_run)
 
     def _run_once(self, candidate: Candidate) -> Callable[[Mesh], Floats]:
-        """The same as ``_runner``, that knows what becomes of the part itself."""
+        """The same as ``_runner``, with the known result for the part itself."""
         run = self._runner(candidate)
         return lambda mesh: self.moves(candidate) if mesh is self.part.mesh else run(mesh)
 
     def _runner(self, candidate: Candidate) -> Callable[[Mesh], Floats]:
         """What the candidate moves a mesh like the part by."""
         method = methods.find(candidate.method)
-        values = method.settled(candidate.settings(self._edges))
+        values = method.validate(candidate.settings(self._edges))
 
         def run(mesh: Mesh) -> Floats:
-            moves: Floats = method.denoised(mesh, values).vertices - mesh.vertices
+            moves: Floats = method.denoise(mesh, values).vertices - mesh.vertices
             return moves
 
         return run

@@ -1,4 +1,4 @@
-"""What is asked of a choice of method and parameters, and what it is."""
+"""Wishes for the choice of a method, and the choice."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ FAMILY, ALL = "family", "all"
 
 @dataclass(frozen=True)
 class Wishes:
-    """What the user cares for.
+    """What the user asks for.
 
     Attributes
     ----------
-    prefer : ``balanced``, ``positions``, ``normals`` or ``volume``: what is to come out best.
+    prefer : ``balanced``, ``positions``, ``normals`` or ``volume``: what is to be most accurate.
     keep : ``texture``, ``edges`` or ``shape``, what must not suffer; None if nothing was said.
     strength : -2 to 2, around the automatic choice: greater is smoother.
     budget : most time for choosing and denoising, in default MSAL runs over the same mesh, by what
@@ -46,7 +46,7 @@ class Choice:
     Attributes
     ----------
     method : name of a method, or ``NONE``.
-    parameters : its settled parameters, every one of them; empty for ``NONE``.
+    parameters : all of its parameters; empty for ``NONE``.
     reason : a sentence, such as ``noise 0.11 e; textured; MSAL, K = 0.6, 3 sweeps``.
     surface : ``machined``, ``organic``, ``textured`` or ``clean``; None where that was not asked.
     noise : the estimated noise.

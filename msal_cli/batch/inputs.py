@@ -109,9 +109,9 @@ def discover_inputs(
     NothingMatched : nothing is left.
     """
     included, excluded = Patterns(include), Patterns(exclude)
-    output = None if output is None else urls.settled(output)
+    output = None if output is None else urls.normalize_url(output)
     own_output = None if output is None or is_url(output) else str(resolve(Path(output)))
-    inputs = [urls.settled(text) for text in inputs]
+    inputs = [urls.normalize_url(text) for text in inputs]
     types = [_input_type(text) for text in inputs]
     folders = {
         text if is_url(text) else str(Path(text))
@@ -227,7 +227,7 @@ def _list_store(
     """
     from msal_cli.storage import objects
 
-    marks = _ask_store(lambda: objects.listed(url, selection.depth))
+    marks = _ask_store(lambda: objects.list_objects(url, selection.depth))
     if not marks and not selection.is_pattern:
         # It may be an object whose name has no suffix of a mesh.
         mark = None if url.endswith("/") else _object_mark(url)
@@ -251,7 +251,7 @@ def _list_store(
         return not is_hidden and selection.takes(name)
 
     return [
-        DiscoveredInput(urls.joined(url, name), prefix + name, url, ObjectMark(*marks[name]))
+        DiscoveredInput(urls.join_url(url, name), prefix + name, url, ObjectMark(*marks[name]))
         for name in sorted(filter(is_taken, marks), key=lambda name: name.split("/"))
     ]
 

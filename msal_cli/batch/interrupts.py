@@ -52,7 +52,7 @@ def end_at_once(signum: int, frame: FrameType | None = None) -> NoReturn:
 @contextmanager
 def obeyed_at_once() -> Iterator[None]:
     """While nothing has been touched, SIGINT, SIGTERM and SIGHUP end the process at once."""
-    with _taken(end_at_once):
+    with _take(end_at_once):
         yield
 
 
@@ -72,7 +72,7 @@ def noticed(on_signal: Callable[[int], None]) -> Iterator[None]:
         is_noticed = True
         on_signal(signum)
 
-    with _taken(handle):
+    with _take(handle):
         yield
 
 
@@ -125,7 +125,7 @@ def _numbers() -> tuple[int, ...]:
 
 
 @contextmanager
-def _taken(handle: Callable[[int, FrameType | None], Any]) -> Iterator[None]:
+def _take(handle: Callable[[int, FrameType | None], Any]) -> Iterator[None]:
     """Give ``handle`` the signals that no other code handles."""
     if threading.current_thread() is not threading.main_thread():
         yield

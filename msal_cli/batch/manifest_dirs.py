@@ -75,7 +75,7 @@ def list_objects(home: str, tasks: Iterable[Task]) -> dict[str, ObjectMark]:
     from msal_cli.storage import objects as remote
 
     try:
-        marks = remote.listed(home)
+        marks = remote.list_objects(home)
     except InputError as error:
         raise OutputError(error.message, hint=error.hint, path=home) from None
     start = urls.folder(home)

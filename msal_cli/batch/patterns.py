@@ -17,10 +17,10 @@ def has_magic(text: str) -> bool:
 
 
 class Patterns:
-    """Several glob patterns, asked together.
+    """Several glob patterns, matched together.
 
     Relative paths are written with ``/``.  A pattern matches a file when it matches its whole
-    relative path, its name alone, or a folder that holds it, so ``old`` and ``old/`` stand for all
+    relative path, its name alone, or a folder that holds it, so ``old`` and ``old/`` match all
     that lies in a folder ``old`` anywhere, and ``left/**/*.ply`` for ``left/a.ply`` as well as for
     ``left/b/c.ply``.  As in a shell, a wildcard at the start of a name does not match a dot.
     With ``whole`` set, only the whole relative path or that of a holding folder counts.
@@ -74,7 +74,7 @@ def _compiled(pattern: str) -> re.Pattern[str]:
     except re.error as error:
         raise UsageError(
             f"the pattern {pattern!r} cannot be read: {error}",
-            hint="write [[] for a bracket that stands for itself",
+            hint="write [[] for a literal bracket",
         ) from None
 
 

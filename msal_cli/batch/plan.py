@@ -108,7 +108,7 @@ def build_plan(
         inputs; two inputs have one output; an output is an input, a folder, lies outside the
         output folder or would replace a file that is not ours; options contradict each other.
     """
-    output = None if output is None else urls.settled(output)
+    output = None if output is None else urls.normalize_url(output)
     homes: Sequence[str | None]
     if in_place:
         _check_in_place(found, output, to, backup)
@@ -237,7 +237,7 @@ def _mirror(one: DiscoveredInput, output: str, to: str | None) -> Task:
         name = urls.harmless(one.relative, is_local=not is_url(output))
         folder, slash, last = name.rpartition("/")
         name = folder + slash + output_name(last, to)
-        place = urls.joined(output, name) if is_url(output) else str(Path(output) / name)
+        place = urls.join_url(output, name) if is_url(output) else str(Path(output) / name)
         return Task(one.path, place, one.relative, input_mark=one.mark)
     relative = PurePosixPath(one.relative)
     if relative.is_absolute() or ".." in relative.parts or Path(one.relative).drive:

@@ -138,7 +138,7 @@ class ObjectManifest(Manifest):
         lines = [run.line for run in self._view.run_lines[-RUN_LINES_KEPT:]]
         lines += [entry.line for entry in self._entries.values() if isinstance(entry.line, bytes)]
         self._write_part(0, b"".join(line + b"\n" for line in lines))
-        remote.removed([_url(self.home, name) for name in self._parts])
+        remote.remove_object([_url(self.home, name) for name in self._parts])
         _log.debug("manifest of %r: %d parts became one", self.home, len(self._parts))
 
 
@@ -154,7 +154,7 @@ def read_parts(home: str) -> dict[str, bytes]:
     """
     for is_last in (False, False, True):
         try:
-            objects = remote.listed(_url(home))
+            objects = remote.list_objects(_url(home))
             names = sorted(filter(_PART.fullmatch, objects))
             texts = remote.read_many({_url(home, name): objects[name] for name in names})
         except InputError as error:
@@ -167,7 +167,7 @@ def read_parts(home: str) -> dict[str, bytes]:
 
 
 def _url(home: str, name: str = "") -> str:
-    return urls.joined(home, f"{FOLDER}/{name}")
+    return urls.join_url(home, f"{FOLDER}/{name}")
 
 
 def _manifest_error(home: str, error: MsalError) -> OutputError:

@@ -206,7 +206,7 @@ def _compare_two(
         _say_failure(record)
         return exit_codes.FATAL
     if not as_json:
-        console.put_lines(comparison_text.told(record))
+        console.put_lines(comparison_text.describe_comparison(record))
     console.say_lines(comparison_text.broken_gates([record]))
     if failure is not None:
         raise failure
@@ -215,7 +215,7 @@ def _compare_two(
 
 def _refuse_target(before: str, after: str, target: str) -> None:
     """Refuse a heat map that is no PLY, would replace an input, or has no folder to be in."""
-    from msal_cli.codecs import is_url
+    from msal_cli.storage.urls import is_url
 
     if not target.lower().endswith(".ply"):
         raise UsageError(
@@ -232,15 +232,15 @@ def _refuse_target(before: str, after: str, target: str) -> None:
 
 
 def _write_heatmap(before: str, after: str, target: str, format: str | None) -> None:
-    from msal_cli import codecs
     from msal_cli.batch import interrupts
     from msal_cli.job import comparison
     from msal_cli.report.phrases import file_name
+    from msal_cli.storage import atomic
 
     reference = comparison.opened(before, format)
     made = comparison.build_heatmap(reference, comparison.opened(after, format), before)
     with interrupts.noticed(interrupts.raise_for):
-        codecs.write_whole(target, [made.data])
+        atomic.write_whole(target, [made.data])
     console.say(f"{file_name(target)}: deviation, pale to dark for {made.low:g} to {made.high:.4g}")
 
 

@@ -10,7 +10,7 @@ import click
 from msal_cli.errors import UsageError
 
 AUTOMATIC = ("auto", "keep", "strength", "prefer", "auto_budget")
-"""Options of which each asks for ``--auto``."""
+"""Options of which each implies ``--auto``."""
 
 BY_HAND = ("method", "iterations", "factor", "mollify", "schedule", "assignments")
 """Options that give a method and its parameters."""

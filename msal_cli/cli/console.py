@@ -64,18 +64,18 @@ def say_failure(name: str, failure: Failure) -> None:
 
 
 def _say_error_words(words: str, hint: str) -> None:
-    from msal_cli.job.display_names import shown
+    from msal_cli.job.display_names import escape_for_display
 
     say(f"msal: error: {words}", "bad")
     if hint:
-        say(f"hint: {shown(hint)}")
+        say(f"hint: {escape_for_display(hint)}")
 
 
 def say_written(path: str) -> None:
     """That a file was written."""
-    from msal_cli.job.display_names import shown
+    from msal_cli.job.display_names import escape_for_display
 
-    say(f"wrote {shown(path)}", "good")
+    say(f"wrote {escape_for_display(path)}", "good")
 
 
 def put(text: str) -> None:
@@ -86,7 +86,7 @@ def put(text: str) -> None:
     OutputError
         if standard output is closed, or its disk is full.
     BrokenPipeError
-        if nobody reads it.
+        if its reader is gone.
     """
     stream = _standard_output()
     encoding = stream.encoding or "ascii"
@@ -199,7 +199,7 @@ def _standard_output() -> TextIO:
 
 
 def _write_words(text: str) -> None:
-    # Who talks to a terminal that is gone has nobody left to tell so.
+    # If the terminal is gone, the failure cannot be reported either.
     try:
         sys.stderr.write(text + "\n")
         sys.stderr.flush()

@@ -58,7 +58,7 @@ class _Session:
 
         self._request = request
         # For reports and manifests, without passwords.
-        self._command = ("msal", *map(urls.redacted, arguments))
+        self._command = ("msal", *map(urls.redact, arguments))
         self._clock = Clock()
         self._limits = Limits(request.timeout, request.memory_limit, request.max_faces)
         self._stream: Stream | None = None
@@ -211,7 +211,7 @@ class _Session:
             if request.as_json:
                 from msal_cli.report import json_report
 
-                console.put_bytes(json_report.encoded(run, records))
+                console.put_bytes(json_report.render(run, records))
         n_failed = sum(record.status == "failed" for record in records)
         if n_left and not interrupted:
             failures = "1 failure" if n_failed == 1 else f"{n_failed:,} failures"

@@ -107,7 +107,7 @@ OPTIONS = options.combine(
     click.option(
         "--despike/--no-despike",
         default=None,
-        help="Bring vertices that stand far out of the surface back to it before the method runs.  "
+        help="Bring vertices that lie far off the surface back to it before the method runs.  "
         "[default: where a method is chosen and they are clearly outliers]",
     ),
     click.option(

@@ -83,14 +83,14 @@ def parse_gates(request: Request) -> tuple[Gate, ...]:
     from msal_cli.job.records import MeshRecord
     from msal_cli.report import gates
 
-    found = gates.parsed(request.fail_on, MeshRecord, request.unit)
+    found = gates.parse_gates(request.fail_on, MeshRecord, request.unit)
     if request.reference is None:
         gates.refuse_without_reference(found, "give --reference TRUTH")
     return found
 
 
 def find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
-    """For each input, known by its relative path, the path of its reference; () if none is asked
+    """For each input, known by its relative path, the path of its reference; () if none is given
     for.
 
     Raises
@@ -98,7 +98,7 @@ def find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
     UsageError
         if what --reference names is neither file nor folder, or a folder for a stream.
     """
-    from msal_cli.codecs import is_url
+    from msal_cli.storage.urls import is_url
 
     truth = request.reference
     if truth is None:

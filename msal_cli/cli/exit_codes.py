@@ -8,7 +8,7 @@
 | 4 | all were processed, but a gate failed |
 | 5 | nothing matched |
 | 128 + n | ended by signal n: 130 for Ctrl-C, 143 for SIGTERM; finished files are whole |
-| 141 | whoever read standard output went away, as `| head` does; said without a word |
+| 141 | the reader of standard output went away, as `| head` does; no message |
 
 2 and 5 come before any work.  After it, of several that apply, a signal wins over 1, then 3, then
 4, then 0; of folders that are compared, a file without a partner (3) does not hide 4.

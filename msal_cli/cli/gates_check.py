@@ -56,7 +56,8 @@ class Checks:
             record
             if record.error is not None or before is None
             else replace(
-                record, gates=record.gates + baseline.judged(record, before, self.tolerance)
+                record,
+                gates=record.gates + baseline.compare_with_baseline(record, before, self.tolerance),
             )
             for record, before in zip(with_gates(self.gates, records), earlier, strict=True)
         ]
@@ -76,13 +77,13 @@ def build_checks(
     MsalError
         if the baseline cannot be read, or is none.
     """
-    from msal_cli import codecs
     from msal_cli.job.comparison_record import ComparisonRecord
-    from msal_cli.report.gates import parsed
+    from msal_cli.report.gates import parse_gates
     from msal_cli.report.read_comparison import comparisons
+    from msal_cli.storage import gzip_streams
 
-    gates = parsed(expressions, ComparisonRecord, unit)
+    gates = parse_gates(expressions, ComparisonRecord, unit)
     if baseline is None:
         return Checks(gates, None, 0.0)
-    earlier = comparisons(bytes(codecs.read_whole(baseline)), baseline)
+    earlier = comparisons(bytes(gzip_streams.read_whole(baseline)), baseline)
     return Checks(gates, earlier, DEFAULT_TOLERANCE if tolerance is None else tolerance)

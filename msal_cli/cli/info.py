@@ -55,7 +55,9 @@ def _find_paths(
     if STREAM not in inputs:
         return tuple(one.path for one in discover_inputs(inputs, include, exclude))
     if len(inputs) > 1 or include or exclude:
-        raise UsageError("- stands alone: standard input is one mesh", hint="give - and no other")
+        raise UsageError(
+            "- must be the only input: standard input is one mesh", hint="give - and no other"
+        )
     return inputs
 
 
@@ -85,7 +87,7 @@ def _print_text(records: Iterator[InfoRecord]) -> int:
         if n_printed:
             console.put("\n")
         n_printed += 1
-        console.put_lines(info_text.told(record))
+        console.put_lines(info_text.describe_info(record))
         console.flush()
     return exit_codes.of_files(n_printed + n_failed, n_failed)
 

@@ -85,11 +85,11 @@ class _SafeFormatter(logging.Formatter):
 
 
 def _escape(text: str) -> str:
-    from msal_cli.job.display_names import shown
+    from msal_cli.job.display_names import escape_for_display
 
     # Traces, also those that workers send, are the only messages of several lines.
     lines = text.split("\n") if _TRACE in text else [text]
-    return "\n".join(map(shown, lines))
+    return "\n".join(map(escape_for_display, lines))
 
 
 def _file_handler(name: str) -> logging.Handler:

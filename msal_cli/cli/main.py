@@ -21,7 +21,7 @@ from msal_cli.cli import console, exit_codes
 from msal_cli.errors import MsalError, OutputError
 
 COMPLETE_VARIABLE = "_MSAL_COMPLETE"
-"""The environment variable through which a shell asks for completions."""
+"""The environment variable through which a shell requests completions."""
 
 COMMANDS = {
     "denoise": "Denoise files, folders or a stream.",
@@ -76,7 +76,7 @@ class Msal(click.Group):
         """Run a command line to its end and exit."""
         arguments = tuple(sys.argv[1:] if args is None else args)
         with signals.obeyed_at_once():
-            status = _flushed(_status(self, arguments))
+            status = _flush(_status(self, arguments))
         sys.exit(status)
 
 
@@ -111,9 +111,9 @@ def main() -> NoReturn:
 
 
 def _end(status: object) -> None:
-    """End the process without taking the interpreter apart, if nobody waits for that.
+    """End the process without taking the interpreter apart, if nothing waits for that.
 
-    Letting go of all modules and arrays, one by one, takes a tenth of the time of a small mesh.
+    Freeing all modules and arrays, one by one, takes a tenth of the time of a small mesh.
     """
     if not isinstance(status, int) or _is_observed() or _waits_for_threads():
         return
@@ -183,28 +183,31 @@ def _check_environment() -> None:
 
 
 def _say_usage(error: click.UsageError) -> None:
-    from msal_cli.job.display_names import shown
+    from msal_cli.job.display_names import escape_for_display
 
     command = error.ctx.command_path if error.ctx is not None else "msal"
     # Click lists choices one below the other.
     message = error.format_message().replace("\n\t", " ")
-    console.say(f"msal: error: {shown(message)}", "bad")
-    console.say(f"hint: {command} --help tells how it is used")
+    console.say(f"msal: error: {escape_for_display(message)}", "bad")
+    console.say(f"hint: {command} --help shows how it is used")
 
 
 def _internal_error(error: Exception) -> int:
-    from msal_cli.job.display_names import shown
+    from msal_cli.job.display_names import escape_for_display
 
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
         console.say(f"msal: error: the output cannot be written: {error.strerror} (E_WRITE)", "bad")
         return exit_codes.FATAL
     words = f"{type(error).__name__}: {error}"
-    console.say(f"msal: internal error: {shown(words)}; please report it (-v shows where)", "bad")
+    console.say(
+        f"msal: internal error: {escape_for_display(words)}; please report it (-v shows where)",
+        "bad",
+    )
     return exit_codes.FATAL
 
 
-def _flushed(status: int) -> int:
-    """``status``, or the one that tells that what was printed cannot be delivered."""
+def _flush(status: int) -> int:
+    """``status``, or the one for output that cannot be delivered."""
     try:
         console.flush()
     except BrokenPipeError:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Target:
-    """An input, its output and, where one is asked for, the file of its true positions."""
+    """An input, its output and, where one is requested, the file of its true positions."""
 
     source: str
     output: str
@@ -63,7 +63,7 @@ def make_files(
     The failure of a single mesh that goes through a standard stream is raised.
     """
     from msal_cli.batch import interrupts
-    from msal_cli.job.display_names import shown
+    from msal_cli.job.display_names import escape_for_display
     from msal_cli.report.phrases import file_name
 
     n_files = n_failed = 0
@@ -82,9 +82,9 @@ def make_files(
             continue
         if not quiet:
             name = file_name(target.output)
-            console.say(f"{name}: {shown(made.description)}")
+            console.say(f"{name}: {escape_for_display(made.description)}")
             for warning in made.warnings:
-                console.say(f"warning: {name}: {shown(warning)}")
+                console.say(f"warning: {name}: {escape_for_display(warning)}")
     return exit_codes.of_files(n_files, n_failed)
 
 

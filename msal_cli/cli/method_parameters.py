@@ -34,14 +34,14 @@ def resolve(method: Method, given: Iterable[Given]) -> dict[str, Any]:
     options: dict[str, str] = {}
     for option, name, text in given:
         spec = _find_parameter(method, option, name)
-        value = spec.settled(text)
+        value = spec.validate(text)
         if values.setdefault(spec.name, value) != value:
             raise UsageError(
                 f"{options[spec.name]} and {option} give {spec.name} two different values",
                 hint="give it once",
             )
         options.setdefault(spec.name, option)
-    return method.settled(values)
+    return method.validate(values)
 
 
 def _find_parameter(method: Method, option: str, name: str) -> ParameterSpec:

@@ -45,7 +45,7 @@ def _table(chosen: list[Method]) -> Iterator[str]:
     for method in chosen:
         yield f"{method.name:<{widest}}  {method.summary}"
     yield ""
-    yield "`msal methods NAME` tells what one does, its parameters and their ranges."
+    yield "`msal methods NAME` shows what one does, its parameters and their ranges."
     yield "`msal denoise --auto` chooses one for each mesh."
 
 

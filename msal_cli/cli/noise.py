@@ -139,9 +139,9 @@ def command(
     INPUT is a file, a folder, a pattern, or - for standard input. Vertices at one place stay
     together, so seams do not open. The files keep their format.
     """
-    from msal_cli import codecs
     from msal_cli.batch import plan
     from msal_cli.cli.make_files import Target, find_inputs, make_files
+    from msal_cli.codecs import header_check
     from msal_cli.job.noise_file import add_noise_to_file
 
     format = options.resolve_format(format)
@@ -156,7 +156,7 @@ def command(
     def make(data: Buffer, target: Target) -> MadeFile:
         return add_noise_to_file(data, target.source, target.output, noise, format)
 
-    return make_files(targets, partial(codecs.read_input, format=format), make, quiet=quiet)
+    return make_files(targets, partial(header_check.read_input, format=format), make, quiet=quiet)
 
 
 def _build_noise(kind: str, level: float, seed: int, **settings: Any) -> AddedNoise:

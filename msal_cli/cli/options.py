@@ -43,7 +43,7 @@ class PathOrUrl(click.Path):
             return path
         from msal_cli.storage import urls
 
-        return urls.settled(str(path))
+        return urls.normalize_url(str(path))
 
 
 PATH = PathOrUrl(readable=False, allow_dash=True)
@@ -189,9 +189,9 @@ def resolve_format(
     """
     if text is None:
         return None
-    from msal_cli import codecs
+    from msal_cli.codecs import detection
 
-    names = tuple(name.lstrip(".") for name in (known or codecs.readable_suffixes)())
+    names = tuple(name.lstrip(".") for name in (known or detection.readable_suffixes)())
     plain = text.lower().lstrip(".")
     if plain in names:
         return plain

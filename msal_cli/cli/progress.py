@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.cli import console
-from msal_cli.job.display_names import padded, shortened, shown
+from msal_cli.job.display_names import escape_for_display, pad_name, shorten_name
 
 if TYPE_CHECKING:
     from msal_cli.batch.events import Event
@@ -98,7 +98,7 @@ class FileBar(Silent):
         from msal_cli.batch.events import Finished, Started
 
         if isinstance(event, Started):
-            name = padded(_short(self._tasks[event.index].relative), _NAME_WIDTH // 2)
+            name = pad_name(_short(self._tasks[event.index].relative), _NAME_WIDTH // 2)
             self._bar.set_description_str(name, refresh=False)
         elif isinstance(event, Finished):
             if event.record.status == "failed":
@@ -153,7 +153,7 @@ def _size(path: str) -> int:
 
 
 def _short(name: str) -> str:
-    return shortened(shown(name), _NAME_WIDTH)
+    return shorten_name(escape_for_display(name), _NAME_WIDTH)
 
 
 def _bar(**options: Any) -> Any:

@@ -65,12 +65,12 @@ def command(
     from msal_cli.cli import github, report_files, run_summary
     from msal_cli.job.records import MeshRecord
     from msal_cli.report import json_report, text
-    from msal_cli.report.gates import parsed, refuse_without_reference, with_gates
+    from msal_cli.report.gates import parse_gates, refuse_without_reference, with_gates
 
     refuse_conflicts(find_given(context))
     # Checked before a large folder is read.
     report_files.check(outputs, ())
-    gates = parsed(fail_on, MeshRecord, unit)
+    gates = parse_gates(fail_on, MeshRecord, unit)
     account = run_summary.summarize(runs)
     done = [record for record in account.records if record.error is None and record.output]
     if done and all(record.reference is None for record in done):
@@ -93,7 +93,7 @@ def command(
         report_files.write(outputs, account.run, account.records, quiet=quiet)
     finally:
         if as_json:
-            console.put_bytes(json_report.encoded(account.run, account.records))
+            console.put_bytes(json_report.render(account.run, account.records))
     return _exit_status(account) if check or gates else exit_codes.SUCCESS
 
 

@@ -76,7 +76,7 @@ def write(
     for name in sorted(names, key=_is_page):
         try:
             if github.is_step_summary(name):
-                data = markdown.encoded(run, records, most_bytes=github.room_in_summary(name))
+                data = markdown.render(run, records, most_bytes=github.room_in_summary(name))
                 github.append_to_summary(name, data)
                 continue
             if _is_page(name):
@@ -111,12 +111,12 @@ def _render_page(
     if not without_pictures:
         with progress.picture_bar(quiet=quiet) as on_file:
             backup = DEFAULT_BACKUP if backup is None else backup
-            pictures = gallery.made(records, backup=backup, on_file=on_file)
-    return html.encoded(run, records, pictures)
+            pictures = gallery.build_gallery(records, backup=backup, on_file=on_file)
+    return html.render(run, records, pictures)
 
 
 def _refuse_unwritable(name: str) -> None:
-    from msal_cli.codecs import is_url
+    from msal_cli.storage.urls import is_url
 
     if is_url(name):
         return

@@ -123,8 +123,8 @@ def _all_shards(run: RunEntry) -> list[str]:
 
 def _read_file(path: Path) -> RunHistory:
     from msal_cli.batch import run_history
-    from msal_cli.codecs import read_whole
     from msal_cli.report import read_report
+    from msal_cli.storage.gzip_streams import read_whole
 
     name = str(path)
     data = read_whole(name)

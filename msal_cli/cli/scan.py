@@ -179,7 +179,9 @@ def command(
     from msal_cli.batch import plan
     from msal_cli.cli.make_files import Target, find_inputs, make_files
     from msal_cli.cli.streams import Stream, choose_format
+    from msal_cli.codecs import header_check
     from msal_cli.job import scan_file
+    from msal_cli.storage import gzip_streams
 
     refuse_conflicts(find_given(context))
     format = options.resolve_format(format)
@@ -223,7 +225,11 @@ def command(
 
     def read(name: str) -> Buffer:
         # What shows that a file is no mesh means nothing for a volume.
-        return codecs.read_whole(name) if is_volume(name) else codecs.read_input(name, format)
+        return (
+            gzip_streams.read_whole(name)
+            if is_volume(name)
+            else header_check.read_input(name, format)
+        )
 
     def make(data: Buffer, target: Target) -> MadeFile:
         source = target.source
@@ -246,7 +252,7 @@ def command(
 
 def _refuse_shared_names(targets: list[Target]) -> None:
     """Refuse true positions in the place of an input or of an output; UsageError."""
-    from msal_cli.codecs import is_url
+    from msal_cli.storage.urls import is_url
 
     def identify(path: str) -> str:
         return path if is_url(path) else os.path.realpath(path)

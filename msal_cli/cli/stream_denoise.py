@@ -58,11 +58,11 @@ def _denoise_here(
     stream: Stream, settings: Settings, on_progress: OnProgress, limits: Limits
 ) -> tuple[Buffer | None, MeshRecord]:
     """The bytes of the output, None if it failed, and the record; made in this process."""
-    from msal_cli import codecs
+    from msal_cli.codecs import header_check
     from msal_cli.job.pipeline import denoise_bytes
 
     name = stream.source
-    data = read_stream() if name == STREAM else codecs.read_input(name, settings.format)
+    data = read_stream() if name == STREAM else header_check.read_input(name, settings.format)
     return denoise_bytes(data, name, settings, on_progress, limits)
 
 
@@ -75,11 +75,11 @@ def _denoise_in_worker(
     """
     import tempfile
 
-    from msal_cli import codecs
     from msal_cli.batch import interrupts
     from msal_cli.batch.run import check_limits
     from msal_cli.batch.single_file import denoise_in_pool
     from msal_cli.job.settings import Task
+    from msal_cli.storage import gzip_streams
 
     check_limits(limits)
     # The folder must be removed, whatever ends this.
@@ -93,21 +93,21 @@ def _denoise_in_worker(
             left_s = copy_stream(source, limits.timeout_s, limits.memory_bytes)
         task = Task(source, os.path.join(folder, "output"), relative=stream.source)
         record = denoise_in_pool(task, settings, limits, left_s, on_progress)
-        return (None if record.error is not None else codecs.read_whole(task.output)), record
+        return (None if record.error is not None else gzip_streams.read_whole(task.output)), record
 
 
 def _write(output: Buffer, record: MeshRecord, target: str) -> MeshRecord:
     """The record after ``output`` was written to a file, compressed if its name says so."""
     import hashlib
 
-    from msal_cli import codecs
     from msal_cli.batch import interrupts
     from msal_cli.job.output import write_output
+    from msal_cli.storage import gzip_streams
 
-    plain, is_compressed = codecs.expanded(output, "")
+    plain, is_compressed = gzip_streams.expand(output, "")
     compress = target.lower().endswith(".gz")
     if compress != is_compressed:
-        output = codecs.compressed(plain) if compress else plain
+        output = gzip_streams.compress(plain) if compress else plain
     # From here on there is something to clean up.
     with interrupts.noticed(interrupts.raise_for):
         write_output(target, output)

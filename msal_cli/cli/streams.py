@@ -56,7 +56,7 @@ def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream:
             "standard input and standard output hold one mesh, not several",
             hint="give one input, or a folder with -o",
         )
-    from msal_cli.codecs import is_url
+    from msal_cli.storage.urls import is_url
 
     (source,) = inputs
     if source != STREAM and not is_url(source) and not os.path.isfile(source):

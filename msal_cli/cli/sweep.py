@@ -95,8 +95,9 @@ def command(
     Each cell of the picture has its numbers and the words that make it; the commands are printed
     too. No mesh is written.
     """
-    from msal_cli import codecs, methods
+    from msal_cli import methods
     from msal_cli.job.comparison import open_surface
+    from msal_cli.storage import atomic
     from msal_cli.view import parameter_grid
     from msal_cli.view.image_files import png_bytes
 
@@ -112,15 +113,15 @@ def command(
     truth = None if reference is None else open_surface(reference, format)
     on = parameter_grid.subject(surface, source, truth, reference or "", view)
     done = []
-    # The picture is what was asked for, even if nothing reads the numbers.
+    # The picture is the result, even if nothing reads the numbers.
     with console.finish_work():
         for cell, mesh in parameter_grid.cells(on, grid):
-            done.append((cell, parameter_grid.drawn(on, mesh, view)))
+            done.append((cell, parameter_grid.draw_grid(on, mesh, view)))
             if not as_json and not quiet:
                 console.put(_describe_cell(cell))
                 console.flush()
         picture = parameter_grid.sheet(on, grid, done, view)
-        codecs.write_whole(output, png_bytes(picture))
+        atomic.write_whole(output, png_bytes(picture))
         if as_json:
             _print_json(source, reference, grid, [cell for cell, _ in done])
         if not quiet:
@@ -142,14 +143,14 @@ def _parse_fixed(assignments: tuple[str, ...]) -> dict[str, str]:
 
 
 def _describe_cell(cell: Cell) -> str:
-    from msal_cli.job.display_names import shown
+    from msal_cli.job.display_names import escape_for_display
 
     numbers = [f"moved {cell.mean_displacement_edges:.4g} e"]
     if cell.volume_change_percent is not None:
         numbers.append(f"volume {cell.volume_change_percent:+.3g} %")
     if cell.mean_angular_error_deg is not None:
         numbers.append(f"normals {cell.mean_angular_error_deg:.3f} degrees off")
-    return f"{', '.join(numbers)}: {shown(cell.command)}\n"
+    return f"{', '.join(numbers)}: {escape_for_display(cell.command)}\n"
 
 
 def _print_json(source: str, reference: str | None, grid: Grid, cells: list[Cell]) -> None:

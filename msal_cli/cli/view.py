@@ -121,12 +121,12 @@ def command(
 ) -> int:
     """Show mesh A, or A beside B (before and after) and the deviation of B in colours.
 
-    All panels are seen from one place. Where A and B have the same faces the colours tell how far
+    All panels show the same view. Where A and B have the same faces the colours show how far
     each vertex moved along its normal, else how far it is from A's surface. Neither a display nor
     a graphics card is needed.
     """
-    from msal_cli import codecs
     from msal_cli.job.comparison import open_surface
+    from msal_cli.storage import atomic
     from msal_cli.view import pictures
     from msal_cli.view.image_files import png_bytes
 
@@ -140,11 +140,11 @@ def command(
     if kind == "html":
         data = _build_page(output, scene, view)
     else:
-        data = png_bytes(pictures.drawn(scene, view))
+        data = png_bytes(pictures.draw_picture(scene, view))
     if output == STREAM:
         console.put_bytes(data)
         return exit_codes.SUCCESS
-    codecs.write_whole(output, data)
+    atomic.write_whole(output, data)
     if not quiet:
         console.say_written(output)
     return exit_codes.SUCCESS

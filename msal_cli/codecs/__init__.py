@@ -8,51 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.detection import (
-    OWN_FORMATS,
-    SCENES,
-    content_format,
-    format_of_name,
-    readable_suffixes,
-)
-from msal_cli.codecs.header_check import read_input
-from msal_cli.codecs.mesh_file import MeshFile, corner_count
+from msal_cli.codecs.detection import OWN_FORMATS, content_format, format_of_name, readable_suffixes
+from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
-from msal_cli.storage.allocator import give_back_large_arrays
-from msal_cli.storage.atomic import write_whole
 from msal_cli.storage.buffers import Buffer
-from msal_cli.storage.digests import sha256_meanwhile
-from msal_cli.storage.gzip_streams import compressed, expanded, is_gzip_name, read_whole
-from msal_cli.storage.urls import is_url
+from msal_cli.storage.gzip_streams import is_gzip_name
 
 if TYPE_CHECKING:
     from msal_cli.codecs.mesh_file import Companion
-
-__all__ = [
-    "OWN_FORMATS",
-    "SCENES",
-    "MeshFile",
-    "compressed",
-    "content_format",
-    "converted",
-    "corner_count",
-    "digits_lost",
-    "encode_mesh",
-    "expanded",
-    "format_of_name",
-    "give_back_large_arrays",
-    "is_url",
-    "normal_warnings",
-    "open_mesh",
-    "read_input",
-    "read_whole",
-    "readable_suffixes",
-    "sha256_meanwhile",
-    "vertex_property",
-    "with_companions",
-    "writable_formats",
-    "write_whole",
-]
 
 
 def writable_formats() -> tuple[str, ...]:
@@ -157,7 +120,7 @@ def _article(format: str) -> str:
     return "an" if format[0] in "aeiomsfx" and format not in ("mesh", "med", "fem") else "a"
 
 
-def converted(
+def convert(
     mesh_file: MeshFile,
     vertices: NDArray[np.float64],
     to: str,

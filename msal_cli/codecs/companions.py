@@ -10,7 +10,7 @@ from msal_cli.codecs.gltf import names_of_buffers
 from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import MsalError, OutputError
 from msal_cli.storage.atomic import write_whole
-from msal_cli.storage.gzip_streams import expanded, read_whole
+from msal_cli.storage.gzip_streams import expand, read_whole
 
 
 def write_companions(companions: Sequence[Companion], output_path: str) -> tuple[str, ...]:
@@ -66,6 +66,6 @@ def _names_of_earlier(output_path: str) -> set[str]:
     if not os.path.isfile(output_path):
         return set()
     try:
-        return names_of_buffers(expanded(read_whole(output_path), output_path)[0])
+        return names_of_buffers(expand(read_whole(output_path), output_path)[0])
     except MsalError:
         return set()

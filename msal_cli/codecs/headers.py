@@ -157,9 +157,9 @@ def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
 def _read_glb(head: bytes, size: int, is_packed: bool) -> Header:
     from msal_cli.codecs import glb
 
-    most, error = size, None
-    if not is_packed:
-        most, error = _try(lambda: glb.expected_bytes(memoryview(head), size))
+    most, error = _try(
+        lambda: size if is_packed else glb.expected_bytes(memoryview(head), size),
+    )
     stop = _GLB_CHUNK + int.from_bytes(head[12:16], "little")
     is_there = head[:4] == b"glTF" and stop <= len(head)
     counts = _described(head[_GLB_CHUNK:stop], size) if is_there else {}
@@ -198,9 +198,9 @@ def _described(text: bytes, size: int) -> dict[str, Any]:
 
 
 def _read_obj(head: bytes) -> Header:
-    from msal_cli.codecs import obj_parser
+    from msal_cli.codecs import obj_errors
 
-    obj_parser.refuse_binary(head)
+    obj_errors.refuse_binary(head)
     return Header("obj", True)
 
 

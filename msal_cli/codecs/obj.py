@@ -167,7 +167,7 @@ class _Positions(Statements):
     @functools.cached_property
     def decimals(self) -> int:
         """Decimals of new numbers: as many as are usual, or as the extent asks for."""
-        from msal_cli.kernels.digits import FIXED_BELOW, MOST_DECIMALS
+        from msal_cli.kernels.digit_writing import FIXED_BELOW, MOST_DECIMALS
 
         needed = extent_decimals(self.values) or 0
         largest = max(float(self.values.max()), -float(self.values.min()))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 
-from msal_cli.codecs.obj_parser import Content, line_of
+from msal_cli.codecs.obj_errors import line_of
+from msal_cli.codecs.obj_parser import Content
 from msal_cli.storage.buffers import Buffer
 
 _PROPERTY_OF = {

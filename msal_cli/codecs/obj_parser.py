@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
+from msal_cli.codecs.obj_errors import bad_index_error, binary_error, line_of, refuse_binary
 from msal_cli.codecs.slots import number_hint
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError, TruncatedError
 from msal_cli.storage.buffers import Buffer
@@ -22,9 +23,6 @@ from msal_cli.storage.buffers import Buffer
 _T = TypeVar("_T", bound=np.generic)
 
 
-_LOOKED_AT = 4096
-_ZEROS_LOOKED_AT = 1 << 16
-_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 _BEGUN = re.compile(rb"[-+.\deE/\\]*")
 _WORD = re.compile(rb"(?:[ \t\v\f]|\\(?:\r\n?|\n))*+([^\s\\]*+(?:\\(?![\r\n])[^\s\\]*+)*+)")
 _NUMBER = rb"([-+]?(?:\d{1,25}(?:\.\d{0,25})?|\.\d{1,25})(?:[eE][-+]?\d{1,3})?)"
@@ -75,13 +73,6 @@ class Content:
     libraries: Longs
 
 
-def line_of(data: Buffer, at: int) -> int:
-    """The line, from one, that byte ``at`` is in; it may end with LF, CR LF or CR."""
-    before = bytes(memoryview(data)[:at])
-    # A CR LF that is cut in two by ``at`` has been counted by its CR.
-    return 1 + before.count(b"\n") + before.count(b"\r") - before.count(b"\r\n")
-
-
 def parse_content(data: Buffer) -> Content:
     """Parse the bytes of an OBJ file.
 
@@ -95,59 +86,20 @@ def parse_content(data: Buffer) -> Content:
     return _Reading(data, as_bytes(data)).content()
 
 
-def refuse_binary(data: Buffer) -> None:
-    """Raise unless the beginning of ``data`` can be the text of an OBJ file."""
-    if not len(data):
-        raise TruncatedError("the file is empty", hint="copy or export it again")
-    head = bytes(memoryview(data)[:_LOOKED_AT])
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise FormatError(
-            "the file is UTF-16 text, but OBJ is plain ASCII or UTF-8",
-            where="byte 0",
-            hint="save it again with the encoding UTF-8",
-        )
-    # Old systems end a text with this mark; it is kept as a line that is no statement.
-    control = _CONTROL.search(head.rstrip(b"\x1a\r\n") if len(data) <= _LOOKED_AT else head)
-    # Zeros are looked for farther on: the first pages of a file may be sound.
-    found = control.start() if control else bytes(memoryview(data)[:_ZEROS_LOOKED_AT]).find(0)
-    if found >= 0:
-        raise _binary(data, found)
-
-
-def _binary(data: Buffer, at: int) -> FormatError:
-    return FormatError(
-        f"byte {at} is a control character: this is binary data, not OBJ text",
-        where=f"byte {at}, line {line_of(data, at)}",
-        hint="pass --format if the suffix is wrong, or copy the file again",
-    )
-
-
-def _first_zero(data: Buffer) -> int:
-    """Where the first zero byte is; there is one."""
-    view = memoryview(data)
-    step = 1 << 22
-    for start in range(0, len(view), step):
-        at = bytes(view[start : start + step]).find(0)
-        if at >= 0:
-            return start + at
-    return -1
-
-
 class _Reading:
     """The arrays that the walk fills, grown as it asks for it."""
 
     def __init__(self, data: Buffer, buf: Bytes) -> None:
-        from msal_cli.kernels import obj_fast as obj_plain
-        from msal_cli.kernels import obj_scan
+        from msal_cli.kernels import obj_fast, obj_scan
 
-        self._plain = obj_plain
+        self._plain = obj_fast
         self._scan = obj_scan
         self._data = data
         self._buf = buf
         size = len(buf)
-        n_vertices, n_normals, n_faces, n_zeros = obj_plain.counted(buf)
+        n_vertices, n_normals, n_faces, n_zeros = obj_fast.counted(buf)
         if n_zeros:
-            raise _binary(data, _first_zero(data))
+            raise binary_error(data, next(re.finditer(rb"\0", memoryview(data))).start())
         has_normals = n_normals > 1
         # No statement is shorter than "v 0 0 0" and its line end: the counts cannot exceed this,
         # whatever the bytes say.
@@ -188,11 +140,11 @@ class _Reading:
         scan, state = self._scan, self.state
         reach = _FIRST_REACH
         while True:
-            result = self._walked_plainly()
+            result = self._walk_plainly()
             if result == self._plain.ODD and not self._read_statement():
                 # The slower walk takes over for longer and longer, so that a file of which much
                 # is not plain is hardly read in turns.
-                result = self._walked(state, int(state[scan.AT]) + reach, _NEVER)
+                result = self._walk(state, int(state[scan.AT]) + reach, _NEVER)
                 reach *= 2
             if result == scan.FULL:
                 self._grow()
@@ -241,46 +193,20 @@ class _Reading:
             libraries=self.libraries[: int(state[scan.LIBRARIES])],
         )
 
-    def _walked_plainly(self) -> int:
-        """Go on as far as the file is plain; what ``obj_plain.walked`` returns."""
-        return int(
-            self._plain.walked(
-                self._buf,
-                self.state,
-                self.vertices,
-                self.vertex_at,
-                self.decimals,
-                self.normals,
-                self.normal_at,
-                self.normal_decimals,
-                self.corners,
-                self.corner_normals,
-                self.sizes,
-            )
-        )
+    def _walk_plainly(self) -> int:
+        """Go on as far as the file is plain; what ``obj_fast.walked`` returns."""
+        return int(self._plain.walked(self._buf, self.state, *self._outputs()))
 
-    def _walked(self, state: Longs, until: int, n_faces: int) -> int:
+    def _walk(self, state: Longs, until: int, n_faces: int) -> int:
         """Go on to byte ``until``, or until ``n_faces`` faces are read; what ``scanned`` says."""
-        return int(
-            self._scan.scanned(
-                self._buf,
-                state,
-                until,
-                n_faces,
-                self.vertices,
-                self.vertex_at,
-                self.decimals,
-                self.normals,
-                self.normal_at,
-                self.normal_decimals,
-                self.corners,
-                self.corner_normals,
-                self.sizes,
-                self.undecided,
-                self.keywords,
-                self.libraries,
-            )
-        )
+        outputs = *self._outputs(), self.undecided, self.keywords, self.libraries
+        return int(self._scan.scanned(self._buf, state, until, n_faces, *outputs))
+
+    def _outputs(self) -> tuple[NDArray[Any], ...]:
+        """The arrays that both walks fill, in the order of their parameters."""
+        vertices = self.vertices, self.vertex_at, self.decimals
+        normals = self.normals, self.normal_at, self.normal_decimals
+        return *vertices, *normals, self.corners, self.corner_normals, self.sizes
 
     def _read_statement(self) -> bool:
         """Read one statement that is not plain but usual; whether it is one.
@@ -362,8 +288,10 @@ class _Reading:
         """(m, 3), the polygons cut into fans; a view where all are triangles."""
         if len(corners) == 3 * len(sizes) and bool((sizes == 3).all()):
             return corners.reshape(-1, 3)
+        from msal_cli.kernels.ply_scan import fans
+
         triangles = np.empty((len(corners) - 2 * len(sizes), 3), dtype=np.int32)
-        self._scan.fans(corners, sizes, triangles)
+        fans(corners, sizes, triangles)
         return triangles
 
     # What can be wrong
@@ -383,7 +311,7 @@ class _Reading:
         is_cut = self._is_last_line(at) and _BEGUN.fullmatch(word) is not None
         if result == scan.BAD_INDEX:
             face = int(state[scan.FACES]) + int(state[scan.SHORT]) + 1
-            return _bad_index(shown, f"{place}, face {face}", int(state[scan.VERTICES]))
+            return bad_index_error(shown, f"{place}, face {face}", int(state[scan.VERTICES]))
         if is_cut:
             return TruncatedError(
                 "the last line breaks off", where=place, hint="copy or export the file again"
@@ -471,11 +399,11 @@ class _Reading:
         # A second walk that ends behind this face says where it is, and so no other walk need
         # keep the place of every face.
         again = self._begun()
-        self._walked(again, _NEVER, face + 1)
+        self._walk(again, _NEVER, face + 1)
         number_of_face = face + 1 + int(again[scan.SHORT])
         place = self._place(int(again[scan.LAST_FACE_AT]))
         shown = "2147483648 or more" if number >= 2**31 else str(number)
-        raise _bad_index(shown, f"{place}, face {number_of_face}", n_vertices)
+        raise bad_index_error(shown, f"{place}, face {number_of_face}", n_vertices)
 
 
 def _decimals(number: bytes) -> int:
@@ -490,15 +418,6 @@ def _number(word: bytes) -> float:
         return float(word)
     except ValueError:
         return math.nan
-
-
-def _bad_index(number: str, where: str, n_vertices: int) -> ContentError:
-    return ContentError(
-        f"a face names vertex {number}, but there are {n_vertices} vertices",
-        where=where,
-        hint="the file is cut off or was put together wrongly; export it again",
-        code="E_INDEX",
-    )
 
 
 def _grown(array: NDArray[_T], rows: int) -> NDArray[_T]:

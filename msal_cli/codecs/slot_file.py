@@ -253,7 +253,7 @@ class SlotFile:
             if isinstance(slots, TextSlots):
                 rounded, _ = slots.rounded(values)
                 if rounded is not values:
-                    values, is_changed = rounded, rounded != slots.values
+                    values, is_changed = rounded, is_changed & (rounded != slots.values)
             changes.append(Change(slots, values, is_changed))
         changes += self._changed_normals(vertices)
         return [one for one in changes if one.is_changed.any()]

@@ -246,7 +246,7 @@ class StlTextFile(FacetFile):
         Tokens with an exponent can have any number (``1.5e-17``); theirs count as far as they
         mean something beside the size of the mesh.
         """
-        from msal_cli.kernels.digits import MOST_DECIMALS
+        from msal_cli.kernels.digit_writing import MOST_DECIMALS
 
         plain_normal, plain, exponent_normal, exponent = (int(d) for d in self._scan.decimals)
         span = self.vertices.max(axis=0) - self.vertices.min(axis=0)
@@ -278,7 +278,7 @@ class StlTextFile(FacetFile):
         if np.array_equal(vertices, self.vertices):
             return self.data
         from msal_cli.kernels import stl_scan, text
-        from msal_cli.kernels.digits import FIXED_BELOW
+        from msal_cli.kernels.digit_writing import FIXED_BELOW
 
         numbers, replace = self._changes(vertices)
         buf = text.as_bytes(self.data)

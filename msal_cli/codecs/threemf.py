@@ -65,7 +65,7 @@ class _Coordinates(Tokens):
 
     def _decimals(self, values: Floats) -> Bytes:
         """Decimals (3 n,) of new ``values`` (n, 3), those that changed, or ``SHORTEST``."""
-        from msal_cli.kernels.digits import MOST_DECIMALS
+        from msal_cli.kernels.digit_writing import MOST_DECIMALS
 
         needed = extent_decimals(self.values) or 0
         largest = float(np.abs(values[values != self.values]).max(initial=0.0))

@@ -17,11 +17,11 @@ from msal_cli.job.records import (
 )
 
 if TYPE_CHECKING:
-    from msal_cli.analysis.displacement import DisplacementStatistics, DistanceStatistics
     from msal_cli.analysis.harm import Harm
+    from msal_cli.analysis.measures import DisplacementStatistics, DistanceStatistics
     from msal_cli.analysis.noise_estimate import NoiseLevel
     from msal_cli.arrays import Floats
-    from msal_cli.mesh import Defects, Mesh, Prepared
+    from msal_cli.mesh import Defects, Mesh, PreparedMesh
     from msal_cli.methods import Method
 
 INSIDE_OUT = "W_INSIDE_OUT"
@@ -49,7 +49,7 @@ class Measured:
     harm: Harm | None
 
 
-def defect_fields(ready: Prepared, n_merged: int) -> dict[str, Any]:
+def defect_fields(ready: PreparedMesh, n_merged: int) -> dict[str, Any]:
     """Fields of the record: the defects; ``n_merged`` vertices were merged when the file was
     read."""
     names = (
@@ -79,9 +79,9 @@ def defect_warnings(defects: Defects) -> tuple[str, ...]:
 
 def noise_field(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate:
     """The noise as records have it; ``known`` is what was estimated of this mesh before."""
-    from msal_cli.analysis.noise_estimate import estimated
+    from msal_cli.analysis.noise_estimate import estimate_noise
 
-    level = known or estimated(mesh)
+    level = known or estimate_noise(mesh)
     character = level.character
     return NoiseEstimate(
         mean_edges=level.mean_edges,
@@ -127,7 +127,7 @@ def _length_fields(one: DistanceStatistics, edge: float) -> dict[str, float]:
 def volume_changed(before: float, after: float, area: float, objection: str) -> Volume:
     """The record of an enclosed volume; ``area`` is the area before, and ``objection`` says why the
     volume means nothing, empty if it does."""
-    from msal_cli.analysis.volume import relative_volume_change
+    from msal_cli.analysis.measures import relative_volume_change
 
     share = relative_volume_change(before, after, area)
     percent = None if share is None else 100.0 * share
@@ -139,19 +139,18 @@ def area_changed(before: float, after: float) -> Area:
     return Area(before, after, 100.0 * (after - before) / before if before else None)
 
 
-def measure(ready: Prepared, moved: Floats, noise: NoiseLevel | None) -> Measured:
+def measure(ready: PreparedMesh, moved: Floats, noise: NoiseLevel | None) -> Measured:
     """What changed when the mesh's positions became ``moved`` (n, 3).
 
     ``noise`` is the noise of the mesh where it is known already.
     """
-    from msal_cli.analysis.displacement import displacement_statistics
     from msal_cli.analysis.enclosure import enclosure_of
     from msal_cli.analysis.harm import harmful_change
-    from msal_cli.analysis.surface import surface_change
+    from msal_cli.analysis.measures import displacement_statistics, measure_surface_change
 
-    before, after = ready.mesh, ready.mesh.moved(moved)
-    statistics = displacement_statistics(before.vertices, after.vertices, before.links.has_ring)
-    surface = surface_change(before, after)
+    before, after = ready.mesh, ready.mesh.with_vertices(moved)
+    statistics = displacement_statistics(before.vertices, after.vertices, before.topology.has_ring)
+    surface = measure_surface_change(before, after)
     normals = surface.normals
     objection = ready.defects.volume_objection
     enclosed = enclosure_of(before, ready.defects, surface.area_before, surface.volume_before)
@@ -192,7 +191,7 @@ def method_warnings(
     displacement: Displacement,
     is_ruled: bool,
 ) -> tuple[str, ...]:
-    """Where a method that was asked for by name harms the mesh: each with the option to try.
+    """Where a method that was given by name harms the mesh: each with the option to try.
 
     ``is_ruled`` is what ``is_ruled_by_spike`` gave.
     """

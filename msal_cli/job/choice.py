@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.auto import NONE, Wishes, chosen
+from msal_cli.auto import NONE, Wishes, choose_method
 from msal_cli.job.records import ChoiceMade, MethodUsed, RunnerUp
 from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings
 
@@ -28,7 +28,7 @@ class Preparation:
     ----------
     mesh : the mesh to denoise, without its outliers if they were brought back.
     method : None where the mesh stays as it is.
-    parameters : of the method, every one of them.
+    parameters : all parameters of the method.
     noise : what was estimated of ``mesh`` on the way; None if nothing was.
     known : fields of the record.
     warnings : for the record.
@@ -51,11 +51,11 @@ def looks_at_mesh(settings: Settings) -> bool:
 def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None]) -> Preparation:
     """What ``settings`` mean for one mesh; ``on_step(done, total)`` is called while choosing."""
     from msal_cli import methods
-    from msal_cli.analysis.noise_estimate import estimated
+    from msal_cli.analysis.noise_estimate import estimate_noise
 
     noise: NoiseLevel | None = None
     if settings.min_noise is not None:
-        noise = estimated(mesh)
+        noise = estimate_noise(mesh)
         if why := skip_reason(noise, mesh, settings.min_noise):
             known = {"left_alone": why, "method": MethodUsed(NONE, {})}
             return Preparation(mesh, noise=noise, known=known)
@@ -74,9 +74,9 @@ def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None])
             )
         if outliers.count and (settings.despike or outliers.are_clear):
             despiked = outliers.count
-            mesh = mesh.moved(outliers.vertices)
+            mesh = mesh.with_vertices(outliers.vertices)
             # That of the mesh without them; a choice estimates it anyway.
-            noise = estimated(mesh) if is_named else noise
+            noise = estimate_noise(mesh) if is_named else noise
     known = {} if despiked is None else {"despiked": despiked}
     if is_named:
         method = methods.find(settings.method)
@@ -108,12 +108,12 @@ def choose(
     from msal_cli.auto import adaptive
 
     if wishes is None:
-        choice = adaptive.chosen(mesh, on_step)
+        choice = adaptive.choose_adaptive(mesh, on_step)
     else:
-        choice = chosen(mesh, Wishes(**wishes), on_step)
+        choice = choose_method(mesh, Wishes(**wishes), on_step)
     method = None if choice.method == NONE else methods.find(choice.method)
     # Checked as if the user had given them.
-    parameters = {} if method is None else method.settled(choice.parameters)
+    parameters = {} if method is None else method.validate(choice.parameters)
     made = ChoiceMade(
         reason=choice.reason,
         surface=choice.surface,

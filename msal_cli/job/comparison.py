@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from msal_cli.arrays import Floats, Ints
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.records import MeshRecord
-    from msal_cli.mesh import Mesh, Prepared
+    from msal_cli.mesh import Mesh, PreparedMesh
     from msal_cli.storage.buffers import Buffer
 
 HEATMAP_QUANTILE = 0.99
@@ -54,10 +54,10 @@ class Surface:
 
 def opened(path: str, format: str | None = None) -> MeshFile:
     """The mesh file at ``path``; MsalError, which names the path, if it cannot be read."""
-    from msal_cli import codecs
+    from msal_cli.codecs import header_check
 
     try:
-        return open_mesh(codecs.read_input(path, format), path, format)[0]
+        return open_mesh(header_check.read_input(path, format), path, format)[0]
     except MsalError as error:
         error.path = error.path or path
         raise
@@ -81,7 +81,7 @@ def compare_files(
     ``with_intersections`` counts the faces of each that intersect each other.
     """
     try:
-        return compared(
+        return compare_meshes(
             open_surface(before, format),
             open_surface(after, format),
             before,
@@ -116,7 +116,7 @@ def _measure_against(path: str, output: str, format: str | None) -> Reference:
     return Reference(path, **{name: getattr(record, name) for name in shared})
 
 
-def compared(
+def compare_meshes(
     before: Surface,
     after: Surface,
     before_name: str,
@@ -140,7 +140,7 @@ def compared(
 
     first = prepare_surface(before, before_name)
     second = prepare_surface(after, after_name)
-    is_same = metrics.correspond(before.vertices, before.faces, after.vertices, after.faces)
+    is_same = metrics.have_same_faces(before.vertices, before.faces, after.vertices, after.faces)
     record = ComparisonRecord(
         before=before_name,
         after=after_name,
@@ -167,7 +167,7 @@ def compared(
                 "the first of them counts",
             )
     else:
-        moved = second.mesh.moved(second.mesh.vertices + (second.origin - first.origin))
+        moved = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))
         record = _by_surface(record, first, second)
     if with_intersections:
         record = replace(record, self_intersections=_self_intersections(reference, moved, is_same))
@@ -183,7 +183,7 @@ def deviations(before: Surface, after: Surface) -> Floats:
     from msal_cli.analysis import correspondence as metrics
     from msal_cli.analysis.surface_distance import distances_to_surface
 
-    if metrics.correspond(before.vertices, before.faces, after.vertices, after.faces):
+    if metrics.have_same_faces(before.vertices, before.faces, after.vertices, after.faces):
         return metrics.vertex_distances(before.vertices, after.vertices)
     reference = prepare_surface(before, "")
     return distances_to_surface(after.vertices - reference.origin, reference.mesh)
@@ -221,35 +221,37 @@ def build_heatmap(before: MeshFile, after: MeshFile, before_name: str) -> Heatma
         after,
         after.vertices,
         {"deviation": values},
-        colours.mapped(values, low, high, "sequential"),
+        colours.map_colours(values, low, high, "sequential"),
         comments,
     )
     return Heatmap(data, low, high)
 
 
-def prepare_surface(surface: Surface, name: str) -> Prepared:
+def prepare_surface(surface: Surface, name: str) -> PreparedMesh:
     """The mesh of a surface and its vertex map; an error has the path ``name``."""
-    from msal_cli.mesh import prepared
+    from msal_cli.mesh import prepare_mesh
 
     try:
-        return prepared(surface.vertices, surface.faces, are_distinct=surface.merged_vertices > 0)
+        return prepare_mesh(
+            surface.vertices, surface.faces, are_distinct=surface.merged_vertices > 0
+        )
     except MsalError as error:
         error.path = error.path or name
         raise
 
 
-def _by_vertex(record: ComparisonRecord, first: Prepared, moved: Mesh) -> ComparisonRecord:
+def _by_vertex(record: ComparisonRecord, first: PreparedMesh, moved: Mesh) -> ComparisonRecord:
     from msal_cli.analysis import correspondence as metrics
     from msal_cli.analysis.enclosure import enclosure_of
-    from msal_cli.analysis.surface import surface_change
+    from msal_cli.analysis.measures import measure_surface_change
 
     reference = first.mesh
-    change = surface_change(reference, moved)
+    change = measure_surface_change(reference, moved)
     own = enclosure_of(reference, first.defects, change.area_before, change.volume_before)
     other = enclosure_of(moved, first.defects, change.area_after, change.volume_after)
     record = _with_orientation(record, own, other)
     change = own.change(reference, moved, change)
-    distances = metrics.moved_statistics(reference, moved)
+    distances = metrics.displacement_of_moved(reference, moved)
     volume = changes.volume_changed(
         change.volume_before,
         change.volume_after,
@@ -268,9 +270,11 @@ def _by_vertex(record: ComparisonRecord, first: Prepared, moved: Mesh) -> Compar
     )
 
 
-def _by_surface(record: ComparisonRecord, first: Prepared, second: Prepared) -> ComparisonRecord:
+def _by_surface(
+    record: ComparisonRecord, first: PreparedMesh, second: PreparedMesh
+) -> ComparisonRecord:
     from msal_cli.analysis.enclosure import enclosure_of
-    from msal_cli.analysis.volume import area_and_volume
+    from msal_cli.analysis.measures import area_and_volume
 
     area_before, volume_before = area_and_volume(first.mesh)
     area_after, volume_after = area_and_volume(second.mesh)

@@ -18,7 +18,7 @@ from msal_cli.job.units import COMPARISONS, UNIT_PATTERN, in_file_units
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats
     from msal_cli.codecs.mesh_file import MeshFile
-    from msal_cli.mesh import Mesh, Prepared
+    from msal_cli.mesh import Mesh, PreparedMesh
 
 BOUNDARY = "boundary"
 
@@ -108,7 +108,7 @@ def parse_lock(text: str) -> Lock | None:
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """What is asked of one mesh.
+    """The constraints on one mesh.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class Constraints:
 
 
 def build_constraints(
-    ready: Prepared,
+    ready: PreparedMesh,
     mesh_file: MeshFile,
     max_move: str | None,
     locks: Sequence[str],
@@ -150,7 +150,7 @@ def build_constraints(
     held = _find_held(ready, mesh_file, [parse_lock(one) for one in locks]) if locks else None
     trust = None if weights is None else _build_trust(ready, mesh_file, weights)
     limit = None if max_move is None else parse_length(max_move).in_units(mesh.mean_edge_length)
-    return Constraints(mesh.constrained(held, trust), held, limit)
+    return Constraints(mesh.with_constraints(held, trust), held, limit)
 
 
 def clamp_moves(before: Floats, after: Floats, limit: float) -> tuple[Floats, int]:
@@ -174,7 +174,7 @@ def clamp_moves(before: Floats, after: Floats, limit: float) -> tuple[Floats, in
     return after, len(beyond)
 
 
-def _find_held(ready: Prepared, mesh_file: MeshFile, locks: Sequence[Lock | None]) -> Flags:
+def _find_held(ready: PreparedMesh, mesh_file: MeshFile, locks: Sequence[Lock | None]) -> Flags:
     """Which mesh vertices (n,) any lock pins: with one all that coincide with it."""
     import numpy as np
 
@@ -183,14 +183,14 @@ def _find_held(ready: Prepared, mesh_file: MeshFile, locks: Sequence[Lock | None
     held: Flags = np.zeros(len(ready.mesh.vertices), dtype=np.bool_)
     for one in locks:
         if one is None:
-            held |= ready.mesh.links.boundary
+            held |= ready.mesh.topology.boundary
         else:
             flags = one.select(codecs.vertex_property(mesh_file, one.name))
             held |= _spread_largest(ready, flags.astype(np.float64)) > 0.0
     return held
 
 
-def _build_trust(ready: Prepared, mesh_file: MeshFile, name: str) -> Floats:
+def _build_trust(ready: PreparedMesh, mesh_file: MeshFile, name: str) -> Floats:
     """Trust (n,) from 0 to 1: the property over its largest value; below 0 there is none.
 
     Of vertices that coincide the most trusted counts.
@@ -216,14 +216,14 @@ def _build_trust(ready: Prepared, mesh_file: MeshFile, name: str) -> Floats:
     return _spread_largest(ready, np.clip(values / largest, 0.0, 1.0))
 
 
-def _spread_largest(ready: Prepared, values: Floats) -> Floats:
+def _spread_largest(ready: PreparedMesh, values: Floats) -> Floats:
     """For values (n_file,) of at least 0 at the file's vertices, the largest at each of the mesh's
     (n,)."""
     import numpy as np
 
-    if ready.place is None:
+    if ready.vertex_map is None:
         return values
     largest = np.zeros(len(ready.mesh.vertices))
-    is_used = ready.place >= 0
-    np.maximum.at(largest, ready.place[is_used], values[is_used])
+    is_used = ready.vertex_map >= 0
+    np.maximum.at(largest, ready.vertex_map[is_used], values[is_used])
     return largest

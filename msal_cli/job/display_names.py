@@ -1,6 +1,6 @@
 """Names and figures as text: reversibly for programs, harmlessly for people.
 
-The system gives names as text in which a byte that is not valid UTF-8 stands as a lone surrogate
+The system gives names as text in which a byte that is not valid UTF-8 becomes a lone surrogate
 (``os.fsdecode``).  Such text can be written neither as UTF-8 nor as JSON that every reader takes.
 """
 
@@ -14,7 +14,7 @@ _TO_ESCAPE = re.compile(r"[\ud800-\udfff]|\\(?=u(?:d[89a-f][0-9a-f]{2}|005c))")
 _ESCAPED = re.compile(r"\\u(d[89a-f][0-9a-f]{2}|005c)")
 
 _LOG_COMMAND = re.compile(r"\s*::")
-# These are obeyed wherever in a line they stand.
+# These are obeyed anywhere in a line.
 _INNER_COMMAND = re.compile(r"#(?=#\w*\[)")
 
 _UNSAFE_CATEGORIES = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
@@ -29,12 +29,12 @@ def portable(text: str) -> str:
     return _TO_ESCAPE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
-def restored(text: str) -> str:
+def restore_name(text: str) -> str:
     """The text that ``portable`` was given."""
     return _ESCAPED.sub(lambda found: chr(int(found[1], 16)), text)
 
 
-def shown(text: str) -> str:
+def escape_for_display(text: str) -> str:
     """``text`` for a terminal or a log: one line, and nothing in it that a terminal obeys.
 
     Control and format characters (line ends, escape sequences, marks that turn the writing
@@ -44,7 +44,7 @@ def shown(text: str) -> str:
     """
     if _LOG_COMMAND.match(text):
         text = text.lstrip()
-        return f"\\x{ord(text[0]):02x}{shown(text[1:])}"
+        return f"\\x{ord(text[0]):02x}{escape_for_display(text[1:])}"
     text = _INNER_COMMAND.sub(r"\\x23", text)
     if text.isascii() and text.isprintable():
         return text
@@ -75,8 +75,8 @@ def _character_columns(one: str) -> int:
     return 2 if unicodedata.east_asian_width(one) in "WF" else 1
 
 
-def shortened(text: str, width: int) -> str:
-    """``text`` in at most ``width`` columns; the end of a path tells more than its beginning."""
+def shorten_name(text: str, width: int) -> str:
+    """``text`` in at most ``width`` columns; the end of a path says more than its beginning."""
     if columns(text) <= width:
         return text
     taken, start = 3, len(text)
@@ -86,7 +86,7 @@ def shortened(text: str, width: int) -> str:
     return "..." + text[start:]
 
 
-def padded(text: str, width: int, *, right: bool = False) -> str:
+def pad_name(text: str, width: int, *, right: bool = False) -> str:
     """``text`` filled with spaces to ``width`` columns, to the right edge if ``right``."""
     fill = " " * max(0, width - columns(text))
     return fill + text if right else text + fill

@@ -18,7 +18,7 @@ from msal_cli.job.records import FieldsFile
 if TYPE_CHECKING:
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import MeshFile
-    from msal_cli.mesh import Prepared
+    from msal_cli.mesh import PreparedMesh
     from msal_cli.storage.buffers import Buffer
 
 SUFFIX = ".fields.ply"
@@ -72,7 +72,7 @@ def path_beside(output: str) -> str:
 
 def compute(
     names: Sequence[str],
-    ready: Prepared,
+    ready: PreparedMesh,
     moved: Floats,
     fidelity: Floats | None,
     parameters: Mapping[str, Any],
@@ -84,24 +84,23 @@ def compute(
     without one, or where it pulls nothing back, lambda is sigma / max sigma.  Vertices that no face
     uses have 0.  Outward is away from the solid, also where its surface is inside out.
     """
-    from msal_cli.analysis.curvature import mean_curvature
-    from msal_cli.analysis.enclosure import enclosure
-    from msal_cli.analysis.local_scale import local_scale
-    from msal_cli.analysis.noise_estimate import regional
+    from msal_cli.analysis.enclosure import measure_enclosure
+    from msal_cli.analysis.measures import local_scale, mean_curvature
+    from msal_cli.analysis.noise_estimate import estimate_regions
 
     mesh = ready.mesh
     normals = mesh.vertex_normals(
         parameters.get("normals", "uniform"), parameters.get("mollify", 1)
     )
-    outwards = enclosure(ready).outward_signs(mesh)
+    outwards = measure_enclosure(ready).outward_signs(mesh)
     values: dict[str, Floats] = {}
     for name in names:
         if name == "displacement":
             field = outwards * ((moved - mesh.vertices) * normals).sum(axis=1)
         elif name == "curvature":
-            field = outwards * mean_curvature(mesh.moved(moved))
+            field = outwards * mean_curvature(mesh.with_vertices(moved))
         elif name == "noise":
-            field = regional(mesh)
+            field = estimate_regions(mesh)
         else:
             field = local_scale(mesh, normals)
             largest = float(field.max(initial=0.0))
@@ -113,13 +112,13 @@ def compute(
     return values
 
 
-def _at_file_vertices(field: Floats, ready: Prepared) -> Floats:
+def _at_file_vertices(field: Floats, ready: PreparedMesh) -> Floats:
     import numpy as np
 
-    known = np.where(ready.mesh.links.has_ring, field, 0.0)
-    if ready.place is None:
+    known = np.where(ready.mesh.topology.has_ring, field, 0.0)
+    if ready.vertex_map is None:
         return known
-    return np.where(ready.place >= 0, known[ready.place], 0.0)
+    return np.where(ready.vertex_map >= 0, known[ready.vertex_map], 0.0)
 
 
 def build_file(
@@ -150,7 +149,7 @@ def build_file(
         f"(quantile {kind.quantile:g})"
     ]
     data = ply_fields.with_fields(
-        mesh_file, vertices, values, colours.mapped(shown, low, high, kind.map), comments
+        mesh_file, vertices, values, colours.map_colours(shown, low, high, kind.map), comments
     )
     return data, FieldsFile(path, tuple(values), name, kind.map, low, high)
 

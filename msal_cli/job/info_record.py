@@ -10,7 +10,7 @@ from msal_cli.job.records import Failure, NoiseEstimate
 
 @dataclass(frozen=True)
 class InfoRecord:
-    """What ``msal info`` tells of one file; lengths are in file units."""
+    """What ``msal info`` reports of one file; lengths are in file units."""
 
     input: str
     schema: str = "msal.info/1"

@@ -29,11 +29,11 @@ def inspect_file(
     ``with_intersections`` counts the faces that intersect each other, which takes longer than all
     the rest.
     """
-    from msal_cli import codecs
+    from msal_cli.codecs import header_check
 
     try:
         if data is None:
-            data = codecs.read_input(path, format)
+            data = header_check.read_input(path, format)
         return _inspect(data, path, format, with_intersections)
     except Exception as error:
         known = to_known_error(error, path)
@@ -42,9 +42,9 @@ def inspect_file(
 
 
 def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bool) -> InfoRecord:
-    from msal_cli import codecs
     from msal_cli.analysis.enclosure import enclosure_of
-    from msal_cli.analysis.volume import area_and_volume
+    from msal_cli.analysis.measures import area_and_volume
+    from msal_cli.codecs.mesh_file import corner_count
 
     mesh_file, is_compressed = open_mesh(data, name, format)
     ready = prepare_mesh(mesh_file)
@@ -70,7 +70,7 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
         compressed=is_compressed,
         bytes=len(data),
         vertices=len(mesh_file.vertices),
-        corners=codecs.corner_count(mesh_file),
+        corners=corner_count(mesh_file),
         faces=mesh_file.n_polygons,
         triangles=len(mesh_file.faces),
         polygon_sizes=_polygon_sizes(mesh_file),

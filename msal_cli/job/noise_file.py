@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from msal_cli.analysis.added_noise import AddedNoise
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import MeshFile
-    from msal_cli.mesh import Prepared
+    from msal_cli.mesh import PreparedMesh
     from msal_cli.storage.buffers import Buffer
 
 
@@ -30,10 +30,12 @@ def add_noise_to_file(
 
     from msal_cli import codecs
     from msal_cli.analysis.added_noise import add_noise
+    from msal_cli.codecs import detection
     from msal_cli.job.opened_mesh import open_mesh, prepare_mesh
+    from msal_cli.storage import gzip_streams
 
     mesh_file, is_compressed = open_mesh(data, name, format)
-    wanted = codecs.format_of_name(target)
+    wanted = detection.format_of_name(target)
     if wanted and wanted != mesh_file.format:
         raise UnsupportedError(
             f"noise keeps the format, {mesh_file.format}, and the output's name says {wanted}",
@@ -47,19 +49,19 @@ def add_noise_to_file(
     if not np.isfinite(positions).all():
         raise InternalError("noise made a position that is not finite")
     original = mesh_file.vertices
-    vertices = ready.scattered(positions, original)
+    vertices = ready.to_file_vertices(positions, original)
     n_moved = int(np.count_nonzero((vertices != original).any(axis=1)))
     compress = target.lower().endswith(".gz") if target != "-" else is_compressed
     is_kept = not n_moved and compress == is_compressed
     if n_moved:
         output = _replace_positions(mesh_file, vertices)
     else:
-        output = data if is_kept else codecs.expanded(data, name)[0]
+        output = data if is_kept else gzip_streams.expand(data, name)[0]
     path = None if target == "-" else target
     output, companions = codecs.with_companions(mesh_file, output, vertices, path)
     settings = noise.describe()
     return MadeFile(
-        output=codecs.compressed(output) if compress and not is_kept else output,
+        output=gzip_streams.compress(output) if compress and not is_kept else output,
         description=f"{noise.kind} noise of {noise.level:g} mean edge lengths "
         f"({noise.level * ready.mesh.mean_edge_length:.4g}), {settings + ', ' if settings else ''}"
         f"{n_moved:,} of {len(original):,} vertices moved, seed {noise.seed}",
@@ -79,16 +81,16 @@ def _replace_positions(mesh_file: MeshFile, vertices: Floats) -> Buffer:
     return output
 
 
-def read_weights(mesh_file: MeshFile, ready: Prepared, name: str) -> Floats:
+def read_weights(mesh_file: MeshFile, ready: PreparedMesh, name: str) -> Floats:
     """A vertex property of the file at the mesh's vertices (n,); of vertices at one place the
     first in the file counts."""
     import numpy as np
 
-    from msal_cli import codecs as files
+    from msal_cli import codecs
 
-    values = files.vertex_property(mesh_file, name)
-    if ready.place is None:
+    values = codecs.vertex_property(mesh_file, name)
+    if ready.vertex_map is None:
         return values
-    is_used = ready.place >= 0
-    _, first = np.unique(ready.place[is_used], return_index=True)
+    is_used = ready.vertex_map >= 0
+    _, first = np.unique(ready.vertex_map[is_used], return_index=True)
     return values[is_used][first]

@@ -10,7 +10,7 @@ from msal_cli.errors import InternalError, MsalError, ResourceError
 
 if TYPE_CHECKING:
     from msal_cli.codecs.mesh_file import MeshFile
-    from msal_cli.mesh import Prepared
+    from msal_cli.mesh import PreparedMesh
     from msal_cli.storage.buffers import Buffer
 
 log = logging.getLogger("msal")
@@ -19,16 +19,19 @@ log = logging.getLogger("msal")
 def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshFile, bool]:
     """The mesh file in ``data``, and whether gzip compressed it."""
     from msal_cli import codecs
+    from msal_cli.storage import gzip_streams
 
-    plain, is_compressed = codecs.expanded(data, name)
+    plain, is_compressed = gzip_streams.expand(data, name)
     return codecs.open_mesh(plain, name, format), is_compressed
 
 
-def prepare_mesh(mesh_file: MeshFile) -> Prepared:
+def prepare_mesh(mesh_file: MeshFile) -> PreparedMesh:
     """The mesh of a file, fit for computing; ContentError if it is not."""
-    from msal_cli.mesh import prepared
+    from msal_cli.mesh import prepare_mesh
 
-    return prepared(mesh_file.vertices, mesh_file.faces, are_distinct=mesh_file.merged_vertices > 0)
+    return prepare_mesh(
+        mesh_file.vertices, mesh_file.faces, are_distinct=mesh_file.merged_vertices > 0
+    )
 
 
 def to_known_error(error: Exception, name: str) -> MsalError:

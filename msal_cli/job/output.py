@@ -69,11 +69,13 @@ def build_output(
         where the output does not hold what it should.
     """
     from msal_cli import codecs
+    from msal_cli.codecs import detection
+    from msal_cli.storage import gzip_streams
 
     compress = source.is_compressed if path is None else path.lower().endswith(".gz")
     target = _target(mesh_file, path, settings)
     if target != mesh_file.format:
-        output, losses = codecs.converted(
+        output, losses = codecs.convert(
             mesh_file, vertices, target, settings.encoding, settings.precision
         )
         if losses and settings.strict:
@@ -84,8 +86,10 @@ def build_output(
         _check_reopened(output, target, mesh_file, vertices)
         lost = tuple(f"lost in {target}: {loss}" for loss in losses)
         # A scene that only changes its container still names its images.
-        references = mesh_file.references if {target, mesh_file.format} == codecs.SCENES else ()
-        return Output(codecs.compressed(output) if compress else output, references, losses=lost)
+        references = mesh_file.references if {target, mesh_file.format} == detection.SCENES else ()
+        return Output(
+            gzip_streams.compress(output) if compress else output, references, losses=lost
+        )
     if settings.encoding != "same" or settings.precision != "same":
         output = mesh_file.encoded(vertices, settings.encoding, settings.precision)
         _check_reopened(output, target, mesh_file, vertices)
@@ -96,10 +100,10 @@ def build_output(
         output, companions = codecs.with_companions(mesh_file, source.data, vertices, path)
         return Output(output, mesh_file.references, companions)
     else:
-        output = codecs.expanded(source.data, source.name)[0]
+        output = gzip_streams.expand(source.data, source.name)[0]
     notes = codecs.normal_warnings(mesh_file, vertices)
     output, companions = codecs.with_companions(mesh_file, output, vertices, path)
-    output = codecs.compressed(output) if compress else output
+    output = gzip_streams.compress(output) if compress else output
     return Output(output, mesh_file.references, companions, notes)
 
 
@@ -118,8 +122,9 @@ def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: 
     import numpy as np
 
     from msal_cli import codecs
+    from msal_cli.codecs import detection
 
-    if f".{target}" not in codecs.readable_suffixes():
+    if f".{target}" not in detection.readable_suffixes():
         return
     try:
         again = codecs.open_mesh(bytes(output), f"output.{target}", target)
@@ -147,8 +152,8 @@ def _are_equal(vertices: Floats, others: Floats) -> bool:
 
 def make_folder_of(path: str) -> None:
     """Make the folder that a file is to be written to, if it is not there; stores have none."""
-    from msal_cli.codecs import is_url
     from msal_cli.storage.atomic import make_folders
+    from msal_cli.storage.urls import is_url
 
     if is_url(path):
         return
@@ -164,25 +169,25 @@ def make_folder_of(path: str) -> None:
 
 def keep_backup(task: Task, data: Buffer) -> None:
     """Write the original beside the file that is about to be replaced."""
-    from msal_cli import codecs
+    from msal_cli.storage import atomic, gzip_streams
 
     backup = task.input + str(task.backup)
     if os.path.lexists(backup):
-        if os.path.isfile(backup) and codecs.read_whole(backup) == data:
+        if os.path.isfile(backup) and gzip_streams.read_whole(backup) == data:
             return
         raise OutputError(
             f"the backup {backup!r} exists and is not this file",
             hint="move it away or choose another --backup suffix",
         )
-    codecs.write_whole(backup, [data], mode_like=task.input)
+    atomic.write_whole(backup, [data], mode_like=task.input)
 
 
 def write_output(path: str, data: Buffer, companions: tuple[Companion, ...] = ()) -> None:
     """Write a file after those that hold a part of it; its folder is made if it is not there."""
-    from msal_cli import codecs
     from msal_cli.codecs.companions import write_companions
+    from msal_cli.storage import atomic
 
     make_folder_of(path)
     if companions:
         write_companions(companions, path)
-    codecs.write_whole(path, [data])
+    atomic.write_whole(path, [data])

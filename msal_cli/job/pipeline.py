@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.constraints import Constraints
-    from msal_cli.mesh import Mesh, Prepared
+    from msal_cli.mesh import Mesh, PreparedMesh
     from msal_cli.methods import Method
     from msal_cli.storage.buffers import Buffer
 
@@ -61,7 +61,8 @@ def denoise_file(
     """
     run = _FileRun(task.input, settings, on_progress, limits)
     try:
-        from msal_cli import codecs
+        from msal_cli.codecs import header_check
+        from msal_cli.storage import atomic
 
         with run.stage("read"):
             # The mark is older than the bytes: an object that changes in between is done again.
@@ -69,7 +70,7 @@ def denoise_file(
             if limits.memory_bytes is not None or limits.max_faces is not None:
                 refuse_oversized(forecast(task, settings), limits)
             size = task.input_mark.size if task.input_mark is not None else None
-            data = codecs.read_input(task.input, settings.format, size)
+            data = header_check.read_input(task.input, settings.format, size)
         made = run.denoise(data, task.output)
         with run.stage("write"):
             if task.in_place and task.backup:
@@ -79,7 +80,7 @@ def denoise_file(
             run.write_fields()
             sidecars = run.carry_sidecars(task, made)
             mode_like = task.input if task.in_place else None
-            mark = codecs.write_whole(task.output, [made.data], mode_like=mode_like)
+            mark = atomic.write_whole(task.output, [made.data], mode_like=mode_like)
             run.know(output_object=None if mark is None else ObjectMark(*mark))
         return run.finish(task.output, sidecars=sidecars)
     except Exception as error:
@@ -117,14 +118,15 @@ def denoise_copy(
     """
     run = _FileRun(task.relative, settings, on_progress, limits)
     try:
-        from msal_cli import codecs
+        from msal_cli.codecs import header_check
+        from msal_cli.storage import atomic
 
         with run.stage("read"):
             refuse_oversized(forecast(task, settings), limits)
-            data = codecs.read_input(task.input, settings.format)
+            data = header_check.read_input(task.input, settings.format)
         made = run.denoise(data, None)
         with run.stage("write"):
-            codecs.write_whole(task.output, [made.data])
+            atomic.write_whole(task.output, [made.data])
         return run.finish(None)
     except Exception as error:
         return run.fail(error)
@@ -212,12 +214,13 @@ class _FileRun:
 
     def denoise(self, data: Buffer, output_path: str | None) -> output.Output:
         """The output file for the bytes of the input file; ``output_path`` is None for a pipe."""
-        from msal_cli import codecs
+        from msal_cli.codecs.mesh_file import corner_count
+        from msal_cli.storage import allocator, digests
 
         name = self._record.input
         with self.stage("read"):
-            codecs.give_back_large_arrays()
-            digest = codecs.sha256_meanwhile(data)
+            allocator.give_back_large_arrays()
+            digest = digests.sha256_meanwhile(data)
             try:
                 mesh_file, is_compressed = open_mesh(data, name, self._settings.format)
             finally:
@@ -228,7 +231,7 @@ class _FileRun:
                 encoding=mesh_file.encoding,
                 precision=mesh_file.precision,
                 vertices=len(mesh_file.vertices),
-                corners=codecs.corner_count(mesh_file),
+                corners=corner_count(mesh_file),
                 faces=mesh_file.n_polygons,
                 triangles=len(mesh_file.faces),
             )
@@ -246,7 +249,7 @@ class _FileRun:
                     mesh_file, vertices, self._field_values, fields.path_beside(output_path)
                 )
             self._is_changed = made.data is not data
-            self._output_digest = codecs.sha256_meanwhile(made.data)
+            self._output_digest = digests.sha256_meanwhile(made.data)
         return made
 
     def _move_vertices(self, mesh_file: MeshFile) -> Floats:
@@ -268,7 +271,7 @@ class _FileRun:
         with self.stage("sweeps"):
             moved, normals_s = chosen.mesh.vertices, 0.0
             if method is not None:
-                result = method.denoised(
+                result = method.denoise(
                     chosen.mesh, chosen.parameters, self._report_steps("sweeps")
                 )
                 self._check_result(ready, result.vertices)
@@ -308,15 +311,15 @@ class _FileRun:
                     settings.fields, ready, moved, fidelity, chosen.parameters
                 )
             if SELF_INTERSECTIONS in settings.checks:
-                after = ready.mesh.moved(moved)
+                after = ready.mesh.with_vertices(moved)
                 self.know(self_intersections=changes.count_self_intersections(ready.mesh, after))
-            ready.mesh.forget_normals()
-            vertices = ready.scattered(moved, mesh_file.vertices)
+            ready.mesh.release_normals()
+            vertices = ready.to_file_vertices(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
 
-    def _build_constraints(self, ready: Prepared, mesh_file: MeshFile) -> Constraints | None:
-        """What keeps vertices of this file near their place; None if nothing was asked for."""
+    def _build_constraints(self, ready: PreparedMesh, mesh_file: MeshFile) -> Constraints | None:
+        """What keeps vertices of this file near their place; None if no option sets any."""
         settings = self._settings
         asked = (settings.max_move, settings.lock, settings.weights)
         if asked == (None, (), None):
@@ -339,7 +342,7 @@ class _FileRun:
         self._warn(*chosen.warnings)
         return chosen
 
-    def _check_result(self, ready: Prepared, vertices: Floats) -> None:
+    def _check_result(self, ready: PreparedMesh, vertices: Floats) -> None:
         """A method must return finite positions for the same vertices."""
         import numpy as np
 
@@ -351,7 +354,7 @@ class _FileRun:
             raise InternalError(f"{name} made a position that is not finite", where=f"vertex {bad}")
 
     def _warn_of_method(self, method: Method, parameters: Any, is_ruled: bool) -> None:
-        """Warn where a method that was asked for by name harms the mesh."""
+        """Warn where a method that was given by name harms the mesh."""
         noise, moved = self._record.noise_estimate, self._record.displacement
         if noise is not None and moved is not None:
             self._warn(*changes.method_warnings(method, parameters, noise, moved, is_ruled))
@@ -359,16 +362,16 @@ class _FileRun:
     # Beside the output
 
     def write_fields(self) -> None:
-        """Write the file of fields, if one was asked for, over nothing but its like."""
+        """Write the file of fields, if it was requested; only a file of fields is replaced."""
         if self._fields_file is None:
             return
-        from msal_cli import codecs
         from msal_cli.job import fields
+        from msal_cli.storage import atomic, urls
 
         data, described = self._fields_file
-        if not codecs.is_url(described.path):
+        if not urls.is_url(described.path):
             fields.refuse_foreign(described.path)
-        codecs.write_whole(described.path, [data])
+        atomic.write_whole(described.path, [data])
         self.know(fields=described)
 
     def carry_sidecars(self, task: Task, made: output.Output) -> tuple[str, ...]:
@@ -377,7 +380,7 @@ class _FileRun:
         if made.references and not task.in_place:
             from msal_cli.storage import sidecars
 
-            notes = tuple(sidecars.carried(made.references, task.input, task.output))
+            notes = tuple(sidecars.carry(made.references, task.input, task.output))
             marked = (note for note in notes if note.startswith("warning: "))
             self._warn(*(note.removeprefix("warning: ") for note in marked))
         if made.companions:

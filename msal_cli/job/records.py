@@ -126,7 +126,7 @@ class NoiseEstimate:
     negligible: bool | None = known("whether there is no noise to speak of")
     lowest_edges: float | None = known("level of the least noisy region, mean edge lengths")
     highest_edges: float | None = known("level of the most noisy region, mean edge lengths")
-    regions: int | None = known("number of regions that were told apart")
+    regions: int | None = known("number of regions that were distinguished")
     uneven: bool | None = known("whether the noise is not the same everywhere")
     kind: str | None = known(
         "none, white (independent at each vertex, along the normals), isotropic, correlated "

@@ -31,13 +31,15 @@ def is_volume_content(data: Buffer) -> bool:
 
 def output_format(target: str, to: str | None) -> str:
     """The format of the output, PLY for a stream; UsageError for one that cannot be written."""
-    from msal_cli import codecs as files
+    from msal_cli import codecs
+    from msal_cli.codecs import detection
 
-    wanted = to or ("ply" if target == "-" else files.format_of_name(target))
-    if wanted not in files.writable_formats():
+    wanted = to or ("ply" if target == "-" else detection.format_of_name(target))
+    if wanted not in codecs.writable_formats():
         raise UsageError(
             f"a new mesh cannot be written as {wanted or target!r}",
-            hint=f"choose with --to, or the output's suffix: {', '.join(files.writable_formats())}",
+            hint="choose with --to, or the output's suffix: "
+            f"{', '.join(codecs.writable_formats())}",
         )
     return wanted
 
@@ -54,7 +56,7 @@ def scan_mesh(
     """What a simulated scanner makes of the mesh file ``name``, as a file of the format ``to``; and
     its true places as one of the format ``truth_to``, if that is given."""
     from msal_cli.analysis.simulation import find_truth, simulate_scan
-    from msal_cli.codecs import format_of_name
+    from msal_cli.codecs.detection import format_of_name
     from msal_cli.job.opened_mesh import open_mesh, prepare_mesh
 
     try:
@@ -104,12 +106,12 @@ def mesh_volume_file(data: Buffer, settings: VolumeSettings, to: str) -> MadeFil
 
 def compress_by_name(made: MadeFile, output: str, truth: str | None) -> MadeFile:
     """``made`` with those files compressed by gzip whose names say so."""
-    from msal_cli.codecs import compressed
+    from msal_cli.storage.gzip_streams import compress
 
     if output.lower().endswith(".gz"):
-        made = replace(made, output=compressed(made.output))
+        made = replace(made, output=compress(made.output))
     if made.truth is not None and truth is not None and truth.lower().endswith(".gz"):
-        made = replace(made, truth=compressed(made.truth))
+        made = replace(made, truth=compress(made.truth))
     return made
 
 
@@ -117,14 +119,14 @@ def _encode(vertices: Floats, faces: Ints, to: str) -> tuple[Buffer, tuple[str, 
     """A new file, and what its format cannot hold, as warnings."""
     import numpy as np
 
-    from msal_cli import codecs as files
+    from msal_cli import codecs
 
     if not np.isfinite(vertices).all():
         raise InternalError("the scan made a position that is not finite")
-    output = files.encode_mesh(vertices, faces, to)
-    reopened = files.open_mesh(output, f"scan.{to}")
+    output = codecs.encode_mesh(vertices, faces, to)
+    reopened = codecs.open_mesh(output, f"scan.{to}")
     if len(reopened.faces) != len(faces):
         raise InternalError(f"the new {to} file has {len(reopened.faces)} faces of {len(faces)}")
     if reopened.precision != "float32":
         return output, ()
-    return output, tuple(f"lost in {to}: {loss}" for loss in files.digits_lost(vertices))
+    return output, tuple(f"lost in {to}: {loss}" for loss in codecs.digits_lost(vertices))

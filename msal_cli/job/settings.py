@@ -1,4 +1,4 @@
-"""What is asked of one file, and what is known of it before it is read: names and forecasts."""
+"""Settings and limits of one file, and what is known before it is read: names and forecasts."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ class Settings:
 
     Attributes
     ----------
-    method, parameters : the method's name and its settled parameters, every one of them; with
+    method, parameters : the method's name and all its parameters, resolved; with
         ``AUTO`` the fields of ``selection.Wishes``, with ``ADAPTIVE`` none.
     to : suffix of the format to convert to, without a dot; None keeps the input's, or takes the
         output name's.
     encoding : ``same``, ``ascii`` or ``binary``.
     precision : ``same``, ``float32`` or ``float64``.
     strict : a conversion that loses something fails instead of warning.
-    format : the input's format where its name does not tell.
+    format : the input's format where its name does not show it.
     max_move, lock, weights : what keeps vertices near their place; see ``constraints``.
     fields : what is written beside the output, see ``fields``.
     checks : what is counted beside what always is: ``SELF_INTERSECTIONS``.
@@ -83,7 +83,7 @@ class Limits:
 
     Attributes
     ----------
-    timeout_s : seconds of wall time, held by whoever supervises the worker.
+    timeout_s : seconds of wall time, enforced by the supervisor of the worker.
     memory_bytes : resident memory of the process that denoises it.
     max_faces : faces as the file counts them.
     """
@@ -124,7 +124,7 @@ class Task:
 
 def is_mesh_name(name: str) -> bool:
     """True if the suffix, a final ``.gz`` aside, is that of a format that can be read."""
-    from msal_cli.codecs import readable_suffixes
+    from msal_cli.codecs.detection import readable_suffixes
 
     return suffix(name) in readable_suffixes()
 
@@ -204,7 +204,7 @@ def refuse_faces(n_faces: int | None, limits: Limits) -> None:
 
 
 def forecast(task: Task, settings: Settings) -> Forecast:
-    """What a file will ask for, from its size and its first bytes; it never raises for a file."""
+    """What a file will need, by its size and its first bytes; it never raises for a file."""
     from msal_cli.codecs import forecast
 
     told = suffix(task.output).lstrip(".") if is_mesh_name(task.output) else None

@@ -109,7 +109,7 @@ def _area_vectors(start, stop, x, faces, vectors):
 
 
 @compiled
-def _gathered(
+def _gather(
     start,
     stop,
     curvatures,
@@ -185,7 +185,7 @@ def _directions(start, stop, edge_start, beside, total, outward, feature, along,
 
 
 @compiled
-def _prescribed(start, stop, edge_start, beside, along, products, feature, total):
+def _prescribe(start, stop, edge_start, beside, along, products, feature, total):
     """Take f V_A from H_A."""
     for i in range(start, stop):
         product = length = 0.0
@@ -252,10 +252,10 @@ class AnisotropicCurvature:
         total, outward, rate = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
         feature = np.empty(n, dtype=bool)
         results = total, outward, rate, feature
-        over_ranges(_gathered, n, *bends, *around, self.free, self.time_step, *results)
+        over_ranges(_gather, n, *bends, *around, self.free, self.time_step, *results)
         if self.prescribed:
             along, products = np.empty((n, 3)), np.empty((n, 2))
             rows = edge_start, beside
             over_ranges(_directions, n, *rows, total, outward, feature, along, products)
-            over_ranges(_prescribed, n, *rows, along, products, feature, total)
+            over_ranges(_prescribe, n, *rows, along, products, feature, total)
         return Step(-rate[:, None] * total)

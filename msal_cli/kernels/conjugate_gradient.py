@@ -88,7 +88,7 @@ def _dot(start, stop, a, b, sums):
 
 
 @compiled
-def _stepped(start, stop, length, p, q, inverse, x, r, sums):
+def _step(start, stop, length, p, q, inverse, x, r, sums):
     """x and r after a step of that length along p, q = A p; sums of r . r / diagonal."""
     for chunk in range(-(-start // CHUNK), -(-stop // CHUNK)):
         total = 0.0
@@ -104,7 +104,7 @@ def _stepped(start, stop, length, p, q, inverse, x, r, sums):
 
 
 @compiled
-def _turned(start, stop, share, r, inverse, p):
+def _turn(start, stop, share, r, inverse, p):
     for i in range(start, stop):
         scale = inverse[i]
         for axis in range(3):
@@ -171,30 +171,30 @@ def conjugate_gradients(
     r = np.ascontiguousarray(right - q)
     p = np.zeros_like(x)
     if unit is None:
-        unit = _measured(_total(inverse * (right * right).sum(axis=1)), total_weight)
+        unit = _measure(_total(inverse * (right * right).sum(axis=1)), total_weight)
     goal = tolerance * unit
 
     square = _total(inverse * (r * r).sum(axis=1))
     previous = 0.0
     done = 0
-    while _measured(square, total_weight) > goal and done < most_iterations:
-        over_ranges(_turned, n, square / previous if done else 0.0, r, inverse, p)
+    while _measure(square, total_weight) > goal and done < most_iterations:
+        over_ranges(_turn, n, square / previous if done else 0.0, r, inverse, p)
         matrix.times(p, q)
         over_ranges(_dot, n, p, q, sums)
         curvature = _total(sums)
         if not curvature > 0.0:  # rounding, or A is not positive definite: no way down from here
             break
         previous = square
-        over_ranges(_stepped, n, square / curvature, p, q, inverse, x, r, sums)
+        over_ranges(_step, n, square / curvature, p, q, inverse, x, r, sums)
         square = _total(sums)
         done += 1
         if on_iteration is not None:
-            on_iteration(done, _measured(square, total_weight))
-    residual = _measured(square, total_weight)
+            on_iteration(done, _measure(square, total_weight))
+    residual = _measure(square, total_weight)
     return Solution(x, done, residual, residual <= goal)
 
 
-def _measured(square: float, total_weight: float) -> float:
+def _measure(square: float, total_weight: float) -> float:
     return float(np.sqrt(square / total_weight)) if total_weight > 0.0 else 0.0
 
 

@@ -39,7 +39,7 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):
         if both == 0.0 or square == 0.0:
             coefficients[e, 0] = coefficients[e, 1] = coefficients[e, 2] = coefficients[e, 3] = 0.0
             continue
-        # How far along the edge the two opposite vertices stand, from 0 at p1 to 1 at p3.
+        # How far along the edge the two opposite vertices are, from 0 at p1 to 1 at p3.
         at_two = (bx * ex + by * ey + bz * ez) / square
         at_four = (dx * ex + dy * ey + dz * ez) / square
         c2 = s_one / both
@@ -88,7 +88,7 @@ def _pattern(corners, start, incident, row_start, columns, slots):
 
 
 @compiled
-def _assembled(
+def _assemble(
     start,
     stop,
     coefficients,
@@ -137,7 +137,7 @@ class EdgeSparsity:
     flap_start, incident : rows of the flaps around each vertex, (n + 1,) and (4 e,), as 4 times
         the number of the flap plus the place of the vertex in it.
     row_start, columns : pattern of the matrix, (n + 1,) and (k,).
-    slots : (4 e, 4), for each entry of ``incident`` where the four corners of the flap stand in
+    slots : (4 e, 4), for each entry of ``incident`` where the four corners of the flap are in
         ``columns``; -1 for the vertex itself.
     """
 
@@ -170,7 +170,7 @@ class EdgeSparsity:
         pulls = np.empty((n, 3))
         rows = self.flap_start, self.incident, self.slots, self.row_start
         results = diagonal, values, pulls
-        over_ranges(_assembled, n, coefficients, deltas, alpha, beta, *rows, *results)
+        over_ranges(_assemble, n, coefficients, deltas, alpha, beta, *rows, *results)
         return RowMatrix(diagonal, self.row_start, self.columns, values), pulls
 
 

@@ -88,7 +88,7 @@ def _jumps(start, stop, n, pairs, jumps):
 
 
 @compiled
-def _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums):
+def _gather(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums):
     """Put the normals of the patches of a block side by side, and add up areas and normals.
 
     Those of a patch are followed by themselves, from the first on, for ``half`` places: so that
@@ -148,7 +148,7 @@ def _widest(half, filled, x, y, z, squares):
 
 
 @compiled
-def _scored(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, scores, means):
+def _score(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, scores, means):
     """Score and area-weighted mean normal of every patch; infinity where the mean vanishes.
 
     n normals, flat as the means.  All indices are unsigned, so that none is looked at for its sign.
@@ -163,7 +163,7 @@ def _scored(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, 
         last = min(first + BLOCK_PATCHES, stop)
         # All pairs of k normals are each with those up to k / 2 places on; here an even number.
         half = (most_neighbours(first, last, ring_start) + THREE) // FOUR * TWO
-        filled = _gathered(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums)
+        filled = _gather(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums)
         _widest(half, filled, x, y, z, squares)
         place = np.uint64(0)
         for f in range(first, last):
@@ -189,7 +189,7 @@ def _scored(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, 
 
 
 @compiled
-def _chosen(start, stop, n, ring_start, ring, scores, means, guides):
+def _choose(start, stop, n, ring_start, ring, scores, means, guides):
     """n normals, flat as the means and guides."""
     for f in range(np.uint64(start), np.uint64(stop)):
         best = np.uint64(f)
@@ -245,9 +245,9 @@ class Patches:
         scores = np.empty(m)
         means = np.empty(3 * m)
         areas = usable_areas(normals, areas)
-        over_ranges(_scored, m, flat, areas, *rows, jumps, *inner, scores, means)
+        over_ranges(_score, m, flat, areas, *rows, jumps, *inner, scores, means)
         guides = np.empty((m, 3))
-        over_ranges(_chosen, m, flat, *rows, scores, means, guides.reshape(-1))
+        over_ranges(_choose, m, flat, *rows, scores, means, guides.reshape(-1))
         return guides
 
 
@@ -256,10 +256,10 @@ def patches(faces: Ints, links: Connectivity) -> Patches:
 
     Raises TooLargeError as ``face_rings`` does.
     """
-    return links.kept("patches", lambda: _made(faces, links))
+    return links.kept("patches", lambda: _make(faces, links))
 
 
-def _made(faces: Ints, links: Connectivity) -> Patches:
+def _make(faces: Ints, links: Connectivity) -> Patches:
     m = len(faces)
     ring_start, ring = face_rings(faces, links, "vertex")
     edge_start, edge_ring = face_rings(faces, links, "edge")

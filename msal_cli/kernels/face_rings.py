@@ -144,10 +144,10 @@ def face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, In
     TooLargeError
         where the faces have more than ``MOST_PAIRS`` neighbours in all.
     """
-    return links.kept(f"face rings, {sharing}", lambda: _made(faces, links, sharing))
+    return links.kept(f"face rings, {sharing}", lambda: _make(faces, links, sharing))
 
 
-def _made(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, Ints]:
+def _make(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, Ints]:
     m = len(faces)
     face_start = links.face_start.view(np.uint32)
     around = faces.reshape(-1).view(np.uint32), face_start, links.incident_faces.view(np.uint32)

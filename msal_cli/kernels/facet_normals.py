@@ -48,7 +48,7 @@ def replace_facets(start, stop, old, new, faces, normals, corners, changed):  # 
 
     normals (m, 3) : as stored; those that ``renew_facet_normals`` says are replaced.
     corners (m, 9) : every coordinate that moved is replaced.  Without rows: none.
-    changed (m,) bool : set for normals that are replaced.  Without rows: not told.
+    changed (m,) bool : set for normals that are replaced.  Without rows: not filled.
 
     Roots and divisions are done for a block of facets at once, as vector code, which halves the
     time.  (As one body: called for every facet, its parts would not become one piece of code.)

@@ -171,7 +171,7 @@ def vertex_normals(vertices: Floats, faces: Ints, weighting: str) -> Floats:
 
 
 @compiled
-def _mollified(start, stop, normals, ring_start, ring, result):
+def _mollify(start, stop, normals, ring_start, ring, result):
     for i in range(start, stop):
         sx = sy = sz = 0.0
         for at in range(ring_start[i], ring_start[i + 1]):
@@ -186,7 +186,7 @@ def _mollified(start, stop, normals, ring_start, ring, result):
             result[i, 0], result[i, 1], result[i, 2] = sx / length, sy / length, sz / length
 
 
-def mollified(normals: Floats, ring_start: Ints, ring: Ints, passes: int) -> Floats:
+def mollify(normals: Floats, ring_start: Ints, ring: Ints, passes: int) -> Floats:
     """Vertex normals (n, 3) after ``passes`` passes of the umbrella operator on the normal field.
 
     Each pass replaces a normal by the normalised sum of its one-ring's normals, its own left out
@@ -194,7 +194,7 @@ def mollified(normals: Floats, ring_start: Ints, ring: Ints, passes: int) -> Flo
     """
     for _ in range(passes):
         result = np.empty_like(normals)
-        over_ranges(_mollified, len(normals), normals, ring_start, ring, result)
+        over_ranges(_mollify, len(normals), normals, ring_start, ring, result)
         normals = result
     return normals
 
@@ -316,7 +316,7 @@ def regrouped_normals(
         vanishes are returned as they were.
     changed : (g,) bool, False where no face of the entry moved: keep the bytes of those.
     """
-    from msal_cli.kernels.welding import first_alike, numbered, welded
+    from msal_cli.kernels.welding import first_alike, number_groups, weld
 
     n_entries = len(old_normals)
     result = old_normals.copy()
@@ -326,7 +326,7 @@ def regrouped_normals(
         return result, changed
     entries = np.ascontiguousarray(corner_entry, dtype=np.int32).reshape(-1)
     usable = np.isfinite(old_normals).all(axis=1) & (old_normals != 0.0).any(axis=1)
-    place = welded(old_vertices, faces)
+    place = weld(old_vertices, faces)
     if np.array_equal(entries, faces.reshape(-1)) and (place == np.arange(len(place))).all():
         # One normal per vertex and no seam: the entry is the group.
         group, n_groups = entries, n_entries
@@ -334,11 +334,11 @@ def regrouped_normals(
     else:
         like, _ = first_alike(np.where(usable[:, None], old_normals, 0.0), usable)
         alike = np.where(entries < 0, -1, like[entries]).astype(np.int32)
-        group, first_corner = numbered(place[faces.reshape(-1)], alike)
+        group, first_corner = number_groups(place[faces.reshape(-1)], alike)
         n_groups = len(first_corner)
         # One entry may serve many places (a flat region that shares one normal): its groups add
         # up, each once however many corners bring it.
-        _, first_corner = numbered(entries, group)
+        _, first_corner = number_groups(entries, group)
         first_corner = first_corner[entries[first_corner] >= 0]
         pair_entry, pair_group = entries[first_corner], group[first_corner]
     old_sums = np.zeros((n_groups, 3))

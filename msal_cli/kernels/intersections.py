@@ -77,14 +77,14 @@ def _intersecting(vertices: Floats, faces: Ints, pairs: Longs) -> Iterator[Longs
         which = np.flatnonzero(shared == count)
         if not len(which):
             continue
-        one = _turned(first[which], in_second[which], count)
-        other = _turned(second[which], in_first[which], count)
+        one = _turn(first[which], in_second[which], count)
+        other = _turn(second[which], in_first[which], count)
         yield which[decide(vertices, one, other)]
     # Faces with three common vertices lie on each other.
     yield np.flatnonzero(shared == 3)
 
 
-def _turned(corners: Ints, is_shared: Flags, count: int) -> Ints:
+def _turn(corners: Ints, is_shared: Flags, count: int) -> Ints:
     """Triangles (k, 3) turned so that a single shared corner is the first, or the only corner that
     is not shared the last."""
     if count == 0:
@@ -97,7 +97,7 @@ def _apart(vertices: Floats, first: Ints, second: Ints) -> Longs:
     """Which triangles without a common vertex meet."""
     kept = np.arange(len(first))
     for axes in (_normals, _normals_of_edges, _normals_of_both):
-        kept = kept[~_separated(axes, vertices, first[kept], second[kept])]
+        kept = kept[~_separate(axes, vertices, first[kept], second[kept])]
     a, b = _points(vertices, first[kept]), _points(vertices, second[kept])
     return kept[_edges_meet(a, b, ((0, 1), (1, 2), (2, 0)))]
 
@@ -122,7 +122,7 @@ def _at_an_edge(vertices: Floats, first: Ints, second: Ints) -> Longs:
     size = np.maximum(size, np.abs(edge).max(axis=1))
     kept = np.flatnonzero(~(opening < -_MARGIN * size**4))
     kept = kept[space_signs(p[kept], q[kept], a[kept], b[kept]) == 0]
-    p, q, a, b = (_flattened(one[kept], _dropped(p, q, a, kept)) for one in (p, q, a, b))
+    p, q, a, b = (_flatten(one[kept], _drop(p, q, a, kept)) for one in (p, q, a, b))
     folded: Longs = kept[plane_signs(p, q, a) == plane_signs(p, q, b)]
     return folded
 
@@ -151,8 +151,8 @@ def _segments_meet(p: Floats, q: Floats, triangle: list[Floats]) -> Flags:
         meets[through] = _have_one_sign(sides)
     within = np.flatnonzero(is_within)
     if len(within):
-        axes = _dropped(a, b, c, within)
-        flat = [_flattened(one[within], axes) for one in (p, q, a, b, c)]
+        axes = _drop(a, b, c, within)
+        flat = [_flatten(one[within], axes) for one in (p, q, a, b, c)]
         meets[within] = _flat_segments_meet(flat[0], flat[1], flat[2:])
     return meets
 
@@ -164,7 +164,7 @@ def _flat_segments_meet(p: Floats, q: Floats, triangle: list[Floats]) -> Flags:
     for a, b in edges:
         sides = (plane_signs(p, q, a) * plane_signs(p, q, b)) <= 0
         ends = (plane_signs(a, b, p) * plane_signs(a, b, q)) <= 0
-        # On one line both are so; there the boxes tell.
+        # For segments on one line both hold; there the boxes decide.
         low = np.maximum(np.minimum(p, q), np.minimum(a, b))
         high = np.minimum(np.maximum(p, q), np.maximum(a, b))
         meets |= sides & ends & (low <= high).all(axis=1)
@@ -178,14 +178,14 @@ def _have_one_sign(signs: list[NDArray[np.int8]]) -> Flags:
     return have_one
 
 
-def _dropped(a: Floats, b: Floats, c: Floats, which: Longs) -> Longs:
+def _drop(a: Floats, b: Floats, c: Floats, which: Longs) -> Longs:
     """The axis along which a triangle's plane is seen largest, so that it is not seen edge on."""
     normals = np.cross(b[which] - a[which], c[which] - a[which])
     axes: Longs = np.argmax(np.abs(normals), axis=1)
     return axes
 
 
-def _flattened(points: Floats, axes: Longs) -> Floats:
+def _flatten(points: Floats, axes: Longs) -> Floats:
     """Points (n, 3) without the coordinate of each one's axis."""
     kept = (axes[:, None] + np.array([1, 2])) % 3
     return np.take_along_axis(points, kept, axis=1)
@@ -249,7 +249,7 @@ def _edges(triangle: Triangle) -> list[Vectors]:
     return [_minus(triangle[(k + 1) % 3], triangle[k]) for k in range(3)]
 
 
-def _separated(
+def _separate(
     axes: Callable[[Triangle, Triangle], Axes], vertices: Floats, first: Ints, second: Ints
 ) -> Flags:
     """Which triangles any of the axes separates for sure."""

@@ -1,4 +1,4 @@
-"""Face normals averaged with those of faces around, by weights that tell similar ones.
+"""Face normals averaged with those of faces around, by weights that favour similar ones.
 
 Bilateral (Zheng, Fu, Au and Tai 2011): with centroids c, areas A and unit normals n of the faces
 

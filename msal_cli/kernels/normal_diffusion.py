@@ -78,7 +78,7 @@ def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):
 
 
 @compiled
-def _diffused(start, stop, n, shares, inverse, ring_start, ring, result):
+def _diffuse(start, stop, n, shares, inverse, ring_start, ring, result):
     """n normals, flat as the result; ``inverse`` is 1 / (2 mu^2 ln 2).
 
     Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.
@@ -183,7 +183,7 @@ def diffused_normals(
     spare = np.empty_like(normals)
     for _ in range(steps):
         flat = normals.reshape(-1), shares, inverse, *rows, spare.reshape(-1)
-        over_ranges(_diffused, count, *flat)
+        over_ranges(_diffuse, count, *flat)
         normals, spare = spare, normals
         if on_step is not None:
             on_step()

@@ -244,7 +244,7 @@ class Network:
     @property
     def n_in(self) -> int:
         """Inputs of a face, filled up."""
-        return _filled(self.layers[0][1].shape[1] - GLOBALS)
+        return _fill(self.layers[0][1].shape[1] - GLOBALS)
 
     @property
     def n_hidden(self) -> int:
@@ -254,7 +254,7 @@ class Network:
     @property
     def n_out(self) -> int:
         """Coefficients, filled up."""
-        return _filled(len(self.layers[2][0]))
+        return _fill(len(self.layers[2][0]))
 
     def bound(self, values: Floats32) -> Floats32:
         """All layers one behind another as the kernel reads them, for these global inputs."""
@@ -265,14 +265,14 @@ class Network:
                 for column, value in enumerate(values, start=-GLOBALS):
                     bias += matrix[:, column] * value
                 matrix = matrix[:, :-GLOBALS]
-            rows, columns = _filled(len(bias)), _filled(matrix.shape[1])
+            rows, columns = _fill(len(bias)), _fill(matrix.shape[1])
             whole = np.zeros((rows, columns), dtype=np.float32)
             whole[: len(bias), : matrix.shape[1]] = matrix
             parts += [np.pad(bias, (0, rows - len(bias))), whole.reshape(-1)]
         return np.concatenate(parts)
 
 
-def _filled(count: int) -> int:
+def _fill(count: int) -> int:
     return -(-count // int(STEP)) * int(STEP)
 
 

@@ -54,7 +54,7 @@ NO_CORNERS = 6
 ) = range(22)
 
 MOST_KEYWORDS = 64
-"""Different other keywords that are told apart; the last row takes the rest."""
+"""Different other keywords that are distinguished; the last row takes the rest."""
 
 MOST_LIBRARIES = 1024
 """Statements ``mtllib`` that are looked at."""
@@ -127,7 +127,7 @@ def _past_line(buf, at):  # type: ignore[no-untyped-def]
 
 @compiled
 def _past_comment(buf, at):  # type: ignore[no-untyped-def]
-    """The end of the line, whatever stands before it."""
+    """The end of the line, whatever precedes it."""
     while at < len(buf) and buf[at] != 10 and buf[at] != 13:
         at += 1
     return at
@@ -444,20 +444,3 @@ def scanned(  # type: ignore[no-untyped-def]
     state[LARGEST_VERTEX] = largest
     state[LAST_FACE_AT] = last_face
     return result
-
-
-@compiled
-def fans(corners, sizes, triangles):  # type: ignore[no-untyped-def]
-    """Cut polygons into triangles about their first corners.
-
-    ``corners`` (k,) lie one face behind the other, ``sizes`` (m,); ``triangles`` is (k - 2 m, 3).
-    """
-    start = 0
-    triangle = 0
-    for face in range(len(sizes)):
-        for k in range(start + 1, start + sizes[face] - 1):
-            triangles[triangle, 0] = corners[start]
-            triangles[triangle, 1] = corners[k]
-            triangles[triangle, 2] = corners[k + 1]
-            triangle += 1
-        start += sizes[face]

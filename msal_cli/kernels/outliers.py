@@ -152,8 +152,8 @@ def _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals
 
 
 @compiled
-def _solved(matrix, right):
-    """Solve the normal equations in place; what they do not tell apart becomes small."""
+def _solve(matrix, right):
+    """Solve the normal equations in place; what they do not determine becomes small."""
     for pivot in range(TERMS):
         scale = 1.0 / max(matrix[pivot, pivot], 1e-9)
         for row in range(pivot + 1, TERMS):
@@ -169,7 +169,7 @@ def _solved(matrix, right):
 
 
 @compiled
-def _ranked(values, count, share, ranking):
+def _rank(values, count, share, ranking):
     """The value that ``share`` of values[1:count] are below; ``ranking`` is for sorting them."""
     for at in range(1, count):
         value = values[at]
@@ -203,10 +203,10 @@ def _fit(count, local, weights, rests, ranking, matrix, coefficients):
                     matrix[row, column] += weighted * terms[column]
         for row in range(3, TERMS):
             matrix[row, row] += STIFFNESS
-        _solved(matrix, coefficients)
+        _solve(matrix, coefficients)
         for at in range(1, count):
             rests[at] = abs(local[at, 2] - _height(local[at, 0], local[at, 1], coefficients))
-        median = _ranked(rests, count, 0.5, ranking)
+        median = _rank(rests, count, 0.5, ranking)
         width = WIDTH * median + SMALLEST_WIDTH
         for at in range(1, count):
             share = width * width / (width * width + rests[at] * rests[at])
@@ -220,7 +220,7 @@ def _height(u, w, c):
 
 
 @compiled
-def _judged(
+def _judge(
     start,
     stop,
     chosen,
@@ -330,7 +330,7 @@ def _judged(
             continue
         for near in range(1, count):
             rests[near] = agreements[found[near]]
-        quiet = _ranked(rests, count, QUIET, ranking)
+        quiet = _rank(rests, count, QUIET, ranking)
         texture = np.sqrt(max(1.0 - quiet, 0.0))
         scores[at] = (
             across + ALONG * along + ROUGH * now - SMOOTH * then - NOISE * noise - TEXTURE * texture
@@ -338,7 +338,7 @@ def _judged(
 
 
 @compiled
-def _picked(start, stop, chosen, scores, ring_start, ring, picked):
+def _pick(start, stop, chosen, scores, ring_start, ring, picked):
     for at in range(start, stop):
         i = chosen[at]
         is_most = True
@@ -393,7 +393,7 @@ def judge(
     scores, targets = np.empty(len(chosen)), np.empty((len(chosen), 3))
     around = faces, *links.incidence, *links.one_ring
     known = chosen, places, x, *around, agreements, edge, is_known, scores, targets
-    over_ranges(_judged, len(chosen), *known, smallest=FEWEST_PER_THREAD)
+    over_ranges(_judge, len(chosen), *known, smallest=FEWEST_PER_THREAD)
     return scores, targets
 
 
@@ -401,7 +401,7 @@ def pick(scores: Floats, bound: float, links: Connectivity) -> Longs:
     """The vertices whose score (n,) is above ``bound`` and above those of all their neighbours."""
     chosen = np.flatnonzero(scores > bound)
     picked = np.empty(len(chosen), dtype=np.bool_)
-    over_ranges(_picked, len(chosen), chosen, scores, *links.one_ring, picked)
+    over_ranges(_pick, len(chosen), chosen, scores, *links.one_ring, picked)
     return chosen[picked]
 
 

@@ -1,7 +1,7 @@
 """Polynomials fitted to the surface around single vertices, and what they leave over.
 
 A smooth surface is nearly a polynomial over a few vertices, and noise is not: of white noise a fit
-leaves the share that its degrees of freedom tell, however the vertices lie, and the same variance
+leaves the share that its degrees of freedom give, however the vertices lie, and the same variance
 for patches of every size.  Noise that neighbours share looks like shape to fits over few vertices,
 and leaves more to wider ones, up to the width over which it is shared.
 """
@@ -33,7 +33,7 @@ heights, and for the value at the vertex that the patch is around."""
 
 DEPENDENT = 1e-8
 """What is left of a monomial's sum of squares beside the others, relative to all of it, at and
-below which the patch cannot tell them apart."""
+below which the patch cannot distinguish them."""
 
 ROUNDING, WIDE_ROUNDING = 1e-13, 1e-12
 """What is left of the heights' sum of squares, relative to all of it, at and below which it is
@@ -206,7 +206,7 @@ def _begin_equations(sums, along, own, equations, sums_of_squares):
 @compiled
 def _eliminate(equations, sums_of_squares, first, last):
     """Eliminate the monomials ``first`` ... ``last``, above the diagonal; how many of them the
-    patch can tell apart.  What is left of the heights is in their rows then."""
+    patch can distinguish.  What is left of the heights is in their rows then."""
     rank = 0
     for pivot in range(first, last):
         if equations[pivot, pivot] <= DEPENDENT * sums_of_squares[pivot]:
@@ -284,7 +284,7 @@ def fit_patches(
     """What polynomials leave over of the heights around the vertices ``chosen`` (c,).
 
     The four fits are a plane and degree 2 over the one-ring, and degrees 2 and 3 over the two-ring.
-    Heights stand on the plane across the sum of the patch's ``normals`` (n, 3).
+    Heights are over the plane across the sum of the patch's ``normals`` (n, 3).
 
     Returns
     -------
@@ -366,14 +366,14 @@ def fit_scales(
 ) -> tuple[Floats, Ints, Ints, Floats, Floats]:
     """What polynomials leave over of the heights around the vertices ``chosen`` (c,), by width.
 
-    The fits are over the ``REACHES`` rings, with so many ``TERMS``.  Heights stand on the plane
+    The fits are over the ``REACHES`` rings, with so many ``TERMS``.  Heights are over the plane
     across the sum of the two-ring's ``normals`` (n, 3).
 
     Returns
     -------
     rests : (c, 5), sums of the squares left over; squared units.
     rows : (c, 5), vertices of the fit; 0 where they are too many.
-    ranks : (c, 5), coefficients of the fit that the vertices tell apart.
+    ranks : (c, 5), coefficients of the fit that the vertices determine.
     frames : (c, 3), unit vectors that the heights are along; 0 where there is no direction.
     offsets : (c, 3), from the middle of the one-ring to the vertex, times sqrt(v / (v + 1)) with v
         neighbours: of as much variance as the vertices, where their places are independent.

@@ -52,11 +52,11 @@ def walk_binary(  # type: ignore[no-untyped-def]
     sizes (P,) : bytes of one value of each property.
     count_sizes (P,) : bytes of each list's count, 0 for a scalar; ``signed`` (P,) bool.
     columns (P,) : column of the outputs for a property, or -1.
-    starts (count, C) : receives where the value (of a list: the first item) stands.
+    starts (count, C) : receives the offset of the value (of a list: of the first item).
     lengths (count, C) : receives the number of items; 1 for a scalar.
 
     Returns (records walked, place reached, status, property, items and item size in bytes that
-    the place reached asks for).
+    the place reached needs).
     """
     end = len(data)
     for record in range(count):

@@ -23,7 +23,7 @@ triangle that no other touches shrinks to a point."""
 
 
 @compiled
-def _projected(
+def _project(
     start,
     stop,
     x,
@@ -167,7 +167,7 @@ class ProjectionAverage:
         floor = SMALLEST_SIGMA * self.mean_edge_length
         planes = centroids, areas, normals, self.faces, *self.links.incidence
         known = positions, *planes, free, *widths, floor, averaged
-        return fill_array(_projected, positions.shape, *known)
+        return fill_array(_project, positions.shape, *known)
 
 
 @compiled

@@ -29,7 +29,7 @@ def _leading(bits):
 
 
 @compiled
-def _counted(bits, counts):
+def _count(bits, counts):
     for at in range(len(bits)):
         counts[_leading(bits[at])] += 1
 
@@ -44,13 +44,13 @@ def _alike(bits, leading, found):
         count += _leading(bits[at]) == wanted
 
 
-def ranked(values: Floats, *ranks: int) -> list[float]:
+def select_ranks(values: Floats, *ranks: int) -> list[float]:
     """Those of values (n,), none NaN, that would be at ``ranks``, from 0 on, if sorted."""
     if len(values) < MANY:
         return [float(np.partition(values, rank)[rank]) for rank in ranks]
     bits = np.ascontiguousarray(values).view(np.uint64)
     counts = np.zeros(1 << 16, dtype=np.int64)
-    _counted(bits, counts)
+    _count(bits, counts)
     through = np.cumsum(counts)
     results = []
     known: dict[int, Floats] = {}
@@ -68,8 +68,8 @@ def median(values: Floats) -> float:
     """The median of one number at least, none of them NaN; the mean of the middle two."""
     middle = len(values) // 2
     if len(values) % 2:
-        return ranked(values, middle)[0]
-    return sum(ranked(values, middle - 1, middle)) / 2.0
+        return select_ranks(values, middle)[0]
+    return sum(select_ranks(values, middle - 1, middle)) / 2.0
 
 
 def quantile_above_zero(values: Floats, share: float) -> float:
@@ -80,7 +80,7 @@ def quantile_above_zero(values: Floats, share: float) -> float:
     above = int(np.count_nonzero(values))
     if not above:
         return 0.0
-    return ranked(values, len(values) - above + math.ceil(share * above) - 1)[0]
+    return select_ranks(values, len(values) - above + math.ceil(share * above) - 1)[0]
 
 
 MOST_ROUNDS = 100

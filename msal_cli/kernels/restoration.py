@@ -36,8 +36,8 @@ PLACE, SECOND_PLACE = 6, 3
 """Passes by which a power is averaged around a vertex, for the first look and for the second."""
 
 CAUTION, SECOND_CAUTION = 1.4, 0.4
-"""Multiples of the noise's power that gains are reckoned with; chosen on noisy meshes whose true
-shape is known.  The first look has to tell shape from the scatter of averaged noise."""
+"""Multiples of the noise's power from which gains are computed; chosen on noisy meshes whose true
+shape is known.  The first look has to separate shape from the scatter of averaged noise."""
 
 
 @compiled
@@ -61,7 +61,7 @@ def _squares(start, stop, levels, powers):
 
 
 @compiled
-def _averaged(start, stop, ring_start, ring, powers, averages):
+def _average(start, stop, ring_start, ring, powers, averages):
     """Means over the one-rings of the five powers of each vertex, which are side by side.
 
     Five sums by name stay in registers, where a loop over the bands would go through memory, and
@@ -174,11 +174,11 @@ def restoration(
     levels = np.empty((bands, n))
     powers, averages = np.empty((n, bands)), np.empty((n, bands))
 
-    def averaged(passes: int) -> None:
+    def average(passes: int) -> None:
         nonlocal powers, averages
         for _ in range(passes):
             flat = powers.reshape(-1), averages.reshape(-1)
-            over_ranges(_averaged, n, ring_start, ring, *flat)
+            over_ranges(_average, n, ring_start, ring, *flat)
             powers, averages = averages, powers
 
     def alone(caution: float) -> Floats:
@@ -192,12 +192,12 @@ def restoration(
 
     levels[0] = residual
     cut(levels)
-    averaged(PLACE)
+    average(PLACE)
     # Nothing needs the averages until the next pass: their memory holds the levels of the guess.
     guess = averages.reshape(bands, n)
     over_ranges(_first_look, n, levels, powers, alone(CAUTION * caution), guess[0])
     cut(guess)
-    averaged(SECOND_PLACE)
+    average(SECOND_PLACE)
     returned, share = np.empty(n), np.empty(n)
     over_ranges(_second_look, n, levels, powers, alone(SECOND_CAUTION * caution), returned, share)
     return Restoration(returned, share)

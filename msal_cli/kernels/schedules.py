@@ -102,7 +102,7 @@ class Wiener:
     of what the sweeps took exceeds that of noise: see ``kernels.restoration``.
 
     ``noise`` is its standard deviation in mean edge lengths, None if it is to be estimated;
-    ``caution`` scales the power of it that is reckoned with.
+    ``caution`` scales the assumed power of the noise.
     """
 
     time_step: float = 1.0

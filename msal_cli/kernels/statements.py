@@ -10,7 +10,8 @@ import numpy as np
 
 from msal_cli.kernels.byte_words import count_before, load_eight, store_eight
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.digits import NOT_A_NUMBER, UNDECIDED, read_number, write_number
+from msal_cli.kernels.digit_writing import write_number
+from msal_cli.kernels.digits import NOT_A_NUMBER, UNDECIDED, read_number
 
 DONE = 0
 """All statements are dealt with."""
@@ -29,7 +30,7 @@ def _skip_blanks(buf, at):  # type: ignore[no-untyped-def]
         c = buf[np.uint64(at)]
         if c > 32 and c != 92:
             break
-        # Only a backslash can stand before the end of a line here.
+        # Only a backslash can precede the end of a line here.
         at += 1
     return at
 
@@ -72,7 +73,7 @@ def replace(buf, done, out, to, first, first_axis, begins, old, new, decimals): 
     first, first_axis : the statement and the number in it to begin with.
     begins : (n,) int64, ascending, where the statements begin, behind their keywords.
     old, new : (n, 3) float64; a number is replaced where they differ.
-    decimals : (n,) uint8, of new numbers, see ``digits.write_number``.
+    decimals : (n,) uint8, of new numbers, see ``digit_writing.write_number``.
 
     Returns the end of what was copied, in both, and the statement and the number that Python has to
     write next; (n, 0) where all are written: the rest of the file is yet to be copied.

@@ -25,7 +25,7 @@ from msal_cli.kernels.ring_blocks import longest_row
 
 
 @compiled
-def _weighed(start, stop, g, c, areas, near_start, near, per_distance, per_guide, weights, sums):
+def _weigh(start, stop, g, c, areas, near_start, near, per_distance, per_guide, weights, sums):
     """w of every row; ``sums``, by face, of w without its last factor."""
     widest = longest_row(start, stop, near_start)
     distant = np.empty(widest)
@@ -74,16 +74,14 @@ def pair_weights(
     weights = np.empty(len(near))
     sums = np.empty(len(areas))
     rows = near_start, near, -0.5 / eta**2, -0.5 / mu**2
-    over_ranges(_weighed, len(areas), guides, centroids, areas, *rows, weights, sums)
+    over_ranges(_weigh, len(areas), guides, centroids, areas, *rows, weights, sums)
     # Every pair is in two rows.
     total = float(sums.sum()) / 2.0
     return weights, float(areas.sum()) / total if total > 0.0 else 0.0
 
 
 @compiled
-def _stepped(
-    start, stop, n, pull, near_start, near, weights, per_difference, areas, result, changes
-):
+def _step(start, stop, n, pull, near_start, near, weights, per_difference, areas, result, changes):
     """pull (m, 3) is 2 nu^2 / lambda' A n0; ``changes`` are A |step|^2."""
     widest = longest_row(start, stop, near_start)
     kernel = np.empty(widest)
@@ -160,7 +158,7 @@ def minimising_normals(
     result, following = normals.copy(), np.empty_like(normals)
     for _ in range(most_steps):
         rows = near_start, near, weights, -0.5 / nu**2, areas
-        over_ranges(_stepped, len(normals), result, pull, *rows, following, changes)
+        over_ranges(_step, len(normals), result, pull, *rows, following, changes)
         result, following = following, result
         if on_step is not None:
             on_step()

@@ -1,7 +1,7 @@
 """Walks over ascii STL: facets out of text, new numbers into it, text out of facets.
 
 The *tokens* of a facet are its twelve numbers in file order: the normal's three, then three for
-each corner.  Where they stand is kept as the facet's first byte, ``facet_at`` (n,) int64, and the
+each corner.  Their places are kept as the facet's first byte, ``facet_at`` (n,) int64, and the
 distance of each token from it, ``offsets`` (n, 12) int32, a fifth of what two int64 per token take.
 A facet may be without a normal, and a normal's words need not be numbers: their values are NaN, and
 nothing is ever written there.
@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.digits import EXACT, UNDECIDED, read_number, write_fixed
+from msal_cli.kernels.digit_writing import write_fixed
+from msal_cli.kernels.digits import EXACT, UNDECIDED, read_number
 from msal_cli.kernels.text import is_same, skip_token
 
 WHOLE = 0
@@ -24,7 +25,7 @@ FULL = 1
 CUT = 2
 """The text ends within a solid."""
 WRONG = 3
-"""A word is not the one that must stand there."""
+"""A word is not the one that must be there."""
 BAD_NUMBER = 4
 """A word that must be a number is none."""
 OUTSIDE = 5
@@ -58,7 +59,7 @@ def _skip_spaces(buf, at):  # type: ignore[no-untyped-def]
 
 @compiled
 def _skip_word(buf, at, word):  # type: ignore[no-untyped-def]
-    """The end of ``word``, in any case, if it stands whole at ``at``; else -1."""
+    """The end of ``word``, in any case, if the whole word is at ``at``; else -1."""
     stop = at + _LENGTHS[word]
     if stop > len(buf):
         return -1
@@ -72,7 +73,7 @@ def _skip_word(buf, at, word):  # type: ignore[no-untyped-def]
 
 @compiled
 def _skip_two_words(buf, at, word):  # type: ignore[no-untyped-def]
-    """The end of ``word`` where it stands in two, as in ``end facet``; else -1."""
+    """The end of ``word`` where it is written as two, as in ``end facet``; else -1."""
     middle = skip_token(buf, at)
     tail = _skip_spaces(buf, middle)
     stop = tail + _LENGTHS[word] - 3
@@ -96,7 +97,7 @@ def _is_bare(buf, at, word):  # type: ignore[no-untyped-def]
 def _number(buf, at):  # type: ignore[no-untyped-def]
     """The number at ``at``: value, end (-1 for none), decimals.
 
-    NaN also for the words that old run-time libraries print (``1.#QNAN``); infinity stands for a
+    NaN also for the words that old run-time libraries print (``1.#QNAN``); infinity marks a
     number that ``float`` has to decide.
     """
     value, status, stop, decimals = read_number(buf, at, len(buf))

@@ -29,7 +29,7 @@ depend on the number of threads."""
 
 
 @compiled
-def _crossed(vertices, a, b, c):
+def _cross(vertices, a, b, c):
     """Cross product of two edges of a triangle, sixfold volume, and its longest edge squared."""
     ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
     volume = vertices[a, 0] * nx + vertices[a, 1] * ny + vertices[a, 2] * nz
@@ -52,9 +52,9 @@ def _changes(start, stop, before, after, faces, figures):
         for at in range(count):
             f = first + at
             a, b, c = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
-            px[at], py[at], pz[at], volume, p_longest[at] = _crossed(before, a, b, c)
+            px[at], py[at], pz[at], volume, p_longest[at] = _cross(before, a, b, c)
             volume_before += volume
-            qx[at], qy[at], qz[at], volume, q_longest[at] = _crossed(after, a, b, c)
+            qx[at], qy[at], qz[at], volume, q_longest[at] = _cross(after, a, b, c)
             volume_after += volume
         for at in range(count):
             p = np.sqrt(px[at] * px[at] + py[at] * py[at] + pz[at] * pz[at])

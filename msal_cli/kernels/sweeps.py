@@ -60,7 +60,7 @@ def _moved_freely(start, stop, v, moves, sigma, tau, constant, per_sigma, x):
             x[i, axis] += tau * moves[i, axis] + fidelity * back
 
 
-def swept(
+def run_sweeps(
     vertices: Floats,
     operator: Operator,
     schedule: Schedule,
@@ -101,7 +101,7 @@ def swept(
         if sigma is None:
             sigma = unused
         if trust is not None:
-            pace, sigma = _trusted(pace, sigma, trust)
+            pace, sigma = _trust(pace, sigma, trust)
         if sweep == 0:
             fidelity = _pulls(pace, sigma)
         if operator.normals is None:
@@ -130,7 +130,7 @@ def _pulls(pace: Pace, sigma: Floats) -> Floats:
     return pulls
 
 
-def _trusted(pace: Pace, sigma: Floats, trust: Floats) -> tuple[Pace, Floats]:
+def _trust(pace: Pace, sigma: Floats, trust: Floats) -> tuple[Pace, Floats]:
     """The pace, and what replaces sigma, by which lambda_i is ``trust`` (n,) times what it
     would be: the kernels need not know of it."""
     pulls: Floats = trust * _pulls(pace, sigma)
@@ -148,7 +148,7 @@ def _swept_over_rings(
     """The same, with no arrays made anew for every sweep, and as few passes as can be.
 
     Without sigma a sweep is one pass, from one array of positions to another.  lambda by sigma
-    asks for the largest one, which is known only when every vertex has been looked at: then
+    needs the largest one, which is known only when every vertex has been looked at: then
     heights and sigma are kept, and a second pass moves.  So it is with a lambda by trust.
     """
     is_measured = schedule.quantile is not None or trust is not None
@@ -163,7 +163,7 @@ def _swept_over_rings(
             pace = _pace(schedule, sweep, sigma, operator.measure(x, heights, sigma))
             pulls = sigma
             if trust is not None:
-                pace, pulls = _trusted(pace, sigma, trust)
+                pace, pulls = _trust(pace, sigma, trust)
             first = none if sweep else fidelity
             known = vertices, operator.normals, heights, pulls, *pace
             over_ranges(_moved_along_normals, n, *known, offsets, first, moved)

@@ -11,18 +11,15 @@ import numpy as np
 
 from msal_cli.arrays import Bytes, Floats, Longs
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.digits import (
-    EXACT,
+from msal_cli.kernels.digit_writing import (
     FIXED_BELOW,
     MOST_DECIMALS,
-    NOT_A_NUMBER,
     SHORTEST,
     SHORTEST_SINGLE,
-    UNDECIDED,
     WIDEST_SHORTEST,
-    read_number,
     write_number,
 )
+from msal_cli.kernels.digits import EXACT, NOT_A_NUMBER, UNDECIDED, read_number
 
 
 def as_bytes(buffer: bytes | bytearray | memoryview | Bytes) -> Bytes:

@@ -74,7 +74,7 @@ def _offsets(start, stop, x, faces, planes):
 
 
 @compiled
-def _moved(start, stop, planes, face_start, incident, share, x):
+def _move(start, stop, planes, face_start, incident, share, x):
     """x positions, flat as the planes; the sum of the ways to the planes counts by ``share``."""
     for i in range(np.uint64(start), np.uint64(stop)):
         own = THREE * i
@@ -92,7 +92,7 @@ def _moved(start, stop, planes, face_start, incident, share, x):
         x[own + TWO] = zi + share[i] * sz
 
 
-def updated_vertices(
+def update_vertices(
     vertices: Floats,
     normals: Floats,
     faces: Ints,
@@ -122,7 +122,7 @@ def updated_vertices(
     x = vertices.copy()
     for _ in range(passes):
         over_ranges(_offsets, m, x.reshape(-1), corners, planes)
-        over_ranges(_moved, n, *around, share, x.reshape(-1))
+        over_ranges(_move, n, *around, share, x.reshape(-1))
         if on_pass is not None:
             on_pass()
     return x
@@ -227,5 +227,5 @@ def untangle(
         moved = np.empty_like(vertices)
         of = vertices.reshape(-1), flat, strains, *around, *rings
         over_ranges(_even_out, n, *of, free, inner, moved.reshape(-1), chosen)
-        vertices = updated_vertices(moved, wanted, faces, links, chosen, PASSES)
+        vertices = update_vertices(moved, wanted, faces, links, chosen, PASSES)
     return vertices

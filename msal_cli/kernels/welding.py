@@ -13,7 +13,7 @@ _BLOCK_ROWS = 512
 
 
 @compiled
-def _hashed(a, b, c):
+def _hash(a, b, c):
     """A hash of three 64-bit patterns; that of minus zero, the highest bit alone, counts as 0."""
     minus_zero = np.uint64(0x8000000000000000)
     a = np.uint64(0) if a == minus_zero else a
@@ -30,7 +30,7 @@ def _hashed(a, b, c):
 @compiled
 def _hashes(bits, start, stop, mask, hashes):
     for i in range(start, stop):
-        hashes[i - start] = _hashed(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
+        hashes[i - start] = _hash(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
 
 
 @compiled
@@ -74,12 +74,12 @@ def _alike_perhaps(bits, used, seen, again, candidates):
 
 
 @compiled
-def _welded(rows, bits, candidates, table, first):
+def _weld(rows, bits, candidates, table, first):
     mask = len(table) - 1
     merged = 0
     for at in range(len(candidates)):
         i = candidates[at]
-        slot = np.int64(_hashed(bits[i, 0], bits[i, 1], bits[i, 2]) >> np.uint64(20)) & mask
+        slot = np.int64(_hash(bits[i, 0], bits[i, 1], bits[i, 2]) >> np.uint64(20)) & mask
         while True:
             k = table[slot]
             if k < 0:
@@ -97,8 +97,8 @@ def first_alike(rows: Floats, used: Flags) -> tuple[Ints, int]:
     """For each row of (n, 3) numbers the lowest-numbered equal row, (n,) int32, and how many rows
     equal one before them.
 
-    Minus zero equals zero, and NaN nothing.  Rows outside ``used`` (n,) equal nothing and stand
-    for themselves.
+    Minus zero equals zero, and NaN nothing.  Rows outside ``used`` (n,) equal nothing and map
+    to themselves.
     """
     n = len(rows)
     rows = np.ascontiguousarray(rows)
@@ -113,11 +113,11 @@ def first_alike(rows: Floats, used: Flags) -> tuple[Ints, int]:
         return first, 0
     # Twice the rows at least, so that probing stays short.
     table = np.full(1 << max(4, (2 * count).bit_length()), -1, dtype=np.int32)
-    return first, int(_welded(rows, bits, candidates[:count], table, first))
+    return first, int(_weld(rows, bits, candidates[:count], table, first))
 
 
 @compiled
-def _marked(items, marks):
+def _mark(items, marks):
     for at in range(len(items)):
         marks[items[at]] = True
 
@@ -125,7 +125,7 @@ def _marked(items, marks):
 def used_vertices(n_vertices: int, faces: Ints) -> Flags:
     """(n,) bool, True for every vertex that a face (m, 3) names."""
     used = np.zeros(n_vertices, dtype=bool)
-    _marked(np.ascontiguousarray(faces).reshape(-1), used)
+    _mark(np.ascontiguousarray(faces).reshape(-1), used)
     return used
 
 
@@ -143,21 +143,21 @@ def repeated_corners(faces: Ints) -> Flags:
     return repeated
 
 
-def welded(vertices: Floats, faces: Ints) -> Ints:
+def weld(vertices: Floats, faces: Ints) -> Ints:
     """For each vertex the lowest-numbered vertex at exactly its position, (n,) int32.
 
-    Minus zero equals zero.  Vertices that no face uses weld with nothing and stand for themselves.
+    Minus zero equals zero.  Vertices that no face uses weld with nothing and map to themselves.
     """
     return first_alike(vertices, used_vertices(len(vertices), faces))[0]
 
 
 @compiled
-def _numbered(left, right, table, number, first):
+def _number(left, right, table, number, first):
     mask = len(table) - 1
     found = 0
     for i in range(len(left)):
         a, b = left[i], right[i]
-        slot = np.int64(_hashed(np.uint64(a), np.uint64(b), np.uint64(0)) & np.uint64(mask))
+        slot = np.int64(_hash(np.uint64(a), np.uint64(b), np.uint64(0)) & np.uint64(mask))
         while True:
             k = table[slot]
             if k < 0:
@@ -173,7 +173,7 @@ def _numbered(left, right, table, number, first):
     return found
 
 
-def numbered(left: Ints, right: Ints) -> tuple[Ints, Ints]:
+def number_groups(left: Ints, right: Ints) -> tuple[Ints, Ints]:
     """Give each different pair (left, right) a number, in order of appearance.
 
     Both arguments are (n,) int32.  Returns the number of every pair, (n,), and the first place of
@@ -182,20 +182,20 @@ def numbered(left: Ints, right: Ints) -> tuple[Ints, Ints]:
     table = np.full(1 << max(4, (2 * len(left)).bit_length()), -1, dtype=np.int32)
     number = np.empty(len(left), dtype=np.int32)
     first = np.empty(len(left), dtype=np.int32)
-    found = _numbered(left, right, table, number, first)
+    found = _number(left, right, table, number, first)
     return number, first[:found].copy()
 
 
 def duplicate_faces(faces: Ints) -> Flags:
     """True (m,) for every face whose three vertices, in any order, an earlier face has too."""
     a, b, c = np.sort(faces, axis=1).T.copy()
-    number, first = numbered(numbered(a, b)[0], c)
+    number, first = number_groups(number_groups(a, b)[0], c)
     duplicate: Flags = first[number] != np.arange(len(faces))
     return duplicate
 
 
 @compiled
-def _scattered(start, stop, before, after, is_used, place, origin, original, result):
+def _scatter(start, stop, before, after, is_used, place, origin, original, result):
     for i in range(start, stop):
         k = place[i] if len(place) else np.int32(i)
         if k >= 0 and is_used[k]:
@@ -208,7 +208,7 @@ def _scattered(start, stop, before, after, is_used, place, origin, original, res
         result[i, 0], result[i, 1], result[i, 2] = original[i, 0], original[i, 1], original[i, 2]
 
 
-def scattered(
+def scatter(
     before: Floats,
     after: Floats,
     is_used: NDArray[np.bool_],
@@ -225,7 +225,7 @@ def scattered(
     result = np.empty_like(original)
     place = np.empty(0, dtype=np.int32) if place is None else place
     known = before, after, is_used, place, origin, original
-    over_ranges(_scattered, len(original), *known, result)
+    over_ranges(_scatter, len(original), *known, result)
     return result
 
 

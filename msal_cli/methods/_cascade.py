@@ -29,7 +29,7 @@ from msal_cli.kernels.normal_regression import (
     NormalDescriber,
     measure_ripples,
 )
-from msal_cli.kernels.vertex_update import untangle, updated_vertices
+from msal_cli.kernels.vertex_update import untangle, update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sweeps import free_vertices
 
@@ -49,7 +49,7 @@ class Cascade:
         self.mesh = mesh
         self.free = free_vertices(mesh, boundary)
         centroids = face_centroids(mesh.vertices, mesh.faces)
-        rings = face_rings(mesh.faces, mesh.links, "edge")
+        rings = face_rings(mesh.faces, mesh.topology, "edge")
         self.describer = NormalDescriber(mesh.faces, centroids, *rings, noise)
         self.scanned = face_normals_and_areas(mesh.vertices, mesh.faces)[0]
 
@@ -62,8 +62,8 @@ class Cascade:
         mesh = self.mesh
         normals, areas = face_normals_and_areas(positions, mesh.faces)
         centroids = face_centroids(positions, mesh.faces)
-        at_vertices = mesh.moved(positions).vertex_normals()
-        heights = measure_ripples(positions, at_vertices, mesh.links)
+        at_vertices = mesh.with_vertices(positions).vertex_normals()
+        heights = measure_ripples(positions, at_vertices, mesh.topology)
         before = None if earlier is None else (self.scanned, earlier)
         return self.describer.describe(normals, areas, centroids, heights, before)
 
@@ -76,13 +76,13 @@ class Cascade:
     ) -> Floats:
         """Positions (n, 3) that fit the normals (m, 3) better, after ``passes`` passes."""
         mesh = self.mesh
-        return updated_vertices(
-            positions, normals, mesh.faces, mesh.links, self.free, passes, on_pass
+        return update_vertices(
+            positions, normals, mesh.faces, mesh.topology, self.free, passes, on_pass
         )
 
     def untangle(self, positions: Floats, normals: Floats) -> Floats:
         """Positions (n, 3) without the thin and folded faces that cannot take their normals."""
-        return untangle(positions, normals, self.mesh.faces, self.mesh.links, self.free)
+        return untangle(positions, normals, self.mesh.faces, self.mesh.topology, self.free)
 
 
 @functools.cache

@@ -4,7 +4,7 @@ A module of this folder whose name does not start with an underscore is a method
 
 - a docstring whose first line is the summary and which holds a ``Source:`` line,
 - a frozen dataclass ``Parameters`` whose fields are made by ``parameter``,
-- a function ``denoised(mesh, parameters, on_sweep) -> Result``,
+- a function ``denoise(mesh, parameters, on_sweep) -> Result``,
 - ``BYTES_PER_FACE``, if it needs more memory than ``al`` does (see ``Method.bytes_per_face``).
 
 Validation, ``--set``, ``msal methods``, the docs table and the reports are all made from these.
@@ -17,15 +17,14 @@ import difflib
 import functools
 import inspect
 import math
+import time
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from msal_cli.arrays import Floats
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 
@@ -44,9 +43,28 @@ class Result:
     seconds : wall-clock seconds by stage, ``normals`` and ``sweeps``.
     """
 
-    vertices: NDArray[np.float64]
-    fields: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    vertices: Floats
+    fields: dict[str, Floats] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
+
+
+class Timer:
+    """Wall-clock seconds of the stages of one run: ``normals`` until ``start_sweeps``."""
+
+    def __init__(self) -> None:
+        self._started = self._sweeps = time.perf_counter()
+
+    def start_sweeps(self) -> None:
+        """End the stage ``normals``."""
+        self._sweeps = time.perf_counter()
+
+    def finish(self, vertices: Floats, fields: dict[str, Floats] | None = None) -> Result:
+        """The result of the run, which ends now."""
+        seconds = {
+            "normals": self._sweeps - self._started,
+            "sweeps": time.perf_counter() - self._sweeps,
+        }
+        return Result(vertices, fields or {}, seconds)
 
 
 @dataclass(frozen=True)
@@ -57,7 +75,7 @@ class ParameterSpec:
     ----------
     name, symbol : the word for ``--set`` and the paper's letter, which ``--set`` takes as well.
     kind : ``int``, ``float`` or ``str``.
-    default : in use where the user says nothing.
+    default : the value if none is given.
     low, high, low_open, high_open : the range of a number; open ends are excluded.
     choices : the words allowed, for ``str``; none if any text is, which ``Parameters`` checks.
     unit : of the value; empty for a pure number.
@@ -89,7 +107,7 @@ class ParameterSpec:
         high = "" if math.isinf(self.high) else f" {'<' if self.high_open else '<='} {self.high:g}"
         return f"{low}{self.name}{high}" + (" (whole number)" if self.kind is int else "")
 
-    def settled(self, given: object) -> Any:
+    def validate(self, given: object) -> Any:
         """``given``, text or value, as a valid value; UsageError says what is allowed."""
         value: Any = given
         if self.kind is str:
@@ -146,7 +164,7 @@ def parameter(
 
 @functools.cache
 def _specs(made: type[Any]) -> tuple[ParameterSpec, ...]:
-    """The fields of a ``Parameters``; --auto asks for those of a method a hundred times."""
+    """The fields of a ``Parameters``; --auto reads those of a method a hundred times."""
     kinds = typing.get_type_hints(made)
     return tuple(
         ParameterSpec(one.name, kind=kinds[one.name], default=one.default, **one.metadata)
@@ -188,8 +206,8 @@ class Method:
 
     def bytes_per_face_of(self, given: Mapping[str, Any]) -> int:
         """The same for parameters of which ``given`` are set, where they decide it."""
-        told = getattr(self.module.Parameters(**given), "bytes_per_face", None)
-        return self.bytes_per_face if told is None else int(told)
+        value = getattr(self.module.Parameters(**given), "bytes_per_face", None)
+        return self.bytes_per_face if value is None else int(value)
 
     @property
     def parameters(self) -> tuple[ParameterSpec, ...]:
@@ -209,7 +227,7 @@ class Method:
             )
         return specs[word]
 
-    def settled(self, given: Mapping[str, object]) -> dict[str, Any]:
+    def validate(self, given: Mapping[str, object]) -> dict[str, Any]:
         """Every parameter, those in ``given`` (by name or symbol) checked and in their place.
 
         Raises UsageError for an unknown name, a value out of range, or values that do not go
@@ -218,26 +236,27 @@ class Method:
         values = {spec.name: spec.default for spec in self.parameters}
         for word, value in given.items():
             spec = self.spec(word)
-            values[spec.name] = spec.settled(value)
+            values[spec.name] = spec.validate(value)
         self.module.Parameters(**values)
         return values
 
     def has_data_term(self, parameters: Mapping[str, Any]) -> bool:
-        """Whether settled ``parameters`` pull vertices back to where they were scanned by the
+        """Whether complete ``parameters`` pull vertices back to where they were scanned by the
         lambda of equation (2), which a mesh's trust scales."""
         return bool(getattr(self.module.Parameters(**parameters), "has_data_term", False))
 
     def most_noise_edges(self, parameters: Mapping[str, Any]) -> float:
-        """The strongest noise, mean edge lengths, that settled ``parameters`` are made for."""
+        """The strongest noise, mean edge lengths, that complete ``parameters`` are suited for."""
         return float(getattr(self.module.Parameters(**parameters), "most_noise_edges", math.inf))
 
     def uses_largest_sigma(self, parameters: Mapping[str, Any]) -> bool:
         """Whether lambda is scaled by the largest sigma (eq. 7), so that one spike can rule it."""
         return bool(getattr(self.module.Parameters(**parameters), "uses_largest_sigma", False))
 
-    def denoised(
+    def denoise(
         self, mesh: Mesh, parameters: Mapping[str, Any], on_sweep: OnSweep | None = None
     ) -> Result:
-        """Run the method with settled ``parameters``; ``mesh`` is not changed."""
-        result: Result = self.module.denoised(mesh, self.module.Parameters(**parameters), on_sweep)
+        """Run the method with complete, valid ``parameters``; ``mesh`` is not changed."""
+        values = self.module.Parameters(**parameters)
+        result: Result = self.module.denoise(mesh, values, on_sweep or (lambda done, total: None))
         return result

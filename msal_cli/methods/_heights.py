@@ -17,8 +17,8 @@ class HeightParameters(NormalParameters):
 
     weights: str = parameter(
         "gauss",
-        "how a neighbour counts less the higher it stands: not at all beyond a height (tukey), "
-        "hardly (gauss), somewhat (lorentz, huber), or as much as any (none)",
+        "how the weight of a neighbour falls with its height: to nothing at a height (tukey), "
+        "to almost nothing (gauss), slowly (lorentz, huber), or not at all (none)",
         choices=WEIGHTS,
     )
     deviation: str = parameter(
@@ -42,7 +42,7 @@ def height_operator(
     return RobustLaplacian(
         mesh.vertex_normals(parameters.normals, parameters.mollify),
         mesh.faces,
-        mesh.links,
+        mesh.topology,
         free_vertices(mesh, parameters.boundary),
         mesh.mean_edge_length,
         *chosen,

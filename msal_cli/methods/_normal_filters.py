@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from msal_cli.arrays import Floats
-from msal_cli.kernels.vertex_update import updated_vertices
+from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sliding import settled, sliding_parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
+from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
 
@@ -53,50 +52,48 @@ class Passes:
     What ``on_sweep`` raises ends the run.
     """
 
-    on_sweep: OnSweep | None
+    on_sweep: OnSweep
     iterations: int
     passes: int
     done: int = field(default=0, init=False)
 
-    def passed(self) -> None:
-        """One more pass is done."""
+    def count_pass(self) -> None:
+        """Count a finished pass."""
         self.done += 1
-        self.going_on()
+        self.on_step()
 
-    def going_on(self) -> None:
-        """Still within the same pass: time to look for an interruption."""
-        if self.on_sweep is not None:
-            self.on_sweep(self.iterations * self.done // self.passes, self.iterations)
+    def on_step(self) -> None:
+        """Report progress within a pass, so that the caller may end the run."""
+        self.on_sweep(self.iterations * self.done // self.passes, self.iterations)
 
 
 def run(
     mesh: Mesh,
     parameters: NormalFilterParameters,
     filtered_normals: Callable[[Passes], Floats],
-    on_sweep: OnSweep | None,
+    on_sweep: OnSweep,
     normal_passes: int | None = None,
 ) -> Result:
     """The two stages: ``filtered_normals`` gives the normals (m, 3) that the vertices then fit.
 
-    It tells its argument of each of its ``normal_passes``, by default ``iterations``.
+    It counts each of its ``normal_passes``, ``iterations`` by default, on its argument.
     """
     if not parameters.iterations:
         return Result(mesh.vertices.copy(), seconds={"normals": 0.0, "sweeps": 0.0})
     if normal_passes is None:
         normal_passes = parameters.iterations
     passes = Passes(on_sweep, parameters.iterations, normal_passes + parameters.vertex_iterations)
-    started = time.perf_counter()
+    timer = Timer()
     normals = filtered_normals(passes)
-    ready = time.perf_counter()
-    vertices = updated_vertices(
+    timer.start_sweeps()
+    vertices = update_vertices(
         mesh.vertices,
         normals,
         mesh.faces,
-        mesh.links,
+        mesh.topology,
         free_vertices(mesh, parameters.boundary),
         parameters.vertex_iterations,
-        passes.passed,
+        passes.count_pass,
     )
-    vertices = settled(mesh, vertices, parameters.sliding, parameters.boundary)
-    finished = time.perf_counter()
-    return Result(vertices, seconds={"normals": ready - started, "sweeps": finished - ready})
+    vertices = undo_sliding(mesh, vertices, parameters.sliding, parameters.boundary)
+    return timer.finish(vertices)

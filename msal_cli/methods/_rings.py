@@ -1,4 +1,4 @@
-"""What the methods share that average positions over one-rings: the rule at open edges."""
+"""Averages of positions over one-rings: the rule at open edges."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from msal_cli.arrays import Ints
 from msal_cli.kernels.connectivity import averaged_ring
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import parameter
-from msal_cli.methods._sweeps import ScheduledParameters
+from msal_cli.methods._sweeps import ScaleParameters
 
 
 def boundary_rule() -> Any:
@@ -27,32 +27,20 @@ def boundary_rule() -> Any:
 def ring_of(mesh: Mesh, boundary: str) -> tuple[Ints, Ints]:
     """Rows to average over, (n + 1,) and (...,), for the parameter ``boundary``.
 
-    Those of vertices that are held are empty: who has no neighbours stays.
+    The rows of fixed vertices are empty: a vertex without neighbours does not move.
     """
-    starts, ring = averaged_ring(mesh.faces, mesh.links, boundary)
-    if mesh.held is None:
+    starts, ring = averaged_ring(mesh.faces, mesh.topology, boundary)
+    if mesh.fixed_vertices is None:
         return starts, ring
     counts = np.diff(starts)
-    kept = ring[np.repeat(~mesh.held, counts)]
-    counts[mesh.held] = 0
+    kept = ring[np.repeat(~mesh.fixed_vertices, counts)]
+    counts[mesh.fixed_vertices] = 0
     starts = np.concatenate([np.zeros(1, counts.dtype), np.cumsum(counts, dtype=counts.dtype)])
     return starts, kept
 
 
 @dataclass(frozen=True)
-class ScheduledRingParameters(ScheduledParameters):
+class ScheduledRingParameters(ScaleParameters):
     """Parameters of an operator of equation (2) that averages over one-rings."""
 
-    mollify: int = parameter(
-        1,
-        "multiscale schedule: passes that average the normals along which sigma is measured",
-        low=0,
-        high=100,
-        more="a lambda that follows the noise less",
-    )
-    normals: str = parameter(
-        "uniform",
-        "multiscale schedule: how face normals count in these normals: alike, or by face area",
-        choices=("uniform", "area"),
-    )
     boundary: str = boundary_rule()

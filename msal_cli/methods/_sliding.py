@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import weakref
 from typing import Any
 
 import numpy as np
 
+from msal_cli.analysis.noise_estimate.local import apply_umbrella
 from msal_cli.arrays import Floats
-from msal_cli.kernels.geometry import face_normals, ring_means
+from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.quantiles import median
-from msal_cli.kernels.vertex_update import updated_vertices
-from msal_cli.mesh import Mesh
+from msal_cli.kernels.vertex_update import update_vertices
+from msal_cli.mesh import Mesh, cached_by_mesh
 from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import free_vertices
 
-SETTLING = 3
+FINAL_PASSES = 3
 """Passes that fit the vertices once more after their sliding is undone."""
 
 SIDEWAYS = 0.55
@@ -27,12 +27,8 @@ direction as well, and as 0.86 to 1.06 where it is in every direction.  Scans th
 unevenly sampled (the dragon: 0.75 and more) are taken for the latter, and nothing is undone."""
 
 
-# Known for as long as the mesh is: every member of a blend asks again for the same one.
-_shares: weakref.WeakKeyDictionary[Mesh, float] = weakref.WeakKeyDictionary()
-
-
 def sliding_parameter() -> Any:
-    """The parameter that ``settled`` reads."""
+    """The parameter of ``undo_sliding``."""
     return parameter(
         "kept",
         "the way that vertices came sideways: kept; undone at the end, for scans whose noise is "
@@ -41,7 +37,7 @@ def sliding_parameter() -> Any:
     )
 
 
-def settled(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> Floats:
+def undo_sliding(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> Floats:
     """The outcome (n, 3) of a filter, with its sliding kept or undone.
 
     Fitting vertices to normals also moves them within the surface, a tenth of an edge and more
@@ -51,45 +47,31 @@ def settled(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> Float
     """
     if sliding == "kept" or (sliding == "auto" and sideways_share(mesh) > SIDEWAYS):
         return positions
-    outcome = mesh.moved(positions)
+    outcome = mesh.with_vertices(positions)
     normals = outcome.vertex_normals()
     heights = np.einsum("ij,ij->i", positions - mesh.vertices, normals)
     has_normal = (normals != 0.0).any(axis=1)[:, None]
     on_lines = np.where(has_normal, mesh.vertices + heights[:, None] * normals, positions)
-    return updated_vertices(
+    return update_vertices(
         on_lines,
         face_normals(positions, mesh.faces),
         mesh.faces,
-        mesh.links,
+        mesh.topology,
         free_vertices(mesh, boundary),
-        SETTLING,
+        FINAL_PASSES,
     )
 
 
+@cached_by_mesh
 def sideways_share(mesh: Mesh) -> float:
     """Noise within the surface over that along the normals, per direction; inf without the latter.
 
-    It is computed once for a mesh.
+    It is computed once for a mesh.  Noise is what is left of the positions when the umbrella is
+    applied twice, by the median over the vertices within the surface; uneven sampling counts as
+    noise within it.
     """
-    known = _shares.get(mesh)
-    if known is None:
-        known = _shares[mesh] = _sideways_share(mesh)
-    return known
-
-
-def _sideways_share(mesh: Mesh) -> float:
-    """The same, computed.
-
-    Noise is what is left of the positions when the umbrella is applied twice, by the median over
-    the vertices within the surface; uneven sampling counts as noise within it.
-    """
-    links = mesh.links
-    rings = links.ring_start, links.ring
-    second = np.empty_like(mesh.vertices)
-    for axis in range(3):
-        values = np.ascontiguousarray(mesh.vertices[:, axis])
-        first = ring_means(values, *rings) - values
-        second[:, axis] = ring_means(first, *rings) - first
+    links = mesh.topology
+    second = apply_umbrella(mesh, apply_umbrella(mesh, mesh.vertices))
     normals = mesh.vertex_normals("uniform", 1)
     along = np.einsum("ij,ij->i", second, normals)
     second -= along[:, None] * normals

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -14,9 +13,9 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats
 from msal_cli.kernels.operators import AnisotropicLaplacian, Operator
 from msal_cli.kernels.schedules import Constant, Multiscale, Plain, Schedule, Wiener
-from msal_cli.kernels.sweeps import Swept, swept
+from msal_cli.kernels.sweeps import Swept, run_sweeps
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ MOST_NOISE_MULTISCALE = 0.15
 passes of Taubin's filter have the smaller angles on most models of benchmarks/ground_truth.py."""
 
 
-class OfSchedule:
+class ScheduleTraits:
     """What the parameter ``schedule`` of a method implies for its memory and for warnings."""
 
     schedule: str
@@ -84,7 +83,7 @@ def quantile_parameter() -> Any:
     """The parameter of the robust schedule."""
     return parameter(
         0.99,
-        "robust schedule: sigma of this rank among all, from 0 to 1, stands in for max sigma",
+        "robust schedule: quantile of sigma, from 0 to 1, that replaces max sigma",
         symbol="q",
         low=0.0,
         high=1.0,
@@ -97,7 +96,7 @@ def noise_parameter(of: str = "wiener schedule: ") -> Any:
     """A parameter of the Wiener schedule."""
     return parameter(
         0.0,
-        of + "standard deviation of the noise; 0 has it estimated",
+        of + "standard deviation of the noise; 0 estimates it",
         low=0.0,
         high=100.0,
         unit="mean edge lengths",
@@ -109,7 +108,7 @@ def caution_parameter(default: float = 1.0, of: str = "wiener schedule: ") -> An
     """The other parameter of the Wiener schedule."""
     return parameter(
         default,
-        of + "factor of the noise's power that is reckoned with",
+        of + "factor of the assumed power of the noise",
         low=0.0,
         high=100.0,
         more="smoother, less texture",
@@ -117,7 +116,7 @@ def caution_parameter(default: float = 1.0, of: str = "wiener schedule: ") -> An
 
 
 @dataclass(frozen=True)
-class ScheduledParameters(OfSchedule, NormalParameters):
+class ScheduledParameters(ScheduleTraits, NormalParameters):
     """Parameters of a method whose operator can run under any schedule of equation (2)."""
 
     time_step: float = parameter(
@@ -132,7 +131,7 @@ class ScheduledParameters(OfSchedule, NormalParameters):
     schedule: str = parameter(
         "plain",
         "how the sweeps go on: alike; with a constant pull to the data; multiscale, as in msal; "
-        "robust, the same beside spikes; or alike, and what is more than noise comes back (wiener)",
+        "robust, unaffected by spikes; or alike, and what is more than noise comes back (wiener)",
         choices=("plain", "constant", "multiscale", "robust", "wiener"),
     )
     fidelity: float = parameter(
@@ -162,7 +161,7 @@ class ScheduledParameters(OfSchedule, NormalParameters):
         """Whether vertices are pulled back to where they were scanned."""
         return self.schedule != "plain"
 
-    def chosen_schedule(self) -> Schedule:
+    def build_schedule(self) -> Schedule:
         """The schedule that these parameters describe."""
         if self.schedule == "constant":
             return Constant(self.time_step, self.fidelity)
@@ -194,18 +193,18 @@ class ScaleParameters(ScheduledParameters):
 
 
 def free_vertices(mesh: Mesh, boundary: str) -> NDArray[np.bool_]:
-    """Which vertices (n,) may move, for the parameter ``boundary``; those that are held may not."""
-    edge = mesh.links.boundary
+    """Which vertices (n,) may move, for the parameter ``boundary``; fixed vertices may not."""
+    edge = mesh.topology.boundary
     free: NDArray[np.bool_] = ~edge if boundary == "fixed" else np.ones_like(edge)
-    return free if mesh.held is None else free & ~mesh.held
+    return free if mesh.fixed_vertices is None else free & ~mesh.fixed_vertices
 
 
 def anisotropic_laplacian(mesh: Mesh, parameters: NormalParameters) -> AnisotropicLaplacian:
     """The operator of eq. (5) along the mesh's own normals."""
     return AnisotropicLaplacian(
         mesh.vertex_normals(parameters.normals, parameters.mollify),
-        mesh.links.ring_start,
-        mesh.links.ring,
+        mesh.topology.ring_start,
+        mesh.topology.ring,
         free_vertices(mesh, parameters.boundary),
         mesh.mean_edge_length,
     )
@@ -216,7 +215,7 @@ def run(
     parameters: NormalParameters,
     operator: Callable[[], Operator],
     schedule: Schedule,
-    on_sweep: OnSweep | None,
+    on_sweep: OnSweep,
 ) -> Result:
     """Sweeps of the operator that ``operator()`` makes, under ``schedule``.
 
@@ -226,7 +225,7 @@ def run(
     result's field ``fidelity`` is lambda of the first sweep, of the Wiener schedule that at the
     end.
     """
-    started = time.perf_counter()
+    timer = Timer()
     made = operator()
     laplacian = anisotropic_laplacian(mesh, parameters) if schedule.quantile is not None else None
 
@@ -236,38 +235,33 @@ def run(
         assert sigma is not None
         return sigma
 
-    ready = time.perf_counter()
-    result = swept(
+    timer.start_sweeps()
+    result = run_sweeps(
         mesh.vertices, made, schedule, parameters.iterations, on_sweep, scale, mesh.trust
     )
     if isinstance(schedule, Wiener) and parameters.iterations:
-        result = _restored(mesh, parameters, result.vertices, schedule)
-    finished = time.perf_counter()
-    return Result(
-        result.vertices,
-        fields={"fidelity": result.fidelity},
-        seconds={"normals": ready - started, "sweeps": finished - ready},
-    )
+        result = _restore(mesh, parameters, result.vertices, schedule)
+    return timer.finish(result.vertices, {"fidelity": result.fidelity})
 
 
-def told_or_estimated(mesh: Mesh, noise: float) -> float:
+def resolve_noise_level(mesh: Mesh, noise: float) -> float:
     """Noise in file units from the parameter ``noise`` in mean edge lengths, 0 for the estimate."""
-    from msal_cli.analysis.noise_estimate import estimated
+    from msal_cli.analysis.noise_estimate import estimate_noise
 
-    return noise * mesh.mean_edge_length if noise else estimated(mesh).file_units
+    return noise * mesh.mean_edge_length if noise else estimate_noise(mesh).file_units
 
 
-def _restored(mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule: Wiener) -> Swept:
+def _restore(mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule: Wiener) -> Swept:
     """Positions from which the sweeps came to ``smooth`` (n, 3), as far as more than noise went.
 
     What comes back comes along the mesh's normals.
     """
     from msal_cli.kernels.restoration import given_back, restoration
 
-    noise = told_or_estimated(mesh, schedule.noise or 0.0)
+    noise = resolve_noise_level(mesh, schedule.noise or 0.0)
     normals = mesh.vertex_normals(parameters.normals, parameters.mollify)
     residual = np.einsum("ij,ij->i", smooth - mesh.vertices, normals)
-    links = mesh.links
+    links = mesh.topology
     found = restoration(residual, links.ring_start, links.ring, noise, schedule.caution)
     pull = found.returned if mesh.trust is None else mesh.trust * found.returned
     share = found.share if mesh.trust is None else mesh.trust * found.share

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.kernels.geometry import ring_means
+from msal_cli.analysis.noise_estimate.local import apply_umbrella
 from msal_cli.mesh import Mesh
 
 STEP = 0.5
 """Share of the way to the mean of the neighbours, within the surface."""
 
 MOLLIFY = 3
-"""Passes that average the normals which say what is within the surface."""
+"""Passes that average the normals of the tangent planes."""
 
 
 def even_out(mesh: Mesh, passes: int) -> Mesh:
@@ -21,18 +21,15 @@ def even_out(mesh: Mesh, passes: int) -> Mesh:
     Noise in all directions makes jagged triangles, across which normals err whatever the heights
     are.  Heights along the normal stay as they are, and so do vertices at open edges.
     """
-    links = mesh.links
+    links = mesh.topology
     normals = mesh.vertex_normals("uniform", MOLLIFY)
     free = links.has_ring & ~links.boundary
-    if mesh.held is not None:
-        free &= ~mesh.held
+    if mesh.fixed_vertices is not None:
+        free &= ~mesh.fixed_vertices
     share = np.where(free, STEP, 0.0)
     positions = mesh.vertices
     for _ in range(passes):
-        ways = np.empty_like(positions)
-        for axis in range(3):
-            values = np.ascontiguousarray(positions[:, axis])
-            ways[:, axis] = ring_means(values, links.ring_start, links.ring) - values
+        ways = apply_umbrella(mesh, positions)
         ways -= np.einsum("ij,ij->i", ways, normals)[:, None] * normals
         positions = positions + share[:, None] * ways
-    return mesh.moved(positions) if passes else mesh
+    return mesh.with_vertices(positions) if passes else mesh

@@ -9,15 +9,15 @@ above its tangent plane:
     d_i = sum(g h) / sum(g),  x_i <- x_i + tau d_i n_i  eq. (5), eq. (2) with lambda = 0
 
 All vertices move at once from the same positions.  The normals are those of the input, mollified,
-and are kept through all sweeps, so that no vertex drifts sideways.  A neighbour that stands far out
-of the tangent plane hardly counts, which is what keeps edges.  Three or four sweeps are usual; each
-further one smooths more and shrinks the surface a little more.  Where texture matters use ``msal``.
+and are kept through all sweeps, so that no vertex drifts sideways.  A neighbour far from the
+tangent plane has almost no weight: that keeps edges.  Three or four sweeps are usual; each further
+one smooths more and shrinks the surface a little more.  Where texture matters use ``msal``.
 
-Choices beside the paper's defaults: ``weights`` decides how a neighbour counts less the higher it
-stands; each kind is scaled so that its influence h g(h) is greatest at sigma.  Gauss, Tukey and
-Lorentz keep edges about alike, Huber less; with ``none`` the filter is the umbrella along the
-normals.  ``deviation=median`` takes sigma = 1.4826 median|h - median h|: sharper edges under weak
-noise, but strong noise is taken for features.
+Choices in addition to the paper's defaults: ``weights`` is the function by which the weight falls
+with the height; each kind is scaled so that its influence h g(h) is greatest at sigma.  Gauss,
+Tukey and Lorentz keep edges about alike, Huber less; with ``none`` the filter is the umbrella along
+the normals.  ``deviation=median`` takes sigma = 1.4826 median|h - median h|: sharper edges under
+weak noise, but strong noise is taken for features.
 
 On a mesh of mixed triangle sizes vertices beside large triangles move faster than others.  Section
 4.3 scales for this, by the lumped mass A/3 with A the area of the faces around the vertex, or by
@@ -33,9 +33,9 @@ or 4.  ``msal`` does without, at less cost, unless triangle sizes differ a lot.
 
 Where sigma is zero all heights are equal and d is their mean; by the median most of them are, and
 the flattest count.  Where every neighbour is beyond Tukey's reach all count alike.  A vertex
-without neighbours, or whose normal cannot be told, stays.  Vertices at open edges are filtered with
-the neighbours that they have (``boundary=free``).  The cost of a sweep is proportional to the
-number of edges.
+without neighbours, or whose normal cannot be determined, stays.  Vertices at open edges are
+filtered with the neighbours that they have (``boundary=free``).  The cost of a sweep is
+proportional to the number of edges.
 
 Source: H. Huang and U. Ascher, Fast denoising of surface meshes with intrinsic texture, Inverse
 Problems 24 (2008), sections 2.3 and 4.3; weights after M. Black, G. Sapiro, D. Marimont and D.
@@ -74,13 +74,14 @@ class Parameters(ScheduledParameters, HeightParameters):
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """AL of ``mesh``; see the module's description."""
     time_step = parameters.scaled_step * mesh.mean_edge_length**2
+    schedule = parameters.build_schedule()
     return run(
         mesh,
         parameters,
         lambda: height_operator(mesh, parameters, parameters.scaling, time_step),
-        parameters.chosen_schedule(),
+        schedule,
         on_sweep,
     )

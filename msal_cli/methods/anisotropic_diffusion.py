@@ -51,7 +51,7 @@ from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
 
 DEVIATIONS = {"cad": 0.0, "organic": 1.0}
-"""Standard deviations above the median at which lambda stands by itself."""
+"""Automatic lambda, in standard deviations above the median."""
 
 BYTES_PER_FACE = 195
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
@@ -114,7 +114,7 @@ class Parameters(ScaleParameters):
 
 
 def _operator(mesh: Mesh, parameters: Parameters) -> AnisotropicCurvature:
-    corners = flaps(mesh.faces, mesh.links)
+    corners = flaps(mesh.faces, mesh.topology)
     edge = mesh.mean_edge_length
     threshold = parameters.threshold * edge
     if threshold == 0.0:
@@ -122,7 +122,7 @@ def _operator(mesh: Mesh, parameters: Parameters) -> AnisotropicCurvature:
         threshold = curvature_threshold(mesh.vertices, corners, deviations)
     return AnisotropicCurvature(
         mesh.faces,
-        mesh.links,
+        mesh.topology,
         corners,
         free_vertices(mesh, parameters.boundary),
         threshold,
@@ -132,13 +132,8 @@ def _operator(mesh: Mesh, parameters: Parameters) -> AnisotropicCurvature:
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Anisotropic diffusion of ``mesh``; see the module's description."""
-    return run(
-        mesh,
-        parameters,
-        lambda: _operator(mesh, parameters),
-        # The operator has taken its own step; the schedule's is a share of it.
-        dataclasses.replace(parameters, time_step=1.0).chosen_schedule(),
-        on_sweep,
-    )
+    # The operator has taken its own step; the schedule's is a share of it.
+    schedule = dataclasses.replace(parameters, time_step=1.0).build_schedule()
+    return run(mesh, parameters, lambda: _operator(mesh, parameters), schedule, on_sweep)

@@ -1,7 +1,7 @@
 """Bilateral filter: heights along the normal, averaged by closeness and by similarity.
 
 A vertex moves along its normal n by a weighted mean of the heights h of its neighbours over its
-tangent plane.  A neighbour counts less the farther away it is, and less the higher it stands:
+tangent plane.  Its weight falls with the distance of the neighbour and with its height:
 
     h_k = (x_k - x_i) . n_i,  t_k = |x_k - x_i|
     w_k = exp(-t_k^2 / (2 sigma_c^2)) exp(-h_k^2 / (2 sigma_s^2))
@@ -27,9 +27,9 @@ edge: on a mesh of uneven triangles give ``closeness=1``, which smooths more and
 most 2,048 neighbours beyond the one-ring count.
 
 Vertices at open edges are filtered with the neighbours that they have (``boundary=free``).  One
-without neighbours, or whose normal cannot be told, stays.  Where sigma_s is zero the closest in
-height count.  The cost of a sweep is proportional to the number of edges, for ``fleishman`` to the
-vertices within the radius, seven times as much and up.  Neither keeps fine texture under heavy
+without neighbours, or whose normal cannot be determined, stays.  Where sigma_s is zero the closest
+in height count.  The cost of a sweep is proportional to the number of edges, for ``fleishman`` to
+the vertices within the radius, seven times as much and up.  Neither keeps fine texture under heavy
 smoothing; ``schedule=multiscale`` brings it back as in ``msal``.
 
 Source: S. Fleishman, I. Drori and D. Cohen-Or, Bilateral mesh denoising, ACM Transactions on
@@ -120,8 +120,8 @@ def _operator(mesh: Mesh, parameters: Parameters) -> Operator:
     if parameters.variant == "one_ring":
         return RingBilateral(
             mesh.vertex_normals(parameters.normals, parameters.mollify),
-            mesh.links.ring_start,
-            mesh.links.ring,
+            mesh.topology.ring_start,
+            mesh.topology.ring,
             free,
             unit,
             (parameters.closeness or 1.0) * unit,
@@ -129,7 +129,7 @@ def _operator(mesh: Mesh, parameters: Parameters) -> Operator:
         )
     return BallBilateral(
         mesh.faces,
-        mesh.links,
+        mesh.topology,
         free,
         unit,
         parameters.radius * unit,
@@ -139,12 +139,7 @@ def _operator(mesh: Mesh, parameters: Parameters) -> Operator:
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Bilateral filtering of ``mesh``; see the module's description."""
-    return run(
-        mesh,
-        parameters,
-        lambda: _operator(mesh, parameters),
-        parameters.chosen_schedule(),
-        on_sweep,
-    )
+    schedule = parameters.build_schedule()
+    return run(mesh, parameters, lambda: _operator(mesh, parameters), schedule, on_sweep)

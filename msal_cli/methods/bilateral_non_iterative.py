@@ -63,7 +63,7 @@ class Parameters(ScaleParameters):
         high=8.0,
         low_open=True,
         unit="mean edge lengths",
-        more="smoother, and dearer; small features go",
+        more="smoother, and slower; small features are lost",
     )
     similarity: float = parameter(
         1.0,
@@ -77,7 +77,7 @@ class Parameters(ScaleParameters):
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The filter of Jones et al. over ``mesh``; see the module's description."""
     unit = mesh.mean_edge_length
     return run(
@@ -85,12 +85,12 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         parameters,
         lambda: ProjectionAverage(
             mesh.faces,
-            mesh.links,
+            mesh.topology,
             free_vertices(mesh, parameters.boundary),
             unit,
             parameters.closeness * unit,
             parameters.similarity * unit,
         ),
-        parameters.chosen_schedule(),
+        parameters.build_schedule(),
         on_sweep,
     )

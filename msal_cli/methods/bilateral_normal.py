@@ -27,12 +27,12 @@ takes strong noise for edges: for noise of 0.2 to 0.3 mean edge lengths ``simila
 halves the angles on objects with edges, and does better than ``local`` on organic shapes.  Heavier
 noise folds faces; ``guided_normal`` is made for that.  Fine texture goes; ``msal`` keeps it.
 
-sigma_c is the mean distance between the centroids of faces that share an edge, times
-``closeness``; where none do, the mean edge length stands in.  Vertices at open edges are fixed, as
-in the public implementation that later papers compare with.  Faces around a non-manifold edge are
-all neighbours.  Sharing a vertex, or an edge, that has more than 64 faces does not make neighbours,
-so that hubs cost no more than other parts.  A face without neighbours keeps its normal; one without
-area has none and no say, and a vertex that has no other faces stays.  The cost of a pass is
+sigma_c is the mean distance between the centroids of faces that share an edge, times ``closeness``;
+where none do, the mean edge length is used.  Vertices at open edges are fixed, as in the public
+implementation that later papers compare with.  Faces around a non-manifold edge are all neighbours.
+Sharing a vertex, or an edge, that has more than 64 faces does not make neighbours, so that hubs
+cost no more than other parts.  A face without neighbours keeps its normal; one without area has no
+normal and no weight, and a vertex that has no other faces stays.  The cost of a pass is
 proportional to the number of faces; ``global`` costs about as much as 100 to 200 passes.
 
 Source: Y. Zheng, H. Fu, O. K.-C. Au and C.-L. Tai, Bilateral normal filtering for mesh denoising,
@@ -105,13 +105,13 @@ class Parameters(NormalFilterParameters):
 def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Floats:
     normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
     centroids = face_centroids(mesh.vertices, mesh.faces)
-    across_edges = face_rings(mesh.faces, mesh.links, "edge")
+    across_edges = face_rings(mesh.faces, mesh.topology, "edge")
     unit = mean_centroid_distance(centroids, *across_edges) or mesh.mean_edge_length
     del across_edges
-    rows = face_rings(mesh.faces, mesh.links, parameters.neighbours)
+    rows = face_rings(mesh.faces, mesh.topology, parameters.neighbours)
     faces = (normals, areas, centroids, *rows, parameters.closeness * unit, parameters.similarity)
     if parameters.variant == "local":
-        return bilateral_averages(*faces, parameters.iterations, passes.passed)
+        return bilateral_averages(*faces, parameters.iterations, passes.count_pass)
     fidelity = parameters.fidelity
     solved = conjugate_gradients(
         normal_system(*faces, fidelity),
@@ -120,15 +120,15 @@ def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Flo
         tolerance=TOLERANCE * fidelity,
         unit=1.0,
         most_iterations=MOST_ITERATIONS,
-        on_iteration=lambda done, residual: passes.going_on(),
+        on_iteration=lambda done, residual: passes.on_step(),
     ).values
-    passes.passed()
+    passes.count_pass()
     length = np.sqrt((solved * solved).sum(axis=1))[:, None]
     vanished = length <= VANISHED
     return np.where(vanished, normals, solved / np.where(vanished, 1.0, length))
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The bilateral filter of the normals of ``mesh``; see the module's description."""
     return run(
         mesh,

@@ -32,7 +32,6 @@ from __future__ import annotations
 import itertools
 import math
 import re
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -42,7 +41,7 @@ import numpy as np
 from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import Method, OnSweep, Result, parameter
+from msal_cli.methods._contract import Method, OnSweep, Result, Timer, parameter
 from msal_cli.methods._triangles import even_out
 
 BYTES_PER_FACE = 1180
@@ -53,13 +52,13 @@ KEPT_PER_FACE = 30
 leaves scattered behind."""
 
 MOST_MEMBERS = 16
-"""More are taken for a mistake."""
+"""More members are an error."""
 
 STEPS = 100
-"""Into which the progress of one member is told."""
+"""Steps of progress that are reported for each member."""
 
 ROUNDING = 1e-9
-"""By which weights may add up to more than 1."""
+"""Excess over 1 that the sum of the weights may have."""
 
 _MEMBER = re.compile(
     r"([0-9.]+(?:[eE][+-]?[0-9]+)?(?::[0-9.]+(?:[eE][+-]?[0-9]+)?)*)"
@@ -70,34 +69,34 @@ _EXAMPLE = "for example 0.6*guided_normal(iterations=5)+0.4*al(iterations=3)"
 
 @dataclass(frozen=True)
 class Member:
-    """One method of a blend: its weights, one for each level, and its settled parameters."""
+    """One method of a blend: its weights, one for each level, and all of its parameters."""
 
     weights: tuple[float, ...]
     method: Method
     parameters: dict[str, Any]
 
 
-def written(members: list[tuple[Sequence[float], str, dict[str, Any]]]) -> str:
+def format_members(members: list[tuple[Sequence[float], str, dict[str, Any]]]) -> str:
     """The text of ``members`` for weights, names and the parameters that are given; ``read`` gives
     the very numbers back."""
     parts = []
     for weights, name, given in members:
         inside = ",".join(f"{word}={value}" for word, value in given.items())
-        parts.append(f"{_numbers(weights)}*{name}" + (f"({inside})" if inside else ""))
+        parts.append(f"{_format_numbers(weights)}*{name}" + (f"({inside})" if inside else ""))
     return "+".join(parts)
 
 
-def _numbers(values: Sequence[float]) -> str:
+def _format_numbers(values: Sequence[float]) -> str:
     # The shortest text of a number that is the number again.
     return ":".join(repr(float(value)).removesuffix(".0") for value in values)
 
 
-def written_levels(levels: Sequence[float]) -> str:
+def format_levels(levels: Sequence[float]) -> str:
     """The text of ``levels``, mean edge lengths."""
-    return _numbers(levels)
+    return _format_numbers(levels)
 
 
-def read_levels(text: str) -> tuple[float, ...]:
+def parse_levels(text: str) -> tuple[float, ...]:
     """The levels that a text names, rising; none for an empty one."""
     try:
         levels = tuple(float(word) for word in text.split(":")) if text.strip() else ()
@@ -112,7 +111,7 @@ def read_levels(text: str) -> tuple[float, ...]:
     return levels
 
 
-def read(text: str, n_levels: int = 0) -> tuple[Member, ...]:
+def parse_members(text: str, n_levels: int = 0) -> tuple[Member, ...]:
     """The members that a text names, with a weight for each of so many levels; UsageError says
     what is wrong with it."""
     from msal_cli import methods
@@ -122,17 +121,17 @@ def read(text: str, n_levels: int = 0) -> tuple[Member, ...]:
     while rest:
         match = _MEMBER.match(rest)
         if match is None:
-            raise _not_understood(rest)
+            raise _syntax_error(rest)
         words, name, inside = match.groups()
         left = rest[match.end() :]
         if left == "+" or left[:1] not in ("", "+"):
-            raise _not_understood(left)
+            raise _syntax_error(left)
         rest = left[1:]
         if name == __name__.rpartition(".")[2]:
             raise UsageError("a blend cannot be a member of a blend", hint=_EXAMPLE)
         method = methods.find(name)
-        weights = _weights(words, max(n_levels, 1))
-        found.append(Member(weights, method, _settled(method, inside or "")))
+        weights = _parse_weights(words, max(n_levels, 1))
+        found.append(Member(weights, method, _parse_parameters(method, inside or "")))
         if len(found) > MOST_MEMBERS:
             raise UsageError(f"there are more than {MOST_MEMBERS} members", hint=_EXAMPLE)
     if not found:
@@ -146,11 +145,11 @@ def read(text: str, n_levels: int = 0) -> tuple[Member, ...]:
     return tuple(found)
 
 
-def _not_understood(rest: str) -> UsageError:
+def _syntax_error(rest: str) -> UsageError:
     return UsageError(f"members are not understood from '{rest}' on", hint=_EXAMPLE)
 
 
-def _settled(method: Method, inside: str) -> dict[str, Any]:
+def _parse_parameters(method: Method, inside: str) -> dict[str, Any]:
     """The parameters of a member, given as ``NAME=VALUE,...``."""
     given: dict[str, str] = {}
     for part in inside.split(",") if inside else ():
@@ -162,10 +161,10 @@ def _settled(method: Method, inside: str) -> dict[str, Any]:
             raise UsageError(
                 f"member {method.name} has two different values of {name}", hint="give it once"
             )
-    return method.settled(given)
+    return method.validate(given)
 
 
-def _weights(text: str, count: int) -> tuple[float, ...]:
+def _parse_weights(text: str, count: int) -> tuple[float, ...]:
     words = text.split(":")
     if len(words) != count:
         wanted = "one weight" if count == 1 else f"{count} weights, as there are levels"
@@ -208,32 +207,31 @@ class Parameters:
 
     def __post_init__(self) -> None:
         """Refuse members that mean nothing."""
-        read(self.members, len(read_levels(self.levels)))
+        parse_members(self.members, len(parse_levels(self.levels)))
 
     @property
     def bytes_per_face(self) -> int:
         """Memory per triangle for these members; see ``Method``."""
-        members = read(self.members, len(read_levels(self.levels)))
+        members = parse_members(self.members, len(parse_levels(self.levels)))
         return KEPT_PER_FACE + max(one.method.bytes_per_face for one in members)
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The blend of what the members make of ``mesh``; see the module's description."""
-    started = time.perf_counter()
-    levels = read_levels(parameters.levels)
-    members = read(parameters.members, len(levels))
+    timer = Timer()
+    levels = parse_levels(parameters.levels)
+    members = parse_members(parameters.members, len(levels))
     local = local_levels(mesh) if levels else None
     mesh = even_out(mesh, parameters.relax)
     if [member.weights for member in members] == [(1.0,)]:
-        return members[0].method.denoised(mesh, members[0].parameters, on_sweep)
+        return members[0].method.denoise(mesh, members[0].parameters, on_sweep)
     move = np.zeros_like(mesh.vertices)
     for k, member in enumerate(members):
 
-        def going_on(done: int, total: int, k: int = k) -> None:
-            if on_sweep is not None:
-                on_sweep(STEPS * k + STEPS * done // max(total, 1), STEPS * len(members))
+        def on_step(done: int, total: int, k: int = k) -> None:
+            on_sweep(STEPS * k + STEPS * done // max(total, 1), STEPS * len(members))
 
-        step = member.method.denoised(mesh, member.parameters, going_on).vertices
+        step = member.method.denoise(mesh, member.parameters, on_step).vertices
         step = step - mesh.vertices
         if local is None:
             step *= member.weights[0]
@@ -242,6 +240,6 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         move += step
         del step
         # Each set of them takes as much as the vertices, and far less time than a filter.
-        mesh.forget_normals()
+        mesh.release_normals()
     move += mesh.vertices
-    return Result(move, seconds={"normals": 0.0, "sweeps": time.perf_counter() - started})
+    return timer.finish(move)

@@ -7,9 +7,9 @@ its score H is the greater the less its normals n agree:
     H = max |n_a - n_b|  max |dn| / (epsilon + sum |dn|),   dn across the inner edges of the patch
 
 The guide g of a face is the area-weighted mean normal of the patch with the least H among those
-centred at the face or at one that shares a vertex with it: beside an edge, a patch that lies on
-one side of it.  With areas A and centroids c, the filtered normal is the normalised sum over the
-faces j near i, and i itself,
+centred at the face or at one that shares a vertex with it: near an edge, a patch that lies on one
+side of it.  With areas A and centroids c, the filtered normal is the normalised sum over the faces
+j near i, and i itself,
 
     sum A_j exp(-|c_i - c_j|^2 / (2 sigma_s^2)) exp(-|g_i - g_j|^2 / (2 sigma_r^2)) n_j
 
@@ -45,17 +45,16 @@ and Computer Graphics 13 (2007), 925-938.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 from msal_cli.kernels.face_guides import patches
 from msal_cli.kernels.face_rings import face_centroids, faces_within, mean_centroid_distance
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_averages import joint_bilateral
-from msal_cli.kernels.vertex_update import updated_vertices
+from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sliding import settled, sliding_parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
+from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
 MOST_NEAR = 64
@@ -103,7 +102,7 @@ class Parameters:
         low=0.0,
         high=10.0,
         unit="mean distances of the centroids of faces that share an edge",
-        more="smoother, and dearer; thin features go",
+        more="smoother, and slower; thin features are lost",
     )
     vertex_iterations: int = parameter(
         10,
@@ -120,10 +119,10 @@ class Parameters:
     sliding: str = sliding_parameter()
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Guided normal filtering of ``mesh``; see the module's description."""
-    started = time.perf_counter()
-    faces, links = mesh.faces, mesh.links
+    timer = Timer()
+    faces, links = mesh.faces, mesh.topology
     around = patches(faces, links)
     edges = around.edge_start, around.edge_ring
     centroids = face_centroids(mesh.vertices, faces)
@@ -132,7 +131,7 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
         centroids, around.ring_start, around.ring, parameters.radius * unit, MOST_NEAR
     )
     free = free_vertices(mesh, parameters.boundary)
-    ready = time.perf_counter()
+    timer.start_sweeps()
 
     positions = mesh.vertices.copy()
     for iteration in range(parameters.iterations):
@@ -149,12 +148,10 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
             sigma_s=parameters.closeness * (unit or mesh.mean_edge_length),
             sigma_r=parameters.similarity,
         )
-        positions = updated_vertices(
+        positions = update_vertices(
             positions, wanted, faces, links, free, parameters.vertex_iterations
         )
-        if on_sweep is not None:
-            on_sweep(iteration + 1, parameters.iterations)
+        on_sweep(iteration + 1, parameters.iterations)
     if parameters.iterations:
-        positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
-    finished = time.perf_counter()
-    return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})
+        positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
+    return timer.finish(positions)

@@ -23,12 +23,11 @@ Computer Graphics Forum 18 (1999), 131-138.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 from msal_cli.kernels.umbrellas import pushed_back
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of
 
 BYTES_PER_FACE = 10
@@ -64,17 +63,15 @@ class Parameters:
     boundary: str = boundary_rule()
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """HC smoothing of ``mesh``; see the module's description."""
-    started = time.perf_counter()
+    timer = Timer()
     ring_start, ring = ring_of(mesh, parameters.boundary)
-    ready = time.perf_counter()
+    timer.start_sweeps()
     positions = mesh.vertices.copy()
     for sweep in range(parameters.iterations):
         positions = pushed_back(
             mesh.vertices, positions, ring_start, ring, parameters.alpha, parameters.beta
         )
-        if on_sweep is not None:
-            on_sweep(sweep + 1, parameters.iterations)
-    finished = time.perf_counter()
-    return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})
+        on_sweep(sweep + 1, parameters.iterations)
+    return timer.finish(positions)

@@ -34,9 +34,9 @@ flattens; a scan without sharp edges is served better by ``al`` or ``msal``.  Fa
 everything down.
 
 At open edges vertices move along their normals only, never along the surface, so that the rim is
-not drawn inwards (``boundary=free``).  A vertex without neighbours, or whose normal cannot be told,
-stays.  The whole costs about seven times as much as three sweeps of ``al``, in proportion to the
-number of edges.
+not drawn inwards (``boundary=free``).  A vertex without neighbours, or whose normal cannot be
+determined, stays.  The whole costs about seven times as much as three sweeps of ``al``, in
+proportion to the number of edges.
 
 Source: after H. Huang and U. Ascher, Surface mesh smoothing, regularization and feature detection,
 SIAM Journal on Scientific Computing 31 (2008), 74-93.
@@ -44,7 +44,6 @@ SIAM Journal on Scientific Computing 31 (2008), 74-93.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,10 +54,10 @@ from msal_cli.kernels.operators import Operator
 from msal_cli.kernels.projections import normal_spread, towards_planes
 from msal_cli.kernels.quantiles import clusters
 from msal_cli.kernels.schedules import Multiscale, Plain
-from msal_cli.kernels.sweeps import swept
+from msal_cli.kernels.sweeps import run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sweeps import NormalParameters, anisotropic_laplacian, free_vertices
 
 SMALLEST_SPREAD = 1e-6
@@ -88,7 +87,7 @@ class Parameters(NormalParameters):
         "sweeps before the clustering",
         low=0,
         high=1000,
-        more="features are told from stronger noise, and faint ones are lost",
+        more="features are found under stronger noise, and weak ones are lost",
     )
     clusters: int = parameter(
         3,
@@ -124,49 +123,37 @@ class Parameters(NormalParameters):
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The hybrid filter over ``mesh``; see the module's description."""
-    started = time.perf_counter()
+    timer = Timer()
     total = parameters.iterations
     first = min(parameters.presmooth, total)
     laplacian = anisotropic_laplacian(mesh, parameters)
-    ready = time.perf_counter()
-    x, sharp = _presmoothed(mesh, laplacian, first, parameters.K, total, on_sweep)
-    cluster, feature = _features(mesh, x, parameters)
+    timer.start_sweeps()
+    x, sharp = _presmooth(mesh, laplacian, first, parameters.K, total, on_sweep)
+    cluster, feature = _find_features(mesh, x, parameters)
     x[feature] = sharp[feature]
     free = free_vertices(mesh, parameters.boundary)
     for sweep in range(total - first):
-        x = x + _moves(mesh, x, feature, free, parameters.K**sweep, parameters)
-        if on_sweep is not None:
-            on_sweep(first + sweep + 1, total)
-    finished = time.perf_counter()
-    return Result(
-        x,
-        fields={"cluster": cluster, "feature": feature.astype(np.float64)},
-        seconds={"normals": ready - started, "sweeps": finished - ready},
-    )
+        x = x + _compute_moves(mesh, x, feature, free, parameters.K**sweep, parameters)
+        on_sweep(first + sweep + 1, total)
+    return timer.finish(x, {"cluster": cluster, "feature": feature.astype(np.float64)})
 
 
-def _presmoothed(
-    mesh: Mesh, laplacian: Operator, sweeps: int, K: float, total: int, on_sweep: OnSweep | None
+def _presmooth(
+    mesh: Mesh, laplacian: Operator, sweeps: int, K: float, total: int, on_sweep: OnSweep
 ) -> tuple[Floats, Floats]:
     """Positions (n, 3) after ``sweeps`` of AL, and after as many of MSAL."""
-
-    def on_plain(done: int, _: int) -> None:
-        if on_sweep is not None:
-            on_sweep(done, total)
-
-    def on_multiscale(_: int, __: int) -> None:
-        # Nothing new is done, but a long run must stay interruptible.
-        on_plain(sweeps, total)
-
-    plain = swept(mesh.vertices, laplacian, Plain(), sweeps, on_plain).vertices
-    return plain, swept(mesh.vertices, laplacian, Multiscale(K), sweeps, on_multiscale).vertices
+    start = mesh.vertices
+    plain = run_sweeps(start, laplacian, Plain(), sweeps, lambda done, _: on_sweep(done, total))
+    # Nothing new is done, but a long run must stay interruptible.
+    sharp = run_sweeps(start, laplacian, Multiscale(K), sweeps, lambda *_: on_sweep(sweeps, total))
+    return plain.vertices, sharp.vertices
 
 
-def _features(mesh: Mesh, positions: Floats, parameters: Parameters) -> tuple[Floats, Flags]:
+def _find_features(mesh: Mesh, positions: Floats, parameters: Parameters) -> tuple[Floats, Flags]:
     """Number of each vertex's cluster (n,), and which vertices (n,) are on edges and corners."""
-    links = mesh.links
+    links = mesh.topology
     normals = vertex_normals(positions, mesh.faces, parameters.normals)
     known = (normals != 0.0).any(axis=1)
     spread = normal_spread(positions, mesh.faces, links, normals)
@@ -180,11 +167,11 @@ def _features(mesh: Mesh, positions: Floats, parameters: Parameters) -> tuple[Fl
     return cluster, candidate & (around > 0.0)
 
 
-def _moves(
+def _compute_moves(
     mesh: Mesh, x: Floats, feature: Flags, free: Flags, share: float, parameters: Parameters
 ) -> Floats:
     """What one sweep after the clustering adds to the positions x, (n, 3)."""
-    links = mesh.links
+    links = mesh.topology
     normals = vertex_normals(x, mesh.faces, parameters.normals)
     umbrella = Umbrella(links.ring_start, links.ring)(x).move
     heights = (umbrella * normals).sum(axis=1)

@@ -35,16 +35,15 @@ Source: L. He and S. Schaefer, Mesh denoising via L0 minimization, ACM Transacti
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from msal_cli.kernels.conjugate_gradient import conjugate_gradients
 from msal_cli.kernels.dihedral_flaps import dihedral_angles, flaps
 from msal_cli.kernels.edge_sparsity import edge_sparsity
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sliding import settled, sliding_parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
+from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
 FIRST_BETA = 1e-3
@@ -98,21 +97,23 @@ class Parameters:
     sliding: str = sliding_parameter()
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """L0 minimisation of ``mesh``; see the module's description."""
-    started = time.perf_counter()
-    corners = flaps(mesh.faces, mesh.links)
+    timer = Timer()
+    corners = flaps(mesh.faces, mesh.topology)
     edges = edge_sparsity(len(mesh.vertices), corners)
     gamma = float(dihedral_angles(mesh.vertices, corners).mean()) if len(corners) else 0.0
     edge_length = mesh.mean_edge_length
     price = parameters.sparsity * gamma * edge_length**2
-    held = ~free_vertices(mesh, parameters.boundary)
-    ready = time.perf_counter()
+    fixed = ~free_vertices(mesh, parameters.boundary)
+    timer.start_sweeps()
 
     positions = mesh.vertices.copy()
     for step in range(parameters.iterations):
         growth = (LAST_BETA / FIRST_BETA) ** (step / parameters.iterations)
         beta = FIRST_BETA * growth
+        # During a long solve too, so that the caller may end the run.
+        on_step = partial(on_sweep, step, parameters.iterations)
         alpha = parameters.regularity * gamma / growth**2
         coefficients, deltas = edges.bent(positions, price / beta)
         matrix, pulls = edges.system(coefficients, deltas, alpha, beta)
@@ -123,23 +124,10 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
             tolerance=TOLERANCE,
             unit=edge_length,
             most_iterations=MOST_ITERATIONS,
-            held=held,
-            on_iteration=_still(step, parameters.iterations, on_sweep),
+            held=fixed,
+            on_iteration=lambda *_: on_step(),  # noqa: B023
         ).values
-        if on_sweep is not None:
-            on_sweep(step + 1, parameters.iterations)
+        on_sweep(step + 1, parameters.iterations)
     if parameters.iterations:
-        positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
-    finished = time.perf_counter()
-    return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})
-
-
-def _still(done: int, total: int, on_sweep: OnSweep | None) -> Callable[[int, float], None] | None:
-    """Tell, amid a long solve, that no more steps are done, and let the caller end the run."""
-    if on_sweep is None:
-        return None
-
-    def on_iteration(_: int, residual: float) -> None:
-        on_sweep(done, total)
-
-    return on_iteration
+        positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
+    return timer.finish(positions)

@@ -23,7 +23,7 @@ evened out along the surface and fitted again.
 The vectors are seen along axes of their own, those of the tensor of the normals near: turning,
 moving or scaling a mesh changes nothing.  Lengths are local: mean distances of centroids, as edges.
 
-Texture and noise are told apart by the strength of the noise: a ``noise`` that is given helps most
+The level of the noise decides what is texture and what is noise: a given ``noise`` helps most
 where the texture is as fine as the mesh, and a greater one smooths more.
 
 ``sliding=undone`` takes the way back that vertices came sideways, for noise along the normals; see
@@ -46,13 +46,12 @@ Transactions on Graphics 36 (4), 2017, 97; descriptors, networks and training ar
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 from msal_cli.mesh import Mesh
 from msal_cli.methods._cascade import Cascade, load_networks
-from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sliding import settled, sliding_parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
+from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import noise_parameter
 
 BYTES_PER_FACE = 1150
@@ -94,16 +93,16 @@ class Parameters:
     sliding: str = sliding_parameter()
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The learned filter on ``mesh``; see the module's description."""
-    started = time.perf_counter()
+    timer = Timer()
     positions = mesh.vertices.copy()
     stages = parameters.iterations
     if not stages:
         return Result(positions, seconds={"normals": 0.0, "sweeps": 0.0})
     cascade = Cascade(mesh, parameters.boundary, resolve_noise(mesh, parameters.noise))
     normals = None
-    ready = time.perf_counter()
+    timer.start_sweeps()
     networks = load_networks()
     for done in range(1, stages + 1):
         network = networks[min(done, len(networks)) - 1]
@@ -112,26 +111,24 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
             positions = cascade.fit(positions, normals, STAGE_PASSES)
         else:
             positions = cascade.fit(mesh.vertices, normals, parameters.vertex_iterations)
-        if on_sweep is not None:
-            on_sweep(done, stages)
+        on_sweep(done, stages)
     assert normals is not None
-    positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
+    positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
     positions = cascade.untangle(positions, normals)
-    finished = time.perf_counter()
-    return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})
+    return timer.finish(positions)
 
 
 def resolve_noise(mesh: Mesh, given: float) -> float | None:
     """The level in mean edge lengths, ``given`` or else estimated.
 
     None where no level says what is wrong: on staircases, and where the estimate finds hardly any
-    noise and does not say that there is none.
+    noise and is not sure that there is none.
     """
-    from msal_cli.analysis.noise_estimate import estimated
+    from msal_cli.analysis.noise_estimate import estimate_noise
 
     if given:
         return given
-    level = estimated(mesh)
+    level = estimate_noise(mesh)
     kind = level.character.kind
     is_open = kind == "staircase" or (kind == "unknown" and level.mean_edges < LEAST_KNOWN)
     return None if is_open else level.mean_edges

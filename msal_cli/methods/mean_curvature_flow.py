@@ -11,7 +11,7 @@ edge and the area A_i that belongs to a vertex
 Unlike the umbrella it moves no vertex within a flat part, however irregular the triangles.  tau is
 an area, ``time_step`` times the square of the mean edge length.  The explicit step measures w and
 A anew at every sweep; where triangles are small or flat a vertex takes its own limit t_i, at which
-it goes to the weighted mean of its neighbours, and the mesh as a whole is not held up by it.  The
+it goes to the weighted mean of its neighbours, and it does not slow down the rest of the mesh.  The
 implicit step is stable for every tau: one long step does the work of many sweeps.  It keeps L from
 the input and measures M anew, which is the flow without singularities of Kazhdan and others;
 measuring L anew as well gave angles within 0.2 degrees on four noisy models at the defaults, and
@@ -104,32 +104,31 @@ def _operator(mesh: Mesh, parameters: Parameters, on_iteration: Callable[[], obj
     edge = mesh.mean_edge_length
     time_step = parameters.time_step * edge**2
     if parameters.variant == "explicit":
-        return MeanCurvature(mesh.faces, mesh.links, free, time_step, parameters.areas)
-    weights = cotangent_weights(mesh.vertices, mesh.faces, mesh.links)
+        return MeanCurvature(mesh.faces, mesh.topology, free, time_step, parameters.areas)
+    weights = cotangent_weights(mesh.vertices, mesh.faces, mesh.topology)
     return ImplicitMeanCurvature(
-        mesh.faces, mesh.links, weights, free, time_step, edge, parameters.areas, on_iteration
+        mesh.faces, mesh.topology, weights, free, time_step, edge, parameters.areas, on_iteration
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Mean curvature flow of ``mesh``; see the module's description."""
     finished = 0
 
     def on_step(done: int, total: int) -> None:
         nonlocal finished
         finished = done
-        if on_sweep is not None:
-            on_sweep(done, total)
+        on_sweep(done, total)
 
     result = run(
         mesh,
         parameters,
         lambda: _operator(mesh, parameters, lambda: on_step(finished, parameters.iterations)),
         # The operator has taken its own step; the schedule's is a share of it.
-        dataclasses.replace(parameters, time_step=1.0).chosen_schedule(),
+        dataclasses.replace(parameters, time_step=1.0).build_schedule(),
         on_step,
     )
-    closed = not (mesh.links.boundary_edges or mesh.links.non_manifold_edges)
+    closed = not (mesh.topology.boundary_edges or mesh.topology.non_manifold_edges)
     if parameters.volume == "restore" and parameters.iterations and closed:
         vertices = with_volume_of(mesh.vertices, result.vertices, mesh.faces)
         result = dataclasses.replace(result, vertices=vertices)

@@ -13,21 +13,21 @@ volume shrinks far less than under AL.  It is at its best for fine texture with 
 tenth of the mean edge length; for strong noise choose a larger K, or ``al``.  Many sweeps lead
 back to the input: four are a stable default.  A sweep costs about as much as one of AL.
 
-``schedule`` is a choice beside the paper's.  One spike or one torn triangle has a sigma beside
-which every other lambda is next to nothing; ``robust`` takes in place of max sigma a ``quantile``
+``schedule`` is a choice in addition to the paper's.  One spike or one torn triangle has a sigma so
+large that every other lambda is almost zero; ``robust`` takes in place of max sigma a ``quantile``
 of the sigma above zero, and never pulls by more than all: lambda_i = min(1, sigma_i / quantile).
 It stays closer to the scan, and suits noise up to 0.1.  ``wiener`` sweeps with tau = 1 and no pull,
-as ``al`` does.  Then it cuts what that took, t along the normals, into five bands from fine to
+as ``al`` does.  Then it splits the removed part, t along the normals, into five bands from fine to
 coarse, and gives back of each band, vertex by vertex, what is more than noise:
 
     lambda_i = Q_i / (Q_i + 0.4 caution c sigma_n^2)
 
-Here sigma_n is the ``noise`` (estimated, unless it is told), c the share of white noise in the
+Here sigma_n is the ``noise`` (estimated, unless it is given), c the share of white noise in the
 band, and Q_i the mean square around the vertex of what a first such look took for shape.  Over
 scans of organic and of textured objects this comes closer to the truth than the paper's does at its
 best K and number of sweeps, and the number of sweeps hardly matters.  It needs to know the noise to
-a fifth or so.  Texture as fine as the mesh is easily taken for noise: there a ``noise`` that is
-told helps most.
+a fifth or so.  Texture as fine as the mesh is easily taken for noise: there a given ``noise`` helps
+most.
 
 ``weights`` and ``deviation`` are choices of the weights and of sigma, as in ``al``, and with them
 of lambda.  The multiscale schedule over the operators that are scaled for mixed triangle sizes is
@@ -48,7 +48,7 @@ from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._heights import HeightParameters, height_operator
 from msal_cli.methods._sweeps import (
-    OfSchedule,
+    ScheduleTraits,
     caution_parameter,
     noise_parameter,
     quantile_parameter,
@@ -57,7 +57,7 @@ from msal_cli.methods._sweeps import (
 
 
 @dataclass(frozen=True)
-class Parameters(OfSchedule, HeightParameters):
+class Parameters(ScheduleTraits, HeightParameters):
     """Parameters of the multiscale anisotropic Laplacian."""
 
     K: float = parameter(
@@ -85,7 +85,7 @@ class Parameters(OfSchedule, HeightParameters):
         """Every schedule has one."""
         return True
 
-    def chosen_schedule(self) -> Schedule:
+    def build_schedule(self) -> Schedule:
         """The schedule that these parameters describe."""
         if self.schedule == "robust":
             return Multiscale(self.K, quantile=self.quantile)
@@ -94,12 +94,7 @@ class Parameters(OfSchedule, HeightParameters):
         return Multiscale(self.K)
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """MSAL of ``mesh``; see the module's description."""
-    return run(
-        mesh,
-        parameters,
-        lambda: height_operator(mesh, parameters),
-        parameters.chosen_schedule(),
-        on_sweep,
-    )
+    schedule = parameters.build_schedule()
+    return run(mesh, parameters, lambda: height_operator(mesh, parameters), schedule, on_sweep)

@@ -1,7 +1,7 @@
 """Anisotropic diffusion of normals: sharp edges kept, and flat and round parts alike made smooth.
 
 The surface is smoothed in two steps that take turns: first the normals are diffused as colours are
-in an image, less so across edges, with the surface held still; then the surface is fitted to them.
+in an image, less so across edges, with the surface fixed; then the surface is fitted to them.
 On a triangle mesh, after the level sets of the paper, a face is a cell with one normal n, and what
 passes between faces grows with the length l of their edge and falls with the way d between their
 centroids:
@@ -28,7 +28,7 @@ those across an edge, and reaches far by many steps.  Like them it wears fine te
 ``msal`` there.  This is the paper's scheme, not its discretisation, which is one for level sets.
 
 Vertices at open edges are fixed.  Faces around a non-manifold edge are all neighbours, unless they
-are more than 64.  A face without area has no normal and no say; a vertex that has no other faces
+are more than 64.  A face without area has no normal and no weight; a vertex that has no other faces
 stays.  Where triangles are small a face takes the step that is stable for it.  The cost of a step
 or pass is proportional to the number of faces.
 
@@ -40,16 +40,16 @@ denoising, IEEE Transactions on Visualization and Computer Graphics 13 (2007), 9
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
+from functools import partial
 
 from msal_cli.kernels.face_rings import face_rings
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.normal_diffusion import difference_width, diffused_normals
-from msal_cli.kernels.vertex_update import updated_vertices
+from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sliding import settled, sliding_parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
+from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
 BYTES_PER_FACE = 130
@@ -108,26 +108,19 @@ class Parameters:
     sliding: str = sliding_parameter()
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Diffusion of the normals of ``mesh``; see the module's description."""
-    started = time.perf_counter()
-    faces, links = mesh.faces, mesh.links
+    timer = Timer()
+    faces, links = mesh.faces, mesh.topology
     rings = face_rings(faces, links, "edge")
     similarity = parameters.similarity
     if similarity == 0.0:
         similarity = difference_width(face_normals(mesh.vertices, faces), *rings)
     free = free_vertices(mesh, parameters.boundary)
-    done = 0
-
-    def going_on() -> None:
-        if on_sweep is not None:
-            on_sweep(done, parameters.iterations)
-
-    in_normals = time.perf_counter() - started
-    in_vertices = 0.0
+    timer.start_sweeps()
     positions = mesh.vertices.copy()
     for done in range(parameters.iterations):
-        before = time.perf_counter()
+        on_step = partial(on_sweep, done, parameters.iterations)
         normals = diffused_normals(
             positions,
             faces,
@@ -135,16 +128,12 @@ def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None
             similarity,
             parameters.time_step * mesh.mean_edge_length**2,
             parameters.normal_iterations,
-            going_on,
+            on_step,
         )
-        between = time.perf_counter()
-        positions = updated_vertices(
-            positions, normals, faces, links, free, parameters.vertex_iterations, going_on
+        positions = update_vertices(
+            positions, normals, faces, links, free, parameters.vertex_iterations, on_step
         )
-        in_normals += between - before
-        in_vertices += time.perf_counter() - between
-        if on_sweep is not None:
-            on_sweep(done + 1, parameters.iterations)
+        on_sweep(done + 1, parameters.iterations)
     if parameters.iterations:
-        positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
-    return Result(positions, seconds={"normals": in_normals, "sweeps": in_vertices})
+        positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
+    return timer.finish(positions)

@@ -12,17 +12,17 @@ centroids c, with the normals kept:
 
     x_i <- x_i + mean((n'_f . (c_f - x_i)) n'_f)
 
-Areas and distances do not count, so on a mesh of mixed triangle sizes small faces have too much
-say; ``bilateral_normal`` weighs both.  The default of 20 passes suits objects with edges and flat
-or gently curved parts.  On organic shapes it rounds off detail: take 3 to 5 passes and T near 0.1,
-or ``msal`` where there is fine texture.  The second stage sees normals only, so that vertices
-slide, and under heavy noise faces fold: 10 ``vertex_iterations`` in place of the usual 50 gave
-smaller angles on four noisy models, and vertex errors smaller by 30 to 40 percent.
+Areas and distances do not count, so on a mesh of mixed triangle sizes small faces count too much;
+``bilateral_normal`` weights by both.  The default of 20 passes suits objects with edges and flat or
+gently curved parts.  On organic shapes it rounds off detail: take 3 to 5 passes and T near 0.1, or
+``msal`` where there is fine texture.  The second stage sees normals only, so that vertices slide,
+and under heavy noise faces fold: 10 ``vertex_iterations`` in place of the usual 50 gave smaller
+angles on four noisy models, and vertex errors smaller by 30 to 40 percent.
 
 Vertices at open edges are fixed, as in the public implementation that later papers compare with.
 Faces around a non-manifold edge are all neighbours.  Sharing a vertex, or an edge, that has more
 than 64 faces does not make neighbours, so that hubs cost no more than other parts.  A face without
-area has no normal and no say; a vertex that has no other faces stays.  The cost of a pass is
+area has no normal and no weight; a vertex that has no other faces stays.  The cost of a pass is
 proportional to the number of faces.
 
 Source: X. Sun, P. L. Rosin, R. R. Martin and F. C. Langbein, Fast and effective feature-preserving
@@ -66,17 +66,17 @@ class Parameters(NormalFilterParameters):
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The threshold filter of ``mesh``; see the module's description."""
     return run(
         mesh,
         parameters,
         lambda passes: threshold_averages(
             face_normals(mesh.vertices, mesh.faces),
-            *face_rings(mesh.faces, mesh.links, parameters.neighbours),
+            *face_rings(mesh.faces, mesh.topology, parameters.neighbours),
             parameters.threshold,
             parameters.iterations,
-            passes.passed,
+            passes.count_pass,
         ),
         on_sweep,
     )

@@ -12,7 +12,7 @@ edge length.  A short edge allows only short steps.  Instead of slowing the whol
 shortest edge, each vertex takes tau or its own limit t_i, whichever is less; at the limit it goes
 to the mean of its neighbours with weights 1 / l, and no step can overshoot.  On a regular mesh a
 time step of 0.25 does the same as ``umbrella`` with 0.5.  Where triangles are larger than the
-average it smooths less, where they are smaller it is held at the limit: such meshes take more
+average it smooths less, where they are smaller the limit applies: such meshes take more
 sweeps.
 
 As with ``umbrella`` edges are smeared, the surface shrinks, and vertices slide, though less along
@@ -61,14 +61,15 @@ class Parameters(ScheduledRingParameters):
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Scale-dependent umbrella smoothing of ``mesh``; see the module's description."""
     time_step = parameters.time_step * mesh.mean_edge_length**2
+    # The operator has taken its own step; the schedule's is a share of it.
+    schedule = dataclasses.replace(parameters, time_step=1.0).build_schedule()
     return run(
         mesh,
         parameters,
         lambda: ScaleDependentUmbrella(*ring_of(mesh, parameters.boundary), time_step),
-        # The operator has taken its own step; the schedule's is a share of it.
-        dataclasses.replace(parameters, time_step=1.0).chosen_schedule(),
+        schedule,
         on_sweep,
     )

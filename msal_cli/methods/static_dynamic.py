@@ -1,8 +1,8 @@
 """Static/dynamic filter: face normals of least energy, by a guide and by their own likeness.
 
-Where two near faces belong together is told by two Gaussians at once: a static one of their guide
-normals g, made from the mesh as it is, and a dynamic one of the normals n that are sought.  With
-the given normals n0, areas A and centroids c the energy
+Two Gaussians together decide whether two near faces belong to one piece of surface: a static one of
+their guide normals g, made from the mesh as it is, and a dynamic one of the normals n that are
+sought.  With the given normals n0, areas A and centroids c the energy
 
     sum_i A_i |n_i - n0_i|^2 + lambda' sum_ij w_ij (1 - exp(-|n_i - n_j|^2 / (2 nu^2)))
     w_ij = (A_i + A_j) exp(-|c_i - c_j|^2 / (2 eta^2)) exp(-|g_i - g_j|^2 / (2 mu^2))
@@ -45,19 +45,19 @@ update after X. Sun, P. Rosin, R. Martin and F. Langbein, the same journal 13 (2
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.face_guides import Patches, patches
 from msal_cli.kernels.face_rings import face_centroids, faces_within, mean_centroid_distance
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.static_dynamic import minimising_normals, pair_weights
-from msal_cli.kernels.vertex_update import updated_vertices
+from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sliding import settled, sliding_parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
+from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
 OnStep = Callable[[], object]
@@ -100,7 +100,7 @@ class Parameters:
         high=10.0,
         low_open=True,
         unit="mean distances of the centroids of faces that share an edge",
-        more="smoother, and dearer with its square; small features go",
+        more="smoother; the cost grows with its square; small features are lost",
     )
     guidance: float = parameter(
         1.5,
@@ -173,32 +173,26 @@ def _filtered_normals(
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Static/dynamic filtering of ``mesh``; see the module's description."""
-    started = time.perf_counter()
-    around = patches(mesh.faces, mesh.links)
+    timer = Timer()
+    around = patches(mesh.faces, mesh.topology)
     free = free_vertices(mesh, parameters.boundary)
-    ready = time.perf_counter()
+    timer.start_sweeps()
 
     positions = mesh.vertices.copy()
     for iteration in range(parameters.iterations):
-
-        def still(done: int = iteration) -> None:
-            # Amid a long filtering: no more is done, but the caller may end the run.
-            if on_sweep is not None:
-                on_sweep(done, parameters.iterations)
-
-        positions = updated_vertices(
+        # During a long filtering too, so that the caller may end the run.
+        on_step = partial(on_sweep, iteration, parameters.iterations)
+        positions = update_vertices(
             positions,
-            _filtered_normals(positions, mesh, around, parameters, still),
+            _filtered_normals(positions, mesh, around, parameters, on_step),
             mesh.faces,
-            mesh.links,
+            mesh.topology,
             free,
             parameters.vertex_iterations,
         )
-        if on_sweep is not None:
-            on_sweep(iteration + 1, parameters.iterations)
+        on_sweep(iteration + 1, parameters.iterations)
     if parameters.iterations:
-        positions = settled(mesh, positions, parameters.sliding, parameters.boundary)
-    finished = time.perf_counter()
-    return Result(positions, seconds={"normals": ready - started, "sweeps": finished - ready})
+        positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
+    return timer.finish(positions)

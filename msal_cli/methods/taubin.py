@@ -25,15 +25,14 @@ Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 from msal_cli.errors import UsageError
 from msal_cli.kernels.schedules import Alternating
-from msal_cli.kernels.sweeps import swept
+from msal_cli.kernels.sweeps import run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of
 
 LARGEST_PASS_BAND = 1.0
@@ -93,22 +92,21 @@ class Parameters:
         return self.inflate or 1.0 / (self.pass_band - 1.0 / self.shrink)
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Taubin smoothing of ``mesh``; see the module's description."""
 
     def on_pass(done: int, total: int) -> None:
-        if on_sweep is not None and done % 2 == 0:
+        if done % 2 == 0:
             on_sweep(done // 2, total // 2)
 
-    started = time.perf_counter()
+    timer = Timer()
     operator = Umbrella(*ring_of(mesh, parameters.boundary))
-    ready = time.perf_counter()
-    result = swept(
+    timer.start_sweeps()
+    result = run_sweeps(
         mesh.vertices,
         operator,
         Alternating(parameters.shrink, parameters.outward_step),
         2 * parameters.iterations,
         on_pass,
     )
-    finished = time.perf_counter()
-    return Result(result.vertices, seconds={"normals": ready - started, "sweeps": finished - ready})
+    return timer.finish(result.vertices)

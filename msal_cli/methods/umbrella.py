@@ -57,12 +57,9 @@ class Parameters(ScheduledRingParameters):
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Umbrella smoothing of ``mesh``; see the module's description."""
+    schedule = parameters.build_schedule()
     return run(
-        mesh,
-        parameters,
-        lambda: Umbrella(*ring_of(mesh, parameters.boundary)),
-        parameters.chosen_schedule(),
-        on_sweep,
+        mesh, parameters, lambda: Umbrella(*ring_of(mesh, parameters.boundary)), schedule, on_sweep
     )

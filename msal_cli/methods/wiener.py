@@ -4,17 +4,18 @@ For organic and textured scans with noise up to about 0.4 mean edge lengths.  Th
 
 1. ``iterations`` plain sweeps of the anisotropic Laplacian (see ``al``).  How far they moved each
    vertex along its normal is the residual t: the noise, turned round, and shape that was lost.
-2. The residual is cut into five bands from fine to coarse.  Of each, every vertex gets back what is
-   more than noise, by the power Q of the lost shape around it, c the share of white noise in the
-   band, and the ``noise`` s (estimated, unless it is told):
+2. The residual is split into five bands from fine to coarse.  Of each, every vertex gets back what
+   is more than noise, by the power Q of the lost shape around it, c the share of white noise in the
+   band, and the ``noise`` s (estimated, unless it is given):
 
        lambda = Q / (Q + 0.4 caution c s^2)
 
    Q comes from a first such look at the residual.  This is ``schedule=wiener`` of ``msal``, where
    docs/algorithm.md has all of it.
-3. The result has good positions, and tells which faces lie alike.  So the noisy normals of the scan
-   are averaged over neighbouring faces, the more a neighbour counts the more alike the two are *in
-   the result*: a joint bilateral filter, with A areas, c centroids, g the normals of the result,
+3. The result has good positions, and shows which faces have the same direction.  So the noisy
+   normals of the scan are averaged over neighbouring faces, the more a neighbour counts the more
+   alike the two are *in the result*: a joint bilateral filter, with A areas, c centroids, g the
+   normals of the result,
 
        w_ij = A_j exp(-|c_i - c_j|^2 / (2 sigma_c^2)) exp(-|g_i - g_j|^2 / (2 sigma_s^2))
        n'_i = normalised sum of w_ij n_j over i itself and the faces that share a vertex with it
@@ -25,13 +26,13 @@ For organic and textured scans with noise up to about 0.4 mean edge lengths.  Th
 
 More sweeps hardly matter: what they take from the shape comes back.  What matters is the noise; it
 should be right to a fifth or so.  Texture as fine as the mesh is easily taken for noise by the
-estimate; a ``noise`` that is told helps most there.  Without noise everything comes back.  On
+estimate; there a given ``noise`` helps most.  Without noise everything comes back.  On
 machined parts with strong noise filters of normals do better: ``bilateral_normal``,
 ``guided_normal``, ``l0``.
 
 Vertices at open edges are filtered with the neighbours that they have (``boundary=free``).  One
-without neighbours, or whose normal cannot be told, stays in steps 1 and 2; one whose faces have no
-area stays altogether.  The cost is that of about 30 sweeps of ``al``.
+without neighbours, or whose normal cannot be determined, stays in steps 1 and 2; one whose faces
+have no area stays altogether.  The cost is that of about 30 sweeps of ``al``.
 
 Source: own; local Wiener filters as in M. K. Mihcak, I. Kozintsev, K. Ramchandran and P. Moulin,
 Low-complexity image denoising based on statistical modeling of wavelet coefficients, IEEE Signal
@@ -41,7 +42,6 @@ J. Zhang, S. Bouaziz and L. Liu, Guided mesh normal filtering, Computer Graphics
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,17 +52,17 @@ from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_averages import joint_bilateral
 from msal_cli.kernels.restoration import restoration
 from msal_cli.kernels.schedules import Plain
-from msal_cli.kernels.sweeps import swept
-from msal_cli.kernels.vertex_update import updated_vertices
+from msal_cli.kernels.sweeps import run_sweeps
+from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sweeps import (
     NormalParameters,
     anisotropic_laplacian,
     caution_parameter,
     free_vertices,
     noise_parameter,
-    told_or_estimated,
+    resolve_noise_level,
 )
 
 BYTES_PER_FACE = 250
@@ -131,39 +131,34 @@ class Parameters(NormalParameters):
     )
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The filter over ``mesh``; see the module's description."""
     if not parameters.iterations:
         return Result(mesh.vertices.copy(), seconds={"normals": 0.0, "sweeps": 0.0})
-    started = time.perf_counter()
-    noise = told_or_estimated(mesh, parameters.noise)
+    timer = Timer()
+    noise = resolve_noise_level(mesh, parameters.noise)
     laplacian = anisotropic_laplacian(mesh, parameters)
-    ready = time.perf_counter()
-    smooth = swept(mesh.vertices, laplacian, Plain(), parameters.iterations, on_sweep).vertices
-    normals, links = laplacian.normals, mesh.links
+    timer.start_sweeps()
+    smooth = run_sweeps(mesh.vertices, laplacian, Plain(), parameters.iterations, on_sweep).vertices
+    normals, links = laplacian.normals, mesh.topology
 
     residual = np.einsum("ij,ij->i", smooth - mesh.vertices, normals)
     found = restoration(residual, links.ring_start, links.ring, noise, parameters.caution)
     positions = smooth - found.returned[:, None] * normals
     if noise > 0.0 and parameters.normal_iterations:
-        positions = _fitted(mesh, parameters, positions, noise)
-    finished = time.perf_counter()
-    return Result(
-        positions,
-        fields={"fidelity": found.share},
-        seconds={"normals": ready - started, "sweeps": finished - ready},
-    )
+        positions = _fit_to_normals(mesh, parameters, positions, noise)
+    return timer.finish(positions, {"fidelity": found.share})
 
 
-def _fitted(mesh: Mesh, parameters: Parameters, guide: Floats, noise: float) -> Floats:
+def _fit_to_normals(mesh: Mesh, parameters: Parameters, guide: Floats, noise: float) -> Floats:
     """Positions (n, 3) from ``guide`` (n, 3), fitted to the scan's normals as the guide's faces
     group them; ``noise`` in file units."""
     faces = mesh.faces
     like, areas = face_normals_and_areas(guide, faces)
     scanned, _ = face_normals_and_areas(mesh.vertices, faces)
     centroids = face_centroids(guide, faces)
-    unit = mean_centroid_distance(centroids, *face_rings(faces, mesh.links, "edge"))
-    ring_start, ring = face_rings(faces, mesh.links, "vertex")
+    unit = mean_centroid_distance(centroids, *face_rings(faces, mesh.topology, "edge"))
+    ring_start, ring = face_rings(faces, mesh.topology, "vertex")
     share = parameters.scan_share
     normals = share * scanned + (1.0 - share) * like
     lengths = np.sqrt(np.einsum("ij,ij->i", normals, normals))
@@ -179,11 +174,11 @@ def _fitted(mesh: Mesh, parameters: Parameters, guide: Floats, noise: float) -> 
             sigma_s=parameters.closeness * (unit or mesh.mean_edge_length),
             sigma_r=parameters.similarity * noise / mesh.mean_edge_length,
         )
-    return updated_vertices(
+    return update_vertices(
         guide,
         normals,
         faces,
-        mesh.links,
+        mesh.topology,
         free_vertices(mesh, parameters.boundary),
         parameters.vertex_iterations,
     )

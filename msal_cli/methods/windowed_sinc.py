@@ -24,12 +24,11 @@ sidelobe behavior, IEEE Transactions on Acoustics, Speech, and Signal Processing
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 from msal_cli.kernels.umbrellas import sinc_coefficients, smooth_by_windowed_sinc
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of
 
 
@@ -57,12 +56,11 @@ class Parameters:
     boundary: str = boundary_rule()
 
 
-def denoised(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep | None = None) -> Result:
+def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Smoothing of ``mesh`` by a windowed sinc; see the module's description."""
-    started = time.perf_counter()
+    timer = Timer()
     rings = ring_of(mesh, parameters.boundary)
-    ready = time.perf_counter()
+    timer.start_sweeps()
     coefficients = sinc_coefficients(parameters.pass_band, parameters.iterations)
     vertices = smooth_by_windowed_sinc(mesh.vertices, *rings, coefficients, on_sweep)
-    finished = time.perf_counter()
-    return Result(vertices, seconds={"normals": ready - started, "sweeps": finished - ready})
+    return timer.finish(vertices)

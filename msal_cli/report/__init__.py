@@ -45,5 +45,5 @@ def writer(name: str) -> Writer:
             hint=f"known are {', '.join(_MODULES)}",
         )
     module = import_module(f"{__name__}.{_MODULES[suffix]}")
-    made: Writer = module.encoded_lines if suffix == ".jsonl" else module.encoded
+    made: Writer = module.render_lines if suffix == ".jsonl" else module.render
     return made

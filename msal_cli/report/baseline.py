@@ -46,7 +46,9 @@ def _is_end(name: str, path: str) -> bool:
     return path.replace("\\", "/").endswith("/" + name.replace("\\", "/"))
 
 
-def judged(record: Any, before: Any | None, tolerance: float) -> tuple[GateResult, ...]:
+def compare_with_baseline(
+    record: Any, before: Any | None, tolerance: float
+) -> tuple[GateResult, ...]:
     """What became of each figure of a record that was known ``before``.
 
     Parameters

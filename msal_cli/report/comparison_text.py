@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from msal_cli.job.comparison_record import ComparisonRecord
-from msal_cli.job.display_names import figure, padded, shortened, shown
+from msal_cli.job.display_names import escape_for_display, figure, pad_name, shorten_name
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import SurfaceDistance
 from msal_cli.report.phrases import (
@@ -21,7 +21,7 @@ _COLUMNS = ("angle", "vertex error", "max move", "volume", "area", "flipped", "H
 _NARROWEST_NAME = 16
 
 
-def told(record: ComparisonRecord) -> list[Line]:
+def describe_comparison(record: ComparisonRecord) -> list[Line]:
     """The lines on two files: their names, then one line per measure."""
     if record.error is not None:
         return failure_lines(_pair(record), record.error)
@@ -32,7 +32,9 @@ def told(record: ComparisonRecord) -> list[Line]:
         Line(f"after   {file_name(record.after)}: {after}"),
     ]
     lines += [Line(f"  {word:<18} {text}") for word, text in _facts(record)]
-    return lines + [Line(f"  {'warning':<18} {shown(text)}", "bad") for text in record.warnings]
+    return lines + [
+        Line(f"  {'warning':<18} {escape_for_display(text)}", "bad") for text in record.warnings
+    ]
 
 
 def table(records: Sequence[ComparisonRecord], *, width: int = 100) -> Iterator[Line]:
@@ -44,18 +46,18 @@ def table(records: Sequence[ComparisonRecord], *, width: int = 100) -> Iterator[
         for at, head in enumerate(_COLUMNS)
     ]
     room = max(_NARROWEST_NAME, width - sum(widths) - 2 * len(widths))
-    names = [shortened(file_name(record.after), room) for record in compared]
+    names = [shorten_name(file_name(record.after), room) for record in compared]
     room = min(room, max((len(name) for name in (*names, "after")), default=0))
     if rows:
         heads = (
-            padded(head, wide, right=True) for head, wide in zip(_COLUMNS, widths, strict=True)
+            pad_name(head, wide, right=True) for head, wide in zip(_COLUMNS, widths, strict=True)
         )
-        yield Line("  ".join((padded("after", room), *heads)), "faint")
+        yield Line("  ".join((pad_name("after", room), *heads)), "faint")
     for name, row in zip(names, rows, strict=True):
-        cells = (padded(cell, wide, right=True) for cell, wide in zip(row, widths, strict=True))
-        yield Line("  ".join((padded(name, room), *cells)))
+        cells = (pad_name(cell, wide, right=True) for cell, wide in zip(row, widths, strict=True))
+        yield Line("  ".join((pad_name(name, room), *cells)))
     for warning in dict.fromkeys(text for record in compared for text in record.warnings):
-        yield Line(f"warning: {shown(warning)}", "bad")
+        yield Line(f"warning: {escape_for_display(warning)}", "bad")
     for record in records:
         yield from failure_lines(_pair(record), record.error)
     n_failed = len(records) - len(compared)
@@ -100,7 +102,7 @@ def _facts(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
     volume = record.volume
     if volume is not None:
         change = figure(volume.change_percent, "+.4g", " %", "-")
-        unknown = f"- {shown(volume.reason)}"
+        unknown = f"- {escape_for_display(volume.reason)}"
         yield "volume", unknown if volume.change is None else f"{change} ({volume.change:+.4g})"
     yield "area", figure(record.area_change_percent, "+.4g", " %", "-")
     if record.flipped_faces is not None:

@@ -28,9 +28,9 @@ _TAKEN_FOR_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "'")
 _FREE_FORM = ("method.parameters", "choice.wishes")
 
 
-def encoded(run: Run, records: Sequence[MeshRecord]) -> bytes:
+def render(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The records as CSV; see the module's description."""
-    rows = [dict(_flattened(plain_record(record), "")) for record in records]
+    rows = [dict(_flatten(plain_record(record), "")) for record in records]
     names = tuple(_columns(rows))
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\r\n")
@@ -58,10 +58,10 @@ def _field_names(kind: type[Any], prefix: str) -> Iterator[str]:
             yield prefix + one.name
 
 
-def _flattened(data: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+def _flatten(data: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
     for key, value in data.items():
         if isinstance(value, dict):
-            yield from _flattened(value, f"{prefix}{key}.")
+            yield from _flatten(value, f"{prefix}{key}.")
         else:
             yield prefix + key, value
 

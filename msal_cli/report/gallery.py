@@ -16,23 +16,25 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.analysis import colour_maps as colours
+from msal_cli.codecs import header_check
 from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface
 from msal_cli.job.records import WITH_OUTPUT, MeshRecord
 from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.mesh import Mesh
 from msal_cli.report.document import known_values
-from msal_cli.report.phrases import counted
+from msal_cli.report.phrases import format_count
 from msal_cli.report.ranking import worst_first
+from msal_cli.storage import gzip_streams
 from msal_cli.view import pictures, viewer
 from msal_cli.view.camera import Camera
 from msal_cli.view.illustrations import Gallery, Pictures, Scale
 from msal_cli.view.image_files import jpeg_bytes, png_bytes
 from msal_cli.view.pictures import Scene
 from msal_cli.view.scene import encode_scene
-from msal_cli.view.shading import Image, Style, shaded
+from msal_cli.view.shading import Image, Style, shade
 
 log = logging.getLogger("msal")
 
@@ -61,7 +63,7 @@ class Bounds:
     picture_bytes: int = 18_000_000
 
 
-def made(
+def build_gallery(
     records: Sequence[MeshRecord],
     *,
     backup: str = DEFAULT_BACKUP,
@@ -99,9 +101,7 @@ def made(
             camera = pictures.camera_of(scene, pictures.View())
             shown = _pictures(scene, camera, reach)
             if len(scenes) < bounds.scenes:
-                scenes[at] = _embedded(
-                    record, scene, camera, reach, bounds.scene_faces, f"scene{at}"
-                )
+                scenes[at] = _embed(record, scene, camera, reach, bounds.scene_faces, f"scene{at}")
                 n_decimated += len(scene.before.faces) > bounds.scene_faces
         except Exception:
             # A picture is an extra: whatever keeps it from being made keeps back no report.
@@ -155,11 +155,11 @@ def _surface(path: str, sha256: str | None, format: str | None, bounds: Bounds) 
 
     if not os.path.isfile(path) or os.path.getsize(path) > bounds.file_bytes:
         return None
-    data = files.read_input(path, format)
+    data = header_check.read_input(path, format)
     if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
         return None
-    plain, _ = files.expanded(data, path)
-    mesh_file = files.open_mesh(plain, path, format)
+    plain, _ = gzip_streams.expand(data, path)
+    mesh_file = codecs.open_mesh(plain, path, format)
     return comparison.surface_of(mesh_file) if len(mesh_file.faces) <= bounds.faces else None
 
 
@@ -172,7 +172,7 @@ def _pictures(scene: Scene, camera: Camera, reach: float) -> Pictures:
     deviation = None
     if scene.deviation is not None and scene.is_signed:
         moved = scene.deviation / scene.before.mean_edge_length
-        painted = colours.mapped(moved, -reach, reach, "diverging")
+        painted = colours.map_colours(moved, -reach, reach, "diverging")
         deviation = jpeg_bytes(_image(after, camera, _SIZE, painted))
     before = jpeg_bytes(_image(scene.before, camera, _SIZE))
     return Pictures(before, jpeg_bytes(_image(after, camera, _SIZE)), deviation)
@@ -182,12 +182,12 @@ def _image(
     mesh: Mesh, camera: Camera, size: tuple[int, int], painted: Image | None = None
 ) -> Image:
     style = Style(background=(236, 238, 241))
-    return shaded(mesh.vertices, mesh.faces, camera, *size, painted, style=style)
+    return shade(mesh.vertices, mesh.faces, camera, *size, painted, style=style)
 
 
 def _reach(records: Sequence[MeshRecord]) -> float:
-    """Mean edge lengths at the ends of the colours, for all files alike: what 95 % of the vertices
-    of a middling file stay below, doubled and rounded up, so that a bad file stands out."""
+    """Mean edge lengths at the ends of the colours, the same for all files: what 95 % of the vertices
+    of a typical file stay below, doubled and rounded up, so that a bad file is visible."""
 
     done = [record for record in records if record.status in WITH_OUTPUT]
     moves = known_values(done, "displacement.p95_edges")
@@ -201,7 +201,7 @@ def _reach(records: Sequence[MeshRecord]) -> float:
 
 def _scale(reach: float) -> Scale:
 
-    table = colours.table("diverging")
+    table = colours.colour_table("diverging")
     rows = [table[round(at * (len(table) - 1) / (_SHADES - 1))] for at in range(_SHADES)]
     return Scale(
         title="Deviation, along the normals, the same scale for all files:",
@@ -214,7 +214,7 @@ def _scale(reach: float) -> Scale:
 # Scenes
 
 
-def _embedded(
+def _embed(
     record: MeshRecord, scene: Scene, camera: Camera, reach: float, most_faces: int, key: str
 ) -> str:
 
@@ -241,12 +241,12 @@ def _remarks(
     if n_late:
         limits = f"{bounds.seconds:.0f} seconds or {bounds.picture_bytes / 1e6:.0f} MB"
         remarks.append(
-            f"Pictures are of the worst {counted(n_shown, 'file')}: the other {n_late:,} would "
-            f"have taken more than {limits}."
+            f"Pictures are of the worst {format_count(n_shown, 'file')}: the other {n_late:,} "
+            f"would have taken more than {limits}."
         )
     if n_large:
         remarks.append(
-            f"{counted(n_large, 'file')} of more than {bounds.faces:,} faces or "
+            f"{format_count(n_large, 'file')} of more than {bounds.faces:,} faces or "
             f"{bounds.file_bytes / 1e6:.0f} MB without pictures here; `msal view` makes them."
         )
     if n_decimated:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from msal_cli.job.display_names import shown
+from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.records import MeshRecord
 from msal_cli.report.phrases import failure_texts, file_name
 from msal_cli.report.ranking import broken_gates, worst_first
@@ -42,7 +42,7 @@ def _messages(record: MeshRecord) -> Iterator[tuple[str, str]]:
         yield "msal: failed", "\n".join(failure_texts(name, record.error))
     elif gates := broken_gates(record):
         title = "msal: broken gate" if len(gates) == 1 else f"msal: {len(gates)} broken gates"
-        yield title, "\n".join([f"{name}:", *map(shown, gates)])
+        yield title, "\n".join([f"{name}:", *map(escape_for_display, gates)])
 
 
 def _properties(name: str, folder: str, title: str) -> str:
@@ -52,7 +52,7 @@ def _properties(name: str, folder: str, title: str) -> str:
     if folder and not name.startswith("/"):
         name = f"{folder.rstrip('/')}/{name}"
     # Marks that a terminal obeys are escaped: better a name that leads nowhere.
-    return f"file={_property(shown(name))},{properties}"
+    return f"file={_property(escape_for_display(name))},{properties}"
 
 
 def _message(text: str) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from msal_cli.job.display_names import figure
-from msal_cli.report.phrases import counted
+from msal_cli.report.phrases import format_count
 
 MOST_BINS, LEAST_BINS = 24, 8
 """Bars between the ends of the axis: more for more files."""
@@ -112,7 +112,7 @@ def _bars(bins: Bins, text: Callable[[float], str]) -> str:
                 f'<rect class="{kind}" x="{_LEFT + slot * at + 0.75:.2f}" '
                 f'y="{floor - height:.2f}" width="{max(1.0, slot - 1.5):.2f}" '
                 f'height="{height:.2f}" rx="1">'
-                f"<title>{counted(count, 'file')}, {where}</title></rect>"
+                f"<title>{format_count(count, 'file')}, {where}</title></rect>"
             )
     return (
         f'{"".join(parts)}<line class="rule" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{_TOP}" '

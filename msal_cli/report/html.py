@@ -26,9 +26,9 @@ from msal_cli.report.document import Run, Totals, known_values, plain, totals
 from msal_cli.report.phrases import (
     chosen_text,
     command_text,
-    counted,
     failure_text,
     file_name,
+    format_count,
     percent_text,
     seconds_text,
 )
@@ -46,7 +46,7 @@ _LONGEST_COMMAND = 20_000
 _MOST_FAILURES = 200
 
 
-def encoded(
+def render(
     run: Run,
     records: Sequence[MeshRecord],
     gallery: Gallery = EMPTY,
@@ -80,7 +80,7 @@ def encoded(
     page = Template(asset(__file__, "report.html")).substitute(
         policy=content_policy(scripts, styles),
         version=escape(run.version),
-        title=f"msal: {counted(len(records), 'file')}",
+        title=f"msal: {format_count(len(records), 'file')}",
         styles="".join(f"<style>{one}</style>" for one in styles),
         verdict=_verdict(run, records, sums),
         totals=_totals(run, records, sums),
@@ -228,7 +228,7 @@ def _problem_table(
         for record, inner in rows[:_MOST_FAILURES]
     )
     n_left = len(rows) - _MOST_FAILURES
-    more = f'<p class="note">{n_left:,} more stand in the table of all files.</p>'
+    more = f'<p class="note">{n_left:,} more are in the table of all files.</p>'
     return (
         f'<section class="problems"><h2>{title} <small>{len(rows):,}</small></h2>'
         f'<div class="scroll" tabindex="0" role="region" aria-label="{title}"><table><thead><tr>'

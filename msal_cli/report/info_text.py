@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from msal_cli.job.display_names import figure, shown
+from msal_cli.job.display_names import escape_for_display, figure
 from msal_cli.job.info_record import InfoRecord
 from msal_cli.report.phrases import Line, failure_lines, file_name, noise_texts
 
 _SHAPES = {"3": "triangles", "4": "quads"}
 
 
-def told(record: InfoRecord) -> list[Line]:
+def describe_info(record: InfoRecord) -> list[Line]:
     """The lines on one file: its name, then one line per fact."""
     name = file_name(record.input)
     if record.error is not None:
         return failure_lines(name, record.error)
     lines = [Line(name, "good")]
     lines += [Line(f"  {word:<15} {text}") for word, text in _facts(record)]
-    return lines + [Line(f"  {'warning':<15} {shown(text)}", "bad") for text in record.warnings]
+    return lines + [
+        Line(f"  {'warning':<15} {escape_for_display(text)}", "bad") for text in record.warnings
+    ]
 
 
 def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
@@ -30,7 +32,10 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
     yield "faces", _faces(record)
     yield "components", _count(record.components)
     yield "surface", _surface(record)
-    yield "winding", shown(record.winding or "-") + (", inside out" if record.inside_out else "")
+    yield (
+        "winding",
+        escape_for_display(record.winding or "-") + (", inside out" if record.inside_out else ""),
+    )
     for word, count, unit in (
         ("degenerate", record.degenerate_faces, "faces"),
         ("duplicate", record.duplicate_faces, "faces"),
@@ -50,21 +55,25 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
     if record.volume_valid and record.volume is not None:
         yield "volume", f"{record.volume:.6g}" + (" (inside out)" if record.inside_out else "")
     else:
-        yield "volume", f"- {shown(record.volume_reason)}".rstrip()
+        yield "volume", f"- {escape_for_display(record.volume_reason)}".rstrip()
     yield "mean edge", figure(record.mean_edge_length, ".6g", unknown="-")
     if record.noise_estimate is not None:
         level, *rest = noise_texts(record.noise_estimate)
         yield "noise estimate", level
         yield from (("", text) for text in rest)
-    yield "carried along", ", ".join(shown(one) for one in record.properties) or "nothing else"
+    yield (
+        "carried along",
+        ", ".join(escape_for_display(one) for one in record.properties) or "nothing else",
+    )
     if record.references:
-        yield "refers to", ", ".join(shown(one) for one in record.references)
+        yield "refers to", ", ".join(escape_for_display(one) for one in record.references)
 
 
 def _faces(record: InfoRecord) -> str:
     sizes = sorted(record.polygon_sizes.items(), key=lambda item: (len(item[0]), item[0]))
     parts = [
-        f"{count:,} {_SHAPES.get(size, f'with {shown(size)} corners')}" for size, count in sizes
+        f"{count:,} {_SHAPES.get(size, f'with {escape_for_display(size)} corners')}"
+        for size, count in sizes
     ]
     return _count(record.faces) + (f" ({', '.join(parts)})" if parts else "")
 

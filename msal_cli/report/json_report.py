@@ -11,7 +11,7 @@ from msal_cli.job.records import MeshRecord
 from msal_cli.report.document import Run, heading, plain_record
 
 
-def encoded(run: Run, records: Sequence[MeshRecord]) -> bytes:
+def render(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The report as UTF-8.
 
     The order of keys is fixed; numbers that are not finite are null; names that are not valid
@@ -28,7 +28,7 @@ def encoded(run: Run, records: Sequence[MeshRecord]) -> bytes:
     return empty.removesuffix(end) + b"[\n    " + inner + b"\n  ]\n}\n"
 
 
-def encoded_lines(run: Run, records: Sequence[MeshRecord]) -> bytes:
+def render_lines(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The records as UTF-8; each line is a ``MeshRecord`` of the schema ``msal.report/1``.
 
     Only ASCII is used, because some readers of lines also break at U+2028.

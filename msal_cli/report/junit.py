@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 from xml.etree import ElementTree as Xml
 
-from msal_cli.job.display_names import shown
+from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.records import DONE, MeshRecord
 from msal_cli.report.document import Run
 from msal_cli.report.phrases import (
@@ -36,7 +36,7 @@ _TOP = "."
 _STREAM = "standard input"
 
 
-def encoded(run: Run, records: Sequence[MeshRecord]) -> bytes:
+def render(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The records as JUnit XML in UTF-8; folders in the order in which the inputs name them."""
     folders: dict[str, list[MeshRecord]] = {}
     for record in records:
@@ -74,7 +74,7 @@ def _suite(run: Run, at: int, folder: str, records: Sequence[MeshRecord]) -> Xml
     )
     Xml.SubElement(suite, "system-err").text = _characters(
         "\n".join(
-            f"{_name(record)}: {shown(warning)}"
+            f"{_name(record)}: {escape_for_display(warning)}"
             for record in records
             for warning in record.warnings
         )
@@ -91,12 +91,18 @@ def _case(folder: str, record: MeshRecord) -> Xml.Element:
         failure = record.error
         why = failure_text(failure, with_code=False)
         result = _element("error", type=failure.code, message=why)
-        result.text = _characters("\n".join(failure_texts(shown(record.input), failure)))
+        result.text = _characters(
+            "\n".join(failure_texts(escape_for_display(record.input), failure))
+        )
         case.append(result)
     elif broken:
         # Ant's schema has room for one failure in a case.
-        result = _element("failure", type="gate", message="; ".join(map(shown, broken)))
-        result.text = _characters("\n".join([f"{shown(record.input)}:", *map(shown, broken)]))
+        result = _element(
+            "failure", type="gate", message="; ".join(map(escape_for_display, broken))
+        )
+        result.text = _characters(
+            "\n".join([f"{escape_for_display(record.input)}:", *map(escape_for_display, broken)])
+        )
         case.append(result)
     elif record.status == "planned":
         case.append(_element("skipped"))
@@ -126,7 +132,7 @@ def _figures(record: MeshRecord) -> Iterator[str]:
         f"moved {far} mean edge lengths" if far else "",
         f"volume {percent_text(volume.change_percent)}" if volume and volume.valid else "",
         despiked_text(record.despiked) if record.despiked else "",
-        f"chosen: {shown(choice.reason)}" if choice else "",
+        f"chosen: {escape_for_display(choice.reason)}" if choice else "",
         defects_text(record),
     )
     if any(parts):
@@ -136,16 +142,18 @@ def _figures(record: MeshRecord) -> Iterator[str]:
 def _folder(name: str) -> str:
     if name == "-":
         return _STREAM
-    return shown(os.path.dirname(name)) or _TOP
+    return escape_for_display(os.path.dirname(name)) or _TOP
 
 
 def _name(record: MeshRecord) -> str:
     name = record.input
-    return _STREAM if name == "-" else shown(os.path.basename(name)) or _TOP
+    return _STREAM if name == "-" else escape_for_display(os.path.basename(name)) or _TOP
 
 
 def _element(tag: str, **attributes: str) -> Xml.Element:
-    return Xml.Element(tag, {name: _characters(shown(v)) for name, v in attributes.items()})
+    return Xml.Element(
+        tag, {name: _characters(escape_for_display(v)) for name, v in attributes.items()}
+    )
 
 
 def _characters(text: str) -> str:

@@ -13,14 +13,14 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from msal_cli.job.display_names import figure, shortened, shown
+from msal_cli.job.display_names import escape_for_display, figure, shorten_name
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.report.document import Run, Totals, plain, totals
 from msal_cli.report.phrases import (
     chosen_text,
     command_text,
-    counted,
+    format_count,
     percent_text,
     rate_text,
     seconds_text,
@@ -59,7 +59,7 @@ class _Table:
     n_figures: int = 0
 
 
-def encoded(run: Run, records: Sequence[MeshRecord], *, most_bytes: int = MOST_BYTES) -> bytes:
+def render(run: Run, records: Sequence[MeshRecord], *, most_bytes: int = MOST_BYTES) -> bytes:
     """The report as UTF-8, in at most ``most_bytes`` (or what the page takes without rows)."""
     sums = totals(records)
     parts = [_heading(run, sums), _totals(run, sums), _settings(run)]
@@ -87,7 +87,7 @@ def _heading(run: Run, sums: Totals) -> str:
         if count
     ]
     sign = "❌" if sums.failed or n_broken else "⚠️" if sums.planned or run.interrupted else "✅"
-    files = counted(sums.files, "file")
+    files = format_count(sums.files, "file")
     return f"## {sign} msal denoise: {files}, {', '.join(words) or 'all well'}\n\n"
 
 
@@ -120,7 +120,8 @@ def _totals(run: Run, sums: Totals) -> str:
 
 def _settings(run: Run) -> str:
     command = command_text(run.command, _LONGEST_COMMAND)
-    made = f"msal {shown(run.version)}, {shown(run.started)} to {shown(run.finished)}"
+    version, started, finished = map(escape_for_display, (run.version, run.started, run.finished))
+    made = f"msal {version}, {started} to {finished}"
     settings = json.dumps(plain(dict(run.settings)), ensure_ascii=False)
     lines = [_markup_free(made)]
     lines += [f"Command: {_code(command)}"] if command else []
@@ -240,11 +241,11 @@ def _name(record: MeshRecord) -> str:
 
 def _code(text: str) -> str:
     # Code by a tag, because a bar within backquotes would still end the cell.
-    return f"<code>{_markup_free(shortened(shown(text), _LONGEST_COMMAND))}</code>"
+    return f"<code>{_markup_free(shorten_name(escape_for_display(text), _LONGEST_COMMAND))}</code>"
 
 
 def _text(text: str) -> str:
-    text = shown(text)
+    text = escape_for_display(text)
     return _markup_free(text if len(text) <= _LONGEST_TEXT else f"{text[:_LONGEST_TEXT]} ...")
 
 

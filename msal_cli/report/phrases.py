@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from msal_cli.job.display_names import figure, shown
+from msal_cli.job.display_names import escape_for_display, figure
 from msal_cli.job.records import (
     ChoiceMade,
     Failure,
@@ -35,7 +35,7 @@ class Line:
 # Figures
 
 
-def counted(number: int | None, one: str, several: str = "") -> str:
+def format_count(number: int | None, one: str, several: str = "") -> str:
     """``1 file``, ``1,200 files``; empty for None."""
     if number is None:
         return ""
@@ -77,13 +77,15 @@ def command_text(command: Sequence[str], most: int) -> str:
 
 def file_name(name: str) -> str:
     """A file's name for people; ``-`` is where a stream comes from."""
-    return "standard input" if name == "-" else shown(name)
+    return "standard input" if name == "-" else escape_for_display(name)
 
 
 def reason(where: str, message: str, code: str) -> str:
     """Why something failed, in one line: ``vertex 17: position is not finite (E_NONFINITE)``."""
-    place = f"{shown(where)}: " if where else ""
-    return f"{place}{shown(message)}" + (f" ({shown(code)})" if code else "")
+    place = f"{escape_for_display(where)}: " if where else ""
+    return f"{place}{escape_for_display(message)}" + (
+        f" ({escape_for_display(code)})" if code else ""
+    )
 
 
 def failure_text(failure: Failure, *, with_code: bool = True) -> str:
@@ -95,7 +97,7 @@ def failure_texts(name: str, failure: Failure | None) -> list[str]:
     """Why a file failed, and what to do about it; nothing if it did not fail."""
     if failure is None:
         return []
-    hint = [f"hint: {shown(failure.hint)}"] if failure.hint else []
+    hint = [f"hint: {escape_for_display(failure.hint)}"] if failure.hint else []
     return [f"{name}: {failure_text(failure)}", *hint]
 
 
@@ -108,8 +110,8 @@ def failure_lines(name: str, failure: Failure | None, indent: str = "") -> list[
 
 def gate_text(gate: GateResult) -> str:
     """``broken: max_displacement > 0.5e (max_displacement is 0.0123 (0.62e))``."""
-    word = "held" if not gate.broken else "broken" if gate.decided else "not decided"
-    return f"{word}: {shown(gate.expression)} ({shown(gate.reason)})"
+    word = "passed" if not gate.broken else "broken" if gate.decided else "not decided"
+    return f"{word}: {escape_for_display(gate.expression)} ({escape_for_display(gate.reason)})"
 
 
 # Meshes
@@ -118,7 +120,7 @@ def gate_text(gate: GateResult) -> str:
 def vertices_text(vertices: int | None, corners: int | None) -> str:
     """``6,720 vertices (of 40,320 corners)``: corners where the file stores these (STL)."""
     beside = f" (of {corners:,} corners)" if corners is not None else ""
-    return counted(vertices, "vertex", "vertices") + beside
+    return format_count(vertices, "vertex", "vertices") + beside
 
 
 def storage_text(record: MeshRecord) -> str:
@@ -129,13 +131,13 @@ def storage_text(record: MeshRecord) -> str:
 def defects_text(record: MeshRecord) -> str:
     """What is wrong with a mesh, as counts; empty if nothing is."""
     counts = (
-        counted(record.boundary_edges or None, "boundary edge"),
-        counted(record.non_manifold_edges or None, "non-manifold edge"),
-        counted(record.inconsistent_edges or None, "edge between faces of opposite winding",
+        format_count(record.boundary_edges or None, "boundary edge"),
+        format_count(record.non_manifold_edges or None, "non-manifold edge"),
+        format_count(record.inconsistent_edges or None, "edge between faces of opposite winding",
                 "edges between faces of opposite winding"),
-        counted(record.degenerate_faces or None, "degenerate face"),
-        counted(record.duplicate_faces or None, "duplicate face"),
-        counted(record.unreferenced_vertices or None, "unreferenced vertex",
+        format_count(record.degenerate_faces or None, "degenerate face"),
+        format_count(record.duplicate_faces or None, "duplicate face"),
+        format_count(record.unreferenced_vertices or None, "unreferenced vertex",
                 "unreferenced vertices"),
         "inside out" if record.inside_out else "",
     )  # fmt: skip
@@ -144,7 +146,7 @@ def defects_text(record: MeshRecord) -> str:
 
 def despiked_text(despiked: int) -> str:
     """``12 outlier vertices brought back``."""
-    return counted(despiked, "outlier vertex", "outlier vertices") + " brought back"
+    return format_count(despiked, "outlier vertex", "outlier vertices") + " brought back"
 
 
 def self_intersections_text(one: SelfIntersections) -> str:
@@ -160,7 +162,7 @@ def reference_text(one: Reference) -> str:
         ("vertices", figure(one.vertex_error_percent, ".3g", " % of the mean edge length")),
         ("Hausdorff", figure(one.hausdorff_edges, ".3g", " mean edge lengths")),
     )
-    return ", ".join(f"{word} {text}" for word, text in parts if text) or "nothing can be told"
+    return ", ".join(f"{word} {text}" for word, text in parts if text) or "not known"
 
 
 def noise_texts(noise: NoiseEstimate) -> list[str]:
@@ -193,14 +195,16 @@ def by_hand(choice: ChoiceMade) -> str:
     """The options that repeat a choice, as a shell takes them."""
     import shlex
 
-    return shown(shlex.join(choice.repeat))
+    return escape_for_display(shlex.join(choice.repeat))
 
 
 def runners_up_text(several: tuple[RunnerUp, ...]) -> str:
     """What was nearly chosen: ``AL, 3 sweeps (risk 0.072 e), MSAL, 2 sweeps (risk 0.08 e)``."""
-    return ", ".join(f"{shown(one.label)} (risk {one.risk_edges:.2g} e)" for one in several)
+    return ", ".join(
+        f"{escape_for_display(one.label)} (risk {one.risk_edges:.2g} e)" for one in several
+    )
 
 
 def chosen_text(chosen: Mapping[str, int]) -> str:
     """What --auto chose, and how often: ``msal 12, bilateral_normal 5, none 3``."""
-    return ", ".join(f"{shown(name)} {count:,}" for name, count in chosen.items())
+    return ", ".join(f"{escape_for_display(name)} {count:,}" for name, count in chosen.items())

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from msal_cli.errors import FormatError
-from msal_cli.job.display_names import restored
+from msal_cli.job.display_names import restore_name
 from msal_cli.job.plain_data import from_data
 from msal_cli.job.records import SCHEMA, MeshRecord
 from msal_cli.report.document import Run
@@ -69,11 +69,11 @@ def _read_mesh_record(data: Any, name: str, where: str) -> MeshRecord:
 
 def _restore_names(value: Any) -> Any:
     if isinstance(value, str):
-        return restored(value)
+        return restore_name(value)
     if isinstance(value, list):
         return [_restore_names(one) for one in value]
     if isinstance(value, dict):
-        return {restored(key): _restore_names(one) for key, one in value.items()}
+        return {restore_name(key): _restore_names(one) for key, one in value.items()}
     return value
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from msal_cli.job.display_names import figure, shown
+from msal_cli.job.display_names import escape_for_display, figure
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import MeshRecord
 from msal_cli.report.phrases import (
@@ -71,10 +71,12 @@ def rows(records: Sequence[MeshRecord]) -> list[Row]:
                 "gate broken"
                 if broken_gates(record)
                 else _STATUS_WORDS.get(record.status, record.status),
-                *([_chosen(record)] if with_choice else []),
+                *([_choose(record)] if with_choice else []),
                 *(_round(value_at(record, path)) for path in paths),
             ],
-            "details": [[word, shown(text)] for word, text in _details(record) if text],
+            "details": [
+                [word, escape_for_display(text)] for word, text in _details(record) if text
+            ],
         }
         for record in records
     ]
@@ -86,9 +88,9 @@ def _kind(record: MeshRecord) -> str:
     return "gate" if broken_gates(record) else "good"
 
 
-def _chosen(record: MeshRecord) -> str:
+def _choose(record: MeshRecord) -> str:
     """The method that --auto chose; empty where it did not."""
-    return shown(record.method.name) if record.choice and record.method else ""
+    return escape_for_display(record.method.name) if record.choice and record.method else ""
 
 
 def _round(value: float | None) -> float | None:
@@ -103,7 +105,7 @@ def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
         yield "Reason", failure_text(record.error)
         yield "What to do", record.error.hint
     for gate in record.gates:
-        yield ("Gate broken" if gate.broken else "Gate held"), gate_words(gate)
+        yield ("Gate broken" if gate.broken else "Gate passed"), gate_words(gate)
     for warning in record.warnings:
         yield "Warning", warning
     if record.choice is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from msal_cli.job.display_names import columns, figure, padded, shortened, shown
+from msal_cli.job.display_names import columns, escape_for_display, figure, pad_name, shorten_name
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import DONE, MeshRecord, Reference
 from msal_cli.report.document import Run, Totals, known_values, totals
@@ -13,12 +13,12 @@ from msal_cli.report.phrases import (
     Tone,
     by_hand,
     chosen_text,
-    counted,
     defects_text,
     despiked_text,
     failure_lines,
     failure_text,
     file_name,
+    format_count,
     gate_text,
     noise_texts,
     percent_text,
@@ -83,7 +83,7 @@ def _file_lines(run: Run, record: MeshRecord) -> Iterator[Line]:
     if record.status == "up-to-date":
         yield Line(f"{_output_name(record)} is up to date", "good")
     else:
-        why = shown(record.left_alone or "no vertex moved")
+        why = escape_for_display(record.left_alone or "no vertex moved")
         ending = f", byte for byte as it was: {why}" if record.status == "unchanged" else ""
         yield Line(f"{name} -> {_output_name(record)}{ending}", "good")
     for word, text, tone in (*_facts(record), *_remarks(record)):
@@ -96,9 +96,9 @@ def _remarks(record: MeshRecord) -> Iterator[tuple[str, str, Tone]]:
     for gate in record.gates:
         yield "gate", gate_text(gate), "bad" if gate.broken else "good"
     for sidecar in record.sidecars:
-        yield "beside it", shown(sidecar), "plain"
+        yield "beside it", escape_for_display(sidecar), "plain"
     for warning in record.warnings:
-        yield "warning", shown(warning), "bad"
+        yield "warning", escape_for_display(warning), "bad"
 
 
 def _reference_facts(one: Reference) -> Iterator[tuple[str, str, Tone]]:
@@ -107,11 +107,15 @@ def _reference_facts(one: Reference) -> Iterator[tuple[str, str, Tone]]:
         return
     yield "reference", f"{reference_text(one)} ({file_name(one.path)})", "plain"
     for warning in one.warnings:
-        yield "warning", shown(warning), "bad"
+        yield "warning", escape_for_display(warning), "bad"
 
 
 def _output_name(record: MeshRecord) -> str:
-    return "standard output" if record.output in (None, "-") else shown(str(record.output))
+    return (
+        "standard output"
+        if record.output in (None, "-")
+        else escape_for_display(str(record.output))
+    )
 
 
 def _facts(record: MeshRecord) -> Iterator[tuple[str, str, Tone]]:
@@ -119,8 +123,8 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str, Tone]]:
     choice, moved, volume = record.choice, record.displacement, record.volume
     counts = (
         vertices_text(record.vertices, record.corners),
-        counted(record.faces, "face"),
-        counted(record.components, "component"),
+        format_count(record.faces, "face"),
+        format_count(record.components, "component"),
         storage_text(record),
     )
     facts = [("mesh", ", ".join(filter(None, counts))), ("defects", defects_text(record))]
@@ -129,17 +133,19 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str, Tone]]:
     if record.despiked:
         facts.append(("despiked", despiked_text(record.despiked)))
     if choice is not None:
-        facts.append(("chosen", shown(choice.reason)))
+        facts.append(("chosen", escape_for_display(choice.reason)))
     if record.status != "unchanged":
-        facts.append(("left as it is", shown(record.left_alone or "")))
+        facts.append(("left as it is", escape_for_display(record.left_alone or "")))
     if record.method is not None:
-        named = ", ".join(f"{k} {shown(str(v))}" for k, v in record.method.parameters.items())
+        named = ", ".join(
+            f"{k} {escape_for_display(str(v))}" for k, v in record.method.parameters.items()
+        )
         facts.append(("method", record.method.name + (f" ({named})" if named else "")))
     if choice is not None:
         facts += [("next best", runners_up_text(choice.runners_up)), ("by hand", by_hand(choice))]
     if volume is not None:
         change = percent_text(volume.change_percent)
-        text = f"- {shown(volume.reason)}".rstrip()
+        text = f"- {escape_for_display(volume.reason)}".rstrip()
         if volume.before is not None and volume.after is not None:
             text = f"{volume.before:.6g} -> {volume.after:.6g}" + (f" ({change})" if change else "")
         facts.append(("volume", text))
@@ -151,7 +157,7 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str, Tone]]:
         (record.clamped_vertices, "cut to the longest move"),
         (record.locked_vertices, "locked"),
     )
-    texts = [f"{counted(n, 'vertex', 'vertices')} {word}" for n, word in kept if n is not None]
+    texts = [f"{format_count(n, 'vertex', 'vertices')} {word}" for n, word in kept if n is not None]
     facts.append(("constraints", ", ".join(texts)))
     if record.seconds is not None:
         facts.append(("time", _time_text(record)))
@@ -187,7 +193,7 @@ def _batch_lines(
     elif listed:
         yield Line(f"({len(listed):,} files: -v lists them all, and so does --report)", "faint")
     warnings = [
-        [Line(f"  {file_name(record.input)}: {shown(warning)}")]
+        [Line(f"  {file_name(record.input)}: {escape_for_display(warning)}")]
         for record in records
         if record.status in DONE
         for warning in record.warnings
@@ -229,8 +235,8 @@ def _table(records: Sequence[MeshRecord], width: int) -> Iterator[Line]:
     room = width - taken - (longest_note + 2 if longest_note else 0)
     name_width = min(max(columns(name) for name in (*names, "file")), max(_NARROWEST_NAME, room))
     for name, row, note in zip(("file", *names), (heads, *rows), ("", *notes), strict=True):
-        cells = [padded(shortened(name, name_width), name_width)]
-        cells += [padded(cell, size, right=True) for cell, size in zip(row, widths, strict=True)]
+        cells = [pad_name(shorten_name(name, name_width), name_width)]
+        cells += [pad_name(cell, size, right=True) for cell, size in zip(row, widths, strict=True)]
         text = "  ".join([*cells, note]).rstrip()
         yield Line(text, "faint" if row is heads else "plain")
     yield Line("(moves in mean edge lengths)", "faint")
@@ -251,13 +257,13 @@ def _figures(record: MeshRecord) -> tuple[str, ...]:
 def _note(record: MeshRecord) -> str:
     notes = []
     if record.choice is not None and record.method is not None:
-        notes.append(shown(record.method.name))
+        notes.append(escape_for_display(record.method.name))
     if record.status == "unchanged":
         notes.append("no vertex moved" if record.left_alone is None else "left as it is")
     if record.status == "up-to-date":
         notes.append("up to date")
     if record.volume is not None and not record.volume.valid:
-        notes.append(shown(record.volume.reason))
+        notes.append(escape_for_display(record.volume.reason))
     if record.inside_out:
         notes.append("inside out")
     if record.corners is not None:
@@ -322,7 +328,7 @@ def _total_lines(run: Run, sums: Totals) -> Iterator[Line]:
         yield Line(
             f"volume change: median {percent_text(spread.median)}, "
             f"from {percent_text(spread.lowest)} to {percent_text(spread.highest)} "
-            f"({counted(spread.files, 'closed file')})"
+            f"({format_count(spread.files, 'closed file')})"
         )
     if sums.chosen:
         yield Line(f"chosen: {chosen_text(sums.chosen)}")
@@ -335,7 +341,7 @@ def _total_lines(run: Run, sums: Totals) -> Iterator[Line]:
         (sums.gate_broken, "of them broke a gate"),
     )
     states = ", ".join(f"{count:,} {word}" for count, word in counts if count)
-    text = f"{counted(sums.files, 'file')}: {states or 'nothing done'}"
+    text = f"{format_count(sums.files, 'file')}: {states or 'nothing done'}"
     if sums.vertices and run.seconds > 0.0:
         text += (
             f"; {sums.vertices:,} vertices in {seconds_text(run.seconds)}, "

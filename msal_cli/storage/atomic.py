@@ -194,7 +194,7 @@ def temporary_name(name: str) -> str:
 
 @functools.cache
 def machine_tag() -> str:
-    """Eight hexadecimal digits that tell machines that share a file system apart.
+    """Eight hexadecimal digits that distinguish machines that share a file system.
 
     Containers may have one host name and yet not see each other's processes.
     """
@@ -237,8 +237,8 @@ def _place(temporary: Path, target: Path) -> None:
 def flush_folder(folder: Path) -> None:
     """Make the new name durable where the system can; the file itself already is.
 
-    The file is in its place, so a system that cannot do this gets a warning and no failure: whoever
-    goes on from here knows files by their content, and would find after a power cut what was lost.
+    The file is in its place, so a system that cannot do this gets a warning and no failure: the
+    next run compares files by their content, and would find after a power cut what was lost.
     """
     if os.name != "posix":
         return

@@ -100,7 +100,7 @@ def is_gzip_name(name: str) -> bool:
     return name.lower().endswith(GZIP_SUFFIX)
 
 
-def expanded(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer, bool]:
+def expand(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer, bool]:
     """The content of a file that may be compressed with gzip, and whether it was.
 
     A file counts as compressed if its name ends in ``.gz`` or its bytes begin like gzip's; all
@@ -191,7 +191,7 @@ def _is_zero(view: memoryview) -> bool:
     return not any(bytes(piece).strip(b"\0") for piece in pieces)
 
 
-def compressed(data: Buffer) -> bytes:
+def compress(data: Buffer) -> bytes:
     """``data`` as gzip; the same bytes on every run: no time, no name, no operating system."""
     view = memoryview(data).cast("B")
     deflate = zlib.compressobj(6, zlib.DEFLATED, -15)

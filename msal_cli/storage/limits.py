@@ -1,4 +1,4 @@
-"""How much of a file may be held in memory, and from what size on it is read in another way."""
+"""How much of a file may be kept in memory, and from what size on it is read in another way."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 from msal_cli.errors import TooLargeError
 
 LOOKED_AT = 1 << 16
-"""Bytes of a file's beginning that tell its format and its counts."""
+"""Bytes of a file's beginning that show its format and its counts."""
 
 LARGE_BYTES = 4 << 20
 """Bytes from which on the system may give large pages of memory."""
@@ -22,14 +22,14 @@ def memory_bytes() -> int:
 
 
 def largest_bytes() -> int:
-    """The most bytes that a file may have to be held in memory: half of the machine's."""
+    """The most bytes that a file may have to be kept in memory: half of the machine's."""
     return memory_bytes() // 2
 
 
 def too_large(size: int) -> TooLargeError:
     """The error for a file of ``size`` bytes that is beyond ``largest_bytes``."""
     return TooLargeError(
-        f"the file has {size:,} bytes, and more than {largest_bytes():,} cannot be held in the "
+        f"the file has {size:,} bytes, and more than {largest_bytes():,} cannot be loaded into the "
         "memory of this machine",
         hint="cut the mesh into parts, or use a machine with more memory",
     )

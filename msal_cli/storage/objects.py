@@ -58,7 +58,7 @@ _file_systems: dict[tuple[str, str], Any] = {}
 class Mark(NamedTuple):
     """Size in bytes and entity tag of an object.
 
-    Where a store has no entity tags, the time of change stands in; empty where there is neither.
+    Where a store has no entity tags, the time of change is used; empty where there is neither.
     """
 
     size: int
@@ -130,7 +130,7 @@ def beginning(url: str, length: int) -> tuple[bytes, int]:
     with _input_errors(url, "the object cannot be read"):
         system, path = _open(url)
         if urls.split(url)[0] in urls.WEB:
-            # A server may send all of it, whatever range is asked for, and in small pieces.
+            # A server may send all of it, whatever range is requested, and in small pieces.
             with system.open(path, "rb", block_size=0) as stream:
                 while len(data) < length and (piece := stream.read(length - len(data))):
                     data += piece
@@ -160,7 +160,7 @@ def read_many(some: Mapping[str, Mark]) -> list[bytes]:
 def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> Mark:
     """Write an object so that it is seen whole or not at all, and give its mark.
 
-    Size and tag are asked of the store afterwards.
+    Size and tag are requested from the store afterwards.
 
     Raises OutputError if the store does not take it; UsageError if a package is missing.
     """
@@ -218,7 +218,7 @@ def mark(url: str) -> Mark | None:
         return _mark(*_open(url))
 
 
-def listed(url: str, depth: int | None = None) -> dict[str, Mark]:
+def list_objects(url: str, depth: int | None = None) -> dict[str, Mark]:
     """Every object below a folder by its name there, written with ``/``; empty if there is none.
 
     On object stores that is one request for a thousand objects, however deep they lie.
@@ -249,7 +249,7 @@ def listed(url: str, depth: int | None = None) -> dict[str, Mark]:
     }
 
 
-def removed(some: Sequence[str]) -> None:
+def remove_object(some: Sequence[str]) -> None:
     """Remove objects of one store, as far as it lets us; what stays is no error."""
     if not some:
         return
@@ -273,7 +273,7 @@ def _open(url: str) -> tuple[Any, str]:
     is_s3 = protocol in ("s3", "s3a")
     if is_s3 and "?versionId=" in url:
         # s3fs would cut the name there, and read or replace another object.
-        raise ValueError("a name with ?versionId= in it cannot be told from a version")
+        raise ValueError("a name with ?versionId= in it cannot be distinguished from a version")
     options = {} if is_s3 else dict(kind._get_kwargs_from_urls(full))
     path: str = kind._strip_protocol(full)
     if full != url and protocol in _OBJECT_STORES and not protocol.startswith("http"):
@@ -285,18 +285,18 @@ def _open(url: str) -> tuple[Any, str]:
     key = (protocol, repr(sorted(options.items())))
     with _lock:
         if key not in _file_systems:
-            _file_systems[key] = _connected(protocol, options)
+            _file_systems[key] = _connect(protocol, options)
         return _file_systems[key], path
 
 
-def _connected(protocol: str, options: dict[str, Any]) -> Any:
+def _connect(protocol: str, options: dict[str, Any]) -> Any:
     import fsspec
 
     try:
         system = fsspec.filesystem(protocol, **options)
     except (ImportError, TypeError, ValueError) as failure:
         raise UsageError(
-            f"{protocol}:// cannot be used: {urls.redacted(_one_line(failure))}",
+            f"{protocol}:// cannot be used: {urls.redact(_one_line(failure))}",
             hint="chained URLs and archives are not supported",
         ) from None
     if isinstance(getattr(system, "retries", None), int):
@@ -305,7 +305,7 @@ def _connected(protocol: str, options: dict[str, Any]) -> Any:
 
 
 def _kind(protocol: str) -> Any:
-    """The class of file systems of a protocol; UsageError tells what to install."""
+    """The class of file systems of a protocol; UsageError says what to install."""
     try:
         import fsspec
         from fsspec.registry import known_implementations
@@ -397,7 +397,7 @@ def _explain(failure: BaseException) -> tuple[str, str]:
         if one is not None
         for kind in type(one).__mro__
     }
-    said = urls.redacted(_one_line(failure))
+    said = urls.redact(_one_line(failure))
     if "FileNotFoundError" in kinds:
         if "bucket" in said.lower():
             return "there is no such bucket", "check the bucket's name"

@@ -29,14 +29,14 @@ MOST_BYTES = 4 << 30
 _PIECE = 8 << 20
 _TEXTURE_KEYS = (b"bump", b"disp", b"decal", b"refl", b"norm")
 _NUMBER = rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$"
-# What stands behind the options of a texture line: a fixed number of words, or up to three numbers.
+# The arguments of the options of a texture line: a fixed number of words, or up to three numbers.
 _ONE_WORD = frozenset(
     b"-blendu -blendv -cc -clamp -boost -texres -bm -imfchan -type -colorspace".split()
 )
 _NUMBERS = (b"-o", b"-s", b"-t")
 
 
-def carried(
+def carry(
     references: Sequence[str],
     input_path: str | os.PathLike[str],
     output_path: str | os.PathLike[str],
@@ -80,7 +80,7 @@ def carried(
             notes.append(f"warning: only the first {MOST_REFERENCES} references are followed")
             break
         done.add(reference)
-        notes.append(_carried(reference, source_folder, target_folder, budget))
+        notes.append(_carry(reference, source_folder, target_folder, budget))
         relative = _relative(reference, source_folder)
         if not reference.lower().endswith(".mtl") or relative is None:
             continue
@@ -91,7 +91,7 @@ def carried(
 
 
 def _left_behind(references: Sequence[str]) -> tuple[str, ...]:
-    """Between stores nothing is carried: who comes second could not tell whose a place is."""
+    """Between stores nothing is copied: a second run could not see which run owns a name."""
     names = [name for name in dict.fromkeys(references) if not _is_absolute(name)]
     if not names:
         return ()
@@ -138,7 +138,7 @@ class _Budget:
         return True
 
 
-def _carried(reference: str, source_folder: Path, target_folder: Path, budget: _Budget) -> str:
+def _carry(reference: str, source_folder: Path, target_folder: Path, budget: _Budget) -> str:
     """Carry one file; what was done, empty if nothing had to be."""
     relative = _relative(reference, source_folder)
     if relative is None:
@@ -193,13 +193,13 @@ def _is_within(path: Path, folder: Path) -> bool:
 
 
 def _copy(source: Path, target: Path) -> None:
-    """Copy a file to a place that is free; whoever comes second finds it taken and compares."""
+    """Copy a file to a place that is free; a second run finds it taken and compares."""
     try:
         make_folders(target.parent)
         if not write_new(target, _pieces(source), mode_like=source) and not _is_same(
             source, target
         ):
-            raise _taken(source, target)
+            raise _take(source, target)
     except OSError as failure:
         raise OutputError(
             f"{source.name} cannot be copied beside the output: {failure.strerror}",
@@ -208,7 +208,7 @@ def _copy(source: Path, target: Path) -> None:
         ) from failure
 
 
-def _taken(source: Path, target: Path) -> OutputError:
+def _take(source: Path, target: Path) -> OutputError:
     return OutputError(
         f"there is another {target.name} beside the output than {source}, which the input names",
         code="E_SIDECAR",

@@ -1,8 +1,8 @@
-"""URLs as text: telling them from paths, joining them, and keeping passwords out of them.
+"""URLs as text: distinguishing them from paths, joining them, and keeping passwords out of them.
 
 A URL is ``protocol://`` and a path whose parts are names as they are: nothing in them is escaped,
-``%``, ``#``, spaces and line breaks stand for themselves.  What is secret in a URL (a password, the
-query of a signed link) is taken out before anybody sees it, and put back only to open it.
+``%``, ``#``, spaces and line breaks are literal.  What is secret in a URL (a password, the
+query of a signed link) is removed before the URL is shown, and put back only to open it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def is_url(text: str) -> bool:
     return match is not None and match["protocol"].lower() not in _FILES
 
 
-def settled(text: str) -> str:
+def normalize_url(text: str) -> str:
     """A path or URL as everything else here takes it: ``file://`` gone, secrets put away.
 
     Raises UsageError if two signed links differ in nothing but their signature.
@@ -60,13 +60,13 @@ def settled_in(options: dict[str, Any], *names: str) -> dict[str, Any]:
 
     def of(value: Any) -> Any:
         if isinstance(value, tuple):
-            return tuple(map(settled, value))
-        return value if value is None else settled(value)
+            return tuple(map(normalize_url, value))
+        return value if value is None else normalize_url(value)
 
     return options | {name: of(options[name]) for name in names}
 
 
-def redacted(text: str) -> str:
+def redact(text: str) -> str:
     """``text``, such as a word of a command line or a message, without what is secret in it."""
     text = _QUERY.sub(r"\1?***", _PASSWORD.sub(r"\1:***@", text))
     for secret in _kept().values():
@@ -101,7 +101,7 @@ def check_secrets() -> None:
         kept = None
     is_map = isinstance(kept, dict) and all(isinstance(one, str) for one in kept.values())
     if not is_map:
-        # What stands there is secret, so that it is not quoted.
+        # This part is secret, so it is not quoted.
         raise UsageError(
             f"{SECRETS} in the environment is not a JSON object of strings",
             hint="msal sets it for its workers; unset it, and write passwords into the URLs",
@@ -129,7 +129,7 @@ def split(url: str) -> tuple[str, str]:
     return protocol, path
 
 
-def joined(url: str, relative: str) -> str:
+def join_url(url: str, relative: str) -> str:
     """The URL of ``relative``, written with ``/``, below a URL."""
     return f"{folder(url)}{relative}"
 

@@ -102,7 +102,7 @@ def viewed(
     points = vertices[_used(len(vertices), faces)]
     if also is not None:
         points = np.concatenate([points, also])
-    return framing(turned(stance.front, stance.up, turn, tilt), points)
+    return framing(rotate(stance.front, stance.up, turn, tilt), points)
 
 
 # Degrees round to the right and up from the front.
@@ -116,7 +116,7 @@ _ANGLES = {
 }
 
 
-def turned(front: Floats, up: Floats, turn_deg: float, tilt_deg: float) -> Floats:
+def rotate(front: Floats, up: Floats, turn_deg: float, tilt_deg: float) -> Floats:
     """(3, 3) axes of an eye that went round and up from ``front``; straight above it still knows
     where the front is, which is at the bottom of its picture."""
     forward, right, upward = _frame(front, up)
@@ -137,7 +137,7 @@ def _frame(front: Floats, up: Floats) -> tuple[Floats, Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class _Stance:
-    """How a mesh seems to stand: (3,) directions, and the turn and tilt to look at it from."""
+    """The guessed pose of a mesh: (3,) directions, and the turn and tilt to look at it from."""
 
     front: Floats
     up: Floats
@@ -166,11 +166,11 @@ _X, _Y, _Z = np.eye(3)
 def _stance(vertices: Floats, faces: Ints) -> _Stance:
     """Up, front and view of a mesh at a guess.
 
-    Files have y or z upwards, few have neither.  What has a base stands on it; what lies flat lies
-    on its broad side; the rest stands upright.  With y upwards the front is +z, with z upwards -y,
+    Files have y or z upwards, few have neither.  A mesh with a base is shown on it; a flat one
+    lies on its broad side; the rest is upright.  With y upwards the front is +z, with z upwards -y,
     as modellers and scanners do it, but things far longer that way are shown from their long side.
     """
-    # Some of the faces tell as much as all of them.
+    # Some of the faces suffice.
     corner = vertices[faces[:: 1 + len(faces) // LARGEST_GUESSED]]
     doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     areas = np.linalg.norm(doubled, axis=1)

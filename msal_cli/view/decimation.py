@@ -46,7 +46,7 @@ class Coarse:
     faces: Ints
 
 
-def coarsened(vertices: Floats, faces: Ints, most_faces: int) -> Coarse:
+def coarsen(vertices: Floats, faces: Ints, most_faces: int) -> Coarse:
     """The mesh with as many faces as it may have, at most ``most_faces`` where that can be reached.
 
     ``vertices`` (n, 3) finite, ``faces`` (m, 3).  Faces that contractions put on one another are
@@ -85,7 +85,7 @@ def _round(vertices: Floats, faces: Longs, excess: int, *, is_checked: bool) -> 
         pair = np.full(len(vertices), -1)
         pair[goes] = np.arange(len(goes))
         for check in range(_CHECKS):
-            failed = np.unique(pair[_turned(vertices, faces, moved)])
+            failed = np.unique(pair[_turn(vertices, faces, moved)])
             failed = failed[failed >= 0]
             if not len(failed):
                 break
@@ -98,7 +98,7 @@ def _round(vertices: Floats, faces: Longs, excess: int, *, is_checked: bool) -> 
                 moved[goes[failed]] = stays[failed]
                 pair[goes[failed]] = failed
         else:
-            bad = _turned(vertices, faces, moved)
+            bad = _turn(vertices, faces, moved)
             moved[bad] = bad
     return _with_area(moved[faces])
 
@@ -141,7 +141,7 @@ def _on_boundary(n_vertices: int, faces: Longs) -> NDArray[np.bool_]:
     return is_open
 
 
-def _turned(vertices: Floats, faces: Longs, moved: Longs) -> Longs:
+def _turn(vertices: Floats, faces: Longs, moved: Longs) -> Longs:
     """Corners of the faces that would turn too far, or become needles."""
     after = moved[faces]
     changed = np.flatnonzero((after != faces).any(axis=1))

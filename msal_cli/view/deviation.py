@@ -18,7 +18,7 @@ SHARE_WITHIN = 0.99
 
 @dataclass(frozen=True)
 class Scale:
-    """What the colours of a deviation stand for.
+    """What the colours of a deviation mean.
 
     ``low`` and ``high`` in file units; numbers beyond them have the colours of the ends.  With a
     sign, ``low`` is ``-high`` and the map has a pale middle.
@@ -33,9 +33,9 @@ class Scale:
         """The map of ``colours``."""
         return "diverging" if self.is_signed else "sequential"
 
-    def painted(self, values: Floats) -> NDArray[np.uint8]:
+    def paint(self, values: Floats) -> NDArray[np.uint8]:
         """(n, 3) colours of ``values`` (n,)."""
-        return colours.mapped(values, self.low, self.high, self.map_name)
+        return colours.map_colours(values, self.low, self.high, self.map_name)
 
     def legend(self, lines: tuple[str, ...], edge: float) -> Legend:
         """The scale with five places in file units above, and in ``edge`` lengths below."""
@@ -43,7 +43,7 @@ class Scale:
         for share in (0.0, 0.25, 0.5, 0.75, 1.0):
             value = self.low + share * (self.high - self.low)
             ticks.append((share, _said(value), _said(value / edge)))
-        return Legend(lines, colours.table(self.map_name), tuple(ticks))
+        return Legend(lines, colours.colour_table(self.map_name), tuple(ticks))
 
 
 def scale_of(

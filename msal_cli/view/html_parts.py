@@ -9,12 +9,12 @@ import html
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from msal_cli.job.display_names import shown
+from msal_cli.job.display_names import escape_for_display
 
 
 def escape(text: str) -> str:
     """``text`` as it may be between tags and within quotes."""
-    return html.escape(shown(text), quote=True)
+    return html.escape(escape_for_display(text), quote=True)
 
 
 @functools.cache

@@ -17,12 +17,12 @@ _UNSAFE_CATEGORIES = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 _NO_CHARACTER = "\U0010fffd"
 
 
-def fitted(text: str, size: int, width: int) -> tuple[str, ImageFont.FreeTypeFont]:
+def fit_text(text: str, size: int, width: int) -> tuple[str, ImageFont.FreeTypeFont]:
     """``text`` as it can be drawn in ``width`` pixels, and the font of ``size`` pixels for it.
 
     What a font cannot draw, and what has no shape of its own (line ends, marks that turn the
     writing direction), becomes an escape such as ``\\x0a``.  Of what is too long the end stays,
-    because the end of a path tells more than its beginning.
+    because the end of a path says more than its beginning.
     """
     # No shape is narrower than a third of a pixel.
     most = 3 * max(width, 1)
@@ -34,7 +34,7 @@ def fitted(text: str, size: int, width: int) -> tuple[str, ImageFont.FreeTypeFon
             font = other
             break
     else:
-        plain = "".join(one if _has("", size, one) else _escaped(one) for one in plain)
+        plain = "".join(one if _has("", size, one) else _escape(one) for one in plain)
     if len(text) <= most and font.getlength(plain) <= width:
         return plain, font
     tail = plain[-most:]
@@ -44,10 +44,10 @@ def fitted(text: str, size: int, width: int) -> tuple[str, ImageFont.FreeTypeFon
 
 
 def _visible(one: str) -> str:
-    return _escaped(one) if unicodedata.category(one) in _UNSAFE_CATEGORIES else one
+    return _escape(one) if unicodedata.category(one) in _UNSAFE_CATEGORIES else one
 
 
-def _escaped(one: str) -> str:
+def _escape(one: str) -> str:
     code = ord(one)
     if 0xDC80 <= code <= 0xDCFF:
         code -= 0xDC00  # a byte that is not UTF-8

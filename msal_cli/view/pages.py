@@ -63,7 +63,7 @@ def page_of(scene: Scene, view: View, command: str, *, most_faces: int = MOST_FA
         scene=viewer.embedded_scene(
             "scene",
             drawn,
-            picture=png_bytes(pictures.drawn(scene, still), 256),
+            picture=png_bytes(pictures.draw_picture(scene, still), 256),
             description=_description(titles, scene),
             starts="now",
             deviation=pictures.deviation_name(scene),

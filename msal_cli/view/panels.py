@@ -135,9 +135,9 @@ class _Words:
         anchor: str = "la",
     ) -> None:
         """Draw a line of ``text`` at ``place``, shortened to ``width``."""
-        from msal_cli.view.labels import fitted
+        from msal_cli.view.labels import fit_text
 
-        plain, font = fitted(text, size or self.text, width)
+        plain, font = fit_text(text, size or self.text, width)
         draw.text(place, plain, fill=colour, font=font, anchor=anchor)
 
 
@@ -149,15 +149,17 @@ def _draw_legend(
     width: int,
     style: Style,
 ) -> None:
-    from msal_cli.view.labels import fitted
+    from msal_cli.view.labels import fit_text
 
     left, y = place[0], place[1] + words.gap // 2
     for line in legend.lines:
         words.write(draw, (left, y), line, style.faint, width)
         y += words.line_height
-    # Words at the ends stand out on both sides of the scale by half.
+    # Words at the ends extend beyond the scale by half their width.
     ends = [word for _, *both in legend.ticks for word in both]
-    longest = max((fitted(word, words.text, width)[1].getlength(word) for word in ends), default=0)
+    longest = max(
+        (fit_text(word, words.text, width)[1].getlength(word) for word in ends), default=0
+    )
     inset = round(min(0.5 * longest, 0.2 * width)) + 1
     first, last = left + inset, left + width - inset
     top = y + words.line_height + words.text // 3

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from msal_cli.analysis import correspondence as metrics
-from msal_cli.analysis.enclosure import enclosure
-from msal_cli.analysis.surface import normal_statistics, surface_change
+from msal_cli.analysis.enclosure import measure_enclosure
+from msal_cli.analysis.measures import measure_surface_change, normal_statistics
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.job.changes import volume_changed
 from msal_cli.job.comparison import Surface, prepare_surface
-from msal_cli.mesh import Mesh, Prepared
+from msal_cli.mesh import Mesh, PreparedMesh
 from msal_cli.methods import Method
 from msal_cli.view import pictures
 from msal_cli.view.camera import Camera
@@ -29,7 +29,7 @@ from msal_cli.view.shading import Image
 MOST_CELLS = 100
 
 USUAL = ("iterations=1,2,4,8", "K=0.25,0.5,0.75,1")
-"""What varies along rows and columns where nothing else is asked for, as in Fig. 6 of the paper;
+"""What varies along rows and columns where nothing else is given, as in Fig. 6 of the paper;
 a parameter that the method does not have is left out."""
 
 _SHORT_OPTIONS = {"iterations": "-n", "K": "-K"}
@@ -104,7 +104,7 @@ def axis(method: Method, text: str, option: str) -> Axis:
             hint=f"for example {option} iterations=1,2,4,8",
         )
     spec = method.spec(name.strip())
-    values = tuple(spec.settled(word) for word in words)
+    values = tuple(spec.validate(word) for word in words)
     if len(set(values)) < len(values):
         raise UsageError(f"{option} {text}: a value is there twice", hint="give each value once")
     return Axis(spec.name, values)
@@ -141,7 +141,7 @@ def grid(
         raise UsageError(f"that makes more than {MOST_CELLS} cells", hint="try fewer values")
     wanted = Grid(method, fixed, down, across)
     for one in wanted.settings():
-        method.settled({**fixed, **one})
+        method.validate({**fixed, **one})
     return wanted
 
 
@@ -150,7 +150,7 @@ class Subject:
     """The mesh that is denoised, the reference in its place if there is one, and one camera."""
 
     name: str
-    ready: Prepared
+    ready: PreparedMesh
     reference: Mesh | None
     camera: Camera
 
@@ -169,7 +169,7 @@ def subject(
     ready = prepare_surface(surface, name)
     truth = None
     if reference is not None:
-        if not metrics.correspond(
+        if not metrics.have_same_faces(
             surface.vertices, surface.faces, reference.vertices, reference.faces
         ):
             raise ContentError(
@@ -187,12 +187,12 @@ def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
     """The numbers and the mesh of each cell, row by row, one after the other."""
 
     mesh, objection = on.ready.mesh, on.ready.defects.volume_objection
-    enclosed = enclosure(on.ready)
+    enclosed = measure_enclosure(on.ready)
     for chosen in wanted.settings():
-        parameters = wanted.method.settled({**wanted.fixed, **chosen})
-        moved = mesh.moved(wanted.method.denoised(mesh, parameters).vertices)
-        change = enclosed.change(mesh, moved, surface_change(mesh, moved))
-        mean = metrics.moved_statistics(mesh, moved).mean
+        parameters = wanted.method.validate({**wanted.fixed, **chosen})
+        moved = mesh.with_vertices(wanted.method.denoise(mesh, parameters).vertices)
+        change = enclosed.change(mesh, moved, measure_surface_change(mesh, moved))
+        mean = metrics.displacement_of_moved(mesh, moved).mean
         volume = volume_changed(
             change.volume_before, change.volume_after, change.area_before, objection
         )
@@ -221,7 +221,7 @@ def command(wanted: Grid, name: str, chosen: Mapping[str, object]) -> str:
     return shlex.join(words)
 
 
-def drawn(on: Subject, mesh: Mesh, view: View) -> Image:
+def draw_grid(on: Subject, mesh: Mesh, view: View) -> Image:
     """(h, w, 3) uint8: one mesh of the grid, or the input, seen by the one camera."""
 
     return pictures.panel(mesh, on.camera, view)
@@ -235,11 +235,11 @@ def sheet(
 ) -> Image:
     """(H, W, 3) uint8: at the left the input and the reference, then the grid with its numbers."""
 
-    sides = [(drawn(on, on.ready.mesh, view), pictures.titles_of((on.name,))[0], ["input"])]
+    sides = [(draw_grid(on, on.ready.mesh, view), pictures.titles_of((on.name,))[0], ["input"])]
     if on.reference is not None:
         error = normal_statistics(on.reference, on.ready.mesh).mean_angular_error_deg
         words = f"normals of the input {error:.2f}\N{DEGREE SIGN}"
-        sides.append((drawn(on, on.reference, view), "reference", [words]))
+        sides.append((draw_grid(on, on.reference, view), "reference", [words]))
     style = pictures.style_of(view)
     empty: Panel = (np.full_like(sides[0][0], style.background), "", [])
     width = len(wanted.columns.values)

@@ -8,7 +8,7 @@ from typing import Any
 
 from msal_cli.analysis import correspondence as metrics
 from msal_cli.analysis import surface_distance
-from msal_cli.analysis.enclosure import enclosure
+from msal_cli.analysis.enclosure import measure_enclosure
 from msal_cli.arrays import Floats
 from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface, prepare_surface
@@ -18,7 +18,7 @@ from msal_cli.mesh import Mesh
 from msal_cli.view.camera import Camera, viewed
 from msal_cli.view.deviation import Scale, scale_of
 from msal_cli.view.panels import Panel, labelled_panels
-from msal_cli.view.shading import CREASE_DEG, DARK, LIGHT, Image, Style, shaded
+from msal_cli.view.shading import CREASE_DEG, DARK, LIGHT, Image, Style, shade
 
 SIGNED = "Displacement along the normal"
 DISTANCE = "Distance to the surface before"
@@ -87,17 +87,17 @@ def scene_of(
     first = prepare_surface(before, names[0])
     if after is None:
         return Scene(names, first.mesh)
-    if metrics.correspond(before.vertices, before.faces, after.vertices, after.faces):
-        record = comparison.compared(before, after, *names, to_surface=False)
+    if metrics.have_same_faces(before.vertices, before.faces, after.vertices, after.faces):
+        record = comparison.compare_meshes(before, after, *names, to_surface=False)
         moved = metrics.at_other_positions(first, after.vertices)
         step = moved.vertices - first.mesh.vertices
         along = (step * first.mesh.vertex_normals()).sum(axis=1)
-        along *= enclosure(first).outward_signs(first.mesh)
+        along *= measure_enclosure(first).outward_signs(first.mesh)
         return Scene(names, first.mesh, moved, along, True, record)
     to_surface = to_surface and surface_distance.is_available()
-    record = comparison.compared(before, after, *names, to_surface=to_surface)
+    record = comparison.compare_meshes(before, after, *names, to_surface=to_surface)
     second = prepare_surface(after, names[1])
-    there = second.mesh.moved(second.mesh.vertices + (second.origin - first.origin))
+    there = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))
     distances = None
     if to_surface:
         distances = surface_distance.distances_to_surface(there.vertices, first.mesh)
@@ -120,7 +120,7 @@ def camera_of(scene: Scene, view: View) -> Camera:
     )
 
 
-def drawn(scene: Scene, view: View) -> Image:
+def draw_picture(scene: Scene, view: View) -> Image:
     """(H, W, 3) uint8: the meshes side by side, what is between them, and the numbers."""
 
     style, camera = style_of(view), camera_of(scene, view)
@@ -149,8 +149,8 @@ def drawn(scene: Scene, view: View) -> Image:
         ("Above the scale: file units; below: mean edge lengths (e)", ends),
         edge,
     )
-    picture = image(scene.after, scale.painted(scene.deviation))
-    lines = [_moved(scene, edge), *(["Blue: inwards, orange: outwards"] if scene.is_signed else [])]
+    picture = image(scene.after, scale.paint(scene.deviation))
+    lines = [_move(scene, edge), *(["Blue: inwards, orange: outwards"] if scene.is_signed else [])]
     panels.append((picture, deviation_name(scene), lines))
     return labelled_panels(panels, legend, style=style)
 
@@ -190,7 +190,7 @@ def deviation_name(scene: Scene) -> str:
 
 
 def style_of(view: View) -> Style:
-    """The colours that a view asks for."""
+    """The colours of a view."""
 
     return DARK if view.style == "dark" else LIGHT
 
@@ -198,7 +198,7 @@ def style_of(view: View) -> Style:
 def panel(mesh: Mesh, camera: Camera, view: View, colours: Image | None = None) -> Image:
     """(h, w, 3) uint8: one mesh, its vertices in ``colours`` (n, 3) uint8 or all of clay."""
 
-    return shaded(
+    return shade(
         mesh.vertices,
         mesh.faces,
         camera,
@@ -222,7 +222,7 @@ def panel_height(camera: Camera, width: int) -> int:
 
 
 def _used(mesh: Mesh) -> Any:
-    return mesh.links.has_ring
+    return mesh.topology.has_ring
 
 
 def count_of_vertices(mesh: Mesh) -> int:
@@ -248,7 +248,7 @@ def _changes(record: ComparisonRecord) -> list[str]:
     return list(filter(None, lines))
 
 
-def _moved(scene: Scene, edge: float) -> str:
+def _move(scene: Scene, edge: float) -> str:
     record = scene.record
     if not has_moved(scene):
         return NOTHING_MOVED

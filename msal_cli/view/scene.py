@@ -21,7 +21,7 @@ import numpy as np
 from msal_cli.analysis import colour_maps as colours
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.mesh import Mesh
-from msal_cli.view.decimation import Coarse, coarsened
+from msal_cli.view.decimation import Coarse, coarsen
 
 MOST_FACES = 200_000
 """Faces of one mesh that a page holds; more are decimated."""
@@ -87,7 +87,7 @@ def encode_scene(
     most_faces : beyond this a mesh is coarsened.
     """
     shares = after is not None and _same_faces(before, after)
-    first = coarsened(before.vertices, before.faces, most_faces)
+    first = coarsen(before.vertices, before.faces, most_faces)
     low, step = _grid(before, after, Mesh(before.vertices[first.kept], first.faces))
     kept, faces, ticks, planes = _mesh_planes(before, first, low, step)
     meshes: list[dict[str, int | bool]] = [{"vertices": len(kept), "faces": len(faces)}]
@@ -98,7 +98,7 @@ def encode_scene(
         meshes.append({**meshes[0], "moved": True})
         drawn_after = len(faces)
     elif after is not None:
-        second = coarsened(after.vertices, after.faces, most_faces)
+        second = coarsen(after.vertices, after.faces, most_faces)
         kept, faces_after, _, planes_after = _mesh_planes(after, second, low, step)
         planes += planes_after
         drawn_after = len(faces_after)
@@ -127,7 +127,7 @@ def _mesh_planes(
 ) -> tuple[Longs, Ints, Longs, list[bytes]]:
     """The vertices that are drawn, in their order, the faces between them (m, 3), the vertices'
     steps on the grid (n, 3), and the bytes of all."""
-    order, faces = _ordered(mesh.vertices[coarse.kept], coarse.faces)
+    order, faces = _order(mesh.vertices[coarse.kept], coarse.faces)
     kept = coarse.kept[order]
     ticks = _ticks(mesh.vertices[kept], low, step)
     planes = _index_planes(faces) + _planes(_zigzag(_residuals(ticks, faces)), 3)
@@ -157,7 +157,7 @@ def _ticks(vertices: Floats, low: Floats, step: float) -> Longs:
     return np.rint((vertices - low) / step).astype(np.int64)
 
 
-def _ordered(vertices: Floats, faces: Ints) -> tuple[Longs, Ints]:
+def _order(vertices: Floats, faces: Ints) -> tuple[Longs, Ints]:
     """An order of the vertices, and the faces with the vertices' new numbers.
 
     Faces follow a Z-shaped curve through space (Morton 1966), and vertices their first use.
@@ -243,6 +243,6 @@ def _deviation(
         "span": span,
         "low": low,
         "high": high if high > low else low + 1.0,
-        "colours": base64.b64encode(colours.table(name).tobytes()).decode("ascii"),
+        "colours": base64.b64encode(colours.colour_table(name).tobytes()).decode("ascii"),
     }
     return scale, _planes(steps.astype(np.int64), 2)

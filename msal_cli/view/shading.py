@@ -65,7 +65,7 @@ _DIRECTIONS = 8
 """Lines through a pixel on which to look."""
 
 
-def shaded(
+def shade(
     vertices: Floats,
     faces: Ints,
     camera: Camera,
@@ -169,14 +169,14 @@ def _open_sky(depth: Floats32, covered: Floats32) -> Floats32:
             hidden += counted * (is_there[one] & is_there[other])
         # A few lines alone would leave copies of every outline.
         soft = max(1, radius // 4)
-        seen = np.maximum(_blurred(inside, soft), np.float32(1e-6))
-        share = _blurred(hidden, soft) * inside / seen
+        seen = np.maximum(_blur(inside, soft), np.float32(1e-6))
+        share = _blur(hidden, soft) * inside / seen
         share *= np.float32(1.0 / (_DIRECTIONS * radius))
         open_sky *= np.float32(1.0) - np.float32(strength) * share ** np.float32(0.75)
     return open_sky
 
 
-def _blurred(image: Floats32, radius: int) -> Floats32:
+def _blur(image: Floats32, radius: int) -> Floats32:
     """Mean over squares of ``2 radius + 1`` pixels; beyond the border there are zeros."""
     side = 2 * radius + 1
     height, width = image.shape

@@ -13,12 +13,12 @@ from msal_cli.analysis.added_noise import (
     OPTIONS,
     AddedNoise,
     add_noise,
+    add_plain_noise,
     grazing_growth,
-    noisy,
     share_over_rings,
 )
 from msal_cli.errors import ContentError, UsageError
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import grid, torus
 
 FIRST_KINDS = ("gaussian-normal", "gaussian", "mixed", "impulsive")
@@ -34,7 +34,7 @@ def added(mesh, kind, level=0.2, seed=7, **settings):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_noise_is_the_same_for_the_same_seed_only(kind):
-    mesh = prepared(*torus()).mesh
+    mesh = prepare_mesh(*torus()).mesh
     first = added(mesh, kind)
     assert np.array_equal(first, added(mesh, kind))
     assert not np.array_equal(first, added(mesh, kind, seed=8))
@@ -42,20 +42,20 @@ def test_noise_is_the_same_for_the_same_seed_only(kind):
 
 @pytest.mark.parametrize("kind", sorted(set(KINDS) - {"quantised", "outliers"}))
 def test_a_level_of_nothing_moves_nothing(kind):
-    mesh = prepared(*torus()).mesh
+    mesh = prepare_mesh(*torus()).mesh
     assert np.array_equal(added(mesh, kind, 0.0), mesh.vertices)
 
 
 @pytest.mark.parametrize("kind", FIRST_KINDS)
 def test_the_short_form_adds_the_same(kind):
-    mesh = prepared(*torus()).mesh
-    short = noisy(mesh, kind, 0.2, 7, 0.3)
+    mesh = prepare_mesh(*torus()).mesh
+    short = add_plain_noise(mesh, kind, 0.2, 7, 0.3)
     assert np.array_equal(short, added(mesh, kind, fraction=0.3))
 
 
 @pytest.mark.parametrize("kind", sorted(set(KINDS) - {"quantised", "ramp"}))
 def test_how_many_vertices_move(kind):
-    mesh = prepared(*torus(40, 21)).mesh
+    mesh = prepare_mesh(*torus(40, 21)).mesh
     direction = (1.0, 0.1, 0.3)
     moved = (added(mesh, kind, direction=direction) != mesh.vertices).any(axis=1)
     assert moved.mean() == pytest.approx(KINDS_MOVED.get(kind, 1.0), abs=0.001)
@@ -66,8 +66,8 @@ def test_how_many_vertices_move(kind):
     [("gaussian-normal", 1.0, 0.0), ("gaussian", 1.0, np.sqrt(2.0)), ("mixed", 1.0, 1.0)],
 )
 def test_how_far_vertices_move_along_their_normals_and_across(kind, along, across):
-    mesh = prepared(*torus(160, 80)).mesh
-    steps = (noisy(mesh, kind, 0.2, 1) - mesh.vertices) / (0.2 * mesh.mean_edge_length)
+    mesh = prepare_mesh(*torus(160, 80)).mesh
+    steps = (add_plain_noise(mesh, kind, 0.2, 1) - mesh.vertices) / (0.2 * mesh.mean_edge_length)
     heights = (steps * mesh.vertex_normals()).sum(axis=1)
     rest = np.linalg.norm(steps - heights[:, None] * mesh.vertex_normals(), axis=1)
     assert heights.std() == pytest.approx(along, rel=0.03)
@@ -77,15 +77,15 @@ def test_how_far_vertices_move_along_their_normals_and_across(kind, along, acros
 
 def test_mixed_noise_goes_every_way_across_the_normal():
     vertices, faces = grid(60, 60)
-    mesh = prepared(vertices, faces).mesh
-    steps = noisy(mesh, "mixed", 0.2, 1) - mesh.vertices
+    mesh = prepare_mesh(vertices, faces).mesh
+    steps = add_plain_noise(mesh, "mixed", 0.2, 1) - mesh.vertices
     assert steps.mean(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=0.02)
     assert steps[:, 0].std() == pytest.approx(steps[:, 1].std(), rel=0.06)
 
 
 def test_an_unknown_kind():
     with pytest.raises(UsageError, match="salt"):
-        noisy(prepared(*grid()).mesh, "salt", 0.1, 0)
+        add_plain_noise(prepare_mesh(*grid()).mesh, "salt", 0.1, 0)
 
 
 def steps_of(mesh, kind, level=0.2, seed=1, **settings):
@@ -103,7 +103,7 @@ def steps_of(mesh, kind, level=0.2, seed=1, **settings):
     ],
 )
 def test_the_first_kinds_keep_their_bytes(kind, digest):
-    made = noisy(prepared(*torus()).mesh, kind, 0.2, 7, 0.3)
+    made = add_plain_noise(prepare_mesh(*torus()).mesh, kind, 0.2, 7, 0.3)
     assert hashlib.sha256(made.tobytes()).hexdigest()[:16] == digest
 
 
@@ -114,19 +114,19 @@ def test_every_kind_names_settings_that_exist():
 
 
 def test_one_average_spreads_a_single_height_evenly_over_its_closed_ring():
-    mesh = prepared(*torus()).mesh
+    mesh = prepare_mesh(*torus()).mesh
     heights = np.zeros(len(mesh.vertices))
     heights[100] = 5.0
     shared = share_over_rings(mesh, heights, 1)
-    links = mesh.links
+    links = mesh.topology
     ring = links.ring[links.ring_start[100] : links.ring_start[101]]
     assert set(np.flatnonzero(shared)) == {100, *ring}
     assert shared[[100, *ring]] == pytest.approx(np.sqrt(len(shared) / 7.0))
 
 
 def pair_correlation(heights, mesh):
-    start = np.repeat(np.arange(len(heights)), np.diff(mesh.links.ring_start))
-    return (heights[start] * heights[mesh.links.ring]).mean() / (heights**2).mean()
+    start = np.repeat(np.arange(len(heights)), np.diff(mesh.topology.ring_start))
+    return (heights[start] * heights[mesh.topology.ring]).mean() / (heights**2).mean()
 
 
 @pytest.mark.parametrize(("rings", "expected"), [(0, 0.0), (1, 4 / 7), (2, 136 / 175)])
@@ -134,7 +134,7 @@ def test_neighbours_share_noise_as_calculated_for_valence_six(rings, expected):
     # Closed one-rings of two neighbours have 4 of 7 vertices in common.  Taken twice, the weights
     # of an average are 7 once, 4 six times, 1 six and 2 six times: 175 is their sum of squares,
     # and 136 that of their products with those of a neighbour.
-    mesh = prepared(*torus(200, 100)).mesh
+    mesh = prepare_mesh(*torus(200, 100)).mesh
     steps = steps_of(mesh, "correlated", rings=rings)
     heights = (steps * mesh.vertex_normals()).sum(axis=1)
     assert pair_correlation(heights, mesh) == pytest.approx(expected, abs=0.015)
@@ -142,7 +142,7 @@ def test_neighbours_share_noise_as_calculated_for_valence_six(rings, expected):
 
 
 def test_correlated_noise_is_shared_over_two_rings_by_default():
-    mesh = prepared(*torus()).mesh
+    mesh = prepare_mesh(*torus()).mesh
     assert np.array_equal(added(mesh, "correlated"), added(mesh, "correlated", rings=2))
     assert np.array_equal(added(mesh, "view"), added(mesh, "view", rings=0))
     assert not np.array_equal(added(mesh, "view"), added(mesh, "view", rings=1))
@@ -151,12 +151,12 @@ def test_correlated_noise_is_shared_over_two_rings_by_default():
 def test_noise_that_all_vertices_share_keeps_its_level():
     tetrahedron = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], dtype=np.int32)
-    mesh = prepared(tetrahedron, faces).mesh
+    mesh = prepare_mesh(tetrahedron, faces).mesh
     assert np.linalg.norm(steps_of(mesh, "correlated"), axis=1) == pytest.approx(0.2)
 
 
 def test_noise_along_the_view_has_that_direction_and_level():
-    mesh = prepared(*torus(80, 40)).mesh
+    mesh = prepare_mesh(*torus(80, 40)).mesh
     steps = steps_of(mesh, "view", direction=(0.0, 3.0, -4.0))
     along = steps @ [0.0, 0.6, -0.8]
     assert along.std() == pytest.approx(0.2, rel=0.04)
@@ -164,7 +164,7 @@ def test_noise_along_the_view_has_that_direction_and_level():
 
 
 def test_quantised_depths_are_multiples_of_the_step():
-    mesh = prepared(*torus()).mesh
+    mesh = prepare_mesh(*torus()).mesh
     axis = np.array([0.6, 0.0, 0.8])
     made = added(mesh, "quantised", direction=tuple(2.0 * axis), step=0.5)
     depths = made @ axis / (0.5 * mesh.mean_edge_length)
@@ -182,7 +182,7 @@ def test_grazing_noise_grows_with_the_angle_of_incidence():
     normals = np.array([[0, 0, 1], [0, 0, -1], [0, 0.8, 0.6], [1, 0, 0], [0, 0, 0]], dtype=float)
     growth = grazing_growth(normals, np.array([0.0, 0.0, 1.0]))
     assert growth == pytest.approx([1.0, 1.0, 1 / 0.6, GRAZING_CAP, GRAZING_CAP])
-    mesh = prepared(*torus(160, 80)).mesh
+    mesh = prepare_mesh(*torus(160, 80)).mesh
     cosines = np.abs(mesh.vertex_normals()[:, 2])
     along = steps_of(mesh, "grazing")[:, 2]
     assert along[cosines > 0.95].std() == pytest.approx(0.2, rel=0.06)
@@ -193,7 +193,7 @@ def test_grazing_noise_grows_with_the_angle_of_incidence():
 
 @pytest.mark.parametrize("border", [0.0, 0.2])
 def test_half_leaves_the_other_half_as_it_is(border):
-    mesh = prepared(*torus(80, 40)).mesh
+    mesh = prepare_mesh(*torus(80, 40)).mesh
     steps = steps_of(mesh, "half", direction=(1.0, 0.0, 0.0), border=border)
     heights = (steps * mesh.vertex_normals()).sum(axis=1)
     shares = (mesh.vertices[:, 0] + 4.0) / 8.0
@@ -205,7 +205,7 @@ def test_half_leaves_the_other_half_as_it_is(border):
 
 
 def test_a_ramp_grows_from_nothing_to_the_level():
-    mesh = prepared(*torus(160, 80)).mesh
+    mesh = prepare_mesh(*torus(160, 80)).mesh
     steps = steps_of(mesh, "ramp", direction=(0.0, -2.0, 0.0))
     heights = (steps * mesh.vertex_normals()).sum(axis=1)
     shares = (4.0 - mesh.vertices[:, 1]) / 8.0
@@ -214,11 +214,11 @@ def test_a_ramp_grows_from_nothing_to_the_level():
 
 
 def test_noise_by_a_property_is_multiplied_with_it():
-    mesh = prepared(*torus()).mesh
+    mesh = prepare_mesh(*torus()).mesh
     weights = np.linspace(-1.0, 2.0, len(mesh.vertices))
     noise = AddedNoise("property", 0.2, 1, property="quality")
     steps = add_noise(mesh, noise, weights) - mesh.vertices
-    plain = noisy(mesh, "gaussian-normal", 0.2, 1) - mesh.vertices
+    plain = add_plain_noise(mesh, "gaussian-normal", 0.2, 1) - mesh.vertices
     assert steps == pytest.approx(weights[:, None] * plain, abs=1e-12)
     with pytest.raises(UsageError, match="every vertex"):
         add_noise(mesh, noise)
@@ -228,7 +228,7 @@ def test_noise_by_a_property_is_multiplied_with_it():
 
 
 def test_outliers_lie_one_to_three_edges_off_in_any_direction():
-    mesh = prepared(*torus(160, 80)).mesh
+    mesh = prepare_mesh(*torus(160, 80)).mesh
     steps = steps_of(mesh, "outliers", 0.0, fraction=0.05)
     lengths = np.linalg.norm(steps, axis=1)
     moved = lengths > 0.0
@@ -242,7 +242,7 @@ def test_outliers_lie_one_to_three_edges_off_in_any_direction():
 
 def test_vertices_without_faces_stay_out_of_the_noise():
     vertices, faces = torus()
-    alone = prepared(np.concatenate([vertices, [[50.0, 0.0, 0.0]]]), faces)
+    alone = prepare_mesh(np.concatenate([vertices, [[50.0, 0.0, 0.0]]]), faces)
     with_stray = added(alone.mesh, "half", direction=(1.0, 0.0, 0.0))
     moved = (with_stray != alone.mesh.vertices).any(axis=1)
     assert 0.4 < moved.mean() < 0.55

@@ -15,13 +15,13 @@ def luminance(table):
 
 
 def test_sequential_gets_darker_at_every_step():
-    steps = np.diff(luminance(colours.table("sequential")))
+    steps = np.diff(luminance(colours.colour_table("sequential")))
     assert (steps < 0.004).all()
-    assert (np.diff(luminance(colours.table("sequential"))[::4]) < 0.0).all()
+    assert (np.diff(luminance(colours.colour_table("sequential"))[::4]) < 0.0).all()
 
 
 def test_diverging_is_palest_and_grey_in_the_middle_and_as_dark_at_both_ends():
-    table = colours.table("diverging")
+    table = colours.colour_table("diverging")
     light = luminance(table)
     middle = colours.SHADES // 2
     assert (np.diff(light[:middle:4]) > 0.0).all()
@@ -32,15 +32,15 @@ def test_diverging_is_palest_and_grey_in_the_middle_and_as_dark_at_both_ends():
 
 @pytest.mark.parametrize("name", colours.map_names())
 def test_neighbouring_colours_are_near_and_no_two_far_ones_are_alike(name):
-    table = colours.table(name).astype(int)
+    table = colours.colour_table(name).astype(int)
     assert np.abs(np.diff(table, axis=0)).max() <= 8
     assert len(np.unique(table[::8], axis=0)) == len(table[::8])
 
 
 @pytest.mark.parametrize("name", colours.map_names())
 def test_ends_beyond_and_not_a_number(name):
-    table = colours.table(name)
-    got = colours.mapped(np.array([-9.0, 1.0, 3.0, np.inf, -np.inf, np.nan]), 1.0, 3.0, name)
+    table = colours.colour_table(name)
+    got = colours.map_colours(np.array([-9.0, 1.0, 3.0, np.inf, -np.inf, np.nan]), 1.0, 3.0, name)
     assert got.dtype == np.uint8
     expected = [table[0], table[0], table[-1], table[-1], table[0], colours.UNKNOWN]
     assert np.array_equal(got, expected)
@@ -48,13 +48,13 @@ def test_ends_beyond_and_not_a_number(name):
 
 def test_a_value_in_the_middle_gets_the_middle():
     assert np.array_equal(
-        colours.mapped(np.array([0.0]), -1.0, 1.0, "diverging")[0],
-        colours.table("diverging")[colours.SHADES // 2],
+        colours.map_colours(np.array([0.0]), -1.0, 1.0, "diverging")[0],
+        colours.colour_table("diverging")[colours.SHADES // 2],
     )
 
 
 @pytest.mark.parametrize(("name", "place"), [("sequential", 0), ("diverging", 128)])
 def test_a_range_of_no_width(name, place):
-    got = colours.mapped(np.array([0.0, 0.0, 1.0]), 0.0, 0.0, name)
-    table = colours.table(name)
+    got = colours.map_colours(np.array([0.0, 0.0, 1.0]), 0.0, 0.0, name)
+    table = colours.colour_table(name)
     assert np.array_equal(got, [table[place], table[place], table[-1]])

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.analysis.enclosure import enclosure
+from msal_cli.analysis.enclosure import measure_enclosure
 from msal_cli.analysis.harm import harmful_change
-from msal_cli.analysis.surface import surface_change
-from msal_cli.analysis.volume import area_and_volume
-from msal_cli.mesh import prepared
+from msal_cli.analysis.measures import area_and_volume, measure_surface_change
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import cube, grid, torus
 
 
@@ -18,7 +17,7 @@ def together(*parts):
     vertices = [np.zeros((1, 3))] + [one for one, _ in parts]
     firsts = np.cumsum([len(one) for one in vertices])
     faces = [own + first for (_, own), first in zip(parts, firsts, strict=False)]
-    ready = prepared(np.concatenate(vertices) + 1e4, np.concatenate(faces))
+    ready = prepare_mesh(np.concatenate(vertices) + 1e4, np.concatenate(faces))
     return ready, [len(own) for _, own in parts]
 
 
@@ -28,7 +27,7 @@ def box(size, at=0.0, turned=False):
 
 
 def enclosed(ready):
-    return enclosure(ready).volume(ready.mesh, area_and_volume(ready.mesh)[1])
+    return measure_enclosure(ready).volume(ready.mesh, area_and_volume(ready.mesh)[1])
 
 
 @pytest.mark.parametrize(
@@ -51,7 +50,7 @@ def enclosed(ready):
 )
 def test_boxes_by_hand(parts, volume, turned):
     ready, counts = together(*parts)
-    found = enclosure(ready)
+    found = measure_enclosure(ready)
     assert enclosed(ready) == pytest.approx(volume)
     assert found.is_inside_out == any(turned)
     inward = np.zeros(sum(counts), bool) if found.inward is None else found.inward
@@ -61,34 +60,34 @@ def test_boxes_by_hand(parts, volume, turned):
     of_vertices = np.repeat(
         [1.0, *(-1.0 if one else 1.0 for one in turned)], [1] + [8] * len(turned)
     )
-    used = ready.mesh.links.has_ring
+    used = ready.mesh.topology.has_ring
     assert (signs[used] == of_vertices[used]).all()
 
 
 def test_words():
-    assert enclosure(together(box(1.0), box(1.0, 5.0))[0]).words == ""
-    assert enclosure(together(box(1.0, turned=True))[0]).words == (
+    assert measure_enclosure(together(box(1.0), box(1.0, 5.0))[0]).words == ""
+    assert measure_enclosure(together(box(1.0, turned=True))[0]).words == (
         "the surface is inside out: its normals point inwards"
     )
     one = together(box(1.0), box(1.0, 5.0, turned=True))[0]
-    assert enclosure(one).words == "1 of 2 parts is inside out: normals point inwards"
+    assert measure_enclosure(one).words == "1 of 2 parts is inside out: normals point inwards"
     some = together(box(1.0), box(1.0, 5.0, turned=True), box(1.0, 9.0, turned=True))[0]
-    assert enclosure(some).words == "2 of 3 parts are inside out: normals point inwards"
+    assert measure_enclosure(some).words == "2 of 3 parts are inside out: normals point inwards"
 
 
 def test_an_open_surface_has_no_inside():
     vertices, faces = grid()
     ready = together(box(1.0, turned=True), (vertices + 9.0, faces))[0]
-    assert not enclosure(ready).is_inside_out
+    assert not measure_enclosure(ready).is_inside_out
 
 
 def test_parts_that_cancel_out_are_not_harmed_by_a_small_change():
     vertices, faces = torus()
     ready = together((vertices, faces), (vertices + 9.0, faces[:, ::-1]))[0]
     mesh = ready.mesh
-    after = mesh.moved(mesh.vertices * [1.0, 1.0, 0.9])
-    raw = surface_change(mesh, after)
-    change = enclosure(ready).change(mesh, after, raw)
+    after = mesh.with_vertices(mesh.vertices * [1.0, 1.0, 0.9])
+    raw = measure_surface_change(mesh, after)
+    change = measure_enclosure(ready).change(mesh, after, raw)
     assert change.volume_after / change.volume_before == pytest.approx(0.9)
     assert harmful_change(mesh, after, change, has_volume=True) is None
     assert change.normals is raw.normals

@@ -7,14 +7,15 @@ import pytest
 
 from msal_cli.analysis import added_noise as noise
 from msal_cli.analysis.harm import FLIPPED, VOLUME, folded_faces, harmful_change
-from msal_cli.analysis.surface import surface_change
-from msal_cli.analysis.volume import is_negative, relative_volume_change
-from msal_cli.mesh import prepared
+from msal_cli.analysis.measures import is_negative, measure_surface_change, relative_volume_change
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import ball, cube, grid, torus
 
 
 def harm_of(before, after, has_volume=True):
-    return harmful_change(before, after, surface_change(before, after), has_volume=has_volume)
+    return harmful_change(
+        before, after, measure_surface_change(before, after), has_volume=has_volume
+    )
 
 
 @pytest.mark.parametrize(
@@ -23,8 +24,8 @@ def harm_of(before, after, has_volume=True):
 @pytest.mark.parametrize("order", [1, -1])
 def test_half_of_the_volume_is_harm_whichever_side_is_out(scale, is_harm, order):
     vertices, faces = torus()
-    mesh = prepared(vertices, faces[:, ::order]).mesh
-    found = harm_of(mesh, mesh.moved(mesh.vertices * scale))
+    mesh = prepare_mesh(vertices, faces[:, ::order]).mesh
+    found = harm_of(mesh, mesh.with_vertices(mesh.vertices * scale))
     assert (found is not None) == is_harm
     assert found is None or found.code == VOLUME
     if scale == 0.79:
@@ -32,18 +33,18 @@ def test_half_of_the_volume_is_harm_whichever_side_is_out(scale, is_harm, order)
 
 
 def test_an_open_mesh_has_no_volume_to_lose():
-    mesh = prepared(*grid()).mesh
-    assert harm_of(mesh, mesh.moved(mesh.vertices * 0.1), has_volume=False) is None
+    mesh = prepare_mesh(*grid()).mesh
+    assert harm_of(mesh, mesh.with_vertices(mesh.vertices * 0.1), has_volume=False) is None
 
 
 def test_flips_on_a_smooth_mesh_are_harm():
-    mesh = prepared(*grid(20, 20)).mesh
+    mesh = prepare_mesh(*grid(20, 20)).mesh
     vertices = mesh.vertices.copy()
-    inner = np.flatnonzero(~mesh.links.boundary)
+    inner = np.flatnonzero(~mesh.topology.boundary)
     for one in inner[::25]:
         vertices[one, :2] += [5.0, 5.0]
-    after = mesh.moved(vertices)
-    n_flipped = surface_change(mesh, after).normals.flipped_faces
+    after = mesh.with_vertices(vertices)
+    n_flipped = measure_surface_change(mesh, after).normals.flipped_faces
     assert n_flipped > 0.02 * len(mesh.faces)
     found = harm_of(mesh, after, has_volume=False)
     assert found is not None
@@ -53,22 +54,22 @@ def test_flips_on_a_smooth_mesh_are_harm():
 
 @pytest.mark.parametrize("level", [0.2, 0.4, 0.6])
 def test_unfolding_what_noise_folded_is_no_harm(level):
-    clean = prepared(*ball()).mesh
-    noisy = clean.moved(noise.noisy(clean, "gaussian", level, seed=3))
-    assert surface_change(noisy, clean).normals.flipped_faces > 0.02 * len(clean.faces)
+    clean = prepare_mesh(*ball()).mesh
+    noisy = clean.with_vertices(noise.add_plain_noise(clean, "gaussian", level, seed=3))
+    assert measure_surface_change(noisy, clean).normals.flipped_faces > 0.02 * len(clean.faces)
     assert folded_faces(noisy) > 0
     assert harm_of(noisy, clean) is None
 
 
 @pytest.mark.parametrize("shape", [cube, ball, torus, grid])
 def test_clean_shapes_have_no_folds(shape):
-    assert folded_faces(prepared(*shape()).mesh) == 0
+    assert folded_faces(prepare_mesh(*shape()).mesh) == 0
 
 
 def test_a_sheet_with_two_sides_encloses_nothing():
     vertices, faces = cube()
-    flat = prepared(vertices * [1.0, 1.0, 1e-13], faces).mesh
-    change = surface_change(flat, flat.moved(flat.vertices * [1.0, 1.0, -5.0]))
+    flat = prepare_mesh(vertices * [1.0, 1.0, 1e-13], faces).mesh
+    change = measure_surface_change(flat, flat.with_vertices(flat.vertices * [1.0, 1.0, -5.0]))
     assert (
         relative_volume_change(change.volume_before, change.volume_after, change.area_before)
         is None

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.analysis.displacement import displacement_statistics
-from msal_cli.analysis.surface import normal_statistics
-from msal_cli.analysis.volume import area_and_volume
-from msal_cli.mesh import prepared
+from msal_cli.analysis.measures import area_and_volume, displacement_statistics, normal_statistics
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import cube, fan, torus
 
 
@@ -35,7 +33,7 @@ def test_normals_by_hand():
     # Flatten a pyramid: every face turns by the same angle.
     vertices, faces = fan([0.0] * 4)
     vertices[0, 2] = 1.0
-    tip, flat = prepared(vertices, faces).mesh, prepared(vertices * [1, 1, 0], faces).mesh
+    tip, flat = prepare_mesh(vertices, faces).mesh, prepare_mesh(vertices * [1, 1, 0], faces).mesh
     turned = normal_statistics(tip, flat)
     angle = np.degrees(np.arccos(1 / np.sqrt(3)))
     assert turned.mean_angular_error_deg == pytest.approx(angle)
@@ -45,17 +43,17 @@ def test_normals_by_hand():
 
 def test_flips_are_counted():
     vertices, faces = torus()
-    mesh = prepared(vertices, faces).mesh
-    mirrored = mesh.moved(mesh.vertices * [-1.0, 1.0, 1.0] * [-1.0, 1.0, 1.0])
+    mesh = prepare_mesh(vertices, faces).mesh
+    mirrored = mesh.with_vertices(mesh.vertices * [-1.0, 1.0, 1.0] * [-1.0, 1.0, 1.0])
     assert normal_statistics(mesh, mirrored).flipped_faces == 0
     folded = mesh.vertices.copy()
-    ring = mesh.links.ring[: mesh.links.ring_start[1]]
+    ring = mesh.topology.ring[: mesh.topology.ring_start[1]]
     folded[0] = 3 * folded[ring[0]] - 2 * folded[0]
-    assert normal_statistics(mesh, mesh.moved(folded)).flipped_faces > 0
+    assert normal_statistics(mesh, mesh.with_vertices(folded)).flipped_faces > 0
 
 
 def test_volume_of_a_cube_anywhere():
     vertices, faces = cube()
-    area, volume = area_and_volume(prepared(vertices + 1e6, faces).mesh)
+    area, volume = area_and_volume(prepare_mesh(vertices + 1e6, faces).mesh)
     assert area == pytest.approx(6.0)
     assert volume == pytest.approx(1.0)

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.analysis.added_noise import noisy
-from msal_cli.analysis.noise_estimate import estimated, regional
-from msal_cli.mesh import prepared
+from msal_cli.analysis.added_noise import add_plain_noise
+from msal_cli.analysis.noise_estimate import estimate_noise, estimate_regions
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import ball, cube, grid, torus
 
 
 def with_noise(shape, level, kind="gaussian-normal", seed=0, fraction=0.1):
     """A mesh with noise of ``level`` mean edge lengths, and its amount in file units."""
-    mesh = prepared(*shape).mesh
-    moved = mesh.moved(noisy(mesh, kind, level, seed, fraction=fraction))
+    mesh = prepare_mesh(*shape).mesh
+    moved = mesh.with_vertices(add_plain_noise(mesh, kind, level, seed, fraction=fraction))
     return moved, level * mesh.mean_edge_length
 
 
@@ -42,7 +42,7 @@ SHAPES = {"torus": torus(160, 80), "open plane": grid(90, 80), "uneven": uneven_
 @pytest.mark.parametrize("shape", SHAPES)
 def test_gaussian_noise_is_told(shape, level):
     mesh, amount = with_noise(SHAPES[shape], level)
-    noise = estimated(mesh)
+    noise = estimate_noise(mesh)
     assert noise.file_units == pytest.approx(amount, rel=0.06)
     assert noise.file_units == pytest.approx(noise.mean_edges * mesh.mean_edge_length)
     assert noise.low * mesh.mean_edge_length < amount < noise.high * mesh.mean_edge_length
@@ -55,25 +55,26 @@ def test_gaussian_noise_is_told(shape, level):
 
 def test_noise_in_all_directions_is_told_by_its_part_along_the_normals():
     mesh, amount = with_noise(torus(160, 80), 0.2, "gaussian")
-    assert estimated(mesh).file_units == pytest.approx(amount, rel=0.1)
+    assert estimate_noise(mesh).file_units == pytest.approx(amount, rel=0.1)
 
 
 @pytest.mark.parametrize("kind", ["uniform", "laplace"])
 def test_the_distribution_hardly_matters(kind):
-    mesh = prepared(*torus(160, 80)).mesh
+    mesh = prepare_mesh(*torus(160, 80)).mesh
     draw = np.random.default_rng(4)
     amount = 0.1 * mesh.mean_edge_length
     heights = {
         "uniform": draw.uniform(-(3**0.5), 3**0.5, len(mesh.vertices)),
         "laplace": draw.laplace(0.0, 0.5**0.5, len(mesh.vertices)),
     }[kind]
-    moved = mesh.moved(mesh.vertices + amount * heights[:, None] * mesh.vertex_normals())
-    assert estimated(moved).file_units == pytest.approx(amount, rel=0.13)
+    moved = mesh.with_vertices(mesh.vertices + amount * heights[:, None] * mesh.vertex_normals())
+    assert estimate_noise(moved).file_units == pytest.approx(amount, rel=0.13)
 
 
 def test_draws_of_one_noise_read_alike():
     levels = [
-        estimated(with_noise(torus(100, 50), 0.1, seed=seed)[0]).mean_edges for seed in range(8)
+        estimate_noise(with_noise(torus(100, 50), 0.1, seed=seed)[0]).mean_edges
+        for seed in range(8)
     ]
     assert np.std(levels) < 0.04 * np.mean(levels)
     assert np.mean(levels) == pytest.approx(0.1, rel=0.04)
@@ -81,7 +82,7 @@ def test_draws_of_one_noise_read_alike():
 
 def test_the_level_in_clean_edges():
     mesh, _ = with_noise(grid(120, 100), 0.5)
-    noise = estimated(mesh)
+    noise = estimate_noise(mesh)
     # Noise has made the edges longer.
     assert noise.mean_edges < 0.45
     assert noise.clean_edges == pytest.approx(0.5, rel=0.08)
@@ -89,7 +90,7 @@ def test_the_level_in_clean_edges():
 
 @pytest.mark.parametrize("shape", [torus(160, 80), grid(40, 40), ball(), cube(), grid(3, 3)])
 def test_a_smooth_or_flat_mesh_has_none(shape):
-    noise = estimated(prepared(*shape).mesh)
+    noise = estimate_noise(prepare_mesh(*shape).mesh)
     assert noise.mean_edges < 0.002
     assert noise.low == 0.0 or noise.low < 0.002
     assert noise.is_negligible
@@ -103,19 +104,19 @@ def folded():
 
 
 def test_creases_do_not_pass_for_noise():
-    assert estimated(prepared(*folded()).mesh).is_negligible
+    assert estimate_noise(prepare_mesh(*folded()).mesh).is_negligible
     mesh, amount = with_noise(folded(), 0.1)
-    assert estimated(mesh).file_units == pytest.approx(amount, rel=0.08)
+    assert estimate_noise(mesh).file_units == pytest.approx(amount, rel=0.08)
 
 
 def test_texture_on_a_part_does_not_pass_for_noise():
     vertices, faces = grid(100, 90)
     bumps = 0.15 * np.sin(2.1 * vertices[:, 0]) * np.sin(1.7 * vertices[:, 1])
     vertices[:, 2] = np.where(vertices[:, 1] > 40, bumps, 0.0)
-    assert estimated(prepared(vertices, faces).mesh).low == 0.0
+    assert estimate_noise(prepare_mesh(vertices, faces).mesh).low == 0.0
     draw = np.random.default_rng(1)
     vertices[:, 2] += 0.05 * draw.standard_normal(len(vertices))
-    noise = estimated(prepared(vertices, faces).mesh)
+    noise = estimate_noise(prepare_mesh(vertices, faces).mesh)
     assert noise.low < 0.05 < noise.high * 1.05
     assert noise.file_units < 0.09
 
@@ -123,15 +124,18 @@ def test_texture_on_a_part_does_not_pass_for_noise():
 def test_texture_everywhere_widens_the_interval_to_nothing():
     vertices, faces = grid(100, 90)
     vertices[:, 2] = 0.1 * np.sin(1.1 * vertices[:, 0]) * np.sin(1.0 * vertices[:, 1])
-    assert estimated(prepared(vertices, faces).mesh).low == 0.0
+    assert estimate_noise(prepare_mesh(vertices, faces).mesh).low == 0.0
 
 
 @pytest.mark.parametrize("split", ["by place", "by a slanted plane"])
 def test_two_halves_with_noise_of_their_own(split):
-    mesh = prepared(*torus(160, 80)).mesh
+    mesh = prepare_mesh(*torus(160, 80)).mesh
     side = mesh.vertices @ ([1.0, 0.0, 0.0] if split == "by place" else [0.5, 0.7, -0.3])
-    quiet, loud = noisy(mesh, "gaussian-normal", 0.05, 1), noisy(mesh, "gaussian-normal", 0.2, 2)
-    noise = estimated(mesh.moved(np.where((side < 0.0)[:, None], quiet, loud)))
+    quiet, loud = (
+        add_plain_noise(mesh, "gaussian-normal", 0.05, 1),
+        add_plain_noise(mesh, "gaussian-normal", 0.2, 2),
+    )
+    noise = estimate_noise(mesh.with_vertices(np.where((side < 0.0)[:, None], quiet, loud)))
     assert noise.is_uneven
     assert noise.lowest == pytest.approx(0.05, rel=0.25)
     assert noise.highest == pytest.approx(0.2, rel=0.25)
@@ -141,11 +145,14 @@ def test_two_halves_with_noise_of_their_own(split):
 
 
 def test_the_field_of_two_halves():
-    mesh = prepared(*torus(160, 80)).mesh
+    mesh = prepare_mesh(*torus(160, 80)).mesh
     side = mesh.vertices[:, 0] < 0.0
-    quiet, loud = noisy(mesh, "gaussian-normal", 0.05, 1), noisy(mesh, "gaussian-normal", 0.2, 2)
+    quiet, loud = (
+        add_plain_noise(mesh, "gaussian-normal", 0.05, 1),
+        add_plain_noise(mesh, "gaussian-normal", 0.2, 2),
+    )
     edge = mesh.mean_edge_length
-    field = regional(mesh.moved(np.where(side[:, None], quiet, loud))) / edge
+    field = estimate_regions(mesh.with_vertices(np.where(side[:, None], quiet, loud))) / edge
     assert np.median(field[side]) == pytest.approx(0.05, rel=0.2)
     assert np.median(field[~side]) == pytest.approx(0.2, rel=0.2)
 
@@ -153,7 +160,7 @@ def test_the_field_of_two_halves():
 def test_a_vertex_without_faces_has_no_noise_in_the_field():
     vertices, faces = grid(20, 20)
     vertices[:, 2] = 0.1 * np.random.default_rng(0).standard_normal(len(vertices))
-    field = regional(prepared(np.vstack([vertices, [[9, 9, 9.0]]]), faces).mesh)
+    field = estimate_regions(prepare_mesh(np.vstack([vertices, [[9, 9, 9.0]]]), faces).mesh)
     assert field[-1] == 0.0
     assert (field[:-1] > 0.0).all()
 
@@ -161,7 +168,7 @@ def test_a_vertex_without_faces_has_no_noise_in_the_field():
 @pytest.mark.parametrize(("level", "fraction"), [(0.5, 0.5), (0.4, 0.1)])
 def test_impulses_are_told_by_their_tail(level, fraction):
     mesh, amount = with_noise(torus(160, 80), level, "impulsive", fraction=fraction)
-    noise = estimated(mesh)
+    noise = estimate_noise(mesh)
     assert noise.tail > 0.02
     rms = amount * np.sqrt(fraction) / mesh.mean_edge_length
     assert noise.rms_edges == pytest.approx(rms, rel=0.2)
@@ -171,10 +178,10 @@ def test_impulses_are_told_by_their_tail(level, fraction):
 
 
 def test_single_spikes_are_no_level_but_are_something_to_speak_of():
-    mesh = prepared(*torus(160, 80)).mesh
+    mesh = prepare_mesh(*torus(160, 80)).mesh
     spikes = np.zeros((len(mesh.vertices), 1))
     spikes[::97] = 1.5 * mesh.mean_edge_length
-    noise = estimated(mesh.moved(mesh.vertices + spikes * mesh.vertex_normals()))
+    noise = estimate_noise(mesh.with_vertices(mesh.vertices + spikes * mesh.vertex_normals()))
     assert noise.mean_edges < 0.01
     assert noise.rms_edges == pytest.approx(1.5 / 97**0.5, rel=0.3)
     assert not noise.is_negligible
@@ -183,13 +190,13 @@ def test_single_spikes_are_no_level_but_are_something_to_speak_of():
 def test_outliers_far_away_do_not_pass_for_noise():
     vertices, faces = torus(160, 80)
     vertices[::97] *= 1.2
-    assert estimated(prepared(vertices, faces).mesh).mean_edges < 0.01
+    assert estimate_noise(prepare_mesh(vertices, faces).mesh).mean_edges < 0.01
 
 
 def test_the_tip_of_a_cone_is_no_spike():
     vertices, faces = grid(41, 41)
     vertices[:, 2] = -1.5 * np.hypot(vertices[:, 0] - 20.0, vertices[:, 1] - 20.0)
-    assert estimated(prepared(vertices, faces).mesh).is_negligible
+    assert estimate_noise(prepare_mesh(vertices, faces).mesh).is_negligible
 
 
 @settings(max_examples=12, deadline=None)
@@ -197,11 +204,11 @@ def test_the_tip_of_a_cone_is_no_spike():
 def test_size_and_place_do_not_matter(power, shift, level):
     vertices = with_noise(torus(30, 16), level)[0].vertices
     faces = torus(30, 16)[1]
-    here = estimated(prepared(vertices, faces).mesh)
-    there = estimated(prepared((vertices + shift) * 2.0**power, faces).mesh)
+    here = estimate_noise(prepare_mesh(vertices, faces).mesh)
+    there = estimate_noise(prepare_mesh((vertices + shift) * 2.0**power, faces).mesh)
     assert there.mean_edges == pytest.approx(here.mean_edges, rel=1e-6, abs=1e-9)
     assert there.tail == here.tail
-    doubled = estimated(prepared(vertices * 2.0**power, faces).mesh)
+    doubled = estimate_noise(prepare_mesh(vertices * 2.0**power, faces).mesh)
     assert doubled.mean_edges == here.mean_edges
     assert doubled.file_units == here.file_units * 2.0**power
 
@@ -209,8 +216,8 @@ def test_size_and_place_do_not_matter(power, shift, level):
 @pytest.mark.parametrize("level", [0.05, 0.3])
 def test_turning_does_not_matter(level):
     mesh, _ = with_noise(torus(100, 60), level)
-    first = estimated(mesh)
-    second = estimated(prepared(turned(mesh.vertices), mesh.faces).mesh)
+    first = estimate_noise(mesh)
+    second = estimate_noise(prepare_mesh(turned(mesh.vertices), mesh.faces).mesh)
     for name in ("mean_edges", "low", "high", "clean_edges", "rms_edges", "tail", "lowest"):
         assert getattr(second, name) == pytest.approx(getattr(first, name), rel=1e-9)
 
@@ -219,8 +226,10 @@ def test_the_order_of_the_vertices_hardly_matters():
     mesh, _ = with_noise(torus(160, 80), 0.1)
     order = np.random.default_rng(2).permutation(len(mesh.vertices))
     number = np.argsort(order)
-    other = prepared(mesh.vertices[order], number[mesh.faces].astype(np.int32)).mesh
-    assert estimated(other).mean_edges == pytest.approx(estimated(mesh).mean_edges, rel=0.03)
+    other = prepare_mesh(mesh.vertices[order], number[mesh.faces].astype(np.int32)).mesh
+    assert estimate_noise(other).mean_edges == pytest.approx(
+        estimate_noise(mesh).mean_edges, rel=0.03
+    )
 
 
 def test_threads_do_not_matter(monkeypatch):
@@ -228,7 +237,7 @@ def test_threads_do_not_matter(monkeypatch):
     results = []
     for threads in ("1", "2", "5"):
         monkeypatch.setenv("MSAL_THREADS", threads)
-        results.append(estimated(mesh))
+        results.append(estimate_noise(mesh))
     assert results[0] == results[1] == results[2]
 
 
@@ -238,7 +247,7 @@ def test_any_small_mesh_has_an_estimate(seed, rows, columns, level):
     vertices, faces = grid(rows, columns)
     draw = np.random.default_rng(seed)
     vertices = vertices + level * draw.standard_normal(vertices.shape)
-    noise = estimated(prepared(vertices, faces[draw.random(len(faces)) < 0.9]).mesh)
+    noise = estimate_noise(prepare_mesh(vertices, faces[draw.random(len(faces)) < 0.9]).mesh)
     assert 0.0 <= noise.low <= noise.mean_edges <= noise.high < np.inf
     assert 0.0 <= noise.lowest <= noise.highest < np.inf
     assert 0.0 <= noise.tail <= 1.0

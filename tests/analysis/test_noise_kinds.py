@@ -9,11 +9,11 @@ import pytest
 
 from benchmarks.noise_kinds import KINDS, SHAPES, corrupt, outcomes, write_tables
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.noise_estimate import estimated, regional
+from msal_cli.analysis.noise_estimate import estimate_noise, estimate_regions
 from msal_cli.analysis.noise_estimate.level import DIRECTIONS
 from msal_cli.analysis.noise_estimate.level import KINDS as CHARACTERS
 from msal_cli.analysis.simulation import ScannerSettings, simulate_scan
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.analysis.test_outliers import box
 from tests.shapes import ball, cube, grid, torus
 
@@ -23,13 +23,13 @@ SLANTED = (1.0, 2.0, -3.0)
 @pytest.fixture(scope="module")
 def smooth():
     """A closed surface whose normals look everywhere."""
-    return prepared(*torus(180, 90)).mesh
+    return prepare_mesh(*torus(180, 90)).mesh
 
 
 def with_noise(mesh, kind, level=0.2, **settings):
     """A mesh with noise, and its estimate."""
-    moved = mesh.moved(add_noise(mesh, AddedNoise(kind, level, 4, **settings)))
-    return moved, estimated(moved)
+    moved = mesh.with_vertices(add_noise(mesh, AddedNoise(kind, level, 4, **settings)))
+    return moved, estimate_noise(moved)
 
 
 def summarize(noise):
@@ -94,7 +94,7 @@ def test_noise_on_a_half(smooth):
     assert noise.highest * mesh.mean_edge_length == pytest.approx(
         0.2 * smooth.mean_edge_length, rel=0.15
     )
-    field = regional(mesh) / smooth.mean_edge_length
+    field = estimate_regions(mesh) / smooth.mean_edge_length
     loud = smooth.vertices[:, 0] > 0.0
     assert np.median(field[loud]) == pytest.approx(0.2, rel=0.15)
     assert np.median(field[~loud]) < 0.02
@@ -129,8 +129,8 @@ def test_terraces_of_voxels(smooth, scanner):
     pytest.importorskip("skimage")
     pytest.importorskip("scipy")
     scan = simulate_scan(smooth, ScannerSettings(scanner, cells=48))
-    mesh = prepared(scan.vertices, scan.faces).mesh
-    noise = estimated(mesh)
+    mesh = prepare_mesh(scan.vertices, scan.faces).mesh
+    noise = estimate_noise(mesh)
     assert summarize(noise)[0] == "staircase"
     height = scan.cell * (3 if scanner == "slices" else 1)
     assert noise.character.step * mesh.mean_edge_length == pytest.approx(height, rel=1e-6)
@@ -143,11 +143,11 @@ def test_terraces_that_are_turned(smooth, shape, scanner):
     """Voxels seldom lie along the axes of the file."""
     pytest.importorskip("skimage")
     pytest.importorskip("scipy")
-    true = smooth if shape == "smooth" else prepared(*box(40, 30, 20)).mesh
+    true = smooth if shape == "smooth" else prepare_mesh(*box(40, 30, 20)).mesh
     scan = simulate_scan(true, ScannerSettings(scanner, cells=48, direction=SLANTED))
     turn, _ = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))
-    mesh = prepared(scan.vertices @ turn.T, scan.faces).mesh
-    noise = estimated(mesh)
+    mesh = prepare_mesh(scan.vertices @ turn.T, scan.faces).mesh
+    noise = estimate_noise(mesh)
     assert summarize(noise)[0] == "staircase"
     height = scan.cell * (3 if scanner == "slices" else 1)
     assert noise.character.step * mesh.mean_edge_length == pytest.approx(height, rel=1e-3)
@@ -158,7 +158,7 @@ def test_terraces_of_a_part_on_a_grid_are_doubtful():
     """A part may have such steps by design."""
     rows, columns = np.mgrid[:60, :60].astype(float)
     heights = np.round(4 * np.sin(columns / 9) + 3 * np.cos(rows / 7))
-    noise = estimated(prepared(*graph(columns, rows, heights)).mesh)
+    noise = estimate_noise(prepare_mesh(*graph(columns, rows, heights)).mesh)
     assert summarize(noise)[0] == "staircase"
     assert noise.character.confidence <= 0.6
 
@@ -169,7 +169,7 @@ def test_a_block_that_is_meshed_on_a_grid_is_clean(sizes):
     vertices, faces = box(*sizes)
     turn, _ = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))
     for positions in (vertices, vertices @ turn.T):
-        noise = estimated(prepared(positions, faces).mesh)
+        noise = estimate_noise(prepare_mesh(positions, faces).mesh)
         assert (summarize(noise)[0], noise.is_negligible) == ("none", True)
 
 
@@ -201,7 +201,7 @@ CLEAN = dict(clean_shapes())
 
 @pytest.mark.parametrize("name", CLEAN)
 def test_clean_shapes_of_any_triangulation_have_none(name):
-    noise = estimated(prepared(*CLEAN[name]).mesh)
+    noise = estimate_noise(prepare_mesh(*CLEAN[name]).mesh)
     assert noise.is_negligible
     assert noise.character.kind == "none"
     assert noise.character.words == ""
@@ -212,7 +212,7 @@ def test_a_smooth_field_on_a_voxel_grid_has_none():
     x, y, z = np.mgrid[-1:1:40j, -1:1:40j, -1:1:40j]
     field = x * x + 0.8 * y * y + 1.2 * z * z + 0.2 * np.sin(4 * x)
     vertices, faces, _, _ = measure.marching_cubes(field, 0.5)
-    noise = estimated(prepared(vertices.astype(float), faces).mesh)
+    noise = estimate_noise(prepare_mesh(vertices.astype(float), faces).mesh)
     assert noise.is_negligible
     assert noise.character.kind == "none"
 
@@ -225,7 +225,7 @@ def bumpy(smooth):
     bumps = np.sin(16 * np.arctan2(y, x)) * np.sin(7 * np.arctan2(z, ring - ring.mean()))
     normals = smooth.vertex_normals("uniform", 1)
     heights = 1.6 * smooth.mean_edge_length * bumps
-    return smooth.moved(smooth.vertices + heights[:, None] * normals)
+    return smooth.with_vertices(smooth.vertices + heights[:, None] * normals)
 
 
 def test_smooth_relief_is_not_taken_for_shared_noise(bumpy):
@@ -239,7 +239,7 @@ def test_smooth_relief_is_not_taken_for_shared_noise(bumpy):
         _, quiet = with_noise(bumpy, "gaussian-normal", level)
         assert summarize(quiet)[0] != "correlated"
         assert quiet.mean_edges < 1.2 * level
-    assert estimated(bumpy).is_negligible
+    assert estimate_noise(bumpy).is_negligible
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), SLANTED])
@@ -258,7 +258,7 @@ def test_vertices_that_slide_alone_show_no_axis(smooth):
     axis = np.array(SLANTED) / np.linalg.norm(SLANTED)
     within = axis - (normals @ axis)[:, None] * normals
     ways = np.random.default_rng(3).normal(0.0, 0.2 * smooth.mean_edge_length, len(within))
-    uneven = smooth.moved(smooth.vertices + ways[:, None] * within)
+    uneven = smooth.with_vertices(smooth.vertices + ways[:, None] * within)
     _, noise = with_noise(uneven, "gaussian-normal", 0.2)
     assert noise.character.axis is None
 
@@ -268,14 +268,14 @@ def test_texture_that_differs_from_place_to_place_is_not_called_noise():
     x, y = vertices[:, 0], vertices[:, 1]
     strength = 0.3 * np.exp(-(((x - 40) / 25) ** 2) - ((y - 60) / 25) ** 2)
     vertices[:, 2] = strength * np.sin(1.3 * x) * np.sin(1.1 * y)
-    noise = estimated(prepared(vertices, faces).mesh)
+    noise = estimate_noise(prepare_mesh(vertices, faces).mesh)
     assert noise.character.kind in ("none", "unknown")
 
 
 @pytest.mark.parametrize("kind", ["correlated", "view", "half", "outliers"])
 def test_place_and_size_do_not_matter(smooth, kind):
     mesh, here = with_noise(smooth, kind)
-    there = estimated(prepared(8.0 * (mesh.vertices + [3.0, -2.0, 1.0]), mesh.faces).mesh)
+    there = estimate_noise(prepare_mesh(8.0 * (mesh.vertices + [3.0, -2.0, 1.0]), mesh.faces).mesh)
     assert summarize(there) == summarize(here)
     assert there.mean_edges == pytest.approx(here.mean_edges, rel=1e-6)
 
@@ -284,7 +284,7 @@ def test_place_and_size_do_not_matter(smooth, kind):
 def test_turning_does_not_matter(smooth, kind):
     mesh, here = with_noise(smooth, kind)
     turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
-    there = estimated(prepared(mesh.vertices @ turn.T, mesh.faces).mesh)
+    there = estimate_noise(prepare_mesh(mesh.vertices @ turn.T, mesh.faces).mesh)
     assert summarize(there) == summarize(here)
     assert there.mean_edges == pytest.approx(here.mean_edges, rel=0.02)
     if here.character.axis is not None:
@@ -297,7 +297,7 @@ def test_threads_do_not_matter(smooth, monkeypatch):
     results = []
     for threads in ("1", "2", "5"):
         monkeypatch.setenv("MSAL_THREADS", threads)
-        results.append(estimated(mesh))
+        results.append(estimate_noise(mesh))
     assert results[0] == results[1] == results[2]
 
 
@@ -337,7 +337,7 @@ def test_the_benchmark_counts(monkeypatch):
 
 
 def test_the_benchmark_knows_the_level():
-    mesh = prepared(*torus(40, 20)).mesh
+    mesh = prepare_mesh(*torus(40, 20)).mesh
     for name, true in (("view", 0.2), ("isotropic 0.2", 0.2), ("shared, 2 rings", 0.2)):
         moved, level = corrupt(mesh, KINDS[name].noise)
         edges = level * moved.mean_edge_length / mesh.mean_edge_length

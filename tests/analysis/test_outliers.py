@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from benchmarks import ground_truth, machined_shapes
-from msal_cli.analysis.added_noise import AddedNoise, add_noise, noisy
+from msal_cli.analysis.added_noise import AddedNoise, add_noise, add_plain_noise
 from msal_cli.analysis.outliers import MOST, find_outliers
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import ball, cube, grid, torus
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
 
 
 def torus_mesh():
-    return prepared(*torus(96, 48)).mesh
+    return prepare_mesh(*torus(96, 48)).mesh
 
 
 def box(*sizes):
@@ -58,7 +58,7 @@ def with_outliers(mesh, level, share, seed=1):
     kind = AddedNoise("outliers", level=level, seed=seed, fraction=share)
     vertices = add_noise(mesh, kind)
     ways = np.linalg.norm(vertices - mesh.vertices, axis=1)
-    return mesh.moved(vertices), ways > 0.99 * mesh.mean_edge_length
+    return mesh.with_vertices(vertices), ways > 0.99 * mesh.mean_edge_length
 
 
 CLEAN = {
@@ -79,7 +79,7 @@ CLEAN = {
 
 @pytest.mark.parametrize("name", CLEAN)
 def test_clean_shapes_have_no_outliers(name):
-    mesh = prepared(*CLEAN[name]()).mesh
+    mesh = prepare_mesh(*CLEAN[name]()).mesh
     found = find_outliers(mesh)
     assert found.count == 0
     assert not found.are_clear
@@ -102,7 +102,7 @@ def test_clean_published_models_have_no_outliers(real_data, name):
 
 @pytest.mark.parametrize("share", [0.005, 0.05, 0.1])
 @pytest.mark.parametrize("level", [0.0, 0.1, 0.2])
-@pytest.mark.parametrize("shape", [torus_mesh, lambda: prepared(*box(20, 20, 20)).mesh])
+@pytest.mark.parametrize("shape", [torus_mesh, lambda: prepare_mesh(*box(20, 20, 20)).mesh])
 def test_outliers_are_found_and_brought_back(shape, level, share):
     true = shape()
     mesh, planted = with_outliers(true, level, share)
@@ -120,22 +120,24 @@ def test_outliers_are_found_and_brought_back(shape, level, share):
 @pytest.mark.parametrize("level", [0.1, 0.3])
 def test_noise_alone_has_hardly_any(kind, level):
     mesh = torus_mesh()
-    found = find_outliers(mesh.moved(noisy(mesh, kind, level, 3)))
+    found = find_outliers(mesh.with_vertices(add_plain_noise(mesh, kind, level, 3)))
     assert found.count <= 0.002 * len(mesh.vertices)
     assert not found.are_clear
 
 
 def test_noise_on_one_half_has_hardly_any():
     mesh = torus_mesh()
-    rough = noisy(mesh, "gaussian-normal", 0.3, 3)
+    rough = add_plain_noise(mesh, "gaussian-normal", 0.3, 3)
     half = np.where(mesh.vertices[:, :1] > 0.0, rough, mesh.vertices)
-    assert find_outliers(mesh.moved(half)).count <= 0.002 * len(mesh.vertices)
+    assert find_outliers(mesh.with_vertices(half)).count <= 0.002 * len(mesh.vertices)
 
 
 @pytest.mark.parametrize("level", [0.5, 1.0])
 def test_impulses_on_half_of_the_vertices_are_noise(level):
     mesh = torus_mesh()
-    assert not find_outliers(mesh.moved(noisy(mesh, "impulsive", level, 3, 0.5))).are_clear
+    assert not find_outliers(
+        mesh.with_vertices(add_plain_noise(mesh, "impulsive", level, 3, 0.5))
+    ).are_clear
 
 
 def test_too_many_are_noise():
@@ -157,13 +159,13 @@ def test_neighbours_that_are_outliers_together_are_found(size):
         together = [start]
         while len(together) < size:
             near = together[draw.integers(len(together))]
-            row = slice(true.links.ring_start[near], true.links.ring_start[near + 1])
-            together = sorted({*together, int(draw.choice(true.links.ring[row]))})
+            row = slice(true.topology.ring_start[near], true.topology.ring_start[near + 1])
+            together = sorted({*together, int(draw.choice(true.topology.ring[row]))})
         ways = draw.standard_normal((size, 3))
         ways /= np.linalg.norm(ways, axis=1)[:, None]
         vertices[together] += ways * draw.uniform(1, 3, (size, 1)) * true.mean_edge_length
         planted[together] = True
-    found = find_outliers(true.moved(vertices))
+    found = find_outliers(true.with_vertices(vertices))
     assert (found.flags & planted).sum() >= 0.9 * planted.sum()
     assert not (found.flags & ~planted).any()
 
@@ -172,7 +174,7 @@ def test_held_vertices_are_no_outliers():
     mesh, planted = with_outliers(torus_mesh(), 0.0, 0.02)
     held = np.zeros(len(planted), dtype=bool)
     held[np.flatnonzero(planted)[::2]] = True
-    found = find_outliers(mesh.constrained(held, None))
+    found = find_outliers(mesh.with_constraints(held, None))
     assert not (found.flags & held).any()
     assert (found.vertices[held] == mesh.vertices[held]).all()
     assert (found.flags & planted).sum() >= 0.95 * (planted & ~held).sum()
@@ -182,12 +184,12 @@ def test_place_size_and_direction_make_no_difference():
     mesh, _ = with_outliers(torus_mesh(), 0.1, 0.03)
     turn, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))
     turn *= np.sign(np.linalg.det(turn))
-    other = prepared(1000.0 * mesh.vertices @ turn.T + 5.0, mesh.faces).mesh
+    other = prepare_mesh(1000.0 * mesh.vertices @ turn.T + 5.0, mesh.faces).mesh
     assert (find_outliers(other).flags == find_outliers(mesh).flags).all()
 
 
 def test_threads_make_no_difference(monkeypatch):
-    mesh, _ = with_outliers(prepared(*torus(400, 200)).mesh, 0.1, 0.01)
+    mesh, _ = with_outliers(prepare_mesh(*torus(400, 200)).mesh, 0.1, 0.01)
     results = []
     for threads in ("1", "2"):
         monkeypatch.setenv("MSAL_THREADS", threads)
@@ -196,5 +198,5 @@ def test_threads_make_no_difference(monkeypatch):
 
 
 def test_meshes_far_too_small_to_judge():
-    mesh = prepared(*grid(2, 2)).mesh
+    mesh = prepare_mesh(*grid(2, 2)).mesh
     assert find_outliers(mesh).count == 0

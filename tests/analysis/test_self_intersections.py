@@ -3,7 +3,7 @@
 import numpy as np
 
 from msal_cli.analysis.self_intersections import count_self_intersections, self_intersection_change
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import torus
 
 
@@ -17,13 +17,15 @@ def pushed(vertices, number):
 def test_what_is_created_is_neither_the_difference_nor_all():
     vertices, faces = torus(10, 6)
     before, after = pushed(vertices, 0), pushed(vertices, 30)
-    ready = prepared(before, faces)
-    moved = ready.mesh.moved(after - ready.origin)
+    ready = prepare_mesh(before, faces)
+    moved = ready.mesh.with_vertices(after - ready.origin)
     change = self_intersection_change(ready.mesh, moved)
     assert change.before == count_self_intersections(ready.mesh) > 0
     assert change.after == count_self_intersections(moved) > 0
     assert change.after - change.before < change.created <= change.after
-    still = self_intersection_change(ready.mesh, ready.mesh.moved(ready.mesh.vertices.copy()))
+    still = self_intersection_change(
+        ready.mesh, ready.mesh.with_vertices(ready.mesh.vertices.copy())
+    )
     assert (still.before, still.after, still.created) == (change.before, change.before, 0)
 
 
@@ -31,7 +33,7 @@ def test_faces_without_area_are_left_out():
     # The third face closes a gap that has no width, and touches the first all along an edge.
     vertices = np.array([(0, 0, 0), (2, 0, 0), (1, 2, 0), (1, 0, 0), (1, -2, 0)], dtype=float)
     faces = np.array([(0, 1, 2), (3, 0, 4), (0, 3, 1)], dtype=np.int32)
-    ready = prepared(vertices, faces)
+    ready = prepare_mesh(vertices, faces)
     assert ready.defects.degenerate_faces == 1
     # Those with an area touch along half an edge, and share a vertex only.
     assert count_self_intersections(ready.mesh) == 1

@@ -11,7 +11,7 @@ from msal_cli.analysis import surface_distance
 from msal_cli.analysis.correspondence import surface_distances
 from msal_cli.analysis.surface_distance import distances_to_surface, distances_to_triangles
 from msal_cli.errors import UnsupportedError
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 
 needs_library = pytest.mark.skipif(
@@ -71,8 +71,8 @@ def test_pieces_are_put_together_in_order(monkeypatch):
 
 @needs_library
 def test_both_ways_and_hausdorff_of_two_cubes():
-    small = prepared(*cube()).mesh
-    large = small.moved(3.0 * small.vertices)
+    small = prepare_mesh(*cube()).mesh
+    large = small.with_vertices(3.0 * small.vertices)
     to_small, to_large, hausdorff = surface_distances(small, large)
     assert to_small.max == pytest.approx(np.sqrt(3.0))
     assert to_large.max == pytest.approx(1.0)

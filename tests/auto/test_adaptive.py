@@ -8,34 +8,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
-from msal_cli import methods
-from msal_cli.analysis.added_noise import noisy
-from msal_cli.analysis.noise_estimate import estimated
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli import codecs, methods
+from msal_cli.analysis.added_noise import add_plain_noise
+from msal_cli.analysis.measures import normal_statistics
+from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.auto import FAMILY, NONE, adaptive
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import ball, cube, torus
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
 
 
 def torus_mesh(around=90, across=45):
-    return prepared(*torus(around, across)).mesh
+    return prepare_mesh(*torus(around, across)).mesh
 
 
 def torus_with(level, kind="gaussian-normal", seed=1):
     true = torus_mesh()
-    return true.moved(noisy(true, kind, level, seed)), true
+    return true.with_vertices(add_plain_noise(true, kind, level, seed)), true
 
 
 def result_of(mesh, name, given):
     method = methods.find(name)
-    return mesh.moved(method.denoised(mesh, method.settled(given)).vertices)
+    return mesh.with_vertices(method.denoise(mesh, method.validate(given)).vertices)
 
 
 def adaptive_result(mesh):
-    choice = adaptive.chosen(mesh)
+    choice = adaptive.choose_adaptive(mesh)
     return result_of(mesh, choice.method, choice.parameters)
 
 
@@ -55,7 +54,7 @@ def two_parts(mesh, other):
 
 
 def test_a_clean_mesh_stays_as_it_is():
-    choice = adaptive.chosen(torus_mesh())
+    choice = adaptive.choose_adaptive(torus_mesh())
     assert (choice.method, choice.among, choice.parameters) == (NONE, FAMILY, {})
     assert choice.reason.startswith("noise ") and choice.reason.endswith("clean; left as it is")
 
@@ -63,8 +62,8 @@ def test_a_clean_mesh_stays_as_it_is():
 @pytest.mark.parametrize("shape", [cube, torus])
 def test_too_few_vertices_stay_as_they_are(shape):
     vertices, faces = shape() if shape is cube else torus(12, 8)
-    mesh = prepared(vertices, faces).mesh
-    choice = adaptive.chosen(mesh)
+    mesh = prepare_mesh(vertices, faces).mesh
+    choice = adaptive.choose_adaptive(mesh)
     assert choice.method == NONE
     assert choice.reason.startswith(f"{len(mesh.vertices)} vertices are too few")
 
@@ -72,10 +71,10 @@ def test_too_few_vertices_stay_as_they_are(shape):
 @pytest.mark.parametrize(("level", "mollify"), [(0.1, 1), (0.2, 1), (0.4, 2)])
 def test_it_is_closer_to_the_truth_than_fixed_settings(level, mollify):
     mesh, true = torus_with(level)
-    choice = adaptive.chosen(mesh)
+    choice = adaptive.choose_adaptive(mesh)
     assert (choice.method, choice.parameters["schedule"]) == ("al", "wiener")
     assert choice.parameters["mollify"] == mollify
-    assert choice.parameters["noise"] == round(estimated(mesh).mean_edges, 4)
+    assert choice.parameters["noise"] == round(estimate_noise(mesh).mean_edges, 4)
     mine = adaptive_result(mesh)
     for name, given in (("msal", {}), ("taubin", {}), ("msal", {"K": 1.0})):
         other = result_of(mesh, name, given)
@@ -87,28 +86,28 @@ def test_the_risk_is_near_the_error():
     mesh, true = torus_with(0.2)
     moved = adaptive_result(mesh).vertices - true.vertices
     error = np.sqrt((moved**2).sum(axis=1).mean()) / mesh.mean_edge_length
-    assert adaptive.chosen(mesh).risk == pytest.approx(error, rel=0.3)
+    assert adaptive.choose_adaptive(mesh).risk == pytest.approx(error, rel=0.3)
 
 
 def test_what_may_be_texture_gets_the_mildest_setting(monkeypatch):
     mesh, _ = torus_with(0.03)
     doubtful = dataclasses.replace(
-        estimated(mesh), mean_edges=0.014, low=0.0, high=0.03, is_negligible=True
+        estimate_noise(mesh), mean_edges=0.014, low=0.0, high=0.03, is_negligible=True
     )
-    monkeypatch.setattr(adaptive, "estimated", lambda mesh: doubtful)
-    choice = adaptive.chosen(mesh)
+    monkeypatch.setattr(adaptive, "estimate_noise", lambda mesh: doubtful)
+    choice = adaptive.choose_adaptive(mesh)
     assert choice.parameters["noise"] == 0.03
     assert "at most 0.03 e" in choice.reason
     certain = dataclasses.replace(doubtful, high=0.02)
-    monkeypatch.setattr(adaptive, "estimated", lambda mesh: certain)
-    assert adaptive.chosen(mesh).method == NONE
+    monkeypatch.setattr(adaptive, "estimate_noise", lambda mesh: certain)
+    assert adaptive.choose_adaptive(mesh).method == NONE
 
 
 def test_impulsive_noise_is_filtered_for_its_root_mean_square():
     mesh, _ = torus_with(0.4, "impulsive")
-    noise = estimated(mesh)
+    noise = estimate_noise(mesh)
     assert noise.is_impulsive
-    choice = adaptive.chosen(mesh)
+    choice = adaptive.choose_adaptive(mesh)
     assert choice.reason.startswith("impulsive noise")
     assert choice.parameters["noise"] == round(noise.rms_edges, 4)
 
@@ -117,7 +116,7 @@ def test_one_spike_changes_nothing_elsewhere():
     mesh, true = torus_with(0.2)
     vertices = mesh.vertices.copy()
     vertices[7] += 10.0 * mesh.mean_edge_length * mesh.vertex_normals("uniform")[7]
-    spiked = mesh.moved(vertices)
+    spiked = mesh.with_vertices(vertices)
     far = np.linalg.norm(true.vertices - true.vertices[7], axis=1) > 10.0 * mesh.mean_edge_length
 
     def change(result, other):
@@ -134,7 +133,7 @@ def test_an_unrelated_part_changes_nothing_elsewhere():
     vertices, faces = ball(24, 12)
     both = two_parts(mesh, Mesh(vertices, faces))
     n = len(mesh.vertices)
-    assert angle(true, mesh.moved(adaptive_result(both).vertices[:n])) < (
+    assert angle(true, mesh.with_vertices(adaptive_result(both).vertices[:n])) < (
         angle(true, adaptive_result(mesh)) + 0.2
     )
 
@@ -142,25 +141,26 @@ def test_an_unrelated_part_changes_nothing_elsewhere():
 def test_texture_as_fine_as_the_mesh_gets_less_smoothing():
     """Where the Wiener fidelity would take texture for noise, Stein's risk shows it."""
     path = SAMPLES / "dragon_egg_noisy.ply"
-    mesh_file = files.open_mesh(path.read_bytes(), path.name)
-    mesh = prepared(mesh_file.vertices, mesh_file.faces).mesh
-    choice = adaptive.chosen(mesh)
+    mesh_file = codecs.open_mesh(path.read_bytes(), path.name)
+    mesh = prepare_mesh(mesh_file.vertices, mesh_file.faces).mesh
+    choice = adaptive.choose_adaptive(mesh)
     assert choice.tried == 3 and len(choice.runners_up) == 2
     assert (choice.method, choice.parameters.get("schedule")) != ("al", "wiener")
 
 
 def test_with_trust_every_candidate_has_a_pull():
     mesh, _ = torus_with(0.2)
-    trusted = mesh.constrained(None, np.full(len(mesh.vertices), 0.5))
-    choice = adaptive.chosen(trusted)
+    trusted = mesh.with_constraints(None, np.full(len(mesh.vertices), 0.5))
+    choice = adaptive.choose_adaptive(trusted)
     assert methods.find(choice.method).has_data_term(choice.parameters)
     assert all(label != "AL (1 sweep, 0 mollifications)" for label, _ in choice.runners_up)
 
 
 def test_where_every_setting_adds_error_nothing_is_done(monkeypatch):
     mesh, _ = torus_with(0.2)
-    monkeypatch.setattr(adaptive, "_scores", lambda risk: np.full(len(risk.drift), 0.2))
-    choice = adaptive.chosen(mesh)
+    errors = np.full(3, 0.1)
+    monkeypatch.setattr("msal_cli.auto.risk.Risk.log_errors", lambda *_: (errors, errors))
+    choice = adaptive.choose_adaptive(mesh)
     assert choice.method == NONE
     assert "add more error" in choice.reason
 
@@ -168,6 +168,6 @@ def test_where_every_setting_adds_error_nothing_is_done(monkeypatch):
 def test_steps_are_counted_to_the_end():
     mesh, _ = torus_with(0.2)
     steps = []
-    adaptive.chosen(mesh, lambda done, total: steps.append((done, total)))
+    adaptive.choose_adaptive(mesh, lambda done, total: steps.append((done, total)))
     assert steps[-1][0] == steps[-1][1]
     assert [done for done, _ in steps[:-1]] == sorted(done for done, _ in steps[:-1])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.auto.blend_weights import best_weights, least_over_simplex, rounded
+from msal_cli.auto.blend_weights import best_weights, least_over_simplex, round_weights
 from msal_cli.auto.risk import Quadratic, Risk
 
 
@@ -156,7 +156,7 @@ def test_rounding_keeps_the_sum_and_moves_no_weight_by_a_step(parts):
     weights = np.array(parts)
     if weights.sum() > 1.0:
         weights /= weights.sum()
-    short = rounded(weights)
+    short = round_weights(weights)
     assert short.sum() == pytest.approx(round(float(weights.sum()), 2), abs=1e-6) or (
         # Half-way between two hundredths either will do.
         abs(short.sum() - weights.sum()) <= 0.005 + 1e-9
@@ -169,6 +169,6 @@ def test_rounding_keeps_the_sum_and_moves_no_weight_by_a_step(parts):
 def test_what_rounds_alike_is_settled_by_order_not_by_last_digits():
     third = np.full(3, 1.0 / 3.0)
     shaken = third + np.array([-1e-13, 0.0, 1e-13])
-    assert rounded(third).tolist() == [0.34, 0.33, 0.33]
-    assert rounded(shaken).tolist() == [0.34, 0.33, 0.33]
-    assert rounded(np.array([0.29 - 1e-13, 0.71])).tolist() == [0.29, 0.71]
+    assert round_weights(third).tolist() == [0.34, 0.33, 0.33]
+    assert round_weights(shaken).tolist() == [0.34, 0.33, 0.33]
+    assert round_weights(np.array([0.29 - 1e-13, 0.71])).tolist() == [0.29, 0.71]

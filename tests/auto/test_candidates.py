@@ -17,7 +17,7 @@ def label(method, **given):
 def test_settings_are_allowed(one):
     method = methods.find(one.method)
     settings = one.settings(0.125)
-    values = method.settled(settings)
+    values = method.validate(settings)
     assert ("noise" in settings) == one.takes_noise
     if one.takes_noise:
         assert values["noise"] == 0.125

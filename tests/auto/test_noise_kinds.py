@@ -12,19 +12,19 @@ from benchmarks import machined_shapes
 from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.noise_estimate import NoiseCharacter, estimated
+from msal_cli.analysis.measures import normal_statistics
+from msal_cli.analysis.noise_estimate import NoiseCharacter, estimate_noise
 from msal_cli.analysis.noise_estimate.local import local_levels
-from msal_cli.analysis.surface import normal_statistics
 from msal_cli.auto import FAMILY, NONE, Wishes, adaptive
 from msal_cli.auto.candidates import FARTHER, LEARNED
-from msal_cli.auto.evidence_words import describe_noise
+from msal_cli.auto.choices import describe_noise
 from msal_cli.auto.levels import level_masks, spread_levels
 from msal_cli.auto.noise_model import build_model
 from msal_cli.auto.risk import DRAWN, MIRRORED
-from msal_cli.auto.sample_patch import representative
+from msal_cli.auto.sample_patch import select_patch
 from msal_cli.auto.search import _Search
-from msal_cli.mesh import prepared
-from msal_cli.methods.blend import read_levels
+from msal_cli.mesh import prepare_mesh
+from msal_cli.methods.blend import parse_levels
 from tests.shapes import grid, torus
 
 KINDS = {
@@ -42,19 +42,19 @@ WORDS = {
 @functools.lru_cache
 def pair(kind):
     """A torus with noise, and without."""
-    true = prepared(*torus(100, 50)).mesh
-    return true.moved(add_noise(true, KINDS[kind])), true
+    true = prepare_mesh(*torus(100, 50)).mesh
+    return true.with_vertices(add_noise(true, KINDS[kind])), true
 
 
 @functools.lru_cache
 def choose_auto(mesh):
-    return selection.chosen(mesh, Wishes())
+    return selection.choose_method(mesh, Wishes())
 
 
 def result_of(mesh, choice):
     if choice.method == NONE:
         return mesh
-    return mesh.moved(methods.find(choice.method).denoised(mesh, choice.parameters).vertices)
+    return mesh.with_vertices(methods.find(choice.method).denoise(mesh, choice.parameters).vertices)
 
 
 def errors(kind, made):
@@ -66,9 +66,9 @@ def errors(kind, made):
 def taken_for_white(mesh):
     """The plain command's filter for that noise if it were white, whatever it is."""
     al = methods.find("al")
-    noise = float(round(estimated(mesh).mean_edges, 4))
+    noise = float(round(estimate_noise(mesh).mean_edges, 4))
     given = {"schedule": "wiener", "iterations": 6, "noise": noise}
-    return mesh.moved(al.denoised(mesh, al.settled(given)).vertices)
+    return mesh.with_vertices(al.denoise(mesh, al.validate(given)).vertices)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -84,18 +84,18 @@ def test_auto_takes_most_of_it_away(kind):
 @pytest.mark.parametrize("kind", ["isotropic", "half"])
 def test_the_plain_command_knows_direction_and_place(kind):
     mesh, _ = pair(kind)
-    choice = adaptive.chosen(mesh)
+    choice = adaptive.choose_adaptive(mesh)
     assert (choice.method, choice.among) == ("blend", FAMILY)
     assert WORDS[kind] in choice.reason
     assert errors(kind, result_of(mesh, choice))[0] < 0.9 * errors(kind, taken_for_white(mesh))[0]
 
 
 def test_the_plain_command_sweeps_longer_where_noise_is_shared():
-    choice = adaptive.chosen(pair("shared")[0])
+    choice = adaptive.choose_adaptive(pair("shared")[0])
     assert (choice.method, choice.parameters["iterations"]) == ("al", 10)
 
 
-@pytest.mark.parametrize("choose", [adaptive.chosen, choose_auto])
+@pytest.mark.parametrize("choose", [adaptive.choose_adaptive, choose_auto])
 def test_triangles_are_evened_out_where_noise_is_in_all_directions(choose):
     mesh, _ = pair("isotropic")
     choice = choose(mesh)
@@ -105,16 +105,16 @@ def test_triangles_are_evened_out_where_noise_is_in_all_directions(choose):
 
 def test_nothing_is_evened_out_for_a_method_with_trust():
     mesh, _ = pair("isotropic")
-    trusted = mesh.constrained(None, np.full(len(mesh.vertices), 0.5))
-    for choice in (adaptive.chosen(trusted), choose_auto(trusted)):
+    trusted = mesh.with_constraints(None, np.full(len(mesh.vertices), 0.5))
+    for choice in (adaptive.choose_adaptive(trusted), choose_auto(trusted)):
         assert choice.method in ("al", "msal")
 
 
-@pytest.mark.parametrize("choose", [adaptive.chosen, choose_auto])
+@pytest.mark.parametrize("choose", [adaptive.choose_adaptive, choose_auto])
 def test_quiet_places_hardly_move(choose):
     mesh, true = pair("half")
     choice = choose(mesh)
-    assert len(read_levels(choice.parameters["levels"])) > 1
+    assert len(parse_levels(choice.parameters["levels"])) > 1
     moved = np.linalg.norm(result_of(mesh, choice).vertices - mesh.vertices, axis=1)
     quiet, loud = true.vertices[:, 1] < -1.5, true.vertices[:, 1] > 1.5
     assert moved[quiet].mean() < 0.1 * moved[loud].mean()
@@ -122,9 +122,9 @@ def test_quiet_places_hardly_move(choose):
 
 def test_noise_of_another_kind_goes_from_a_machined_part():
     """Noise that grows with the angle to the view fits no model of it, and is all taken away."""
-    true = prepared(*machined_shapes.chipped_cube()).mesh
+    true = prepare_mesh(*machined_shapes.chipped_cube()).mesh
     noise = AddedNoise("grazing", 0.1, seed=2, direction=(0.3, 0.5, 0.8))
-    mesh = true.moved(add_noise(true, noise))
+    mesh = true.with_vertices(add_noise(true, noise))
     choice = choose_auto(mesh)
     made = result_of(mesh, choice)
     angles = [normal_statistics(true, one).mean_angular_error_deg for one in (mesh, made)]
@@ -137,16 +137,16 @@ def waves():
     vertices, faces = grid(70, 70)
     vertices = np.asarray(vertices, dtype=float)
     vertices[:, 2] += 2.0 * np.sin(0.15 * vertices[:, 0]) * np.sin(0.15 * vertices[:, 1])
-    return prepared(vertices, faces).mesh
+    return prepare_mesh(vertices, faces).mesh
 
 
 def test_a_weakly_noisy_range_scan_is_left_to_the_learned_filter():
     """White noise that is seen is but a part: the rest is shared, and looks like shape."""
     true = waves()
-    shared = true.moved(add_noise(true, AddedNoise("correlated", 0.08, seed=3, rings=3)))
-    mesh = shared.moved(add_noise(shared, AddedNoise("gaussian-normal", 0.05, seed=4)))
+    shared = true.with_vertices(add_noise(true, AddedNoise("correlated", 0.08, seed=3, rings=3)))
+    mesh = shared.with_vertices(add_noise(shared, AddedNoise("gaussian-normal", 0.05, seed=4)))
     search = _Search(mesh, Wishes(), range_level(mesh, "white", 0.98), None)
-    choice = search.chosen()
+    choice = search.choose()
     made = result_of(mesh, choice)
     angles = [normal_statistics(true, one).mean_angular_error_deg for one in (mesh, made)]
     assert "learned (noise times" in choice.reason
@@ -156,7 +156,7 @@ def test_a_weakly_noisy_range_scan_is_left_to_the_learned_filter():
 def weakly_shared():
     """A torus with weak noise that neighbours share."""
     true = pair("shared")[1]
-    return true.moved(add_noise(true, AddedNoise("correlated", 0.06, seed=1, rings=1)))
+    return true.with_vertices(add_noise(true, AddedNoise("correlated", 0.06, seed=1, rings=1)))
 
 
 @pytest.mark.parametrize("kind", ["correlated", "view", "quantised", "staircase"])
@@ -182,7 +182,7 @@ def test_noise_of_a_sure_kind_or_that_may_be_texture_is_drawn(kind, confidence):
 
 def range_level(mesh, kind, confidence):
     """Noise of 0.06 mean edge lengths with a wide interval."""
-    noise = estimated(mesh)
+    noise = estimate_noise(mesh)
     edge = mesh.mean_edge_length
     axis = (0.0, 0.0, 1.0) if kind in ("view", "quantised") else None
     direction = "axis" if axis else "normals"
@@ -205,13 +205,13 @@ def test_local_levels_follow_the_noise():
     assert levels[loud].mean() == pytest.approx(0.25 * edge, rel=0.2)
     assert levels[quiet].mean() < 0.02
     assert local_levels(mesh) is levels
-    larger = mesh.moved(3.0 * mesh.vertices)
+    larger = mesh.with_vertices(3.0 * mesh.vertices)
     assert local_levels(larger) == pytest.approx(levels, rel=1e-6, abs=1e-9)
 
 
 def test_the_model_is_what_was_estimated():
     meshes = [pair(kind)[0] for kind in ("half", "shared", "isotropic")]
-    half, shared, isotropic = (build_model(mesh, estimated(mesh)) for mesh in meshes)
+    half, shared, isotropic = (build_model(mesh, estimate_noise(mesh)) for mesh in meshes)
     assert half.shares is not None
     assert np.mean(half.shares**2) == pytest.approx(1.0)
     assert (shared.rings, shared.direction, shared.shares) == (2, "normals", None)
@@ -224,7 +224,7 @@ def test_levels_stand_for_quiet_usual_and_loud_places():
     assert spread_levels(np.full(100, 0.2)) == ()
     assert spread_levels(np.linspace(0.19, 0.21, 101)) == ()
     mesh, _ = pair("half")
-    part = representative(mesh, 2_000)
+    part = select_patch(mesh, 2_000)
     local = np.where(mesh.vertices[:, 1] > 0.0, 0.25, 0.0)
     quiet, loud = level_masks(part, local, (0.02, 0.2))
     assert (quiet | loud == part.judged).all()
@@ -233,8 +233,10 @@ def test_levels_stand_for_quiet_usual_and_loud_places():
 
 
 def test_words():
-    assert describe_noise(estimated(pair("shared")[0])).startswith("noise 0.")
-    assert describe_noise(estimated(pair("shared")[0])).endswith(" e, shared over two rings")
-    white = prepared(*torus(100, 50)).mesh
-    white = white.moved(add_noise(white, AddedNoise("gaussian-normal", 0.2)))
-    assert describe_noise(estimated(white)) == f"noise {estimated(white).mean_edges:.2g} e"
+    assert describe_noise(estimate_noise(pair("shared")[0])).startswith("noise 0.")
+    assert describe_noise(estimate_noise(pair("shared")[0])).endswith(" e, shared over two rings")
+    white = prepare_mesh(*torus(100, 50)).mesh
+    white = white.with_vertices(add_noise(white, AddedNoise("gaussian-normal", 0.2)))
+    assert (
+        describe_noise(estimate_noise(white)) == f"noise {estimate_noise(white).mean_edges:.2g} e"
+    )

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from msal_cli.auto.noise_model import AXIS, ISOTROPIC, NoiseModel
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import torus
 
 
 @pytest.fixture(scope="module")
 def mesh():
-    return prepared(*torus(90, 45)).mesh
+    return prepare_mesh(*torus(90, 45)).mesh
 
 
 def drawn(mesh, seed=0, way="draw", **given):
@@ -23,7 +23,7 @@ def drawn(mesh, seed=0, way="draw", **given):
 
 def correlation(mesh, heights):
     """Of neighbours."""
-    start, ring = mesh.links.ring_start, mesh.links.ring
+    start, ring = mesh.topology.ring_start, mesh.topology.ring
     first = np.repeat(np.arange(len(heights)), np.diff(start))
     return float(np.mean(heights[first] * heights[ring]) / np.mean(heights * heights))
 

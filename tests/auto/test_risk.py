@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from msal_cli.auto.noise_model import AXIS, ISOTROPIC, NoiseModel
-from msal_cli.auto.risk import Quadratic, Rehearsal, Stein
+from msal_cli.auto.risk import Quadratic, SimulatedRisk, SteinRisk
 from msal_cli.auto.risk import _slopes as slopes_of
-from msal_cli.auto.sample_patch import Part, representative
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.auto.sample_patch import Part, select_patch
+from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import grid, noisy, torus
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -53,7 +53,7 @@ def smoothing(mesh):
     n = len(mesh.vertices)
     matrix = -np.eye(n)
     for i in range(n):
-        ring = mesh.links.ring[mesh.links.ring_start[i] : mesh.links.ring_start[i + 1]]
+        ring = mesh.topology.ring[mesh.topology.ring_start[i] : mesh.topology.ring_start[i + 1]]
         matrix[i, ring] = 1.0 / len(ring)
     return matrix
 
@@ -63,11 +63,11 @@ def nothing():
 
 
 def rehearsed(*arguments):
-    return Rehearsal(*arguments).risk()
+    return SimulatedRisk(*arguments).risk()
 
 
 def stein(part, noise, *runs):
-    judge = Stein(part, NoiseModel(noise), part.mesh.vertex_normals("uniform", 1))
+    judge = SteinRisk(part, NoiseModel(noise), part.mesh.vertex_normals("uniform", 1))
     for run in runs:
         judge.add(run, nothing)
     return judge.risk()
@@ -98,7 +98,7 @@ def test_heights_times_a_constant_exactly(level, factor):
     # A height over a flat sheet sweeps a third of the area of the faces around.
     mesh = part.mesh
     around = np.bincount(mesh.faces.reshape(-1), minlength=len(heights)) / (3 * len(mesh.faces))
-    around[mesh.links.boundary] = 0.0
+    around[mesh.topology.boundary] = 0.0
     # The area is that of the noisy sheet, which is a little larger.
     assert risk.drift[0] == pytest.approx(factor * float(around @ heights) / 0.1, rel=0.05)
 
@@ -160,12 +160,12 @@ def test_it_is_the_true_error_for_noise_of_any_colour_direction_and_level(noise)
     gaps, white_gaps, slope_gaps, errors = [], [], [], []
     for _ in range(20):
         added = noise.draw(flat, normals, draws)
-        mesh = flat.moved(flat.vertices + added)
+        mesh = flat.with_vertices(flat.vertices + added)
         left = added + once(mesh)
         error = np.sum(left**2) / (480 * noise.variance(part.judged))
         judges = (
-            Stein(Part(mesh, part.judged), noise, normals, PROBES),
-            Stein(Part(mesh, part.judged), NoiseModel(0.1), normals, PROBES),
+            SteinRisk(Part(mesh, part.judged), noise, normals, PROBES),
+            SteinRisk(Part(mesh, part.judged), NoiseModel(0.1), normals, PROBES),
         )
         for judge in judges:
             judge.add(once, nothing)
@@ -300,7 +300,7 @@ def test_impulses_are_rehearsed_as_impulses(level):
     part, _ = sheet()
     spiky = part.mesh.vertices.copy()
     spiky[::48, 2] = 1.0
-    spiked = Part(part.mesh.moved(spiky), part.judged)
+    spiked = Part(part.mesh.with_vertices(spiky), part.judged)
     seen = []
 
     def run(mesh):
@@ -326,7 +326,7 @@ def test_what_the_pilot_took_away_is_put_on_with_the_other_sign():
         seen.append(mesh.vertices.copy())
         return pilot - mesh.vertices
 
-    rehearsal = Rehearsal(part, pilot, [run], NoiseModel(0.1), "mirrored", nothing)
+    rehearsal = SimulatedRisk(part, pilot, [run], NoiseModel(0.1), "mirrored", nothing)
     assert seen[0] == pytest.approx(2.0 * pilot - part.mesh.vertices, abs=1e-12)
     assert rehearsal.risk().positions.singles()[0] == pytest.approx(0.0, abs=1e-12)
     assert rehearsal.level == pytest.approx(0.75 * np.sqrt(np.mean(heights**2)))
@@ -347,14 +347,14 @@ def test_impulses_where_the_pilot_took_nothing_are_gaussian(level):
 @pytest.mark.parametrize("scale", [2.0**-40, 2.0**60])
 def test_risks_are_free_of_scale(scale):
     vertices, faces = torus()
-    one = prepared(noisy(vertices, 0, 0.05), faces).mesh
+    one = prepare_mesh(noisy(vertices, 0, 0.05), faces).mesh
     other = Mesh(one.vertices * scale, one.faces)
 
     def run(mesh):
         return 0.3 * (mesh.vertices[mesh.faces[:, 0]].mean(axis=0) - mesh.vertices)
 
     for mesh, factor in ((one, 1.0), (other, scale)):
-        part = representative(mesh, 10_000)
+        part = select_patch(mesh, 10_000)
         risk = stein(part, 0.05 * factor, run)
         again = rehearsed(part, mesh.vertices, [run], NoiseModel(0.05 * factor), "drawn", nothing)
         found = [*risk.positions.singles(), *risk.slopes.singles(), *risk.drift]
@@ -376,7 +376,7 @@ def test_risks_of_some_filters_are_those_among_all(level):
 def test_every_run_is_told_of(level):
     part, _ = sheet(noise=0.1)
     told = []
-    judge = Stein(part, NoiseModel(0.1), part.mesh.vertex_normals("uniform", 1))
+    judge = SteinRisk(part, NoiseModel(0.1), part.mesh.vertex_normals("uniform", 1))
     judge.add(scaled(-0.5), lambda: told.append("stein"))
     assert told == ["stein"] * 3
     runs = [scaled(-1.0)] * 2
@@ -413,7 +413,7 @@ def test_places_without_noise_give_a_finite_risk():
 def test_on_a_curved_mesh_it_is_nearly_right():
     # Normals are those of the noisy mesh here, and the noise is along the true ones.
     vertices, faces = torus(80, 40)
-    clean = prepared(vertices, faces).mesh
+    clean = prepare_mesh(vertices, faces).mesh
     sigma = 0.1 * clean.mean_edge_length
     for factor in (0.3, 0.8):
 
@@ -424,14 +424,14 @@ def test_on_a_curved_mesh_it_is_nearly_right():
         for seed in range(8):
             heights = sigma * np.random.default_rng(seed).standard_normal(len(clean.vertices))
             noise = heights[:, None] * clean.vertex_normals("uniform", 0)
-            mesh = clean.moved(clean.vertices + noise)
-            part = representative(mesh, 10_000)
+            mesh = clean.with_vertices(clean.vertices + noise)
+            part = select_patch(mesh, 10_000)
             estimates.append(stein(part, sigma, run).positions.singles()[0])
             errors.append(float(np.sum((noise + run(mesh)) ** 2) / np.sum(noise**2)))
         assert np.mean(estimates) == pytest.approx(np.mean(errors), rel=0.15)
 
 
 def ring_means(mesh):
-    start, ring = mesh.links.ring_start, mesh.links.ring
+    start, ring = mesh.topology.ring_start, mesh.topology.ring
     sums = np.add.reduceat(mesh.vertices[ring], start[:-1], axis=0)
     return sums / np.diff(start)[:, None]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.auto.sample_patch import MARGIN, PATCH, _in_space, representative
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.auto.sample_patch import MARGIN, PATCH, _in_space, select_patch
+from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import fan, noisy, torus
 
 
@@ -33,7 +33,7 @@ def rings(mesh, inside, count):
     """Vertices ``inside`` that are more than ``count`` rings from all others."""
     far = inside.copy()
     for _ in range(count):
-        start, ring = mesh.links.ring_start, mesh.links.ring
+        start, ring = mesh.topology.ring_start, mesh.topology.ring
         far &= np.array(
             [far[ring[start[i] : start[i + 1]]].all() for i in range(len(mesh.vertices))]
         )
@@ -43,15 +43,15 @@ def rings(mesh, inside, count):
 def test_a_small_mesh_stands_for_itself():
     vertices, faces = torus()
     mesh = Mesh(vertices, faces)
-    part = representative(mesh, 10_000)
+    part = select_patch(mesh, 10_000)
     assert part.mesh is mesh
     assert part.judged.all()
-    assert representative(mesh, 240).mesh is mesh
-    assert len(representative(mesh, 220).mesh.vertices) < 288
+    assert select_patch(mesh, 240).mesh is mesh
+    assert len(select_patch(mesh, 220).mesh.vertices) < 288
 
 
 def test_patches_of_a_large_mesh(large):
-    part = representative(large, 10_000)
+    part = select_patch(large, 10_000)
     # Those at the cut that no whole face has are left out.
     assert 0.9 * 10_000 < len(part.mesh.vertices) <= 10_000
     used = np.zeros(len(large.vertices), dtype=bool)
@@ -67,32 +67,32 @@ def test_patches_of_a_large_mesh(large):
 
 
 def test_patches_lie_all_over_the_mesh(large):
-    part = representative(large, 4 * PATCH)
+    part = select_patch(large, 4 * PATCH)
     x, y, _ = part.mesh.vertices.T
     quadrants = {(a > 0, b > 0) for a, b in zip(x.tolist(), y.tolist(), strict=True)}
     assert len(quadrants) == 4
 
 
 def test_it_is_the_same_every_time_and_with_any_number_of_threads(large, monkeypatch):
-    first = representative(large, 10_000)
+    first = select_patch(large, 10_000)
     for threads in ("1", "2"):
         monkeypatch.setenv("MSAL_THREADS", threads)
-        again = representative(Mesh(large.vertices.copy(), large.faces.copy()), 10_000)
+        again = select_patch(Mesh(large.vertices.copy(), large.faces.copy()), 10_000)
         assert (again.mesh.vertices == first.mesh.vertices).all()
         assert (again.mesh.faces == first.mesh.faces).all()
         assert (again.judged == first.judged).all()
 
 
 def test_patches_are_the_same_at_another_scale_and_place(large):
-    first = representative(large, 10_000)
-    other = representative(Mesh(large.vertices * 2.0**30, large.faces), 10_000)
+    first = select_patch(large, 10_000)
+    other = select_patch(Mesh(large.vertices * 2.0**30, large.faces), 10_000)
     assert (other.mesh.vertices == first.mesh.vertices * 2.0**30).all()
     assert (other.judged == first.judged).all()
 
 
 def test_confetti_has_parts_of_full_size():
     mesh = confetti(10_000)
-    part = representative(mesh, 10_000)
+    part = select_patch(mesh, 10_000)
     assert 0.99 * 10_000 <= len(part.mesh.vertices) <= 10_000
     assert len(part.mesh.faces) == len(part.mesh.vertices) // 3
     assert part.judged.all()
@@ -104,7 +104,7 @@ def test_small_components_beside_large_ones_are_part_of_it(large):
         np.concatenate([large.vertices, crumbs.vertices]),
         np.concatenate([large.faces, crumbs.faces + len(large.vertices)]),
     )
-    part = representative(mesh, 10_000)
+    part = select_patch(mesh, 10_000)
     assert 0.9 * 10_000 < len(part.mesh.vertices) <= 10_000
     assert part.judged.sum() > 6_000
 
@@ -114,8 +114,8 @@ def test_held_vertices_are_neither_judged_nor_held(large):
     held[::3] = True
     for mesh in (large, Mesh(*torus(40, 30))):
         some = held[: len(mesh.vertices)]
-        part = representative(mesh.constrained(some, np.ones(len(some))), 10_000)
-        assert part.mesh.held is None
+        part = select_patch(mesh.with_constraints(some, np.ones(len(some))), 10_000)
+        assert part.mesh.fixed_vertices is None
         assert part.mesh.trust is None
         assert not (part.judged & some[places_of(part, mesh)]).any()
         assert part.judged.any()
@@ -124,10 +124,10 @@ def test_held_vertices_are_neither_judged_nor_held(large):
 def test_patches_begin_where_somebody_is_judged(large):
     # All but one end is locked.
     held = large.vertices[:, 0] < 3.0
-    part = representative(large.constrained(held, None), 10_000)
+    part = select_patch(large.with_constraints(held, None), 10_000)
     free = int((~held).sum())
     assert part.judged.sum() > 0.5 * min(free, 10_000)
-    nobody = representative(large.constrained(np.ones_like(held), None), 10_000)
+    nobody = select_patch(large.with_constraints(np.ones_like(held), None), 10_000)
     assert not nobody.judged.any()
     assert len(nobody.mesh.faces)
 
@@ -135,12 +135,12 @@ def test_patches_begin_where_somebody_is_judged(large):
 def test_vertices_without_faces_are_no_part_of_it(large):
     stray = np.random.default_rng(0).uniform(-1e6, 1e6, (20_000, 3))
     mesh = Mesh(np.concatenate([stray, large.vertices]), large.faces + len(stray))
-    part = representative(mesh, 10_000)
-    plain = representative(large, 10_000)
+    part = select_patch(mesh, 10_000)
+    plain = select_patch(large, 10_000)
     assert (part.mesh.vertices == plain.mesh.vertices).all()
     assert (part.judged == plain.judged).all()
     few = Mesh(np.concatenate([stray, torus()[0]]), torus()[1] + len(stray))
-    assert len(representative(few, 10_000).mesh.vertices) == 288
+    assert len(select_patch(few, 10_000).mesh.vertices) == 288
 
 
 def test_a_vertex_with_more_neighbours_than_a_patch_has_room_for(monkeypatch):
@@ -149,8 +149,8 @@ def test_a_vertex_with_more_neighbours_than_a_patch_has_room_for(monkeypatch):
     # Every other vertex of the rim first: the first ones have no edge between them.
     old = np.concatenate([[0], 1 + np.arange(0, count, 2), 2 + np.arange(0, count, 2)])
     new = np.argsort(old)
-    mesh = prepared(vertices[old], new[faces]).mesh
-    plain = representative(mesh, 1_000)
+    mesh = prepare_mesh(vertices[old], new[faces]).mesh
+    plain = select_patch(mesh, 1_000)
     assert len(plain.mesh.faces)
     assert plain.judged.any()
     # The patch begins with the middle of the fan.
@@ -158,7 +158,7 @@ def test_a_vertex_with_more_neighbours_than_a_patch_has_room_for(monkeypatch):
         "msal_cli.auto.sample_patch._in_space",
         lambda vertices: np.roll(np.arange(len(vertices)), len(vertices) // 2),
     )
-    part = representative(mesh, 1_000)
+    part = select_patch(mesh, 1_000)
     assert len(part.mesh.faces) > 0
     assert part.judged.any()
     assert len(part.mesh.faces) <= 1_000
@@ -168,7 +168,7 @@ def test_vertices_that_coincide_keep_their_numbers(large):
     # Taking the middle away can bring vertices together that the file tells apart.
     vertices = large.vertices.copy()
     vertices[1] = vertices[0]
-    part = representative(Mesh(vertices, large.faces), 20_000)
+    part = select_patch(Mesh(vertices, large.faces), 20_000)
     assert len(part.judged) == len(part.mesh.vertices)
 
 

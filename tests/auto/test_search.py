@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from msal_cli import auto as selection
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.analysis import added_noise as noise
-from msal_cli.analysis.noise_estimate import estimated
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.measures import normal_statistics
+from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.auto import NONE, Wishes, search
 from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.auto.search import RUN, START
 from msal_cli.kernels import parallel
-from msal_cli.mesh import Mesh, prepared
-from msal_cli.methods.blend import read
+from msal_cli.mesh import Mesh, prepare_mesh
+from msal_cli.methods.blend import parse_members
+from msal_cli.storage import gzip_streams
 from tests.shapes import grid, noisy, torus
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
@@ -27,7 +27,7 @@ SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
 
 def scan(around=40, across=20, level=0.05, seed=0):
     vertices, faces = torus(around, across)
-    return prepared(noisy(vertices, seed, level), faces).mesh
+    return prepare_mesh(noisy(vertices, seed, level), faces).mesh
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +38,8 @@ def mesh():
 @pytest.fixture(scope="module")
 def spiky():
     """A scan with noise at one vertex in ten, and none at the others."""
-    true = prepared(*torus(40, 20)).mesh
-    return true.moved(noise.noisy(true, "impulsive", 0.5, 3, fraction=0.1))
+    true = prepare_mesh(*torus(40, 20)).mesh
+    return true.with_vertices(noise.add_plain_noise(true, "impulsive", 0.5, 3, fraction=0.1))
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def large():
 
 
 def chosen(mesh, **wishes):
-    return selection.chosen(mesh, Wishes(**wishes))
+    return selection.choose_method(mesh, Wishes(**wishes))
 
 
 def told(choice):
@@ -64,7 +64,7 @@ def denoised(mesh, **wishes):
 def made_by(choice, mesh):
     if choice.method == NONE:
         return mesh
-    return mesh.moved(methods.find(choice.method).denoised(mesh, choice.parameters).vertices)
+    return mesh.with_vertices(methods.find(choice.method).denoise(mesh, choice.parameters).vertices)
 
 
 def moved_edges(before, after):
@@ -86,14 +86,14 @@ def members_of(choice):
     else:
         parts = [
             (member.weights[0], member.method, member.parameters)
-            for member in read(choice.parameters["members"])
+            for member in parse_members(choice.parameters["members"])
         ]
     return [
         (weight, one)
         for weight, method, values in parts
         for one in CANDIDATES
         if one.method == method.name
-        and method.settled(one.settings(values.get("noise", 0.0))) == values
+        and method.validate(one.settings(values.get("noise", 0.0))) == values
     ]
 
 
@@ -124,9 +124,9 @@ def test_it_is_free_of_scale_and_place():
     vertices, faces = torus(40, 20)
     # Digits to spare, so that moving loses none.
     vertices = np.round(noisy(vertices, 0, 0.05) * 2.0**20) / 2.0**20
-    here = told(chosen(prepared(vertices, faces).mesh))
+    here = told(chosen(prepare_mesh(vertices, faces).mesh))
     for place, scale in (([512.0, -1024.0, 4096.0], 1.0), ([0.0] * 3, 25.4)):
-        other = chosen(prepared((vertices + place) * scale, faces).mesh)
+        other = chosen(prepare_mesh((vertices + place) * scale, faces).mesh)
         assert (other.method, other.parameters, other.reason) == here[:3]
         assert other.risk == pytest.approx(here[3], rel=1e-6)
 
@@ -134,8 +134,8 @@ def test_it_is_free_of_scale_and_place():
 def test_it_is_free_of_the_axes():
     # Not of mirrors: winding and probes are those of the numbers.
     vertices, faces = torus(40, 20)
-    mesh = prepared(noisy(vertices, 0, 0.05), faces).mesh
-    turned = prepared(mesh.vertices[:, [1, 2, 0]], faces).mesh
+    mesh = prepare_mesh(noisy(vertices, 0, 0.05), faces).mesh
+    turned = prepare_mesh(mesh.vertices[:, [1, 2, 0]], faces).mesh
     one, other = chosen(mesh), chosen(turned)
     assert one.reason == other.reason
     assert one.risk == pytest.approx(other.risk, rel=1e-6)
@@ -160,7 +160,7 @@ def test_keeping_texture_moves_less_and_keeping_shape_more():
     vertices, faces = torus(60, 30)
     bumps = 0.02 * np.sin(9.0 * vertices[:, 0]) * np.sin(9.0 * vertices[:, 1])
     vertices[:, 2] += bumps
-    mesh = prepared(noisy(vertices, 0, 0.04), faces).mesh
+    mesh = prepare_mesh(noisy(vertices, 0, 0.04), faces).mesh
     texture, plain, shape = (
         moved_edges(mesh, denoised(mesh, **wish))
         for wish in ({"keep": "texture"}, {}, {"keep": "shape"})
@@ -169,8 +169,8 @@ def test_keeping_texture_moves_less_and_keeping_shape_more():
 
 
 def test_what_is_preferred_comes_out_better():
-    true = prepared(*torus(60, 48)).mesh
-    scan = true.moved(noise.noisy(true, "gaussian-normal", 0.4, 1))
+    true = prepare_mesh(*torus(60, 48)).mesh
+    scan = true.with_vertices(noise.add_plain_noise(true, "gaussian-normal", 0.4, 1))
     errors = {}
     for prefer in ("positions", "normals", "volume"):
         made = denoised(scan, prefer=prefer)
@@ -218,7 +218,7 @@ def test_weights_are_whole_hundredths_of_methods_that_were_tried(mesh):
 def test_with_trust_the_method_has_a_data_term(mesh):
     trust = np.linspace(0.0, 1.0, len(mesh.vertices))
     for wish in ({}, {"budget": 1.0}, {"strength": 2.0}):
-        choice = chosen(mesh.constrained(None, trust), **wish)
+        choice = chosen(mesh.with_constraints(None, trust), **wish)
         assert methods.find(choice.method).has_data_term(choice.parameters)
 
 
@@ -226,7 +226,7 @@ def test_with_trust_the_method_has_a_data_term(mesh):
 def test_where_all_vertices_are_held_nothing_is_done(mesh, spiky):
     for one in (mesh, spiky):
         held = np.ones(len(one.vertices), dtype=bool)
-        choice = chosen(one.constrained(held, None))
+        choice = chosen(one.with_constraints(held, None))
         assert choice.method == NONE
         assert np.isfinite(choice.risk)
 
@@ -235,7 +235,7 @@ def test_held_vertices_stay_and_are_not_learned_from(mesh):
     held = mesh.vertices[:, 0] < 0.0
     wild = mesh.vertices.copy()
     wild[held] += np.random.default_rng(0).normal(0.0, 0.001, (int(held.sum()), 3))
-    constrained = mesh.moved(wild).constrained(held, None)
+    constrained = mesh.with_vertices(wild).with_constraints(held, None)
     choice = chosen(constrained)
     made = made_by(choice, constrained)
     assert (made.vertices[held] == constrained.vertices[held]).all()
@@ -277,7 +277,7 @@ def odd_meshes():
     [pytest.param(vertices, faces, id=name) for name, vertices, faces in odd_meshes()],
 )
 def test_odd_meshes_are_chosen_for(vertices, faces):
-    mesh = prepared(np.asarray(vertices, dtype=float), np.array(faces, dtype=np.int32)).mesh
+    mesh = prepare_mesh(np.asarray(vertices, dtype=float), np.array(faces, dtype=np.int32)).mesh
     choice = chosen(mesh)
     assert np.isfinite(made_by(choice, mesh).vertices).all()
     assert choice.risk is None or np.isfinite(choice.risk)
@@ -287,7 +287,7 @@ def test_odd_meshes_are_chosen_for(vertices, faces):
 
 def test_clean_meshes_stay_as_they_are():
     for shape in (torus(60, 30), grid(20, 20)):
-        choice = chosen(prepared(*shape).mesh)
+        choice = chosen(prepare_mesh(*shape).mesh)
         assert choice.method == NONE
         assert choice.parameters == {}
         assert choice.reason.endswith("left as it is")
@@ -305,11 +305,11 @@ def test_clean_meshes_stay_as_they_are():
     ],
 )
 def test_a_wish_for_smoothing_is_done_on_a_clean_mesh_too(wishes, level):
-    mesh = prepared(*torus(60, 30)).mesh
+    mesh = prepare_mesh(*torus(60, 30)).mesh
     choice = chosen(mesh, **wishes)
     assert (choice.method, choice.parameters["schedule"]) == ("al", "wiener")
     assert choice.parameters["noise"] == pytest.approx(level, abs=1e-4)
-    assert "clean; smoothed as if it had 0.0" in choice.reason
+    assert "clean; smoothed for noise of 0.0" in choice.reason
     assert 0.0 < moved_edges(mesh, made_by(choice, mesh)) < 0.05
 
 
@@ -324,7 +324,7 @@ def test_a_wish_for_smoothing_is_done_on_a_clean_mesh_too(wishes, level):
     ],
 )
 def test_a_wish_that_does_not_mean_smoothing_gets_a_reason(wishes, end):
-    choice = chosen(prepared(*torus(60, 30)).mesh, **wishes)
+    choice = chosen(prepare_mesh(*torus(60, 30)).mesh, **wishes)
     assert choice.method == NONE
     assert choice.reason.endswith(end)
 
@@ -332,9 +332,9 @@ def test_a_wish_that_does_not_mean_smoothing_gets_a_reason(wishes, end):
 def test_what_may_be_noise_is_filtered_for_any_wish_but_to_keep_it(monkeypatch):
     mesh = scan(level=0.005)
     doubtful = dataclasses.replace(
-        estimated(mesh), mean_edges=0.014, low=0.0, high=0.03, is_negligible=True
+        estimate_noise(mesh), mean_edges=0.014, low=0.0, high=0.03, is_negligible=True
     )
-    monkeypatch.setattr(search, "estimated", lambda mesh: doubtful)
+    monkeypatch.setattr(search, "estimate_noise", lambda mesh: doubtful)
     choice = chosen(mesh, prefer="positions")
     assert (choice.method, choice.parameters["noise"]) == ("al", 0.03)
     assert chosen(mesh).method == NONE
@@ -348,7 +348,7 @@ def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):
     assert left.method == NONE and "add more error" in left.reason
     choice = chosen(mesh, budget=1.05, strength=1.0)
     assert choice.method == "al" and choice.tried == left.tried
-    assert choice.parameters["noise"] > 1.15 * estimated(mesh).mean_edges
+    assert choice.parameters["noise"] > 1.15 * estimate_noise(mesh).mean_edges
 
 
 # On the way
@@ -362,14 +362,14 @@ def test_progress_goes_up_and_ends_at_the_total(mesh, spiky):
         (spiky, Wishes(budget=1.0)),
     ):
         steps = []
-        selection.chosen(one, wishes, lambda *step, steps=steps: steps.append(step))
+        selection.choose_method(one, wishes, lambda *step, steps=steps: steps.append(step))
         (total,) = {total for _, total in steps}
         done = [one for one, _ in steps]
         assert done == sorted(done)
         assert done[-1] == total
         assert done.count(total) == 1
     steps = []
-    selection.chosen(prepared(*grid()).mesh, Wishes(), lambda *step: steps.append(step))
+    selection.choose_method(prepare_mesh(*grid()).mesh, Wishes(), lambda *step: steps.append(step))
     assert steps == [(1, 1)]
 
 
@@ -379,16 +379,16 @@ def test_an_interruption_passes_through(mesh):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        selection.chosen(mesh, Wishes(), stop)
+        selection.choose_method(mesh, Wishes(), stop)
 
 
 # It pays
 
 
 def sample(name):
-    data, _ = files.expanded((SAMPLES / name).read_bytes(), name)
-    mesh_file = files.open_mesh(data, name)
-    return prepared(mesh_file.vertices, mesh_file.faces).mesh
+    data, _ = gzip_streams.expand((SAMPLES / name).read_bytes(), name)
+    mesh_file = codecs.open_mesh(data, name)
+    return prepare_mesh(mesh_file.vertices, mesh_file.faces).mesh
 
 
 def root_mean_square_edges(true, noisy_mesh, made):
@@ -406,9 +406,9 @@ def root_mean_square_edges(true, noisy_mesh, made):
 )
 def test_it_is_better_than_the_default_and_than_the_scan(name, level):
     true = sample(name)
-    rough = true.moved(noise.noisy(true, "gaussian-normal", level, 7))
+    rough = true.with_vertices(noise.add_plain_noise(true, "gaussian-normal", level, 7))
     default = methods.find("msal")
-    plain = rough.moved(default.denoised(rough, default.settled({})).vertices)
+    plain = rough.with_vertices(default.denoise(rough, default.validate({})).vertices)
     choice = chosen(rough)
     made = made_by(choice, rough)
     assert angle(true, made) < 0.9 * min(angle(true, plain), angle(true, rough))
@@ -428,7 +428,7 @@ def test_clean_samples_hardly_move(name):
 @pytest.mark.parametrize("path", sorted(SAMPLES.glob("*_clean.*")), ids=lambda path: path.name)
 def test_every_sample_comes_nearer_to_the_truth(path, level):
     true = sample(path.name)
-    rough = true.moved(noise.noisy(true, "gaussian-normal", level, 5))
+    rough = true.with_vertices(noise.add_plain_noise(true, "gaussian-normal", level, 5))
     choice = chosen(rough)
     made = made_by(choice, rough)
     assert angle(true, made) < angle(true, rough)

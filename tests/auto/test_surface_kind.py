@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.auto.surface_kind import MACHINED, ORGANIC, TEXTURED, is_seen_from_one_side, kind_of
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.auto.surface_kind import (
+    MACHINED,
+    ORGANIC,
+    TEXTURED,
+    is_seen_from_one_side,
+    surface_kind,
+)
+from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import ball, cube, grid, torus
 
 
@@ -23,7 +29,7 @@ def box(steps=8, height=1.0):
     numbers = [faces + at * len(flat) for at in range(6)]
     vertices = np.concatenate(sides).round(12)
     vertices[:, 2] *= height
-    return prepared(vertices, np.concatenate(numbers)).mesh
+    return prepare_mesh(vertices, np.concatenate(numbers)).mesh
 
 
 def prism(sides=6, rows=12):
@@ -55,12 +61,12 @@ def bumpy(height):
     "mesh", [box(), box(16, 0.2), prism(), prism(4)], ids=["cube", "slab", "hexagon", "square"]
 )
 def test_flat_parts_between_sharp_edges_are_machined(mesh):
-    assert kind_of(mesh) == MACHINED
+    assert surface_kind(mesh) == MACHINED
 
 
 @pytest.mark.parametrize("shape", [ball(96, 48), torus(96, 48), grid()])
 def test_smooth_ones_are_organic(shape):
-    assert kind_of(Mesh(*shape)) == ORGANIC
+    assert surface_kind(Mesh(*shape)) == ORGANIC
 
 
 def test_a_scan_from_one_side_is_open_and_faces_one_way():
@@ -70,20 +76,20 @@ def test_a_scan_from_one_side_is_open_and_faces_one_way():
 
 
 def test_bumps_are_texture():
-    assert kind_of(bumpy(0.02)) == TEXTURED
-    assert kind_of(bumpy(0.0005)) == ORGANIC
+    assert surface_kind(bumpy(0.02)) == TEXTURED
+    assert surface_kind(bumpy(0.0005)) == ORGANIC
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e9])
 def test_it_is_free_of_scale(scale):
     for mesh in (box(), bumpy(0.02), Mesh(*ball())):
-        assert kind_of(mesh.moved(mesh.vertices * scale)) == kind_of(mesh)
+        assert surface_kind(mesh.with_vertices(mesh.vertices * scale)) == surface_kind(mesh)
 
 
 def test_few_or_no_edges_between_faces():
     one = Mesh(np.eye(3), np.array([[0, 1, 2]], dtype=np.int32))
-    assert kind_of(one) == ORGANIC
+    assert surface_kind(one) == ORGANIC
     flat = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]]), one.faces)
-    assert kind_of(flat) == ORGANIC
+    assert surface_kind(flat) == ORGANIC
     # Every edge of a coarse cube is an edge: nothing smooth lies between.
-    assert kind_of(Mesh(*cube())) == TEXTURED
+    assert surface_kind(Mesh(*cube())) == TEXTURED

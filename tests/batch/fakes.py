@@ -18,6 +18,7 @@ import time
 from pathlib import Path
 
 from msal_cli.batch.engine import Work
+from msal_cli.batch.events import Failed, Returned, Started
 from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.job.settings import FORECAST
@@ -52,6 +53,28 @@ def pool(tasks, *, stays=False, files_per_worker=1000, growth_bytes=512 << 20, *
     return WorkerPool(
         orders, stays=stays, files_per_worker=files_per_worker, growth_bytes=growth_bytes
     )
+
+
+class InProcess:
+    """An engine that does one task after the other in this process."""
+
+    def __init__(self, work):
+        self._work, self._is_stopped = work, False
+
+    def batches(self):
+        for index, task in self._work.tasks.items():
+            if self._is_stopped:
+                return
+            yield [Started(index)]
+            try:
+                result = self._work.function(task, self._work.common, lambda *step: None)
+            except Exception as error:
+                yield [Failed(index, "exception", str(error))]
+            else:
+                yield [Returned(index, result)]
+
+    def stop(self):
+        self._is_stopped = True
 
 
 def work(task, common, on_progress):

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli import codecs as files
 from msal_cli.batch import memory_budget as weights
 from msal_cli.batch.memory_budget import LARGE_BYTES, estimate_memory
+from msal_cli.codecs import header_check
 from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task
 from tests.cli.scans import closed_scan, folder_of, msal
 
@@ -76,7 +76,7 @@ def folder(tmp_path):
 
 def test_the_others_of_a_folder_are_done(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(weights, "available_bytes", lambda: 60_000_000)
-    monkeypatch.setattr(files, "read_whole", None)
+    monkeypatch.setattr(header_check, "read_whole", None)
     made = msal("denoise", folder, "-o", tmp_path / "out", "-j1")
     assert made.exit_code == 3
     assert "this machine has 60 MB left (E_MEMORY)" in made.stderr

@@ -70,24 +70,6 @@ def test_the_dead_hold_nothing(tmp_path, holder):
     one.release()
 
 
-def test_a_lock_file_removed_while_we_waited_is_not_the_lock(tmp_path, monkeypatch):
-    real = lock._flock
-    calls = []
-
-    def slow(handle, **how):
-        calls.append(handle)
-        if len(calls) == 1:
-            # The last holder lets go between our opening the file and our locking it.
-            (tmp_path / NAME).unlink()
-        return real(handle, **how)
-
-    monkeypatch.setattr(lock, "_flock", slow)
-    with FolderLock(str(tmp_path)):
-        assert len(calls) == 2
-        with pytest.raises(UsageError):
-            FolderLock(str(tmp_path))
-
-
 class TestWithoutLocks:
     """Some network file systems know no locks: then the word of a living process counts."""
 

@@ -12,7 +12,7 @@ import pytest
 
 import msal_cli
 from msal_cli.batch import manifest as manifests
-from msal_cli.batch import manifest_lines, resume
+from msal_cli.batch import resume
 from msal_cli.batch.manifest import NAME, FolderManifest
 from msal_cli.batch.manifest_dirs import written_names
 from msal_cli.batch.manifest_lines import (
@@ -22,7 +22,7 @@ from msal_cli.batch.manifest_lines import (
     intent_line,
     parse_line,
 )
-from msal_cli.batch.resume import hash_file, hash_settings
+from msal_cli.batch.resume import hash_settings
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError
 from msal_cli.job.records import MeshRecord, ObjectMark, Volume
@@ -163,14 +163,6 @@ def test_a_manifest_that_cannot_be_written_is_an_output_error(tmp_path):
         manifest.open()
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
-def test_a_full_disk_is_an_output_error(tmp_path):
-    manifest = opened(tmp_path)
-    manifest._file.close()
-    with open("/dev/full", "wb", buffering=0) as manifest._file, pytest.raises(OutputError):
-        manifest.append([intent_line("a", "in")])
-
-
 class TestSeveral:
     """Shards write manifests of their own, and everybody reads all."""
 
@@ -243,20 +235,6 @@ class TestSeveral:
         (tmp_path / NAME).unlink()
         assert read.get("b.ply").record() is None
 
-    def test_a_record_is_not_needed_to_know_the_rest(self, tmp_path):
-        """The short way of reading a line must say what the long one says."""
-        line = done_line('x,"record":{"at":7', "h", record(tmp_path), "in") | {"at": 12}
-        short = encode_line(line).rstrip()
-        long = json.dumps(line).encode()
-        assert manifest_lines._USUAL_DONE.fullmatch(
-            short
-        ) and not manifest_lines._USUAL_DONE.fullmatch(long)
-        one, other = parse_line(short), parse_line(long)
-        assert dataclasses.replace(one, line=b"") == dataclasses.replace(other, line=b"")
-        assert one.at == 12 and one.record() == other.record() == record(tmp_path)
-        for length in range(len(short)):
-            assert parse_line(short[:length]) is None
-
 
 class TestSettingsHash:
     def test_it_is_the_same_for_the_same_settings(self):
@@ -290,23 +268,6 @@ class TestSettingsHash:
         hashes += [hash_settings(SETTINGS)]
         monkeypatch.undo()
         assert len({hash_settings(SETTINGS), *hashes}) == len(changes) + 2
-
-
-def test_file_sha256(tmp_path):
-    path = tmp_path / "a"
-    path.write_bytes(b"abc" * 1_000_000)
-    import hashlib
-
-    assert hash_file(str(path)) == hashlib.sha256(b"abc" * 1_000_000).hexdigest()
-    assert hash_file(str(path), lambda: True) == ""
-    assert hash_file(str(tmp_path / "none")) == ""
-    assert hash_file(str(tmp_path)) == ""
-
-
-def test_a_line_is_plain_ascii_json(tmp_path):
-    noted(tmp_path, done_line("\u00e9\udcff", "h", record(tmp_path), "in"))
-    data = json.loads((tmp_path / NAME).read_text("ascii"))
-    assert data["name"] == "\u00e9\udcff" and data["version"] == msal_cli.__version__
 
 
 def test_an_object_in_a_store_is_known_by_size_and_tag(tmp_path):

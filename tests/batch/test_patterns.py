@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.batch.patterns import Patterns, has_magic
+from msal_cli.batch.patterns import Patterns
 from msal_cli.errors import UsageError
 
 
@@ -75,7 +75,3 @@ def test_a_name_with_every_wildcard_bracketed_matches_itself_only(name):
 def test_an_empty_pattern_is_refused():
     with pytest.raises(UsageError):
         Patterns(["./"])
-
-
-def test_wildcards_are_seen():
-    assert has_magic("a*") and has_magic("a?") and has_magic("[a]") and not has_magic("a{b}.ply")

@@ -13,7 +13,6 @@ from msal_cli.batch.inputs import DiscoveredInput, discover_inputs
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.errors import UsageError
-from msal_cli.job.settings import refuse_unknown_format
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
 
@@ -125,18 +124,6 @@ def test_an_unknown_suffix_of_a_single_output_is_refused(tmp_path, refuses, outp
     assert outputs(tmp_path, [tmp_path / "in/a.ply"], tmp_path / "b.stp") == ["b.stp/a.ply"]
 
 
-def test_a_folder_of_several_may_have_a_dot(tmp_path):
-    made(tmp_path, "in/a.ply")
-    assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "out.v2") == ["out.v2/a.ply"]
-
-
-def test_a_bucket_may_have_a_dot():
-    for place in ("s3://my.bucket", "s3://my.bucket/", "s3://my.bucket/out", "/dev/null"):
-        refuse_unknown_format(place)
-    with pytest.raises(UsageError):
-        refuse_unknown_format("s3://bucket/out.stp")
-
-
 def test_the_word_to_must_not_contradict_the_output(tmp_path, refuses):
     made(tmp_path, "a.ply")
     refuses(["--to obj", "b.stl"], [tmp_path / "a.ply"], tmp_path / "b.stl", to="obj")
@@ -176,12 +163,6 @@ def test_what_cannot_be_is_refused(tmp_path, refuses, files, inputs, output, opt
 
 
 class TestCollisions:
-    def test_the_same_file_twice_is_one_task(self, tmp_path, monkeypatch):
-        made(tmp_path, "in/a.ply", "in/b.ply")
-        monkeypatch.chdir(tmp_path)
-        inputs = [tmp_path / "in/a.ply", "in/a.ply", "in"]
-        assert outputs(tmp_path, inputs, tmp_path / "out") == ["out/a.ply", "out/b.ply"]
-
     @posix
     def test_case_only_twins_are_told_apart_where_the_file_system_does(self, tmp_path):
         made(tmp_path, "in/a.ply", "in/A.ply")
@@ -200,21 +181,6 @@ class TestCollisions:
         else:
             refuses(["case does not count"], [tmp_path / "in"], tmp_path / "out")
             assert probed == [tmp_path]
-
-    @posix
-    def test_the_file_system_is_really_asked(self, tmp_path, monkeypatch):
-        assert not planning._ignores_case(tmp_path)
-        assert list(tmp_path.iterdir()) == []
-        real = Path.exists
-        monkeypatch.setattr(
-            Path,
-            "exists",
-            lambda path: (
-                any(one.name.casefold() == path.name.casefold() for one in path.parent.iterdir())
-                or real(path)
-            ),
-        )
-        assert planning._ignores_case(tmp_path)
 
 
 class TestInputsAsOutputs:
@@ -340,12 +306,3 @@ class TestInPlace:
         refuses(["leads out of", "store"], [tmp_path / "in"], None, in_place=True)
         named = planned([tmp_path / "in/b.ply"], None, in_place=True)
         assert named.tasks[0].output == str(tmp_path / "store/b.ply")
-
-
-@posix
-def test_hostile_names_are_planned(tmp_path):
-    from tests.batch.test_inputs import TestHostileNames
-
-    names = TestHostileNames.NAMES
-    made(tmp_path, *(f"in/{name}" for name in names))
-    assert sorted(outputs(tmp_path / "out", [tmp_path / "in"], tmp_path / "out")) == sorted(names)

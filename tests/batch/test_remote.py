@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import threading
-
 import pytest
 
 from msal_cli import methods
@@ -21,18 +18,16 @@ from msal_cli.batch import (
     shard as shards,
 )
 from msal_cli.batch.inputs import DiscoveredInput, NothingMatched, discover_inputs
-from msal_cli.batch.manifest import FolderManifest
 from msal_cli.batch.manifest_lines import done_line, intent_line
 from msal_cli.batch.plan import build_plan, select_shard
 from msal_cli.batch.remote_manifest import FOLDER, ObjectManifest
 from msal_cli.batch.run import run
 from msal_cli.errors import InputError, OutputError, UsageError
-from msal_cli.job.inspection import inspect_file
 from msal_cli.job.pipeline import denoise_bytes
-from msal_cli.job.records import MeshRecord, ObjectMark
+from msal_cli.job.records import MeshRecord
 from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
-from msal_cli.storage.objects import listed, read_whole, write_whole
+from msal_cli.storage.objects import list_objects, read_whole, write_whole
 from tests.batch.test_whole import obj
 
 pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
@@ -55,7 +50,7 @@ def scans():
 
 
 def settings(**given):
-    return Settings("msal", methods.find("msal").settled(given))
+    return Settings("msal", methods.find("msal").validate(given))
 
 
 def denoised(inputs="memory://scans", output="memory://out", given=None, **options):
@@ -70,7 +65,9 @@ def states(records):
 
 def outputs(folder="memory://out"):
     return {
-        name: read_whole(f"{folder}/{name}") for name in listed(folder) if not name.startswith(".")
+        name: read_whole(f"{folder}/{name}")
+        for name in list_objects(folder)
+        if not name.startswith(".")
     }
 
 
@@ -108,14 +105,6 @@ def test_urls_stand_for_objects_folders_and_patterns(scans):
     ]
     with pytest.raises(NothingMatched):
         discover_inputs(["memory://scans/*.stl"])
-
-
-def test_an_object_comes_with_its_mark(scans):
-    (one,) = discover_inputs(["memory://scans/2.obj"])
-    assert one.mark == ObjectMark(*remote.mark("memory://scans/2.obj"))
-    assert (one.relative, one.root) == ("2.obj", "")
-    marks = {one.relative: one.mark for one in discover_inputs(["memory://scans"])}
-    assert marks["2.obj"] == one.mark
 
 
 def test_folders_in_one_run_keep_their_names(scans, tmp_path):
@@ -193,22 +182,6 @@ def test_an_object_may_be_called_like_a_folder():
 # What comes out
 
 
-def test_from_store_to_store(scans):
-    records = denoised()
-    assert states(records) == dict.fromkeys(NAMES, "written")
-    assert outputs() == expected()
-    for record in records:
-        assert record.input_object == ObjectMark(*remote.mark(record.input))
-        assert record.output_object == ObjectMark(*remote.mark(record.output))
-
-
-def test_to_another_format_and_packed(scans):
-    write_whole("memory://scans/z.obj.gz", __import__("gzip").compress(obj(5).encode()))
-    plan = build_plan(discover_inputs(["memory://scans"]), "memory://out", to="ply")
-    run(plan, Settings("msal", methods.find("msal").settled({}), to="ply"))
-    assert sorted(outputs()) == ["2.ply", "a/0.ply", "a/b/1.ply", "z.ply.gz"]
-
-
 def test_from_folder_to_store_and_back(scans, tmp_path):
     assert states(denoised(output=str(tmp_path / "out"))) == dict.fromkeys(NAMES, "written")
     here = {name: (tmp_path / "out" / name).read_bytes() for name in NAMES}
@@ -229,25 +202,14 @@ def test_one_object_into_one_object(scans):
     (record,) = denoised("memory://scans/2.obj", "memory://out/x.obj")
     assert record.output == "memory://out/x.obj"
     assert read_whole("memory://out/x.obj") == expected()["2.obj"]
-    assert list(listed("memory://out")) == ["x.obj"]
+    assert list(list_objects("memory://out")) == ["x.obj"]
     (record,) = denoised("memory://scans/2.obj", "memory://folder")
     assert record.output == "memory://folder/2.obj"
 
 
-def test_what_is_in_an_object_is_told(scans):
-    assert inspect_file("memory://scans/2.obj").vertices == 288
-    assert inspect_file("memory://scans/none.obj").error.code == "E_READ"
-
-
-def test_materials_stay_behind_with_a_warning(scans):
-    write_whole("memory://scans/m.obj", b"mtllib m.mtl\n" + obj(3).encode())
-    (record,) = denoised("memory://scans/m.obj")
-    assert any("m.mtl" in warning for warning in record.warnings)
-
-
 def test_an_object_that_vanished_is_a_row(scans):
     plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
-    remote.removed(["memory://scans/2.obj"])
+    remote.remove_object(["memory://scans/2.obj"])
     records = run(plan, settings())
     assert sorted(record.status for record in records) == ["failed", "written", "written"]
     (failed,) = [record for record in records if record.error is not None]
@@ -292,7 +254,7 @@ def test_what_changed_is_done_again_and_nothing_else(scans):
     assert states(denoised()) == current | {"2.obj": "written"}
     write_whole("memory://out/a/0.obj", b"x" * len(read_whole("memory://out/a/0.obj")))
     assert states(denoised()) == current | {"a/0.obj": "written"}
-    remote.removed(["memory://out/a/b/1.obj"])
+    remote.remove_object(["memory://out/a/b/1.obj"])
     assert states(denoised()) == current | {"a/b/1.obj": "written"}
     assert states(denoised()) == current
     assert states(denoised(given={"iterations": 2})) == dict.fromkeys(NAMES, "written")
@@ -324,12 +286,6 @@ def test_an_object_that_changes_while_it_is_read_is_done_again(scans, monkeypatc
     assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date") | {"2.obj": "written"}
 
 
-def test_without_tags_nothing_is_believed(scans, monkeypatch):
-    monkeypatch.setattr(remote, "_tag", lambda info: "")
-    denoised()
-    assert states(denoised()) == dict.fromkeys(NAMES, "written")
-
-
 # The manifest
 
 
@@ -352,7 +308,7 @@ INTENT = intent_line("a", "memory://scans/a")
 
 
 def parts():
-    return sorted(listed(f"memory://out/{FOLDER}"))
+    return sorted(list_objects(f"memory://out/{FOLDER}"))
 
 
 def test_lines_of_all_parts_are_read_and_the_last_counts():
@@ -362,22 +318,6 @@ def test_lines_of_all_parts_are_read_and_the_last_counts():
     assert manifest.names() == {"a", "failed", "written"}
     assert manifest.get("a").status == "written"
     assert len(parts()) == 4
-
-
-def test_intents_are_there_at_once_and_the_rest_within_seconds(monkeypatch):
-    monkeypatch.setattr(remote_manifest, "BETWEEN_PARTS_S", 0.05)
-    manifest = ObjectManifest("memory://out")
-    manifest.open()
-    manifest.append([INTENT])
-    assert ObjectManifest("memory://out").names() == {"a"}
-    manifest.append([line("b")])
-    for _ in range(200):
-        if "b" in ObjectManifest("memory://out").names():
-            break
-        threading.Event().wait(0.05)
-    else:
-        raise AssertionError("the line was never written")
-    manifest.close()
 
 
 def test_what_makes_no_sense_is_passed_over():
@@ -458,25 +398,6 @@ def test_a_part_that_another_run_merges_meanwhile_is_found_again(monkeypatch):
     assert len(calls) == 2
 
 
-def test_a_store_that_fails_for_a_moment_costs_no_line(monkeypatch):
-    monkeypatch.setattr(remote_manifest, "BETWEEN_PARTS_S", 0.01)
-    real, n_failures = remote.write_whole, [3]
-
-    def sometimes(url, data):
-        if n_failures[0]:
-            n_failures[0] -= 1
-            raise OutputError("the store cannot be reached")
-        return real(url, data)
-
-    manifest = ObjectManifest("memory://out")
-    manifest.open()
-    monkeypatch.setattr(remote, "write_whole", sometimes)
-    manifest.append([line("a")])
-    threading.Event().wait(0.2)
-    manifest.close()
-    assert ObjectManifest("memory://out").names() == {"a"}
-
-
 def test_a_store_that_takes_no_manifest_ends_the_run(scans, monkeypatch):
     real = remote.write_whole
 
@@ -514,12 +435,3 @@ def test_the_end_of_a_run_that_is_failing_hides_nothing(monkeypatch):
     other.append([line("a")])
     with pytest.raises(OutputError, match="access is denied"):
         other.close()
-
-
-def test_the_lines_are_those_of_a_folder(tmp_path):
-    write([INTENT, line("b")])
-    (part,) = parts()
-    text = read_whole(f"memory://out/{FOLDER}/{part}")
-    assert [json.loads(one)["name"] for one in text.splitlines()] == ["a", "b"]
-    (tmp_path / ".msal-manifest.jsonl").write_bytes(text)
-    assert FolderManifest(str(tmp_path)).names() == {"a", "b"}

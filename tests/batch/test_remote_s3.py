@@ -7,17 +7,15 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import threading
 
 import pytest
 
 from msal_cli import methods
-from msal_cli.errors import OutputError
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
-from msal_cli.storage.objects import listed, read_whole, write_whole
+from msal_cli.storage.objects import list_objects, read_whole, write_whole
 from tests.batch.test_whole import obj
 from tests.cli.scans import MSAL, msal
 
@@ -114,7 +112,7 @@ def server():
 
 @pytest.fixture(scope="module")
 def expected():
-    settings = Settings("msal", methods.find("msal").settled({}))
+    settings = Settings("msal", methods.find("msal").validate({}))
     return {
         name: bytes(denoise_bytes(obj(n).encode(), name, settings)[0])
         for n, name in enumerate(NAMES)
@@ -123,7 +121,9 @@ def expected():
 
 def outputs(folder):
     return {
-        name: read_whole(f"{folder}/{name}") for name in listed(folder) if not name.startswith(".")
+        name: read_whole(f"{folder}/{name}")
+        for name in list_objects(folder)
+        if not name.startswith(".")
     }
 
 
@@ -183,12 +183,12 @@ def test_from_bucket_to_bucket(server, expected, tmp_path):
 
 def test_objects_and_files_in_one_process(server, expected, tmp_path):
     assert msal("denoise", "s3://scans/2.obj", "-o", "s3://out/one/b.obj", *PAPER).exit_code == 0
-    assert list(listed("s3://out/one")) == ["b.obj"]
+    assert list(list_objects("s3://out/one")) == ["b.obj"]
     assert read_whole("s3://out/one/b.obj") == expected["2.obj"]
     assert msal("denoise", "s3://scans/*.obj", "-o", tmp_path, *PAPER).exit_code == 0
     assert (tmp_path / "2.obj").read_bytes() == expected["2.obj"]
     assert msal("denoise", tmp_path / "2.obj", "-o", "s3://out/one/c.obj", "-q").exit_code == 0
-    assert len(listed("s3://out/one")) == 2
+    assert len(list_objects("s3://out/one")) == 2
     told = msal("info", "s3://scans/a", "--json")
     assert told.exit_code == 0
     assert [one["vertices"] for one in json.loads(told.stdout)["records"]] == [288, 288]
@@ -216,7 +216,7 @@ def test_what_cannot_be_is_told_in_words(server, arguments, status, words):
     assert "hint:" in told.stderr
     assert "Traceback" not in told.stderr
     assert "geheim" not in told.stderr
-    assert not listed("s3://out/y")
+    assert not list_objects("s3://out/y")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
@@ -235,43 +235,3 @@ def test_a_killed_run_leaves_whole_objects_and_the_next_does_the_rest(server, ex
     assert there.items() <= expected.items()
     assert msal(*command).exit_code == 0
     assert outputs("s3://out/killed") == expected
-
-
-@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
-def test_an_upload_that_is_killed_halfway_leaves_no_object(server):
-    server.hold_up("/out/half.ply")
-    code = (
-        "from msal_cli.storage.objects import write_whole; "
-        "write_whole('s3://out/half.ply', bytes(40 << 20))"
-    )
-    process = subprocess.Popen([sys.executable, "-c", code])
-    try:
-        assert server.is_reached.wait(60)
-        process.kill()
-        assert process.wait(10)
-    finally:
-        server.let_go()
-    assert remote.mark("s3://out/half.ply") is None
-
-
-def test_large_objects_go_up_in_parts_and_come_whole_or_not_at_all(server, monkeypatch):
-    system, _ = remote._open("s3://out/big")
-    real = system.pipe_file
-    monkeypatch.setattr(system, "pipe_file", lambda *given: real(*given, chunksize=5 << 20))
-    data = os.urandom(11 << 20)
-    server.requests = []
-    assert write_whole("s3://out/big.ply", data).tag.endswith("-3")
-    assert read_whole("s3://out/big.ply") == data
-    assert server.counted("(POST|PUT) /out/big.ply") == 5
-    call = type(system)._call_s3
-
-    async def without_end(self, method, *arguments, **options):
-        if method == "complete_multipart_upload":
-            raise PermissionError("Access Denied")
-        return await call(self, method, *arguments, **options)
-
-    monkeypatch.setattr(type(system), "_call_s3", without_end)
-    with pytest.raises(OutputError, match="access is denied"):
-        write_whole("s3://out/big2.ply", data)
-    monkeypatch.undo()
-    assert remote.mark("s3://out/big2.ply") is None

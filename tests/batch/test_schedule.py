@@ -27,10 +27,6 @@ def order(schedule, at_once=1):
     return gone
 
 
-def test_without_weights_they_go_as_they_come():
-    assert order(TaskQueue([3, 1, 2])) == [3, 1, 2]
-
-
 def test_the_heaviest_go_first_and_the_rest_in_order():
     schedule = TaskQueue(range(6), weights={1: 50, 4: 70, 5: 50}, light_bytes=10, budget_bytes=1000)
     assert order(schedule) == [4, 1, 5, 0, 2, 3]
@@ -56,19 +52,6 @@ def test_small_ones_do_not_keep_a_large_one_waiting_for_ever():
     schedule.put_back(0)
     assert schedule.pop([1, 2], 0) is None
     assert schedule.pop([2], 0) == 0
-
-
-def test_what_idle_workers_hold_counts():
-    schedule = TaskQueue(range(3), weights={0: 60}, light_bytes=15, budget_bytes=100)
-    assert schedule.pop([1], 30) is None
-    assert schedule.pop([1], 25) == 0
-
-
-def test_with_nothing_current_task_anything_goes():
-    schedule = TaskQueue(range(2), light_bytes=15, budget_bytes=5)
-    assert schedule.pop([], 100) == 0
-    assert schedule.pop([0], 0) is None
-    assert schedule.pop([], 100) == 1
 
 
 @pytest.mark.parametrize("retries", [0, 1, 3])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,14 +11,12 @@ from pathlib import Path
 import pytest
 
 import msal_cli
-from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import select_shard
 from msal_cli.batch.shard import Shard, parse_shard
-from msal_cli.errors import UsageError
 from msal_cli.job.settings import Settings
 from tests.batch import fakes
-from tests.batch.test_run import SETTINGS, fill, plan_of, ran, statuses, tree, tried
+from tests.batch.test_run import SETTINGS, fill, plan_of, ran, statuses, tried
 
 FAULTS = (
     "E_FORMAT", "E_TRUNCATED", "E_CONTENT", "E_NONFINITE", "E_INDEX", "E_NO_FACES", "E_RANGE",
@@ -86,15 +83,6 @@ class TestShards:
             folders, settings, select_shard(plan_of(folders), parse_shard(text, {})), **options
         )
 
-    def test_together_they_do_what_one_run_does(self, folders):
-        fill(folders, 12, f03="fail E_INDEX")
-        for k in (1, 2, 3):
-            self.ran(folders, f"{k}/3")
-        shards = tree(folders / "out")
-        shutil.rmtree(folders / "out")
-        assert statuses(ran(folders)).count("written") == 11
-        assert shards == tree(folders / "out")
-
     def test_whoever_did_it_it_is_done(self, folders):
         fill(folders, 8, f03="fail E_INDEX")
         names, on_event = tried(folders)
@@ -114,15 +102,6 @@ class TestShards:
         # The newest lines are those of 1/1 and not what the older manifests say.
         assert statuses(ran(folders, other, on_event=on_event)).count("up-to-date") == 7
         assert names == ["07"]
-
-    def test_a_torn_line_costs_one_file_of_one_shard(self, folders):
-        fill(folders, 8)
-        for k in (1, 2):
-            self.ran(folders, f"{k}/2")
-        path = folders / "out/.msal-manifest-2-of-2.jsonl"
-        lines = path.read_bytes().splitlines(keepends=True)
-        path.write_bytes(b"".join(lines[:-1])[:-9])
-        assert statuses(ran(folders)).count("written") == 1
 
     def test_an_empty_shard_leaves_word_that_it_ran(self, folders):
         fill(folders, 1)
@@ -144,19 +123,6 @@ class TestShards:
             other.kill()
         self.ran(folders, "2/2")
         assert not (folders / "out" / live).exists()
-
-    def test_they_do_not_mix_with_others(self, folders):
-        fill(folders, 4)
-        (folders / "out").mkdir()
-        with FolderLock(str(folders / "out"), Shard(1, 2)):
-            for text in ("1/2", "1/3"):
-                with pytest.raises(UsageError, match="already working") as caught:
-                    self.ran(folders, text)
-                assert caught.value.code == "E_LOCKED"
-            with pytest.raises(UsageError, match="already working"):
-                ran(folders)
-            assert tree(folders / "out") == {}
-            self.ran(folders, "2/2")
 
 
 class TestRunLines:

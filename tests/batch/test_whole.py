@@ -25,7 +25,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 
 
 def settings(**given):
-    return Settings("msal", methods.find("msal").settled(given))
+    return Settings("msal", methods.find("msal").validate(given))
 
 
 def obj(seed, around=24, across=12):

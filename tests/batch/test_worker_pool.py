@@ -153,12 +153,6 @@ def test_prints_of_a_library_reach_neither_the_protocol_nor_our_output(capfd, ca
     assert any("yyy" in record.getMessage() for record in caplog.records)
 
 
-def test_the_last_words_of_a_worker_are_logged(caplog):
-    caplog.set_level("INFO", logger="msal")
-    heard(pool([("segfault", 0)]))
-    assert any("Segmentation fault" in record.getMessage() for record in caplog.records)
-
-
 class TestReplacement:
     def test_after_a_number_of_files(self):
         pids = results(heard(pool([("pid", 0)] * 7, jobs=1, files_per_worker=3)))
@@ -223,14 +217,6 @@ def test_a_crew_that_stays_keeps_its_worker_from_one_lot_of_tasks_to_the_next():
     assert children() == []
 
 
-def test_leaving_the_loop_ends_all():
-    batches = pool([("sleep", 60)] * 3).batches()
-    next(batches)
-    assert len(children()) == 2 if Path("/proc").exists() else True
-    batches.close()
-    assert children() == []
-
-
 @posix
 def test_a_worker_that_dies_before_it_starts_is_not_the_files_fault(monkeypatch):
     monkeypatch.setattr(
@@ -259,20 +245,6 @@ def test_no_worker_at_all_is_a_resource_error(monkeypatch):
         heard(pool([("double", 1)]))
 
 
-def test_fewer_workers_than_wanted_are_enough(monkeypatch):
-    real = subprocess.Popen
-    started = []
-
-    def miserly(*arguments, **options):
-        if started:
-            raise OSError(11, "Resource temporarily unavailable")
-        started.append(1)
-        return real(*arguments, **options)
-
-    monkeypatch.setattr(subprocess, "Popen", miserly)
-    assert len(results(heard(pool([("double", n) for n in range(5)], jobs=4)))) == 5
-
-
 @posix
 def test_workers_end_when_the_parent_is_killed(tmp_path):
     code = (
@@ -296,25 +268,6 @@ def test_workers_end_when_the_parent_is_killed(tmp_path):
     while any(fakes.is_running(pid) for pid in pids) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not any(fakes.is_running(pid) for pid in pids)
-
-
-@posix
-def test_without_the_systems_help_the_end_of_the_pipe_ends_a_busy_worker(monkeypatch):
-    monkeypatch.setattr(
-        worker_process,
-        "_BOOT",
-        worker_process._BOOT.replace(
-            "serve; serve()",
-            "serve; import msal_cli.batch.worker as w; w._die_with_parent = lambda: None; serve()",
-        ),
-    )
-    one = pool([("sleep", 60)])
-    for batch in one.batches():
-        if batch and isinstance(batch[-1], Started):
-            (worker,) = one._workers
-            worker.process.stdin.close()
-            assert worker.process.wait(timeout=2) == 0
-            break
 
 
 def test_messages_cross_a_pipe_whole():

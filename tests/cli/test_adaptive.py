@@ -9,18 +9,18 @@ import pytest
 
 from msal_cli import auto as selection
 from msal_cli import methods
-from msal_cli.analysis.added_noise import noisy
-from msal_cli.analysis.noise_estimate import estimated
+from msal_cli.analysis.added_noise import add_plain_noise
+from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.auto import adaptive
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.cli.scans import closed_scan, folder_of, msal, msal_on, ply_text, records_of
 from tests.shapes import torus
 
 
 def scan_with(level):
     vertices, faces = torus(60, 30)
-    mesh = prepared(vertices, faces).mesh
-    return ply_text(noisy(mesh, "gaussian-normal", level, 1), faces)
+    mesh = prepare_mesh(vertices, faces).mesh
+    return ply_text(add_plain_noise(mesh, "gaussian-normal", level, 1), faces)
 
 
 @pytest.fixture(scope="module")
@@ -105,11 +105,11 @@ def test_a_choice_that_damages_is_rejected(tmp_path, monkeypatch, word):
     """A collapse is never written: the input comes back, and the reason says why."""
 
     def collapsing(mesh, *given, **named):
-        values = methods.find("umbrella").settled({"iterations": 1000})
-        return selection.Choice("umbrella", values, "collapse", None, estimated(mesh))
+        values = methods.find("umbrella").validate({"iterations": 1000})
+        return selection.Choice("umbrella", values, "collapse", None, estimate_noise(mesh))
 
-    monkeypatch.setattr(adaptive, "chosen", collapsing)
-    monkeypatch.setattr("msal_cli.job.choice.chosen", collapsing)
+    monkeypatch.setattr(adaptive, "choose_adaptive", collapsing)
+    monkeypatch.setattr("msal_cli.job.choice.choose_method", collapsing)
     scan = tmp_path / "scan.ply"
     scan.write_bytes(closed_scan())
     words = [] if word is None else [word]

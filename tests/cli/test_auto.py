@@ -21,7 +21,7 @@ from jsonschema import Draft202012Validator
 
 from msal_cli import auto as selection
 from msal_cli import methods
-from msal_cli.analysis.noise_estimate import estimated
+from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.cli.denoise import command
 from msal_cli.job.settings import AUTO
 from tests.cli.scans import (
@@ -48,11 +48,11 @@ def fixed(name="msal", given=None, **changes):
         chosen.wishes.append(wishes)
         if on_step is not None:
             on_step(1, 1)
-        parameters = {} if name == "none" else methods.find(name).settled(given or {})
+        parameters = {} if name == "none" else methods.find(name).validate(given or {})
         values = {
             "reason": REASON,
             "surface": "organic",
-            "noise": dataclasses.replace(estimated(mesh), mean_edges=0.11),
+            "noise": dataclasses.replace(estimate_noise(mesh), mean_edges=0.11),
             "risk": 0.0625,
             "tried": 7,
             "runners_up": (("AL, 3 sweeps", 0.0724),),
@@ -68,7 +68,7 @@ def choose(monkeypatch):
     """Lets a test say what is chosen."""
 
     def use(chosen):
-        monkeypatch.setattr("msal_cli.auto.search.chosen", chosen)
+        monkeypatch.setattr("msal_cli.auto.search.search", chosen)
         return chosen
 
     return use
@@ -152,7 +152,7 @@ def test_the_words_on_the_command_line_are_those_of_the_pipeline():
 def test_the_record_tells_what_was_run_and_why(scan, tmp_path, choose):
     choose(fixed("msal", {"K": 0.7, "iterations": 3}))
     record = denoised_record(scan, "-o", tmp_path / "o.ply", "--keep", "shape")
-    settled = methods.find("msal").settled({"K": 0.7, "iterations": 3})
+    settled = methods.find("msal").validate({"K": 0.7, "iterations": 3})
     assert record["method"] == {"name": "msal", "parameters": settled}
     assert record["choice"] == {
         "reason": REASON,
@@ -474,11 +474,11 @@ def slow_to_choose(tmp_path):
         "import time\n"
         "from pathlib import Path\n"
         "from msal_cli.auto import search\n"
-        "def chosen(mesh, wishes, on_step=None):\n"
+        "def slow_search(mesh, wishes, on_step=None):\n"
         f"    Path({str(begun)!r}).touch()\n"
         "    for at in range(600):\n"
         "        time.sleep(0.1)\n"
-        "search.chosen = chosen\n"
+        "search.search = slow_search\n"
     )
     root = str(Path(__file__).resolve().parents[2])
     return {"PYTHONPATH": os.pathsep.join([str(patch), root])}, begun

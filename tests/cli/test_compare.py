@@ -7,7 +7,7 @@ import json
 import pytest
 from jsonschema import Draft202012Validator
 
-from msal_cli import codecs as files
+from msal_cli import codecs
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
 from tests.report.schemas import compare_schema
 
@@ -121,7 +121,7 @@ def test_a_heat_map(scans):
     assert made.exit_code == 0
     assert "pale to dark for 0 to" in made.stderr
     data = target.read_bytes()
-    opened = files.open_mesh(data, "heat.ply")
+    opened = codecs.open_mesh(data, "heat.ply")
     assert opened.properties == (
         "vertex.red uchar",
         "vertex.green uchar",

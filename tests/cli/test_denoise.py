@@ -90,7 +90,7 @@ def test_options_reach_the_method(scan, tmp_path):
     data = json.loads(made.stdout)
     Draft202012Validator(report_schema()).validate(data)
     given = {"iterations": 2, "K": 0.25, "mollify": 0, "normals": "area"}
-    expected = methods.find("msal").settled({}) | given
+    expected = methods.find("msal").validate({}) | given
     assert data["settings"]["parameters"] == expected
     assert data["records"][0]["method"] == {"name": "msal", "parameters": expected}
     assert data["command"][:2] == ["msal", "denoise"]
@@ -393,7 +393,7 @@ def test_the_log_file_gets_everything(scan, tmp_path):
 
 
 def test_a_crash_is_traced_only_on_demand(scan, tmp_path, monkeypatch):
-    monkeypatch.setattr("msal_cli.mesh.prepared", lambda *given, **named: 1 / 0)
+    monkeypatch.setattr("msal_cli.mesh.prepare_mesh", lambda *given, **named: 1 / 0)
     log = tmp_path / "msal.log"
     made = msal("denoise", scan, "-o", tmp_path / "out.ply", "--log-file", log)
     assert made.exit_code == 1

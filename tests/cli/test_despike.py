@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from msal_cli import auto as selection
-from msal_cli import codecs as files
-from msal_cli import methods
-from msal_cli.analysis.added_noise import noisy
-from msal_cli.analysis.noise_estimate import estimated
+from msal_cli import codecs, methods
+from msal_cli.analysis.added_noise import add_plain_noise
+from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.auto import adaptive
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.cli.scans import folder_of, msal, ply_text, record_of
 from tests.shapes import torus
 
@@ -20,8 +19,8 @@ SPIKED = np.arange(40, 1800, 88)
 
 def spiked_scan(level):
     """A torus with noise, and 20 of its 1,800 vertices two edges off along the normals."""
-    mesh = prepared(*torus(60, 30)).mesh
-    vertices = noisy(mesh, "gaussian-normal", level, 1)
+    mesh = prepare_mesh(*torus(60, 30)).mesh
+    vertices = add_plain_noise(mesh, "gaussian-normal", level, 1)
     vertices[SPIKED] += 2.0 * mesh.mean_edge_length * mesh.vertex_normals()[SPIKED]
     return ply_text(vertices, mesh.faces)
 
@@ -38,7 +37,7 @@ def run(*words, code=0):
 
 
 def vertices_of(path):
-    return files.open_mesh(path.read_bytes(), path.name).vertices
+    return codecs.open_mesh(path.read_bytes(), path.name).vertices
 
 
 def true_vertices():
@@ -110,10 +109,10 @@ def test_quiet_meshes_are_left_alone_only_without_spikes(scans, tmp_path):
 
 def test_a_choice_that_damages_leaves_the_outliers_too(scans, tmp_path, monkeypatch):
     def collapsing(mesh, *given, **named):
-        values = methods.find("umbrella").settled({"iterations": 1000})
-        return selection.Choice("umbrella", values, "collapse", None, estimated(mesh))
+        values = methods.find("umbrella").validate({"iterations": 1000})
+        return selection.Choice("umbrella", values, "collapse", None, estimate_noise(mesh))
 
-    monkeypatch.setattr(adaptive, "chosen", collapsing)
+    monkeypatch.setattr(adaptive, "choose_adaptive", collapsing)
     record, _ = run(scans / "quiet.ply", "-o", tmp_path / "o.ply")
     assert (record["status"], record["despiked"]) == ("unchanged", 0)
     assert (tmp_path / "o.ply").read_bytes() == (scans / "quiet.ply").read_bytes()
@@ -131,7 +130,7 @@ def test_gates_know_the_number(scans, tmp_path):
 
 
 def test_too_many_are_a_warning_where_it_was_asked_for(tmp_path):
-    mesh = prepared(*torus(60, 30)).mesh
+    mesh = prepare_mesh(*torus(60, 30)).mesh
     vertices = mesh.vertices.copy()
     draw = np.random.default_rng(0)
     moved = draw.permutation(len(vertices))[:540]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.job.fields import KINDS
 from tests.cli.scans import closed_scan, folder_of, msal, msal_on, ply_text
 from tests.report.schemas import report_schema
@@ -46,11 +46,11 @@ def test_the_fields_of_a_file(scan, tmp_path):
     assert (told["names"], told["coloured"]) == (list(KINDS), "lambda")
     rows = table(tmp_path / "out.fields.ply")
     assert rows["lambda"] == pytest.approx(rows["sigma"] / rows["sigma"].max(), rel=1e-6)
-    before = files.open_mesh(scan.read_bytes(), "a.ply").vertices
-    after = files.open_mesh(output.read_bytes(), "a.ply")
+    before = codecs.open_mesh(scan.read_bytes(), "a.ply").vertices
+    after = codecs.open_mesh(output.read_bytes(), "a.ply")
     moves = np.linalg.norm(after.vertices - before, axis=1)
     assert np.abs(rows["displacement"]) == pytest.approx(moves, abs=2e-6)
-    with_fields = files.open_mesh((tmp_path / "out.fields.ply").read_bytes(), "a.ply")
+    with_fields = codecs.open_mesh((tmp_path / "out.fields.ply").read_bytes(), "a.ply")
     assert with_fields.vertices == pytest.approx(after.vertices, abs=1e-6)
     assert np.array_equal(with_fields.faces, after.faces)
 

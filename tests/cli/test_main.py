@@ -89,7 +89,7 @@ def test_no_such_command_or_option(arguments):
     assert made.exit_code == 2
     assert made.stdout == ""
     assert made.stderr.startswith("msal: error: ")
-    assert made.stderr.endswith("hint: msal --help tells how it is used\n")
+    assert made.stderr.endswith("hint: msal --help shows how it is used\n")
     if arguments == ["denose"]:
         assert "did you mean 'denoise'?" in made.stderr
 
@@ -105,7 +105,7 @@ def test_options_have_no_abbreviations(tmp_path, option):
 
 def test_the_help_of_denoise_tells_the_real_defaults():
     said = " ".join(msal("denoise", "--help").stdout.split())
-    defaults = methods.find("msal").settled({})
+    defaults = methods.find("msal").validate({})
     for option, name in (("-n,", "iterations"), ("-K", "K"), ("--mollify", "mollify")):
         after = said[said.index(f"{option} ") :]
         assert after[after.index("[default: ") :].startswith(f"[default: {defaults[name]}]")

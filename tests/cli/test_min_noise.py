@@ -7,9 +7,9 @@ import gzip
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
-from msal_cli.analysis.added_noise import noisy
-from msal_cli.mesh import prepared
+from msal_cli import codecs
+from msal_cli.analysis.added_noise import add_plain_noise
+from msal_cli.mesh import prepare_mesh
 from tests.cli.scans import folder_of, msal, msal_on, ply_text, record_of, records_of
 from tests.shapes import torus
 
@@ -17,8 +17,8 @@ from tests.shapes import torus
 def torus_with(level):
     """The bytes of a torus with noise of so many mean edge lengths."""
     vertices, faces = torus(60, 30)
-    mesh = prepared(vertices, faces).mesh
-    return ply_text(noisy(mesh, "gaussian-normal", level, 1), faces)
+    mesh = prepare_mesh(vertices, faces).mesh
+    return ply_text(add_plain_noise(mesh, "gaussian-normal", level, 1), faces)
 
 
 @pytest.fixture
@@ -105,7 +105,7 @@ def test_another_format_has_the_same_positions(scans, tmp_path):
     assert record["status"] == "written"
     assert record["left_alone"]
     both = [
-        files.open_mesh(path.read_bytes(), path.name).vertices
+        codecs.open_mesh(path.read_bytes(), path.name).vertices
         for path in (scans / "clean.ply", output)
     ]
     assert np.array_equal(both[0], both[1])
@@ -144,5 +144,5 @@ def test_what_is_no_level(scans, tmp_path, wrong):
 
 def test_the_field(scans, tmp_path):
     msal("denoise", scans / "loud.ply", "-o", tmp_path / "out.ply", "--fields", "noise")
-    made = files.open_mesh((tmp_path / "out.fields.ply").read_bytes(), "fields.ply")
+    made = codecs.open_mesh((tmp_path / "out.fields.ply").read_bytes(), "fields.ply")
     assert any("noise" in one for one in made.properties)

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.analysis.added_noise import KINDS
 from msal_cli.cli.noise import _KINDS
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on, ply_text
@@ -66,7 +66,7 @@ def test_vertices_at_one_place_stay_together(tmp_path):
     text += "".join(f"f {at + 1} {at + 2} {at + 3}\n" for at in range(0, len(corners), 3))
     (tmp_path / "soup.obj").write_text(text)
     assert msal("noise", tmp_path / "soup.obj", "-o", tmp_path / "out.obj").exit_code == 0
-    opened = files.open_mesh((tmp_path / "out.obj").read_bytes(), "out.obj")
+    opened = codecs.open_mesh((tmp_path / "out.obj").read_bytes(), "out.obj")
     for corner in range(len(vertices)):
         places = opened.vertices[faces.reshape(-1) == corner]
         assert (places == places[0]).all()
@@ -175,7 +175,7 @@ def test_a_direction_is_an_axis_or_three_numbers(scan, given, told, axis):
 
 
 def files_vertices(path):
-    return files.open_mesh(path.read_bytes(), path.name).vertices
+    return codecs.open_mesh(path.read_bytes(), path.name).vertices
 
 
 def test_quantised_depths_in_the_file_lie_on_levels(scan):

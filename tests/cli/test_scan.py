@@ -7,7 +7,7 @@ import gzip
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.analysis.simulation import SCANNERS
 from msal_cli.analysis.simulation.volume_files import TYPES
 from msal_cli.cli.scan import _SCANNERS, _TYPES
@@ -26,7 +26,7 @@ def part(tmp_path):
 
 
 def opened(path):
-    return files.open_mesh(path.read_bytes(), path.name)
+    return codecs.open_mesh(path.read_bytes(), path.name)
 
 
 def test_the_command_offers_every_scanner_and_type():

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from msal_cli.codecs import converted, encode_mesh, open_mesh, readable_suffixes, writable_formats
+from msal_cli.codecs import convert, encode_mesh, open_mesh, writable_formats
+from msal_cli.codecs.detection import readable_suffixes
 from msal_cli.errors import UnsupportedError
 from tests.codecs import plain_stl
 from tests.shapes import cube, noisy, torus
@@ -40,7 +41,7 @@ def test_every_target_holds_the_same_triangles(to):
     vertices, faces = torus(12, 8)
     source = open_mesh(obj(vertices, faces), "a.obj")
     moved = noisy(vertices)
-    data, losses = converted(source, moved, to)
+    data, losses = convert(source, moved, to)
     again = reopened(data, to)
     tolerance = 1e-6 if to in ("stl", "glb", "gltf") else 1e-11
     assert np.allclose(corners(again), moved[faces.reshape(-1)], rtol=0, atol=tolerance)
@@ -52,8 +53,8 @@ def test_every_target_holds_the_same_triangles(to):
 @pytest.mark.parametrize("to", writable_formats())
 def test_the_same_bytes_on_every_run(to):
     source = open_mesh(obj(*cube()), "a.obj")
-    assert bytes(converted(source, source.vertices, to)[0]) == bytes(
-        converted(source, source.vertices, to)[0]
+    assert bytes(convert(source, source.vertices, to)[0]) == bytes(
+        convert(source, source.vertices, to)[0]
     )
 
 
@@ -61,13 +62,13 @@ def test_readers_of_other_people(tmp_path):
     vertices, faces = torus(12, 8)
     source = open_mesh(obj(vertices, faces), "a.obj")
     for to in ("ply", "stl", "off", "obj", "glb"):
-        data = bytes(converted(source, vertices, to)[0])
+        data = bytes(convert(source, vertices, to)[0])
         scene = trimesh.load_scene(io.BytesIO(data), file_type=to, process=False)
         (mesh,) = scene.geometry.values()
         assert np.allclose(mesh.triangles.reshape(-1, 3), vertices[faces.reshape(-1)], atol=1e-6)
     for to in ("ply", "off", "vtk", "vtu"):
         path = tmp_path / f"a.{to}"
-        path.write_bytes(converted(source, vertices, to)[0])
+        path.write_bytes(convert(source, vertices, to)[0])
         mesh = meshio.read(path)
         assert np.allclose(mesh.points, vertices, atol=1e-12)
         assert np.array_equal(mesh.cells[0].data, faces)
@@ -79,7 +80,7 @@ def test_polygons_stay_where_the_target_has_them(to, encoding):
     mixed = [*QUADS[:3], QUADS[3][:3], (QUADS[3][0], *QUADS[3][2:]), *QUADS[4:]]
     for polygons in (QUADS, mixed, [tuple(range(8))]):
         source = open_mesh(obj(vertices, polygons), "a.obj")
-        data, losses = converted(source, vertices, to, encoding)
+        data, losses = convert(source, vertices, to, encoding)
         assert losses == ()
         again = reopened(data, to)
         assert [tuple(row) for row in again.polygons()] == polygons
@@ -91,14 +92,14 @@ def test_polygons_with_more_corners_than_a_byte_counts():
     angle = np.linspace(0, 2 * np.pi, 300, endpoint=False)
     vertices = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     source = open_mesh(obj(vertices, [tuple(range(300)), (0, 1, 2)]), "a.obj")
-    again = reopened(converted(source, vertices, "ply")[0], "ply")
+    again = reopened(convert(source, vertices, "ply")[0], "ply")
     assert [len(row) for row in again.polygons()] == [300, 3]
 
 
 @pytest.mark.parametrize("to", ["stl", "off", "glb", "vtk", "msh"])
 def test_polygons_that_are_triangulated_are_named(to):
     source = open_mesh(obj(cube()[0], QUADS), "a.obj")
-    data, losses = converted(source, source.vertices, to)
+    data, losses = convert(source, source.vertices, to)
     assert "polygons (triangulated)" in losses
     again = reopened(data, to)
     assert np.allclose(corners(again), corners(source))
@@ -110,7 +111,7 @@ def test_soup_becomes_an_indexed_mesh():
     source = open_mesh(data, "a.stl")
     moved = source.vertices * 1.5 - 0.25
     for to in ("ply", "obj", "off", "glb", "vtk"):
-        output, losses = converted(source, moved, to)
+        output, losses = convert(source, moved, to)
         again = reopened(output, to)
         assert len(again.vertices) == 8
         assert np.array_equal(corners(again), moved[source.faces].reshape(-1, 3))
@@ -143,15 +144,15 @@ def coloured(alpha: bool = False) -> bytes:
 
 def test_vertex_colours_go_across_and_back():
     source = open_mesh(coloured(), "a.ply")
-    to_obj, losses = converted(source, source.vertices, "obj")
+    to_obj, losses = convert(source, source.vertices, "obj")
     assert losses == ()
     middle = reopened(to_obj, "obj")
     assert "vertex colours" in middle.properties
-    back, losses = converted(middle, middle.vertices, "ply")
+    back, losses = convert(middle, middle.vertices, "ply")
     assert losses == ()
     mesh = trimesh.load_mesh(io.BytesIO(bytes(back)), file_type="ply", process=False)
     assert np.array_equal(mesh.visual.vertex_colors[:, :3], COLOURS)
-    glb, losses = converted(source, source.vertices, "glb")
+    glb, losses = convert(source, source.vertices, "glb")
     assert losses == ()
     (part,) = trimesh.load_scene(io.BytesIO(glb), file_type="glb").geometry.values()
     assert np.array_equal(np.unique(part.visual.vertex_colors[:, :3], axis=0), COLOURS)
@@ -161,22 +162,22 @@ def test_colours_as_numbers_up_to_one():
     vertices, faces = cube()
     rows = [" ".join(map(str, (*v, *(c / 255)))) for v, c in zip(vertices, COLOURS, strict=True)]
     source = open_mesh(ply(XYZ + RGB.replace("uchar", "float"), rows, faces), "a.ply")
-    again = reopened(converted(source, source.vertices, "obj")[0], "obj")
-    data = converted(again, again.vertices, "ply")[0]
+    again = reopened(convert(source, source.vertices, "obj")[0], "obj")
+    data = convert(again, again.vertices, "ply")[0]
     mesh = trimesh.load_mesh(io.BytesIO(bytes(data)), file_type="ply", process=False)
     assert np.array_equal(mesh.visual.vertex_colors[:, :3], COLOURS)
 
 
 def test_alpha_is_kept_in_glb():
     source = open_mesh(coloured(alpha=True), "a.ply")
-    data, losses = converted(source, source.vertices, "glb")
+    data, losses = convert(source, source.vertices, "glb")
     assert losses == ()
     assert "vertex.COLOR_0" in reopened(data, "glb").properties
 
 
 @pytest.mark.parametrize("to", ["stl", "off", "vtk"])
 def test_colours_that_are_lost_are_named(to):
-    _, losses = converted(open_mesh(coloured(), "a.ply"), cube()[0], to)
+    _, losses = convert(open_mesh(coloured(), "a.ply"), cube()[0], to)
     assert {"vertex.red uchar", "vertex.green uchar", "vertex.blue uchar"} <= set(losses)
 
 
@@ -187,7 +188,7 @@ def test_vertex_normals_go_across():
         "f " + " ".join(f"{i + 1}//{i + 1}" for i in row) + "\n" for row in faces
     ).encode()
     source = open_mesh(text, "a.obj")
-    data, losses = converted(source, vertices, "ply")
+    data, losses = convert(source, vertices, "ply")
     assert losses == ()
     head = bytes(data)[:400]
     assert b"property float nx" in head
@@ -196,23 +197,23 @@ def test_vertex_normals_go_across():
     outward = vertices - 3 * ring / np.linalg.norm(ring, axis=1, keepdims=True)
     assert (np.einsum("ij,ij->i", mesh.vertex_normals, outward) > 0.95).all()
     middle = reopened(data, "ply")
-    back, losses = converted(middle, middle.vertices, "obj")
+    back, losses = convert(middle, middle.vertices, "obj")
     assert losses == ()
     assert b"vn " in bytes(back)
     assert b"f 1//1 " in bytes(back)
     assert np.array_equal(reopened(back, "obj").faces, faces)
-    assert converted(middle, middle.vertices, "stl")[1] == (
+    assert convert(middle, middle.vertices, "stl")[1] == (
         "vertex identity (STL stores corners)",
-        *(converted(middle, middle.vertices, "stl")[1][1:]),
+        *(convert(middle, middle.vertices, "stl")[1][1:]),
     )
-    assert "vertex.nx float" in converted(middle, middle.vertices, "vtk")[1]
+    assert "vertex.nx float" in convert(middle, middle.vertices, "vtk")[1]
 
 
 def test_everything_else_is_named():
     text = obj(*cube(), "mtllib a.mtl\nvt 0 0\nusemtl skin\ng part\ns 1")
     text = text.replace(b"f 1 3 4", b"f 1/1 3/1 4/1")
     source = open_mesh(text, "a.obj")
-    _, losses = converted(source, source.vertices, "ply")
+    _, losses = convert(source, source.vertices, "ply")
     assert set(losses) == set(source.properties)
     assert {"texture coordinates", "materials", "groups"} <= set(losses)
 
@@ -220,34 +221,34 @@ def test_everything_else_is_named():
 def test_unused_vertices_are_lost_in_stl():
     vertices, faces = cube()
     source = open_mesh(obj(np.concatenate([vertices, vertices + 5]), faces), "a.obj")
-    assert "8 vertices that no face uses" in converted(source, source.vertices, "stl")[1]
-    assert converted(source, source.vertices, "ply")[1] == ()
-    assert len(reopened(converted(source, source.vertices, "ply")[0], "ply").vertices) == 16
+    assert "8 vertices that no face uses" in convert(source, source.vertices, "stl")[1]
+    assert convert(source, source.vertices, "ply")[1] == ()
+    assert len(reopened(convert(source, source.vertices, "ply")[0], "ply").vertices) == 16
 
 
 def test_number_types_follow_the_source():
     vertices, faces = cube()
     text = open_mesh(obj(vertices, faces), "a.obj")
     single = open_mesh(plain_stl.binary(vertices[faces].reshape(-1, 9)), "a.stl")
-    assert reopened(converted(text, vertices, "ply")[0], "ply").precision == "float64"
-    assert reopened(converted(single, single.vertices, "ply")[0], "ply").precision == "float32"
-    chosen = converted(text, vertices, "ply", precision="float32")[0]
+    assert reopened(convert(text, vertices, "ply")[0], "ply").precision == "float64"
+    assert reopened(convert(single, single.vertices, "ply")[0], "ply").precision == "float32"
+    chosen = convert(text, vertices, "ply", precision="float32")[0]
     assert reopened(chosen, "ply").precision == "float32"
-    chosen = converted(single, single.vertices, "ply", precision="float64")[0]
+    chosen = convert(single, single.vertices, "ply", precision="float64")[0]
     assert reopened(chosen, "ply").precision == "float64"
     file = open_mesh(chosen, "a.ply")
-    assert b" 0.33333334 " in bytes(converted(file, file.vertices / 3, "obj", "same", "float32")[0])
-    assert b" 0.3333333333333333 " in bytes(converted(file, file.vertices / 3, "obj")[0])
+    assert b" 0.33333334 " in bytes(convert(file, file.vertices / 3, "obj", "same", "float32")[0])
+    assert b" 0.3333333333333333 " in bytes(convert(file, file.vertices / 3, "obj")[0])
 
 
 def test_digits_that_float32_ruins_are_named():
     vertices, faces = cube()
     far = open_mesh(obj(vertices + [4_650_000.123, 0, 0], faces), "a.obj")
-    (_, lost) = converted(far, far.vertices, "stl")[1]
+    (_, lost) = convert(far, far.vertices, "stl")[1]
     assert "0.5 units" in lost
     near = open_mesh(obj(vertices, faces), "a.obj")
-    assert len(converted(near, near.vertices, "stl")[1]) == 1
-    assert converted(far, far.vertices, "stl", "ascii")[1] == converted(near, vertices, "stl")[1]
+    assert len(convert(near, near.vertices, "stl")[1]) == 1
+    assert convert(far, far.vertices, "stl", "ascii")[1] == convert(near, vertices, "stl")[1]
 
 
 @pytest.mark.parametrize(
@@ -269,28 +270,28 @@ def test_what_no_format_has_is_refused(to, encoding, precision):
     if to == "obj":
         source = open_mesh(coloured(), "a.ply")
     with pytest.raises(UnsupportedError) as caught:
-        converted(source, source.vertices, to, encoding, precision)
+        convert(source, source.vertices, to, encoding, precision)
     assert caught.value.hint
 
 
 @pytest.mark.parametrize(("to", "encoding"), [("ply", "ascii"), ("stl", "ascii"), ("vtk", "ascii")])
 def test_text_can_be_asked_for(to, encoding):
     source = open_mesh(obj(*cube()), "a.obj")
-    data = bytes(converted(source, source.vertices, to, encoding)[0])
+    data = bytes(convert(source, source.vertices, to, encoding)[0])
     assert data.isascii()
     assert reopened(data, to).encoding == "ascii"
 
 
 def test_stl_text_has_unit_normals():
     source = open_mesh(obj(*cube()), "a.obj")
-    file = reopened(converted(source, source.vertices, "stl", "ascii")[0], "stl")
+    file = reopened(convert(source, source.vertices, "stl", "ascii")[0], "stl")
     normals = plain_stl.right_hand_normals(corners(file))
     assert np.allclose(file.normals, normals)
 
 
 def test_the_same_format_is_re_encoded():
     source = open_mesh(plain_stl.binary(plain_stl.tetrahedron()), "a.stl")
-    data, losses = converted(source, source.vertices, "STL", "ascii")
+    data, losses = convert(source, source.vertices, "STL", "ascii")
     assert losses == ()
     assert reopened(data, "stl").encoding == "ascii"
 
@@ -306,7 +307,7 @@ def test_ninety_degrees_of_real_scans(real_data):
         path = real_data / name
         source = open_mesh(path.read_bytes(), path.name)
         for to in ("ply", "obj", "stl", "glb"):
-            again = reopened(converted(source, source.vertices, to)[0], to)
+            again = reopened(convert(source, source.vertices, to)[0], to)
             assert len(again.faces) == len(source.faces)
             assert np.allclose(corners(again), corners(source), rtol=1e-6, atol=1e-6)
 
@@ -316,7 +317,7 @@ def test_a_single_precision_mesh_goes_into_every_format(to):
     vertices, faces = torus(12, 8)
     ply = open_mesh(encode_mesh(vertices, faces, "ply"), "a.ply")
     assert ply.precision == "float32"
-    made = reopened(converted(ply, ply.vertices, to)[0], to)
+    made = reopened(convert(ply, ply.vertices, to)[0], to)
     assert corners(made) == pytest.approx(corners(ply), abs=1e-6)
 
 
@@ -337,4 +338,4 @@ def test_med_has_no_single_precision():
     vertices, faces = torus(12, 8)
     ply = open_mesh(encode_mesh(vertices, faces, "ply"), "a.ply")
     with pytest.raises(UnsupportedError, match="float32"):
-        converted(ply, ply.vertices, "med", precision="float32")
+        convert(ply, ply.vertices, "med", precision="float32")

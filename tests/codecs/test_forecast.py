@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.codecs import forecast
 from msal_cli.codecs.forecast import BASE_BYTES, LOOKED_AT, of_beginning
 from msal_cli.job.settings import Settings, Task
 from msal_cli.job.settings import forecast as forecast_task
+from msal_cli.storage import gzip_streams
 from tests.codecs import test_gltf
 from tests.shapes import noisy, torus
 
@@ -44,10 +44,10 @@ def told(data, name, **options):
 
 
 def converted(to, encoding="same"):
-    opened = files.open_mesh(ply(*scan()), "a.ply")
+    opened = codecs.open_mesh(ply(*scan()), "a.ply")
     if to == "ply":
         return bytes(opened.encoded(opened.vertices, encoding, "same"))
-    return bytes(files.converted(opened, opened.vertices, to, encoding)[0])
+    return bytes(codecs.convert(opened, opened.vertices, to, encoding)[0])
 
 
 @pytest.mark.parametrize(
@@ -107,14 +107,14 @@ def test_strips_tell_no_count_of_faces_but_cost_their_triangles():
 def test_a_compressed_file_is_told_by_what_is_in_it():
     vertices, faces = scan(64, 32)
     plain = ply(vertices, faces)
-    packed = files.compressed(plain)
+    packed = gzip_streams.compress(plain)
     assert len(packed) < LOOKED_AT
     one, two = told(plain, "a.ply"), told(packed, "a.ply.gz")
     assert (two.format, two.vertices, two.faces) == ("ply", 2048, 4096)
     assert 0 <= two.memory_bytes - one.memory_bytes - 2 * len(packed) < len(plain)
     rows = np.random.default_rng(0).random((30_000, 3))
     text = "".join("v {:.5f} {:.5f} {:.5f}\n".format(*row) for row in rows).encode()
-    packed = files.compressed(text)
+    packed = gzip_streams.compress(text)
     three, four = told(text, "a.obj"), told(packed, "a.obj.gz")
     grown = (four.memory_bytes - BASE_BYTES) / (three.memory_bytes - BASE_BYTES)
     assert 1.0 <= grown < 1.6
@@ -148,7 +148,7 @@ def test_a_header_that_lies_tells_nothing(lie):
     one = told(data, "a.ply")
     assert (one.vertices, one.faces) == (None, None)
     assert BASE_BYTES < one.memory_bytes < BASE_BYTES + 10**6
-    packed = told(files.compressed(data), "a.ply.gz")
+    packed = told(gzip_streams.compress(data), "a.ply.gz")
     assert packed.memory_bytes < BASE_BYTES + 10**6 or packed.faces is not None
 
 
@@ -161,7 +161,7 @@ def test_an_stl_that_is_cut_short_tells_nothing():
 def test_no_beginning_of_anything_raises():
     generator = np.random.default_rng(0)
     whole = [ply(*scan()), ply(*scan(), "ascii"), converted("glb"), converted("stl")]
-    whole += [files.compressed(one) for one in whole[:2]]
+    whole += [gzip_streams.compress(one) for one in whole[:2]]
     for data in whole:
         for _ in range(25):
             broken = bytearray(data[: generator.integers(0, len(data))])
@@ -184,7 +184,8 @@ import sys
 from msal_cli import methods
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import Settings, Task
-record = denoise_file(Task(*sys.argv[1:3], "x"), Settings("msal", methods.find("msal").settled({})))
+parameters = methods.find("msal").validate({})
+record = denoise_file(Task(*sys.argv[1:3], "x"), Settings("msal", parameters))
 assert record.error is None, record.error
 print(next(int(line.split()[1]) * 1024 for line in open("/proc/self/status") if "VmHWM" in line))
 """
@@ -222,14 +223,14 @@ def peak(path, target):
 def test_the_peak_is_within_half_and_all_of_what_is_foreseen(form, around, tmp_path):
     to, _, flavour = form.partition("-")
     data = ply(*scan(around, around // 2))
-    opened = files.open_mesh(data, "a.ply")
+    opened = codecs.open_mesh(data, "a.ply")
     if to != "ply":
-        data = files.converted(opened, opened.vertices, to, flavour or "same")[0]
+        data = codecs.convert(opened, opened.vertices, to, flavour or "same")[0]
     elif flavour == "ascii":
         data = opened.encoded(opened.vertices, "ascii", "same")
     path = tmp_path / f"a.{to}"
     if flavour == "gz":
-        path, data = path.with_suffix(".ply.gz"), files.compressed(data)
+        path, data = path.with_suffix(".ply.gz"), gzip_streams.compress(data)
     path.write_bytes(data)
     target = tmp_path / f"out{''.join(path.suffixes)}"
     peak(path, target)  # compiles the kernels

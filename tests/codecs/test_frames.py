@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.codecs import converted, glb, open_mesh, threemf
+from msal_cli.codecs import convert, glb, open_mesh, threemf
 from msal_cli.codecs.frames import PLACEMENT
 from tests.codecs import test_glb
 from tests.codecs.plain_3mf import model, package, shape
@@ -30,9 +30,9 @@ def test_gltf_losses(more, is_placed):
     scene.content["nodes"][0] |= more
     file = glb.read(scene.data(), "")
     assert np.array_equal(file.vertices, cube()[0])
-    _, losses = converted(file, file.vertices, "ply", "same", "same")
+    _, losses = convert(file, file.vertices, "ply", "same", "same")
     assert (PLACEMENT in losses) is is_placed
-    _, losses = converted(file, file.vertices, "gltf", "same", "same")
+    _, losses = convert(file, file.vertices, "gltf", "same", "same")
     assert not losses
 
 
@@ -44,7 +44,7 @@ def test_3mf_losses(transform, is_placed):
     build = f'<item objectid="1" transform="{transform}"/>'
     file = threemf.read(package(model(shape(1, CUBE), build)), "")
     assert np.array_equal(file.vertices, cube()[0])
-    _, losses = converted(file, file.vertices, "ply", "same", "same")
+    _, losses = convert(file, file.vertices, "ply", "same", "same")
     assert (PLACEMENT in losses) is is_placed
 
 
@@ -63,5 +63,5 @@ def test_collada_losses(transform, is_placed):
     data = document(geometry("a", TRIANGLES), node("a", transform))
     file = open_mesh(data, "a.dae")
     assert file.vertices.max() == 1.0
-    _, losses = converted(file, file.vertices, "ply", "same", "same")
+    _, losses = convert(file, file.vertices, "ply", "same", "same")
     assert (PLACEMENT in losses) is is_placed

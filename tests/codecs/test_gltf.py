@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.codecs import conversion as convert
-from msal_cli.codecs import gltf, open_mesh
+from msal_cli.codecs import detection, gltf, open_mesh
 from msal_cli.codecs.companions import write_companions
 from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import InternalError, MsalError, UnsupportedError
@@ -60,7 +60,7 @@ def in_folder(folder: Path, name: str = "scan.gltf", buffer: str = "scan.bin") -
     return folder / name
 
 
-def opened(path: Path) -> files.MeshFile:
+def opened(path: Path) -> codecs.MeshFile:
     return open_mesh(path.read_bytes(), str(path))
 
 
@@ -460,6 +460,6 @@ def test_a_position_that_is_not_finite_is_named():
 
 
 def test_the_content_tells_the_format():
-    assert files.content_format(embedded()) == "gltf"
-    assert files.format_of_name("a.GLTF.gz") == "gltf"
+    assert detection.content_format(embedded()) == "gltf"
+    assert detection.format_of_name("a.GLTF.gz") == "gltf"
     assert open_mesh(embedded(), "-").format == "gltf"

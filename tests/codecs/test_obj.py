@@ -12,11 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.codecs import obj
-from msal_cli.codecs import obj_parser as obj_content
+from msal_cli.codecs import obj, obj_parser
 from msal_cli.errors import ContentError, InputError, InternalError, UnsupportedError
-from msal_cli.kernels import obj_fast as obj_plain
-from msal_cli.kernels import obj_scan, text
+from msal_cli.kernels import obj_fast, obj_scan, text
 from tests.codecs.plain_obj import blanked, parsed, tokens
 
 TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
@@ -347,7 +345,7 @@ def test_many_numbers_of_many_digits() -> None:
 def test_room_is_counted_generously(noise: bytes, more: list[bytes]) -> None:
     data = noise.join([b"", *more])
     lines = re.split(rb"[\r\n]", data)
-    found = [obj_plain.counted(text.as_bytes(data))[:3] if data else (1, 1, 1)]
+    found = [obj_fast.counted(text.as_bytes(data))[:3] if data else (1, 1, 1)]
     for place, keyword in enumerate((b"v", b"vn", b"f")):
         real = sum(1 for line in lines if re.match(rb"[\s]*%s[ \t\\]" % keyword, line))
         assert found[0][place] >= real
@@ -472,10 +470,10 @@ def test_both_walks_read_the_same(data: bytes, noise: bytes, place: int, is_usua
     for is_plain in (True, False):
         with pytest.MonkeyPatch.context() as patch:
             if not is_plain:
-                patch.setattr(obj_content._Reading, "_walked_plainly", lambda _: obj_plain.ODD)
-                patch.setattr(obj_content._Reading, "_read_statement", lambda _: False)
+                patch.setattr(obj_parser._Reading, "_walk_plainly", lambda _: obj_fast.ODD)
+                patch.setattr(obj_parser._Reading, "_read_statement", lambda _: False)
             try:
-                one = obj_content.content(data)
+                one = obj_parser.parse_content(data)
             except InputError as error:
                 seen.append([str(error), error.where])
                 continue

@@ -8,7 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from msal_cli.codecs import content_format, converted, format_of_name, open_mesh, writable_formats
+from msal_cli.codecs import convert, open_mesh, writable_formats
+from msal_cli.codecs.detection import content_format, format_of_name
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron
@@ -23,7 +24,7 @@ PLY = (
 )
 OBJ = b"# a comment\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 OFF = b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
-GLB = bytes(converted(open_mesh(OBJ, "a.obj"), np.eye(3), "glb")[0])
+GLB = bytes(convert(open_mesh(OBJ, "a.obj"), np.eye(3), "glb")[0])
 FILES = {"ply": PLY, "obj": OBJ, "stl": STL, "off": OFF, "glb": GLB}
 
 
@@ -51,7 +52,7 @@ def test_a_stream_is_known_by_its_content(kind):
 def test_what_libraries_write_is_known_by_its_content():
     source = open_mesh(OBJ, "a.obj")
     for to in writable_formats():
-        data = bytes(converted(source, source.vertices, to)[0])
+        data = bytes(convert(source, source.vertices, to)[0])
         assert content_format(data) in (to, ""), to
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from msal_cli import codecs as files
+from msal_cli import codecs
 from msal_cli.codecs.ply_fields import with_fields
 from msal_cli.errors import InternalError
 from tests.cli.scans import closed_scan, ply_text
@@ -20,7 +20,7 @@ QUADS = (
 
 
 def opened(data, name="a.ply"):
-    return files.open_mesh(bytes(data), name)
+    return codecs.open_mesh(bytes(data), name)
 
 
 def test_positions_faces_numbers_and_colours_are_there():

@@ -315,7 +315,7 @@ def test_vertices_are_counted_after_welding_and_corners_beside_them(tmp_path):
     assert record.unreferenced_vertices == 0
     task = Task(str(path), str(tmp_path / "b.stl"), "a.stl")
     done = pipeline.denoise_file(
-        task, Settings("al", methods.find("al").settled({"iterations": 1}))
+        task, Settings("al", methods.find("al").validate({"iterations": 1}))
     )
     assert done.status == "written"
     assert (done.vertices, done.corners, done.welded_vertices) == (4, 12, 8)

@@ -6,7 +6,7 @@ import meshio
 import numpy as np
 import pytest
 
-from msal_cli.codecs import converted, open_mesh
+from msal_cli.codecs import convert, open_mesh
 from msal_cli.errors import MsalError
 from tests.codecs.patching import changed_lines, patched
 from tests.shapes import torus
@@ -55,7 +55,7 @@ def test_what_is_written_holds_its_numbers_itself(tmp_path):
     source = open_mesh(TEXT.encode(), "a.xdmf")
     source.vertices, source.faces, source.n_polygons = vertices, faces, len(faces)
     source.format = "ply"
-    data, _ = converted(source, vertices, "xdmf")
+    data, _ = convert(source, vertices, "xdmf")
     (tmp_path / "a.xdmf").write_bytes(data)
     judged = meshio.read(tmp_path / "a.xdmf")
     assert np.array_equal(judged.points, vertices)

@@ -6,7 +6,7 @@
     python -m tests.frozen.corpus_sums --against OLD_CHECKOUT   show the first outcome that differs
     python -m tests.frozen.corpus_sums --write                  replace the sums
 
-Each file is read, displaced, written, re-encoded and, unless it is a mutant, converted.  There are
+Each file is read, displaced, written, re-encoded and, unless it is a mutant, convert.  There are
 two sums: ``data`` (error codes, arrays, bytes, how many warnings) and ``texts`` (messages, places,
 hints, warnings, losses).  A change of words changes ``texts`` alone; ``--only data`` ignores it.
 
@@ -25,7 +25,6 @@ import hashlib
 import json
 import multiprocessing
 import os
-import random
 import re
 import subprocess
 import sys
@@ -38,24 +37,16 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.codecs import (
-    converted,
-    expanded,
-    normal_warnings,
-    open_mesh,
-    vertex_property,
-    writable_formats,
-)
+from msal_cli import codecs
+from msal_cli.codecs import normal_warnings, open_mesh, vertex_property, writable_formats
 from msal_cli.codecs.forecast import of_beginning
 from msal_cli.errors import MsalError
-from tests.frozen.sums import REAL, ROOT, environment
-from tests.fuzz import corpus, mutants
-from tests.fuzz.seeds import archived, seeds
+from msal_cli.storage.gzip_streams import expand
+from tests.frozen.corpus_inputs import formats, mutant, ordinary_files, real_files
+from tests.frozen.sums import environment
+from tests.fuzz.seeds import seeds
 
 KEPT = Path(__file__).with_name("corpus_sums.json")
-
-FUZZED = ("ply", "obj", "stl", "glb", "gltf", "3mf", "gz")
-"""Formats with mutants and a corpus of their own; for all others bytes and numbers are changed."""
 
 BLOCK = 100
 """Mutants of one sum."""
@@ -89,7 +80,7 @@ def encode(file: Any, vertices: Any, encoding: str, precision: str) -> Any:
 
 
 def convert(file: Any, vertices: Any, to: str) -> tuple[Any, tuple[str, ...]]:
-    return converted(file, vertices, to)
+    return codecs.convert(file, vertices, to)
 
 
 def forecast(data: bytes, name: str) -> Any:
@@ -159,7 +150,7 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
     known: dict[str, Any] = {}
 
     def load() -> tuple[str, str]:
-        whole, notes = expanded(data, name)
+        whole, notes = expand(data, name)
         known["file"] = read(whole, name if format != "gz" else "scan", None)
         known["whole"] = whole
         return digest(whole), str(notes)
@@ -226,54 +217,6 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
             if to != "med":
                 attempt(steps, f"to {to}", functools.partial(conversion, to))
     return steps
-
-
-def formats() -> tuple[str, ...]:
-    """All formats that are compared."""
-    found = {name.split("/")[1] for name in archived() if name.startswith(("seeds/", "made/"))}
-    return (*FUZZED, *sorted(found - set(FUZZED)))
-
-
-def mutant(format: str, number: int) -> bytes:
-    """The mutant of that number."""
-    if format in FUZZED:
-        return mutants.mutant(format, number)
-    dice = random.Random(f"{format} {number}")
-    data = dice.choice(seeds(format))
-    for _ in range(dice.choice((1, 1, 1, 2, 3))):
-        change = dice.choice((mutants._number, mutants._number, mutants._lines, mutants._bytes))
-        data = change(format, data, dice)
-    return data
-
-
-def format_of(name: str) -> str:
-    """The format under which a file is listed."""
-    suffix = name.rpartition(".")[2] if "." in name else ""
-    return suffix if suffix in formats() else "none"
-
-
-def ordinary_files(format: str) -> dict[str, bytes]:
-    """All files of a format but mutants, by name."""
-    found: dict[str, bytes] = {}
-    for path in sorted((ROOT / "sample_meshes").iterdir()):
-        if "_" in path.name and path.suffix != ".py" and format_of(path.name) == format:
-            found[f"sample/{path.name}"] = path.read_bytes()
-    if format in FUZZED:
-        found |= {f"fuzz/{name[:10]}": data for name, data in corpus.kept(format).items()}
-    for name, data in archived().items():
-        kind, _, rest = name.partition("/")
-        listed = kind == "malformed" and format_of(rest) == format
-        if listed or (kind != "malformed" and rest.startswith(f"{format}/")):
-            found[name] = data
-    return found
-
-
-def real_files(format: str) -> Iterator[tuple[str, bytes]]:
-    """The files of the folder MSAL_DATA, none where it is not set."""
-    folder = os.environ.get("MSAL_DATA", "")
-    for file in REAL if folder else ():
-        if format_of(file) == format:
-            yield f"data/{file}", Path(folder, file).read_bytes()
 
 
 Task = tuple[str, str, int]

@@ -9,7 +9,7 @@ import json
 
 import pytest
 
-from tests.frozen import corpus_sums, record_sums
+from tests.frozen import corpus_inputs, corpus_sums, record_sums
 
 CORPUS = json.loads(corpus_sums.KEPT.read_text())
 RECORDS = json.loads(record_sums.KEPT.read_text())
@@ -21,7 +21,7 @@ def same_environment():
         pytest.skip("the sums were made elsewhere")
 
 
-@pytest.mark.parametrize("format", corpus_sums.FUZZED)
+@pytest.mark.parametrize("format", corpus_inputs.FUZZED)
 def test_mutants(format):
     # If a change is meant: python -m tests.frozen.corpus_sums --write
     task, sums, _ = corpus_sums.sums_of((format, "mutants", 0))

@@ -48,6 +48,9 @@ WORDS = {
     b' x= y= z= v1= v2= v3= id= objectid= transform= unit= p:path= xmlns= " < > /> </ <!-- --> &lt;'
     b" UTF-8 UTF-16 inch Type Target Relationship http://schemas.microsoft.com".split(),
     "stl": b"solid facet normal outer loop vertex endloop endfacet endsolid".split(),
+    "glb": b"glTF JSON accessors bufferViews buffers meshes primitives attributes POSITION NORMAL"
+    b" indices mode count byteOffset byteLength byteStride componentType VEC3 SCALAR nodes children"
+    b" matrix translation rotation scale mesh targets min max uri asset data:;base64,".split(),
 }
 BYTES = [
     b"\0",
@@ -80,11 +83,14 @@ def mutant(format: str, number: int) -> bytes:
     if format == "gz":
         return _packed(data, changes, dice)
     for _ in range(changes):
-        data = _changed(format, data, dice)
+        data = change(format, data, dice)
     return data
 
 
-def _changed(format: str, data: bytes, dice: random.Random) -> bytes:
+def change(format: str, data: bytes, dice: random.Random) -> bytes:
+    """One change of the content of a file, most often one that its format has a name for."""
+    if format == "gz":
+        return _repacked(data, dice)
     if format == "glb":
         return _changed_scene(data, dice)
     if format == "gltf":
@@ -94,10 +100,10 @@ def _changed(format: str, data: bytes, dice: random.Random) -> bytes:
     if format == "stl" and not data.startswith(b"solid") and dice.random() < 0.5:
         return _changed_facets(data, dice)
     if format in WORDS and dice.random() < 0.6:
-        change = dice.choice(
+        change_text = dice.choice(
             (_number, _number, _word, _lines, _header if format == "ply" else _word)
         )
-        return change(format, data, dice)
+        return change_text(format, data, dice)
     return _bytes(format, data, dice)
 
 
@@ -293,13 +299,25 @@ def _packed(data: bytes, changes: int, dice: random.Random) -> bytes:
     format = next(one for one in ("ply", "obj", "stl", "glb") if data in seeds(one))
     is_inside = dice.random() < 0.5
     for _ in range(changes * is_inside):
-        data = _changed(format, data, dice)
+        data = change(format, data, dice)
     cut = dice.randrange(len(data) + 1) if dice.random() < 0.2 else 0
     parts = [data[:cut], data[cut:]] if cut else [data]
     packed = b"".join(gzip.compress(part, dice.choice((0, 1, 9)), mtime=0) for part in parts)
     for _ in range(changes * (not is_inside)):
         packed = _bytes("gz", packed, dice)
     return packed
+
+
+def _repacked(data: bytes, dice: random.Random) -> bytes:
+    """Valid gzip around changed content, since a checksum stops nearly all other mutants."""
+    try:
+        content = zlib.decompressobj(wbits=31).decompress(data, 1 << 16)
+    except zlib.error:
+        content = data
+    content = _bytes("gz", content, dice)
+    cut = dice.randrange(len(content) + 1) if dice.random() < 0.1 else 0
+    parts = [content[:cut], content[cut:]] if cut else [content]
+    return b"".join(gzip.compress(part, dice.choice((0, 1, 9)), mtime=0) for part in parts)
 
 
 def campaign(format: str, count: int, first: int = 0) -> tuple[Counter[str], float]:

@@ -22,17 +22,13 @@ hundred thousand files a line says what they ended in.
 from __future__ import annotations
 
 import functools
-import gzip
 import os
 import random
-import struct
 import sys
 import tempfile
 import time
 import warnings
-import zlib
 from collections import Counter
-from collections.abc import Callable
 from typing import Any
 
 MOST_SECONDS = 2.0
@@ -52,26 +48,6 @@ _SCANNERS = (
     "ply_scan",
     "stl_scan",
 )
-
-WORDS = {
-    "ply": "ply format ascii binary_little_endian binary_big_endian 1.0 comment obj_info element"
-    " vertex face tristrips property list char uchar short ushort int uint int64 uint64 float"
-    " double uint8 float32 x y z nx ny nz vertex_indices vertex_index end_header TextureFile",
-    "obj": "v vn vt vp f fo l p o g s usemtl mtllib // / \\ # nan inf 1.#IND 1e400 -1 2147483648",
-    "stl": "solid facet normal outer loop vertex endloop endfacet endsolid nan inf 1e39",
-    "glb": "glTF JSON accessors bufferViews buffers meshes primitives attributes POSITION NORMAL"
-    " indices mode count byteOffset byteLength byteStride componentType 5126 5125 5123 5121 VEC3"
-    " SCALAR nodes children matrix translation rotation scale mesh targets min max 1e400 NaN",
-}
-WORDS["gltf"] = WORDS["glb"] + " buffers uri byteLength asset version data:;base64,"
-WORDS["3mf"] = (
-    "PK model object mesh vertices vertex triangles triangle components component build item x= y="
-    " z= v1= v2= v3= id= objectid= transform= unit= p:path= xmlns= UTF-8 Type Target Relationship"
-)
-WORDS["gz"] = " ".join(WORDS.values())
-"""What the formats are made of; libFuzzer puts these words in."""
-
-Mutate = Callable[[bytes, int], bytes]
 
 
 def main(arguments: list[str]) -> None:
@@ -102,8 +78,10 @@ def main(arguments: list[str]) -> None:
             import msal_cli.kernels.stl_scan  # noqa: F401
     import numpy as np
 
+    from tests.fuzz import mutants
     from tests.fuzz.survival import outcome
 
+    mutants.seeds(format)  # what makes them is imported before warnings are errors
     if is_interpreted:
         np.seterr(all="ignore")  # integers that wrap do so in silence once they are compiled
     else:
@@ -128,14 +106,16 @@ def main(arguments: list[str]) -> None:
             print(f"{tally.total()} files: {dict(tally.most_common())}", flush=True)
 
     def mutated(data: bytes, size: int, seed: int) -> bytes:
-        return MUTATED[format](data, size, random.Random(seed), atheris.Mutate)
+        dice = random.Random(seed)
+        if dice.random() < 0.5:
+            return bytes(atheris.Mutate(data, size))
+        return mutants.change(format, data, dice)[:size]
 
-    extra = {"custom_mutator": mutated} if format in MUTATED else {}
     fixed = ["-timeout=60", "-rss_limit_mb=2500", "-print_final_stats=1", f"-dict={words}"]
     # libFuzzer starts itself again by this line when it merges.
     program = " ".join([sys.executable, "-m", "tests.fuzz.readers", format, *modes])
     given = [option for option in options if option not in modes]
-    atheris.Setup([program, *fixed, *given], one, **extra)
+    atheris.Setup([program, *fixed, *given], one, custom_mutator=mutated)
     atheris.Fuzz()
 
 
@@ -170,55 +150,15 @@ def _limit_memory() -> None:
 
 def _words(format: str) -> str:
     """The path of libFuzzer's dictionary of a format."""
+    from tests.fuzz.mutants import NUMBERS, WORDS
+
+    formats = WORDS if format == "gz" else ["glb" if format == "gltf" else format]
+    words = {word for one in formats for word in WORDS[one]}
     with tempfile.NamedTemporaryFile("w", suffix=".dict", delete=False) as file:
-        for word in WORDS[format].split():
-            escaped = word.replace("\\", "\\\\")
+        for word in sorted({*words, *NUMBERS} - {b""}):
+            escaped = "".join(f"\\x{byte:02x}" for byte in word)
             file.write(f'"{escaped}"\n')
     return file.name
-
-
-def gzip_mutated(data: bytes, size: int, dice: random.Random, mutate: Mutate) -> bytes:
-    """Mostly a valid file around mutated content, since a checksum stops all other mutants."""
-    if dice.random() < 0.3:
-        return mutate(data, size)
-    try:
-        content = zlib.decompressobj(wbits=31).decompress(data, 1 << 16)
-    except zlib.error:
-        content = data
-    content = mutate(content, max(size, len(content) + 1))
-    cut = dice.randrange(len(content) + 1) if dice.random() < 0.1 else 0
-    parts = [content[:cut], content[cut:]] if cut else [content]
-    packed = b"".join(gzip.compress(part, dice.choice((0, 1, 9)), mtime=0) for part in parts)
-    if dice.random() < 0.1:
-        packed = packed[:-8] + struct.pack("<II", dice.getrandbits(32), dice.getrandbits(32))
-    return packed[:size]
-
-
-def glb_mutated(data: bytes, size: int, dice: random.Random, mutate: Mutate) -> bytes:
-    """Mostly a mutant of one chunk, the lengths around it put right."""
-    if len(data) < 20 or dice.random() < 0.3:
-        return mutate(data, size)
-    (length,) = struct.unpack_from("<I", data, 12)
-    text, rest = data[20 : 20 + length], data[28 + length :]
-    if dice.random() < 0.7:
-        text = mutate(text, max(size - len(rest) - 28, len(text) + 1))
-    else:
-        rest = mutate(rest, max(size - len(text) - 28, len(rest) + 1))
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text
-    chunks += struct.pack("<I4s", len(rest), b"BIN\0") + rest
-    return (struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)[:size]
-
-
-def stl_mutated(data: bytes, size: int, dice: random.Random, mutate: Mutate) -> bytes:
-    """Often with the count that a binary file of that size should have."""
-    data = mutate(data, size)
-    if len(data) < 134 or dice.random() < 0.5 or data[:80].lstrip().startswith(b"solid"):
-        return data
-    return data[:80] + struct.pack("<I", (len(data) - 84) // 50) + data[84:]
-
-
-MUTATED = {"gz": gzip_mutated, "glb": glb_mutated, "stl": stl_mutated}
-"""Mutation that keeps whole what would else stop nearly every mutant at the door."""
 
 
 if __name__ == "__main__":

@@ -8,9 +8,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli import codecs as files
+from msal_cli import codecs
+from msal_cli.codecs import detection, mesh_file
 from msal_cli.errors import InternalError, MsalError
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
+from msal_cli.storage import gzip_streams
 
 Floats = NDArray[np.float64]
 
@@ -38,28 +40,28 @@ def outcome(data: bytes, format: str) -> str:
 
 
 def _outcome(data: bytes, format: str) -> str:
-    whole, _ = files.expanded(data, f"scan.{format}")
+    whole, _ = gzip_streams.expand(data, f"scan.{format}")
     if format == "gz":
         # Formats that libraries read are not ours to bend.
-        if files.content_format(whole) not in files.OWN_FORMATS:
+        if detection.content_format(whole) not in detection.OWN_FORMATS:
             return "other"
         format = ""
     name = f"scan.{format}" if format else "scan"
-    file = files.open_mesh(whole, name)
+    file = codecs.open_mesh(whole, name)
     vertices, faces = file.vertices, file.faces
     assert np.isfinite(vertices).all()
     assert len(faces) and faces.min() >= 0 and faces.max() < len(vertices)
     assert bytes(file.replaced(vertices.copy())) == bytes(whole)
     file.polygons()
     if len(faces) <= _PREPARED_UP_TO:
-        ready = prepared(vertices, faces)
-        scattered = ready.scattered(ready.mesh.vertices, vertices)
+        ready = prepare_mesh(vertices, faces)
+        scattered = ready.to_file_vertices(ready.mesh.vertices, vertices)
         assert np.array_equal(scattered, vertices)
     moved = vertices.copy()
     moved[::2] += 0.0078125 * np.abs(vertices).max() + 0.125
     output = file.replaced(moved)
     file.check(output, moved)
-    again = files.open_mesh(bytes(output), name, file.format)
+    again = codecs.open_mesh(bytes(output), name, file.format)
     _require_same_faces(again, file)
     for encoding, precision in (("ascii", "float64"), ("binary", "float32")):
         _encode(file, moved, name, encoding, precision)
@@ -67,7 +69,7 @@ def _outcome(data: bytes, format: str) -> str:
 
 
 def _encode(
-    file: files.MeshFile, vertices: Floats, name: str, encoding: str, precision: str
+    file: mesh_file.MeshFile, vertices: Floats, name: str, encoding: str, precision: str
 ) -> None:
     """Write the file another way and read that; what the format cannot hold may be refused."""
     try:
@@ -76,11 +78,11 @@ def _encode(
         raise
     except MsalError:
         return
-    again = files.open_mesh(bytes(output), name, file.format)
+    again = codecs.open_mesh(bytes(output), name, file.format)
     _require_same_faces(again, file)
 
 
-def _require_same_faces(again: files.MeshFile, file: files.MeshFile) -> None:
+def _require_same_faces(again: mesh_file.MeshFile, file: mesh_file.MeshFile) -> None:
     if file.format == "stl":
         # Corners that were apart may be at one place once they are rounded.
         assert again.faces.shape == file.faces.shape

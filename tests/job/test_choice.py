@@ -9,7 +9,7 @@ import pytest
 
 from msal_cli import auto as selection
 from msal_cli import methods
-from msal_cli.analysis.noise_estimate import estimated
+from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.errors import UsageError
 from msal_cli.job import choice as automatic
 from msal_cli.job.pipeline import denoise_bytes
@@ -25,8 +25,8 @@ def mesh():
 
 
 def settled_as(monkeypatch, mesh, name, given):
-    choice = selection.Choice(name, given, "because", "organic", estimated(mesh))
-    monkeypatch.setattr("msal_cli.job.choice.chosen", lambda *ignored: choice)
+    choice = selection.Choice(name, given, "because", "organic", estimate_noise(mesh))
+    monkeypatch.setattr("msal_cli.job.choice.choose_method", lambda *ignored: choice)
     return automatic.choose(mesh, {}, lambda done, total: None)
 
 
@@ -42,9 +42,9 @@ def test_the_options_told_give_every_method_its_parameters_back(monkeypatch, mes
         if spec.choices or (spec.kind is float and spec.default / 3 >= spec.low)
     }
     try:
-        values = method.settled(given)
+        values = method.validate(given)
     except UsageError:
-        values = method.settled({})
+        values = method.validate({})
     words = settled_as(monkeypatch, mesh, name, values).known["choice"].repeat
     assert words[:2] == ("--method", name)
     assert set(words[2::2]) <= {"--set"}
@@ -77,18 +77,20 @@ def test_memory_is_set_aside_for_choosing(tmp_path):
 
 @pytest.mark.parametrize("strength", [-2.0, 0.0, 2.0])
 def test_what_is_chosen_is_one_of_the_methods_that_memory_is_set_aside_for(mesh, strength):
-    choice = selection.chosen(mesh, selection.Wishes(strength=strength))
+    choice = selection.choose_method(mesh, selection.Wishes(strength=strength))
     assert choice.method in (*selection.METHODS, selection.NONE)
     assert set(selection.METHODS) <= set(methods.names())
     if choice.method == selection.NONE:
         assert choice.parameters == {}
     else:
-        assert methods.find(choice.method).settled(choice.parameters) == choice.parameters
+        assert methods.find(choice.method).validate(choice.parameters) == choice.parameters
 
 
 def test_the_chooser_tells_how_far_it_is(mesh):
     steps = []
-    selection.chosen(mesh, selection.Wishes(), lambda done, total: steps.append((done, total)))
+    selection.choose_method(
+        mesh, selection.Wishes(), lambda done, total: steps.append((done, total))
+    )
     assert steps
     assert all(0 < done <= total for done, total in steps)
     assert steps == sorted(steps)
@@ -96,14 +98,14 @@ def test_the_chooser_tells_how_far_it_is(mesh):
 
 def test_choosing_changes_nothing_of_the_mesh(mesh):
     before = mesh.vertices.copy()
-    selection.chosen(mesh, selection.Wishes())
+    selection.choose_method(mesh, selection.Wishes())
     assert (mesh.vertices == before).all()
 
 
 @pytest.mark.parametrize("wishes", [selection.Wishes(), selection.Wishes(keep="edges")])
 def test_the_choice_is_free_of_scale(mesh, wishes):
     larger = Mesh(mesh.vertices * 2.0**20, mesh.faces)
-    one, other = (selection.chosen(each, wishes) for each in (mesh, larger))
+    one, other = (selection.choose_method(each, wishes) for each in (mesh, larger))
     assert (one.method, one.parameters) == (other.method, other.parameters)
     assert one.reason == other.reason
 

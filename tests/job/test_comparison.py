@@ -8,12 +8,12 @@ import pytest
 from msal_cli.analysis import surface_distance
 from msal_cli.errors import ContentError
 from msal_cli.job import comparison
-from msal_cli.job.comparison import Surface, compared
+from msal_cli.job.comparison import Surface, compare_meshes
 from tests.shapes import cube, grid, noisy, torus
 
 
 def between(before, after, **options):
-    return compared(Surface(*before), Surface(*after), "a", "b", **options)
+    return compare_meshes(Surface(*before), Surface(*after), "a", "b", **options)
 
 
 def test_a_mesh_and_itself():

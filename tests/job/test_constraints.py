@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
 from msal_cli.errors import InputError, UnsupportedError, UsageError
 from msal_cli.job import constraints
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.settings import Settings
 from msal_cli.kernels.geometry import distances
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import grid, torus
 
 ALL = methods.names()
@@ -25,7 +24,7 @@ def random():
 
 def noisy(maker=torus):
     vertices, faces = maker()
-    edge = prepared(vertices, faces).mesh.mean_edge_length
+    edge = prepare_mesh(vertices, faces).mesh.mean_edge_length
     return vertices + 0.2 * edge * random().standard_normal(vertices.shape), faces
 
 
@@ -50,13 +49,13 @@ def ply(vertices, faces, properties=(), kind="double", encoding="binary_little_e
 
 def settings(method="msal", **asked):
     given = asked.pop("given", {})
-    return Settings(method, methods.find(method).settled(given), **asked)
+    return Settings(method, methods.find(method).validate(given), **asked)
 
 
 def denoised(data, **asked):
     output, record = denoise_bytes(data, "a.ply", settings(**asked))
     assert record.error is None, record.error
-    return files.open_mesh(bytes(output), "a.ply").vertices, record
+    return codecs.open_mesh(bytes(output), "a.ply").vertices, record
 
 
 # Words
@@ -150,7 +149,7 @@ def test_a_single_precision_property_is_compared_in_single_precision():
 @pytest.mark.parametrize("method", ALL)
 def test_no_vertex_of_any_method_goes_further_than_the_limit(method):
     vertices, faces = noisy()
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     data = ply(vertices, faces)
     limit = 0.05 * mesh.mean_edge_length
     free, _ = denoised(data, method=method)
@@ -186,7 +185,7 @@ def test_a_limit_that_nobody_reaches_changes_no_byte():
 def test_single_precision_goes_beyond_the_limit_by_rounding_only():
     vertices, faces = noisy()
     data = ply(vertices + 1000.0, faces, kind="float")
-    start = files.open_mesh(data, "a.ply").vertices
+    start = codecs.open_mesh(data, "a.ply").vertices
     kept, _ = denoised(data, max_move="0.01")
     ulp = np.spacing(np.float32(1000.0))
     assert np.linalg.norm(kept - start, axis=1).max() <= 0.01 + np.sqrt(3.0) * ulp
@@ -228,7 +227,7 @@ def test_locked_vertices_keep_their_very_bytes(method, encoding):
     vertices, faces = noisy()
     quality = random().random(len(vertices))
     data = ply(vertices, faces, {"quality": quality}, encoding=encoding)
-    before = files.open_mesh(data, "a.ply").vertices
+    before = codecs.open_mesh(data, "a.ply").vertices
     after, record = denoised(data, method=method, lock=("quality < 0.3",))
     is_locked = quality < 0.3
     assert record.locked_vertices == is_locked.sum()
@@ -241,13 +240,13 @@ def test_locked_vertices_keep_their_very_bytes(method, encoding):
 )
 def test_neighbours_see_locked_vertices_where_they_are(method):
     """Pinning afterwards would give other positions: the sweeps know of the pins."""
-    ready = prepared(*noisy())
+    ready = prepare_mesh(*noisy())
     held = np.zeros(len(ready.mesh.vertices), dtype=bool)
     held[::3] = True
     found = methods.find(method)
-    parameters = found.settled({})
-    free = found.denoised(ready.mesh, parameters).vertices
-    pinned = found.denoised(ready.mesh.constrained(held, None), parameters).vertices
+    parameters = found.validate({})
+    free = found.denoise(ready.mesh, parameters).vertices
+    pinned = found.denoise(ready.mesh.with_constraints(held, None), parameters).vertices
     assert np.array_equal(pinned[held], ready.mesh.vertices[held])
     assert np.abs(pinned - free)[~held].max() > 1e-3 * ready.mesh.mean_edge_length
 
@@ -291,19 +290,19 @@ def test_several_locks_add_up():
     ],
 )
 def test_full_trust_is_the_method_itself_and_none_is_no_data_term(method, given):
-    mesh = prepared(*noisy()).mesh
+    mesh = prepare_mesh(*noisy()).mesh
     found = methods.find(method)
-    parameters = found.settled(given)
+    parameters = found.validate(given)
     assert found.has_data_term(parameters)
     n = len(mesh.vertices)
-    plain = found.denoised(mesh, parameters)
-    full = found.denoised(mesh.constrained(None, np.ones(n)), parameters)
+    plain = found.denoise(mesh, parameters)
+    full = found.denoise(mesh.with_constraints(None, np.ones(n)), parameters)
     assert np.abs(full.vertices - plain.vertices).max() < 1e-13
     assert np.array_equal(full.fields["fidelity"], plain.fields["fidelity"])
-    none = found.denoised(mesh.constrained(None, np.zeros(n)), parameters)
+    none = found.denoise(mesh.with_constraints(None, np.zeros(n)), parameters)
     assert not none.fields["fidelity"].any()
     if given.get("schedule") == "constant":
-        free = found.denoised(mesh, found.settled(given | {"schedule": "plain"}))
+        free = found.denoise(mesh, found.validate(given | {"schedule": "plain"}))
         assert np.abs(free.vertices - none.vertices).max() < 1e-13
     # Without the pull vertices go further.
     ways = [distances(mesh.vertices, one.vertices).mean() for one in (none, plain)]
@@ -311,30 +310,32 @@ def test_full_trust_is_the_method_itself_and_none_is_no_data_term(method, given)
 
 
 def test_lambda_is_scaled_vertex_by_vertex():
-    mesh = prepared(*noisy()).mesh
+    mesh = prepare_mesh(*noisy()).mesh
     trust = random().random(len(mesh.vertices))
     found = methods.find("msal")
-    plain = found.denoised(mesh, found.settled({})).fields["fidelity"]
-    scaled = found.denoised(mesh.constrained(None, trust), found.settled({})).fields["fidelity"]
+    plain = found.denoise(mesh, found.validate({})).fields["fidelity"]
+    scaled = found.denoise(mesh.with_constraints(None, trust), found.validate({})).fields[
+        "fidelity"
+    ]
     assert np.allclose(scaled, trust * plain, rtol=1e-15, atol=0.0)
 
 
 def test_one_sweep_by_hand():
     """From v the first sweep pulls nothing back; the second does by w lambda."""
-    mesh = prepared(*noisy()).mesh
+    mesh = prepare_mesh(*noisy()).mesh
     found = methods.find("al")
     given = {"schedule": "constant", "fidelity": 0.25}
     trust = random().random(len(mesh.vertices))
 
     def after(sweeps, one, fidelity):
-        return found.denoised(
-            one, found.settled(given | {"iterations": sweeps, "fidelity": fidelity})
+        return found.denoise(
+            one, found.validate(given | {"iterations": sweeps, "fidelity": fidelity})
         ).vertices
 
     first = after(1, mesh, 0.25)
     pushed = after(2, mesh, 0.0)
     expected = pushed + 0.25 * trust[:, None] * (mesh.vertices - first)
-    found_there = after(2, mesh.constrained(None, trust), 0.25)
+    found_there = after(2, mesh.with_constraints(None, trust), 0.25)
     assert np.abs(found_there - expected).max() < 1e-13
 
 
@@ -343,8 +344,8 @@ def test_one_sweep_by_hand():
 )
 def test_methods_without_a_data_term_say_so(method):
     found = methods.find(method)
-    assert not found.has_data_term(found.settled({}))
-    assert not methods.find("al").has_data_term(methods.find("al").settled({}))
+    assert not found.has_data_term(found.validate({}))
+    assert not methods.find("al").has_data_term(methods.find("al").validate({}))
 
 
 def test_trust_is_the_property_over_its_largest_value():
@@ -373,10 +374,10 @@ def test_trust_is_the_property_over_its_largest_value():
 def test_properties_are_read(encoding, kind):
     vertices, faces = grid()
     stored = {"confidence": np.arange(len(vertices)) / 8, "quality": np.ones(len(vertices))}
-    file = files.open_mesh(ply(vertices, faces, stored, kind, encoding), "a.ply")
-    assert np.array_equal(files.vertex_property(file, "confidence"), stored["confidence"])
-    assert np.allclose(files.vertex_property(file, "z"), vertices[:, 2])
-    assert files.vertex_property(file, "quality").dtype == np.float64
+    file = codecs.open_mesh(ply(vertices, faces, stored, kind, encoding), "a.ply")
+    assert np.array_equal(codecs.vertex_property(file, "confidence"), stored["confidence"])
+    assert np.allclose(codecs.vertex_property(file, "z"), vertices[:, 2])
+    assert codecs.vertex_property(file, "quality").dtype == np.float64
 
 
 def test_properties_behind_lists_are_read():
@@ -384,10 +385,10 @@ def test_properties_behind_lists_are_read():
     top = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
     top += "property float z\nproperty list uchar int near\nproperty float q\nelement face 1\n"
     top += "property list uchar int vertex_indices\nend_header\n"
-    file = files.open_mesh((top + "\n".join(rows) + "\n3 0 1 2\n").encode(), "a.ply")
-    assert files.vertex_property(file, "q").tolist() == [0.5, 1.5, 2.5]
+    file = codecs.open_mesh((top + "\n".join(rows) + "\n3 0 1 2\n").encode(), "a.ply")
+    assert codecs.vertex_property(file, "q").tolist() == [0.5, 1.5, 2.5]
     with pytest.raises(InputError, match="that is a number"):
-        files.vertex_property(file, "near")
+        codecs.vertex_property(file, "near")
 
 
 def test_a_property_that_is_not_there_is_an_error_that_lists_the_others():
@@ -411,6 +412,6 @@ def test_trust_that_means_nothing_is_an_error(values, code):
 
 
 def test_other_formats_have_no_properties():
-    file = files.open_mesh(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj")
+    file = codecs.open_mesh(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj")
     with pytest.raises(UnsupportedError, match="from PLY, not from OBJ"):
-        files.vertex_property(file, "confidence")
+        codecs.vertex_property(file, "confidence")

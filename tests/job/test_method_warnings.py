@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.analysis.added_noise import noisy
+from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.job.changes import is_ruled_by_spike
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.cli.scans import msal, ply_text, record_of
 from tests.shapes import torus
 
@@ -16,8 +16,8 @@ from tests.shapes import torus
 def scan_with(path, level, spike=0.0):
     """A torus with noise, and one vertex further out, both in mean edge lengths."""
     vertices, faces = torus(60, 30)
-    mesh = prepared(vertices, faces).mesh
-    made = noisy(mesh, "gaussian-normal", level, 1)
+    mesh = prepare_mesh(vertices, faces).mesh
+    made = add_plain_noise(mesh, "gaussian-normal", level, 1)
     made[100] += spike * mesh.mean_edge_length * mesh.vertex_normals("uniform")[100]
     path.write_bytes(ply_text(made, faces))
     return path
@@ -78,5 +78,5 @@ def test_a_spike_is_seen_in_the_sample():
 
 def test_most_noise_is_asked_of_the_method():
     msal_method, taubin = methods.find("msal"), methods.find("taubin")
-    assert msal_method.most_noise_edges(msal_method.settled({})) == 0.15
-    assert taubin.most_noise_edges(taubin.settled({})) == float("inf")
+    assert msal_method.most_noise_edges(msal_method.validate({})) == 0.15
+    assert taubin.most_noise_edges(taubin.validate({})) == float("inf")

@@ -13,17 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msal_cli import codecs as files
-from msal_cli import methods
+from msal_cli import codecs, methods
+from msal_cli.codecs import header_check
 from msal_cli.job import inspection, pipeline
 from msal_cli.job.pipeline import denoise_bytes, denoise_file
 from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_name
+from msal_cli.storage import gzip_streams
 from tests.shapes import cube, grid, noisy, torus
 
 
 def settings(method="msal", **given):
     own = {key: given.pop(key) for key in list(given) if key in Settings.__dataclass_fields__}
-    return Settings(method, methods.find(method).settled(given), **own)
+    return Settings(method, methods.find(method).validate(given), **own)
 
 
 def obj_text(vertices, faces):
@@ -172,14 +173,14 @@ def test_a_failure_counts_its_seconds_as_well(scan, tmp_path, monkeypatch, broke
 def test_the_output_holds_what_the_method_made(scan, tmp_path):
     out = tmp_path / scan.name
     denoised(scan, out)
-    before = files.open_mesh(scan.read_bytes(), scan.name)
-    after = files.open_mesh(out.read_bytes(), out.name)
-    from msal_cli.mesh import prepared
+    before = codecs.open_mesh(scan.read_bytes(), scan.name)
+    after = codecs.open_mesh(out.read_bytes(), out.name)
+    from msal_cli.mesh import prepare_mesh
 
-    ready = prepared(before.vertices, before.faces)
+    ready = prepare_mesh(before.vertices, before.faces)
     method = methods.find("msal")
-    result = method.denoised(ready.mesh, method.settled({}))
-    expected = ready.scattered(result.vertices, before.vertices)
+    result = method.denoise(ready.mesh, method.validate({}))
+    expected = ready.to_file_vertices(result.vertices, before.vertices)
     assert (after.faces == before.faces).all()
     assert np.abs(after.vertices - expected).max() < 1e-6
 
@@ -233,7 +234,7 @@ def test_conversion_by_option_and_by_name(scan, tmp_path, target):
     by_name = tmp_path / "b" / by_option.name
     assert denoised(scan, by_name).error is None
     assert by_option.read_bytes() == by_name.read_bytes()
-    again = files.open_mesh(by_option.read_bytes(), by_option.name)
+    again = codecs.open_mesh(by_option.read_bytes(), by_option.name)
     assert len(again.faces) == 576
 
 
@@ -259,7 +260,7 @@ def test_re_encoding(scan, tmp_path, encoding, precision):
         assert record.error.code == "E_UNSUPPORTED"
         return
     assert record.error is None
-    again = files.open_mesh(out.read_bytes(), out.name)
+    again = codecs.open_mesh(out.read_bytes(), out.name)
     assert again.encoding.startswith(encoding)
 
 
@@ -318,7 +319,7 @@ def test_an_unexpected_error_is_a_record_too(scan, tmp_path, monkeypatch):
     def broken(*_):
         raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr("msal_cli.analysis.surface.surface_change", broken)
+    monkeypatch.setattr("msal_cli.analysis.measures.measure_surface_change", broken)
     record = denoised(scan, tmp_path / "out.ply")
     assert record.error.code == "E_INTERNAL"
     assert "ZeroDivisionError: oops" in record.error.message
@@ -333,7 +334,7 @@ def test_a_method_that_misbehaves_is_caught(scan, tmp_path, monkeypatch):
         vertices[5, 1] = np.nan
         return _contract.Result(vertices)
 
-    monkeypatch.setattr(_contract.Method, "denoised", nonfinite)
+    monkeypatch.setattr(_contract.Method, "denoise", nonfinite)
     record = denoised(scan, tmp_path / scan.name)
     assert record.error.code == "E_INTERNAL"
     assert record.error.where == "vertex 5"
@@ -409,8 +410,8 @@ def test_real_files(real_data, tmp_path, name):
     assert record.status == "written"
     assert record.seam_gap == 0.0
     assert 0 < record.displacement.mean_edges < 0.2
-    plain = [files.expanded(p.read_bytes(), p.name)[0] for p in (path, out)]
-    before, after = (files.open_mesh(data, "x." + record.format) for data in plain)
+    plain = [gzip_streams.expand(p.read_bytes(), p.name)[0] for p in (path, out)]
+    before, after = (codecs.open_mesh(data, "x." + record.format) for data in plain)
     assert (before.faces == after.faces).all()
     assert np.linalg.norm(before.vertices - after.vertices, axis=1).max() == pytest.approx(
         record.displacement.max, rel=1e-3
@@ -456,7 +457,7 @@ class TestLimits:
     def test_a_forecast_beyond_the_limit_is_refused_before_anything_is_read(
         self, path, monkeypatch
     ):
-        monkeypatch.setattr(files, "read_whole", None)
+        monkeypatch.setattr(header_check, "read_whole", None)
         record = self.done(path, memory_bytes=50_000_000)
         assert record.error.code == "E_MEMORY" and record.error.where == "forecast"
         assert "50 MB" in record.error.message and "51 MB" in record.error.message
@@ -469,10 +470,10 @@ class TestLimits:
         record = self.done(path, max_faces=575)
         assert record.error.code == "E_TOO_LARGE" and "576 faces" in record.error.message
         assert record.vertices == 288
-        opened = files.open_mesh(path.read_bytes(), "a.obj")
+        opened = codecs.open_mesh(path.read_bytes(), "a.obj")
         as_ply = path.with_suffix(".ply")
-        as_ply.write_bytes(files.converted(opened, opened.vertices, "ply")[0])
-        monkeypatch.setattr(files, "read_whole", None)
+        as_ply.write_bytes(codecs.convert(opened, opened.vertices, "ply")[0])
+        monkeypatch.setattr(header_check, "read_whole", None)
         record = self.done(as_ply, max_faces=575)
         assert record.error.code == "E_TOO_LARGE" and record.vertices is None
 
@@ -497,7 +498,7 @@ class TestLimits:
         def starved(*arguments, **options):
             raise failure
 
-        monkeypatch.setattr(files, "open_mesh", starved)
+        monkeypatch.setattr(codecs, "open_mesh", starved)
         assert self.done(path).error.code == "E_MEMORY"
 
     def test_limits_do_not_change_the_output(self, path):

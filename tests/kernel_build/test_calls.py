@@ -117,6 +117,7 @@ for line in sys.argv[2:]:
 """
 
 
+@pytest.mark.slow
 def test_objects_do_not_depend_on_what_was_compiled_before():
     lines = ["quantiles._counted(u8[::1], i8[::1])", "text.parse_integer(u1[::1], i8, i8)"]
     sums = []

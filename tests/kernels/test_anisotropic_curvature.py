@@ -11,12 +11,12 @@ from msal_cli.kernels.anisotropic_curvature import (
     edge_curvatures,
 )
 from msal_cli.kernels.dihedral_flaps import flaps
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 
 
 def flaps_of(vertices, faces):
-    return flaps(faces, prepared(vertices, faces).mesh.links)
+    return flaps(faces, prepare_mesh(vertices, faces).mesh.topology)
 
 
 def area_gradient(vertices, faces):
@@ -91,7 +91,7 @@ def test_the_threshold_is_the_median_and_deviations_above_it():
 def test_the_weight_falls_beyond_the_threshold(times, weight):
     # Both ends of the ridge have this one edge: H_A is half of w H, and w (2 lambda) < 0.1.
     vertices, faces = roof(1.0)
-    links = prepared(vertices, faces).mesh.links
+    links = prepare_mesh(vertices, faces).mesh.topology
     length = 4 * np.sin(0.5)
     operator = AnisotropicCurvature(
         faces,
@@ -115,10 +115,10 @@ def test_open_and_crowded_edges_count_not():
     vertices, faces = grid(2, 2)
     vertices = np.concatenate([vertices, [[0.5, 0.5, 1.0]]])
     faces = np.concatenate([faces, [[0, 3, 4]]]).astype(np.int32)  # a third face on the diagonal
-    mesh = prepared(vertices, faces).mesh
-    corners = flaps(mesh.faces, mesh.links)
+    mesh = prepare_mesh(vertices, faces).mesh
+    corners = flaps(mesh.faces, mesh.topology)
     everywhere = np.ones(5, dtype=bool)
     operator = AnisotropicCurvature(
-        mesh.faces, mesh.links, corners, everywhere, 1.0, 10.0, 0.1, prescribed=True
+        mesh.faces, mesh.topology, corners, everywhere, 1.0, 10.0, 0.1, prescribed=True
     )
     assert (operator(mesh.vertices).move == 0.0).all()

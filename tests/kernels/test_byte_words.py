@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.kernels import byte_words, digits
+from msal_cli.kernels import byte_words, digit_writing
 from msal_cli.kernels.text import as_bytes
 
 
@@ -45,7 +45,7 @@ def test_whole_numbers(number: int, count: int) -> None:
 
 def printed(value: float, decimals: int) -> bytes:
     out = np.full(60, 42, dtype=np.uint8)
-    end = digits.write_fixed(value, decimals, out, 1)
+    end = digit_writing.write_fixed(value, decimals, out, 1)
     assert out[0] == 42
     assert (out[end + 8 :] == 42).all()
     return out[1:end].tobytes()
@@ -56,7 +56,7 @@ def exact(value: float, decimals: int) -> bytes:
     return text.lstrip(b"-") if float(text) == 0.0 else text
 
 
-@given(st.floats(-9e18, 9e18), st.integers(-12, 0), st.integers(0, digits.MOST_DECIMALS))
+@given(st.floats(-9e18, 9e18), st.integers(-12, 0), st.integers(0, digit_writing.MOST_DECIMALS))
 @settings(deadline=None)
 def test_what_is_printed_is_correctly_rounded(value: float, power: int, decimals: int) -> None:
     value *= 10.0**power

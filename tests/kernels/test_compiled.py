@@ -15,13 +15,13 @@ from msal_cli.errors import InternalError
 from msal_cli.kernels import library, quantiles
 from msal_cli.kernels.compiled import Kernel, arg_type
 
-LINE = "quantiles._counted(u8[::1], i8[::1])"
+LINE = "quantiles._count(u8[::1], i8[::1])"
 
 
 @pytest.fixture
 def kernel():
     """A kernel as a new process sees it."""
-    return Kernel(quantiles._counted.function)
+    return Kernel(quantiles._count.function)
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def test_a_kernel_of_the_library_needs_no_numba(kernel, caplog):
     program = (
         "import sys; import numpy as np; from msal_cli.kernels import quantiles\n"
         "counts = np.zeros(1 << 16, dtype=np.int64)\n"
-        "quantiles._counted(np.zeros(3, dtype=np.uint64), counts)\n"
+        "quantiles._count(np.zeros(3, dtype=np.uint64), counts)\n"
         "print(counts.sum(), 'numba' in sys.modules)\n"
     )
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
@@ -62,7 +62,7 @@ def test_a_kernel_of_the_library_needs_no_numba(kernel, caplog):
 
 
 def test_other_types_are_an_error_with_their_names(kernel):
-    message = r"has no quantiles._counted\(f4\[::1\], i8\[::1\]\)$"
+    message = r"has no quantiles._count\(f4\[::1\], i8\[::1\]\)$"
     with pytest.raises(InternalError, match=message) as error:
         count(kernel, np.float32)
     assert error.value.code == "E_INTERNAL"
@@ -70,7 +70,7 @@ def test_other_types_are_an_error_with_their_names(kernel):
 
 
 def test_other_types_are_an_error_in_a_wheel_too(kernel, is_wheel):
-    with pytest.raises(InternalError, match=r"has no quantiles._counted\(f4"):
+    with pytest.raises(InternalError, match=r"has no quantiles._count\(f4"):
         count(kernel, np.float32)
 
 
@@ -78,7 +78,7 @@ def test_an_edited_kernel_is_compiled_by_numba_with_a_notice(kernel, entries, ca
     entries[LINE] = entries[LINE]._replace(source_hash="0123")
     with caplog.at_level(logging.WARNING):
         assert count(kernel) == 3
-    assert "outdated, compiling quantiles._counted: python -m kernel_build" in caplog.text
+    assert "outdated, compiling quantiles._count: python -m kernel_build" in caplog.text
     caplog.clear()
     assert count(kernel) == 3 and not caplog.text
 
@@ -168,7 +168,7 @@ if ctypes.CDLL(None, use_errno=True).prctl(PR_SET_MDWE, REFUSE_EXEC_GAIN, 0, 0, 
 import numpy as np
 from msal_cli.kernels import quantiles as quantiles
 counts = np.zeros(1 << 16, dtype=np.int64)
-quantiles._counted(np.zeros(3, dtype=np.uint64), counts)
+quantiles._count(np.zeros(3, dtype=np.uint64), counts)
 print(counts.sum())
 """
 

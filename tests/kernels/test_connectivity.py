@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from msal_cli.kernels.components import count_components, faces_to_flip
 from msal_cli.kernels.connectivity import averaged_ring, boundary_curves, connectivity
-from msal_cli.kernels.welding import duplicate_faces, first_alike, numbered, welded
+from msal_cli.kernels.welding import duplicate_faces, first_alike, number_groups, weld
 from tests.methods.plain_rings import rows
 from tests.paper import one_rings
 from tests.shapes import cube, grid, torus
@@ -183,7 +183,7 @@ def test_rings_of_closed_fans_are_in_the_order_of_the_faces():
 def test_minus_zero_welds_and_unreferenced_do_not():
     points = np.array([[0.0, 0, 0], [-0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 0]])
     faces = np.array([[0, 2, 3], [1, 4, 3]], dtype=np.int32)
-    assert welded(points, faces).tolist() == [0, 0, 2, 3, 2, 5]
+    assert weld(points, faces).tolist() == [0, 0, 2, 3, 2, 5]
 
 
 @settings(max_examples=60, deadline=None)
@@ -191,7 +191,7 @@ def test_minus_zero_welds_and_unreferenced_do_not():
 def test_pairs_are_numbered_in_order_of_appearance(pairs):
     order = list(dict.fromkeys(pairs))
     left, right = np.array(pairs, dtype=np.int32).T.copy()
-    number, first = numbered(left, right)
+    number, first = number_groups(left, right)
     assert number.tolist() == [order.index(pair) for pair in pairs]
     assert first.tolist() == [pairs.index(pair) for pair in order]
 

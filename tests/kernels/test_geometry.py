@@ -16,7 +16,7 @@ from msal_cli.kernels.geometry import (
     vertex_normals,
 )
 from msal_cli.kernels.surface_change import ANGLES, COMPARED, surface_figures
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 
 
@@ -26,7 +26,7 @@ def test_cube():
     assert area == pytest.approx(6.0, abs=1e-15)
     assert volume == pytest.approx(1.0, abs=1e-15)
     assert area_and_volume(vertices, faces[:, ::-1].copy())[1] == pytest.approx(-1.0)
-    links = prepared(vertices, faces).mesh.links
+    links = prepare_mesh(vertices, faces).mesh.topology
     edges = 12 * 1.0 + 6 * np.sqrt(2)
     assert mean_edge_length(vertices, links.ring_start, links.ring) == pytest.approx(edges / 18)
 
@@ -65,7 +65,7 @@ def test_area_weighting():
     # One large upward and three small tilted faces: area weighting leans to the large one.
     vertices = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [-1, 0, 1], [0, -1, 1]], dtype=float)
     faces = np.array([[0, 1, 2], [0, 2, 3], [0, 4, 1]], dtype=np.int32)
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     units, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
     for weighting, weights in (("uniform", np.ones(3)), ("area", areas)):
         total = (weights[:, None] * units).sum(axis=0)
@@ -111,10 +111,10 @@ def test_threads_do_not_change_a_bit_of_normals(monkeypatch):
 
 def test_mollification_is_the_normalised_mean_of_the_ring():
     vertices, faces = torus(9, 7)
-    mesh = prepared(noisy(vertices, 1, 0.3), faces).mesh
+    mesh = prepare_mesh(noisy(vertices, 1, 0.3), faces).mesh
     plain, once = mesh.vertex_normals("uniform", 0), mesh.vertex_normals("uniform", 1)
     twice = mesh.vertex_normals("uniform", 2)
-    links = mesh.links
+    links = mesh.topology
     for i in range(len(plain)):
         ring = links.ring[links.ring_start[i] : links.ring_start[i + 1]]
         for before, after in ((plain, once), (once, twice)):
@@ -124,7 +124,7 @@ def test_mollification_is_the_normalised_mean_of_the_ring():
 
 def test_ring_means():
     vertices, faces = grid(3, 3)
-    links = prepared(np.concatenate([vertices, [[9, 9, 9]]]), faces).mesh.links
+    links = prepare_mesh(np.concatenate([vertices, [[9, 9, 9]]]), faces).mesh.topology
     values = np.arange(10.0)
     means = ring_means(values, links.ring_start, links.ring)
     assert means[4] == pytest.approx((0 + 1 + 3 + 5 + 7 + 8) / 6)
@@ -133,7 +133,7 @@ def test_ring_means():
 
 def stored(vertices, faces):
     """Area-independent vertex normals, as a file might store them."""
-    return prepared(vertices, faces).mesh.vertex_normals()
+    return prepare_mesh(vertices, faces).mesh.vertex_normals()
 
 
 def test_stored_vertex_normals_follow_the_surface():

@@ -8,12 +8,12 @@ import pytest
 from msal_cli.kernels.face_rings import face_rings
 from msal_cli.kernels.geometry import face_normals, face_normals_and_areas
 from msal_cli.kernels.normal_diffusion import difference_width, diffused_normals
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 
 
 def rings_of(vertices, faces):
-    return face_rings(faces, prepared(vertices, faces).mesh.links, "edge")
+    return face_rings(faces, prepare_mesh(vertices, faces).mesh.topology, "edge")
 
 
 def roof(angle):

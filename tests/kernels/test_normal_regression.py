@@ -19,7 +19,7 @@ from msal_cli.kernels.normal_regression import (
     find_neighbourhoods,
     measure_ripples,
 )
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.kernels import plain_descriptors
 from tests.shapes import cube, grid, noisy, torus
 
@@ -31,9 +31,9 @@ def rows_of(start, entries):
 def described(mesh, earlier=None, noise=0.1):
     normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
     centroids = face_centroids(mesh.vertices, mesh.faces)
-    rings = face_rings(mesh.faces, mesh.links, "edge")
+    rings = face_rings(mesh.faces, mesh.topology, "edge")
     describer = NormalDescriber(mesh.faces, centroids, *rings, noise)
-    heights = measure_ripples(mesh.vertices, mesh.vertex_normals(), mesh.links)
+    heights = measure_ripples(mesh.vertices, mesh.vertex_normals(), mesh.topology)
     return describer.describe(normals, areas, centroids, heights, earlier), describer.around
 
 
@@ -53,14 +53,14 @@ def random_network(width, seed=0, hidden=16):
 @pytest.fixture(scope="module")
 def scan():
     vertices, faces = torus(22, 12)
-    return prepared(noisy(vertices, 3, 0.1), faces).mesh
+    return prepare_mesh(noisy(vertices, 3, 0.1), faces).mesh
 
 
 @pytest.fixture(scope="module")
 def plain(scan):
     normals, areas = face_normals_and_areas(scan.vertices, scan.faces)
     centroids = face_centroids(scan.vertices, scan.faces)
-    edges = face_rings(scan.faces, scan.links, "edge")
+    edges = face_rings(scan.faces, scan.topology, "edge")
     across = rows_of(*edges)
     near = find_neighbourhoods(centroids, *edges)
     units = plain_descriptors.local_units(centroids, across)
@@ -92,9 +92,9 @@ def test_axes_are_those_of_the_twin(scan, plain):
 
 
 def test_ripples_are_umbrellas_of_umbrellas(scan):
-    rings = rows_of(scan.links.ring_start, scan.links.ring)
+    rings = rows_of(*scan.topology.one_ring)
     left, normals = scan.vertices, scan.vertex_normals()
-    got = measure_ripples(scan.vertices, normals, scan.links)
+    got = measure_ripples(scan.vertices, normals, scan.topology)
     for k in range(3):
         left = np.array([left[row].mean(axis=0) for row in rings]) - left
         along = np.einsum("ij,ij->i", left, normals)
@@ -127,7 +127,7 @@ def test_a_later_stage_filters_the_scanned_normals_by_the_last(scan, plain):
 
 
 def test_where_all_normals_are_one_so_is_the_outcome():
-    mesh = prepared(*grid(9, 9)).mesh
+    mesh = prepare_mesh(*grid(9, 9)).mesh
     normals = described(mesh)[0].predict(random_network(VECTORS, 5))
     up = face_normals_and_areas(mesh.vertices, mesh.faces)[0][0]
     assert (np.abs(normals) == np.abs(up)).all()
@@ -148,17 +148,17 @@ def test_threads_and_blocks_do_not_change_a_bit(scan, monkeypatch):
 def test_a_turned_mesh_has_the_same_inputs(scan):
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
-    there = described(scan.moved(scan.vertices @ turn.T))[0]
+    there = described(scan.with_vertices(scan.vertices @ turn.T))[0]
     here = described(scan)[0]
     assert np.abs(there.vectors - here.vectors @ turn.T.astype(np.float32)).max() < 1e-3
     assert np.abs(there.numbers - here.numbers).max() < 1e-3
 
 
 def test_few_faces_are_enough():
-    mesh = prepared(*cube()).mesh
+    mesh = prepare_mesh(*cube()).mesh
     descriptors, _ = described(mesh)
     assert np.isfinite(descriptors.inputs()).all()
-    one = prepared(np.eye(3), np.array([[0, 1, 2]], dtype=np.int32)).mesh
+    one = prepare_mesh(np.eye(3), np.array([[0, 1, 2]], dtype=np.int32)).mesh
     alone = described(one)[0]
     assert np.isfinite(alone.inputs()).all()
     assert np.abs(alone.vectors - 3**-0.5).max() < 1e-6
@@ -168,7 +168,7 @@ def test_a_face_without_area_takes_the_normal_of_those_around():
     vertices, faces = grid(6, 6)
     vertices = vertices.astype(float)
     vertices[faces[20, 1]] = (vertices[faces[20, 0]] + vertices[faces[20, 2]]) / 2
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     assert mesh.flat_faces
     descriptors, _ = described(mesh)
     assert np.isfinite(descriptors.inputs()).all()

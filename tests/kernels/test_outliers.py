@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from msal_cli.kernels import outliers
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import fan, grid
 
 MIDDLE = 5 * 10 + 5
@@ -18,13 +18,13 @@ def uneven_grid(seed=0):
     """A flat grid of 10 by 10 vertices with uneven spacing."""
     vertices, faces = grid(10, 10)
     vertices[:, :2] += np.random.default_rng(seed).uniform(-0.15, 0.15, (len(vertices), 2))
-    return prepared(vertices, faces).mesh
+    return prepare_mesh(vertices, faces).mesh
 
 
 def agreements_of(mesh):
     found = np.ones(len(mesh.vertices))
     everything = np.ones(len(found), dtype=bool)
-    outliers.measure_agreement(mesh.vertices, mesh.faces, mesh.links, everything, found)
+    outliers.measure_agreement(mesh.vertices, mesh.faces, mesh.topology, everything, found)
     return found
 
 
@@ -35,7 +35,7 @@ def judged(mesh, *chosen, is_known=False):
         mesh.vertices[chosen],
         mesh.vertices,
         mesh.faces,
-        mesh.links,
+        mesh.topology,
         agreements_of(mesh),
         mesh.mean_edge_length,
         is_known,
@@ -45,7 +45,7 @@ def judged(mesh, *chosen, is_known=False):
 def spiked(mesh, at, way):
     vertices = mesh.vertices.copy()
     vertices[at] += way
-    return mesh.moved(vertices)
+    return mesh.with_vertices(vertices)
 
 
 def test_normals_of_a_plane_agree():
@@ -58,7 +58,7 @@ def test_normals_of_a_tip_agree_by_their_slope(height):
     vertices[0, 2] = height
     # The foot of each side is cos(30 degrees) from the axis.
     slope = math.atan2(height, math.cos(math.pi / 6))
-    assert agreements_of(prepared(vertices, faces).mesh)[0] == pytest.approx(math.cos(slope))
+    assert agreements_of(prepare_mesh(vertices, faces).mesh)[0] == pytest.approx(math.cos(slope))
 
 
 def test_a_spike_goes_back_to_where_it_was():
@@ -76,7 +76,9 @@ def test_a_vertex_that_went_along_the_surface_goes_to_the_middle_of_its_neighbou
     # Those whose faces it folds over count less, until it is back.
     back = spiked(folded, MIDDLE, targets[0] - folded.vertices[MIDDLE])
     _, targets = judged(back, MIDDLE, is_known=True)
-    ring = mesh.links.ring[mesh.links.ring_start[MIDDLE] : mesh.links.ring_start[MIDDLE + 1]]
+    ring = mesh.topology.ring[
+        mesh.topology.ring_start[MIDDLE] : mesh.topology.ring_start[MIDDLE + 1]
+    ]
     assert targets[0] == pytest.approx(mesh.vertices[ring].mean(axis=0), abs=0.1)
 
 
@@ -98,16 +100,16 @@ def test_only_the_furthest_of_neighbours_is_picked():
     mesh = uneven_grid()
     scores = np.full(100, outliers.NOT_JUDGED)
     scores[[MIDDLE, MIDDLE + 1, MIDDLE + 11]] = 2.0, 3.0, 2.5
-    assert outliers.pick(scores, 1.0, mesh.links).tolist() == [MIDDLE + 1]
+    assert outliers.pick(scores, 1.0, mesh.topology).tolist() == [MIDDLE + 1]
     scores[[MIDDLE, MIDDLE + 1]] = 3.0
     # Of two alike the one with the lower number.
-    assert outliers.pick(scores, 2.6, mesh.links).tolist() == [MIDDLE]
-    assert not len(outliers.pick(scores, 3.0, mesh.links))
+    assert outliers.pick(scores, 2.6, mesh.topology).tolist() == [MIDDLE]
+    assert not len(outliers.pick(scores, 3.0, mesh.topology))
 
 
 def test_marks_reach_two_rings():
     mesh = uneven_grid()
-    marks = outliers.mark_two_rings(np.array([MIDDLE]), mesh.links)
+    marks = outliers.mark_two_rings(np.array([MIDDLE]), mesh.topology)
     assert marks.sum() == 19
     assert marks[MIDDLE + 2]
     assert not marks[MIDDLE + 3]

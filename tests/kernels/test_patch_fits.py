@@ -16,7 +16,7 @@ from msal_cli.kernels.patch_fits import (
     fit_patches,
     fit_scales,
 )
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import fan, grid
 
 PLANE, NEAR, FAR, CUBIC = range(4)
@@ -27,11 +27,11 @@ def graph_of(height, rows=14, columns=12, uneven=0.25, seed=0):
     vertices, faces = grid(rows, columns)
     vertices[:, :2] += np.random.default_rng(seed).uniform(-uneven, uneven, (len(vertices), 2))
     vertices[:, 2] = height(vertices[:, 0] / 10, vertices[:, 1] / 10)
-    return prepared(vertices, faces).mesh
+    return prepare_mesh(vertices, faces).mesh
 
 
 def fits_of(mesh, chosen=None):
-    links = mesh.links
+    links = mesh.topology
     up = np.zeros_like(mesh.vertices)
     up[:, 2] = 1.0
     chosen = np.arange(len(mesh.vertices)) if chosen is None else np.array(chosen)
@@ -86,7 +86,9 @@ def test_a_spike_is_told_by_how_far_it_stands_out():
 
 
 def test_patches_that_tell_nothing():
-    triangle = prepared(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]])).mesh
+    triangle = prepare_mesh(
+        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]])
+    ).mesh
     variances, freedoms, gaps, ratios = fits_of(triangle)
     assert not variances.any() and not freedoms.any() and not gaps.any()
     assert (ratios == -1.0).all()
@@ -96,13 +98,13 @@ def test_a_long_needle_is_a_patch_with_fewer_columns():
     vertices, faces = grid(8, 6)
     vertices[:, 1] *= 1e-9
     vertices[:, 2] = 0.01 * np.sin(np.arange(len(vertices)))
-    variances, _, _, _ = fits_of(prepared(vertices, faces).mesh)
+    variances, _, _, _ = fits_of(prepare_mesh(vertices, faces).mesh)
     assert np.isfinite(variances).all()
 
 
 def test_a_vertex_with_very_many_neighbours():
     vertices, faces = fan(0.01 * np.sin(np.arange(3 * MOST_VERTICES)))
-    variances, freedoms, _, _ = fits_of(prepared(vertices, faces).mesh, [0])
+    variances, freedoms, _, _ = fits_of(prepare_mesh(vertices, faces).mesh, [0])
     # On a circle around the vertex two of the cubic monomials are not their own.
     assert freedoms[0].tolist() == [MOST_VERTICES - k for k in (3, 6, 6, 8)]
     assert np.isfinite(variances).all()
@@ -119,7 +121,7 @@ def wide_fits_of(mesh, chosen=None):
     up[:, 2] = 1.0
     chosen = np.arange(len(mesh.vertices)) if chosen is None else np.array(chosen)
     rests, rows, ranks, frames, offsets = fit_scales(
-        chosen, mesh.vertices, up, mesh.links.ring_start, mesh.links.ring
+        chosen, mesh.vertices, up, mesh.topology.ring_start, mesh.topology.ring
     )
     freedoms = np.maximum(rows - ranks, 0)
     return rests / np.maximum(freedoms, 1), freedoms, rows, frames, offsets
@@ -162,7 +164,7 @@ def test_offsets_have_the_variance_of_the_vertices():
     draw = np.random.default_rng(3)
     vertices, faces = grid(90, 80)
     vertices += 0.1 * draw.standard_normal(vertices.shape)
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     inside = (np.abs(mesh.vertices[:, :2]) < 35).all(axis=1)
     _, _, _, _, offsets = wide_fits_of(mesh, np.flatnonzero(inside))
     assert offsets.std(axis=0) == pytest.approx([0.1, 0.1, 0.1], rel=0.04)
@@ -170,7 +172,7 @@ def test_offsets_have_the_variance_of_the_vertices():
 
 def averaged(mesh, heights, rings):
     """White numbers averaged over closed one-rings, with a root mean square of 1."""
-    starts, ring = mesh.links.ring_start, mesh.links.ring
+    starts, ring = mesh.topology.ring_start, mesh.topology.ring
     owner = np.repeat(np.arange(len(heights)), np.diff(starts))
     for _ in range(rings):
         total = heights + np.bincount(owner, weights=heights[ring], minlength=len(heights))
@@ -183,11 +185,11 @@ def test_the_table_of_shared_noise(rings):
     """What ``colour`` expects of noise averaged over rings is what fits leave over of it."""
     vertices, faces = grid(120, 120)
     # A regular triangle grid; polynomials do not care, but distances are those of the table.
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     draw = np.random.default_rng(rings)
     heights = averaged(mesh, draw.standard_normal(len(vertices)), rings)
     vertices[:, 2] = heights
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     inside = np.flatnonzero((np.abs(mesh.vertices[:, :2]) < 52).all(axis=1))
     variances, _, _, _, _ = wide_fits_of(mesh, inside)
     assert variances.mean(axis=0) == pytest.approx(LEFT[rings], rel=0.07)
@@ -205,7 +207,7 @@ def test_quantiles_of_chi_square(share):
 
 def test_too_many_neighbours_are_left_out():
     vertices, faces = fan(np.zeros(MOST_WIDE_VERTICES + 20))
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     _, freedoms, rows, frames, offsets = wide_fits_of(mesh)
     centre = np.argmin((mesh.vertices**2).sum(axis=1))
     assert not rows[centre].any()
@@ -215,6 +217,6 @@ def test_too_many_neighbours_are_left_out():
 
 
 def test_a_small_mesh_is_its_own_patch():
-    variances, _, rows, _, _ = wide_fits_of(prepared(*grid(3, 3)).mesh)
+    variances, _, rows, _, _ = wide_fits_of(prepare_mesh(*grid(3, 3)).mesh)
     assert rows.max() == 9
     assert (variances >= 0.0).all()

@@ -16,7 +16,7 @@ from msal_cli.kernels.quantiles import (
     clusters,
     median,
     quantile_above_zero,
-    ranked,
+    select_ranks,
     student,
 )
 
@@ -45,13 +45,13 @@ def test_many_numbers(kind, odd):
     }[kind]
     assert median(values) == np.median(values)
     ranks = (0, 1, n // 3, n - 1)
-    assert ranked(values, *ranks) == np.sort(values)[list(ranks)].tolist()
+    assert select_ranks(values, *ranks) == np.sort(values)[list(ranks)].tolist()
 
 
 def test_the_zeros_are_alike_and_infinity_is_last():
     values = np.tile([0.0, -0.0, np.inf, -np.inf], MANY // 4)
     assert median(values) == 0.0
-    assert ranked(values, 0, MANY // 2, MANY - 1) == [-np.inf, 0.0, np.inf]
+    assert select_ranks(values, 0, MANY // 2, MANY - 1) == [-np.inf, 0.0, np.inf]
 
 
 @pytest.mark.parametrize(

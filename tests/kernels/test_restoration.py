@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli.kernels.restoration import NOISE_SHARES, restoration
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.methods.plain_restoration import noise_shares, returned
 from tests.paper import one_rings
 from tests.shapes import grid, torus
@@ -15,7 +15,7 @@ SHAPES = {"closed": torus(), "open": grid(9, 8)}
 
 
 def found(shape, residual, noise=1.0, caution=1.0):
-    links = prepared(*SHAPES[shape]).mesh.links
+    links = prepare_mesh(*SHAPES[shape]).mesh.topology
     return restoration(residual, links.ring_start, links.ring, noise, caution)
 
 
@@ -52,7 +52,7 @@ def test_without_noise_all_comes_back_and_under_much_nothing(shape):
 
 def test_of_white_noise_little_comes_back_and_of_shape_nearly_all():
     vertices, faces = torus(96, 48)
-    links = prepared(vertices, faces).mesh.links
+    links = prepare_mesh(vertices, faces).mesh.topology
     noise = np.random.default_rng(1).normal(size=len(vertices))
     shape = 4.0 * np.sin(2.0 * vertices[:, 0])
 

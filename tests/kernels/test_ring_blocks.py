@@ -8,7 +8,7 @@ import pytest
 from msal_cli.kernels import parallel
 from msal_cli.kernels.operators import AnisotropicLaplacian, RingBilateral
 from msal_cli.kernels.schedules import Constant, Multiscale, Plain
-from msal_cli.kernels.sweeps import swept
+from msal_cli.kernels.sweeps import run_sweeps
 
 HUB = 3000
 
@@ -77,10 +77,10 @@ def test_every_vertex_gets_its_own_ring(kind, of):
 @pytest.mark.parametrize("schedule", [Plain(0.5), Constant(0.5, 0.1), Multiscale()])
 def test_ranges_do_not_change_a_bit(kind, of, schedule, monkeypatch):
     made, x = operator(kind, of)
-    whole = swept(x, made, schedule, 3)
+    whole = run_sweeps(x, made, schedule, 3)
     monkeypatch.setenv("MSAL_THREADS", "7")
     monkeypatch.setattr(parallel, "SMALLEST_RANGE", 10)
-    cut = swept(x, made, schedule, 3)
+    cut = run_sweeps(x, made, schedule, 3)
     assert (cut.vertices == whole.vertices).all()
     assert (cut.fidelity == whole.fidelity).all()
 
@@ -103,6 +103,6 @@ def test_the_input_stays():
     kept = x.copy()
     for schedule in (Plain(), Multiscale()):
         for iterations in (0, 1, 2, 3):
-            result = swept(x, made, schedule, iterations).vertices
+            result = run_sweeps(x, made, schedule, iterations).vertices
             assert (x == kept).all()
             assert not np.shares_memory(result, x)

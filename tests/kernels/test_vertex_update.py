@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from msal_cli.kernels.geometry import face_normals
-from msal_cli.kernels.vertex_update import untangle, updated_vertices
-from msal_cli.mesh import prepared
+from msal_cli.kernels.vertex_update import untangle, update_vertices
+from msal_cli.mesh import prepare_mesh
 from tests.kernels.plain_faces import rim, unit, updated
 from tests.shapes import fan, grid, noisy, torus
 
 
 def run(vertices, normals, faces, passes=1, fixed=(), on_pass=None):
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     free = np.ones(len(vertices), dtype=bool)
     free[list(fixed)] = False
-    return updated_vertices(vertices, normals, mesh.faces, mesh.links, free, passes, on_pass)
+    return update_vertices(vertices, normals, mesh.faces, mesh.topology, free, passes, on_pass)
 
 
 def test_one_pass_worked_by_hand():
@@ -104,7 +104,9 @@ def test_every_pass_is_told_and_can_end_the_run():
 
 def untangled(mesh, positions, wanted, free=None):
     everywhere = np.ones(len(positions), dtype=bool)
-    return untangle(positions, wanted, mesh.faces, mesh.links, everywhere if free is None else free)
+    return untangle(
+        positions, wanted, mesh.faces, mesh.topology, everywhere if free is None else free
+    )
 
 
 def angles_deg(mesh, positions, wanted):
@@ -114,9 +116,9 @@ def angles_deg(mesh, positions, wanted):
 
 def folded():
     """A flat sheet of which single vertices lie beyond their neighbours, and its true normals."""
-    mesh = prepared(*grid(13, 13)).mesh
+    mesh = prepare_mesh(*grid(13, 13)).mesh
     wanted = face_normals(mesh.vertices, mesh.faces)
-    inner = np.flatnonzero(~mesh.links.boundary)
+    inner = np.flatnonzero(~mesh.topology.boundary)
     strayed = inner[::17]
     positions = mesh.vertices.copy()
     positions[strayed] += 1.3 * mesh.mean_edge_length * np.array([1.0, 0.4, 0.0])
@@ -140,7 +142,7 @@ def test_folds_are_opened():
 
 def test_what_fits_keeps_its_bits():
     vertices, faces = torus(30, 14)
-    mesh = prepared(noisy(vertices, 1, 0.02), faces).mesh
+    mesh = prepare_mesh(noisy(vertices, 1, 0.02), faces).mesh
     wanted = face_normals(mesh.vertices, mesh.faces)
     assert (untangled(mesh, mesh.vertices, wanted) == mesh.vertices).all()
     # Normals that are not known ask for nothing.
@@ -149,7 +151,7 @@ def test_what_fits_keeps_its_bits():
 
 def test_normals_are_met_better_on_a_surface():
     vertices, faces = torus(60, 30)
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     wanted = face_normals(mesh.vertices, mesh.faces)
     amount = 0.35 * mesh.mean_edge_length
     scanned = mesh.vertices + amount * np.random.default_rng(0).normal(size=vertices.shape)

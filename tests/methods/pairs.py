@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from msal_cli import codecs as files
-from msal_cli import methods
-from msal_cli.analysis.surface import normal_statistics
-from msal_cli.mesh import Mesh, prepared
+from msal_cli import codecs, methods
+from msal_cli.analysis.measures import normal_statistics
+from msal_cli.mesh import Mesh, prepare_mesh
+from msal_cli.storage.gzip_streams import expand, read_whole
 
 PAIRS = ("Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2")
 
@@ -19,29 +20,31 @@ PAIRS = ("Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2")
 def opened(noisy: Path, clean: Path) -> tuple[Mesh, Mesh]:
     """The noisy mesh, and the same with the positions of the clean one."""
     one, other = (
-        files.open_mesh(files.expanded(files.read_whole(str(path)), path.name)[0], path.name)
+        codecs.open_mesh(expand(read_whole(str(path)), path.name)[0], path.name)
         for path in (noisy, clean)
     )
-    ready = prepared(one.vertices, one.faces)
-    assert ready.place is None
-    return ready.mesh, ready.mesh.moved(other.vertices - ready.origin)
+    ready = prepare_mesh(one.vertices, one.faces)
+    assert ready.vertex_map is None
+    return ready.mesh, ready.mesh.with_vertices(other.vertices - ready.origin)
 
 
 def errors(noisy: Mesh, clean: Mesh, name: str, **given: object) -> tuple[float, float]:
     """Mean angle between face normals in degrees, and mean vertex distance in % of the mean edge,
     after a method."""
     method = methods.find(name)
-    vertices = method.denoised(noisy, method.settled(given)).vertices
+    vertices = method.denoise(noisy, method.validate(given)).vertices
     distances = np.linalg.norm(vertices - clean.vertices, axis=1)
     return (
-        normal_statistics(clean, noisy.moved(vertices)).mean_angular_error_deg,
+        normal_statistics(clean, noisy.with_vertices(vertices)).mean_angular_error_deg,
         100 * float(distances.mean()) / clean.mean_edge_length,
     )
 
 
-def all_errors(data: Path, name: str, **given: object) -> list[tuple[float, float]]:
-    """The errors on the four pairs of the data folder, in the order of ``PAIRS``."""
-    folders = [data / "pairs" / pair for pair in PAIRS]
+def all_errors(
+    data: Path, name: str, names: Sequence[str] = PAIRS, **given: object
+) -> list[tuple[float, float]]:
+    """The errors on the named pairs of the data folder, in their order."""
+    folders = [data / "pairs" / pair for pair in names]
     return [
         errors(*opened(folder / "Noisy.obj", folder / "Original.obj"), name, **given)
         for folder in folders

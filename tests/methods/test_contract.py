@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.analysis.surface import normal_statistics
+from msal_cli.analysis.measures import normal_statistics
 from msal_cli.errors import UsageError
 from msal_cli.kernels import parallel
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import grid, noisy, torus
 
 ALL = methods.names()
@@ -19,7 +19,34 @@ ALL = methods.names()
 
 def scan(seed=0, level=0.15, around=24, across=12):
     vertices, faces = torus(around, across)
-    return prepared(noisy(vertices, seed, level), faces).mesh
+    return prepare_mesh(noisy(vertices, seed, level), faces).mesh
+
+
+VARIANTS = [
+    *((name, {}) for name in ALL),
+    ("al", {"deviation": "median"}),
+    ("al", {"weights": "tukey", "scaling": "edge"}),
+    ("al", {"weights": "huber", "deviation": "median", "scaling": "mass"}),
+    ("anisotropic_diffusion", {"variant": "amc", "iterations": 10}),
+    ("bilateral", {"variant": "fleishman", "closeness": 1.0}),
+    ("bilateral_normal", {"variant": "global"}),
+    ("mean_curvature_flow", {"variant": "explicit"}),
+    ("msal", {"schedule": "robust"}),
+    ("msal", {"schedule": "wiener"}),
+]
+"""Methods with parameters that lead to other code."""
+
+
+@dataclasses.dataclass
+class Variant:
+    """A method with some of its parameters."""
+
+    method: methods.Method
+    given: dict
+
+    def __call__(self, mesh, on_sweep=None, **more):
+        values = self.method.validate(self.given | more)
+        return self.method.denoise(mesh, values, on_sweep)
 
 
 @pytest.fixture(params=ALL)
@@ -27,8 +54,14 @@ def method(request):
     return methods.find(request.param)
 
 
+@pytest.fixture(params=VARIANTS, ids=lambda one: " ".join(map(str, (one[0], *one[1].values()))))
+def run(request):
+    name, given = request.param
+    return Variant(methods.find(name), given)
+
+
 def defaults(method, **given):
-    return method.settled(given)
+    return method.validate(given)
 
 
 def test_al_and_msal_are_there():
@@ -38,9 +71,9 @@ def test_al_and_msal_are_there():
 def test_it_removes_noise(method):
     # Fine enough that the torus itself is smooth on the scale of the mesh; noise of 0.1 edges.
     vertices, faces = torus(160, 80)
-    clean = prepared(vertices, faces).mesh
-    mesh = prepared(noisy(vertices, 0, 0.17 * clean.mean_edge_length), faces).mesh
-    out = mesh.moved(method.denoised(mesh, defaults(method)).vertices)
+    clean = prepare_mesh(vertices, faces).mesh
+    mesh = prepare_mesh(noisy(vertices, 0, 0.17 * clean.mean_edge_length), faces).mesh
+    out = mesh.with_vertices(method.denoise(mesh, defaults(method)).vertices)
 
     def error(one):
         return normal_statistics(clean, one).mean_angular_error_deg
@@ -48,40 +81,40 @@ def test_it_removes_noise(method):
     assert error(out) < 0.7 * error(mesh)
 
 
-def test_the_input_is_not_written_to(method):
+def test_the_input_is_not_written_to(run):
     mesh = scan()
     before = mesh.vertices.copy(), mesh.faces.copy()
     mesh.vertices.flags.writeable = False
     mesh.faces.flags.writeable = False
-    out = method.denoised(mesh, defaults(method)).vertices
+    out = run(mesh).vertices
     assert out is not mesh.vertices
     assert (mesh.vertices == before[0]).all()
     assert (mesh.faces == before[1]).all()
 
 
-def test_shape_type_and_finiteness(method):
+def test_shape_type_and_finiteness(run):
     mesh = scan(level=0.6)
-    out = method.denoised(mesh, defaults(method)).vertices
+    out = run(mesh).vertices
     assert out.shape == mesh.vertices.shape
     assert out.dtype == np.float64
     assert np.isfinite(out).all()
 
 
-def test_fields_are_per_vertex(method):
+def test_fields_are_per_vertex(run):
     mesh = scan()
-    for values in method.denoised(mesh, defaults(method)).fields.values():
+    for values in run(mesh).fields.values():
         assert values.shape == (len(mesh.vertices),)
         assert np.isfinite(values).all()
 
 
-def test_a_flat_sheet_stays_flat(method):
+def test_a_flat_sheet_stays_flat(run):
     vertices, faces = grid(8, 8)
-    mesh = prepared(vertices, faces).mesh
-    out = method.denoised(mesh, defaults(method)).vertices
+    mesh = prepare_mesh(vertices, faces).mesh
+    out = run(mesh).vertices
     assert np.abs(out[:, 2]).max() < 1e-12
 
 
-def test_threads_do_not_change_a_bit(method, monkeypatch):
+def test_threads_do_not_change_a_bit(run, monkeypatch):
     # Small ranges let a small mesh be shared between threads.
     monkeypatch.setattr(parallel, "SMALLEST_RANGE", 100)
     mesh = scan(around=28, across=18)
@@ -89,57 +122,75 @@ def test_threads_do_not_change_a_bit(method, monkeypatch):
     for count in ("1", "2", "3"):
         monkeypatch.setenv("MSAL_THREADS", count)
         fresh = dataclasses.replace(mesh)
-        results.append(method.denoised(fresh, defaults(method)).vertices)
+        results.append(run(fresh).vertices)
     assert (results[0] == results[1]).all()
     assert (results[0] == results[2]).all()
 
 
-def test_vertex_order_does_not_matter(method):
+def test_vertex_order_does_not_matter(run):
     mesh = scan()
     order = np.random.default_rng(1).permutation(len(mesh.vertices))
     place = np.argsort(order)
-    shuffled = prepared(mesh.vertices[order], place[mesh.faces].astype(np.int32))
-    out = method.denoised(mesh, defaults(method)).vertices
-    other = method.denoised(shuffled.mesh, defaults(method)).vertices + shuffled.origin
+    shuffled = prepare_mesh(mesh.vertices[order], place[mesh.faces].astype(np.int32))
+    out = run(mesh).vertices
+    other = run(shuffled.mesh).vertices + shuffled.origin
     assert np.allclose(out[order], other, atol=1e-9)
 
 
-def test_scale_does_not_matter(method):
+def test_scale_does_not_matter(run):
     mesh = scan()
-    out = method.denoised(mesh, defaults(method)).vertices
+    out = run(mesh).vertices
     small = dataclasses.replace(mesh, vertices=mesh.vertices * 2.0**-20)
-    assert np.allclose(
-        method.denoised(small, defaults(method)).vertices * 2.0**20, out, rtol=0, atol=1e-9
-    )
+    assert np.allclose(run(small).vertices * 2.0**20, out, rtol=0, atol=1e-9)
 
 
-def test_progress_is_told_after_every_sweep(method):
-    if "iterations" not in defaults(method):
+def test_progress_is_reported_after_every_sweep(run):
+    if "iterations" not in run.method.validate({}):
         pytest.skip("not iterative")
-    told = []
-    method.denoised(scan(), defaults(method, iterations=3), lambda *at: told.append(at))
-    assert told[-1] == (3, 3)
-    assert told == sorted(told)
+    reported = []
+    run(scan(), lambda *at: reported.append(at), iterations=3)
+    assert reported[-1] == (3, 3)
+    assert reported == sorted(reported)
 
 
-def test_it_can_be_interrupted(method):
+def test_it_can_be_interrupted(run):
     def stop(done, total):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        method.denoised(scan(), defaults(method), stop)
+        run(scan(), stop)
 
 
-def test_zero_iterations_return_the_input(method):
-    if "iterations" not in defaults(method):
+def test_zero_iterations_return_the_input(run):
+    if "iterations" not in run.method.validate({}):
         pytest.skip("not iterative")
     mesh = scan()
-    out = method.denoised(mesh, defaults(method, iterations=0)).vertices
+    out = run(mesh, iterations=0).vertices
     assert (out == mesh.vertices).all()
 
 
+def test_fixed_vertices_stay(run):
+    mesh = scan()
+    fixed = np.arange(len(mesh.vertices)) % 7 == 0
+    out = run(mesh.with_constraints(fixed, None)).vertices
+    assert (out[fixed] == mesh.vertices[fixed]).all()
+    assert (out[~fixed] != mesh.vertices[~fixed]).any(axis=1).mean() > 0.9
+
+
+def test_the_rule_at_open_edges(run):
+    if "boundary" not in {spec.name for spec in run.method.parameters}:
+        pytest.skip("no such rule")
+    vertices, faces = grid(9, 9)
+    mesh = prepare_mesh(noisy(vertices, 8, 0.2), faces).mesh
+    rim = mesh.topology.boundary
+    fixed, free = (run(mesh, boundary=rule).vertices for rule in ("fixed", "free"))
+    assert (fixed[rim] == mesh.vertices[rim]).all()
+    assert (fixed[~rim] != mesh.vertices[~rim]).any(axis=1).mean() > 0.8
+    assert (free[rim] != mesh.vertices[rim]).any(axis=1).mean() > 0.8
+
+
 @pytest.mark.parametrize("dirt", ["spike", "needle", "fold", "bow-tie", "isolated"])
-def test_dirt_is_survived(method, dirt):
+def test_dirt_is_survived(run, dirt):
     vertices, faces = torus()
     vertices = noisy(vertices, 3, 0.1)
     if dirt == "spike":
@@ -152,8 +203,8 @@ def test_dirt_is_survived(method, dirt):
         faces = np.concatenate([faces, [[0, 100, 200], [0, 1, 200], [0, 1, 100]]])
     else:
         faces = faces[::3]
-    ready = prepared(vertices, faces.astype(np.int32))
-    out = method.denoised(ready.mesh, defaults(method)).vertices
+    ready = prepare_mesh(vertices, faces.astype(np.int32))
+    out = run(ready.mesh).vertices
     assert np.isfinite(out).all()
 
 
@@ -164,13 +215,13 @@ def test_parameters_describe_themselves(method):
     for spec in method.parameters:
         assert spec.help
         assert spec.choices or spec.more, f"{spec.name}: which way is more?"
-        assert spec.settled(spec.default) == spec.default
+        assert spec.validate(spec.default) == spec.default
         assert spec.range_text
 
 
 def test_symbols_are_names_too():
     msal = methods.find("msal")
-    assert msal.settled({"n": "7", "K": "0.25"}) == msal.settled({"iterations": 7, "K": 0.25})
+    assert msal.validate({"n": "7", "K": "0.25"}) == msal.validate({"iterations": 7, "K": 0.25})
 
 
 @pytest.mark.parametrize(
@@ -189,7 +240,7 @@ def test_symbols_are_names_too():
 )
 def test_bad_parameters_are_refused(given, part):
     with pytest.raises(UsageError) as caught:
-        methods.find("msal").settled(given)
+        methods.find("msal").validate(given)
     assert part in f"{caught.value} {caught.value.hint}"
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli import methods
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.methods import plain_restoration as plain
 from tests.shapes import ball, cube, grid, noisy, torus
 
@@ -17,7 +17,7 @@ MSAL = methods.find("msal")
 
 def run(vertices, faces, name="msal", **given):
     method = methods.find(name)
-    return method.denoised(prepared(vertices, faces).mesh, method.settled(given))
+    return method.denoise(prepare_mesh(vertices, faces).mesh, method.validate(given))
 
 
 def textured_ball():
@@ -123,7 +123,7 @@ def test_a_plane_has_no_lambda():
     vertices, faces = grid(6, 6)
     for schedule in ("robust", "wiener"):
         result = run(vertices, faces, schedule=schedule)
-        assert (result.vertices == prepared(vertices, faces).mesh.vertices).all()
+        assert (result.vertices == prepare_mesh(vertices, faces).mesh.vertices).all()
         assert not result.fields["fidelity"].any()
 
 
@@ -131,7 +131,7 @@ def test_a_plane_has_no_lambda():
 @pytest.mark.parametrize(("noise", "caution"), [(0.1, 1.0), (0.02, 1.2), (0.05, 0.3)])
 def test_wiener_is_what_its_definition_says(shape, noise, caution):
     vertices, faces = centred(shape)
-    unit = prepared(vertices, faces).mesh.mean_edge_length
+    unit = prepare_mesh(vertices, faces).mesh.mean_edge_length
     expected = plain.wiener(vertices, faces, 3, noise * unit, caution, 1)
     given = {"schedule": "wiener", "noise": noise, "caution": caution, "n": 3}
     assert np.abs(run(vertices, faces, **given).vertices - expected).max() < 1e-12 * np.ptp(
@@ -140,10 +140,10 @@ def test_wiener_is_what_its_definition_says(shape, noise, caution):
 
 
 def test_wiener_estimates_the_noise_unless_told():
-    from msal_cli.analysis.noise_estimate import estimated
+    from msal_cli.analysis.noise_estimate import estimate_noise
 
     vertices, faces = SHAPES["torus"]
-    told = estimated(prepared(vertices, faces).mesh).mean_edges
+    told = estimate_noise(prepare_mesh(vertices, faces).mesh).mean_edges
     by_itself = run(vertices, faces, schedule="wiener").vertices
     assert np.allclose(by_itself, run(vertices, faces, schedule="wiener", noise=told).vertices)
     assert not np.allclose(
@@ -154,7 +154,7 @@ def test_wiener_estimates_the_noise_unless_told():
 @pytest.mark.parametrize("name", ["al", "umbrella", "bilateral", "mean_curvature_flow"])
 def test_under_much_noise_wiener_is_plain_and_without_caution_the_input(name):
     vertices, faces = SHAPES["torus"]
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     smooth = run(vertices, faces, name, schedule="plain").vertices
     much = run(vertices, faces, name, schedule="wiener", noise=100)
     assert (much.vertices == smooth).all()
@@ -177,18 +177,18 @@ def test_the_same_schedule_over_al_is_that_of_msal():
 @pytest.mark.parametrize("name", ["msal", "umbrella"])
 def test_trust_scales_the_pull_and_what_is_held_stays(schedule, name):
     vertices, faces = SHAPES["torus"]
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     method = methods.find(name)
-    parameters = method.settled({"schedule": schedule})
+    parameters = method.validate({"schedule": schedule})
     assert method.has_data_term(parameters)
     trust = np.random.default_rng(0).random(len(vertices))
-    whole = method.denoised(mesh, parameters)
-    scaled = method.denoised(mesh.constrained(None, trust), parameters)
+    whole = method.denoise(mesh, parameters)
+    scaled = method.denoise(mesh.with_constraints(None, trust), parameters)
     assert np.allclose(
         scaled.fields["fidelity"], trust * whole.fields["fidelity"], rtol=1e-14, atol=0
     )
     held = np.arange(len(vertices)) % 5 == 0
-    stays = method.denoised(mesh.constrained(held, None), parameters)
+    stays = method.denoise(mesh.with_constraints(held, None), parameters)
     assert (stays.vertices[held] == mesh.vertices[held]).all()
     assert (stays.vertices[~held] != mesh.vertices[~held]).any()
 
@@ -205,17 +205,17 @@ def test_nothing_depends_on_the_unit(schedule):
 def test_no_sweeps_change_no_bit(schedule):
     vertices, faces = SHAPES["torus"]
     result = run(vertices, faces, schedule=schedule, n=0).vertices
-    assert (result == prepared(vertices, faces).mesh.vertices).all()
+    assert (result == prepare_mesh(vertices, faces).mesh.vertices).all()
 
 
 def test_wiener_comes_closer_to_waves_under_noise_than_the_others():
     vertices, faces = torus(96, 48)
-    normals = prepared(vertices, faces).mesh.vertex_normals()
+    normals = prepare_mesh(vertices, faces).mesh.vertex_normals()
     wave = 0.06 * np.sin(4 * vertices[:, 0]) * np.sin(4 * vertices[:, 1])
     true = vertices + wave[:, None] * normals
     noise = 0.02 * np.random.default_rng(0).normal(size=len(vertices))
     scan = true + noise[:, None] * normals
-    origin = prepared(scan, faces).origin
+    origin = prepare_mesh(scan, faces).origin
 
     def error(**given):
         found = run(scan, faces, **given).vertices + origin

@@ -7,7 +7,7 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.kernels.umbrellas import ScaleDependentUmbrella
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.methods.plain_rings import rows, scale_dependent_umbrella
 from tests.shapes import fan, grid, noisy, torus
 
@@ -15,8 +15,8 @@ METHOD = methods.find("scale_dependent_umbrella")
 
 
 def run(vertices, faces, **given):
-    mesh = prepared(vertices, faces).mesh
-    return mesh, METHOD.denoised(mesh, METHOD.settled(given)).vertices
+    mesh = prepare_mesh(vertices, faces).mesh
+    return mesh, METHOD.denoise(mesh, METHOD.validate(given)).vertices
 
 
 def stretched(seed=3):
@@ -53,7 +53,7 @@ def test_on_equal_edges_it_is_the_umbrella():
     vertices[0, 2] = 0.0
     umbrella = methods.find("umbrella")
     mesh, out = run(vertices, faces, iterations=1)
-    other = umbrella.denoised(mesh, umbrella.settled({"iterations": 1})).vertices
+    other = umbrella.denoise(mesh, umbrella.validate({"iterations": 1})).vertices
     assert np.allclose(out, other, rtol=0, atol=1e-15)
     assert np.abs(out - mesh.vertices).max() > 0.2
 

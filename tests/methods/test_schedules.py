@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import noisy, torus
 
 SCHEDULED = [
@@ -19,13 +19,13 @@ SCHEDULED = [
 @pytest.fixture(scope="module")
 def mesh():
     vertices, faces = torus()
-    return prepared(noisy(vertices, 0, 0.05), faces).mesh
+    return prepare_mesh(noisy(vertices, 0, 0.05), faces).mesh
 
 
 @pytest.fixture(params=SCHEDULED)
 def run(request, mesh):
     method = methods.find(request.param)
-    return lambda **given: method.denoised(mesh, method.settled(given)).vertices
+    return lambda **given: method.denoise(mesh, method.validate(given)).vertices
 
 
 def moved(mesh, vertices):

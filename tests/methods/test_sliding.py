@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.analysis.surface import normal_statistics
-from msal_cli.mesh import prepared
+from msal_cli.analysis.measures import normal_statistics
+from msal_cli.mesh import prepare_mesh
 from msal_cli.methods import _sliding
-from msal_cli.methods._sliding import SIDEWAYS, settled, sideways_share
+from msal_cli.methods._sliding import SIDEWAYS, sideways_share, undo_sliding
 from tests.shapes import grid, torus
 
 SLIDING = [
@@ -22,15 +22,15 @@ SLIDING = [
 def scan():
     """A torus under noise along its normals, and the torus."""
     vertices, faces = torus(48, 24)
-    normals = prepared(vertices, faces).mesh.vertex_normals()
+    normals = prepare_mesh(vertices, faces).mesh.vertex_normals()
     heights = 0.08 * np.random.default_rng(0).normal(size=len(vertices))
-    ready = prepared(vertices + heights[:, None] * normals, faces)
-    return ready.mesh, ready.mesh.moved(vertices - ready.origin)
+    ready = prepare_mesh(vertices + heights[:, None] * normals, faces)
+    return ready.mesh, ready.mesh.with_vertices(vertices - ready.origin)
 
 
 def run(name, mesh, **given):
     method = methods.find(name)
-    return method.denoised(mesh, method.settled(given)).vertices
+    return method.denoise(mesh, method.validate(given)).vertices
 
 
 def test_every_filter_of_normals_has_the_choice():
@@ -39,18 +39,18 @@ def test_every_filter_of_normals_has_the_choice():
 
 def test_what_slid_within_a_plane_comes_back_exactly():
     vertices, faces = grid(7, 6)
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     slid = mesh.vertices.copy()
     slid[:, :2] += np.random.default_rng(0).uniform(-0.2, 0.2, (len(slid), 2))
-    assert settled(mesh, slid, "kept", "free") is slid
-    assert np.abs(settled(mesh, slid, "undone", "free") - mesh.vertices).max() < 1e-15
+    assert undo_sliding(mesh, slid, "kept", "free") is slid
+    assert np.abs(undo_sliding(mesh, slid, "undone", "free") - mesh.vertices).max() < 1e-15
 
 
 def test_heights_over_a_plane_stay():
     vertices, faces = grid(7, 6)
-    mesh = prepared(vertices, faces).mesh
+    mesh = prepare_mesh(vertices, faces).mesh
     raised = mesh.vertices + [0.1, -0.05, 0.3]
-    back = settled(mesh, raised, "undone", "free")
+    back = undo_sliding(mesh, raised, "undone", "free")
     assert np.abs(back - mesh.vertices - [0.0, 0.0, 0.3]).max() < 1e-15
 
 
@@ -65,7 +65,8 @@ def test_it_comes_closer_where_the_noise_was_along_the_normals(name):
     )
     assert undone < 0.97 * kept
     angles = {
-        one: normal_statistics(true, mesh.moved(found[one])).mean_angular_error_deg for one in found
+        one: normal_statistics(true, mesh.with_vertices(found[one])).mean_angular_error_deg
+        for one in found
     }
     assert angles["undone"] < 1.03 * angles["kept"]
 
@@ -75,14 +76,14 @@ def test_no_iterations_change_no_bit_and_what_is_held_stays(name):
     mesh, _ = scan()
     assert (run(name, mesh, iterations=0, sliding="undone") == mesh.vertices).all()
     held = np.arange(len(mesh.vertices)) % 3 == 0
-    found = run(name, mesh.constrained(held, None), iterations=2, sliding="undone")
+    found = run(name, mesh.with_constraints(held, None), iterations=2, sliding="undone")
     assert np.abs(found[held] - mesh.vertices[held]).max() < 1e-14
 
 
 def test_auto_undoes_it_only_where_the_noise_was_along_the_normals():
     along, _ = scan()
     vertices, faces = torus(48, 24)
-    every_way = prepared(
+    every_way = prepare_mesh(
         vertices + 0.08 * np.random.default_rng(0).normal(size=vertices.shape), faces
     ).mesh
     for mesh, as_with in ((along, "undone"), (every_way, "kept")):
@@ -94,28 +95,23 @@ def test_auto_undoes_it_only_where_the_noise_was_along_the_normals():
 
 def test_the_share_of_noise_within_the_surface():
     vertices, faces = torus(96, 48)
-    normals = prepared(vertices, faces).mesh.vertex_normals()
+    normals = prepare_mesh(vertices, faces).mesh.vertex_normals()
     random = np.random.default_rng(0)
     heights = 0.04 * random.normal(size=len(vertices))[:, None] * normals
     ways = random.normal(size=vertices.shape)
     ways -= (ways * normals).sum(axis=1)[:, None] * normals
     for share in (0.0, 0.5, 1.0):
-        mesh = prepared(vertices + heights + 0.04 * share * ways, faces).mesh
+        mesh = prepare_mesh(vertices + heights + 0.04 * share * ways, faces).mesh
         # A torus has some of its own: its rings are uneven.
         assert sideways_share(mesh) == pytest.approx(share, rel=0.15, abs=0.15)
     assert 0.2 < SIDEWAYS < 0.8
-    assert sideways_share(prepared(*grid(6, 6)).mesh) == np.inf
+    assert sideways_share(prepare_mesh(*grid(6, 6)).mesh) == np.inf
 
 
-def test_the_way_of_the_noise_is_found_once_for_a_mesh(monkeypatch):
-    asked = []
-
-    def counted(mesh):
-        asked.append(mesh)
-        return 0.3
-
-    monkeypatch.setattr(_sliding, "_sideways_share", counted)
+def test_the_share_is_computed_once_for_a_mesh(monkeypatch):
     mesh, _ = scan()
-    other = mesh.moved(mesh.vertices.copy())
-    assert [sideways_share(one) for one in (mesh, mesh, other, mesh)] == [0.3] * 4
-    assert [one is mesh for one in asked] == [True, False]
+    share = sideways_share(mesh)
+    monkeypatch.setattr(_sliding, "apply_umbrella", None)
+    assert sideways_share(mesh) == share
+    with pytest.raises(TypeError):
+        sideways_share(mesh.with_vertices(mesh.vertices.copy()))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.analysis.surface import normal_statistics
-from msal_cli.mesh import prepared
+from msal_cli.analysis.measures import normal_statistics
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 
 WIENER = methods.find("wiener")
@@ -15,25 +15,25 @@ WIENER = methods.find("wiener")
 
 def run(mesh, name="wiener", **given):
     method = methods.find(name)
-    return method.denoised(mesh, method.settled(given)).vertices
+    return method.denoise(mesh, method.validate(given)).vertices
 
 
 def scan(around=24, across=12, level=0.05):
     vertices, faces = torus(around, across)
-    return prepared(noisy(vertices, 1, level), faces).mesh
+    return prepare_mesh(noisy(vertices, 1, level), faces).mesh
 
 
 def wavy():
     """A torus with waves, and the same under noise of a tenth of an edge length."""
     vertices, faces = torus(96, 48)
-    normals = prepared(vertices, faces).mesh.vertex_normals()
+    normals = prepare_mesh(vertices, faces).mesh.vertex_normals()
     true = (
         vertices
         + (0.06 * np.sin(4 * vertices[:, 0]) * np.sin(4 * vertices[:, 1]))[:, None] * normals
     )
     heights = 0.02 * np.random.default_rng(0).normal(size=len(vertices))
-    ready = prepared(true + heights[:, None] * normals, faces)
-    return ready.mesh, ready.mesh.moved(true - ready.origin)
+    ready = prepare_mesh(true + heights[:, None] * normals, faces)
+    return ready.mesh, ready.mesh.with_vertices(true - ready.origin)
 
 
 def geometry(x, faces):
@@ -101,7 +101,7 @@ def test_without_the_normals_it_is_the_schedule_of_al():
 @pytest.mark.parametrize("shape", [torus(9, 7), grid(6, 6), cube()])
 def test_the_normals_follow_as_the_definition_says(shape, share):
     vertices, faces = shape
-    mesh = prepared(noisy(vertices, 2, 0.1), faces).mesh
+    mesh = prepare_mesh(noisy(vertices, 2, 0.1), faces).mesh
     guide = run(mesh, normal_iterations=0, noise=0.2)
     expected = follows(mesh, guide, 2.0 * 0.2, 1.5, share, 2, 3)
     actual = run(
@@ -122,7 +122,7 @@ def test_it_comes_closer_than_its_parts_in_positions_and_in_normals():
 
     def errors(name, **given):
         found = run(mesh, name, **given)
-        angle = normal_statistics(true, mesh.moved(found)).mean_angular_error_deg
+        angle = normal_statistics(true, mesh.with_vertices(found)).mean_angular_error_deg
         return np.array([np.linalg.norm(found - true.vertices, axis=1).mean(), angle])
 
     whole = errors("wiener")
@@ -147,21 +147,5 @@ def test_more_noise_is_smoother():
     assert ways == sorted(ways)
 
 
-def test_what_is_held_stays():
-    mesh = scan()
-    held = np.arange(len(mesh.vertices)) % 4 == 0
-    found = run(mesh.constrained(held, None))
-    assert (found[held] == mesh.vertices[held]).all()
-    assert (found[~held] != mesh.vertices[~held]).any()
-
-
-def test_open_edges_are_fixed_where_that_is_asked():
-    vertices, faces = grid(12, 10)
-    mesh = prepared(noisy(vertices, 0, 0.1), faces).mesh
-    rim = mesh.links.boundary
-    assert (run(mesh, boundary="fixed")[rim] == mesh.vertices[rim]).all()
-    assert (run(mesh)[rim] != mesh.vertices[rim]).any()
-
-
 def test_it_has_no_data_term_that_trust_could_scale():
-    assert not WIENER.has_data_term(WIENER.settled({}))
+    assert not WIENER.has_data_term(WIENER.validate({}))

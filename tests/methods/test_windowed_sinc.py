@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.analysis.volume import area_and_volume
+from msal_cli.analysis.measures import area_and_volume
 from msal_cli.kernels.umbrellas import sinc_coefficients
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import grid, noisy, torus
 
 METHOD = methods.find("windowed_sinc")
@@ -17,8 +17,8 @@ AROUND, ACROSS = 240, 12
 
 
 def run(vertices, faces, **given):
-    mesh = prepared(vertices, faces).mesh
-    return mesh, METHOD.denoised(mesh, METHOD.settled(given)).vertices
+    mesh = prepare_mesh(vertices, faces).mesh
+    return mesh, METHOD.denoise(mesh, METHOD.validate(given)).vertices
 
 
 def wave_on_torus(wave):
@@ -62,10 +62,10 @@ def test_the_transfer_function_is_that_of_vtk(passes, pass_band, expected):
 
 def test_the_surface_does_not_shrink_and_the_noise_goes():
     vertices, faces = torus(60, 30)
-    clean = prepared(vertices, faces).mesh
+    clean = prepare_mesh(vertices, faces).mesh
     mesh, out = run(noisy(vertices, 0, 0.03), faces)
     before = area_and_volume(clean)[1]
-    assert area_and_volume(mesh.moved(out))[1] == pytest.approx(before, rel=0.003)
+    assert area_and_volume(mesh.with_vertices(out))[1] == pytest.approx(before, rel=0.003)
 
     def error(positions):
         return np.linalg.norm(positions - clean.vertices, axis=1).mean()
@@ -75,11 +75,11 @@ def test_the_surface_does_not_shrink_and_the_noise_goes():
 
 def test_held_vertices_and_those_of_a_fixed_rim_keep_every_bit():
     vertices, faces = grid(12, 9)
-    mesh = prepared(noisy(vertices, 2, 0.2), faces).mesh
+    mesh = prepare_mesh(noisy(vertices, 2, 0.2), faces).mesh
     held = np.arange(len(mesh.vertices)) % 7 == 0
-    out = METHOD.denoised(mesh.constrained(held, None), METHOD.settled({})).vertices
+    out = METHOD.denoise(mesh.with_constraints(held, None), METHOD.validate({})).vertices
     assert (out[held] == mesh.vertices[held]).all()
     assert (out[~held] != mesh.vertices[~held]).any()
-    rim = mesh.links.boundary
-    out = METHOD.denoised(mesh, METHOD.settled({"boundary": "fixed"})).vertices
+    rim = mesh.topology.boundary
+    out = METHOD.denoise(mesh, METHOD.validate({"boundary": "fixed"})).vertices
     assert (out[rim] == mesh.vertices[rim]).all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import types
 import typing
 
@@ -54,6 +55,7 @@ No slash can be in a name.
 """
 
 
+@functools.cache
 def of(kind):
     """A strategy for a type as the records use it."""
     simple = {

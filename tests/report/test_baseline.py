@@ -13,7 +13,9 @@ def record(**figures):
 
 
 def broken(now, then, tolerance=0.02):
-    return [one.expression for one in baseline.judged(now, then, tolerance) if one.broken]
+    return [
+        one.expression for one in baseline.compare_with_baseline(now, then, tolerance) if one.broken
+    ]
 
 
 @pytest.mark.parametrize(
@@ -37,11 +39,11 @@ def test_nothing_is_allowed_to_appear_where_nothing_was():
 
 
 def test_a_figure_that_is_not_known_any_more_is_broken_and_a_new_one_is_not():
-    (one,) = baseline.judged(record(), record(hausdorff_edges=1.0), 0.02)
+    (one,) = baseline.compare_with_baseline(record(), record(hausdorff_edges=1.0), 0.02)
     assert (one.broken, one.decided) == (True, False)
     assert "not known" in one.reason
     assert broken(record(hausdorff_edges=1.0), record()) == []
-    assert baseline.judged(record(hausdorff_edges=1.0), None, 0.02) == ()
+    assert baseline.compare_with_baseline(record(hausdorff_edges=1.0), None, 0.02) == ()
 
 
 def test_partners_are_found_by_path_or_by_its_end():

@@ -8,7 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.job.display_names import columns, padded, portable, restored, shortened, shown
+from msal_cli.job.display_names import (
+    columns,
+    escape_for_display,
+    pad_name,
+    portable,
+    restore_name,
+    shorten_name,
+)
 
 ANY_TEXT = st.text(st.characters() | st.characters(min_codepoint=0xD800, max_codepoint=0xDFFF))
 TRICKY = st.lists(st.sampled_from(["\\", "u", "d", "c", "8", "0", "5", "f", "\udcff", "\ud800"]))
@@ -18,7 +25,7 @@ TRICKY = st.lists(st.sampled_from(["\\", "u", "d", "c", "8", "0", "5", "f", "\ud
 def test_portable_text_is_valid_and_comes_back(text):
     plain = portable(text)
     plain.encode("utf-8")
-    assert restored(plain) == text
+    assert restore_name(plain) == text
 
 
 @pytest.mark.parametrize(
@@ -43,7 +50,7 @@ def test_what_is_escaped(text, plain):
 
 @given(ANY_TEXT)
 def test_shown_text_holds_nothing_that_a_terminal_obeys(text):
-    said = shown(text)
+    said = escape_for_display(text)
     said.encode("utf-8")
     assert not any(ord(one) < 32 or 0x7F <= ord(one) < 0xA0 for one in said)
     assert not set(said) & set("\u202a\u202e\u2066\u2069\u2028\u200f")
@@ -61,7 +68,7 @@ def test_shown_text_holds_nothing_that_a_terminal_obeys(text):
     ],
 )
 def test_what_people_see(text, said):
-    assert shown(text) == said
+    assert escape_for_display(text) == said
 
 
 def test_columns_of_wide_and_combining_characters():
@@ -72,7 +79,7 @@ def test_columns_of_wide_and_combining_characters():
 
 @given(st.text(), st.integers(3, 30))
 def test_shortened_fits_and_keeps_the_end(text, width):
-    short = shortened(text, width)
+    short = shorten_name(text, width)
     assert columns(short) <= width
     assert text.endswith(short.removeprefix("...")) or short == text
     if columns(text) <= width:
@@ -80,6 +87,6 @@ def test_shortened_fits_and_keeps_the_end(text, width):
 
 
 def test_padded_fills_by_columns():
-    assert padded("扫", 4) == "扫  "
-    assert padded("a", 3, right=True) == "  a"
-    assert padded("abcd", 3) == "abcd"
+    assert pad_name("扫", 4) == "扫  "
+    assert pad_name("a", 3, right=True) == "  a"
+    assert pad_name("abcd", 3) == "abcd"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from msal_cli.job.records import MeshRecord, Volume
-from msal_cli.report.document import heading, plain, totals
-from tests.report.made import RUN, failed, written
+from msal_cli.report.document import plain, totals
+from tests.report.made import failed, written
 
 
 def test_totals_count_by_status_and_leave_out_what_earlier_runs_did():
@@ -38,21 +38,6 @@ def test_the_volume_spread_is_over_valid_volumes_only():
     spread = totals(records).volume_change_percent
     assert (spread.files, spread.lowest, spread.median, spread.highest) == (3, -3.0, -0.5, 1.0)
     assert totals([failed()]).volume_change_percent is None
-
-
-def test_the_order_of_keys_is_fixed():
-    assert list(heading(RUN, [written()])) == [
-        "schema",
-        "version",
-        "command",
-        "settings",
-        "started",
-        "finished",
-        "seconds",
-        "interrupted",
-        "machine",
-        "totals",
-    ]
 
 
 def test_plain_data():

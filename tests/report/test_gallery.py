@@ -38,7 +38,7 @@ def shown(records, found):
 
 
 def test_every_file_that_was_written_is_shown(records):
-    found = gallery.made(records)
+    found = gallery.build_gallery(records)
     assert shown(records, found) == ["a.ply", "b.ply"]
     assert set(found.scenes) == set(found.pictures) and found.script and found.style
     for one in found.pictures.values():
@@ -49,20 +49,15 @@ def test_every_file_that_was_written_is_shown(records):
 
 def test_in_place_the_backup_is_the_input(tmp_path):
     records = denoised(tmp_path, "--in-place", "--backup", ".raw")
-    assert shown(records, gallery.made(records, backup=".raw")) == ["a.ply", "b.ply"]
-    assert gallery.made(records, backup=".orig").pictures == {}
-
-
-def test_in_place_without_a_backup_there_is_nothing_to_compare(tmp_path):
-    records = denoised(tmp_path, "--in-place", "--no-backup")
-    assert gallery.made(records).pictures == {}
+    assert shown(records, gallery.build_gallery(records, backup=".raw")) == ["a.ply", "b.ply"]
+    assert gallery.build_gallery(records, backup=".orig").pictures == {}
 
 
 def test_what_is_gone_or_has_changed_is_left_out(tmp_path):
     records = denoised(tmp_path)
     (tmp_path / "in" / "a.ply").write_bytes(closed_scan(seed=5))
     (tmp_path / "out" / "b.ply").unlink()
-    found = gallery.made(records)
+    found = gallery.build_gallery(records)
     assert found.pictures == found.scenes == {}
     assert found.script == "" and found.remarks == ()
 
@@ -73,21 +68,21 @@ def test_streams_stores_and_what_was_not_written_are_left_out():
         written("s3://bucket/a.ply", output="s3://bucket/b.ply"),
         MeshRecord("a.ply", "planned", "b.ply"),
     ]
-    assert gallery.made(records).pictures == {}
+    assert gallery.build_gallery(records).pictures == {}
 
 
 def test_the_bounds_are_kept_and_said(records):
-    found = gallery.made(records, bounds=Bounds(seconds=-1.0))
+    found = gallery.build_gallery(records, bounds=Bounds(seconds=-1.0))
     assert found.pictures == {} and "the other 2 would have taken more" in found.remarks[0]
-    found = gallery.made(records, bounds=Bounds(faces=100))
+    found = gallery.build_gallery(records, bounds=Bounds(faces=100))
     assert shown(records, found) == ["b.ply"] and found.remarks[0].startswith("1 file")
-    found = gallery.made(records, bounds=Bounds(picture_bytes=0))
+    found = gallery.build_gallery(records, bounds=Bounds(picture_bytes=0))
     assert len(found.pictures) == 1 and "the other 1 " in found.remarks[0]
-    found = gallery.made(records, bounds=Bounds(scenes=1))
+    found = gallery.build_gallery(records, bounds=Bounds(scenes=1))
     (at,) = found.scenes
     worst = max(found.pictures, key=lambda at: records[at].displacement.max_edges)
     assert at == worst
-    found = gallery.made(records, bounds=Bounds(scene_faces=100))
+    found = gallery.build_gallery(records, bounds=Bounds(scene_faces=100))
     assert "decimated" in found.remarks[0]
 
 
@@ -98,25 +93,7 @@ def test_what_cannot_be_drawn_keeps_back_no_report(records, monkeypatch):
         raise RuntimeError
 
     monkeypatch.setattr(pictures, "camera_of", broken)
-    assert gallery.made(records).pictures == {}
-
-
-def test_the_scale_is_round_and_that_of_middling_files():
-    def reach(*p95_edges):
-        from dataclasses import replace
-
-        base = written()
-        return gallery._reach(
-            [
-                replace(base, displacement=replace(base.displacement, p95_edges=one))
-                for one in p95_edges
-            ]
-        )
-
-    assert reach(0.09, 0.1, 50.0) == 0.2
-    assert reach(0.11) == 0.5
-    assert reach(float("nan"), 0.0, 1e-17) == 0.5
-    assert reach(3.0) == 10.0
+    assert gallery.build_gallery(records).pictures == {}
 
 
 def test_the_report_of_a_run_has_its_pictures(tmp_path):

@@ -34,10 +34,6 @@ def test_a_failure_is_told_with_place_and_hint():
     )
 
 
-def test_all_is_well():
-    assert as_annotations.commands([written()]) == []
-
-
 def test_no_more_than_github_shows():
     assert len(as_annotations.commands([failed(f"{at}.ply") for at in range(50)])) == 10
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import html
 import json
-import re
 from html.parser import HTMLParser
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.job.display_names import shown
+from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.records import MeshRecord, Reference
 from msal_cli.report import html as as_html
 from msal_cli.report.ranking import worst_first
@@ -55,7 +53,7 @@ class Reader(HTMLParser):
 
 
 def page(records, gallery=Gallery(), **options):  # noqa: B008
-    text = as_html.encoded(RUN, records, gallery, **options).decode()
+    text = as_html.render(RUN, records, gallery, **options).decode()
     reader = Reader(text)
     assert reader.within == []
     return text, reader
@@ -89,8 +87,8 @@ def test_names_stay_text(make):
     assert set(reader.tags) <= plain_tags | {"br"}
     assert all(one not in text for one in ("<script>alert", "<img src=x", "\x1b", "\u202e"))
     names = [one["values"][0] for one in json.loads(reader.ids["rows"])]
-    assert sorted(names) == sorted(map(shown, HOSTILE_NAMES))
-    assert set(map(shown, HOSTILE_NAMES)) <= set(reader.texts["th"])
+    assert sorted(names) == sorted(map(escape_for_display, HOSTILE_NAMES))
+    assert set(map(escape_for_display, HOSTILE_NAMES)) <= set(reader.texts["th"])
 
 
 @settings(max_examples=25, deadline=None)
@@ -108,21 +106,6 @@ def test_rows_are_worst_first():
     assert [one["kind"] for one in rows] == ["failed", "gate", "good"]
     assert ["Reason", "vertex 17: position is not finite (E_NONFINITE)"] in rows[0]["details"]
     assert ["Gate broken", "abs(volume_change) > 1% (volume_change is -2.1%)"] in rows[1]["details"]
-
-
-def test_it_tells_reason_hint_gate_command_and_settings():
-    text, reader = page([failed(), gated()])
-    said = html.unescape(re.sub(r"<[^>]+>", " ", text.partition("<main>")[2]))
-    for words in (
-        "vertex 17: position is not finite",
-        "repair it",
-        "abs(volume_change) > 1% (volume_change is -2.1%)",
-        "msal denoise scans -o out",
-        "parameters.K",
-        "1.2.3",
-    ):
-        assert words in said
-    assert reader.texts["title"][0] == "msal: 2 files"
 
 
 def test_warnings_stand_on_the_page_with_their_files():
@@ -151,7 +134,7 @@ def test_pictures_stand_in_the_order_of_the_rows():
 def test_pictures_that_do_not_fit_are_left_out_from_the_best_files():
     records = [written(f"{at}") for at in range(100)] + [failed()]
     gallery = Gallery(pictures={at: Pictures(jpeg(9_000), jpeg(9_000)) for at in range(100)})
-    data = as_html.encoded(RUN, records, gallery, most_bytes=1_000_000)
+    data = as_html.render(RUN, records, gallery, most_bytes=1_000_000)
     assert len(data) < 1_000_000
     reader = Reader(data.decode())
     kept = json.loads(reader.ids["pictures"])
@@ -159,21 +142,9 @@ def test_pictures_that_do_not_fit_are_left_out_from_the_best_files():
     assert f"Pictures of {101 - len(kept)} files" in data.decode()
 
 
-def test_the_largest_page_keeps_to_its_size():
-    records = [written(f"{at}") for at in range(1_000)]
-    scene = f"<div>{'x' * 4_000_000}</div>"
-    gallery = Gallery(
-        pictures={at: Pictures(jpeg(10_000), jpeg(10_000), jpeg(10_000)) for at in range(1_000)},
-        scenes=dict.fromkeys(range(5), scene),
-    )
-    data = as_html.encoded(RUN, records, gallery)
-    assert 20_000_000 < len(data) <= as_html.MOST_BYTES
-    assert data.count(b"xxxxx</div>") == 3
-
-
 def test_ten_thousand_files_are_a_small_page():
     records = [written(f"scans/{at}.ply") for at in range(10_000)]
-    assert len(as_html.encoded(RUN, records)) < 4_000_000
+    assert len(as_html.render(RUN, records)) < 4_000_000
 
 
 def test_the_angle_to_a_reference_is_a_column_where_there_is_one():

@@ -38,7 +38,7 @@ def made(**changes):
 
 
 def facts(record):
-    lines = [line.text for line in info_text.told(record)]
+    lines = [line.text for line in info_text.describe_info(record)]
     return lines[0], {line[2:17].strip(): line[18:] for line in lines[1:]}
 
 
@@ -66,7 +66,7 @@ def test_a_volume_is_told_only_if_it_can_be_trusted():
 
 def test_a_failure_is_told_with_its_hint():
     record = InfoRecord("x.ply", error=Failure("E_TRUNCATED", "it ends early", "copy it", "byte 9"))
-    assert [line.text for line in info_text.told(record)] == [
+    assert [line.text for line in info_text.describe_info(record)] == [
         "x.ply: byte 9: it ends early (E_TRUNCATED)",
         "  hint: copy it",
     ]
@@ -91,7 +91,7 @@ def noise(**changes):
 
 def test_noise_is_told_with_its_interval_and_what_is_peculiar_about_it():
     def lines(estimate):
-        told = [line.text[18:] for line in info_text.told(made(noise_estimate=estimate))]
+        told = [line.text[18:] for line in info_text.describe_info(made(noise_estimate=estimate))]
         (first,) = [at for at, one in enumerate(told) if "in file units" in one]
         return told[first:]
 

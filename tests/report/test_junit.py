@@ -49,7 +49,7 @@ CHILDREN = {
 
 
 def parsed(records):
-    root = Xml.fromstring(as_junit.encoded(RUN, records))
+    root = Xml.fromstring(as_junit.render(RUN, records))
     for one in root.iter():
         assert set(one.attrib) == set(ATTRIBUTES[one.tag])
         for name, value in one.attrib.items():

@@ -37,7 +37,7 @@ def test_the_schemas_are_schemas(name):
 @settings(max_examples=40, deadline=None)
 @given(st.lists(of(MeshRecord), max_size=2))
 def test_every_report_fits(records):
-    REPORT.validate(json.loads(as_json.encoded(RUN, records)))
+    REPORT.validate(json.loads(as_json.render(RUN, records)))
 
 
 @settings(max_examples=40, deadline=None)
@@ -48,7 +48,7 @@ def test_every_info_fits(record):
 
 
 def test_every_line_fits_the_part_for_records():
-    for line in as_json.encoded_lines(RUN, [written(), failed()]).splitlines():
+    for line in as_json.render_lines(RUN, [written(), failed()]).splitlines():
         validator = Draft202012Validator(
             {"$ref": "#/$defs/MeshRecord", "$defs": report_schema()["$defs"]}
         )
@@ -67,7 +67,7 @@ def test_every_line_fits_the_part_for_records():
     ],
 )
 def test_a_spoilt_report_does_not_fit(spoil):
-    data = json.loads(as_json.encoded(RUN, [written()]))
+    data = json.loads(as_json.render(RUN, [written()]))
     REPORT.validate(data)
     spoil(data)
     assert not REPORT.is_valid(data)

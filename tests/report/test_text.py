@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import unicodedata
 
 import pytest
 
 from msal_cli.job.display_names import columns
 from msal_cli.job.records import Failure, MeshRecord, Volume
 from msal_cli.report import text as as_text
-from tests.report.made import RUN, failed, written
+from tests.report.made import HOSTILE_NAMES, RUN, failed, written
 
 OPEN = Volume(1.0, 0.9, -0.1, -10.0, False, "open (812 boundary edges)")
 
@@ -129,14 +130,23 @@ def test_a_run_that_was_cut_short_says_what_is_not_done():
     assert lines[-1].tone == "bad"
 
 
-def test_names_and_messages_cannot_reach_the_terminal():
-    nasty = "a\x1b[2J\nb\udcff"
-    failure = Failure("E_X", nasty, nasty, nasty)
-    records = [written(nasty, warnings=(nasty,)), failed(nasty, error=failure)]
-    for said in (text(records), text(records[:1]), text(records[1:])):
-        assert "\x1b" not in said
-        assert "\udcff" not in said
-        assert "a\\x1b[2J\\nb\\xff" in said
+NASTY = "a\x1b[2J\nb\udcff"
+RECORDS = [
+    make(name, error=Failure("E_X", name, name, name), warnings=(name,), sidecars=(name,))
+    for name in (*HOSTILE_NAMES, NASTY)
+    for make in (written, failed)
+]
+
+
+@pytest.mark.parametrize("records", [RECORDS, *([one] for one in RECORDS)])
+def test_the_terminal_and_the_log_obey_nothing(records):
+    lines = as_text.summary(RUN, records, width=200, verbose=True)
+    assert len(lines) >= len(records)
+    for line in lines:
+        for one in line.text:
+            assert unicodedata.category(one) not in ("Cc", "Cf", "Cs", "Zl", "Zp"), line
+        # Robots that read logs take a command only at the beginning of a line.
+        assert not line.text.lstrip().startswith(("::", "##")), line
 
 
 def test_the_listing_of_a_dry_run():

@@ -33,13 +33,6 @@ def test_what_is_let_go_of_goes_back():
     assert run.stdout == "True\n"
 
 
-def test_another_c_library_is_left_alone(monkeypatch):
-    import ctypes
-
-    monkeypatch.setattr(ctypes, "CDLL", lambda name: object())
-    give_back_large_arrays.__wrapped__()
-
-
 def test_the_environment_has_the_last_word(monkeypatch):
     import ctypes
 

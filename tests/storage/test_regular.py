@@ -79,23 +79,6 @@ def test_folders_and_what_is_missing_are_told_apart(tmp_path):
     assert not is_regular("a\0b")
 
 
-def test_a_link_to_a_file_is_the_file(tmp_path):
-    (tmp_path / "a.ply").write_bytes(b"ply\n")
-    (tmp_path / "b.ply").symlink_to("a.ply")
-    with open_regular(tmp_path / "b.ply") as file:
-        assert file.read() == b"ply\n"
-    assert is_regular(tmp_path / "b.ply")
-
-
-def test_no_handle_stays_open(special):
-    before = len(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else 0
-    for _ in range(3):
-        with pytest.raises(NotRegularError):
-            open_regular(special)
-    after = len(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else 0
-    assert after == before
-
-
 def test_what_grows_without_end_is_not_read_to_the_end(tmp_path, monkeypatch):
     path = tmp_path / "scan.ply"
     path.write_bytes(bytes(3 << 20))

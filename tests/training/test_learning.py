@@ -12,16 +12,14 @@ pytest.importorskip("fcpw")
 
 from msal_cli.kernels.normal_descriptors import VECTORS, WIDE_FILTERED
 from msal_cli.kernels.normal_regression import GLOBALS, NUMBERS
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import torus
 from training import noise_mixture, regression
 from training.noise_mixture import MIXTURE, draw_noise
 from training.samples import (
-    coarsen,
     collect_samples,
     draw_estimate,
     draw_meshes,
-    roughen,
 )
 from training.scans import SHARES, draw_scan
 
@@ -39,7 +37,7 @@ def samples():
 
 
 def test_every_kind_of_noise_is_drawn(monkeypatch):
-    mesh = prepared(*torus(40, 20)).mesh
+    mesh = prepare_mesh(*torus(40, 20)).mesh
     for kind in MIXTURE:
         monkeypatch.setattr(noise_mixture, "MIXTURE", (kind,))
         levels = []
@@ -59,7 +57,7 @@ def test_every_kind_of_noise_is_drawn(monkeypatch):
 @pytest.mark.parametrize("scanner", SHARES)
 def test_scans_know_their_true_normals(scanner, monkeypatch):
     monkeypatch.setattr("training.scans.SHARES", {scanner: 1.0})
-    mesh = prepared(*torus(60, 30)).mesh
+    mesh = prepare_mesh(*torus(60, 30)).mesh
     vertices, faces, true_vertices, truth = draw_scan(mesh, draw(3))
     assert vertices.shape == true_vertices.shape
     assert truth.shape == faces.shape
@@ -73,21 +71,11 @@ def test_scans_know_their_true_normals(scanner, monkeypatch):
     assert np.median(np.einsum("ij,ij->i", truth[known], away)) > 0.97
 
 
-def test_meshes_are_made_coarser_and_rougher():
-    vertices, faces = torus(120, 60)
-    coarse = coarsen(vertices, faces, draw())
-    assert len(coarse[1]) < 0.62 * len(faces)
-    rough, same = roughen(vertices, faces, draw())
-    away = np.linalg.norm(rough - prepared(vertices, faces).mesh.vertices, axis=1)
-    assert away.max() > 0.0
-    assert (same == faces).all()
-
-
 def test_the_noise_that_is_given_is_nearly_right_or_missing():
-    mesh = prepared(*torus(60, 30)).mesh
+    mesh = prepare_mesh(*torus(60, 30)).mesh
     normals = mesh.vertex_normals()
     heights = 0.2 * mesh.mean_edge_length * draw(1).standard_normal(len(normals))
-    noisy = mesh.moved(mesh.vertices + heights[:, None] * normals)
+    noisy = mesh.with_vertices(mesh.vertices + heights[:, None] * normals)
     given = [draw_estimate(noisy, mesh.vertices, draw(seed)) for seed in range(60)]
     known = [one for one in given if one is not None]
     assert 10 < len(given) - len(known) < 35

@@ -10,7 +10,7 @@ from msal_cli.view.deviation import scale_of
 def test_a_signed_scale_is_symmetric_about_a_pale_middle():
     scale = scale_of(np.array([-1.0, 0.0, 3.0]), is_signed=True)
     assert scale.low == -scale.high == -3.0
-    low, middle, high = scale.painted(np.array([-3.0, 0.0, 3.0])).astype(int)
+    low, middle, high = scale.paint(np.array([-3.0, 0.0, 3.0])).astype(int)
     assert np.ptp(middle) <= 3 and middle.min() > 200
     assert low[2] > low[0] and high[0] > high[2]
 
@@ -19,7 +19,7 @@ def test_one_stray_vertex_does_not_pale_the_rest():
     values = np.append(np.linspace(-1.0, 1.0, 1000), 500.0)
     scale = scale_of(values, is_signed=True)
     assert 0.95 < scale.high <= 1.0
-    assert (scale.painted(np.array([500.0])) == colours.table("diverging")[-1]).all()
+    assert (scale.paint(np.array([500.0])) == colours.colour_table("diverging")[-1]).all()
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_distances_start_at_nothing():
 def test_nothing_to_show_still_has_a_scale(values, is_signed):
     scale = scale_of(np.array(values), is_signed=is_signed)
     assert scale.high == 1.0
-    assert len(scale.painted(np.array(values))) == len(values)
+    assert len(scale.paint(np.array(values))) == len(values)
 
 
 def test_the_legend_says_both_units():

@@ -89,13 +89,6 @@ def test_nothing_is_asked_for_and_nothing_is_complained_about(browser, folder):
     assert pair.complaints() == []
 
 
-def test_names_are_text_on_the_page(pair):
-    title = pair.run("document.querySelector('h1').textContent")
-    assert title == pair.run("document.title")
-    assert "<script>alert(1)<!-- .ply" in title and "&amp;&#10;" in title
-    assert pair.run("document.querySelectorAll('h1 *').length") == 0
-
-
 def test_the_policy_is_obeyed(pair):
     pair.run(
         "(() => { const one = document.createElement('script'); one.textContent = 'window.ran = 1';"
@@ -133,17 +126,6 @@ def test_the_line_obeys_keys(pair):
     assert "98 % before" in pair.run(
         "document.querySelector('[role=slider]').getAttribute('aria-valuetext')"
     )
-
-
-def test_the_line_is_dragged(pair):
-    from selenium.webdriver.common.action_chains import ActionChains
-
-    handle = pair.driver.find_element("css selector", ".msal-split")
-    ActionChains(pair.driver, duration=0).drag_and_drop_by_offset(handle, 150, 0).perform()
-    pair.settle()
-    left = pair.run("parseFloat(document.querySelector('.msal-split').style.left)")
-    width = pair.run("document.querySelector('.msal-stage').clientWidth")
-    assert left == pytest.approx(50 + 100 * 150 / width, abs=0.5)
 
 
 def test_the_view_moves_and_comes_back(pair):
@@ -254,15 +236,6 @@ def test_dark_and_light(pair):
     assert ground() > 200
     pair.click("Theme")
     pair.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
-
-
-def test_print_shows_the_picture(pair):
-    pair.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
-    pair.settle()
-    seen = "getComputedStyle(document.querySelector('{}')).display"
-    assert pair.run(seen.format("figure")) == "block"
-    assert pair.run(seen.format(".msal-stage")) == pair.run(seen.format(".msal-bar")) == "none"
-    pair.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
 
 
 def test_the_script_reads_what_was_written(pair, folder):

@@ -41,7 +41,7 @@ def test_a_mesh_that_did_not_move_has_the_scale_of_its_edges(by):
     scale = pictures.scale_of_scene(scene)
     assert scale.high == -scale.low == pytest.approx(scene.before.mean_edge_length, rel=0.1)
     # Middle grey, and not the colours of noise in the last digit.
-    assert np.ptp(scale.painted(scene.deviation).astype(int)) <= 3
+    assert np.ptp(scale.paint(scene.deviation).astype(int)) <= 3
     assert not pictures.has_moved(scene)
 
 
@@ -72,22 +72,13 @@ def test_split_vertices_are_drawn_as_one():
     assert len(scene.before.vertices) == len(scene.after.vertices) == len(scene.deviation) == 8
 
 
-def test_both_meshes_are_in_the_picture():
-    vertices, faces = cube()
-    scene = pictures.scene_of(Surface(vertices, faces), Surface(9 * vertices, faces), NAMES)
-    camera = pictures.camera_of(scene, pictures.View())
-    scale = camera.pixels_per_unit(100, 100)
-    for mesh in (scene.before, scene.after):
-        assert np.abs(camera.seen(mesh.vertices)[:, :2] * scale).max() <= 50.0
-
-
 def test_other_faces_are_measured_from_the_surface(monkeypatch):
     vertices, faces = ball()
     other = Surface(*cube())
     monkeypatch.setattr(surface_distance, "is_available", lambda: False)
     scene = pictures.scene_of(Surface(vertices, faces), other, NAMES)
     assert scene.deviation is None
-    assert pictures.drawn(scene, pictures.View(size=64)).shape[1] > 2 * 64
+    assert pictures.draw_picture(scene, pictures.View(size=64)).shape[1] > 2 * 64
 
 
 def test_distances_to_the_surface():

@@ -102,11 +102,6 @@ def test_the_scale_of_colours():
         assert found["high"] > found["low"] and found["span"] > 0
 
 
-def test_the_start_view_is_told():
-    header, _, _ = decoded(scene.encode_scene(Mesh(*cube()), view=np.eye(3)).text)
-    assert header["view"] == np.eye(3).reshape(-1).tolist()
-
-
 @pytest.mark.slow
 def test_200_000_faces_take_less_than_3_megabytes():
     vertices, faces = torus(500, 200)

@@ -3,7 +3,7 @@
 ``white`` estimates the level of noise that each vertex has of its own, from fits over one- and
 two-rings.  ``survey`` looks at fewer places over up to six rings, and ``character`` concludes from
 it over how many rings neighbours share noise (``colour``), along what it is (``direction``),
-whether depths or terraces stand in steps (``steps``), and with it the level.
+whether depths or terraces come in steps (``steps``), and with it the level.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from msal_cli.arrays import Floats
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
-__all__ = ["SURE", "NoiseCharacter", "NoiseLevel", "estimated", "regional"]
+__all__ = ["SURE", "NoiseCharacter", "NoiseLevel", "estimate_noise", "estimate_regions"]
 
 
-def estimated(mesh: Mesh) -> NoiseLevel:
+def estimate_noise(mesh: Mesh) -> NoiseLevel:
     """The noise of a mesh.
 
     Noise of 0.05 to 0.7 mean edge lengths is estimated within some per cent where it is white, and
@@ -36,11 +36,11 @@ def estimated(mesh: Mesh) -> NoiseLevel:
     return characterize(mesh, estimate_white(mesh)).level
 
 
-def regional(mesh: Mesh) -> Floats:
+def estimate_regions(mesh: Mesh) -> Floats:
     """Level of the noise around each vertex (n,), file units: that of the region it lies in.
 
     Vertices that no face uses have 0.
     """
     result = characterize(mesh, estimate_white(mesh))
     nearest = find_nearest(mesh.vertices, result.middles)
-    return np.where(mesh.links.has_ring, result.regions[nearest], 0.0)
+    return np.where(mesh.topology.has_ring, result.regions[nearest], 0.0)

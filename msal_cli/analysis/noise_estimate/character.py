@@ -119,7 +119,7 @@ class Characterized:
 
 def characterize(mesh: Mesh, white: WhiteEstimate) -> Characterized:
     """What the noise is like, and its level as it is for such."""
-    if np.count_nonzero(mesh.links.has_ring) < FEWEST_VERTICES:
+    if np.count_nonzero(mesh.topology.has_ring) < FEWEST_VERTICES:
         kind = "none" if white.level.is_negligible else "unknown"
         return _by_region(white, _plain(white, kind, 0.3, "few vertices"))
     survey = take_survey(mesh, white.places)
@@ -130,7 +130,7 @@ def characterize(mesh: Mesh, white: WhiteEstimate) -> Characterized:
         colour = find_colour(survey, fine=white.level.mean_edges)
 
     if steps is not None and steps.level > LEAST_STEP_LEVEL:
-        return _by_region(white, _stepped(white, steps, axis))
+        return _by_region(white, _step(white, steps, axis))
     spikes = find_spikes(mesh, white, survey, colour)
     if spikes is not None:
         return _by_region(white, _spiked(white, spikes))
@@ -268,13 +268,8 @@ def _is_uneven_mesh(white: WhiteEstimate, colour: Colour) -> bool:
 def _on_uneven_triangles(white: WhiteEstimate, colour: Colour) -> NoiseLevel:
     character = NoiseCharacter(
         "white",
-        0,
-        "normals",
-        None,
-        0.0,
-        0.0,
-        0.5,
-        "fits over two to six rings leave as much, and less over one, as on uneven triangles",
+        confidence=0.5,
+        basis="fits over two to six rings leave as much, and less over one, as on uneven triangles",
     )
     low, high = 1.0 - SHARED_ERROR, 1.0 + SHARED_ERROR
     return _with(white, colour.level, low * colour.level, high * colour.level, character)
@@ -302,7 +297,7 @@ def _with(
 def _plain(white: WhiteEstimate, kind: str, confidence: float, basis: str) -> NoiseLevel:
     """The level as for white noise."""
     direction = "isotropic" if kind == "isotropic" else "normals"
-    character = NoiseCharacter(kind, 0, direction, None, 0.0, 0.0, confidence, basis)
+    character = NoiseCharacter(kind, direction=direction, confidence=confidence, basis=basis)
     return dataclasses.replace(white.level, character=character)
 
 
@@ -310,14 +305,12 @@ def _shared(white: WhiteEstimate, colour: Colour) -> NoiseLevel:
     confidence = min(0.55 + 0.4 * colour.margin / SURE_MARGIN, 0.95)
     character = NoiseCharacter(
         "correlated",
-        colour.rings,
-        "normals",
-        None,
-        0.0,
-        0.0,
-        confidence,
-        f"fits leave {colour.by_scale[1]:.2g} e over two rings, {colour.by_scale[4]:.2g} e over "
-        "six, alike everywhere",
+        rings=colour.rings,
+        confidence=confidence,
+        basis=(
+            f"fits leave {colour.by_scale[1]:.2g} e over two rings, "
+            f"{colour.by_scale[4]:.2g} e over six, alike everywhere"
+        ),
     )
     low, high = 1.0 - SHARED_ERROR, 1.0 + SHARED_ERROR
     return _with(white, colour.level, low * colour.level, high * colour.level, character)
@@ -336,15 +329,15 @@ def _along(white: WhiteEstimate, axis: AxisEvidence, colour: Colour | None) -> N
     rings = colour.rings if is_shared and colour is not None else 0
     character = NoiseCharacter(
         "view",
-        rings,
-        "axis",
-        _as_tuple(axis.axis),
-        0.0,
-        0.0,
-        axis.confidence,
-        "vertices slide along the axis as they are out of the surface along it"
-        if axis.is_linked
-        else "what fits leave falls with the angle to the axis; vertices slide along it",
+        rings=rings,
+        direction="axis",
+        axis=_as_tuple(axis.axis),
+        confidence=axis.confidence,
+        basis=(
+            "vertices slide along the axis as they are out of the surface along it"
+            if axis.is_linked
+            else "what fits leave falls with the angle to the axis; vertices slide along it"
+        ),
     )
     error = SHARED_ERROR if rings else ALONG_ERROR
     least = level if rings else min(level, axis.level)
@@ -352,20 +345,18 @@ def _along(white: WhiteEstimate, axis: AxisEvidence, colour: Colour | None) -> N
     return noise if rings or colour is None or colour.rings == 0 else _reach_up(noise, colour)
 
 
-def _stepped(white: WhiteEstimate, steps: Steps, axis: AxisEvidence | None) -> NoiseLevel:
+def _step(white: WhiteEstimate, steps: Steps, axis: AxisEvidence | None) -> NoiseLevel:
     level = steps.level
     if steps.axis is None:
         character = NoiseCharacter(
             "staircase",
-            0,
-            "normals",
-            None,
-            steps.step,
-            0.0,
-            0.95 if steps.is_sure else UNSURE_TERRACES,
-            "all vertices lie on a grid, as those of voxels do"
-            if steps.is_sure
-            else "all vertices lie on a grid, as those of blocks do too",
+            step=steps.step,
+            confidence=0.95 if steps.is_sure else UNSURE_TERRACES,
+            basis=(
+                "all vertices lie on a grid, as those of voxels do"
+                if steps.is_sure
+                else "all vertices lie on a grid, as those of blocks do too"
+            ),
         )
     else:
         if axis is not None and abs(float(axis.axis @ steps.axis)) > 0.9:
@@ -373,13 +364,11 @@ def _stepped(white: WhiteEstimate, steps: Steps, axis: AxisEvidence | None) -> N
             level = max(level, axis.best_level if axis.best_level > MORE_THAN_STEP * level else 0.0)
         character = NoiseCharacter(
             "quantised",
-            0,
-            "axis",
-            _as_tuple(steps.axis),
-            steps.step,
-            0.0,
-            0.95,
-            "neighbours differ by multiples of one step along the axis",
+            direction="axis",
+            axis=_as_tuple(steps.axis),
+            step=steps.step,
+            confidence=0.95,
+            basis="neighbours differ by multiples of one step along the axis",
         )
     error = TERRACE_ERROR if steps.axis is None else STEP_ERROR
     return _with(white, level, (1.0 - error) * level, (1.0 + error) * level, character)
@@ -396,7 +385,7 @@ def _spiked(white: WhiteEstimate, spikes: Spikes) -> NoiseLevel:
         )
         confidence = 0.8
     character = NoiseCharacter(
-        spikes.kind, 0, "normals", None, 0.0, spikes.share, confidence, basis
+        spikes.kind, outliers=spikes.share, confidence=confidence, basis=basis
     )
     rms = max(white.level.rms_edges, white.level.mean_edges)
     return dataclasses.replace(
@@ -410,13 +399,9 @@ def _spiked(white: WhiteEstimate, spikes: Spikes) -> NoiseLevel:
 def _uneven(white: WhiteEstimate, uneven: Unevenness) -> NoiseLevel:
     character = NoiseCharacter(
         "uneven",
-        uneven.rings,
-        "normals",
-        None,
-        0.0,
-        0.0,
-        min(0.5 + 0.1 * uneven.highest / max(uneven.lowest, 0.02), 0.95),
-        f"{uneven.lowest:.2g} to {uneven.highest:.2g} e by region",
+        rings=uneven.rings,
+        confidence=min(0.5 + 0.1 * uneven.highest / max(uneven.lowest, 0.02), 0.95),
+        basis=f"{uneven.lowest:.2g} to {uneven.highest:.2g} e by region",
     )
     result = _with(white, uneven.level, uneven.lowest, uneven.highest, character)
     return dataclasses.replace(

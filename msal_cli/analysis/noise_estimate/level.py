@@ -16,7 +16,7 @@ SPIKES = 0.07
 """Mean edge lengths, root mean square, from which single spikes are noise to speak of."""
 
 FEWEST_SPIKES = 0.005
-"""Share of the vertices that have to stand out for that."""
+"""Share of the vertices that must be spikes for that."""
 
 IMPULSIVE_TAIL, IMPULSIVE_EXCESS = 0.02, 1.03
 """Share of outliers, and their root mean square over the robust level, from which on the noise is
@@ -63,13 +63,13 @@ class NoiseCharacter:
     """
 
     kind: str
-    rings: int
-    direction: str
-    axis: tuple[float, float, float] | None
-    step: float
-    outliers: float
-    confidence: float
-    basis: str
+    rings: int = 0
+    direction: str = "normals"
+    axis: tuple[float, float, float] | None = None
+    step: float = 0.0
+    outliers: float = 0.0
+    confidence: float = 1.0
+    basis: str = ""
 
     @property
     def words(self) -> str:
@@ -101,7 +101,7 @@ class NoiseCharacter:
         }[self.kind]
 
 
-NO_CHARACTER = NoiseCharacter("none", 0, "normals", None, 0.0, 0.0, 1.0, "")
+NO_CHARACTER = NoiseCharacter("none")
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class NoiseLevel:
         Gaussian noise; 0.01 for that, 0.02 and more for impulsive noise.
     is_negligible : whether there is no noise to speak of.
     lowest, highest : levels of the least and the most noisy region, mean edge lengths.
-    regions : how many regions were told apart.
+    regions : how many regions were compared.
     character : what kind of noise it is.
     """
 

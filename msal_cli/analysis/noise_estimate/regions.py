@@ -10,7 +10,7 @@ VERTICES_PER_REGION = 800
 MOST_REGIONS = 16
 
 BLOCK_VERTICES = 1 << 14
-"""Vertices whose distances to all regions stand in memory at a time."""
+"""Vertices whose distances to all regions are in memory at a time."""
 
 
 def count_regions(n_vertices: int) -> int:

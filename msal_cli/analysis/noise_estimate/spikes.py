@@ -1,4 +1,4 @@
-"""Single vertices that stand out: impulses along the normals, and outliers anywhere."""
+"""Spikes: impulses along the normals, and outliers in any direction."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ and others have none."""
 
 @dataclass(frozen=True)
 class Spikes:
-    """Vertices that stand out.
+    """Spikes.
 
     Attributes
     ----------
@@ -51,13 +51,13 @@ class Spikes:
 def find_spikes(
     mesh: Mesh, white: WhiteEstimate, survey: Survey, colour: Colour | None
 ) -> Spikes | None:
-    """Vertices that stand out, if there are enough."""
+    """The spikes, if there are enough."""
     share = _outlying_share(mesh, white, survey)
     if share > 0.0:
         return Spikes("outliers", share)
     if white.level.is_negligible:
         return None
-    # Where half of the vertices have impulses, few stand out, but many one-rings have none.
+    # Where half of the vertices have impulses, few are detected, but many one-rings have none.
     is_mixed = colour is not None and colour.sharpness[0] < MIXED and colour.is_alike
     if white.level.is_impulsive or (white.level.tail > MIXED_TAIL and is_mixed):
         return Spikes("impulsive", 0.0)
@@ -81,13 +81,13 @@ def _outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> float:
     within = np.sqrt(np.maximum(squares - along * along, 0.0))
     if float(np.median(within[is_out])) < SLIDING:
         return 0.0
-    # Among many outliers some do not stand out, but they are as far off.
+    # Among many outliers some are not detected, but they are as far off.
     return max(float((lengths > least).mean()), float(is_out.sum()) / len(white.places))
 
 
 def _ring_offsets(mesh: Mesh, vertices: NDArray[np.int64]) -> Floats:
     """From the middles of the one-rings of vertices (c,) to these, (c, 3), file units."""
-    starts, ring = mesh.links.ring_start, mesh.links.ring
+    starts, ring = mesh.topology.ring_start, mesh.topology.ring
     return np.array(
         [
             mesh.vertices[vertex] - mesh.vertices[ring[starts[vertex] : starts[vertex + 1]]].mean(0)

@@ -1,7 +1,7 @@
 """Depths in steps: rounding along an axis, and the terraces of surfaces out of voxels.
 
 Differences between neighbours are multiples of one step then, exactly, and what fits leave over is
-as large as the step makes it.  Both are needed: the coordinates of a regular grid stand in steps
+as large as the step makes it.  Both are needed: the coordinates of a regular grid come in steps
 too, and of a box on it no fit leaves anything.
 """
 
@@ -39,7 +39,7 @@ ON_STEP, MOSTLY = 0.02, 0.97
 FEWEST_DIFFERENCES = 100
 
 OBLIQUE = (0.05, 0.95)
-"""Squared cosines to an axis between which a place is oblique to it: terraces stand there."""
+"""Squared cosines to an axis between which a place is oblique to it: terraces lie there."""
 
 FEWEST_OBLIQUE = 0.08
 """Share of the places that have to be, for others to be left out."""
@@ -206,7 +206,7 @@ def _is_along(groups: Groups, axis: Floats) -> bool:
 
 def _edge_vectors(mesh: Mesh, vertices: NDArray[np.int64]) -> Floats:
     """From the vertices to their neighbours (d, 3), mean edges."""
-    starts, ring = mesh.links.ring_start, mesh.links.ring
+    starts, ring = mesh.topology.ring_start, mesh.topology.ring
     counts = (starts[vertices + 1] - starts[vertices]).astype(np.int64)
     ends = np.cumsum(counts)
     at = np.arange(int(ends[-1]) if len(ends) else 0)

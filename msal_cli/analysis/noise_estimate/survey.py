@@ -63,7 +63,7 @@ def take_survey(mesh: Mesh, places: Longs) -> Survey:
 
     at = np.arange(0, len(places), max(-(-len(places) // MOST_PLACES), 1))
     chosen = np.ascontiguousarray(places[at])
-    links = mesh.links
+    links = mesh.topology
     rests, rows, ranks, frames, offsets = fit_scales(
         chosen,
         mesh.vertices,

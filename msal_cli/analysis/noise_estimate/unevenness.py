@@ -40,7 +40,7 @@ ONE_RING_MARGIN = 0.03
 
 LEAST_PURE, MOST_RINGS = 0.06, 2
 """Share of the places in loud regions, and most rings, with which noise that differs by region is
-told from texture."""
+distinguished from texture."""
 
 
 @dataclass(frozen=True, eq=False)

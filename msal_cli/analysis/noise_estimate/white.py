@@ -76,10 +76,10 @@ DOUBTFUL = 0.05
 may be texture."""
 
 SPREAD = 0.1
-"""What the upper end allows for spikes that do not stand out."""
+"""What the upper end allows for spikes that are not detected."""
 
 FEWEST_PLACES = 48
-"""Longs that a region needs."""
+"""Places that a region needs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +151,7 @@ def estimate_white(mesh: Mesh) -> WhiteEstimate:
     # A quantile tells less than a mean of as many, and patches overlap.
     freedoms = max(min(9.0 * len(places), 0.5 * len(mesh.vertices)), 1.0)
     error = 2.5 * 1.6 / math.sqrt(2.0 * freedoms)
-    low = math.sqrt(max(best * best - TEXTURE_BOUND * _excess(coarse, best), 0.0))
+    low = math.sqrt(max(best * best - TEXTURE_BOUND * _excess_spread(coarse, best), 0.0))
     low *= max(1.0 - TOO_MUCH - error, 0.0)
     high = best * (1.0 + TOO_LITTLE + error)
 
@@ -188,8 +188,8 @@ def estimate_white(mesh: Mesh) -> WhiteEstimate:
 def _places(mesh: Mesh) -> Longs:
     """Vertices around which to look, evenly over their numbers, but in no step with any pattern
     of them."""
-    has_ring = mesh.links.has_ring
-    # Nearly always all have, and numbers of all need not stand in memory.
+    has_ring = mesh.topology.has_ring
+    # Nearly always all have, and no array of their numbers is needed.
     used = None if has_ring.all() else np.flatnonzero(has_ring)
     n_used = len(has_ring) if used is None else len(used)
     wanted = min(max(n_used // VERTICES_PER_PATCH, FEWEST_PATCHES), MOST_PATCHES)
@@ -204,7 +204,7 @@ def _places(mesh: Mesh) -> Longs:
 def _fits(mesh: Mesh, places: Longs) -> _Fits:
     from msal_cli.kernels.patch_fits import fit_patches
 
-    links = mesh.links
+    links = mesh.topology
     normals = mesh.vertex_normals("uniform", 1)
     return _Fits(*fit_patches(places, mesh.vertices, normals, links.ring_start, links.ring))
 
@@ -215,14 +215,14 @@ def _least(plane: float, near: float, far: float, cubic: float) -> float:
     return least if least < math.inf else 0.0
 
 
-def _excess(coarse: float, best: float) -> float:
+def _excess_spread(coarse: float, best: float) -> float:
     """Variance that the coarse fit leaves over beyond the best one; only texture explains it."""
     return max(coarse * coarse - best * best, 0.0) if coarse < math.inf else 0.0
 
 
 def _without_texture(best: float, coarse: float) -> float:
     """A level less the texture that is in it."""
-    texture = min(TEXTURE * _excess(coarse, best), MOST_TEXTURE * best * best)
+    texture = min(TEXTURE * _excess_spread(coarse, best), MOST_TEXTURE * best * best)
     return math.sqrt(best * best - texture)
 
 

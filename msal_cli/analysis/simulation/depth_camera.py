@@ -92,7 +92,7 @@ def scan_depth(mesh: Mesh, settings: ScannerSettings, pixel: float) -> tuple[Flo
 
 def place_camera(mesh: Mesh, frame: Floats, pixel: float, draw: np.random.Generator) -> Camera:
     """A camera that sees the whole object, whose place within a pixel is drawn."""
-    used = mesh.vertices[mesh.links.has_ring]
+    used = mesh.vertices[mesh.topology.has_ring]
     centre = (used.min(axis=0) + used.max(axis=0)) / 2.0
     radius = float(np.sqrt(((used - centre) ** 2).sum(axis=1).max()))
     distance = DISTANCE * radius

@@ -1,4 +1,4 @@
-"""Where a scanner stands: its axes, and the size of its cells."""
+"""The frame of a scanner: its axes, and the size of its cells."""
 
 from __future__ import annotations
 
@@ -40,5 +40,5 @@ def cell_length(mesh: Mesh, settings: ScannerSettings) -> float:
     """Edge of a cell, file units."""
     if settings.cell_edges is not None:
         return settings.cell_edges * mesh.mean_edge_length
-    used = mesh.vertices[mesh.links.has_ring]
+    used = mesh.vertices[mesh.topology.has_ring]
     return float(np.ptp(used, axis=0).max()) / settings.cells

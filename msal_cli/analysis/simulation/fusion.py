@@ -42,7 +42,7 @@ def scan_fusion(mesh: Mesh, settings: ScannerSettings, voxel: float) -> tuple[Fl
     draw = np.random.Generator(np.random.PCG64(settings.seed))
     frame = build_frame(settings.direction)
     surface = Surface(mesh)
-    used = turn(mesh.vertices[mesh.links.has_ring], frame)
+    used = turn(mesh.vertices[mesh.topology.has_ring], frame)
     grid = place_grid(used.min(axis=0), used.max(axis=0), np.full(3, voxel), draw)
     sums = np.zeros(grid.shape, dtype=np.float32)
     weights = np.zeros(grid.shape, dtype=np.float32)

@@ -40,7 +40,7 @@ class Gate:
     tested: frozenset[str]
 
 
-def parsed(
+def parse_gates(
     expressions: Sequence[str], kind: Hashable, file_unit: str | None = None
 ) -> tuple[Gate, ...]:
     """The gates of several expressions over records of one kind.
@@ -97,13 +97,13 @@ def names_field(gates: Sequence[Gate], field: str) -> bool:
     return any(path == field or path.startswith(f"{field}.") for path in paths)
 
 
-def judged(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]:
+def evaluate_gates(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]:
     """What each gate says of one record.
 
     What is not known decides nothing: ``volume.valid and abs(volume_change) > 1%`` holds for an
     open mesh, and ``abs(volume_change) > 1%`` cannot be decided, which counts as broken.
     """
-    return tuple(_judged(gate, record) for gate in gates)
+    return tuple(_evaluate(gate, record) for gate in gates)
 
 
 def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]:
@@ -116,7 +116,7 @@ def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]
     return [
         record
         if record.error is not None or getattr(record, "status", "") == "planned"
-        else replace(record, gates=judged(gates, record))
+        else replace(record, gates=evaluate_gates(gates, record))
         for record in records
     ]
 
@@ -126,7 +126,7 @@ def is_any_broken(records: Sequence[MeshRecord] | Sequence[ComparisonRecord]) ->
     return any(gate.broken for record in records for gate in record.gates)
 
 
-def _judged(gate: Gate, record: Any) -> GateResult:
+def _evaluate(gate: Gate, record: Any) -> GateResult:
     from msal_cli.report.gates.evaluation import Values
 
     values = Values(record, gate.quantities)

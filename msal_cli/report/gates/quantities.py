@@ -50,7 +50,7 @@ SHORT_NAMES: dict[str, tuple[tuple[str, ...], Unit | None]] = {
     "risk": (("choice.risk_edges",), None),
     "seconds": (("seconds.total",), None),
 }
-"""Fields that a short name stands for, the first that is known, and its unit if it is another.
+"""The fields behind a short name, of which the first known one counts, and its unit if it differs.
 
 Of these, a kind of record has the ones that it has fields for."""
 
@@ -61,7 +61,7 @@ _POWERS = {"volume": 3, "area": 2}
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a name stands for: the first of these fields that is known, in its unit."""
+    """The value of a name: the first of these fields that is known, in its unit."""
 
     name: str
     fields: tuple[str, ...]

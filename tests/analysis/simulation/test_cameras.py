@@ -17,12 +17,12 @@ from msal_cli.analysis.simulation.fusion import spread_directions
 from msal_cli.analysis.simulation.surface import Surface, closest_on_triangles
 from msal_cli.errors import TooLargeError
 from msal_cli.kernels.geometry import face_normals
-from msal_cli.mesh import Mesh, prepared
+from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import ball, cube
 
 pytest.importorskip("fcpw")
 
-SPHERE = prepared(*ball(96, 48)).mesh
+SPHERE = prepare_mesh(*ball(96, 48)).mesh
 QUIET = {"level": 0.0, "smoothing": 0.0, "step": 0.0}
 
 
@@ -39,11 +39,11 @@ def two_steps() -> Mesh:
     square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=float)
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     vertices = np.concatenate([square * 3.0, square + [0.0, 0.0, 2.0]])
-    return prepared(vertices, np.concatenate([faces, faces + 4])).mesh
+    return prepare_mesh(vertices, np.concatenate([faces, faces + 4])).mesh
 
 
 def test_rays_meet_the_nearest_face_exactly():
-    surface = Surface(prepared(*cube()).mesh)
+    surface = Surface(prepare_mesh(*cube()).mesh)
     ways = np.array([[0.0, 0.0, -1.0], [0.0, 0.6, -0.8], [0.0, 0.0, 1.0]])
     distances, faces = surface.cast_rays(np.array([0.1, -0.2, 3.0]), ways)
     assert distances == pytest.approx([2.5, np.inf, np.inf], abs=1e-14)
@@ -67,7 +67,7 @@ def test_a_quiet_camera_sees_the_surface_itself():
 
 def test_a_camera_sees_one_side_with_an_open_border():
     made = depth(**QUIET, direction=(0.0, -1.0, 0.0))
-    defects = prepared(made.vertices, made.faces).defects
+    defects = prepare_mesh(made.vertices, made.faces).defects
     assert (defects.components, defects.non_manifold_edges) == (1, 0)
     assert defects.boundary_edges > 40
     assert made.vertices[:, 1].max() < 0.0
@@ -104,10 +104,10 @@ def test_noise_goes_along_the_rays_with_the_level_head_on():
 def test_noise_is_shared_as_far_as_is_asked():
     def share(correlation):
         made = depth(64, level=0.2, smoothing=0.0, step=0.0, correlation=correlation)
-        mesh = prepared(made.true_vertices, made.faces).mesh
+        mesh = prepare_mesh(made.true_vertices, made.faces).mesh
         heights = (made.vertices - made.true_vertices)[:, 2]
-        rows = np.repeat(np.arange(len(heights)), np.diff(mesh.links.ring_start))
-        return (heights[rows] * heights[mesh.links.ring]).mean() / (heights**2).mean()
+        rows = np.repeat(np.arange(len(heights)), np.diff(mesh.topology.ring_start))
+        return (heights[rows] * heights[mesh.topology.ring]).mean() / (heights**2).mean()
 
     assert abs(share(0.0)) < 0.1
     assert share(1.5) > 0.6
@@ -154,7 +154,7 @@ def test_triangles_are_cut_at_jumps_and_gaps():
 
 def test_one_surface_behind_another_is_cut_off_from_it():
     made = depth(40, two_steps(), **QUIET)
-    defects = prepared(made.vertices, made.faces).defects
+    defects = prepare_mesh(made.vertices, made.faces).defects
     assert defects.components == 2
     assert np.ptp(made.vertices[made.faces][:, :, 2], axis=1).max() < 1e-9
 
@@ -185,7 +185,7 @@ def test_directions_are_spread_over_the_sphere():
 def test_a_fusion_closes_the_sphere():
     pytest.importorskip("skimage")
     made = fusion(**QUIET, misalignment=0.0, views=14)
-    defects = prepared(made.vertices, made.faces).defects
+    defects = prepare_mesh(made.vertices, made.faces).defects
     assert (defects.boundary_edges, defects.components, defects.non_manifold_edges) == (0, 1, 0)
     radii = np.linalg.norm(made.vertices, axis=1)
     assert np.abs(radii - 1.0).mean() < 0.2 * made.cell
@@ -209,7 +209,7 @@ def test_a_fusion_is_the_same_for_the_same_seed_and_rougher_with_noise():
 def test_a_single_view_leaves_the_far_side_open():
     pytest.importorskip("skimage")
     made = fusion(**QUIET, views=1)
-    assert prepared(made.vertices, made.faces).defects.boundary_edges > 20
+    assert prepare_mesh(made.vertices, made.faces).defects.boundary_edges > 20
     (direction,) = spread_directions(1)
     along = made.vertices @ direction
     assert along.max() > 0.9

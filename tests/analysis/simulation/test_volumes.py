@@ -20,12 +20,12 @@ from msal_cli.analysis.simulation.marching import extract_surface
 from msal_cli.analysis.simulation.volumes import remove_specks
 from msal_cli.errors import ContentError, TooLargeError, UnsupportedError, UsageError
 from msal_cli.kernels.geometry import area_and_volume
-from msal_cli.mesh import prepared
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import ball, grid
 
 pytest.importorskip("skimage")
 
-SPHERE = prepared(*ball(48, 24)).mesh
+SPHERE = prepare_mesh(*ball(48, 24)).mesh
 """A sphere of radius 1."""
 
 
@@ -36,7 +36,7 @@ def scan(scanner, cells=24, mesh=SPHERE, **settings):
 @pytest.mark.parametrize("scanner", ["voxels", "ct", "slices"])
 def test_a_solid_stays_closed_oriented_and_of_its_volume(scanner):
     made = scan(scanner)
-    defects = prepared(made.vertices, made.faces).defects
+    defects = prepare_mesh(made.vertices, made.faces).defects
     assert (defects.boundary_edges, defects.non_manifold_edges, defects.components) == (0, 0, 1)
     volume = area_and_volume(SPHERE.vertices, SPHERE.faces)[1]
     assert area_and_volume(made.vertices, made.faces)[1] == pytest.approx(volume, rel=0.05)
@@ -74,10 +74,10 @@ def test_grey_values_make_a_smooth_surface_and_noise_a_rough_one():
 def test_correlated_noise_is_smoother_than_white():
     def share_with_neighbours(correlation):
         made = scan("ct", level=0.08, correlation=correlation)
-        mesh = prepared(made.vertices, made.faces).mesh
+        mesh = prepare_mesh(made.vertices, made.faces).mesh
         heights = np.linalg.norm(mesh.vertices, axis=1)
         heights -= heights.mean()
-        ring, start = mesh.links.ring, mesh.links.ring_start
+        ring, start = mesh.topology.ring, mesh.topology.ring_start
         rows = np.repeat(np.arange(len(heights)), np.diff(start))
         return (heights[rows] * heights[ring]).mean() / (heights**2).mean()
 
@@ -95,12 +95,12 @@ def test_slices_lie_apart_along_the_direction():
 
 @pytest.mark.parametrize("direction", [(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (1.0, -2.0, 0.5)])
 def test_the_grid_is_turned_and_the_object_stays(direction):
-    block = prepared(*ball(24, 12)).mesh.moved(SPHERE_STRETCHED)
+    block = prepare_mesh(*ball(24, 12)).mesh.with_vertices(SPHERE_STRETCHED)
     made = scan("ct", mesh=block, direction=direction, level=0.0)
     assert np.ptp(made.vertices, axis=0) == pytest.approx(np.ptp(block.vertices, axis=0), rel=0.03)
 
 
-SPHERE_STRETCHED = prepared(*ball(24, 12)).mesh.vertices * [1.0, 2.0, 3.0]
+SPHERE_STRETCHED = prepare_mesh(*ball(24, 12)).mesh.vertices * [1.0, 2.0, 3.0]
 
 
 def test_the_resolution_is_a_count_or_a_length_in_edges():
@@ -111,12 +111,12 @@ def test_the_resolution_is_a_count_or_a_length_in_edges():
 
 def test_an_open_or_inverted_mesh_is_filled_all_the_same():
     vertices, faces = ball(48, 24)
-    inverted = prepared(vertices, faces[:, ::-1]).mesh
+    inverted = prepare_mesh(vertices, faces[:, ::-1]).mesh
     assert np.array_equal(scan("voxels", mesh=inverted).vertices, scan("voxels").vertices)
     lid = vertices[faces].mean(axis=1)[:, 2] > 0.9
-    made = scan("voxels", mesh=prepared(vertices, faces[~lid]).mesh)
+    made = scan("voxels", mesh=prepare_mesh(vertices, faces[~lid]).mesh)
     assert made.closed_holes == 1
-    assert prepared(made.vertices, made.faces).defects.boundary_edges == 0
+    assert prepare_mesh(made.vertices, made.faces).defects.boundary_edges == 0
 
 
 def test_the_truth_lies_on_the_mesh():
@@ -184,7 +184,7 @@ def test_a_volume_that_is_too_large_is_refused_before_it_is_made():
 
 def test_a_sheet_has_nothing_inside():
     with pytest.raises(ContentError, match="fills no voxel"):
-        scan("voxels", mesh=prepared(*grid()).mesh)
+        scan("voxels", mesh=prepare_mesh(*grid()).mesh)
 
 
 def test_without_the_library_the_message_says_what_to_install(monkeypatch):

@@ -1,0 +1,129 @@
+"""Choices in the making: blends as methods with parameters, sentences, and the mildest choice.
+
+A mesh with hardly any noise is left as it is.  An explicit wish counts all the same: more smoothing
+than the automatic choice means some smoothing, by the mildest setting for the upper end of the
+noise's interval.  A wish that does not mean smoothing gets a reason, and the option that smooths
+in spite of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from msal_cli import methods
+from msal_cli.analysis.noise_estimate import SURE, NoiseLevel
+from msal_cli.arrays import Floats
+from msal_cli.auto.candidates import Candidate, wiener_al
+from msal_cli.auto.wishes import NONE, Choice, Wishes
+from msal_cli.methods.blend import format_levels, format_members
+
+PLAIN = ("none", "white", "impulsive", "unknown")
+"""Kinds of noise that need no words beside the level."""
+
+LEAST = 0.05
+"""Mean edge lengths: noise that a mesh is smoothed for at least, where smoothing is asked for."""
+
+STRENGTH = 1.2
+"""Factor of the assumed noise for each step of ``Wishes.strength``."""
+
+SHAPE = 1.25
+"""The same where the smooth shape is to be kept."""
+
+
+def describe_noise(noise: NoiseLevel) -> str:
+    """Such as ``noise 0.21 e, shared over two rings``."""
+    if noise.is_impulsive:
+        text = f"impulsive noise {noise.rms_edges:.2g} e"
+    else:
+        text = f"noise {noise.mean_edges:.2g} e"
+    character = noise.character
+    return text if character.kind in PLAIN else f"{text}, {character.words}"
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A method, or ``NONE``, with all of its parameters, and its label."""
+
+    method: str
+    parameters: dict[str, Any]
+    label: str
+
+
+def build_recipe(
+    members: Sequence[Candidate],
+    weights: Floats,
+    noise_edges: float,
+    levels: Sequence[float] = (),
+    relax: int = 0,
+) -> Recipe:
+    """The blend of ``members`` by weights (k,), in hundredths; the largest first.
+
+    ``noise_edges`` is the noise that members are given, mean edge lengths of the mesh.  With
+    ``levels`` of local noise, mean edge lengths, weights are (levels, k).  ``relax`` is how many
+    passes even out the triangles before.  One member of weight 1 is its method by itself, and no
+    weight at all is ``NONE``.
+    """
+    rows = np.atleast_2d(weights)
+    largest = rows.max(axis=0)
+    used = sorted(np.flatnonzero(largest).tolist(), key=lambda k: (-largest[k], k))
+    if not used:
+        return Recipe(NONE, {}, "left as it is")
+    settings = [members[k].settings(noise_edges) for k in used]
+    first = members[used[0]]
+    if (rows[:, used[0]] == 1.0).all() and not relax:
+        return Recipe(first.method, methods.find(first.method).validate(settings[0]), first.label)
+    if len(rows) > 1 and (rows == rows[0]).all():
+        rows, levels = rows[:1], ()
+    listed = [
+        (rows[:, k].tolist(), members[k].method, given)
+        for k, given in zip(used, settings, strict=True)
+    ]
+    given = {"members": format_members(listed), "levels": format_levels(levels), "relax": relax}
+    label = " + ".join(f"{_percent(rows[:, k])} {members[k].label}" for k in used)
+    rest = 1.0 - rows.sum(axis=1)
+    if rest.max() > 0.005:
+        label += f" + {_percent(rest)} as it was"
+    if levels:
+        label += " where the noise is " + "/".join(f"{level:.2g}" for level in levels) + " e"
+    if relax:
+        label += ", after triangles were evened out"
+    return Recipe("blend", methods.find("blend").validate(given), label)
+
+
+def _percent(weights: Floats) -> str:
+    """One weight as 40%, more of them as 0/20/60%."""
+    if (weights == weights[0]).all():
+        return f"{weights[0]:.0%}"
+    return "/".join(f"{100.0 * weight:.0f}" for weight in weights) + "%"
+
+
+def choose_least(
+    noise: NoiseLevel, wishes: Wishes, why: str, surface: str, is_harm: bool = False
+) -> Choice:
+    """The choice for a mesh where ``why`` no filter is worth its harm, such as ``clean``; if
+    ``is_harm``, that is not because noise is missing."""
+    what = f"noise {noise.mean_edges:.2g} e; {why}"
+    is_less = wishes.strength < 0.0 or wishes.keep == "texture"
+    is_more = wishes.strength > 0.0 or wishes.keep == "shape"
+    if wishes == Wishes() or (is_less and not is_more):
+        return Choice(NONE, {}, f"{what}; left as it is", surface, noise)
+    level = max(noise.high, noise.mean_edges)
+    if is_more:
+        level = max(level, LEAST) * STRENGTH**wishes.strength
+        level *= SHAPE if wishes.keep == "shape" else 1.0
+    elif level < SURE or is_harm:
+        hint = "--strength 1 smooths it all the same"
+        return Choice(NONE, {}, f"{what}; left as it is; {hint}", surface, noise)
+    level = round(level, 4)
+    candidate = wiener_al(level)
+    return Choice(
+        candidate.method,
+        methods.find(candidate.method).validate(candidate.settings(level)),
+        f"{what}; smoothed for noise of {level:.2g} e, as requested; {candidate.label}",
+        surface,
+        noise,
+    )

@@ -1,0 +1,57 @@
+"""What is wrong with the bytes of an OBJ file, and where: lines are counted from one."""
+
+from __future__ import annotations
+
+import re
+
+from msal_cli.errors import ContentError, FormatError, TruncatedError
+from msal_cli.storage.buffers import Buffer
+
+_LOOKED_AT = 4096
+_ZEROS_LOOKED_AT = 1 << 16
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
+
+
+def line_of(data: Buffer, at: int) -> int:
+    """The line, from one, that byte ``at`` is in; it may end with LF, CR LF or CR."""
+    before = bytes(memoryview(data)[:at])
+    # A CR LF that is cut in two by ``at`` has been counted by its CR.
+    return 1 + before.count(b"\n") + before.count(b"\r") - before.count(b"\r\n")
+
+
+def refuse_binary(data: Buffer) -> None:
+    """Raise unless the beginning of ``data`` can be the text of an OBJ file."""
+    if not len(data):
+        raise TruncatedError("the file is empty", hint="copy or export it again")
+    head = bytes(memoryview(data)[:_LOOKED_AT])
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise FormatError(
+            "the file is UTF-16 text, but OBJ is plain ASCII or UTF-8",
+            where="byte 0",
+            hint="save it again with the encoding UTF-8",
+        )
+    # Old systems end a text with this mark; it is kept as a line that is no statement.
+    control = _CONTROL.search(head.rstrip(b"\x1a\r\n") if len(data) <= _LOOKED_AT else head)
+    # Zeros are looked for farther on: the first pages of a file may be sound.
+    found = control.start() if control else bytes(memoryview(data)[:_ZEROS_LOOKED_AT]).find(0)
+    if found >= 0:
+        raise binary_error(data, found)
+
+
+def binary_error(data: Buffer, at: int) -> FormatError:
+    """The error for a control character at byte ``at``."""
+    return FormatError(
+        f"byte {at} is a control character: this is binary data, not OBJ text",
+        where=f"byte {at}, line {line_of(data, at)}",
+        hint="pass --format if the suffix is wrong, or copy the file again",
+    )
+
+
+def bad_index_error(number: str, where: str, n_vertices: int) -> ContentError:
+    """The error for a face that names the vertex ``number``, counted from one."""
+    return ContentError(
+        f"a face names vertex {number}, but there are {n_vertices} vertices",
+        where=where,
+        hint="the file is cut off or was put together wrongly; export it again",
+        code="E_INDEX",
+    )

@@ -1,0 +1,113 @@
+"""What the machine and its control groups leave, from made-up files of both versions."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import pytest
+
+from msal_cli import machine
+from msal_cli.kernels import parallel
+
+MEMINFO = "MemTotal: 100 kB\nMemFree: 10 kB\nMemAvailable:    50 kB\n"
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+affinity = pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="needs affinity")
+
+
+def lay_out(folder, membership="", files=None, **proc):
+    """Folders like /proc and /sys/fs/cgroup; ``files`` are those of the groups."""
+    texts = {"proc/self/cgroup": membership} | {f"proc/{name}": text for name, text in proc.items()}
+    texts |= {f"groups/{name}": text for name, text in (files or {}).items()}
+    for name, text in texts.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text, errors="surrogateescape")
+    return folder / "proc", folder / "groups"
+
+
+FIRST = {
+    "memory/x/memory.limit_in_bytes": "9000\n",
+    "memory/x/memory.usage_in_bytes": "8000\n",
+    "memory/x/memory.stat": "inactive_file 1\ntotal_inactive_file 500\n",
+    "memory/memory.limit_in_bytes": "9223372036854771712\n",
+    "memory/memory.usage_in_bytes": "8000\n",
+    "cpu/x/memory.max": "1\n",
+}
+STAT = "anon 1\ninactive_file 4000\nactive_file 700\n"
+
+
+@pytest.mark.parametrize(
+    ("membership", "meminfo", "files", "expected"),
+    [
+        ("", MEMINFO, {}, 50 * 1024),
+        # What is used and not cached is taken off the limit.
+        ("0::/a\n", MEMINFO, {"a/memory.max": "30000\n", "a/memory.current": "25000\n"}
+         | {"a/memory.stat": STAT}, 9000),
+        # The tightest of nested groups counts.
+        ("0::/a/b\n", MEMINFO, {"a/b/memory.max": "max\n", "a/b/memory.current": "5\n"}
+         | {"a/memory.max": "2000\n", "a/memory.current": "500\n"}, 1500),
+        ("4:memory:/x\n3:cpu:/x\n", MEMINFO, FIRST, 1500),
+        # Never less than nothing, nor more than the limit.
+        ("0::/\n", "", {"memory.max": "30000", "memory.current": "40000"}
+         | {"memory.stat": "inactive_file 5000\n"}, 0),
+        ("0::/\n", "", {"memory.max": "30000", "memory.current": "0"}
+         | {"memory.stat": "inactive_file 5000\n"}, 30000),
+        *(("0::/a\n\n:\n", text, {}, None)
+          for text in ("", "x", "MemAvailable:", "MemAvailable: x kB", "\udcff")),
+    ],
+)  # fmt: skip
+def test_available_bytes(tmp_path, membership, meminfo, files, expected):
+    assert machine.available_bytes(*lay_out(tmp_path, membership, files, meminfo=meminfo)) == (
+        expected
+    )
+
+
+def test_kills_are_counted_by_the_group_and_else_by_the_machine(tmp_path):
+    events = "low 0\nhigh 0\nmax 9\noom 8\noom_kill 7\noom_group_kill 0\n"
+    laid = lay_out(tmp_path, "0::/a\n", {"a/memory.events": events}, vmstat="oom_kill 99\n")
+    assert machine.oom_kills(*laid) == 7
+    (tmp_path / "groups/a/memory.events").unlink()
+    assert machine.oom_kills(*laid) == 99
+    control = {"memory/x/memory.oom_control": "oom_kill_disable 0\nunder_oom 0\noom_kill 3\n"}
+    assert machine.oom_kills(*lay_out(tmp_path / "first", "4:memory:/x\n", control)) == 3
+
+
+@linux
+def test_this_machine_and_one_without_such_files(tmp_path):
+    assert 0 < machine.available_bytes() < 1 << 50
+    assert machine.oom_kills() >= 0
+    assert machine.available_bytes(tmp_path, tmp_path) is None
+    assert machine.oom_kills(tmp_path, tmp_path) == 0
+
+
+CFS = {
+    "cpu,cpuacct/x/cpu.cfs_quota_us": "300000\n",
+    "cpu,cpuacct/x/cpu.cfs_period_us": "100000\n",
+    "memory/x/cpu.max": "1 100000",
+}
+
+
+@affinity
+@pytest.mark.parametrize(
+    ("membership", "files", "expected"),
+    [
+        ("0::/a/b\n", {"a/b/cpu.max": "150000 100000\n", "a/cpu.max": "max 100000\n"}, 2),
+        ("0::/a/b\n", {"a/b/cpu.max": "400000 100000\n", "a/cpu.max": "200000 100000\n"}, 2),
+        # A container sees its own group at the top.
+        ("0::/docker/0123\n", {"cpu.max": "50000 100000"}, 1),
+        ("0::/\n", {"cpu.max": "6400000 100000"}, 8),
+        ("4:memory:/x\n3:cpu,cpuacct:/x\n", CFS, 3),
+        *(("0::/\n", {"cpu.max": text}, 8)
+          for text in ("max 100000", "", "x y", "-1 100000", "100000 0", "1")),
+        ("nonsense\n\n::\n", {}, 8),
+    ],
+)  # fmt: skip
+def test_the_smaller_of_affinity_and_quota_counts(
+    tmp_path, monkeypatch, membership, files, expected
+):
+    proc, groups = lay_out(tmp_path, membership, files)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(8)))
+    monkeypatch.setattr(machine, "GROUPS", groups)
+    monkeypatch.setattr(machine, "MEMBERSHIP", proc / "self/cgroup")
+    monkeypatch.delenv("MSAL_THREADS", raising=False)
+    assert machine.usable_cores() == parallel.threads() == expected
