@@ -157,10 +157,9 @@ def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
 def _read_glb(head: bytes, size: int, is_packed: bool) -> Header:
     from msal_cli.codecs import glb
 
-    most: int | None = size
-    error: MsalError | None = None
-    if not is_packed:
-        most, error = _try(lambda: glb.expected_bytes(memoryview(head), size))
+    most, error = _try(
+        lambda: size if is_packed else glb.expected_bytes(memoryview(head), size),
+    )
     stop = _GLB_CHUNK + int.from_bytes(head[12:16], "little")
     is_there = head[:4] == b"glTF" and stop <= len(head)
     counts = _described(head[_GLB_CHUNK:stop], size) if is_there else {}
