@@ -79,11 +79,11 @@ def available_bytes(
     The least of what the machine has left and what every control group leaves.  Cached files
     count as free: the system drops them when memory is needed.
     """
-    told = [_of_machine(proc / "meminfo")]
-    told += [
+    limits = [_of_machine(proc / "meminfo")]
+    limits += [
         _of_group(folder) for folder in group_folders("memory", groups, proc / "self" / "cgroup")
     ]
-    return min((one for one in told if one is not None), default=None)
+    return min((one for one in limits if one is not None), default=None)
 
 
 def oom_kills(proc: Path = _PROC, groups: Path = GROUPS) -> int:

@@ -43,7 +43,7 @@ METHODS = (
     "wiener",
     "windowed_sinc",
 )
-"""The methods that are ever chosen: memory is set aside for the hungriest of them."""
+"""The methods that are ever chosen: memory is reserved for the one that needs most."""
 
 LARGEST_OF_FAMILY = {"schedule": "wiener"}
 """Parameters of ``al`` that take the most memory of all in the family."""

@@ -64,7 +64,7 @@ def format_of_name(name: str) -> str:
 
 
 def content_format(data: Buffer, expected: str = "") -> str:
-    """The format that the bytes themselves look like; empty if none can be told.
+    """The format that the bytes themselves look like; empty if it is not known.
 
     ``expected`` is the format that the name says.  An OBJ is known by all of its lines, which takes
     longer than the rest, so that where one is expected its reader has to find out.

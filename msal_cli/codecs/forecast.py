@@ -1,4 +1,4 @@
-"""What a file will ask for, told from its size and its first 64 KB before anything is loaded.
+"""What a file will need, forecast from its size and its first 64 KB before anything is loaded.
 
 A forecast is for deciding who may run beside whom, and for refusing a file that cannot fit: it is
 never below what was measured, and at most about twice as much.  It explains nothing: whatever is
@@ -28,7 +28,7 @@ _LIBRARY_BYTES = 75_000_000
 
 # Bytes of resident memory per byte of the file, and per vertex and per triangle together, at the
 # peak of the default method.  From benchmarks/peak_memory.py on a torus with a million faces:
-# what is foreseen is what was measured plus 8 to 20 %.
+# the forecast is what was measured plus 8 to 20 %.
 _PER_BYTE = {
     "ply": 2.1,
     "ply-ascii": 6.0,
@@ -58,7 +58,7 @@ _PER_BYTE_ELSE = 9.2
 _PER_ELEMENT = {"glb": 75.0, "ply": 45.0, "stl": 45.0}
 _PER_ELEMENT_ELSE = 60.0
 
-# Where the counts are not told: a triangle for so many bytes, for what a method adds.  Fewer bytes
+# Where the counts are not known: a triangle for so many bytes, for what a method adds.  Fewer bytes
 # than files have, that is, more triangles.
 _BYTES_PER_FACE = {"obj": 30.0, "vtk": 24.0, "vtu": 12.0, "glb": 16.0, "gltf": 20.0, "3mf": 8.0}
 _BYTES_PER_FACE["stl-ascii"] = 200.0
@@ -71,7 +71,7 @@ _CONVERTED_AS = {"avs": 500, "inp": 500, "vol": 500}
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What can be told of a file from outside.
+    """What is known of a file before it is loaded.
 
     Attributes
     ----------

@@ -132,7 +132,7 @@ def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
     most, error = (None, None) if is_text else _try(lambda: stl.wanted_bytes(head, size))
     count = int.from_bytes(head[80:84], "little")
     least = 84 + 50 * count
-    # A text with zeros behind it is foreseen as a binary file whose count is not known.
+    # A text with zeros behind it is forecast as a binary file whose count is not known.
     if b"\0" in head[:1024] or (len(head) >= 84 and size == least):
         if len(head) < 84 or least > _believed(size, is_packed):
             return Header("stl", is_text, error=error)

@@ -1,7 +1,7 @@
 """The header of a PLY file: what it declares, and how it reads after a change of number types.
 
 The header is plain text up to the line ``end_header``, whatever follows.  Its lines end in LF,
-CR LF or CR; which of them is told by the first line.
+CR LF or CR; the first line shows which.
 """
 
 from __future__ import annotations

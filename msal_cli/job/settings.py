@@ -102,7 +102,7 @@ _OUTLIERS_BYTES_PER_FACE = 12
 _INTERSECTIONS_BYTES_PER_FACE = 1100
 
 FORECAST = "forecast"
-"""The ``where`` of an ``E_MEMORY`` that was foreseen: trying again would not help."""
+"""The ``where`` of an ``E_MEMORY`` that was forecast: trying again would not help."""
 
 
 @dataclass(frozen=True)
@@ -174,16 +174,16 @@ def refuse_unknown_format(output: str) -> None:
     )
 
 
-def refuse_oversized(told: Forecast, limits: Limits) -> None:
+def refuse_oversized(forecast: Forecast, limits: Limits) -> None:
     """Refuse a file that is expected to exceed the limits: ResourceError or TooLargeError."""
     from msal_cli.errors import ResourceError
     from msal_cli.machine import megabytes
 
-    refuse_faces(told.faces, limits)
+    refuse_faces(forecast.faces, limits)
     limit = limits.memory_bytes
-    if limit is not None and told.memory_bytes is not None and told.memory_bytes > limit:
+    if limit is not None and forecast.memory_bytes is not None and forecast.memory_bytes > limit:
         raise ResourceError(
-            f"denoising this file takes up to {megabytes(told.memory_bytes)}, "
+            f"denoising this file takes up to {megabytes(forecast.memory_bytes)}, "
             f"and the limit is {megabytes(limit)}",
             code="E_MEMORY",
             where=FORECAST,
@@ -207,8 +207,8 @@ def forecast(task: Task, settings: Settings) -> Forecast:
     """What a file will need, by its size and its first bytes; it never raises for a file."""
     from msal_cli.codecs import forecast
 
-    told = suffix(task.output).lstrip(".") if is_mesh_name(task.output) else None
-    to = settings.to or told
+    named = suffix(task.output).lstrip(".") if is_mesh_name(task.output) else None
+    to = settings.to or named
     is_same = to in (None, suffix(task.input).lstrip("."))
     if is_same and settings.encoding == "same" and settings.precision == "same":
         to = None

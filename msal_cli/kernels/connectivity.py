@@ -90,7 +90,7 @@ def _closed_rings(start, stop, faces, face_start, incident, ring, opened):
         for at in range(row, end):
             f = np.uint64(incident[at])
             a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-            # Without branches: which corner of a face a vertex is cannot be foreseen.
+            # Without branches: which corner of a face a vertex is cannot be predicted.
             after = b if a == i else (c if b == i else a)
             ring[at] = after
             is_closed &= mark[np.uint64(after)] != i
@@ -207,7 +207,7 @@ class Connectivity:
     def kept(self, name: str, made: Callable[[], Kept]) -> Kept:
         """What ``made`` gives, from the first such call on; but only for small meshes.
 
-        Whoever looks for the best setting runs many over the same small mesh, and what follows
+        A search for the best setting runs many over the same small mesh, and what follows
         from its faces is then half of the work.  With large meshes it would take memory from
         whatever comes after.
         """
@@ -272,7 +272,7 @@ def _circles(start, stop, faces, face_start, incident, following):
         for at in range(np.uint64(face_start[i]), np.uint64(face_start[i + ONE])):
             side = THREE * incident[at]
             a, b, c = faces[side], faces[side + ONE], faces[side + TWO]
-            # Without branches: which corner of a face a vertex is cannot be foreseen.
+            # Without branches: which corner of a face a vertex is cannot be predicted.
             own = ZERO if a == i else (ONE if b == i else TWO)
             previous = TWO if own == ZERO else own - ONE
             after = b if a == i else (c if b == i else a)

@@ -50,7 +50,7 @@ def _pairs(edge_start, edge_ring, first_pair, pairs):
 def _inner(start, stop, first, ring_start, ring, first_pair, pairs, most, sizes, inner):
     """Find rows as ``find_rows`` wants them: of each pair as many as both faces are in a patch.
 
-    ``pairs`` flat.  Which are cannot be foreseen: without a branch each is written down, and kept
+    ``pairs`` flat.  Which are cannot be predicted: without a branch each is written down, and kept
     by being counted.
     """
     member = np.empty(len(ring_start) - 1, dtype=np.uint32)
@@ -197,7 +197,7 @@ def _choose(start, stop, n, ring_start, ring, scores, means, guides):
         for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
             k = np.uint64(ring[at])
             score = scores[k]
-            # Two choices without a branch: which patch is best cannot be foreseen.
+            # Two choices without a branch: which patch is best cannot be predicted.
             best = k if score < least else best
             least = min(least, score)
         p, q = THREE * f, THREE * best

@@ -90,7 +90,7 @@ def _neighbours(
 ):
     """Find rows as ``find_rows`` wants them.
 
-    Whether a face was met before cannot be foreseen: without a branch each is written down, and
+    Whether a face was met before cannot be predicted: without a branch each is written down, and
     kept by being counted.
     """
     seen = np.empty(len(faces) // 3, dtype=np.uint32)
@@ -210,7 +210,7 @@ def _reached(start, stop, first, c, ring_start, ring, radii, most, sizes, near):
         count = at = np.uint64(0)
         while True:
             for entry in range(np.uint64(ring_start[g]), np.uint64(ring_start[g + ONE])):
-                # Whether a face is new and near cannot be foreseen: without a branch each is
+                # Whether a face is new and near cannot be predicted: without a branch each is
                 # written down, and kept by being counted.
                 k = np.uint64(ring[entry])
                 p = THREE * k

@@ -55,7 +55,7 @@ def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):
             g = np.uint64(ring[at])
             q = THREE * g
             i, j, k = np.uint64(faces[q]), np.uint64(faces[q + ONE]), np.uint64(faces[q + TWO])
-            # Without branches: where in the faces their edge is cannot be foreseen.
+            # Without branches: where in the faces their edge is cannot be predicted.
             has_b = (b == i) | (b == j) | (b == k)
             has_c = (c == i) | (c == j) | (c == k)
             left = c if has_c else b

@@ -12,8 +12,8 @@ weights depend on the mesh and its noise; ``--auto`` finds them by an estimate o
     0.6*guided_normal(similarity=0.45,iterations=5)+0.4*al(iterations=3)
 
 A member is the name of a method with those of its parameters that are not at their defaults;
-spaces do not matter.  Every member is run on the same input, so the time is that of all together,
-and the memory that of the hungriest.  One member of weight 1 is that method, to the last bit.
+spaces do not matter.  Every member runs on the same input: the time is that of all together, the
+memory that of the one that needs most.  One member of weight 1 is that method, to the last bit.
 
 Where the noise is not the same everywhere, weights may follow it: with ``levels=0.02:0.25`` a
 member 0.1:0.6*al weighs 0.1 where the local noise is at most 0.02 mean edge lengths, 0.6 from 0.25
@@ -45,10 +45,10 @@ from msal_cli.methods._contract import Method, OnSweep, Result, Timer, parameter
 from msal_cli.methods._triangles import even_out
 
 BYTES_PER_FACE = 1180
-"""Memory with the hungriest member that is ever chosen, ``learned``; see ``Method``."""
+"""Memory with ``learned``, the member that needs most; see ``Method``."""
 
 KEPT_PER_FACE = 30
-"""Memory per triangle that goes on top of the hungriest member's: the sum so far, and what a run
+"""Memory per triangle that goes on top of the largest member's: the sum so far, and what a run
 leaves scattered behind."""
 
 MOST_MEMBERS = 16
