@@ -194,8 +194,7 @@ CHILD = """
 import sys, time
 from msal_cli import codecs
 from msal_cli.codecs.header_check import read_input
-from msal_cli.storage.gzip_streams import expanded
-from msal_cli.kernels import obj_scan, ply_scan, stl_scan
+from msal_cli.storage.gzip_streams import expand
 from msal_cli.errors import MsalError
 
 def resident():
@@ -208,7 +207,7 @@ for path in goods:
 for path in bads:
     before, began, code = resident(), time.process_time(), "ok"
     try:
-        codecs.open_mesh(expanded(read_input(path), path)[0], path)
+        codecs.open_mesh(expand(read_input(path), path)[0], path)
     except MsalError as error:
         code = error.code
     print(code, time.process_time() - began, resident() - before)

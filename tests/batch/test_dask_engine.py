@@ -219,7 +219,7 @@ class TestRefusals:
         dask = [*base, "--engine", "dask"]
         for words, said in [
             ([*base, "--scheduler", "local"], "needs --engine dask"),
-            (dask, "needs a scheduler"),
+            (dask, "needs --scheduler"),
             ([*dask, "--scheduler", "nonsense"], "not an address"),
             ([*dask, "--scheduler", "tcp://host:8786", "-j", "2"], "-j is for this machine"),
             (["denoise", "in", "--in-place", *dask[4:], "--scheduler", "local"], "--in-place"),

@@ -376,7 +376,7 @@ def test_a_merge_that_is_killed_loses_nothing(monkeypatch, killed):
     def kill(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(remote, "write_whole" if killed == "before" else "removed", kill)
+    monkeypatch.setattr(remote, "write_whole" if killed == "before" else "remove_object", kill)
     with pytest.raises(KeyboardInterrupt):
         ObjectManifest("memory://out").open()
     monkeypatch.undo()

@@ -93,7 +93,8 @@ def test_who_waits_for_the_end_gets_a_page_without_pictures(tmp_path, monkeypatc
     from msal_cli.report import gallery
 
     asked = []
-    monkeypatch.setattr(gallery, "made", lambda *_, **options: asked.append(options) or EMPTY)
+    build = lambda *_, **options: asked.append(options) or EMPTY  # noqa: E731
+    monkeypatch.setattr(gallery, "build_gallery", build)
     reports.write([str(tmp_path / "a.html")], RUN, [written()], without_pictures=True)
     assert asked == []
     reports.write([str(tmp_path / "b.html")], RUN, [written()], backup=".raw")
@@ -108,7 +109,7 @@ def test_pages_are_written_last(tmp_path, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(gallery, "made", interrupted)
+    monkeypatch.setattr(gallery, "build_gallery", interrupted)
     names = [str(tmp_path / "a.html"), str(tmp_path / "a.csv")]
     with pytest.raises(KeyboardInterrupt):
         reports.write(names, RUN, [written()])

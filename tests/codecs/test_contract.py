@@ -16,10 +16,10 @@ import pytest
 from msal_cli.codecs import open_mesh
 from msal_cli.errors import ContentError, InternalError, MsalError, TruncatedError
 from tests.codecs.patching import texts_between_numbers
-from tests.frozen import corpus_sums
+from tests.frozen import corpus_inputs
 from tests.fuzz.seeds import seeds
 
-FORMATS = tuple(one for one in corpus_sums.formats() if seeds(one) and one != "gz")
+FORMATS = tuple(one for one in corpus_inputs.formats() if seeds(one) and one != "gz")
 TEXTS = ("obj", "avs", "inp", "mesh", "off", "vol")
 LARGEST = 4000
 """Bytes of the files that are tried."""
@@ -30,7 +30,7 @@ AT_MOST = 5
 
 def cases(format: str):
     files = [data for data in seeds(format) if len(data) <= LARGEST]
-    chosen = files if format in corpus_sums.FUZZED else files[-AT_MOST:]
+    chosen = files if format in corpus_inputs.FUZZED else files[-AT_MOST:]
     return [pytest.param(format, data, id=f"{format}-{k}") for k, data in enumerate(chosen)]
 
 
@@ -207,10 +207,10 @@ def test_another_encoding_is_the_same_mesh_or_is_refused(format, data):
             assert np.array_equal(again.faces, file.faces)
 
 
-@pytest.mark.parametrize("format", [one for one in FORMATS if one not in corpus_sums.FUZZED])
+@pytest.mark.parametrize("format", [one for one in FORMATS if one not in corpus_inputs.FUZZED])
 def test_mutants_end_in_an_error_or_in_a_mesh(format):
     for number in range(60):
-        data = corpus_sums.mutant(format, number)
+        data = corpus_inputs.mutant(format, number)
         try:
             file = open_mesh(data, f"a.{format}")
             vertices = moved(file)
