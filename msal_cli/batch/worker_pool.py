@@ -325,7 +325,7 @@ class WorkerPool:
         if code == -9 and oom_kills() > worker.kills_before:
             return (
                 "memory",
-                "the system killed the worker for want of memory",
+                "the system killed the worker because memory ran out",
                 "run fewer jobs at once, or on a machine with more memory",
             )
         printed = any(map(_OUT_OF_MEMORY.search, worker.last_lines))
@@ -335,7 +335,7 @@ class WorkerPool:
             and (worker.is_near_limit or printed)
         ):
             return "memory", *self._out_of_memory(
-                f"the worker {describe_exit(code)} for want of memory"
+                f"the worker {describe_exit(code)} because memory ran out"
             )
         hint = "a library broke on this file; it may be damaged"
         if code == -9:

@@ -127,9 +127,9 @@ def test_patches_begin_where_somebody_is_judged(large):
     part = select_patch(large.with_constraints(held, None), 10_000)
     free = int((~held).sum())
     assert part.judged.sum() > 0.5 * min(free, 10_000)
-    nobody = select_patch(large.with_constraints(np.ones_like(held), None), 10_000)
-    assert not nobody.judged.any()
-    assert len(nobody.mesh.faces)
+    unmarked = select_patch(large.with_constraints(np.ones_like(held), None), 10_000)
+    assert not unmarked.judged.any()
+    assert len(unmarked.mesh.faces)
 
 
 def test_vertices_without_faces_are_no_part_of_it(large):

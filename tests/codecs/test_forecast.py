@@ -1,4 +1,4 @@
-"""What is foreseen of a file from its beginning: hand-made headers, lies, and real peaks."""
+"""What is forecast of a file from its beginning: hand-made headers, lies, and real peaks."""
 
 from __future__ import annotations
 
@@ -235,5 +235,5 @@ def test_the_peak_is_within_half_and_all_of_what_is_foreseen(form, around, tmp_p
     target = tmp_path / f"out{''.join(path.suffixes)}"
     peak(path, target)  # compiles the kernels
     real = peak(path, target)
-    foreseen = forecast_task(Task(str(path), str(target), "x"), Settings("msal")).memory_bytes
-    assert real <= foreseen <= 2 * real
+    expected_bytes = forecast_task(Task(str(path), str(target), "x"), Settings("msal")).memory_bytes
+    assert real <= expected_bytes <= 2 * real
