@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.storage.atomic import write_whole
 
@@ -48,11 +47,11 @@ class Scratch:
         mapped = np.memmap(path, dtype=dtype, mode="r+" if writable else "r")
         return mapped if columns == 1 else mapped.reshape(-1, columns)
 
-    def write_range(self, name: str, first_byte: int, values: NDArray[Any]) -> None:
+    def write_range(self, name: str, first_byte: int, values: Any) -> None:
         """Write numbers into a file that exists, without mapping it."""
         with open(self.path / name, "r+b", buffering=0) as file:
             file.seek(first_byte)
-            view = memoryview(np.ascontiguousarray(values)).cast("B")
+            view = np.ascontiguousarray(values).data.cast("B")
             while len(view):
                 view = view[file.write(view) :]
 
