@@ -102,7 +102,7 @@ def test_a_sheet_is_cut(dtype, order, kind, monkeypatch, tmp_path):
 COORDINATES = st.sampled_from([0.0, -0.0, 1.0, 2.0, 3.0, -1.0, 0.5, 1e30, -1e30, 5e-324])
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=40)
 @given(
     vertices=arrays.arrays(
         np.float64, st.integers(1, 60).map(lambda n: (n, 3)), elements=COORDINATES
