@@ -24,13 +24,25 @@ def open_too_large(
     InputError
         for a file that is damaged, as far as its header and its size show.
     """
-    from msal_cli.codecs import forecast, streamed
-    from msal_cli.codecs.headers import MOST_TRIANGLES
+    from msal_cli.codecs.streamed import open_streamed
+    from msal_cli.errors import UnsupportedError
+    from msal_cli.storage.urls import is_url
+
+    if any(map(is_url, paths)) or not are_too_large(paths, format):
+        return None
+    try:
+        return tuple(open_streamed(path, format) for path in paths)
+    except UnsupportedError:
+        return None
+
+
+def are_too_large(paths: Sequence[str], format: str | None = None) -> bool:
+    """Whether files do not fit into memory together, by their sizes and headers."""
+    from msal_cli.codecs.forecast import forecast
     from msal_cli.mesh import MOST_FACES
 
-    forecasts = [forecast.forecast(path, format=format) for path in paths]
+    forecasts = [forecast(path, format=format) for path in paths]
+    if any((one.faces or 0) > MOST_FACES for one in forecasts):
+        return True
     free = machine.available_bytes()
-    needed = sum(one.memory_bytes or 0 for one in forecasts)
-    has_many = any((one.faces or 0) > MOST_FACES for one in forecasts)
-    if not has_many and (free is None or needed <= free):
-        return None
+    return free is not None and sum(one.memory_bytes or 0 for one in forecasts) > free

@@ -19,12 +19,12 @@ from msal_cli.job.streamed_totals import Totals, measure_bounds, measure_faces
 if TYPE_CHECKING:
     from msal_cli.codecs.streamed_mesh import StreamedMesh
     from msal_cli.job.records import NoiseEstimate
-    from msal_cli.job.streamed_progress import OnProgress
+    from msal_cli.job.streamed_progress import ReadingListener
 
 
-def inspect_streamed(mesh: StreamedMesh, name: str, on_progress: OnProgress) -> InfoRecord:
+def inspect_streamed(mesh: StreamedMesh, name: str, listener: ReadingListener | None) -> InfoRecord:
     """What is in an opened file; see ``inspection.inspect_file``."""
-    steps = Steps(on_progress, mesh.n_vertices + mesh.n_polygons)
+    steps = Steps(listener, (mesh,))
     sample = SpreadSample(mesh.n_vertices)
     bounds = measure_bounds(mesh, steps.add, sample.add)
     part = RepresentativePart(sample, mesh.n_vertices)
@@ -44,9 +44,7 @@ def inspect_streamed(mesh: StreamedMesh, name: str, on_progress: OnProgress) -> 
         corners=mesh.n_vertices if mesh.are_corners else None,
         faces=mesh.n_polygons,
         triangles=totals.n_triangles,
-        polygon_sizes=(
-            {"3": mesh.n_polygons} if totals.n_triangles == mesh.n_polygons else {}
-        ),
+        polygon_sizes=({"3": mesh.n_polygons} if totals.n_triangles == mesh.n_polygons else {}),
         closed=edges.boundary_edges == 0 if edges is not None else None,
         winding=_winding(totals),
         boundary_edges=edges.boundary_edges if edges is not None else None,

@@ -176,4 +176,3 @@ def _count_bits(bits: NDArray[np.uint8]) -> int:
         int(np.unpackbits(bits[start : start + PIECE_VERTICES]).sum(dtype=np.int64))
         for start in range(0, len(bits), PIECE_VERTICES)
     )
-

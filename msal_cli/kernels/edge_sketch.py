@@ -1,10 +1,10 @@
-"""Which edges of a surface are left once every edge has met its opposite, in memory of a fixed size.
+"""Which edges are left once every edge has met its opposite, in memory of a fixed size.
 
 Two faces that are wound alike run through the edge between them in opposite directions.  Each
 directed edge is added to three cells of a table, with a plus in one direction and a minus in the
 other, so that it vanishes from the table once its opposite comes, however far apart in the file
 they are.  What is left are the edges of boundaries, and those between faces that are wound against
-each other.  As long as they are not many more than a quarter of the cells, they can be listed: a
+each other.  As long as they are no more than three quarters of the cells, they can be listed: a
 cell with one edge alone names it, it is taken out of its other two cells, and so on (an invertible
 Bloom lookup table, Goodrich and Mitzenmacher 2011).  Edges are known by a hash of the positions of
 their ends, so that vertices which coincide are one.
@@ -203,8 +203,8 @@ def _list_edges(cells, part_bits, stack, counts, lengths):
                 if other != cell:
                     top += 1
                     stack[top] = other
-    for cell in range(len(cells)):
-        if cells[cell, _COUNT] != np.uint64(0) or cells[cell, _KEYS] != np.uint64(0):
+    for at in range(len(cells)):
+        if cells[at, _COUNT] != np.uint64(0) or cells[at, _KEYS] != np.uint64(0):
             return False
     return True
 
@@ -235,12 +235,12 @@ class EdgeSketch:
     """
 
     def __init__(
-        self, origin: Floats, extent: float, n_vertices: int, part_bits: int = PART_BITS
+        self, origin: Floats, extent: float, n_vertices: int, part_bits: int | None = None
     ) -> None:
         self._origin = origin
         self._steps = LENGTH_STEPS / extent
-        self._part_bits = part_bits
-        self._cells = np.zeros((3 << part_bits, _FIELDS), dtype=np.uint64)
+        self._part_bits = part_bits or PART_BITS
+        self._cells = np.zeros((3 << self._part_bits, _FIELDS), dtype=np.uint64)
         self._pending = np.zeros((PENDING, 2), dtype=np.uint64)
         self._signs = np.zeros(PENDING, dtype=np.int8)
         self.used = np.zeros(-(-n_vertices // 8), dtype=np.uint8)
