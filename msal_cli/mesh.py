@@ -334,7 +334,7 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
         faces = np.where(flip[:, None], faces[:, ::-1], faces)
 
     if n_unreferenced:
-        low, high = _bounds(vertices if n_welded else vertices[used])
+        low, high = bounds(vertices if n_welded else vertices[used])
     with np.errstate(over="ignore"):
         extent = float((high - low).max())
     if not 1.0 / LARGEST_EXTENT < extent < LARGEST_EXTENT:
@@ -367,6 +367,15 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
     return PreparedMesh(mesh, origin, vertex_map, defects)
 
 
+def no_faces_error() -> ContentError:
+    """What is wrong with a file that has no faces."""
+    return ContentError(
+        "the file has no faces",
+        code="E_NO_FACES",
+        hint="msal denoises surfaces; make a mesh of the point cloud first",
+    )
+
+
 def _is_within(faces: Ints, n_vertices: int) -> bool:
     """Whether all indices go from 0 to ``n_vertices`` - 1."""
     if faces.dtype == np.int32:
@@ -375,7 +384,7 @@ def _is_within(faces: Ints, n_vertices: int) -> bool:
     return int(faces.min()) >= 0 and int(faces.max()) < n_vertices
 
 
-def _bounds(vertices: Floats) -> tuple[Floats, Floats]:
+def bounds(vertices: Floats) -> tuple[Floats, Floats]:
     """Least and greatest coordinates, (3,) each; none of them finite where a vertex is not."""
     # Rows of many vertices: numpy reduces the first of two axes slowly where the second is short.
     whole = len(vertices) // _LANES * _LANES
@@ -399,11 +408,7 @@ def _validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple
     if faces.ndim != 2 or faces.shape[1] != 3:
         raise ContentError(f"faces have shape {faces.shape}, not (m, 3)")
     if not len(faces):
-        raise ContentError(
-            "the file has no faces",
-            code="E_NO_FACES",
-            hint="msal denoises surfaces; make a mesh of the point cloud first",
-        )
+        raise no_faces_error()
     if len(faces) > MOST_FACES:
         raise TooLargeError(
             f"the mesh has {len(faces):,} triangles, more than the {MOST_FACES:,} that fit",
@@ -420,8 +425,8 @@ def _validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple
             where=f"face {bad}",
             hint="the file is damaged or was cut short; export it again",
         )
-    bounds = _bounds(vertices)
-    if not np.isfinite(bounds).all():
+    ends = bounds(vertices)
+    if not np.isfinite(ends).all():
         finite = np.isfinite(vertices).all(axis=1)
         raise ContentError(
             "a position is not finite",
@@ -429,4 +434,4 @@ def _validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple
             where=f"vertex {int(np.argmin(finite))}",
             hint="remove the vertex, or export the scan again",
         )
-    return vertices, np.ascontiguousarray(faces, dtype=np.int32), bounds
+    return vertices, np.ascontiguousarray(faces, dtype=np.int32), ends
