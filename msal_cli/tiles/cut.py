@@ -31,7 +31,7 @@ from msal_cli.kernels.tile_cut import RECORD_WORDS, TileRanges
 from msal_cli.kernels.welding import first_alike
 from msal_cli.mesh import bounds, no_faces_error
 from msal_cli.tiles import source as sources
-from msal_cli.tiles.plan import TilePlan, read_globals, write_globals
+from msal_cli.tiles.plan import TilePlan, load_plan, read_globals, write_globals
 from msal_cli.tiles.scratch import Scratch
 
 LARGEST_NUMBER = 2**32 - 2
@@ -98,14 +98,6 @@ def weld_numbers(scratch: Scratch, numbers: Numbers) -> Numbers:
         return numbers
     welded: Numbers = numbers - scratch.array(_BACK, np.uint32)[numbers]
     return welded
-
-
-def load_plan(scratch: Scratch) -> TilePlan:
-    """The plan of a run that has begun."""
-    plan = TilePlan.load(scratch)
-    if plan is None:
-        raise InternalError(f"{scratch.path} has no plan")
-    return plan
 
 
 # Stages
