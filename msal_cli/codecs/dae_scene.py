@@ -14,8 +14,6 @@ from msal_cli.errors import EXPORT_AGAIN, FormatError
 from msal_cli.storage.buffers import Buffer
 
 _SIZES = {"matrix": 16, "translate": 3, "rotate": 4, "scale": 3}
-_MOST_VISITS = 100_000
-"""Nodes looked at; a scene of nodes that name one another over and over ends here."""
 
 
 def frames_of(data: Buffer, root: Element, names: Sequence[str]) -> list[Floats]:
@@ -37,10 +35,14 @@ def frames_of(data: Buffer, root: Element, names: Sequence[str]) -> list[Floats]
         for scene in (library.all("visual_scene") if library is not None else ())
         for node in scene.all("node")
     ][::-1]
-    visits = 0
-    while left and visits < _MOST_VISITS:
+    # What a node holds has its first place where the node itself has: it is not visited again, and
+    # nodes that name one another come to an end.
+    visited: set[int] = set()
+    while left:
         node, outer, depth = left.pop()
-        visits += 1
+        if node.start in visited:
+            continue
+        visited.add(node.start)
         frame = outer @ _transform(data, node)
         inner = []
         for one in node.children:

@@ -138,16 +138,24 @@ def build_constraints(
     max_move: str | None,
     locks: Sequence[str],
     weights: str | None,
+    pinned: Flags | None = None,
 ) -> Constraints:
     """The constraints of a file, from the values of the options.
+
+    ``pinned`` (n_file,) are vertices that stay whatever the options say.
 
     Raises
     ------
     InputError
         if the file has no such property (``E_PROPERTY``), or one that means nothing as trust.
     """
+    import numpy as np
+
     mesh = ready.mesh
     held = _find_held(ready, mesh_file, [parse_lock(one) for one in locks]) if locks else None
+    if pinned is not None:
+        also = _spread_largest(ready, pinned.astype(np.float64)) > 0.0
+        held = also if held is None else held | also
     trust = None if weights is None else _build_trust(ready, mesh_file, weights)
     limit = None if max_move is None else parse_length(max_move).in_units(mesh.mean_edge_length)
     return Constraints(mesh.with_constraints(held, trust), held, limit)

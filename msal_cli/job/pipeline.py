@@ -31,7 +31,7 @@ from msal_cli.job.settings import (
 )
 
 if TYPE_CHECKING:
-    from msal_cli.arrays import Floats
+    from msal_cli.arrays import Flags, Floats
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.constraints import Constraints
     from msal_cli.mesh import Mesh, PreparedMesh
@@ -59,30 +59,11 @@ def denoise_file(
     A file beyond ``limits`` is refused before it is loaded, as far as its header shows it:
     ``E_MEMORY`` or ``E_TOO_LARGE``.
     """
-    run = _FileRun(task.input, settings, on_progress, limits)
+    run = FileRun(task.input, settings, on_progress, limits)
     try:
-        from msal_cli.codecs import header_check
-        from msal_cli.storage import atomic
-
-        with run.stage("read"):
-            # The mark is older than the bytes: an object that changes in between is done again.
-            run.know(input_object=task.input_mark)
-            if limits.memory_bytes is not None or limits.max_faces is not None:
-                refuse_oversized(forecast(task, settings), limits)
-            size = task.input_mark.size if task.input_mark is not None else None
-            data = header_check.read_input(task.input, settings.format, size)
+        data = run.read(task)
         made = run.denoise(data, task.output)
-        with run.stage("write"):
-            if task.in_place and task.backup:
-                output.keep_backup(task, data)
-            output.make_folder_of(task.output)
-            # Before the output: as soon as that exists, all that belongs to it does.
-            run.write_fields()
-            sidecars = run.carry_sidecars(task, made)
-            mode_like = task.input if task.in_place else None
-            mark = atomic.write_whole(task.output, [made.data], mode_like=mode_like)
-            run.know(output_object=None if mark is None else ObjectMark(*mark))
-        return run.finish(task.output, sidecars=sidecars)
+        return run.write(task, data, made)
     except Exception as error:
         return run.fail(error)
 
@@ -98,7 +79,7 @@ def denoise_bytes(
 
     Of ``limits`` only ``max_faces`` counts: the file is in memory already.
     """
-    run = _FileRun(name, settings, on_progress, limits)
+    run = FileRun(name, settings, on_progress, limits)
     try:
         return run.denoise(data, None).data, run.finish(None)
     except Exception as error:
@@ -116,7 +97,7 @@ def denoise_copy(
     The record knows the mesh as ``task.relative`` and has no output; nothing is read or written
     beside the two files.
     """
-    run = _FileRun(task.relative, settings, on_progress, limits)
+    run = FileRun(task.relative, settings, on_progress, limits)
     try:
         from msal_cli.codecs import header_check
         from msal_cli.storage import atomic
@@ -132,8 +113,11 @@ def denoise_copy(
         return run.fail(error)
 
 
-class _FileRun:
-    """One file on its way: its record so far, and the seconds of its stages."""
+class FileRun:
+    """One file on its way: its record so far, and the seconds of its stages.
+
+    A tile set takes its files through the same steps, but moves the vertices of all at once.
+    """
 
     def __init__(
         self, name: str, settings: Settings, on_progress: OnProgress | None, limits: Limits
@@ -146,11 +130,17 @@ class _FileRun:
         self._seconds: dict[str, float] = {}
         self._record = start_record(name, settings)
         self._is_changed = False
-        self._field_values: dict[str, Floats] = {}
+        # For each field of --fields the values (n,) at the file's vertices.
+        self.field_values: dict[str, Floats] = {}
         self._fields_file: tuple[Buffer, FieldsFile] | None = None
         self._output_digest: Callable[[], str] | None = None
 
     # The record
+
+    @property
+    def record(self) -> MeshRecord:
+        """What is known so far."""
+        return self._record
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -176,7 +166,8 @@ class _FileRun:
         """Set fields of the record."""
         self._record = replace(self._record, **values)
 
-    def _warn(self, *warnings: str) -> None:
+    def warn(self, *warnings: str) -> None:
+        """Add warnings to the record."""
         self.know(warnings=self._record.warnings + warnings)
 
     def _report_steps(self, stage: str) -> Callable[[int, int], None]:
@@ -212,17 +203,37 @@ class _FileRun:
 
     # The way of a file
 
+    def read(self, task: Task) -> Buffer:
+        """The bytes of the input, unless its header shows that it is beyond the limits."""
+        from msal_cli.codecs import header_check
+
+        with self.stage("read"):
+            # The mark is older than the bytes: an object that changes in between is done again.
+            self.know(input_object=task.input_mark)
+            if self._limits.memory_bytes is not None or self._limits.max_faces is not None:
+                refuse_oversized(forecast(task, self._settings), self._limits)
+            size = task.input_mark.size if task.input_mark is not None else None
+            return header_check.read_input(task.input, self._settings.format, size)
+
     def denoise(self, data: Buffer, output_path: str | None) -> output.Output:
         """The output file for the bytes of the input file; ``output_path`` is None for a pipe."""
+        mesh_file, is_compressed = self.open(data)
+        vertices = self.move_vertices(mesh_file)
+        source = output.Source(data, self._record.input, is_compressed)
+        return self.build(mesh_file, vertices, output_path, source)
+
+    def open(self, data: Buffer) -> tuple[MeshFile, bool]:
+        """The mesh file in ``data``, and whether gzip compressed it."""
         from msal_cli.codecs.mesh_file import corner_count
         from msal_cli.storage import allocator, digests
 
-        name = self._record.input
         with self.stage("read"):
             allocator.give_back_large_arrays()
             digest = digests.sha256_meanwhile(data)
             try:
-                mesh_file, is_compressed = open_mesh(data, name, self._settings.format)
+                mesh_file, is_compressed = open_mesh(
+                    data, self._record.input, self._settings.format
+                )
             finally:
                 # A file that cannot be read is known by its hash, too.
                 self.know(input_sha256=digest())
@@ -235,34 +246,65 @@ class _FileRun:
                 faces=mesh_file.n_polygons,
                 triangles=len(mesh_file.faces),
             )
-            self._warn(*mesh_file.warnings)
+            self.warn(*mesh_file.warnings)
             refuse_faces(mesh_file.n_polygons, self._limits)
-        vertices = self._move_vertices(mesh_file)
+        return mesh_file, is_compressed
+
+    def build(
+        self,
+        mesh_file: MeshFile,
+        vertices: Floats,
+        output_path: str | None,
+        source: output.Source,
+    ) -> output.Output:
+        """The output file with new positions (n, 3)."""
+        from msal_cli.storage import digests
+
         with self.stage("write"):
-            source = output.Source(data, name, is_compressed)
             made = output.build_output(mesh_file, vertices, self._settings, output_path, source)
-            self._warn(*made.losses)
-            if self._field_values and output_path is not None:
+            self.warn(*made.losses)
+            if self.field_values and output_path is not None:
                 from msal_cli.job import fields
 
                 self._fields_file = fields.build_file(
-                    mesh_file, vertices, self._field_values, fields.path_beside(output_path)
+                    mesh_file, vertices, self.field_values, fields.path_beside(output_path)
                 )
-            self._is_changed = made.data is not data
+            self._is_changed = made.data is not source.data
             self._output_digest = digests.sha256_meanwhile(made.data)
         return made
 
-    def _move_vertices(self, mesh_file: MeshFile) -> Floats:
-        """The new positions of a file's vertices (n, 3).
+    def write(self, task: Task, data: Buffer, made: output.Output) -> MeshRecord:
+        """Write the output and what belongs to it; ``data`` are the bytes of the input."""
+        from msal_cli.storage import atomic
+
+        with self.stage("write"):
+            if task.in_place and task.backup:
+                output.keep_backup(task, data)
+            output.make_folder_of(task.output)
+            # Before the output: as soon as that exists, all that belongs to it does.
+            self._write_fields()
+            sidecars = self._carry_sidecars(task, made)
+            mode_like = task.input if task.in_place else None
+            mark = atomic.write_whole(task.output, [made.data], mode_like=mode_like)
+            self.know(output_object=None if mark is None else ObjectMark(*mark))
+        return self.finish(task.output, sidecars=sidecars)
+
+    def prepare_mesh(self, mesh_file: MeshFile) -> PreparedMesh:
+        """The mesh of a file, fit for computing, and its defects in the record."""
+        ready = prepare_mesh(mesh_file)
+        self.know(**changes.defect_fields(ready, mesh_file.merged_vertices))
+        self.warn(*changes.defect_warnings(ready.defects))
+        return ready
+
+    def move_vertices(self, mesh_file: MeshFile, pinned: Flags | None = None) -> Floats:
+        """The new positions of a file's vertices (n, 3), of which those ``pinned`` (n,) stay.
 
         Its arrays are freed before the output is built, which takes as much memory again.
         """
         settings = self._settings
         with self.stage("connectivity"):
-            ready = prepare_mesh(mesh_file)
-            self.know(**changes.defect_fields(ready, mesh_file.merged_vertices))
-            self._warn(*changes.defect_warnings(ready.defects))
-            constraints = self._build_constraints(ready, mesh_file)
+            ready = self.prepare_mesh(mesh_file)
+            constraints = self._build_constraints(ready, mesh_file, pinned)
             mesh_file.forget_vertices()
         given = ready.mesh if constraints is None else constraints.mesh
         chosen = self._prepare(given)
@@ -298,36 +340,46 @@ class _FileRun:
                 moved, method, fidelity = given.vertices, None, None
                 # Where outliers were brought back, the noise was estimated without them.
                 measured = changes.measure(ready, moved, None if despiked else noise)
-            self.know(**measured.fields)
-            self._warn(*(f"{text} ({code})" for code, text in measured.warnings))
-            codes = tuple(code for code, _ in measured.warnings)
-            self.know(warning_codes=self._record.warning_codes + codes)
+            self.know_changes(measured)
             if choice is None and method is not None:
                 self._warn_of_method(method, chosen.parameters, is_ruled)
             if settings.fields:
                 from msal_cli.job import fields
 
-                self._field_values = fields.compute(
+                self.field_values = fields.compute(
                     settings.fields, ready, moved, fidelity, chosen.parameters
                 )
-            if SELF_INTERSECTIONS in settings.checks:
-                after = ready.mesh.with_vertices(moved)
-                self.know(self_intersections=changes.count_self_intersections(ready.mesh, after))
+            self.check_intersections(ready, moved)
             ready.mesh.release_normals()
             vertices = ready.to_file_vertices(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
 
-    def _build_constraints(self, ready: PreparedMesh, mesh_file: MeshFile) -> Constraints | None:
-        """What keeps vertices of this file near their place; None if no option sets any."""
+    def know_changes(self, measured: changes.Measured) -> None:
+        """Set the fields of what changed, and the warnings about it."""
+        self.know(**measured.fields)
+        self.warn(*(f"{text} ({code})" for code, text in measured.warnings))
+        codes = tuple(code for code, _ in measured.warnings)
+        self.know(warning_codes=self._record.warning_codes + codes)
+
+    def check_intersections(self, ready: PreparedMesh, moved: Floats) -> None:
+        """Count faces that intersect each other, if that was requested."""
+        if SELF_INTERSECTIONS in self._settings.checks:
+            after = ready.mesh.with_vertices(moved)
+            self.know(self_intersections=changes.count_self_intersections(ready.mesh, after))
+
+    def _build_constraints(
+        self, ready: PreparedMesh, mesh_file: MeshFile, pinned: Flags | None
+    ) -> Constraints | None:
+        """What keeps vertices of this file near their place; None if nothing does."""
         settings = self._settings
         asked = (settings.max_move, settings.lock, settings.weights)
-        if asked == (None, (), None):
+        if asked == (None, (), None) and pinned is None:
             return None
         from msal_cli.job.constraints import build_constraints
 
-        constraints = build_constraints(ready, mesh_file, *asked)
-        if constraints.held is not None:
+        constraints = build_constraints(ready, mesh_file, *asked, pinned)
+        if constraints.held is not None and settings.lock:
             self.know(locked_vertices=int(constraints.held.sum()))
         return constraints
 
@@ -339,7 +391,7 @@ class _FileRun:
         with self.stage("choose"):
             chosen = prepare(given, self._settings, on_step)
         self.know(**chosen.known)
-        self._warn(*chosen.warnings)
+        self.warn(*chosen.warnings)
         return chosen
 
     def _check_result(self, ready: PreparedMesh, vertices: Floats) -> None:
@@ -357,11 +409,11 @@ class _FileRun:
         """Warn where a method that was given by name harms the mesh."""
         noise, moved = self._record.noise_estimate, self._record.displacement
         if noise is not None and moved is not None:
-            self._warn(*changes.method_warnings(method, parameters, noise, moved, is_ruled))
+            self.warn(*changes.method_warnings(method, parameters, noise, moved, is_ruled))
 
     # Beside the output
 
-    def write_fields(self) -> None:
+    def _write_fields(self) -> None:
         """Write the file of fields, if it was requested; only a file of fields is replaced."""
         if self._fields_file is None:
             return
@@ -374,7 +426,7 @@ class _FileRun:
         atomic.write_whole(described.path, [data])
         self.know(fields=described)
 
-    def carry_sidecars(self, task: Task, made: output.Output) -> tuple[str, ...]:
+    def _carry_sidecars(self, task: Task, made: output.Output) -> tuple[str, ...]:
         """Notes on the files beside the output, copied or written, that it names."""
         notes: tuple[str, ...] = ()
         if made.references and not task.in_place:
@@ -382,7 +434,7 @@ class _FileRun:
 
             notes = tuple(sidecars.carry(made.references, task.input, task.output))
             marked = (note for note in notes if note.startswith("warning: "))
-            self._warn(*(note.removeprefix("warning: ") for note in marked))
+            self.warn(*(note.removeprefix("warning: ") for note in marked))
         if made.companions:
             from msal_cli.codecs.companions import write_companions
 

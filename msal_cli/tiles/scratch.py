@@ -17,7 +17,7 @@ import numpy as np
 
 from msal_cli.storage.atomic import write_whole
 
-_PLAN, _DONE, _TILES = "plan.json", "done", "tiles"
+_DONE, _TILES, _REDUCED = "done", "tiles", "reduced.json"
 
 
 class Scratch:
@@ -80,16 +80,32 @@ class Scratch:
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(folder / f"{index}.json", json.dumps(result).encode())
 
+    def result(self, stage: str, index: int) -> Any:
+        """The result of a task; None if it is not finished."""
+        return self.read_json(f"{_DONE}/{stage}/{index}.json")
+
+    def finished(self, stage: str) -> set[int]:
+        """The finished tasks of a stage."""
+        folder = self.path / _DONE / stage
+        names = os.listdir(folder) if folder.is_dir() else []
+        return {
+            int(name[: -len(".json")])
+            for name in names
+            if name.endswith(".json") and name[: -len(".json")].isdigit()
+        }
+
     def results(self, stage: str) -> dict[int, Any]:
         """The results of the finished tasks of a stage."""
-        folder = self.path / _DONE / stage
-        if not folder.is_dir():
-            return {}
-        return {
-            int(one.stem): json.loads(one.read_bytes())
-            for one in sorted(folder.iterdir())
-            if one.suffix == ".json" and one.stem.isdigit()
-        }
+        return {index: self.result(stage, index) for index in sorted(self.finished(stage))}
+
+    def finish_stage(self, stage: str, result: Any) -> None:
+        """Record that a stage is reduced; the leader's ``finish``."""
+        (self.path / _DONE / stage).mkdir(parents=True, exist_ok=True)
+        self.write_json(f"{_DONE}/{stage}/{_REDUCED}", result)
+
+    def stage_result(self, stage: str) -> Any:
+        """What ``finish_stage`` recorded; None if the stage is not reduced."""
+        return self.read_json(f"{_DONE}/{stage}/{_REDUCED}")
 
     def remove(self) -> None:
         """Remove the folder and all that is in it."""

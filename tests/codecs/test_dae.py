@@ -145,7 +145,10 @@ def test_a_scene_that_names_itself_ends():
     more = f'<library_nodes><node id="x">{inner}</node></library_nodes>'
     nodes = '<node><instance_node url="#x"/></node>' + node("b", "<translate>1 0 0</translate>")
     data = document(geometry("a", TRIANGLES) + geometry("b", TRIANGLES), nodes, more)
-    assert len(open_mesh(data, "a.dae").faces) == 4
+    file = open_mesh(data, "a.dae")
+    assert len(file.faces) == 4
+    # The nodes behind the circle count.
+    assert file.vertices[4:, 0].min() == 1.0
 
 
 def test_what_is_written_is_read_by_pycollada(tmp_path):

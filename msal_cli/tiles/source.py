@@ -1,0 +1,43 @@
+"""How the tasks of a run open its input: a file, or a set of files as one mesh."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from msal_cli.codecs.streamed_mesh import StreamedMesh
+
+FILE, SET = "file", "set"
+
+
+def open_source(description: dict[str, Any]) -> StreamedMesh:
+    """Open what ``TilePlan.source`` describes: ``{"kind": "file", "path": ..., "format": ...}`` or
+    ``{"kind": "set", ...}``.
+
+    Raises
+    ------
+    InputError
+        if it cannot be read piece by piece.
+    """
+    if description["kind"] == SET:
+        return _find("tiles.file_set", "open_set")(description)  # type: ignore[no-any-return]
+    opened: StreamedMesh = _find("codecs.streamed", "open_streamed")(
+        description["path"], description["format"]
+    )
+    return opened
+
+
+def identify(description: dict[str, Any]) -> dict[str, Any]:
+    """What changes when the input does: names, sizes and times of its files."""
+    paths = description["paths"] if description["kind"] == SET else [description["path"]]
+    files = []
+    for path in paths:
+        stat = os.stat(path)
+        files.append([os.path.abspath(path), stat.st_size, stat.st_mtime_ns])
+    return {"files": files}
+
+
+def _find(module: str, name: str) -> Any:
+    import importlib
+
+    return getattr(importlib.import_module(f"msal_cli.{module}"), name)
