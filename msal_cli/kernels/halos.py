@@ -62,8 +62,8 @@ def _near_border(records, first, below, depths, chosen):
     return found
 
 
-def border_records(records: Records, first: int, count: int, rings: int) -> Records:
-    """Those of a tile's triangles that other tiles may need for ``rings`` rings around them.
+def border_records(records: Records, first: int, count: int, rings: int) -> Ints:
+    """Which of a tile's triangles other tiles may need for ``rings`` rings around them, (k,).
 
     They have an own vertex, among the ``count`` from ``first`` on, that is less than ``rings``
     edges away from the vertices of others.
@@ -72,7 +72,7 @@ def border_records(records: Records, first: int, count: int, rings: int) -> Reco
     _border_depths(records, first, rings - 1, depths)
     chosen = np.empty(len(records) + 1, dtype=np.int32)
     found = _near_border(records, first, rings, depths, chosen)
-    near: Records = records[chosen[:found]]
+    near: Ints = chosen[:found]
     return near
 
 
@@ -155,6 +155,20 @@ def mark_own(records: Records, first: int, count: int) -> Flags:
     used = np.zeros(count, dtype=bool)
     _mark_own(records, first, used)
     return used
+
+
+@compiled
+def _count_first_corners(records, first, count):
+    found = 0
+    for f in range(len(records)):
+        own = np.int64(records[f, 1]) - first
+        found += 0 <= own < count
+    return found
+
+
+def count_first_corners(records: Records, first: int, count: int) -> int:
+    """How many triangles belong to the tile: those whose first vertex does."""
+    return int(_count_first_corners(records, first, count))
 
 
 @compiled
