@@ -9,8 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Ints
+from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.geometry import DEGENERATE
+from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
 FAR = 65535
 """Rings of a vertex that is further away than was looked at."""
@@ -142,22 +144,6 @@ def drop_repeated(records: Records) -> Records:
 
 
 @compiled
-def _mark_own(records, first, used):
-    for f in range(len(records)):
-        for corner in range(1, 4):
-            own = np.int64(records[f, corner]) - first
-            if 0 <= own < len(used):
-                used[own] = True
-
-
-def mark_own(records: Records, first: int, count: int) -> Flags:
-    """Which of the tile's vertices (count,) a triangle has."""
-    used = np.zeros(count, dtype=bool)
-    _mark_own(records, first, used)
-    return used
-
-
-@compiled
 def _count_first_corners(records, first, count):
     found = 0
     for f in range(len(records)):
@@ -274,3 +260,20 @@ def count_own_edges(
     _count_edges(faces, *incidence, own, counts)
     boundary, inconsistent, non_manifold = map(int, counts)
     return boundary, inconsistent, non_manifold
+
+
+@compiled
+def _count_flat(vertices, faces, own):
+    flat = 0
+    for f in range(len(faces)):
+        if own[f]:
+            a, b, c = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
+            ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            flat += length <= DEGENERATE * longest_square(ux, uy, uz, wx, wy, wz)
+    return flat
+
+
+def count_flat_faces(vertices: Floats, faces: Ints, own: Flags) -> int:
+    """How many ``own`` (m,) faces have no normal, see ``geometry``."""
+    return int(_count_flat(vertices, faces, own))

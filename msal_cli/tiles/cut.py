@@ -66,11 +66,25 @@ def tile_ranges(scratch: Scratch) -> TileRanges:
     return TileRanges.build(read_globals(scratch)["tile_starts"])
 
 
-def tile_faces(scratch: Scratch, tile: int) -> tuple[Numbers, Numbers]:
-    """The faces that have a corner in a tile, ascending: numbers (m,) of the triangles and new
-    numbers (m, 3) of their corners, which are not welded."""
-    records = _read_records(scratch, tile)
-    return records[:, 0].copy(), records[:, 1:].copy()
+def tile_records(scratch: Scratch, tile: int) -> Numbers:
+    """The faces (m, ``RECORD_WORDS``) that have a corner in a tile, ascending: the number of the
+    triangle and the new numbers of its corners, which are not welded."""
+    parts = list(_find_records(scratch, tile))
+    n_records = sum(stop - start for _, start, stop in parts)
+    records = np.empty((n_records, RECORD_WORDS), dtype=np.uint32)
+    row = RECORD_WORDS * records.itemsize
+    at = 0
+    for chunk, start, stop in parts:
+        with open(scratch.path / _FACES / f"{chunk}.u4", "rb", buffering=0) as file:
+            file.seek(start * row)
+            view = records[at : at + stop - start].data.cast("B")
+            while len(view):
+                n_read = file.readinto(view)
+                if not n_read:
+                    raise InternalError(f"the faces of chunk {chunk} in scratch end too early")
+                view = view[n_read:]
+        at += stop - start
+    return records
 
 
 def read_positions(scratch: Scratch, start: int, stop: int) -> NDArray[Any]:
@@ -203,7 +217,7 @@ def run_weld(scratch: Scratch, tile: int) -> dict[str, Any]:
     from msal_cli.kernels.welding import first_alike
 
     start, stop = tile_range(scratch, tile)
-    records = _read_records(scratch, tile)
+    records = tile_records(scratch, tile)
     used = tile_cut.mark_own(records, start, stop - start)
     n_faces = len(records)
     del records
@@ -239,26 +253,6 @@ def _label(plan: TilePlan, positions: NDArray[Any]) -> Numbers:
 
 def _read_row(scratch: Scratch, name: str, row: int, columns: int) -> Longs:
     return np.array(scratch.array(name, np.int64, columns).reshape(-1, columns)[row])
-
-
-def _read_records(scratch: Scratch, tile: int) -> Numbers:
-    """The records (m, ``RECORD_WORDS``) of a tile's faces from the files of all chunks."""
-    parts = list(_find_records(scratch, tile))
-    n_records = sum(stop - start for _, start, stop in parts)
-    records = np.empty((n_records, RECORD_WORDS), dtype=np.uint32)
-    row = records[:1].nbytes or RECORD_WORDS * records.itemsize
-    at = 0
-    for chunk, start, stop in parts:
-        with open(scratch.path / _FACES / f"{chunk}.u4", "rb", buffering=0) as file:
-            file.seek(start * row)
-            view = records[at : at + stop - start].data.cast("B")
-            while len(view):
-                n_read = file.readinto(view)
-                if not n_read:
-                    raise InternalError(f"the faces of chunk {chunk} in scratch end too early")
-                view = view[n_read:]
-        at += stop - start
-    return records
 
 
 def _find_records(scratch: Scratch, tile: int) -> Iterator[tuple[int, int, int]]:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from msal_cli.errors import ContentError
 from msal_cli.mesh import LARGEST_EXTENT
-from msal_cli.tiles.cut import tile_faces, tile_range
-from msal_cli.tiles.plan import TilePlan, read_globals, write_globals
+from msal_cli.tiles.cut import is_welded, load_plan, tile_range, tile_records, weld_numbers
+from msal_cli.tiles.plan import read_globals, write_globals
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 Records = NDArray[np.uint32]
 Ids = NDArray[np.uint32]
 
-CANON, OLD, POSITIONS = "canon.u4", "old.u4", "positions.bin"
-
+_OLD, _POSITIONS = "old.u4", "positions.bin"
 _RIMS = "rims"
 _MEASURED_RINGS = 2
 """Rings beyond those that a method reaches: the measures need the results in the first ring too,
@@ -61,17 +60,17 @@ def count_rings(scratch: Scratch) -> int:
 
 def run_rim(scratch: Scratch, tile: int) -> dict[str, Any]:
     """Write the rim of a tile; the result has its used vertices, their bounds and its triangles."""
-    from msal_cli.kernels import halos
+    from msal_cli.kernels import halos, tile_cut
 
     first, stop = tile_range(scratch, tile)
-    records = tile_faces(scratch, tile)
+    records = tile_records(scratch, tile)
     welded = weld_records(scratch, records)
     near = halos.border_records(welded, first, stop - first, count_rings(scratch))
     folder = scratch.path / _RIMS
     folder.mkdir(exist_ok=True)
     (folder / f"{tile}.bin").write_bytes(records[near].data)
     clean = halos.drop_repeated(welded)
-    used = halos.mark_own(clean, first, stop - first)
+    used = tile_cut.mark_own(clean, first, stop - first)
     n_all, n_clean = (halos.count_first_corners(one, first, stop - first) for one in (welded, clean))
     result: dict[str, Any] = {"used": int(used.sum()), "repeated": n_all - n_clean, "faces": n_clean}
     if result["used"]:
@@ -112,18 +111,18 @@ def reduce_rim(scratch: Scratch) -> None:
 
 def assemble_part(scratch: Scratch, tile: int) -> Part:
     """The tile with its halo of ``count_rings`` rings."""
-    from msal_cli.kernels import halos
+    from msal_cli.kernels import halos, tile_cut
 
     first, stop = tile_range(scratch, tile)
     count = stop - first
-    own_records = weld_records(scratch, tile_faces(scratch, tile))
+    own_records = weld_records(scratch, tile_records(scratch, tile))
     halo = _find_halo(scratch, tile, own_records)
     records = halos.drop_repeated(_merge(own_records, halo))
     del own_records, halo
-    used = halos.mark_own(records, first, count)
+    used = tile_cut.mark_own(records, first, count)
     own_ids = np.flatnonzero(used).astype(np.uint32) + np.uint32(first)
     others = _other_vertices(records, first, count)
-    old = scratch.array(OLD, np.uint32)
+    old = scratch.array(_OLD, np.uint32)
     own_old, other_old = old[first:stop][used], old[others]
     # Both in the order of the file, and then merged.
     order = np.argsort(other_old)
@@ -141,30 +140,25 @@ def assemble_part(scratch: Scratch, tile: int) -> Part:
     return Part(ids, file_vertices, faces, np.ascontiguousarray(records[:, 0]), own)
 
 
-def read_positions(scratch: Scratch, ids: Ids) -> Floats:
+def read_positions(scratch: Scratch, ids: Ids | slice) -> Floats:
     """Stored positions (n, 3) of vertices, as float64."""
-    plan = TilePlan.load(scratch)
-    assert plan is not None
-    stored = scratch.array(POSITIONS, plan.dtype, 3)
+    stored = scratch.array(_POSITIONS, load_plan(scratch).dtype, 3)
     positions: Floats = stored[ids].astype(np.float64)
     return positions
 
 
 def weld_records(scratch: Scratch, records: Records) -> Records:
     """The triangles with the first of coincident vertices in place of each."""
-    if not scratch.has(CANON):
+    if not is_welded(scratch):
         return records
-    first_alike = scratch.array(CANON, np.uint32)
     welded = records.copy()
-    welded[:, 1:] = first_alike[records[:, 1:]]
+    welded[:, 1:] = weld_numbers(scratch, records[:, 1:])
     return welded
 
 
 def _bounds(scratch: Scratch, first: int, used: Flags) -> tuple[Floats, Floats]:
     """Least and greatest coordinates (3,) of a tile's vertices that are ``used`` (count,)."""
-    plan = TilePlan.load(scratch)
-    assert plan is not None
-    positions = scratch.array(POSITIONS, plan.dtype, 3)[first : first + len(used)]
+    positions = scratch.array(_POSITIONS, load_plan(scratch).dtype, 3)[first : first + len(used)]
     if not used.all():
         positions = positions[used]
     # Rows of coordinates: numpy reduces the first of two axes slowly where the second is short.
