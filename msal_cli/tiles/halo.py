@@ -55,7 +55,7 @@ class Part:
 
 def count_rings(scratch: Scratch) -> int:
     """Rings of a halo: what the method of the run reaches, and what the measures need."""
-    return int(read_globals(scratch)["rings"]) + _MEASURED_RINGS
+    return max(int(read_globals(scratch)["rings"]), 1) + _MEASURED_RINGS
 
 
 def run_rim(scratch: Scratch, tile: int) -> dict[str, Any]:
@@ -71,8 +71,14 @@ def run_rim(scratch: Scratch, tile: int) -> dict[str, Any]:
     (folder / f"{tile}.bin").write_bytes(records[near].data)
     clean = halos.drop_repeated(welded)
     used = tile_cut.mark_own(clean, first, stop - first)
-    n_all, n_clean = (halos.count_first_corners(one, first, stop - first) for one in (welded, clean))
-    result: dict[str, Any] = {"used": int(used.sum()), "repeated": n_all - n_clean, "faces": n_clean}
+    n_all, n_clean = (
+        halos.count_first_corners(one, first, stop - first) for one in (welded, clean)
+    )
+    result: dict[str, Any] = {
+        "used": int(used.sum()),
+        "repeated": n_all - n_clean,
+        "faces": n_clean,
+    }
     if result["used"]:
         low, high = _bounds(scratch, first, used)
         result |= {"low": low.tolist(), "high": high.tolist()}

@@ -31,6 +31,7 @@ _KEY_BITS = np.uint64(42)
 """Bits of a length that do not count when lengths are counted: 10 of its fraction are left, so that
 those that count alike differ by 0.1 % at most."""
 
+
 def measure_tile(
     scratch: Scratch, tile: int, tile_mesh: TileMesh, before: Mesh, moved: Floats, placed: Floats
 ) -> dict[str, Any]:

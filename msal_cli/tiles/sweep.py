@@ -10,7 +10,6 @@ round of a tile writes its new positions and measures what changed.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -209,9 +208,7 @@ def _check_result(method: Method | None, mesh: Mesh, result: Result) -> None:
 # New positions
 
 
-def _write_moved(
-    scratch: Scratch, tile: int, mesh: TileMesh | None, moved: Floats
-) -> Floats:
+def _write_moved(scratch: Scratch, tile: int, mesh: TileMesh | None, moved: Floats) -> Floats:
     """Write the new positions of all vertices of a tile, and return them (count, 3).
 
     A vertex that did not move, or that no face has, keeps its stored value; a welded one gets that
