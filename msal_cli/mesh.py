@@ -316,7 +316,7 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
         faces = np.where(flip[:, None], faces[:, ::-1], faces)
 
     if n_unreferenced:
-        low, high = _bounds(vertices if n_welded else vertices[used])
+        low, high = bounds(vertices if n_welded else vertices[used])
     with np.errstate(over="ignore"):
         extent = float((high - low).max())
     if not 1.0 / LARGEST_EXTENT < extent < LARGEST_EXTENT:
@@ -366,7 +366,7 @@ def _is_within(faces: Ints, n_vertices: int) -> bool:
     return int(faces.min()) >= 0 and int(faces.max()) < n_vertices
 
 
-def _bounds(vertices: Floats) -> tuple[Floats, Floats]:
+def bounds(vertices: Floats) -> tuple[Floats, Floats]:
     """Least and greatest coordinates, (3,) each; none of them finite where a vertex is not."""
     # Rows of many vertices: numpy reduces the first of two axes slowly where the second is short.
     whole = len(vertices) // _LANES * _LANES
@@ -407,8 +407,8 @@ def _validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple
             where=f"face {bad}",
             hint="the file is damaged or was cut short; export it again",
         )
-    bounds = _bounds(vertices)
-    if not np.isfinite(bounds).all():
+    ends = bounds(vertices)
+    if not np.isfinite(ends).all():
         finite = np.isfinite(vertices).all(axis=1)
         raise ContentError(
             "a position is not finite",
@@ -416,4 +416,4 @@ def _validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple
             where=f"vertex {int(np.argmin(finite))}",
             hint="remove the vertex, or export the scan again",
         )
-    return vertices, np.ascontiguousarray(faces, dtype=np.int32), bounds
+    return vertices, np.ascontiguousarray(faces, dtype=np.int32), ends

@@ -27,7 +27,7 @@ from msal_cli.codecs.streamed_mesh import FaceChunk
 from msal_cli.errors import InternalError, TooLargeError
 from msal_cli.kernels import tile_cut
 from msal_cli.kernels.tile_cut import RECORD_WORDS, TileRanges
-from msal_cli.mesh import no_faces_error
+from msal_cli.mesh import bounds, no_faces_error
 from msal_cli.tiles import source as sources
 from msal_cli.tiles.plan import TilePlan, read_globals, write_globals
 from msal_cli.tiles.scratch import Scratch
@@ -128,10 +128,11 @@ def run_count(scratch: Scratch, chunk: int) -> dict[str, Any]:
     plan = load_plan(scratch)
     positions = _read_vertices(plan, chunk)
     labels = _label(plan, positions)
+    low, high = bounds(positions)
     return {
         "counts": tile_cut.count_labels(labels, plan.n_tiles).tolist(),
-        "low": positions.min(axis=0).tolist(),
-        "high": positions.max(axis=0).tolist(),
+        "low": low.tolist(),
+        "high": high.tolist(),
     }
 
 
