@@ -144,6 +144,23 @@ def drop_repeated(records: Records) -> Records:
 
 
 @compiled
+def _shared(faces, own, chosen):
+    found = 0
+    for f in range(len(faces)):
+        chosen[found] = f
+        a, b, c = own[faces[f, 0]], own[faces[f, 1]], own[faces[f, 2]]
+        found += (a | b | c) & (not (a & b & c))
+    return found
+
+
+def shared_faces(faces: Ints, own: Flags) -> Ints:
+    """Which faces (k,) of (m, 3) have both vertices of the tile, ``own`` (n,), and others."""
+    chosen = np.empty(len(faces) + 1, dtype=np.int32)
+    shared: Ints = chosen[: _shared(faces, own, chosen)]
+    return shared
+
+
+@compiled
 def _count_first_corners(records, first, count):
     found = 0
     for f in range(len(records)):
@@ -234,9 +251,7 @@ def _count_edges(faces, face_start, incident, own, counts):
     for i in range(len(own)):
         if not own[i]:
             continue
-        found = _edge_uses(
-            faces, i, face_start[i], face_start[i + 1], incident, slot, ends, uses
-        )
+        found = _edge_uses(faces, i, face_start[i], face_start[i + 1], incident, slot, ends, uses)
         for place in range(found):
             if ends[place] > i:
                 out, into = uses[place, 0], uses[place, 1]
@@ -248,9 +263,7 @@ def _count_edges(faces, face_start, incident, own, counts):
                     counts[1] += 1
 
 
-def count_own_edges(
-    faces: Ints, incidence: tuple[Ints, Ints], own: Flags
-) -> tuple[int, int, int]:
+def count_own_edges(faces: Ints, incidence: tuple[Ints, Ints], own: Flags) -> tuple[int, int, int]:
     """Boundary, inconsistent and non-manifold edges, of those from an ``own`` (n,) vertex to one of
     higher number: see ``connectivity.Connectivity``.
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from msal_cli.kernels.components import component_labels, count_components
+from msal_cli.kernels.halos import shared_faces
 from msal_cli.tiles.part_files import TileMesh, load_array
 
 if TYPE_CHECKING:
@@ -23,13 +24,11 @@ def save_links(folder: Path, mesh: TileMesh) -> dict[str, int]:
     ``open``.
     """
     labels = component_labels(len(mesh.vertices), mesh.faces)
-    corners = mesh.own_vertices[mesh.faces]
-    is_shared = corners.any(axis=1) & ~corners.all(axis=1)
-    shared = labels[mesh.faces[is_shared, 0]]
-    open_labels, numbers = np.unique(shared, return_inverse=True)
+    shared = shared_faces(mesh.faces, mesh.own_vertices)
+    open_labels, numbers = np.unique(labels[mesh.faces[shared, 0]], return_inverse=True)
     is_own = np.zeros(len(labels), dtype=bool)
     is_own[labels[mesh.own_vertices]] = True
-    links = np.stack([mesh.triangles[is_shared], numbers.astype(np.uint32)], axis=1)
+    links = np.stack([mesh.triangles[shared], numbers.astype(np.uint32)], axis=1)
     np.save(folder / _LINKS, links)
     n_own = int(np.count_nonzero(is_own))
     return {"closed": n_own - len(open_labels), "open": len(open_labels)}

@@ -87,6 +87,12 @@ def tile_records(scratch: Scratch, tile: int) -> Numbers:
     return records
 
 
+def tile_faces(scratch: Scratch, tile: int) -> tuple[Numbers, Numbers]:
+    """The same as numbers (m,) of the triangles and new numbers (m, 3) of their corners."""
+    records = tile_records(scratch, tile)
+    return records[:, 0].copy(), records[:, 1:].copy()
+
+
 def read_positions(scratch: Scratch, start: int, stop: int) -> NDArray[Any]:
     """The positions (stop - start, 3) of a range of new numbers, as the file stores them."""
     mapped = scratch.array(_POSITIONS, load_plan(scratch).dtype, 3)

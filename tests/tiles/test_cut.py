@@ -61,8 +61,7 @@ def check(mesh: FakeMesh, scratch: Scratch, n_tiles: int) -> None:
     # Every face is in the tiles of its corners, once, in ascending order.
     ids = numbers[mesh.faces]
     for tile in range(n_tiles):
-        records = cut.tile_records(scratch, tile)
-        triangles, corners = records[:, 0], records[:, 1:]
+        triangles, corners = cut.tile_faces(scratch, tile)
         wanted = np.flatnonzero((tile_of[ids] == tile).any(axis=1))
         assert triangles.tolist() == wanted.tolist()
         assert corners.tolist() == ids[wanted].tolist()
