@@ -109,8 +109,8 @@ def defects_of(scratch: Scratch) -> Defects:
         boundary_edges=counts["boundary"],
         non_manifold_edges=counts["non_manifold"],
         inconsistent_edges=counts["inconsistent"],
-        turned_faces=0,
-        unorientable_parts=0,
+        turned_faces=counts["turned"],
+        unorientable_parts=counts["unorientable"],
         components=counts["components"],
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,9 @@ from msal_cli.kernels.connectivity import Connectivity
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints
+
+TURNED = "turned.npy"
+"""The faces after some were turned; those of ``links`` stay as they were, as in memory."""
 
 _COUNTS, _STATE = "counts.json", "state"
 
@@ -54,6 +57,13 @@ class TileMesh:
 
     @staticmethod
     def load(folder: Path) -> TileMesh:
+        """What ``save`` wrote, its faces turned where that was necessary."""
+        mesh = TileMesh.load_unturned(folder)
+        turned = folder / TURNED
+        return replace(mesh, faces=load_array(turned)) if turned.exists() else mesh
+
+    @staticmethod
+    def load_unturned(folder: Path) -> TileMesh:
         """What ``save`` wrote."""
 
         def read(name: str) -> Any:

@@ -16,7 +16,7 @@ import numpy as np
 
 from msal_cli import methods
 from msal_cli.auto import NONE
-from msal_cli.errors import InternalError, UnsupportedError
+from msal_cli.errors import InternalError
 from msal_cli.kernels import exact_sum
 from msal_cli.kernels.whole import Pending, Whole, combine
 from msal_cli.mesh import Mesh
@@ -66,19 +66,13 @@ def reduce_prepare(scratch: Scratch) -> None:
     """Add counts and the mean edge length of the whole mesh to what all tasks know."""
     results = {tile: one for tile, one in scratch.results("prepare").items() if one["own"]}
     counts = {name: sum(one[name] for one in results.values()) for name in _COUNTS}
-    if counts["inconsistent"]:
-        raise UnsupportedError(
-            f"faces are wound against each other at {counts['inconsistent']:,} edges, which a mesh "
-            "that is denoised by tiles must not have",
-            hint="turn the faces of the mesh one way, or denoise it in memory",
-        )
     folders = (scratch.tile_folder(tile) for tile in results)
     components = borders.join_parts(folders, [one["parts"] for one in results.values()])
     mean = exact_sum.combine_means(one["edges"] for one in results.values())
     scratch.create(MOVED, np.float64, (load_plan(scratch).n_vertices, 3))
     write_globals(
         scratch,
-        counts=counts | {"components": components},
+        counts=counts | {"components": components, "turned": 0, "unorientable": 0},
         known={MEAN_EDGE_LENGTH: mean},
     )
 
