@@ -25,9 +25,7 @@ def _join_faces(corners, following, own, parent, parity, twisted):
         end = corners[side + 1 if side % 3 < 2 else side - 2]
         # Of an edge between vertices of others not all faces may be there.
         if own[start] or own[end]:
-            join_patches(
-                parent, parity, twisted, side // 3, other // 3, start == corners[other]
-            )
+            join_patches(parent, parity, twisted, side // 3, other // 3, start == corners[other])
 
 
 @compiled
@@ -80,9 +78,7 @@ def patch_faces(faces: Ints, links: Connectivity, own: Flags) -> tuple[Ints, Fla
     return patches.read()
 
 
-def join_pieces(
-    count: int, one: Ints, other: Ints, opposed: Flags
-) -> tuple[Ints, Flags, Flags]:
+def join_pieces(count: int, one: Ints, other: Ints, opposed: Flags) -> tuple[Ints, Flags, Flags]:
     """The same for ``count`` items, of which those of pairs (k,) are joined, ``opposed`` or not."""
     patches = _Patches(count)
     _join_items(one, other, opposed, *patches.state)

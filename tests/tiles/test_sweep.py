@@ -98,6 +98,7 @@ def test_useless_vertices_and_faces(monkeypatch, tmp_path):
     mesh.faces = faces[rng.permutation(len(faces))].astype(np.uint32)
     check_same(monkeypatch, tmp_path, mesh)
     mesh.faces = np.concatenate([mesh.faces, np.roll(doubled, 1, axis=1)]).astype(np.uint32)
+    check_same(monkeypatch, tmp_path / "doubled", mesh, "msal")
 
 
 def test_parts_are_counted_across_tiles(monkeypatch, tmp_path):
