@@ -24,12 +24,14 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Longs
 from msal_cli.codecs.streamed_mesh import FaceChunk
-from msal_cli.errors import InternalError, TooLargeError
+from msal_cli.errors import TooLargeError
 from msal_cli.kernels import tile_cut
+from msal_cli.kernels.corner_welding import measure_back
 from msal_cli.kernels.tile_cut import RECORD_WORDS, TileRanges
+from msal_cli.kernels.welding import first_alike
 from msal_cli.mesh import bounds, no_faces_error
 from msal_cli.tiles import source as sources
-from msal_cli.tiles.plan import TilePlan, read_globals, write_globals
+from msal_cli.tiles.plan import TilePlan, load_plan, read_globals, write_globals
 from msal_cli.tiles.scratch import Scratch
 
 LARGEST_NUMBER = 2**32 - 2
@@ -66,22 +68,36 @@ def tile_ranges(scratch: Scratch) -> TileRanges:
     return TileRanges.build(read_globals(scratch)["tile_starts"])
 
 
+def tile_records(scratch: Scratch, tile: int) -> Numbers:
+    """The faces (m, ``RECORD_WORDS``) that have a corner in a tile, ascending: the number of the
+    triangle and the new numbers of its corners, which are not welded."""
+    parts = [
+        scratch.read_range(f"{_FACES}/{chunk}.u4", np.uint32, start, stop, RECORD_WORDS)
+        for chunk, start, stop in _find_records(scratch, tile)
+    ]
+    if len(parts) == 1:
+        return parts[0]  # type: ignore[no-any-return]
+    return np.concatenate([np.empty((0, RECORD_WORDS), dtype=np.uint32), *parts])
+
+
 def tile_faces(scratch: Scratch, tile: int) -> tuple[Numbers, Numbers]:
-    """The faces that have a corner in a tile, ascending: numbers (m,) of the triangles and new
-    numbers (m, 3) of their corners, which are not welded."""
-    records = _read_records(scratch, tile)
+    """The same as numbers (m,) of the triangles and new numbers (m, 3) of their corners."""
+    records = tile_records(scratch, tile)
     return records[:, 0].copy(), records[:, 1:].copy()
 
 
 def read_positions(scratch: Scratch, start: int, stop: int) -> NDArray[Any]:
     """The positions (stop - start, 3) of a range of new numbers, as the file stores them."""
-    mapped = scratch.array(_POSITIONS, load_plan(scratch).dtype, 3)
-    return np.array(mapped[start:stop])
+    rows: NDArray[Any] = scratch.read_range(
+        _POSITIONS, load_plan(scratch).dtype, start, stop, columns=3
+    )
+    return rows
 
 
 def read_old_numbers(scratch: Scratch, start: int, stop: int) -> Numbers:
     """The vertices of the file (stop - start,) for a range of new numbers."""
-    return np.array(scratch.array(_OLD, np.uint32)[start:stop])
+    old: Numbers = scratch.read_range(_OLD, np.uint32, start, stop)
+    return old
 
 
 def is_welded(scratch: Scratch) -> bool:
@@ -96,14 +112,6 @@ def weld_numbers(scratch: Scratch, numbers: Numbers) -> Numbers:
         return numbers
     welded: Numbers = numbers - scratch.array(_BACK, np.uint32)[numbers]
     return welded
-
-
-def load_plan(scratch: Scratch) -> TilePlan:
-    """The plan of a run that has begun."""
-    plan = TilePlan.load(scratch)
-    if plan is None:
-        raise InternalError(f"{scratch.path} has no plan")
-    return plan
 
 
 # Stages
@@ -201,22 +209,22 @@ def reduce_faces(scratch: Scratch) -> None:
 
 def run_weld(scratch: Scratch, tile: int) -> dict[str, Any]:
     """Find vertices of a tile at one position, among those that are corners of faces."""
-    from msal_cli.kernels.welding import first_alike
-
     start, stop = tile_range(scratch, tile)
-    records = _read_records(scratch, tile)
-    used = tile_cut.mark_own(records, start, stop - start)
-    n_faces = len(records)
-    del records
-    n_welded = 0
-    if stop > start:
-        positions = read_positions(scratch, start, stop).astype(np.float64, copy=False)
-        first, n_welded = first_alike(positions, used)
-        del positions
-        if n_welded:
-            back = np.arange(stop - start, dtype=np.uint32) - first.view(np.uint32)
-            scratch.write_range(_BACK, start * back.itemsize, back)
-    return {"faces": n_faces, "used": int(np.count_nonzero(used)), "welded": n_welded}
+    n_own = stop - start
+    if not n_own:
+        return {"used": 0, "welded": 0}
+    positions = read_positions(scratch, start, stop)
+    if sources.open_source(load_plan(scratch).source).are_corners:
+        n_used = n_own
+        back, n_welded = measure_back(positions)
+    else:
+        used = tile_cut.mark_own(tile_records(scratch, tile), start, n_own)
+        n_used = int(np.count_nonzero(used))
+        first, n_welded = first_alike(positions.astype(np.float64, copy=False), used)
+        back = np.arange(n_own, dtype=np.uint32) - first.view(np.uint32)
+    if n_welded:
+        scratch.write_range(_BACK, start * back.itemsize, back)
+    return {"used": n_used, "welded": n_welded}
 
 
 def reduce_weld(scratch: Scratch) -> None:
@@ -239,27 +247,8 @@ def _label(plan: TilePlan, positions: NDArray[Any]) -> Numbers:
 
 
 def _read_row(scratch: Scratch, name: str, row: int, columns: int) -> Longs:
-    return np.array(scratch.array(name, np.int64, columns).reshape(-1, columns)[row])
-
-
-def _read_records(scratch: Scratch, tile: int) -> Numbers:
-    """The records (m, ``RECORD_WORDS``) of a tile's faces from the files of all chunks."""
-    parts = list(_find_records(scratch, tile))
-    n_records = sum(stop - start for _, start, stop in parts)
-    records = np.empty((n_records, RECORD_WORDS), dtype=np.uint32)
-    row = records[:1].nbytes or RECORD_WORDS * records.itemsize
-    at = 0
-    for chunk, start, stop in parts:
-        with open(scratch.path / _FACES / f"{chunk}.u4", "rb", buffering=0) as file:
-            file.seek(start * row)
-            view = records[at : at + stop - start].data.cast("B")
-            while len(view):
-                n_read = file.readinto(view)
-                if not n_read:
-                    raise InternalError(f"the faces of chunk {chunk} in scratch end too early")
-                view = view[n_read:]
-        at += stop - start
-    return records
+    values: Longs = scratch.read_range(name, np.int64, row * columns, (row + 1) * columns)
+    return values
 
 
 def _find_records(scratch: Scratch, tile: int) -> Iterator[tuple[int, int, int]]:

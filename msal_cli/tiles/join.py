@@ -25,8 +25,7 @@ from msal_cli.errors import InputError, InternalError, OutputError
 from msal_cli.storage import digests
 from msal_cli.storage.atomic import publish, write_whole
 from msal_cli.tiles import source as sources
-from msal_cli.tiles.cut import load_plan
-from msal_cli.tiles.plan import TilePlan
+from msal_cli.tiles.plan import TilePlan, load_plan
 from msal_cli.tiles.scratch import Scratch
 
 MOVED, NORMALS = "moved.f8", "normals.f8"

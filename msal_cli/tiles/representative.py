@@ -30,13 +30,12 @@ from msal_cli.mesh import Mesh, PreparedMesh, prepare_mesh
 from msal_cli.methods import Method
 from msal_cli.methods.blend import format_members, parse_levels, parse_members
 from msal_cli.tiles.cut import (
-    load_plan,
     read_old_numbers,
     read_positions,
     tile_faces,
     tile_range,
 )
-from msal_cli.tiles.plan import TilePlan, write_globals
+from msal_cli.tiles.plan import TilePlan, load_plan, write_globals
 
 if TYPE_CHECKING:
     from msal_cli.analysis.noise_estimate import NoiseLevel

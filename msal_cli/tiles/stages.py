@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from msal_cli.errors import InternalError
-from msal_cli.tiles.plan import TilePlan
+from msal_cli.tiles.plan import TilePlan, load_plan
 from msal_cli.tiles.scratch import Scratch
 
 TaskRef = tuple[str, str, int]
@@ -51,11 +51,14 @@ class _Steps:
     n_tasks : how many tasks it has.
     run : module and function of a task, called as ``run(scratch, index) -> result``.
     reduce : those of the reduction, called as ``reduce(scratch)``; empty if there is none.
+    is_needed : those of what says whether there is such a stage in this run, called as
+        ``is_needed(scratch)`` once the stages before it are finished; empty if there always is.
     """
 
     n_tasks: Callable[[TilePlan], int]
     run: str
     reduce: str = ""
+    is_needed: str = ""
 
 
 def _n_vertex_chunks(plan: TilePlan) -> int:
@@ -86,6 +89,8 @@ _STAGES = {
     "choose": _Steps(_one, "representative.run_choose", "representative.reduce_choose"),
     "rim": _Steps(_n_tiles, "halo.run_rim", "halo.reduce_rim"),
     "prepare": _Steps(_n_tiles, "sweep.run_prepare", "sweep.reduce_prepare"),
+    "wind": _Steps(_n_tiles, "windings.run_wind", "windings.reduce_wind", "windings.is_needed"),
+    "turn": _Steps(_n_tiles, "windings.run_turn", "windings.reduce_turn", "windings.is_needed"),
     "denoise": _Steps(_n_tiles, "sweep.run_denoise", "sweep.reduce_denoise"),
     "join": _Steps(_n_pieces, "join.run_join"),
 }
@@ -95,10 +100,12 @@ follows as long as the reduction of the one before says so."""
 
 def next_stage(scratch: Scratch) -> Stage | None:
     """The first stage that is not finished; None if all are."""
-    plan = _load_plan(scratch)
+    plan = load_plan(scratch)
     for kind, steps in _STAGES.items():
         name = _next_round(scratch) if kind == "denoise" else kind
         if name is None or scratch.stage_result(name) is not None:
+            continue
+        if steps.is_needed and not _find_function(steps.is_needed)(scratch):
             continue
         n_tasks = steps.n_tasks(plan)
         finished = scratch.finished(name)
@@ -129,7 +136,7 @@ def reduce_stage(scratch: Scratch, name: str) -> None:
     A reduction that was killed is repeated from the results of the tasks.
     """
     kind, arguments = _parse_name(name)
-    missing = _STAGES[kind].n_tasks(_load_plan(scratch)) - len(scratch.finished(name))
+    missing = _STAGES[kind].n_tasks(load_plan(scratch)) - len(scratch.finished(name))
     if missing:
         raise InternalError(f"stage {name} is reduced before {missing} of its tasks are finished")
     again = False
@@ -148,13 +155,6 @@ def run_here(scratch: Scratch, on_progress: OnProgress | None = None) -> None:
         reduce_stage(scratch, stage.name)
         if on_progress is not None:
             on_progress(stage.name, stage.n_tasks, stage.n_tasks)
-
-
-def _load_plan(scratch: Scratch) -> TilePlan:
-    plan = TilePlan.load(scratch)
-    if plan is None:
-        raise InternalError(f"{scratch.path} has no plan")
-    return plan
 
 
 def _next_round(scratch: Scratch) -> str | None:

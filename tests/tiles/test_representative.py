@@ -17,8 +17,7 @@ from msal_cli.job.records import ChoiceMade, NoiseEstimate
 from msal_cli.job.settings import ADAPTIVE, AUTO, Settings
 from msal_cli.mesh import Mesh, prepare_mesh
 from msal_cli.tiles import representative
-from msal_cli.tiles.cut import load_plan
-from msal_cli.tiles.plan import read_globals
+from msal_cli.tiles.plan import load_plan, read_globals
 from tests.shapes import grid, torus
 from tests.tiles.fakes import FakeMesh, open_fake, run_stages
 
