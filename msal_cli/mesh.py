@@ -349,6 +349,15 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
     return PreparedMesh(mesh, origin, vertex_map, defects)
 
 
+def no_faces_error() -> ContentError:
+    """What is wrong with a file that has no faces."""
+    return ContentError(
+        "the file has no faces",
+        code="E_NO_FACES",
+        hint="msal denoises surfaces; make a mesh of the point cloud first",
+    )
+
+
 def _is_within(faces: Ints, n_vertices: int) -> bool:
     """Whether all indices go from 0 to ``n_vertices`` - 1."""
     if faces.dtype == np.int32:
@@ -381,11 +390,7 @@ def _validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple
     if faces.ndim != 2 or faces.shape[1] != 3:
         raise ContentError(f"faces have shape {faces.shape}, not (m, 3)")
     if not len(faces):
-        raise ContentError(
-            "the file has no faces",
-            code="E_NO_FACES",
-            hint="msal denoises surfaces; make a mesh of the point cloud first",
-        )
+        raise no_faces_error()
     if len(faces) > MOST_FACES:
         raise TooLargeError(
             f"the mesh has {len(faces):,} triangles, more than the {MOST_FACES:,} that fit",

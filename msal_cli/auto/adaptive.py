@@ -24,16 +24,16 @@ from msal_cli.arrays import Floats
 from msal_cli.auto.blend_weights import FLOOR
 from msal_cli.auto.candidates import Candidate, wiener_al
 from msal_cli.auto.choices import build_recipe, describe_noise
-from msal_cli.auto.levels import FEWEST_JUDGED, RELAX, level_masks, spread_levels
+from msal_cli.auto.levels import FEWEST_JUDGED, RELAX, level_masks, may_follow, spread_levels
 from msal_cli.auto.noise_model import ISOTROPIC, NoiseModel, build_model
 from msal_cli.auto.risk import DRAWN, SteinRisk
 from msal_cli.auto.sample_patch import Part, select_patch
 from msal_cli.auto.trials import CandidateRuns
-from msal_cli.auto.wishes import FAMILY, NONE, Choice
+from msal_cli.auto.wishes import FAMILY, NONE, Choice, allow_all
 from msal_cli.methods._triangles import even_out
 
 if TYPE_CHECKING:
-    from msal_cli.auto.wishes import OnStep
+    from msal_cli.auto.wishes import Allowed, OnStep
     from msal_cli.mesh import Mesh
 
 
@@ -53,18 +53,21 @@ MARGIN = 0.1
 usual one: as much as one probe scatters."""
 
 
-def choose_adaptive(mesh: Mesh, on_step: OnStep | None = None) -> Choice:
+def choose_adaptive(
+    mesh: Mesh, on_step: OnStep | None = None, is_allowed: Allowed = allow_all
+) -> Choice:
     """Parameters for ``mesh`` within the family of equation (2), or none.
 
-    The choice depends on the mesh alone.
+    The choice depends on the mesh alone, and on what ``is_allowed``: the family always is, and
+    weights by local noise may not be.
     """
     step = on_step or (lambda done, total: None)
-    choice = _choose(mesh, step)
+    choice = _choose(mesh, step, is_allowed)
     step(1, 1)
     return choice
 
 
-def _choose(mesh: Mesh, on_step: OnStep) -> Choice:
+def _choose(mesh: Mesh, on_step: OnStep, is_allowed: Allowed) -> Choice:
     noise = estimate_noise(mesh)
     n_used = int(np.count_nonzero(mesh.topology.has_ring))
     if n_used < FEWEST_VERTICES:
@@ -77,7 +80,7 @@ def _choose(mesh: Mesh, on_step: OnStep) -> Choice:
         made = build_recipe([candidate], np.ones((1, 1)), round(noise.high, 4))
         reason = f"{what}; {made.label}"
         return Choice(made.method, made.parameters, reason, None, noise, among=FAMILY)
-    return _choose_by_risk(mesh, noise, on_step)
+    return _choose_by_risk(_build_case(mesh, noise, is_allowed), noise, on_step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +104,14 @@ class _Case:
     relax: int
 
 
-def _build_case(mesh: Mesh, noise: NoiseLevel) -> _Case:
+def _build_case(mesh: Mesh, noise: NoiseLevel, is_allowed: Allowed) -> _Case:
     model = build_model(mesh, noise)
     relax, local = 0, np.empty(0)
     levels: tuple[float, ...] = ()
     # Trust scales the pull of one method, not a blend.
     if mesh.trust is None:
         relax = RELAX if model.direction == ISOTROPIC else 0
-        if model.shares is not None:
+        if model.shares is not None and may_follow(is_allowed):
             local = local_levels(mesh)
             levels = spread_levels(local[mesh.topology.has_ring])
     model = model.along_normals() if model.direction == ISOTROPIC else model
@@ -119,8 +122,7 @@ def _build_case(mesh: Mesh, noise: NoiseLevel) -> _Case:
     return _Case(base, model, edges, local, levels, relax)
 
 
-def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep) -> Choice:
-    case = _build_case(mesh, noise)
+def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep) -> Choice:
     mesh = case.mesh
     candidates = _candidates(mesh, case.edges, case.model.rings)
     what = describe_noise(noise)

@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from msal_cli import methods
 from msal_cli.arrays import Flags, Floats
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from msal_cli.auto.sample_patch import Part
+    from msal_cli.auto.wishes import Allowed
 
 
 QUANTILES = (0.1, 0.5, 0.9)
@@ -26,6 +28,15 @@ FEWEST_JUDGED = 200
 RELAX = 2
 """Passes that even out triangles where noise is in all directions: more hardly help, and move
 vertices from their places."""
+
+EXAMPLE = {"members": "0.5:1*al", "levels": "0:1"}
+"""A blend whose weights follow local noise."""
+
+
+def may_follow(is_allowed: Allowed) -> bool:
+    """Whether blends whose weights follow local noise are allowed."""
+    blend = methods.find("blend")
+    return is_allowed(blend, blend.validate(EXAMPLE))
 
 
 def spread_levels(local: Floats) -> tuple[float, ...]:

@@ -28,7 +28,7 @@ from msal_cli.arrays import Flags, Floats
 from msal_cli.auto.blend_weights import FLOOR, best_weights, round_weights
 from msal_cli.auto.candidates import CANDIDATES, FARTHER, LEARNED, ROBUST, SMOOTHER, Candidate
 from msal_cli.auto.choices import SHAPE, STRENGTH, build_recipe, choose_least, describe_noise
-from msal_cli.auto.levels import FEWEST_JUDGED, RELAX, level_masks, spread_levels
+from msal_cli.auto.levels import FEWEST_JUDGED, RELAX, level_masks, may_follow, spread_levels
 from msal_cli.auto.noise_model import ISOTROPIC, build_model
 from msal_cli.auto.risk import DEALT, DRAWN, MIRRORED, PROBES, Risk, SimulatedRisk, SteinRisk
 from msal_cli.auto.sample_patch import Part, select_patch
@@ -41,14 +41,14 @@ from msal_cli.auto.surface_kind import (
     surface_kind,
 )
 from msal_cli.auto.trials import CandidateRuns
-from msal_cli.auto.wishes import NONE, Choice, Wishes
+from msal_cli.auto.wishes import NONE, Choice, Wishes, allow_all
 from msal_cli.mesh import Mesh
 from msal_cli.methods._triangles import even_out
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from msal_cli.auto.wishes import OnStep
+    from msal_cli.auto.wishes import Allowed, OnStep
 
 
 RUN = 1.7
@@ -116,25 +116,32 @@ _DRIFT = {"volume": 1000.0}
 _KEEP = {"texture": (0.9, 0.5), "edges": (1.0, 0.7), "shape": (SHAPE, 0.4)}
 
 
-def search(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
+def search(
+    mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None, is_allowed: Allowed = allow_all
+) -> Choice:
     """The best method or blend for ``mesh``; see ``auto.choose_method``."""
     noise = estimate_noise(mesh)
     if noise.is_negligible or not mesh.topology.has_ring.any():
         if on_step is not None:
             on_step(1, 1)
         return choose_least(noise, wishes, CLEAN, CLEAN)
-    return _Search(mesh, wishes, noise, on_step).choose()
+    return _Search(mesh, wishes, noise, on_step, is_allowed).choose()
 
 
 class _Search:
     """One search: what is known of the mesh, and the budget that is left."""
 
     def __init__(
-        self, mesh: Mesh, wishes: Wishes, noise: NoiseLevel, on_step: OnStep | None
+        self,
+        mesh: Mesh,
+        wishes: Wishes,
+        noise: NoiseLevel,
+        on_step: OnStep | None,
+        is_allowed: Allowed,
     ) -> None:
         self.levels: tuple[float, ...]
         self.mesh, self.wishes, self.noise = mesh, wishes, noise
-        self._on_step = on_step
+        self._on_step, self._is_allowed = on_step, is_allowed
         self.is_impulsive = noise.is_impulsive
         self.added = DEALT if self.is_impulsive else DRAWN
         edges = noise.rms_edges if self.is_impulsive else noise.mean_edges
@@ -162,7 +169,7 @@ class _Search:
             self.model = self.model.along_normals()
         # Of the mesh as the blend gets it, and without the wishes.
         self.local, self.levels = np.empty(0), ()
-        if self.model.shares is not None and mesh.trust is None:
+        if self.model.shares is not None and mesh.trust is None and may_follow(is_allowed):
             self.local = local_levels(mesh)
             self.levels = spread_levels(self.local[mesh.topology.has_ring])
         self._whole: CandidateRuns | None = None
@@ -338,9 +345,11 @@ class _Search:
     def _is_usable(self, candidate: Candidate) -> bool:
         """Whether one may be chosen: its run over the mesh fits, and trust has an effect."""
         spare = self.allowance * (1.0 - SEARCH)
+        method = methods.find(candidate.method)
         if self.mesh.trust is not None:
-            method = methods.find(candidate.method)
             return method.has_data_term(method.validate(candidate.given))
+        if not self._is_allowed(method, method.validate(candidate.settings(WEAK))):
+            return False
         return candidate.cost * len(self.mesh.vertices) <= spare
 
     def _noise_edges(self, mesh: Mesh) -> float:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.codecs.detection import OWN_FORMATS, content_format, format_of_name, readable_suffixes
+from msal_cli.codecs.detection import resolve_format
 from msal_cli.codecs.mesh_file import MeshFile, Surface
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import UnsupportedError
 from msal_cli.storage.buffers import Buffer
-from msal_cli.storage.gzip_streams import is_gzip_name
 
 if TYPE_CHECKING:
     from msal_cli.codecs.mesh_file import Companion
@@ -42,17 +40,7 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
         for a file that is not what it should be; a content of another format than the name says
         is a FormatError.
     """
-    wanted = _wanted(data, name, format)
-    if not len(data):
-        raise TruncatedError("the file is empty", hint="copy or export it again")
-    found = content_format(data, wanted)
-    if found and found != wanted and (wanted in OWN_FORMATS or found != "obj"):
-        said = "--format" if format else "the name"
-        raise FormatError(
-            f"this is {_article(found)} {found.upper()} file, but {said} says {wanted.upper()}",
-            where="byte 0",
-            hint=f"rename the file to .{found}, or pass --format {found}",
-        )
+    wanted = resolve_format(data, name, format)
     # Codecs are imported where they are used, so that one bad format costs only its own time.
     if wanted == "ply":
         from msal_cli.codecs import ply
@@ -81,43 +69,6 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
     from msal_cli.codecs import library_formats as other
 
     return other.read(data, wanted)
-
-
-def _wanted(data: Buffer, name: str, format: str | None) -> str:
-    """The format to read, by the option, the suffix or, where there is no suffix, the content."""
-    known = tuple(suffix[1:] for suffix in readable_suffixes())
-    if format is not None:
-        wanted = format.lower().removeprefix(".")
-        if wanted not in known:
-            raise UnsupportedError(
-                f"the format {format!r} is not known", hint=f"known are: {', '.join(known)}"
-            )
-        return wanted
-    wanted = format_of_name(name)
-    if wanted:
-        return wanted
-    found = content_format(data) if len(data) else ""
-    stem = name[: -len(".gz")] if is_gzip_name(name) else name
-    suffix = re.search(r"[^./\\](\.[^./\\]+)$", stem)
-    if suffix:
-        raise UnsupportedError(
-            f"files that end in {suffix[1]!r} are not read",
-            hint=f"it looks like {found.upper()}; pass --format {found}"
-            if found
-            else f"known are: {', '.join(known)}",
-        )
-    if not len(data):
-        raise TruncatedError("the input is empty", hint="check the program that writes it")
-    if not found:
-        raise FormatError(
-            "neither a suffix nor the content says which format this is",
-            hint=f"pass --format with one of: {', '.join(known)}",
-        )
-    return found
-
-
-def _article(format: str) -> str:
-    return "an" if format[0] in "aeiomsfx" and format not in ("mesh", "med", "fem") else "a"
 
 
 def convert(

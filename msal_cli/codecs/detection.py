@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import is_gzip_name
 from msal_cli.storage.limits import LOOKED_AT
@@ -63,19 +64,21 @@ def format_of_name(name: str) -> str:
     return suffix[0][1:].lower() if suffix and known else ""
 
 
-def content_format(data: Buffer, expected: str = "") -> str:
+def content_format(data: Buffer, expected: str = "", size: int | None = None) -> str:
     """The format that the bytes themselves look like; empty if it is not known.
 
     ``expected`` is the format that the name says.  An OBJ is known by all of its lines, which takes
-    longer than the rest, so that where one is expected its reader has to find out.
+    longer than the rest, so that where one is expected its reader has to find out.  ``size`` is
+    that of the file where ``data`` is only its beginning.
     """
     head = bytes(memoryview(data)[:LOOKED_AT])
-    if len(data) >= 134 and len(data) == 84 + 50 * int.from_bytes(head[80:84], "little"):
+    size = len(data) if size is None else size
+    if size >= 134 and size == 84 + 50 * int.from_bytes(head[80:84], "little"):
         return "stl"
     for pattern, name in _BEGINNINGS:
         if re.match(pattern, head):
             return name
-    is_obj = expected != "obj" and _looks_like_obj(head, is_cut=len(data) > LOOKED_AT)
+    is_obj = expected != "obj" and _looks_like_obj(head, is_cut=size > LOOKED_AT)
     return "obj" if is_obj else ""
 
 
@@ -89,3 +92,66 @@ def _looks_like_obj(head: bytes, *, is_cut: bool) -> bool:
     return re.search(_OBJ_VERTEX, head) is not None and all(
         re.fullmatch(_OBJ_LINE, line.strip()) for line in lines
     )
+
+
+def resolve_format(data: Buffer, name: str, format: str | None, size: int | None = None) -> str:
+    """The format to read a file in, which its content agrees with; parameters as of ``open_mesh``.
+
+    ``size`` is that of the file where ``data`` is only its beginning.
+
+    Raises
+    ------
+    UnsupportedError
+        for a format that is not known.
+    FormatError, TruncatedError
+        for a content of another format than the name says, and for an empty file.
+    """
+    wanted = _wanted(data, name, format)
+    if not len(data):
+        raise TruncatedError("the file is empty", hint="copy or export it again")
+    found = content_format(data, wanted, size)
+    if found and found != wanted and (wanted in OWN_FORMATS or found != "obj"):
+        said = "--format" if format else "the name"
+        raise FormatError(
+            f"this is {_article(found)} {found.upper()} file, but {said} says {wanted.upper()}",
+            where="byte 0",
+            hint=f"rename the file to .{found}, or pass --format {found}",
+        )
+    return wanted
+
+
+def _wanted(data: Buffer, name: str, format: str | None) -> str:
+    """The format to read, by the option, the suffix or, where there is no suffix, the content."""
+    known = tuple(suffix[1:] for suffix in readable_suffixes())
+    if format is not None:
+        wanted = format.lower().removeprefix(".")
+        if wanted not in known:
+            raise UnsupportedError(
+                f"the format {format!r} is not known", hint=f"known are: {', '.join(known)}"
+            )
+        return wanted
+    wanted = format_of_name(name)
+    if wanted:
+        return wanted
+    found = content_format(data) if len(data) else ""
+    stem = name[: -len(".gz")] if is_gzip_name(name) else name
+    suffix = re.search(r"[^./\\](\.[^./\\]+)$", stem)
+    if suffix:
+        raise UnsupportedError(
+            f"files that end in {suffix[1]!r} are not read",
+            hint=f"it looks like {found.upper()}; pass --format {found}"
+            if found
+            else f"known are: {', '.join(known)}",
+        )
+    if not len(data):
+        raise TruncatedError("the input is empty", hint="check the program that writes it")
+    if not found:
+        raise FormatError(
+            "neither a suffix nor the content says which format this is",
+            hint=f"pass --format with one of: {', '.join(known)}",
+        )
+    return found
+
+
+def _article(format: str) -> str:
+    return "an" if format[0] in "aeiomsfx" and format not in ("mesh", "med", "fem") else "a"

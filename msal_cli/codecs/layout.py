@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.codecs.frames import transform
@@ -111,10 +113,12 @@ def build_vertices(layout: Layout) -> Floats:
     )
 
 
-def require_finite(vertices: Floats, where: Callable[[int], str] = "vertex {}".format) -> None:
+def require_finite(
+    vertices: NDArray[Any], where: Callable[[int], str] = "vertex {}".format, first: int = 0
+) -> None:
     """Raise ContentError (``E_NONFINITE``) where a position (n, 3) is NaN or infinite.
 
-    ``where`` says in words where a vertex is stored.
+    ``where`` says in words where a vertex is stored, ``first`` is the number of the first one.
     """
     # A sum is finite only if all are, and quicker; it may overflow, too.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -122,7 +126,7 @@ def require_finite(vertices: Floats, where: Callable[[int], str] = "vertex {}".f
             return
     is_finite = np.isfinite(vertices).all(axis=1)
     if not is_finite.all():
-        vertex = int(np.argmin(is_finite))
+        vertex = first + int(np.argmin(is_finite))
         raise ContentError(
             f"vertex {vertex} has a coordinate that is not a finite number",
             where=where(vertex),

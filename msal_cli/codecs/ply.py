@@ -25,8 +25,10 @@ from msal_cli.codecs.ply_description import (
     has_normals,
     precision_of,
     properties_of,
+    scalar_property,
     vertex_element,
     wanted_names,
+    warn_of_rest,
     warnings_of,
 )
 from msal_cli.codecs.ply_faces import Surface, find_surface
@@ -34,7 +36,6 @@ from msal_cli.codecs.ply_header import NORMAL, POSITION, Header, parsed
 from msal_cli.codecs.ply_sections import Section, located
 from msal_cli.codecs.slot_file import SlotFile, require_shape
 from msal_cli.codecs.slots import Slots, require_range
-from msal_cli.errors import InputError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
 
@@ -110,7 +111,7 @@ def parse(data: Buffer) -> PlyLayout:
             *warnings_of(header, vertex),
             *found.warnings,
             *((_STREAM_WARNING,) if is_stream else ()),
-            *((f"{n_behind} bytes behind the last element are kept as they are",) * bool(n_behind)),
+            *((warn_of_rest(n_behind),) * bool(n_behind)),
         ),
         header=header,
         sections=sections,
@@ -156,15 +157,7 @@ class PlyFile(SlotFile):
         """The scalar property ``name`` of the vertices, (n,); InputError (``E_PROPERTY``) if there
         is none."""
         element = self._layout.sections["vertex"].element
-        one = element.find(name)
-        if one is None or one.is_list:
-            known = [each.name for each in element.properties if not each.is_list]
-            raise InputError(
-                f"the vertices have no property {name!r}"
-                + (" that is a number" if one is not None else ""),
-                code="E_PROPERTY",
-                hint=f"they have: {', '.join(known)}",
-            )
+        scalar_property(element, name)
         if name in POSITION + NORMAL:
             return self._layout.sections["vertex"].slots((name,)).values[:, 0]
         found, _ = located(

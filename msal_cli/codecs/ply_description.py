@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from msal_cli.codecs.ply_faces import CORNERS, corner_list
-from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header
-from msal_cli.errors import FormatError
+from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header, Property
+from msal_cli.errors import FormatError, InputError
 
 
 def wanted_names(element: Element) -> Sequence[str]:
@@ -41,6 +41,26 @@ def vertex_element(header: Header) -> Element:
                 f"the coordinate '{name}' of element 'vertex' {problem}", where="header"
             )
     return vertex
+
+
+def scalar_property(vertex: Element, name: str) -> Property:
+    """The property ``name`` of the vertices; InputError (``E_PROPERTY``) if there is none that is
+    a number."""
+    one = vertex.find(name)
+    if one is None or one.is_list:
+        known = [each.name for each in vertex.properties if not each.is_list]
+        raise InputError(
+            f"the vertices have no property {name!r}"
+            + (" that is a number" if one is not None else ""),
+            code="E_PROPERTY",
+            hint=f"they have: {', '.join(known)}",
+        )
+    return one
+
+
+def warn_of_rest(n_behind: int) -> str:
+    """What a user should know of bytes that no element has."""
+    return f"{n_behind} bytes behind the last element are kept as they are"
 
 
 def precision_of(header: Header, vertex: Element) -> str:

@@ -149,19 +149,20 @@ def find_surface(sections: Mapping[str, Section], n_vertices: int) -> Surface:
     name = corner_list(faces.element) if faces is not None else ""
     if faces is not None and name:
         if all(faces.element.find(one) for one in CORNERS):
-            warnings.append(f"faces have both {CORNERS[0]} and {CORNERS[1]}; {name} is used")
+            warnings.append(warn_of_two_lists(name))
         triangles, lengths = _polygon_triangles(faces, name, n_vertices)
         few = faces.element.count if isinstance(lengths, int) else int((lengths < 3).sum())
         if isinstance(lengths, int) and lengths >= 3:
             few = 0
         if few:
-            warnings.append(f"{few} faces have fewer than three corners and are only carried along")
+            warnings.append(warn_of_few(few))
     strip_section = sections.get("tristrips")
     strip_name = corner_list(strip_section.element) if strip_section is not None else ""
     if strip_section is not None and strip_name:
         strips = _strip_triangles(strip_section, strip_name, n_vertices)
     if not len(triangles) and not len(strips):
-        raise _no_faces(sections, n_vertices)
+        face = sections.get("face")
+        raise no_faces(face.element if face is not None else None, n_vertices)
     return Surface(
         triangles=np.concatenate([triangles, strips]) if len(strips) else triangles,
         lengths=lengths,
@@ -173,16 +174,26 @@ def find_surface(sections: Mapping[str, Section], n_vertices: int) -> Surface:
     )
 
 
-def _no_faces(sections: Mapping[str, Section], n_vertices: int) -> ContentError:
-    face = sections.get("face")
-    if face is not None and face.element.count and not corner_list(face.element):
+def warn_of_few(n_few: int) -> str:
+    """What a user should know of faces that have no triangle."""
+    return f"{n_few} faces have fewer than three corners and are only carried along"
+
+
+def warn_of_two_lists(name: str) -> str:
+    """What a user should know of faces with two lists, of which ``name`` is read."""
+    return f"faces have both {CORNERS[0]} and {CORNERS[1]}; {name} is used"
+
+
+def no_faces(face: Element | None, n_vertices: int) -> ContentError:
+    """The error for a file without triangles; ``face`` is its element of that name."""
+    if face is not None and face.count and not corner_list(face):
         return ContentError(
             "the faces have no list 'vertex_indices' or 'vertex_index'",
             where="element face",
             hint="export the mesh with its faces' corners under one of these names",
             code="E_NO_FACES",
         )
-    if face is not None and face.element.count:
+    if face is not None and face.count:
         return ContentError(
             "no face has three corners or more", where="element face", code="E_NO_FACES"
         )
@@ -209,7 +220,7 @@ def _polygon_triangles(
     # Seen as unsigned, a negative index is a very large one.
     if len(corners) and int(corners.view(np.uint32).max()) >= n_vertices:
         at = int(np.argmax(corners.view(np.uint32) >= n_vertices))
-        raise _bad_index(section, name, at, n_vertices)
+        raise bad_index(section, name, at, n_vertices)
     if not isinstance(lengths, int):
         from msal_cli.kernels.ply_scan import fans
 
@@ -236,7 +247,7 @@ def _strip_triangles(section: Section, name: str, n_vertices: int) -> Triangles:
     # -1 ends a strip; as an unsigned 32-bit number it is the largest one.
     beyond = (corners.view(np.uint32) >= n_vertices) & (corners != -1)
     if beyond.any():
-        raise _bad_index(section, name, int(np.argmax(beyond)), n_vertices)
+        raise bad_index(section, name, int(np.argmax(beyond)), n_vertices)
     triangles = np.empty((len(corners), 3), dtype=np.int32)
     count = unrolled_strips(corners, lengths, triangles)
     return triangles[:count].copy()
@@ -249,8 +260,7 @@ def _as_indices(items: NDArray[np.generic], section: Section, name: str) -> Tria
         values = items.astype(np.float64)
         whole = np.isfinite(values) & (np.rint(values) == values)
         if not whole.all():
-            record = _record_of(section, name, int(np.argmin(whole.reshape(-1))))
-            raise FormatError("a corner is not a whole number", where=section.where(record))
+            raise broken_index(section, name, int(np.argmin(whole.reshape(-1))))
         items = np.clip(values, -2.0, 2.0**31 - 1.0)
     elif size == 8 and items.size:
         items = items.astype(items.dtype.newbyteorder("="), copy=False)
@@ -270,8 +280,18 @@ def _record_of(section: Section, name: str, item: int) -> int:
     return int(np.searchsorted(np.cumsum(lengths), item, side="right"))
 
 
-def _bad_index(section: Section, name: str, item: int, n_vertices: int) -> ContentError:
-    record = _record_of(section, name, item)
+def broken_index(section: Section, name: str, item: int, first: int = 0) -> FormatError:
+    """The error for a list item that is no whole number; ``first`` is the section's first record
+    in the file."""
+    record = first + _record_of(section, name, item)
+    return FormatError("a corner is not a whole number", where=section.where(record))
+
+
+def bad_index(
+    section: Section, name: str, item: int, n_vertices: int, first: int = 0
+) -> ContentError:
+    """The error for a list item that is no vertex; ``first`` as in ``broken_index``."""
+    record = first + _record_of(section, name, item)
     value = section.items(name)[0].reshape(-1)[item].item()
     return ContentError(
         f"{section.element.name} {record} names vertex {value}, but the vertices go from 0 to "

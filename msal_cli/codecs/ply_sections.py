@@ -214,12 +214,7 @@ def _records(
         ):
             return fixed
     elif not counts:
-        missing = size - (len(data) - at)
-        raise TruncatedError(
-            f"the file ends within element '{element.name}': {missing} bytes are missing",
-            where=f"{element.name} {(len(data) - at) // stride}",
-            hint=CUT_HINT,
-        )
+        raise cut_off(element, stride, len(data) - at)
     return _varied(data, header, element, at, wanted)
 
 
@@ -249,19 +244,39 @@ def _varied(
         starts,
         lengths,
     )
-    place = f"{element.name} {records}"
     if status == BAD_COUNT:
-        raise FormatError(
-            f"the list '{listed[which].name}' of {place} has a negative count",
-            where=place,
-            hint="the file is damaged, or an element before this one is not what the header says",
-        )
+        raise negative_count(element, records, which)
     if status == CUT:
-        missing = int(items) * int(size) - (len(data) - int(stop))
-        raise TruncatedError(
-            f"the file ends within element '{element.name}': {place} of {element.count} needs at "
-            f"least {missing} more bytes",
-            where=place,
-            hint=CUT_HINT,
-        )
+        raise cut_within(element, records, int(items) * int(size) - (len(data) - int(stop)))
     return Varied(data, element, header.byte_order, at, stop, columns, starts, lengths)
+
+
+def cut_off(element: Element, stride: int, n_bytes: int) -> TruncatedError:
+    """The error for ``n_bytes`` of an element whose records have ``stride`` bytes each."""
+    missing = element.count * stride - n_bytes
+    return TruncatedError(
+        f"the file ends within element '{element.name}': {missing} bytes are missing",
+        where=f"{element.name} {n_bytes // stride}",
+        hint=CUT_HINT,
+    )
+
+
+def cut_within(element: Element, record: int, missing: int) -> TruncatedError:
+    """The error for a record of which at least ``missing`` bytes are not there."""
+    place = f"{element.name} {record}"
+    return TruncatedError(
+        f"the file ends within element '{element.name}': {place} of {element.count} needs at "
+        f"least {missing} more bytes",
+        where=place,
+        hint=CUT_HINT,
+    )
+
+
+def negative_count(element: Element, record: int, which: int) -> FormatError:
+    """The error for a list, the property of that number, of fewer than no items."""
+    place = f"{element.name} {record}"
+    return FormatError(
+        f"the list '{element.properties[which].name}' of {place} has a negative count",
+        where=place,
+        hint="the file is damaged, or an element before this one is not what the header says",
+    )

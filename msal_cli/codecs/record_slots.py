@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,11 +109,15 @@ class Strided(RecordSlots):
 
     def read(self, data: Bytes, origin: int = 0) -> Floats:
         values = np.empty((self.count, len(self.codes)))
+        self.read_into(data, values, origin)
+        return values
+
+    def read_into(self, data: Bytes, values: NDArray[Any], origin: int = 0) -> None:
+        """Store what ``read`` returns in ``values`` (n, k), of any type."""
         # A signalling NaN is reported elsewhere, as what it is.
         with np.errstate(invalid="ignore"):
             for columns, view in self._views(data, origin):
                 values[:, columns] = view
-        return values
 
     def write(self, out: Bytes, values: Floats, where: Flags, origin: int = 0) -> None:
         for columns, view in self._views(out, origin):

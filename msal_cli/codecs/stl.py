@@ -11,7 +11,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats
+from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs import stl_ascii
 from msal_cli.codecs.slot_file import require_finite_result, require_shape
 from msal_cli.codecs.slots import require_range
@@ -119,14 +119,19 @@ def _read_binary(data: Buffer, count: int) -> StlFile:
     vertices, faces, bad = weld_corners(facets["corners"])
     if bad >= 0:
         raise not_finite(bad, int(np.isfinite(facets["corners"][bad]).argmin()) // 3)
-    warnings: list[str] = []
-    if trailing:
-        more = trailing // FACET.itemsize
-        warnings.append(
-            f"{trailing} bytes behind the last facet are kept as they are"
-            + (f"; they have room for {more} facets that the header does not count" if more else "")
-        )
-    return StlFile(data, vertices, faces, _properties(data, facets), tuple(warnings))
+    warnings = trailing_warning(trailing)
+    return StlFile(data, vertices, faces, _properties(data, facets), warnings)
+
+
+def trailing_warning(n_bytes: int) -> tuple[str, ...]:
+    """What a user should know of bytes that follow the last facet."""
+    if not n_bytes:
+        return ()
+    more = n_bytes // FACET.itemsize
+    return (
+        f"{n_bytes} bytes behind the last facet are kept as they are"
+        + (f"; they have room for {more} facets that the header does not count" if more else ""),
+    )
 
 
 def _facets(data: Buffer, count: int) -> NDArray[np.void]:
@@ -138,12 +143,18 @@ def _facets(data: Buffer, count: int) -> NDArray[np.void]:
 def _properties(data: Buffer, facets: NDArray[np.void]) -> tuple[str, ...]:
     """What a binary file has besides positions."""
     header = bytes(memoryview(data).cast("B")[:HEADER_BYTES])
-    found = []
     # Neither zero nor minus zero; most files tell in the first part.
     parts = (facets["normal"][at : at + _AT_ONCE] for at in range(0, len(facets), _AT_ONCE))
-    if any((part.view("<u4") & 0x7FFFFFFF).any() for part in parts):
+    has_normals = any((part.view("<u4") & 0x7FFFFFFF).any() for part in parts)
+    return colour_properties(header, has_normals, bool(facets["attribute"].any()))
+
+
+def colour_properties(header: bytes, has_normals: bool, has_words: bool) -> tuple[str, ...]:
+    """What a file with this header has besides positions, in words."""
+    found = []
+    if has_normals:
         found.append("facet normals")
-    if facets["attribute"].any():
+    if has_words:
         found.append("facet attribute words")
     if b"COLOR=" in header:
         found.append("colour in the header")
@@ -211,9 +222,6 @@ class StlFile(FacetFile):
 
     def check(self, output: Buffer, vertices: Floats) -> None:
         """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
-        from msal_cli.kernels import stl_check as facets
-        from msal_cli.kernels.parallel import over_ranges
-
         require_shape(vertices, self.vertices)
         require_finite_result(vertices)
         before, after = memoryview(self.data).cast("B"), memoryview(output).cast("B")
@@ -222,35 +230,7 @@ class StlFile(FacetFile):
         if before[self._end :] != after[self._end :]:
             raise InternalError("the bytes behind the last facet changed")
         old, new = _facets(self.data, self.n_polygons), _facets(output, self.n_polygons)
-        found: list[tuple[int, int]] = []
-
-        def look(start: int, stop: int) -> None:
-            found.append(
-                facets.check_facets(
-                    start,
-                    stop,
-                    self.vertices,
-                    vertices,
-                    self.faces,
-                    _words(old),
-                    _words(new),
-                    old["corners"],
-                    new["normal"],
-                    new["corners"],
-                )
-            )
-
-        over_ranges(look, self.n_polygons)
-        for facet, wrong in sorted(found):
-            if wrong != facets.RIGHT:
-                raise InternalError(
-                    {
-                        facets.CORNER: "a corner was not written right",
-                        facets.NORMAL: "a normal was not written right",
-                        facets.ATTRIBUTE: "the attribute words of an STL file changed",
-                    }[wrong],
-                    where=f"facet {facet}",
-                )
+        check_replaced(old, new, self.vertices, vertices, self.faces)
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with ``vertices`` (n, 3) as ``encoding`` (same, ascii, binary).
@@ -271,6 +251,53 @@ class StlFile(FacetFile):
         header = bytes(memoryview(self.data).cast("B")[:HEADER_BYTES])
         name = header.split(b"\0")[0].decode("ascii", "replace")
         return ascii_stl(corners, normals, name, single=precision != "float64")
+
+
+def check_replaced(
+    before: NDArray[np.void],
+    after: NDArray[np.void],
+    old: Floats,
+    new: Floats,
+    faces: Ints,
+    first: int = 0,
+) -> None:
+    """Raise InternalError unless facets (m,) differ just as ``new`` vertices ask for.
+
+    old, new (n, 3) : vertices, whose numbers are in ``faces`` (m, 3).
+    first : number of the first facet in the file.
+    """
+    from msal_cli.kernels import stl_check as facets
+    from msal_cli.kernels.parallel import over_ranges
+
+    found: list[tuple[int, int]] = []
+
+    def look(start: int, stop: int) -> None:
+        found.append(
+            facets.check_facets(
+                start,
+                stop,
+                old,
+                new,
+                faces,
+                _words(before),
+                _words(after),
+                before["corners"],
+                after["normal"],
+                after["corners"],
+            )
+        )
+
+    over_ranges(look, len(before))
+    for facet, wrong in sorted(found):
+        if wrong != facets.RIGHT:
+            raise InternalError(
+                {
+                    facets.CORNER: "a corner was not written right",
+                    facets.NORMAL: "a normal was not written right",
+                    facets.ATTRIBUTE: "the attribute words of an STL file changed",
+                }[wrong],
+                where=f"facet {first + facet}",
+            )
 
 
 def _words(facets: NDArray[np.void]) -> NDArray[np.uint16]:

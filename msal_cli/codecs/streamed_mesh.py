@@ -57,15 +57,23 @@ class StreamedMesh(Protocol):
     format: str
     encoding: str
     precision: str
-    properties: tuple[str, ...]
     references: tuple[str, ...]
-    warnings: tuple[str, ...]
     n_vertices: int
     n_polygons: int
     size: int
     vertex_type: type[np.float32] | type[np.float64]
     are_corners: bool
     has_normals: bool
+
+    @property
+    def properties(self) -> tuple[str, ...]:
+        """See above; it may read the whole file once."""
+        ...
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """See above; it may read the whole file once."""
+        ...
 
     def read_vertices(self, start: int, stop: int) -> NDArray[Any]:
         """The positions (stop - start, 3) of ``vertex_type``.

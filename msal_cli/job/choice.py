@@ -9,13 +9,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.auto import NONE, Wishes, choose_method
+from msal_cli.auto import NONE, Wishes, allow_all, choose_method
 from msal_cli.job.records import ChoiceMade, MethodUsed, RunnerUp
 from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings
 
 if TYPE_CHECKING:
     from msal_cli.analysis.harm import Harm
     from msal_cli.analysis.noise_estimate import NoiseLevel
+    from msal_cli.auto.wishes import Allowed
     from msal_cli.mesh import Mesh
     from msal_cli.methods import Method
 
@@ -100,17 +101,20 @@ def skip_reason(noise: NoiseLevel, mesh: Mesh, min_noise: str) -> str:
 
 
 def choose(
-    mesh: Mesh, wishes: Mapping[str, Any] | None, on_step: Callable[[int, int], None]
+    mesh: Mesh,
+    wishes: Mapping[str, Any] | None,
+    on_step: Callable[[int, int], None],
+    is_allowed: Allowed = allow_all,
 ) -> Preparation:
     """The choice for ``mesh``: among all methods by ``wishes``, the fields of ``Wishes``, or within
-    the family of equation (2) where they are None."""
+    the family of equation (2) where they are None; see ``Allowed``."""
     from msal_cli import methods
     from msal_cli.auto import adaptive
 
     if wishes is None:
-        choice = adaptive.choose_adaptive(mesh, on_step)
+        choice = adaptive.choose_adaptive(mesh, on_step, is_allowed)
     else:
-        choice = choose_method(mesh, Wishes(**wishes), on_step)
+        choice = choose_method(mesh, Wishes(**wishes), on_step, is_allowed)
     method = None if choice.method == NONE else methods.find(choice.method)
     # Checked as if the user had given them.
     parameters = {} if method is None else method.validate(choice.parameters)

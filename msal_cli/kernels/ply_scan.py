@@ -80,6 +80,40 @@ def walk_binary(  # type: ignore[no-untyped-def]
 
 
 @compiled
+def count_binary(data, at, count, sizes, count_sizes, signed, big_endian, wanted):  # type: ignore[no-untyped-def]
+    """Walk over whole binary records from byte ``at`` on, ``count`` of them at the most.
+
+    Parameters as in ``walk_binary``; ``wanted`` is the list whose items are the corners of a
+    polygon, -1 for none.  Returns (records walked, end of the last one, triangles that their
+    polygons give, polygons of fewer than three corners, status, place reached, property, items
+    and item size in bytes that the place reached needs).
+    """
+    end = len(data)
+    n_triangles = n_few = 0
+    for record in range(count):
+        start = at
+        corners = 3
+        for p in range(len(sizes)):
+            length = 1
+            if count_sizes[p]:
+                if count_sizes[p] > end - at:
+                    return record, start, n_triangles, n_few, CUT, at, p, 1, count_sizes[p]
+                length = _whole_number(data, at, count_sizes[p], signed[p], big_endian)
+                if length < 0:
+                    return record, start, n_triangles, n_few, BAD_COUNT, at, p, 0, 0
+                at += count_sizes[p]
+            if length > (end - at) // sizes[p]:
+                return record, start, n_triangles, n_few, CUT, at, p, length, sizes[p]
+            if p == wanted:
+                corners = length
+            at += length * sizes[p]
+        if wanted >= 0:
+            n_triangles += max(corners - 2, 0)
+            n_few += corners < 3
+    return count, at, n_triangles, n_few, WHOLE, at, 0, 0, 0
+
+
+@compiled
 def _next_record(data, at):  # type: ignore[no-untyped-def]
     """The first token of the next line that has one."""
     at = skip_blanks(data, at)

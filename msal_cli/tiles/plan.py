@@ -68,7 +68,11 @@ class TilePlan:
     def load(scratch: Scratch) -> TilePlan | None:
         """The plan of a scratch folder, None if it has none."""
         values = scratch.read_json(PLAN)
-        return None if values is None else TilePlan(**values)
+        if values is None:
+            return None
+        for name in ("vertex_chunks", "pieces"):
+            values[name] = [tuple(one) for one in values[name]]
+        return TilePlan(**values)
 
 
 def read_globals(scratch: Scratch) -> dict[str, Any]:

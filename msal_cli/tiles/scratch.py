@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -49,11 +50,16 @@ class Scratch:
 
     def write_range(self, name: str, first_byte: int, values: Any) -> None:
         """Write numbers into a file that exists, without mapping it."""
+        self.write_ranges(name, [(first_byte, values)])
+
+    def write_ranges(self, name: str, ranges: Iterable[tuple[int, Any]]) -> None:
+        """The same for several ranges, each with its first byte and its numbers."""
         with open(self.path / name, "r+b", buffering=0) as file:
-            file.seek(first_byte)
-            view = np.ascontiguousarray(values).data.cast("B")
-            while len(view):
-                view = view[file.write(view) :]
+            for first_byte, values in ranges:
+                file.seek(first_byte)
+                view = np.ascontiguousarray(values).data.cast("B") if np.size(values) else b""
+                while len(view):
+                    view = view[file.write(view) :]
 
     def tile_folder(self, tile: int) -> Path:
         """The folder of a tile's own files."""

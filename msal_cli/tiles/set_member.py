@@ -143,8 +143,10 @@ def write_member(
         return run.fail(error), _unknown(member.border)
 
 
-def read_points(border: Border, mesh_file: MeshFile, written: Buffer, output_path: str) -> Floats:
-    """The border points (k, 3) as they stand in an output; NaN where they cannot be read."""
+def read_points(
+    border: Border, mesh_file: MeshFile, written: Buffer, output_path: str
+) -> WrittenBorder:
+    """The border of a file as it stands in the bytes of its output."""
     from msal_cli.codecs.detection import readable_suffixes
     from msal_cli.job.opened_mesh import open_mesh
     from msal_cli.job.settings import suffix

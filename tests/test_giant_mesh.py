@@ -1,0 +1,65 @@
+"""The maker of giant meshes: closed, as noisy as said, the same surface in every order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks import giant_mesh
+from msal_cli import codecs
+from msal_cli.mesh import prepare_mesh
+
+
+def read(path):
+    return codecs.open_mesh(path.read_bytes(), path.name)
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 100, 4097])
+def test_a_permutation_has_an_inverse(n):
+    order = giant_mesh.Permutation(n, seed=5)
+    images = order.apply(np.arange(n))
+    assert sorted(images) == list(range(n))
+    assert (order.invert(images) == np.arange(n)).all()
+
+
+@pytest.mark.parametrize("order", giant_mesh.ORDERS)
+def test_the_surface_is_the_same_in_every_order(order, tmp_path, monkeypatch):
+    monkeypatch.setattr(giant_mesh, "_AT_ONCE", 1000)
+    monkeypatch.setattr(giant_mesh, "_BLOCK", 256)
+    path = tmp_path / "giant.ply"
+    giant_mesh.main([str(path), "--millions", "0.0048", "--order", order])
+    rows = giant_mesh.GiantMesh(40)
+    mesh = read(path)
+    n = rows.n_vertices
+    expected = rows.positions(np.arange(n))
+    assert len(mesh.vertices) == n == 4800
+    ready = prepare_mesh(mesh.vertices, mesh.faces)
+    assert ready.defects.boundary_edges == ready.defects.inconsistent_edges == 0
+    assert ready.defects.components == 1 and ready.defects.duplicate_faces == 0
+    assert (np.unique(mesh.vertices, axis=0) == np.unique(expected, axis=0)).all()
+    triangles = mesh.vertices[mesh.faces].reshape(-1, 9)
+    same = expected[rows.corners(np.arange(2 * n))].reshape(-1, 9)
+    assert (np.unique(triangles, axis=0) == np.unique(same, axis=0)).all()
+    if order == "rows":
+        assert (mesh.vertices == expected).all()
+    else:
+        assert not (mesh.vertices == expected).all()
+
+
+def test_the_noise_is_as_strong_as_said():
+    smooth, noisy = giant_mesh.GiantMesh(200, noise=0.0), giant_mesh.GiantMesh(200, noise=0.1)
+    vertices = np.arange(smooth.n_vertices)
+    true = smooth.positions(vertices)
+    moved = np.linalg.norm(noisy.positions(vertices) - true, axis=1)
+    ready = prepare_mesh(true, smooth.corners(np.arange(smooth.n_faces)))
+    assert np.sqrt((moved**2).mean()) / ready.mesh.mean_edge_length == pytest.approx(0.1, rel=0.05)
+
+
+def test_stl_has_the_same_triangles(tmp_path):
+    path = tmp_path / "giant.stl"
+    mesh = giant_mesh.GiantMesh(30)
+    mesh.write(path)
+    assert path.stat().st_size == 84 + 50 * mesh.n_faces
+    facets = read(path)
+    corners = mesh.positions(mesh.corners(np.arange(mesh.n_faces)).reshape(-1))
+    assert (facets.vertices[facets.faces].reshape(-1, 3) == corners).all()
