@@ -16,9 +16,17 @@ import numpy as np
 from msal_cli.codecs.joined_mesh import JoinedMesh
 from msal_cli.errors import ResourceError
 from msal_cli.job.opened_mesh import to_known_error
-from msal_cli.job.pipeline import FileRun
+from msal_cli.job.pipeline import FileRun, start_record
 from msal_cli.job.records import Failure, MeshRecord, TileSetPart
-from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task, forecast
+from msal_cli.job.settings import (
+    FORECAST,
+    NO_LIMITS,
+    Limits,
+    Settings,
+    Task,
+    forecast,
+    least_memory_bytes,
+)
 from msal_cli.machine import available_bytes, megabytes
 from msal_cli.tiles.borders import SharedBorders, count_unmatched, share_borders
 from msal_cli.tiles.set_member import Arrays, Member, add_seconds, scan_member, write_member
@@ -45,18 +53,28 @@ def denoise_set(
     settings: Settings,
     on_step: OnStep | None = None,
     limits: Limits = NO_LIMITS,
+    most_failures: int | None = None,
 ) -> list[MeshRecord]:
     """Denoise files as one mesh and report what happened to each, in their order.
 
     Only KeyboardInterrupt and SystemExit pass.  A file that cannot be read fails; what its
-    neighbours may share with it stays where it is.
+    neighbours may share with it stays where it is.  Once ``most_failures`` files cannot be
+    read, the others are left ``planned``.
     """
-    return _SetRun(tasks, settings, on_step or (lambda *step: None), limits).denoise()
+    run = _SetRun(tasks, settings, on_step or (lambda *step: None), limits)
+    return run.denoise(most_failures)
 
 
 def survey_set(tasks: Sequence[Task], settings: Settings) -> list[MeshRecord]:
     """What a set holds, without denoising it: records with ``tile_set``, or failures."""
     return _SetRun(tasks, settings, lambda *step: None, NO_LIMITS).survey()
+
+
+def memory_of_set(tasks: Sequence[Task], settings: Settings) -> int:
+    """Bytes of memory that denoising these files as one in memory will need."""
+    base = least_memory_bytes()
+    needs = [forecast(one, settings).memory_bytes or base for one in tasks]
+    return base + sum(max(0, one - base) for one in needs)
 
 
 class MovedSet(Protocol):
@@ -115,17 +133,27 @@ class _SetRun:
             )
         return [self._records[index] for index in range(len(self._tasks))]
 
-    def denoise(self) -> list[MeshRecord]:
+    def denoise(self, most_failures: int | None) -> list[MeshRecord]:
         """See ``denoise_set``."""
         try:
             self._require_memory()
             arrays: list[Arrays] = []
             self._scan(arrays.append)
-            if self._members:
+            if most_failures is not None and len(self._records) >= most_failures:
+                self._leave_planned()
+            elif self._members:
                 self._denoise_members(arrays)
         except Exception as error:
             self._fail_all(error)
         return [self._records[index] for index in range(len(self._tasks))]
+
+    def _leave_planned(self) -> None:
+        """Leave every file as it is that has not failed."""
+        for member in self._members:
+            start = start_record(member.task.input, self._settings)
+            self._records[member.index] = replace(
+                start, status="planned", output=member.task.output
+            )
 
     def _fail_all(self, error: Exception) -> None:
         """The set fails as a whole: every file that has no failure of its own has this one."""
@@ -133,15 +161,14 @@ class _SetRun:
         failure = Failure(known.code, known.message, known.hint, known.where)
         for index, task in enumerate(self._tasks):
             if index not in self._records:
-                self._records[index] = replace(
-                    FileRun(task.input, self._settings, None, NO_LIMITS).record, error=failure
-                )
+                start = start_record(task.input, self._settings)
+                self._records[index] = replace(start, error=failure)
 
     # What there is
 
     def _require_memory(self) -> None:
         """Raise ResourceError if the joined mesh is expected to need more memory than there is."""
-        needed = sum(forecast(one, self._settings).memory_bytes or 0 for one in self._tasks)
+        needed = memory_of_set(self._tasks, self._settings)
         limit, left = self._limits.memory_bytes, available_bytes()
         if limit is None and left is not None:
             limit = int(_SHARE_OF_MEMORY * left)
