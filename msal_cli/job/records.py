@@ -336,12 +336,15 @@ class TileSetPart:
     )
     shared_vertices: int = field(metadata=about("border vertices that other files have, too"))
     welded_vertices: int = field(
-        metadata=about("of these, those that another position was taken for because of --weld")
+        metadata=about(
+            "of these, those for which the position of another file was taken, because of --weld "
+            "or of fewer digits there"
+        )
     )
     largest_weld: float = field(
         metadata=about(
-            "largest distance before between vertices of this file and others that --weld made "
-            "one, file units"
+            "largest distance before between vertices of this file and others that are one, file "
+            "units"
         )
     )
     unmatched_vertices: int = field(
