@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from msal_cli.codecs.joined_mesh import JoinedMesh
-from msal_cli.errors import ResourceError
+from msal_cli.errors import ResourceError, UsageError
 from msal_cli.job.opened_mesh import to_known_error
 from msal_cli.job.pipeline import FileRun, start_record
 from msal_cli.job.records import Failure, MeshRecord, TileSetPart
@@ -57,7 +57,8 @@ def denoise_set(
 ) -> list[MeshRecord]:
     """Denoise files as one mesh and report what happened to each, in their order.
 
-    Only KeyboardInterrupt and SystemExit pass.  A file that cannot be read fails; what its
+    Beside KeyboardInterrupt and SystemExit only UsageError passes: nothing is written where
+    --weld is longer than the mean edge length.  A file that cannot be read fails; what its
     neighbours may share with it stays where it is.  Once ``most_failures`` files cannot be
     read, the others are left ``planned``.
     """
@@ -143,6 +144,8 @@ class _SetRun:
                 self._leave_planned()
             elif self._members:
                 self._denoise_members(arrays)
+        except UsageError:
+            raise
         except Exception as error:
             self._fail_all(error)
         return [self._records[index] for index in range(len(self._tasks))]
@@ -206,7 +209,14 @@ class _SetRun:
         if self._settings.weld is not None and self._members:
             from msal_cli.job.constraints import parse_length
 
-            length = parse_length(self._settings.weld, "--weld").in_units(self._mean_edge_length)
+            edge = self._mean_edge_length
+            length = parse_length(self._settings.weld, "--weld").in_units(edge)
+            if length > edge:
+                raise UsageError(
+                    f"--weld {self._settings.weld} is longer than the edges of the files, "
+                    f"{edge:.3g} in the mean",
+                    hint="give the widest gap between vertices that should be one, such as 0.1e",
+                )
         borders = [one.border for one in self._members]
         return share_borders(borders, self._is_single, length)
 
