@@ -22,6 +22,7 @@ from msal_cli.errors import ContentError, TooLargeError
 
 if TYPE_CHECKING:
     from msal_cli.kernels.connectivity import Connectivity
+    from msal_cli.kernels.whole import Whole
 
 
 MOST_FACES = (2**31 - 1) // 6
@@ -44,12 +45,15 @@ class Mesh:
     faces : (m, 3) int32, three different vertices each, m >= 1, counter-clockwise from outside.
     fixed_vertices : (n,) vertices that must stay where they are; None if all may move.
     trust : (n,) from 0 to 1, how much of the pull to the data each vertex gets; None for all of it.
+    whole : what is known of the whole mesh, where this is a part of it; None where it is all.  Then
+        numbers of the whole mesh may not be known yet: see ``kernels.whole.Pending``.
     """
 
     vertices: Floats
     faces: Ints
     fixed_vertices: NDArray[np.bool_] | None = None
     trust: Floats | None = None
+    whole: Whole | None = None
 
     @functools.cached_property
     def topology(self) -> Connectivity:
@@ -61,9 +65,18 @@ class Mesh:
     @functools.cached_property
     def mean_edge_length(self) -> float:
         """Mean length of the unique edges, file units."""
-        from msal_cli.kernels.geometry import mean_edge_length
+        from msal_cli.kernels import geometry
 
-        return mean_edge_length(self.vertices, *self.topology.one_ring)
+        rings = self.topology.one_ring
+        if self.whole is None:
+            return geometry.mean_edge_length(self.vertices, *rings)
+        own = self.whole.own_vertices
+        return float(
+            self.whole.reduce(
+                "mean edge length",
+                lambda: geometry.edge_lengths_partial(self.vertices, *rings, own),
+            )
+        )
 
     def vertex_normals(self, weighting: str = "uniform", mollify: int = 0) -> Floats:
         """Unit normals (n, 3), ``mollify`` times mollified; zeros where there is none.
@@ -118,14 +131,19 @@ class Mesh:
         self, fixed_vertices: NDArray[np.bool_] | None, trust: Floats | None
     ) -> Mesh:
         """The same mesh with vertices that are fixed, or trusted more or less; see above."""
-        other = Mesh(self.vertices, self.faces, fixed_vertices, trust)
+        other = Mesh(self.vertices, self.faces, fixed_vertices, trust, self.whole)
         own = {one: value for one, value in self.__dict__.items() if one not in other.__dict__}
         other.__dict__.update(own)
         return other
 
     def with_vertices(self, vertices: Floats) -> Mesh:
-        """The same mesh with its vertices at other positions (n, 3); connectivity is shared."""
-        other = Mesh(vertices, self.faces, self.fixed_vertices, self.trust)
+        """The same mesh with its vertices at other positions (n, 3); connectivity is shared.
+
+        Of a part: the numbers of the whole are other ones, under keys of their own.  A method that
+        needs them at more than one set of positions has to give these keys itself.
+        """
+        whole = None if self.whole is None else self.whole.under("moved")
+        other = Mesh(vertices, self.faces, self.fixed_vertices, self.trust, whole)
         if "topology" in self.__dict__:
             other.__dict__["topology"] = self.topology
         return other
@@ -316,7 +334,7 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
         faces = np.where(flip[:, None], faces[:, ::-1], faces)
 
     if n_unreferenced:
-        low, high = _bounds(vertices if n_welded else vertices[used])
+        low, high = bounds(vertices if n_welded else vertices[used])
     with np.errstate(over="ignore"):
         extent = float((high - low).max())
     if not 1.0 / LARGEST_EXTENT < extent < LARGEST_EXTENT:
@@ -366,7 +384,7 @@ def _is_within(faces: Ints, n_vertices: int) -> bool:
     return int(faces.min()) >= 0 and int(faces.max()) < n_vertices
 
 
-def _bounds(vertices: Floats) -> tuple[Floats, Floats]:
+def bounds(vertices: Floats) -> tuple[Floats, Floats]:
     """Least and greatest coordinates, (3,) each; none of them finite where a vertex is not."""
     # Rows of many vertices: numpy reduces the first of two axes slowly where the second is short.
     whole = len(vertices) // _LANES * _LANES
@@ -407,8 +425,8 @@ def _validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple
             where=f"face {bad}",
             hint="the file is damaged or was cut short; export it again",
         )
-    bounds = _bounds(vertices)
-    if not np.isfinite(bounds).all():
+    ends = bounds(vertices)
+    if not np.isfinite(ends).all():
         finite = np.isfinite(vertices).all(axis=1)
         raise ContentError(
             "a position is not finite",
@@ -416,4 +434,4 @@ def _validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple
             where=f"vertex {int(np.argmin(finite))}",
             hint="remove the vertex, or export the scan again",
         )
-    return vertices, np.ascontiguousarray(faces, dtype=np.int32), bounds
+    return vertices, np.ascontiguousarray(faces, dtype=np.int32), ends

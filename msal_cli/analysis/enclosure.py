@@ -19,6 +19,8 @@ from msal_cli.mesh import Defects, Mesh, PreparedMesh
 MOST_PARTS = 1000
 """Parts beyond which only the sum of all is looked at: each is compared with each other."""
 
+INSIDE_OUT = "the surface is inside out: its normals point inwards"
+
 
 @dataclass(frozen=True, eq=False)
 class Enclosure:
@@ -45,7 +47,7 @@ class Enclosure:
         if not self.is_inside_out:
             return ""
         if self.n_turned == self.n_parts:
-            return "the surface is inside out: its normals point inwards"
+            return INSIDE_OUT
         are = "is" if self.n_turned == 1 else "are"
         return (
             f"{self.n_turned:,} of {self.n_parts:,} parts {are} inside out: normals point inwards"

@@ -40,6 +40,10 @@ def command(
 
     INPUT is a file, a folder (with all its subfolders), a pattern, a URL of one of these, or - for
     standard input. Lengths are in file units. Nothing is written.
+
+    A binary PLY or STL that is larger than memory is read in pieces: its counts are said at once,
+    the rest follows. Parts, welded vertices, duplicate faces and intersections are not counted
+    then, and the noise is estimated on a part.
     """
     known = options.resolve_format(format)
     paths = _find_paths(inputs, include, exclude)
@@ -64,14 +68,17 @@ def _find_paths(
 def _inspect(
     paths: tuple[str, ...], format: str | None, *, with_intersections: bool
 ) -> Iterator[InfoRecord]:
+    from msal_cli.cli.progress import reading_bar
     from msal_cli.cli.streams import read_stream
     from msal_cli.job import inspection
 
     for path in paths:
         data = read_stream() if path == STREAM else None
-        yield inspection.inspect_file(
-            path, format, data=data, with_intersections=with_intersections
-        )
+        with reading_bar() as bar:
+            record = inspection.inspect_file(
+                path, format, data=data, with_intersections=with_intersections, listener=bar
+            )
+        yield record
 
 
 def _print_text(records: Iterator[InfoRecord]) -> int:

@@ -14,10 +14,12 @@ from msal_cli.job.display_names import escape_for_display, pad_name, shorten_nam
 
 if TYPE_CHECKING:
     from msal_cli.batch.events import Event
+    from msal_cli.codecs.streamed_mesh import StreamedMesh
     from msal_cli.job.settings import Task
 
 _NAME_WIDTH = 32
 _FORMAT = "{desc} {percentage:3.0f} %|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
+_SHARE_FORMAT = "{desc} {percentage:3.0f} %|{bar}| [{elapsed}<{remaining}]"
 
 # What takes less time gets no bar (seconds).
 _DELAY_S = 0.4
@@ -146,6 +148,51 @@ def picture_bar(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
 
     try:
         yield tell
+    finally:
+        shown.close()
+
+
+class ReadingBar:
+    """Says which meshes are read in pieces, and shows a bar while they are."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._is_quiet = quiet
+        self._bar: Any = None
+
+    def on_begin(self, meshes: Sequence[StreamedMesh]) -> None:
+        """Say what the headers tell, long before all is read."""
+        if self._is_quiet:
+            return
+        self.close()
+        for mesh in meshes:
+            counts = f"{mesh.n_vertices:,} {'corners' if mesh.are_corners else 'vertices'}"
+            console.say(
+                f"{escape_for_display(mesh.path)}: larger than memory, so it is read in pieces: "
+                f"{counts}, {mesh.n_polygons:,} faces, {mesh.size:,} bytes"
+            )
+        if console.is_terminal(sys.stderr):
+            desc = _short(meshes[-1].path)
+            self._bar = _bar(desc=desc, bar_format=_SHARE_FORMAT, delay=_DELAY_S)
+
+    def on_progress(self, done: int, total: int) -> None:
+        """Show how much was read."""
+        if self._bar is not None:
+            self._bar.total = total
+            self._bar.update(done - self._bar.n)
+
+    def close(self) -> None:
+        """Take the bar away."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+
+@contextmanager
+def reading_bar(*, quiet: bool = False) -> Iterator[ReadingBar]:
+    """What listens while meshes are read in pieces; see ``job.streamed_progress``."""
+    shown = ReadingBar(quiet=quiet)
+    try:
+        yield shown
     finally:
         shown.close()
 

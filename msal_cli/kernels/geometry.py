@@ -7,19 +7,22 @@ normal, and a zero vector takes its place.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Ints
+from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.exact_sum import BINS, add_exactly, combine_means, mean_partial
 from msal_cli.kernels.parallel import SMALLEST_RANGE, fill_array, over_ranges, threads
 from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
 MOST_PARTS = 8
 """Parts of the vertices whose normals are added up at the same time."""
 
-BLOCK_VERTICES = 1024
-"""Vertices whose edges make one partial sum, so that a sum does not depend on threads."""
+LENGTHS_AT_ONCE = 1024
+"""Lengths that are collected before they are added up exactly."""
 
 DEGENERATE = 1e-12
 """Doubled area over longest edge squared, at and below which a face has no usable normal."""
@@ -236,31 +239,57 @@ def distances(before: Floats, after: Floats) -> Floats:
 
 
 @compiled
-def _edge_length_sums(start, stop, vertices, ring_start, ring, sums, counts):
+def _add_edge_lengths(start, stop, vertices, ring_start, ring, own, bins, counts):
+    """Add the edges of a share of the vertices, those to vertices of higher number, to each row."""
     n = len(vertices)
-    for block in range(start, stop):
-        total = 0.0
+    most = LENGTHS_AT_ONCE
+    lengths = np.empty(most)
+    bits = lengths.view(np.int64)
+    for row in range(start, stop):
+        filled = 0
         count = 0
-        for i in range(block * BLOCK_VERTICES, min((block + 1) * BLOCK_VERTICES, n)):
+        for i in range(n * row // len(counts), n * (row + 1) // len(counts)):
+            if len(own) and not own[i]:
+                continue
             for at in range(ring_start[i], ring_start[i + 1]):
                 k = ring[at]
                 if k > i:
                     dx = vertices[k, 0] - vertices[i, 0]
                     dy = vertices[k, 1] - vertices[i, 1]
                     dz = vertices[k, 2] - vertices[i, 2]
-                    total += np.sqrt(dx * dx + dy * dy + dz * dz)
-                    count += 1
-        sums[block] = total
-        counts[block] = count
+                    lengths[filled] = np.sqrt(dx * dx + dy * dy + dz * dz)
+                    filled += 1
+                    if filled == most:
+                        add_exactly(bits, filled, bins[row])
+                        count += filled
+                        filled = 0
+        add_exactly(bits, filled, bins[row])
+        counts[row] = count + filled
+
+
+def edge_lengths_partial(
+    vertices: Floats, ring_start: Ints, ring: Ints, own: Flags | None = None
+) -> dict[str, Any]:
+    """What the unique edges contribute to their mean length, see ``exact_sum.mean_partial``.
+
+    Of a part of a mesh with its vertices in the order of the whole: the edges of ``own`` (n,)
+    vertices to others of higher number, so that each edge counts in one part only.
+    """
+    rows = max(1, min(len(vertices) // SMALLEST_RANGE, threads()))
+    bins, counts = np.zeros((rows, BINS), dtype=np.int64), np.zeros(rows, dtype=np.int64)
+    flags = np.empty(0, dtype=bool) if own is None else own
+    over_ranges(
+        _add_edge_lengths, rows, vertices, ring_start, ring, flags, bins, counts, smallest=1
+    )
+    return mean_partial(bins, int(counts.sum()))
 
 
 def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
-    """Mean length of the unique edges, in file units; zero without edges."""
-    n_blocks = -(-len(vertices) // BLOCK_VERTICES)
-    sums, counts = np.empty(n_blocks), np.empty(n_blocks, dtype=np.int64)
-    over_ranges(_edge_length_sums, n_blocks, vertices, ring_start, ring, sums, counts, smallest=32)
-    count = int(counts.sum())
-    return float(sums.sum() / count) if count else 0.0
+    """Mean length of the unique edges, in file units; zero without edges.
+
+    It is the float64 next to the mean of their lengths as they are computed, in whatever order.
+    """
+    return combine_means([edge_lengths_partial(vertices, ring_start, ring)])
 
 
 @compiled

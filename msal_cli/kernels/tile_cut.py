@@ -150,40 +150,55 @@ def renumber(triangles: Numbers, numbers: Numbers) -> Numbers:
 
 @compiled
 def _count_faces(ids, starts, hints, shift, counts):
+    # Most faces lie in one tile, and in that of the face before: its range is kept.
+    tile, low, size, here = _ZERO, starts[0], starts[1] - starts[0], 0
     for f in range(np.uint64(len(ids))):
-        a = _tile_of(ids[f, 0], starts, hints, shift)
-        b = _tile_of(ids[f, 1], starts, hints, shift)
-        c = _tile_of(ids[f, 2], starts, hints, shift)
-        counts[a] += 1
-        if b != a:
+        i, j, k = np.uint64(ids[f, 0]), np.uint64(ids[f, 1]), np.uint64(ids[f, 2])
+        if i - low >= size:
+            counts[tile] += here
+            tile, here = _tile_of(i, starts, hints, shift), 0
+            low, size = starts[tile], starts[tile + _ONE] - starts[tile]
+        here += 1
+        # Below the first is far above the last.
+        if j - low < size and k - low < size:
+            continue
+        b, c = _tile_of(j, starts, hints, shift), _tile_of(k, starts, hints, shift)
+        if b != tile:
             counts[b] += 1
-        if c != a and c != b:
+        if c != tile and c != b:
             counts[c] += 1
+    counts[tile] += here
 
 
 @compiled
-def _write_record(records, at, number, a, b, c):
+def _write_record(records, place, number, i, j, k):
+    at = np.uint64(place)
     records[at, 0] = number
-    records[at, 1] = a
-    records[at, 2] = b
-    records[at, 3] = c
+    records[at, 1] = i
+    records[at, 2] = j
+    records[at, 3] = k
 
 
 @compiled
 def _group_faces(ids, first, starts, hints, shift, places, records):
+    tile, low, size, here = _ZERO, starts[0], starts[1] - starts[0], places[0]
     for f in range(np.uint64(len(ids))):
-        i, j, k = ids[f, 0], ids[f, 1], ids[f, 2]
-        a = _tile_of(i, starts, hints, shift)
-        b = _tile_of(j, starts, hints, shift)
-        c = _tile_of(k, starts, hints, shift)
-        number = np.uint32(first + f)
-        _write_record(records, np.uint64(places[a]), number, i, j, k)
-        places[a] += 1
-        if b != a:
-            _write_record(records, np.uint64(places[b]), number, i, j, k)
+        i, j, k = np.uint64(ids[f, 0]), np.uint64(ids[f, 1]), np.uint64(ids[f, 2])
+        if i - low >= size:
+            places[tile] = here
+            tile = _tile_of(i, starts, hints, shift)
+            here = places[tile]
+            low, size = starts[tile], starts[tile + _ONE] - starts[tile]
+        _write_record(records, here, first + f, i, j, k)
+        here += 1
+        if j - low < size and k - low < size:
+            continue
+        b, c = _tile_of(j, starts, hints, shift), _tile_of(k, starts, hints, shift)
+        if b != tile:
+            _write_record(records, places[b], first + f, i, j, k)
             places[b] += 1
-        if c != a and c != b:
-            _write_record(records, np.uint64(places[c]), number, i, j, k)
+        if c != tile and c != b:
+            _write_record(records, places[c], first + f, i, j, k)
             places[c] += 1
 
 

@@ -13,7 +13,7 @@ _BLOCK_ROWS = 512
 
 
 @compiled
-def _hash(a, b, c):
+def hash_bits(a, b, c):
     """A hash of three 64-bit patterns; that of minus zero, the highest bit alone, counts as 0."""
     minus_zero = np.uint64(0x8000000000000000)
     a = np.uint64(0) if a == minus_zero else a
@@ -30,7 +30,7 @@ def _hash(a, b, c):
 @compiled
 def _hashes(bits, start, stop, mask, hashes):
     for i in range(start, stop):
-        hashes[i - start] = _hash(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
+        hashes[i - start] = hash_bits(bits[i, 0], bits[i, 1], bits[i, 2]) & mask
 
 
 @compiled
@@ -79,7 +79,7 @@ def _weld(rows, bits, candidates, table, first):
     merged = 0
     for at in range(len(candidates)):
         i = candidates[at]
-        slot = np.int64(_hash(bits[i, 0], bits[i, 1], bits[i, 2]) >> np.uint64(20)) & mask
+        slot = np.int64(hash_bits(bits[i, 0], bits[i, 1], bits[i, 2]) >> np.uint64(20)) & mask
         while True:
             k = table[slot]
             if k < 0:
@@ -157,7 +157,7 @@ def _number(left, right, table, number, first):
     found = 0
     for i in range(len(left)):
         a, b = left[i], right[i]
-        slot = np.int64(_hash(np.uint64(a), np.uint64(b), np.uint64(0)) & np.uint64(mask))
+        slot = np.int64(hash_bits(np.uint64(a), np.uint64(b), np.uint64(0)) & np.uint64(mask))
         while True:
             k = table[slot]
             if k < 0:

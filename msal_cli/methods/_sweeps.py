@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
+from msal_cli.errors import InternalError
 from msal_cli.kernels.operators import AnisotropicLaplacian, Operator
+from msal_cli.kernels.restoration import RESTORATION_RINGS
 from msal_cli.kernels.schedules import Constant, Multiscale, Plain, Schedule, Wiener
 from msal_cli.kernels.sweeps import Swept, run_sweeps
 from msal_cli.mesh import Mesh
@@ -51,6 +53,9 @@ class NormalParameters:
 
 WIENER_BYTES_PER_FACE = 60
 """Memory of the Wiener schedule beyond that of the others; see ``Method.bytes_per_face``."""
+
+LEAST_RINGS = 1
+"""What every method takes: the edges around each vertex, for their mean length."""
 
 MOST_NOISE_MULTISCALE = 0.15
 """Mean edge lengths: with stronger noise the multiscale schedules leave much of it.  At 0.2 ten
@@ -237,17 +242,55 @@ def run(
 
     timer.start_sweeps()
     result = run_sweeps(
-        mesh.vertices, made, schedule, parameters.iterations, on_sweep, scale, mesh.trust
+        mesh.vertices,
+        made,
+        schedule,
+        parameters.iterations,
+        on_sweep,
+        scale,
+        mesh.trust,
+        mesh.whole,
     )
     if isinstance(schedule, Wiener) and parameters.iterations:
         result = _restore(mesh, parameters, result.vertices, schedule)
     return timer.finish(result.vertices, {"fidelity": result.fidelity})
 
 
+def reach_of_run(
+    parameters: NormalParameters, schedule: Schedule, normals: int, step: int = 1
+) -> int:
+    """Rings that a ``run`` reaches, see ``Method.reach``.
+
+    Parameters
+    ----------
+    normals : rings that the operator's own normals take, 0 if it has none: see ``normal_rings``.
+    step : rings that the operator looks at, at each sweep.
+    """
+    if schedule.quantile is not None:
+        normals = max(normals, normal_rings(parameters))
+    rings = reach_of_sweeps(parameters.iterations, normals, step)
+    if isinstance(schedule, Wiener) and parameters.iterations:
+        return RESTORATION_RINGS + max(rings, normal_rings(parameters))
+    return rings
+
+
+def reach_of_sweeps(iterations: int, normals: int, step: int = 1) -> int:
+    """The same of ``iterations`` sweeps of any schedule."""
+    # The last sweep looks at vertices that the first one has moved, along their normals.
+    return max(step * (iterations - 1) + max(step, normals), LEAST_RINGS)
+
+
+def normal_rings(parameters: NormalParameters) -> int:
+    """Rings that a vertex normal takes: its faces, and one more for each pass of mollifying."""
+    return parameters.mollify + 1
+
+
 def resolve_noise_level(mesh: Mesh, noise: float) -> float:
     """Noise in file units from the parameter ``noise`` in mean edge lengths, 0 for the estimate."""
     from msal_cli.analysis.noise_estimate import estimate_noise
 
+    if not noise and mesh.whole is not None:
+        raise InternalError("the noise of a part of a mesh is not that of the mesh")
     return noise * mesh.mean_edge_length if noise else estimate_noise(mesh).file_units
 
 

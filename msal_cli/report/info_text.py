@@ -28,9 +28,10 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
     size = f"{record.bytes:,} bytes" if record.bytes is not None else ""
     yield "format", ", ".join([*storage, *(["gzip"] if record.compressed else []), size])
     beside = f" (of {record.corners:,} corners)" if record.corners is not None else ""
-    yield "vertices", _count(record.vertices) + beside
+    unknown = "not counted" if record.read_in_pieces else "-"
+    yield "vertices", _count(record.vertices, unknown) + beside
     yield "faces", _faces(record)
-    yield "components", _count(record.components)
+    yield "components", _count(record.components, unknown)
     yield "surface", _surface(record)
     yield (
         "winding",
@@ -42,7 +43,7 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
         ("unreferenced", record.unreferenced_vertices, "vertices"),
         ("welded", record.welded_vertices, "vertices"),
     ):
-        yield word, f"{_count(count)} {unit}"
+        yield word, _count(count, unknown) + ("" if count is None else f" {unit}")
     if record.self_intersections is not None:
         yield "intersecting", f"{record.self_intersections:,} pairs of faces"
     if record.bounds is not None:
@@ -65,6 +66,8 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
         "carried along",
         ", ".join(escape_for_display(one) for one in record.properties) or "nothing else",
     )
+    if record.read_in_pieces:
+        yield "read in pieces", "the file is larger than memory; noise is that of a part"
     if record.references:
         yield "refers to", ", ".join(escape_for_display(one) for one in record.references)
 
@@ -79,14 +82,16 @@ def _faces(record: InfoRecord) -> str:
 
 
 def _surface(record: InfoRecord) -> str:
+    if record.closed is None and record.read_in_pieces:
+        return "open, too many boundary edges to count them in pieces"
     kind = "closed" if record.closed else f"open, {_count(record.boundary_edges)} boundary edges"
     if record.non_manifold_edges:
         kind += f", {_count(record.non_manifold_edges)} non-manifold edges"
     return kind
 
 
-def _count(number: int | None) -> str:
-    return figure(number, ",", unknown="-")
+def _count(number: int | None, unknown: str = "-") -> str:
+    return figure(number, ",", unknown=unknown)
 
 
 def _point(position: tuple[float, float, float]) -> str:

@@ -11,7 +11,7 @@ import platform
 import stat
 import time
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from msal_cli.errors import OutputError
@@ -102,6 +102,50 @@ def write_new(
     return True
 
 
+def publish(
+    source: str | os.PathLike[str],
+    path: str | os.PathLike[str],
+    size: int,
+    *,
+    mode_like: str | os.PathLike[str] | None = None,
+) -> tuple[int, str] | None:
+    """Give a file that was written in parts, ``source``, its name, as ``write_whole`` does.
+
+    It is flushed to the disk, its ``size`` bytes are counted, and it is moved, or copied where the
+    name is on another file system or in a store; then ``source`` is no longer there.
+    Permission bits, links and what is returned are those of ``write_whole``.
+
+    Raises
+    ------
+    OutputError
+        if the system refuses, with the reason.
+    """
+    if isinstance(path, str) and is_url(path):
+        known = write_whole(path, _read_pieces(source))
+        os.unlink(source)
+        return known
+    target = Path(path)
+    try:
+        mode = _permissions(target, mode_like)
+        with open(source, "r+b") as file:
+            os.fsync(file.fileno())
+            _require_size(os.fstat(file.fileno()).st_size, size)
+        try:
+            if mode is not None:
+                Path(source).chmod(mode)
+            _move(Path(source), target)
+        except OSError as failure:
+            if failure.errno != errno.EXDEV:
+                raise
+            _write(target, _read_pieces(source), mode_like, _move)
+            os.unlink(source)
+        else:
+            flush_folder(target.parent)
+    except (OSError, ValueError) as failure:
+        raise _not_written(path, failure) from failure
+    return None
+
+
 def make_folders(folder: str | os.PathLike[str]) -> None:
     """Make a folder and all above it that are missing, however deep; OSError if that fails.
 
@@ -154,9 +198,7 @@ def _write(
                 while len(view):
                     view = view[os.write(handle, view[:_PIECE]) :]
             os.fsync(handle)
-            written = os.fstat(handle).st_size
-            if written != expected:
-                raise OSError(errno.EIO, f"{written} of {expected} bytes arrived on the disk")
+            _require_size(os.fstat(handle).st_size, expected)
         finally:
             os.close(handle)
         if mode is not None:
@@ -167,6 +209,17 @@ def _write(
             temporary.unlink()
         raise
     flush_folder(target.parent)
+
+
+def _require_size(written: int, expected: int) -> None:
+    if written != expected:
+        raise OSError(errno.EIO, f"{written} of {expected} bytes arrived on the disk")
+
+
+def _read_pieces(path: str | os.PathLike[str]) -> Iterator[bytes]:
+    with open(path, "rb", buffering=0) as file:
+        while piece := file.read(_PIECE):
+            yield piece
 
 
 def _permissions(target: Path, mode_like: str | os.PathLike[str] | None) -> int | None:

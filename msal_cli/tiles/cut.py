@@ -26,10 +26,12 @@ from msal_cli.arrays import Longs
 from msal_cli.codecs.streamed_mesh import FaceChunk
 from msal_cli.errors import InternalError, TooLargeError
 from msal_cli.kernels import tile_cut
+from msal_cli.kernels.corner_welding import measure_back
 from msal_cli.kernels.tile_cut import RECORD_WORDS, TileRanges
-from msal_cli.mesh import no_faces_error
+from msal_cli.kernels.welding import first_alike
+from msal_cli.mesh import bounds, no_faces_error
 from msal_cli.tiles import source as sources
-from msal_cli.tiles.plan import TilePlan, read_globals, write_globals
+from msal_cli.tiles.plan import TilePlan, load_plan, read_globals, write_globals
 from msal_cli.tiles.scratch import Scratch
 
 LARGEST_NUMBER = 2**32 - 2
@@ -98,14 +100,6 @@ def weld_numbers(scratch: Scratch, numbers: Numbers) -> Numbers:
     return welded
 
 
-def load_plan(scratch: Scratch) -> TilePlan:
-    """The plan of a run that has begun."""
-    plan = TilePlan.load(scratch)
-    if plan is None:
-        raise InternalError(f"{scratch.path} has no plan")
-    return plan
-
-
 # Stages
 
 
@@ -114,10 +108,11 @@ def run_count(scratch: Scratch, chunk: int) -> dict[str, Any]:
     plan = load_plan(scratch)
     positions = _read_vertices(plan, chunk)
     labels = _label(plan, positions)
+    low, high = bounds(positions)
     return {
         "counts": tile_cut.count_labels(labels, plan.n_tiles).tolist(),
-        "low": positions.min(axis=0).tolist(),
-        "high": positions.max(axis=0).tolist(),
+        "low": low.tolist(),
+        "high": high.tolist(),
     }
 
 
@@ -200,22 +195,22 @@ def reduce_faces(scratch: Scratch) -> None:
 
 def run_weld(scratch: Scratch, tile: int) -> dict[str, Any]:
     """Find vertices of a tile at one position, among those that are corners of faces."""
-    from msal_cli.kernels.welding import first_alike
-
     start, stop = tile_range(scratch, tile)
-    records = _read_records(scratch, tile)
-    used = tile_cut.mark_own(records, start, stop - start)
-    n_faces = len(records)
-    del records
-    n_welded = 0
-    if stop > start:
-        positions = read_positions(scratch, start, stop).astype(np.float64, copy=False)
-        first, n_welded = first_alike(positions, used)
-        del positions
-        if n_welded:
-            back = np.arange(stop - start, dtype=np.uint32) - first.view(np.uint32)
-            scratch.write_range(_BACK, start * back.itemsize, back)
-    return {"faces": n_faces, "used": int(np.count_nonzero(used)), "welded": n_welded}
+    n_own = stop - start
+    if not n_own:
+        return {"used": 0, "welded": 0}
+    positions = read_positions(scratch, start, stop)
+    if sources.open_source(load_plan(scratch).source).are_corners:
+        n_used = n_own
+        back, n_welded = measure_back(positions)
+    else:
+        used = tile_cut.mark_own(_read_records(scratch, tile), start, n_own)
+        n_used = int(np.count_nonzero(used))
+        first, n_welded = first_alike(positions.astype(np.float64, copy=False), used)
+        back = np.arange(n_own, dtype=np.uint32) - first.view(np.uint32)
+    if n_welded:
+        scratch.write_range(_BACK, start * back.itemsize, back)
+    return {"used": n_used, "welded": n_welded}
 
 
 def reduce_weld(scratch: Scratch) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from msal_cli.errors import InternalError
 from msal_cli.tiles.scratch import Scratch
 
 PLAN = "plan.json"
@@ -73,6 +74,14 @@ class TilePlan:
         for name in ("vertex_chunks", "pieces"):
             values[name] = [tuple(one) for one in values[name]]
         return TilePlan(**values)
+
+
+def load_plan(scratch: Scratch) -> TilePlan:
+    """The plan of a run that has begun."""
+    plan = TilePlan.load(scratch)
+    if plan is None:
+        raise InternalError(f"{scratch.path} has no plan")
+    return plan
 
 
 def read_globals(scratch: Scratch) -> dict[str, Any]:

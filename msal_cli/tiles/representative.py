@@ -29,7 +29,13 @@ from msal_cli.job.settings import AUTO, CHOOSING, Settings
 from msal_cli.mesh import Mesh, PreparedMesh, prepare_mesh
 from msal_cli.methods import Method
 from msal_cli.methods.blend import format_members, parse_levels, parse_members
-from msal_cli.tiles.plan import TilePlan, read_globals, write_globals
+from msal_cli.tiles.cut import (
+    read_old_numbers,
+    read_positions,
+    tile_faces,
+    tile_range,
+)
+from msal_cli.tiles.plan import TilePlan, load_plan, write_globals
 
 if TYPE_CHECKING:
     from msal_cli.analysis.noise_estimate import NoiseLevel
@@ -75,8 +81,7 @@ def run_choose(scratch: Scratch, index: int = 0) -> dict[str, Any]:
     UsageError
         if every method that suits the mesh needs the whole of it.
     """
-    plan = TilePlan.load(scratch)
-    assert plan is not None
+    plan = load_plan(scratch)
     settings = read_settings(plan)
     part = read_part(scratch, plan)
     mesh = part.ready.mesh
@@ -108,7 +113,7 @@ def run_choose(scratch: Scratch, index: int = 0) -> dict[str, Any]:
 
 def reduce_choose(scratch: Scratch) -> None:
     """Tell all tasks that follow: ``choice`` among the globals, and the rings that it reaches."""
-    result = scratch.results("choose")[0]
+    result = scratch.result("choose", 0)
     reach = 0
     if result["method"] != NONE:
         reach = methods.find(result["method"]).reach(result["parameters"]) or 0
@@ -254,29 +259,47 @@ def _map_noise(method: Method, parameters: Mapping[str, Any], change: Any) -> di
 # The part
 
 
+@dataclass(frozen=True, eq=False)
+class _Patch:
+    """Vertices of one tile and faces around them.
+
+    Attributes
+    ----------
+    old : (k,) numbers of the vertices in the file, ascending.
+    positions : (k, 3) as the file stores them.
+    triangles, corners : (m,) numbers of the faces, and (m, 3) new numbers of their corners.
+    """
+
+    old: NDArray[np.uint32]
+    positions: NDArray[Any]
+    triangles: NDArray[np.uint32]
+    corners: NDArray[np.uint32]
+
+
 def read_part(scratch: Scratch, plan: TilePlan) -> Part:
     """What is looked at of the mesh of a run."""
     is_whole = plan.n_vertices <= MOST_PATCHES * PATCH_VERTICES
     if is_whole:
-        patches = [_read_patch(scratch, plan, tile, None) for tile in range(plan.n_tiles)]
+        patches = [_read_patch(scratch, tile, None) for tile in range(plan.n_tiles)]
     else:
-        some = (_read_patch(scratch, plan, tile, PATCH_VERTICES) for tile in _spread(plan.n_tiles))
+        some = (_read_patch(scratch, tile, PATCH_VERTICES) for tile in _spread(plan.n_tiles))
         # A tile may have no face of its own.
-        patches = list(itertools.islice((one for one in some if len(one[2])), MOST_PATCHES))
+        patches = list(itertools.islice((one for one in some if len(one.corners)), MOST_PATCHES))
     if not patches:
         raise ContentError(
             "no tile has a face of its own",
             code="E_NO_FACES",
             hint="the file's vertices are not near those that they share faces with",
         )
-    numbers = np.concatenate([numbers for numbers, _, _ in patches])
-    vertices = np.concatenate([vertices for _, vertices, _ in patches])
-    records = np.concatenate([records for _, _, records in patches])
-    records = records[np.unique(records[:, 0], return_index=True)[1]]
+    numbers = np.concatenate([one.old for one in patches])
+    positions = np.concatenate([one.positions for one in patches])
+    # More than one tile may have a face.
+    _, first = np.unique(np.concatenate([one.triangles for one in patches]), return_index=True)
+    corners = np.concatenate([one.corners for one in patches])[first]
     order = np.argsort(numbers, kind="stable")
-    corners = _old_numbers(scratch, records[:, 1:])
+    corners = scratch.array("old.u4", np.uint32)[corners]
     faces = np.searchsorted(numbers[order], corners).astype(np.int32)
-    ready = prepare_mesh(vertices[order].astype(np.float64), faces)
+    ready = prepare_mesh(positions[order].astype(np.float64), faces)
     return Part(ready, len(numbers), is_whole)
 
 
@@ -288,50 +311,28 @@ def _spread(n_tiles: int) -> Iterator[int]:
     yield from (tile for tile in range(n_tiles) if tile not in first)
 
 
-def _read_patch(
-    scratch: Scratch, plan: TilePlan, tile: int, most: int | None
-) -> tuple[NDArray[np.uint32], NDArray[Any], NDArray[np.uint32]]:
-    """Numbers in the file (k,), positions (k, 3) and face records (m, 4) of ``most`` vertices in
-    the middle of a tile, or of all of them.
+def _read_patch(scratch: Scratch, tile: int, most: int | None) -> _Patch:
+    """Some ``most`` vertices in the middle of a tile, or all of them.
 
     Faces with a corner beyond the patch are left out, but not where all vertices are wanted, for
     then other tiles have those corners.
     """
-    start, stop = read_globals(scratch)["tile_starts"][tile : tile + 2]
-    records = _read_records(scratch, plan, tile)
-    old = scratch.array("old.u4", np.uint32)[start:stop]
-    positions = scratch.array("positions.bin", plan.dtype, 3)[start:stop]
+    start, stop = tile_range(scratch, tile)
+    triangles, corners = tile_faces(scratch, tile)
+    old, positions = read_old_numbers(scratch, start, stop), read_positions(scratch, start, stop)
     if most is None:
-        return np.array(old), np.array(positions), records
-    ids = records[:, 1:]
-    inside = ((ids >= start) & (ids < stop)).all(axis=1)
+        return _Patch(old, positions, triangles, corners)
+    inside = ((corners >= start) & (corners < stop)).all(axis=1)
+    triangles, corners = triangles[inside], corners[inside]
     used = np.zeros(stop - start, dtype=np.bool_)
-    used[ids[inside] - np.uint32(start)] = True
+    used[corners - np.uint32(start)] = True
     chosen = np.flatnonzero(used)
-    places = np.asarray(positions[chosen], dtype=np.float64)
     if len(chosen) > most:
+        places = positions[chosen].astype(np.float64)
         ways = ((places - np.median(places, axis=0)) ** 2).sum(axis=1)
-        nearest = np.sort(np.argsort(ways, kind="stable")[:most])
-        chosen, places = chosen[nearest], places[nearest]
-    used[:] = False
-    used[chosen] = True
-    records = records[inside]
-    records = records[used[records[:, 1:] - np.uint32(start)].all(axis=1)]
-    return old[chosen], places.astype(plan.dtype), records
-
-
-def _read_records(scratch: Scratch, plan: TilePlan, tile: int) -> NDArray[np.uint32]:
-    """The records (m, 4) of the faces around the vertices of a tile: triangle, three new ids."""
-    parts = [np.empty((0, 4), dtype=np.uint32)]
-    for chunk in range(len(plan.face_chunks)):
-        first, count = scratch.read_json(f"faces/{chunk}.json").get(str(tile), (0, 0))
-        if count:
-            records = scratch.array(f"faces/{chunk}.bin", np.uint32, 4)
-            parts.append(np.array(records[first : first + count]))
-    return np.concatenate(parts)
-
-
-def _old_numbers(scratch: Scratch, ids: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Numbers in the file for new ids (m, 3)."""
-    numbers: NDArray[np.uint32] = scratch.array("old.u4", np.uint32)[ids]
-    return numbers
+        chosen = np.sort(chosen[np.argsort(ways, kind="stable")[:most]])
+        used[:] = False
+        used[chosen] = True
+        kept = used[corners - np.uint32(start)].all(axis=1)
+        triangles, corners = triangles[kept], corners[kept]
+    return _Patch(old[chosen], positions[chosen], triangles, corners)

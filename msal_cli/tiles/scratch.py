@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from msal_cli.errors import InternalError
 from msal_cli.storage.atomic import write_whole
 
 _DONE, _TILES, _REDUCED = "done", "tiles", "reduced.json"
@@ -47,6 +48,15 @@ class Scratch:
             return np.empty(shape, dtype)
         mapped = np.memmap(path, dtype=dtype, mode="r+" if writable else "r")
         return mapped if columns == 1 else mapped.reshape(-1, columns)
+
+    def read_range(self, name: str, dtype: Any, start: int, stop: int, columns: int = 1) -> Any:
+        """Rows ``start`` to ``stop`` of the array in a file, read without mapping it."""
+        row = np.dtype(dtype).itemsize * columns
+        count = (stop - start) * columns
+        values = np.fromfile(self.path / name, dtype, count, offset=start * row)
+        if len(values) != count:
+            raise InternalError(f"the file {name} in scratch ends too early")
+        return values if columns == 1 else values.reshape(-1, columns)
 
     def write_range(self, name: str, first_byte: int, values: Any) -> None:
         """Write numbers into a file that exists, without mapping it."""

@@ -21,10 +21,9 @@ def open_source(description: dict[str, Any]) -> StreamedMesh:
     """
     if description["kind"] == SET:
         return _find("tiles.file_set", "open_set")(description)  # type: ignore[no-any-return]
-    opened: StreamedMesh = _find("codecs.streamed", "open_streamed")(
-        description["path"], description["format"]
-    )
-    return opened
+    from msal_cli.codecs.streamed import open_streamed
+
+    return open_streamed(description["path"], description["format"])
 
 
 def identify(description: dict[str, Any]) -> dict[str, Any]:

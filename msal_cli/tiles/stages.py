@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from msal_cli.errors import InternalError
-from msal_cli.tiles.plan import TilePlan
+from msal_cli.tiles.plan import TilePlan, load_plan
 from msal_cli.tiles.scratch import Scratch
 
 TaskRef = tuple[str, str, int]
@@ -95,7 +95,7 @@ follows as long as the reduction of the one before says so."""
 
 def next_stage(scratch: Scratch) -> Stage | None:
     """The first stage that is not finished; None if all are."""
-    plan = _load_plan(scratch)
+    plan = load_plan(scratch)
     for kind, steps in _STAGES.items():
         name = _next_round(scratch) if kind == "denoise" else kind
         if name is None or scratch.stage_result(name) is not None:
@@ -129,7 +129,7 @@ def reduce_stage(scratch: Scratch, name: str) -> None:
     A reduction that was killed is repeated from the results of the tasks.
     """
     kind, arguments = _parse_name(name)
-    missing = _STAGES[kind].n_tasks(_load_plan(scratch)) - len(scratch.finished(name))
+    missing = _STAGES[kind].n_tasks(load_plan(scratch)) - len(scratch.finished(name))
     if missing:
         raise InternalError(f"stage {name} is reduced before {missing} of its tasks are finished")
     again = False
@@ -148,13 +148,6 @@ def run_here(scratch: Scratch, on_progress: OnProgress | None = None) -> None:
         reduce_stage(scratch, stage.name)
         if on_progress is not None:
             on_progress(stage.name, stage.n_tasks, stage.n_tasks)
-
-
-def _load_plan(scratch: Scratch) -> TilePlan:
-    plan = TilePlan.load(scratch)
-    if plan is None:
-        raise InternalError(f"{scratch.path} has no plan")
-    return plan
 
 
 def _next_round(scratch: Scratch) -> str | None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -18,9 +17,9 @@ from msal_cli.job.records import ChoiceMade, NoiseEstimate
 from msal_cli.job.settings import ADAPTIVE, AUTO, Settings
 from msal_cli.mesh import Mesh, prepare_mesh
 from msal_cli.tiles import representative
-from msal_cli.tiles.plan import TilePlan, read_globals, write_globals
-from msal_cli.tiles.scratch import Scratch
+from msal_cli.tiles.plan import load_plan, read_globals
 from tests.shapes import grid, torus
+from tests.tiles.fakes import FakeMesh, open_fake, run_stages
 
 WHOLE_ONLY = ("l0",)
 CHEAP = Wishes(budget=6.0)
@@ -38,46 +37,13 @@ def reaches(monkeypatch):
 
 
 def in_tiles(folder, vertices, faces, settings, n_tiles=4):
-    """The scratch folder of a run that has got as far as ``choose``; tiles are slabs along x."""
-    scratch = Scratch(folder)
-    scratch.path.mkdir()
-    (scratch.path / "faces").mkdir()
-    order = np.argsort(vertices[:, 0], kind="stable")
-    starts = np.linspace(0, len(vertices), n_tiles + 1).astype(int).tolist()
-    for start, stop in itertools.pairwise(starts):
-        order[start:stop].sort()
-    numbers = np.argsort(order).astype(np.uint32)
-    scratch.create("old.u4", np.uint32, order.shape)
-    scratch.write_range("old.u4", 0, order.astype(np.uint32))
-    scratch.create("positions.bin", np.float64, vertices.shape)
-    scratch.write_range("positions.bin", 0, vertices[order])
-    ids = numbers[faces]
-    tiles = np.searchsorted(starts, ids, side="right") - 1
-    half = len(faces) // 2
-    chunks = [(0, half), (half, len(faces))]
-    for chunk, (first, stop) in enumerate(chunks):
-        records, offsets = [], {}
-        for tile in range(n_tiles):
-            own = first + np.flatnonzero((tiles[first:stop] == tile).any(axis=1))
-            offsets[str(tile)] = [sum(map(len, records)), len(own)]
-            records.append(np.column_stack([own, ids[own]]).astype(np.uint32))
-        (scratch.path / f"faces/{chunk}.bin").write_bytes(np.concatenate(records).tobytes())
-        scratch.write_json(f"faces/{chunk}.json", offsets)
-    TilePlan(
-        source={},
-        identity={},
-        settings=asdict(settings),
-        output=None,
-        n_vertices=len(vertices),
-        n_polygons=len(faces),
-        vertex_type="float64",
-        split_axis=[],
-        split_at=[],
-        n_tiles=n_tiles,
-        vertex_chunks=[],
-        face_chunks=[list(chunk) for chunk in chunks],
-    ).save(scratch)
-    write_globals(scratch, tile_starts=starts)
+    """The scratch folder of a run that has got as far as ``choose``."""
+    folder.mkdir()
+    with pytest.MonkeyPatch.context() as patch:
+        made = FakeMesh(vertices, faces.astype(np.uint32))
+        plan, scratch = open_fake(patch, folder, made, tile_vertices=-(-len(vertices) // n_tiles))
+        replace(plan, settings=asdict(settings)).save(scratch)
+        run_stages(scratch)
     return scratch
 
 
@@ -137,7 +103,7 @@ def test_the_part_is_as_noisy_as_the_whole(tmp_path, mesh, small_parts):
 def test_patches_are_faces_of_the_mesh_itself(tmp_path, mesh, small_parts):
     vertices, faces = mesh
     scratch = in_tiles(tmp_path / "s", vertices, faces, Settings("msal"))
-    part = representative.read_part(scratch, TilePlan.load(scratch)).ready
+    part = representative.read_part(scratch, load_plan(scratch)).ready
     corners = (part.mesh.vertices + part.origin)[part.mesh.faces]
     known = {tuple(corner.round(9).ravel()) for corner in vertices[faces]}
     assert len(corners) > 1000
@@ -250,4 +216,4 @@ def test_tiles_without_faces_are_passed_over(tmp_path, mesh, small_parts):
     result = run(tmp_path / "s", scattered, Settings("msal"), n_tiles=16)
     assert result["vertices"] >= 500
     with pytest.raises(ContentError, match="no tile has a face"):
-        run(tmp_path / "none", (lonely, faces[:0]), Settings("msal"))
+        run(tmp_path / "none", (lonely, np.array([[0, 3000, 5999]])), Settings("msal"))

@@ -41,6 +41,9 @@ from msal_cli.codecs.streamed.ply_walk import Run, fixed_stride, walk_element
 from msal_cli.codecs.streamed_mesh import FaceChunk, NewNormals, NewPositions
 from msal_cli.errors import UnsupportedError
 
+_AT_ONCE = 1 << 17
+"""Vertices that are replaced at a time, so that their new positions take little memory."""
+
 _IN_MEMORY = "run on a machine with more memory"
 
 
@@ -168,22 +171,24 @@ class StreamedPly:
         first = max(0, piece[0] - self._start) // self._stride
         end = self._start + self.n_vertices * self._stride
         stop = max(0, min(piece[1], end) - self._start) // self._stride
-        if stop <= first:
-            return data.data
-        local = self._start + first * self._stride - piece[0]
-        changes = self._changed_positions(data, local, first, positions(first, stop))
-        if normals is not None and self.has_normals:
-            changes += self._changed_normals(data, local, normals(first, stop))
-        if not changes:
-            return data.data
-        result = overwrite(data, changes)
-        check_overwritten(data, np.frombuffer(result, dtype=np.uint8), changes)
-        return result
+        result = data
+        for low, high in split_range(first, stop, _AT_ONCE):
+            local = self._start + low * self._stride - piece[0]
+            part = slice(local, local + (high - low) * self._stride)
+            changes = self._changed_positions(data[part], low, positions(low, high))
+            if normals is not None and self.has_normals:
+                changes += self._changed_normals(data[part], normals(low, high))
+            if changes:
+                new = np.frombuffer(overwrite(data[part], changes), dtype=np.uint8)
+                check_overwritten(data[part], new, changes)
+                if result is data:
+                    result = data.copy()
+                result[part] = new
+        return result.data
 
-    def _changed_positions(
-        self, data: Bytes, local: int, first: int, new: Floats
-    ) -> list[Overwrite]:
-        slots = self._slots(data, local, len(new), POSITION)
+    def _changed_positions(self, data: Bytes, first: int, new: Floats) -> list[Overwrite]:
+        """New positions (n, 3) of vertices from ``first`` on, whose records are ``data``."""
+        slots = self._slots(data, POSITION)
         old = slots.values
         require_shape(new, old)
         is_moved = new != old
@@ -193,8 +198,9 @@ class StreamedPly:
         require_finite_result(new)
         return [Overwrite(slots, new, is_moved)]
 
-    def _changed_normals(self, data: Bytes, local: int, new: Floats) -> list[Overwrite]:
-        slots = self._slots(data, local, len(new), NORMAL)
+    def _changed_normals(self, data: Bytes, new: Floats) -> list[Overwrite]:
+        """The same for their normals."""
+        slots = self._slots(data, NORMAL)
         # By their bits: a stored normal may be NaN, and a new one minus zero.
         is_new = (slots.values.view(np.int64) != new.view(np.int64)).any(axis=1)
         if not is_new.any():
@@ -225,17 +231,19 @@ class StreamedPly:
         for low, high in split_range(0, len(values), max(1, BLOCK_BYTES // self._stride)):
             first = self._start + (start + low) * self._stride
             data = read_range(self.path, first, first + (high - low) * self._stride)
-            self._slots(data, 0, high - low, names).read_into(data, values[low:high])
+            self._slots(data, names).read_into(data, values[low:high])
 
-    def _slots(self, data: Bytes, local: int, count: int, names: Sequence[str]) -> Strided:
-        """Where scalars of ``count`` vertices are in ``data``, from its byte ``local`` on."""
+    def _slots(self, data: Bytes, names: Sequence[str]) -> Strided:
+        """Where scalars of vertices are in ``data``, which are records of theirs."""
         places, order = [], self.header.byte_order
         for name in names:
             before = self.vertex.properties[: self.vertex.index(name)]
             places.append(sum(one.least_bytes() for one in before))
         codes = tuple(order + one.code for one in self.vertex.find_all(names))
         is_normal = names == NORMAL
-        return Strided(data, local, count, self._stride, tuple(places), codes, is_normal)
+        return Strided(
+            data, 0, len(data) // self._stride, self._stride, tuple(places), codes, is_normal
+        )
 
 
 def _refuse_others(header: Header) -> None:

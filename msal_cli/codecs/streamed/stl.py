@@ -23,6 +23,10 @@ from msal_cli.errors import InputError
 _FIRST = HEADER_BYTES + 4
 _SIZE = FACET.itemsize
 _AT_ONCE = BLOCK_BYTES // _SIZE
+_NONE = np.empty(0, dtype=bool)
+
+_REPLACED = 1 << 16
+"""Facets that are replaced at a time, so that their new corners take little memory."""
 
 
 class StreamedStl:
@@ -133,23 +137,25 @@ class StreamedStl:
         if high <= low:
             return data.data
         begin = _FIRST + low * _SIZE - piece[0]
-        part = slice(begin, begin + (high - low) * _SIZE)
-        before = data[part].view(FACET)
-        old = _corners(before).astype(np.float64)
-        new = positions(3 * low, 3 * high)
-        require_shape(new, old)
-        if np.array_equal(old, new):
-            return data.data
-        require_range(new, np.broadcast_to(True, new.shape), ("<f4",) * 3, 3 * low)
-        require_finite_result(new)
-        result = data.copy()
-        after = result[part].view(FACET)
-        faces = np.arange(3 * len(after), dtype=np.int32).reshape(-1, 3)
-        none = np.empty(0, dtype=bool)
-        over_ranges(
-            replace_facets, len(after), old, new, faces, after["normal"], after["corners"], none
-        )
-        check_replaced(before, after, old, new, faces, low)
+        before = data[begin : begin + (high - low) * _SIZE].view(FACET)
+        result, after = data, before
+        for start, stop in split_range(0, high - low, _REPLACED):
+            old = _corners(before[start:stop]).astype(np.float64)
+            new = positions(3 * (low + start), 3 * (low + stop))
+            require_shape(new, old)
+            if np.array_equal(old, new):
+                continue
+            require_range(new, np.broadcast_to(True, new.shape), ("<f4",) * 3, 3 * (low + start))
+            require_finite_result(new)
+            if result is data:
+                result = data.copy()
+                after = result[begin : begin + (high - low) * _SIZE].view(FACET)
+            part = after[start:stop]
+            faces = np.arange(3 * len(part), dtype=np.int32).reshape(-1, 3)
+            over_ranges(
+                replace_facets, len(part), old, new, faces, part["normal"], part["corners"], _NONE
+            )
+            check_replaced(before[start:stop], part, old, new, faces, low + start)
         return result.data
 
     def _read_facets(self, start: int, stop: int) -> NDArray[np.void]:

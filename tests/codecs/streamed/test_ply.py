@@ -26,6 +26,7 @@ def small_blocks(monkeypatch):
     """Blocks of a few records, so that every border is met."""
     monkeypatch.setattr(ply_walk, "BLOCK_BYTES", 40)
     monkeypatch.setattr(ply, "BLOCK_BYTES", 40)
+    monkeypatch.setattr(ply, "_AT_ONCE", 2)
 
 
 def scalar(draw, kind: str):

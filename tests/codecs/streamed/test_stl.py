@@ -20,6 +20,7 @@ from tests.codecs.streamed import pieces
 def small_blocks(monkeypatch):
     """Two facets at a time, so that every border is met."""
     monkeypatch.setattr(stl, "_AT_ONCE", 2)
+    monkeypatch.setattr(stl, "_REPLACED", 2)
 
 
 NUMBERS = st.sampled_from([0.0, -0.0, 1.0, 2.0, -3.0, 0.1, 1e-30, 5e8])

@@ -1,0 +1,176 @@
+"""Numbers of a whole mesh, where only a part of it is there.
+
+A mesh that does not fit into memory is computed part by part.  A part has vertices of its own and
+a halo of others around them, as many rings as the method reaches; results are right at the own
+ones.  Some numbers belong to the whole mesh: the mean edge length, max sigma of a sweep.  Where a
+computation on a part needs one that is not known it raises ``Pending``, which has
+
+- the key of the number,
+- what the part contributes to it, for JSON: its own vertices, faces and edges, so that each
+  counts once over all parts,
+- the state of the computation, named arrays.
+
+Once ``combine`` has made the number of what all parts contribute, the computation is called again
+for each part, with ``known`` that holds it and ``saved`` that is this state, and goes on from there
+to the next ``Pending`` or to its end.  All parts need the same numbers in the same order.  The
+number has the same bits for any parts, one or a thousand: sums are exact.
+
+    whole = Whole(own_vertices, own_faces)
+    while True:
+        try:
+            result = method.denoise(dataclasses.replace(mesh, whole=whole), parameters)
+        except Pending as pending:
+            ...            # send pending.partial, save pending.state, combine what all parts sent
+            whole = dataclasses.replace(
+                whole, known={**whole.known, pending.key: number}, saved=state
+            )
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from msal_cli.arrays import Flags, Floats
+from msal_cli.kernels.exact_sum import combine_means
+from msal_cli.kernels.selection import combine_selections, selection_partial, to_values
+
+State = Mapping[str, NDArray[Any]]
+"""Named arrays by which a computation goes on."""
+
+
+class Pending(Exception):  # noqa: N818 - it is no fault
+    """A computation on a part needs a number of the whole mesh that is not known.
+
+    Attributes
+    ----------
+    key : of the number.
+    partial : what this part contributes to it, for JSON.
+    state : named arrays, to be given back as ``Whole.saved``; none where there is nothing to save.
+    """
+
+    def __init__(self, key: str, partial: Any, state: State) -> None:
+        super().__init__(f"{key} of the whole mesh is not known")
+        self.key = key
+        self.partial = partial
+        self.state = dict(state)
+
+
+@dataclass(frozen=True, eq=False)
+class Whole:
+    """What the computation on a part of a mesh knows of the whole.
+
+    Attributes
+    ----------
+    own_vertices : (n,) the vertices that this part has and no other.
+    own_faces : (m,) the same of faces: those whose first corner in the file is an own vertex.
+    known : numbers of the whole mesh by key, as ``combine`` made them: floats, or lists for JSON.
+    saved : the state of the last ``Pending``, empty at first.
+    prefix : of the keys and names in this computation, which is a step of another; empty mostly.
+    """
+
+    own_vertices: Flags
+    own_faces: Flags
+    known: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    saved: State = dataclasses.field(default_factory=dict)
+    prefix: str = ""
+
+    def under(self, name: str) -> Whole:
+        """The same for a step of that name: its keys and states are apart from all others."""
+        return dataclasses.replace(self, prefix=f"{self.prefix}{name}/")
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """What this computation has saved, by the names that it gave; empty at its first call."""
+        start = len(self.prefix)
+        return {
+            name[start:]: array
+            for name, array in self.saved.items()
+            if name.startswith(self.prefix)
+        }
+
+    def reduce(
+        self, key: str, partial: Callable[[], Any], state: Callable[[], State] = dict
+    ) -> Any:
+        """The number of that key; ``Pending`` with ``partial()`` and ``state()`` if not known."""
+        name = self.prefix + key
+        if name in self.known:
+            return self.known[name]
+        arrays = {self.prefix + one: array for one, array in state().items()}
+        raise Pending(name, partial(), arrays)
+
+
+def combine(partials: Sequence[Any]) -> Any:
+    """The number of the whole mesh from what all of its parts contribute to it, in any order.
+
+    The result is for JSON as well: a float, or a list where more than one round is needed.
+    """
+    kind = partials[0]["kind"]
+    if kind == "largest":
+        return max(float(one["value"]) for one in partials)
+    return {"mean": combine_means, "selection": combine_selections}[kind](partials)
+
+
+def largest_of_all(
+    whole: Whole, key: str, values: Floats, state: Callable[[], State] = dict
+) -> float:
+    """The largest of values (n,), not below zero, over the own vertices of all parts."""
+    own = whole.own_vertices
+
+    def partial() -> dict[str, Any]:
+        return {"kind": "largest", "value": float(values[own].max(initial=0.0))}
+
+    return float(whole.reduce(key, partial, state))
+
+
+def select_of_all(
+    whole: Whole,
+    key: str,
+    values: Floats,
+    wanted: Sequence[tuple[str, float]],
+    state: Callable[[], State] = dict,
+) -> list[float]:
+    """Those of the values (n,) of all parts that would be in certain places if sorted.
+
+    Parameters
+    ----------
+    values : of this part, each value in one part only; none of them NaN.
+    wanted : the places, see ``kernels.selection``.
+
+    Returns one value for each place; none at all where no part has a value.
+    """
+    found: Any = None
+    for number in itertools.count(1):
+        contribute = functools.partial(selection_partial, values, wanted, found)
+        found = whole.reduce(f"{key}, round {number}", contribute, state)
+        if found["is_done"]:
+            break
+    return to_values(found)
+
+
+def quantile_of_all(
+    whole: Whole, key: str, values: Floats, share: float, state: Callable[[], State] = dict
+) -> float:
+    """``quantiles.quantile_above_zero`` of the values (n,), over the own vertices of all parts."""
+    own = values[whole.own_vertices]
+    found = select_of_all(whole, key, own[own > 0.0], [("share", share)], state)
+    return found[0] if found else 0.0
+
+
+def median_of_all(
+    whole: Whole, key: str, values: Floats, state: Callable[[], State] = dict
+) -> float | None:
+    """``quantiles.median`` of the values (k,) of all parts; None where none has a value.
+
+    Each value is in one part only.
+    """
+    found = select_of_all(whole, key, values, [("middle", 0), ("middle", 1)], state)
+    if not found:
+        return None
+    low, high = found
+    return low if low == high else (low + high) / 2.0

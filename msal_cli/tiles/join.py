@@ -1,0 +1,199 @@
+"""Stage ``join``: the output in pieces, and its way to its place.
+
+Each task gathers the new positions of the vertices in its piece of the file, which lie in the order
+of tiles, and writes the piece into a file in the scratch folder.  When all are there the file is
+checked, flushed and moved to the name of the output, which thus appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from msal_cli.arrays import Floats
+from msal_cli.codecs.streamed_mesh import NewPositions
+from msal_cli.errors import InputError, InternalError, OutputError
+from msal_cli.storage import digests
+from msal_cli.storage.atomic import publish
+from msal_cli.tiles import source as sources
+from msal_cli.tiles.plan import TilePlan, load_plan
+from msal_cli.tiles.scratch import Scratch
+
+MOVED, NORMALS = "moved.f8", "normals.f8"
+"""New positions (n, 3) and normals (n, 3) by new number, file units, float64; that of a vertex
+which did not move is the stored one.  Without the first nothing moved."""
+
+OUTPUT = "output.bin"
+"""The output as far as it is written."""
+
+_NUMBERS = "numbers.u4"
+_FINISHED = "finished.json"
+
+
+@dataclass(frozen=True)
+class Finished:
+    """An output that is in its place.
+
+    Attributes
+    ----------
+    path : of the output.
+    input_sha256, output_sha256 : hex digits.
+    size : bytes of the output.
+    is_changed : whether it differs from the input.
+    """
+
+    path: str
+    input_sha256: str
+    output_sha256: str
+    size: int
+    is_changed: bool
+
+
+def run_join(scratch: Scratch, piece: int) -> dict[str, Any]:
+    """Write a piece of the output; the result has its CRC-32, by which it is known later."""
+    plan = load_plan(scratch)
+    mesh = sources.open_source(plan.source)
+    start, stop = plan.pieces[piece]
+    positions = _gather(scratch, MOVED) if scratch.has(MOVED) else _stored(mesh)
+    normals = _gather(scratch, NORMALS) if scratch.has(NORMALS) else None
+    data = mesh.replace((start, stop), positions, normals)
+    if len(data) != stop - start:
+        raise InternalError(
+            f"piece {piece} of the output has {len(data)} bytes, not {stop - start}"
+        )
+    _write_at(scratch, start, data)
+    return {"crc32": zlib.crc32(data)}
+
+
+def finish_output(
+    scratch: Scratch, *, path: str | None = None, mode_like: str | None = None
+) -> Finished:
+    """Move the output, all of whose pieces are written, to its place: that of the plan or ``path``.
+
+    A call that was killed is repeated.  A new file gets the permission bits of ``mode_like``.
+
+    Raises
+    ------
+    InputError
+        if the input has changed since the plan was made.
+    OutputError
+        if the system refuses, or the scratch folder does not hold what was written to it.
+    """
+    plan = load_plan(scratch)
+    target = path if path is not None else plan.output
+    if target is None:
+        raise InternalError("the plan has no output")
+    known = scratch.read_json(_FINISHED)
+    if known is not None and not scratch.has(OUTPUT):
+        return Finished(**known)
+    _require_same_input(plan)
+    finished = _check_pieces(scratch, plan, target)
+    # Written before the file is moved, so that a repeated call knows what became of it.
+    scratch.write_json(_FINISHED, asdict(finished))
+    publish(scratch.path / OUTPUT, target, finished.size, mode_like=mode_like)
+    return finished
+
+
+def _stored(mesh: Any) -> NewPositions:
+    """New positions that are the stored ones."""
+    return lambda start, stop: mesh.read_vertices(start, stop).astype(np.float64)
+
+
+def _gather(scratch: Scratch, name: str) -> NewPositions:
+    """The rows of an array in the order of tiles, for ranges of vertices of the file."""
+
+    def gather(start: int, stop: int) -> Floats:
+        numbers = scratch.read_range(_NUMBERS, np.uint32, start, stop)
+        order = np.argsort(numbers, kind="stable")
+        ascending = numbers[order].astype(np.int64)
+        # Vertices of one tile have its numbers in the order of the file, so that a range of
+        # vertices has a range of numbers in every tile, without gaps.
+        cuts = np.flatnonzero(np.diff(ascending) != 1) + 1
+        rows = np.empty((stop - start, 3))
+        for first, last in zip([0, *cuts], [*cuts, stop - start], strict=True):
+            if last > first:
+                low = int(ascending[first])
+                part = scratch.read_range(name, np.float64, low, low + last - first, 3)
+                rows[order[first:last]] = part
+        return rows
+
+    return gather
+
+
+def _write_at(scratch: Scratch, start: int, data: memoryview) -> None:
+    """Write a piece of the output; the file is made where it is not there yet."""
+    flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0)
+    with open(os.open(scratch.path / OUTPUT, flags, 0o666), "wb", buffering=0) as file:
+        file.seek(start)
+        view = data.cast("B")
+        while len(view):
+            view = view[file.write(view) :]
+
+
+def _require_same_input(plan: TilePlan) -> None:
+    if sources.identify(plan.source) != plan.identity:
+        raise InputError(
+            "the input changed while it was denoised",
+            hint="let no other program write it, and run again",
+        )
+
+
+def _check_pieces(scratch: Scratch, plan: TilePlan, target: str) -> Finished:
+    """Read input and output, side by side, and compare every piece with what was written."""
+    results = scratch.results("join")
+    pieces = [(start, stop) for start, stop in plan.pieces if stop > start]
+    sums = [
+        results[index]["crc32"] for index, (start, stop) in enumerate(plan.pieces) if stop > start
+    ]
+    reader = _PieceReader([stop for _, stop in pieces])
+    with ThreadPoolExecutor(1) as other:
+        digest = other.submit(digests.sha256_of_file, plan.source["path"])
+        output = digests.sha256_of_file(scratch.path / OUTPUT, reader.look)
+        try:
+            source = digest.result()
+        except OSError as failure:
+            raise InputError(
+                f"the input cannot be read: {failure.strerror}",
+                code="E_READ",
+                hint="check that it is still there, and run again",
+            ) from failure
+    for piece, crc32, expected in zip(pieces, reader.sums, sums, strict=True):
+        if crc32 != expected:
+            raise OutputError(
+                f"the bytes {piece[0]} to {piece[1]} of the output are not as they were written",
+                path=str(scratch.path / OUTPUT),
+                hint="remove the scratch folder, check its disk, and run again",
+            )
+    return Finished(target, source, output, reader.size, output != source)
+
+
+class _PieceReader:
+    """The CRC-32 of every piece of a file that is read from its beginning.
+
+    ``stops`` are the ends of the pieces, ascending.
+    """
+
+    def __init__(self, stops: list[int]) -> None:
+        self._stops = stops
+        self.sums = [0] * len(stops)
+        self.size = 0
+        self._piece = 0
+
+    def look(self, data: bytes) -> None:
+        """The next bytes."""
+        view = memoryview(data)
+        while len(view):
+            if self._piece == len(self._stops):
+                self.size += len(view)
+                return
+            room = self._stops[self._piece] - self.size
+            self.sums[self._piece] = zlib.crc32(view[:room], self.sums[self._piece])
+            self.size += min(room, len(view))
+            if self.size == self._stops[self._piece]:
+                self._piece += 1
+            view = view[room:]
