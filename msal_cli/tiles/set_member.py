@@ -13,7 +13,7 @@ from msal_cli.job import changes, output
 from msal_cli.job.pipeline import FileRun
 from msal_cli.job.records import MeshRecord, Seconds
 from msal_cli.job.settings import NO_LIMITS
-from msal_cli.tiles.borders import Border, find_border
+from msal_cli.tiles.set_borders import Border, find_border
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Floats, Ints

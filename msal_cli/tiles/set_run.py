@@ -28,7 +28,7 @@ from msal_cli.job.settings import (
     least_memory_bytes,
 )
 from msal_cli.machine import available_bytes, megabytes
-from msal_cli.tiles.borders import SharedBorders, count_unmatched, share_borders
+from msal_cli.tiles.set_borders import SharedBorders, count_unmatched, share_borders
 from msal_cli.tiles.set_member import Arrays, Member, add_seconds, scan_member, write_member
 
 if TYPE_CHECKING:

@@ -8,8 +8,14 @@ from hypothesis import strategies as st
 from msal_cli.codecs import open_mesh
 from msal_cli.errors import UsageError
 from msal_cli.job.opened_mesh import prepare_mesh
-from msal_cli.tiles import borders
-from msal_cli.tiles.borders import Border, count_unmatched, find_border, near_pairs, share_borders
+from msal_cli.tiles import set_borders as borders
+from msal_cli.tiles.set_borders import (
+    Border,
+    count_unmatched,
+    find_border,
+    near_pairs,
+    share_borders,
+)
 from tests.shapes import grid
 from tests.tiles.tile_files import in_tiles, noisy_ball, ply
 
