@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from msal_cli.analysis import harm
+from msal_cli.analysis.enclosure import MOST_PARTS, describe_turned
 from msal_cli.analysis.measures import (
     DisplacementStatistics,
     NormalStatistics,
@@ -17,6 +18,7 @@ from msal_cli.analysis.measures import (
 from msal_cli.job import changes
 from msal_cli.job.records import NormalChange
 from msal_cli.mesh import Defects
+from msal_cli.tiles import part_volumes
 from msal_cli.tiles.cut import tile_range, weld_numbers
 from msal_cli.tiles.plan import read_globals
 
@@ -48,6 +50,8 @@ def measure_tile(
 
     lengths = distances(before.vertices, moved)[tile_mesh.own_vertices]
     own_faces = np.ascontiguousarray(tile_mesh.faces[tile_mesh.own_faces])
+    if _counts_by_part(defects_of(scratch)):
+        part_volumes.save_figures(scratch.tile_folder(tile), tile_mesh, moved)
     keys, counts = _count_lengths(lengths)
     np.save(scratch.tile_folder(tile) / _LENGTHS, np.stack([keys, counts]))
     return {
@@ -119,9 +123,8 @@ def changes_of(scratch: Scratch) -> changes.Measured:
     """What ``job.changes.measure`` gives of the same mesh in memory, but for the noise: fields of
     the record, warnings and the harm.
 
-    The sums differ in their last digits, the 95th percentile by 0.05 % at most.  A closed surface
-    of several parts counts as inside out where its whole volume is negative; of one from which
-    faces were left out other faces are looked at for folds.
+    The sums differ in their last digits, the 95th percentile by 0.05 % at most.  Of a mesh from
+    which faces were left out other faces are looked at for folds.
     """
     defects = defects_of(scratch)
     edge = read_globals(scratch)["known"]["mean edge length"]
@@ -129,15 +132,10 @@ def changes_of(scratch: Scratch) -> changes.Measured:
     statistics = _combine_lengths(scratch, tiles)
     surface = _combine_surfaces(tiles)
     objection = defects.volume_objection
-    is_inside_out = not objection and is_negative(surface.volume_before, surface.area_before)
+    surface, n_turned = _turn_outwards(scratch, defects, surface)
     warnings = []
-    if is_inside_out:
-        warnings.append(
-            (changes.INSIDE_OUT, "the surface is inside out: its normals point inwards")
-        )
-        surface = replace(
-            surface, volume_before=-surface.volume_before, volume_after=-surface.volume_after
-        )
+    if n_turned:
+        warnings.append((changes.INSIDE_OUT, describe_turned(n_turned, defects.components)))
     n_faces = read_globals(scratch)["counts"]["faces"]
     n_folds = sum(one["folds"] for one in tiles.values()) * harm.sampling_step(n_faces)
     found = harm.judge_change(surface, n_faces, lambda: n_folds, has_volume=not objection)
@@ -150,7 +148,7 @@ def changes_of(scratch: Scratch) -> changes.Measured:
             normals.mean_angular_error_deg, normals.max_angular_error_deg
         ),
         "flipped_faces": normals.flipped_faces,
-        "inside_out": is_inside_out,
+        "inside_out": n_turned > 0,
         "volume": changes.volume_changed(
             surface.volume_before, surface.volume_after, surface.area_before, objection
         ),
@@ -158,6 +156,26 @@ def changes_of(scratch: Scratch) -> changes.Measured:
         "seam_gap": max((one["seam_gap"] for one in tiles.values()), default=0.0),
     }
     return changes.Measured(fields, tuple(warnings), found)
+
+
+def _counts_by_part(defects: Defects) -> bool:
+    """Whether the volume is that of several parts, each of which may be inside out."""
+    return not defects.volume_objection and 1 < defects.components <= MOST_PARTS
+
+
+def _turn_outwards(
+    scratch: Scratch, defects: Defects, surface: SurfaceChange
+) -> tuple[SurfaceChange, int]:
+    """See ``part_volumes.turn_outwards``."""
+    if _counts_by_part(defects):
+        folders = [scratch.tile_folder(tile) for tile in _last_measures(scratch)]
+        return part_volumes.turn_outwards(folders, defects.components, surface)
+    if defects.volume_objection or not is_negative(surface.volume_before, surface.area_before):
+        return surface, 0
+    turned = replace(
+        surface, volume_before=-surface.volume_before, volume_after=-surface.volume_after
+    )
+    return turned, defects.components
 
 
 def _last_measures(scratch: Scratch) -> dict[int, dict[str, Any]]:

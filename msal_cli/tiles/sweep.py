@@ -66,7 +66,7 @@ def reduce_prepare(scratch: Scratch) -> None:
     """Add counts and the mean edge length of the whole mesh to what all tasks know."""
     results = {tile: one for tile, one in scratch.results("prepare").items() if one["own"]}
     counts = {name: sum(one[name] for one in results.values()) for name in _COUNTS}
-    folders = (scratch.tile_folder(tile) for tile in results)
+    folders = [scratch.tile_folder(tile) for tile in results]
     components = borders.join_parts(folders, [one["parts"] for one in results.values()])
     mean = exact_sum.combine_means(one["edges"] for one in results.values())
     scratch.create(MOVED, np.float64, (load_plan(scratch).n_vertices, 3))
