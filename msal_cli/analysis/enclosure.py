@@ -140,8 +140,8 @@ def _measure_parts(mesh: Mesh, parts: NDArray[np.intp], n_parts: int) -> tuple[F
     normals, face_areas = face_normals_and_areas(mesh.vertices, mesh.faces)
     # A face and the origin span a third of area times height.
     heights = np.einsum("ij,ij->i", mesh.vertices[first], normals)
-    areas: Floats = np.bincount(parts[first], face_areas, n_parts)
-    volumes: Floats = np.bincount(parts[first], face_areas * heights, n_parts) / 3.0
+    areas = np.bincount(parts[first], face_areas, n_parts).astype(np.float64, copy=False)
+    volumes = np.bincount(parts[first], face_areas * heights, n_parts) / 3.0
     return volumes, areas
 
 

@@ -20,7 +20,8 @@ from msal_cli.job.records import NormalChange
 from msal_cli.mesh import Defects
 from msal_cli.tiles import part_volumes
 from msal_cli.tiles.cut import tile_range, weld_numbers
-from msal_cli.tiles.plan import read_globals
+from msal_cli.tiles.plan import load_plan, read_globals
+from msal_cli.tiles.representative import read_settings
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Floats
@@ -64,6 +65,27 @@ def measure_tile(
         "folds": _count_folds(scratch, tile_mesh, before),
         "seam_gap": _measure_seams(scratch, tile, placed),
     }
+
+
+def sample_fidelity(scratch: Scratch, tile_mesh: TileMesh, fidelity: Floats | None) -> list[float]:
+    """lambda (n,) of the first sweep at every k-th vertex of the whole mesh, of those of a tile."""
+    if fidelity is None:
+        return []
+    known = read_globals(scratch)
+    n_vertices = known["used_vertices"] if known["n_welded"] else known["tile_starts"][-1]
+    step = changes.fidelity_step(n_vertices)
+    ids = tile_mesh.ids[tile_mesh.own_vertices]
+    is_chosen = scratch.array("old.u4", np.uint32)[ids] % np.uint32(step) == 0
+    sample: list[float] = fidelity[tile_mesh.own_vertices][is_chosen].tolist()
+    return sample
+
+
+def is_ruled_by_spike(scratch: Scratch) -> bool:
+    """See ``job.changes.is_ruled_by_spike``."""
+    tiles = _last_measures(scratch).values()
+    return changes.is_ruled_by_spike(
+        np.array([value for one in tiles for value in one["fidelity"]])
+    )
 
 
 def _count_lengths(lengths: Floats) -> tuple[Any, Any]:
@@ -155,6 +177,11 @@ def changes_of(scratch: Scratch) -> changes.Measured:
         "area": changes.area_changed(surface.area_before, surface.area_after),
         "seam_gap": max((one["seam_gap"] for one in tiles.values()), default=0.0),
     }
+    known = read_settings(load_plan(scratch))
+    if known.lock:
+        fields["locked_vertices"] = _count(scratch, "locked")
+    if known.max_move is not None:
+        fields["clamped_vertices"] = _count(scratch, "clamped")
     return changes.Measured(fields, tuple(warnings), found)
 
 
@@ -180,11 +207,21 @@ def _turn_outwards(
 
 def _last_measures(scratch: Scratch) -> dict[int, dict[str, Any]]:
     """What the tiles measured in the last round of the method, by tile."""
+    results = _last_results(scratch)
+    return {tile: one["measures"] for tile, one in results.items() if "measures" in one}
+
+
+def _last_results(scratch: Scratch) -> dict[int, dict[str, Any]]:
     number = 0
     while scratch.finished(f"denoise-{number + 1}"):
         number += 1
-    results = scratch.results(f"denoise-{number}")
-    return {tile: one["measures"] for tile, one in results.items() if "measures" in one}
+    return scratch.results(f"denoise-{number}")
+
+
+def _count(scratch: Scratch, name: str) -> int:
+    """How many vertices of all tiles, those without faces too, are ``locked`` or ``clamped``."""
+    results = _last_results(scratch).values()
+    return sum(one.get("measures", one).get(name, 0) for one in results)
 
 
 def _combine_lengths(scratch: Scratch, tiles: dict[int, dict[str, Any]]) -> DisplacementStatistics:
