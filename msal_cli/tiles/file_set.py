@@ -71,6 +71,7 @@ class FileSet:
     references: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     are_corners = has_normals = False
+    keeps_size = True
 
     def __init__(self, description: dict[str, Any]) -> None:
         self._description = description
