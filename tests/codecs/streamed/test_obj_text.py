@@ -189,3 +189,13 @@ def test_no_faces_is_refused_with_the_same_words(tmp_path):
         text = "\n".join(lines).encode()
         expected = failure(lambda text=text: pieces.whole(text, "obj"))
         assert failure(lambda text=text: pieces.stored(tmp_path, text, "obj")) == expected
+
+
+def test_digits_of_a_line_depend_on_the_largest_new_number_of_the_file(tmp_path):
+    lines = scan(150)
+    lines[3] = "v 0.12345678901234567 0.1 0.2"
+    data = "\n".join([*lines, ""]).encode()
+    whole, mesh = pieces.whole(data, "obj"), pieces.stored(tmp_path, data, "obj")
+    new = whole.vertices + 0.001
+    new[149] += 123456.0
+    assert pieces.replace(mesh, new) == bytes(whole.replaced(new))
