@@ -97,9 +97,15 @@ def run_denoise(scratch: Scratch, round_number: int, tile: int) -> dict[str, Any
     tile_mesh = TileMesh.load(folder)
     mesh = _build_mesh(scratch, tile_mesh, folder, round_number)
     constraints = vertex_data.build_constraints(scratch, tile_mesh, mesh)
+    if constraints is not None:
+        mesh = constraints.mesh
+    if round_number:
+        part_files.load_normals(folder, mesh)
     try:
-        method, result = _run_method(scratch, mesh if constraints is None else constraints.mesh)
+        method, result = _run_method(scratch, mesh)
     except Pending as pending:
+        if not round_number:
+            part_files.save_normals(folder, mesh)
         part_files.save_state(folder, round_number, pending.state)
         return {"pending": {"key": pending.key, "partial": pending.partial}}
     _check_result(method, mesh, result)
