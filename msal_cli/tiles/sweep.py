@@ -22,6 +22,7 @@ from msal_cli.kernels.whole import Pending, Whole, combine
 from msal_cli.mesh import Mesh
 from msal_cli.tiles import borders, measures, new_normals, part_files, vertex_data
 from msal_cli.tiles.cut import tile_range, weld_numbers
+from msal_cli.tiles.exchange import load_saved
 from msal_cli.tiles.halo import Part, assemble_part, read_positions
 from msal_cli.tiles.join import MOVED, NORMALS
 from msal_cli.tiles.part_files import TileMesh
@@ -30,6 +31,8 @@ from msal_cli.tiles.representative import to_whole_units
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from numpy.typing import NDArray
 
     from msal_cli.arrays import Floats
     from msal_cli.job.constraints import Constraints
@@ -95,7 +98,8 @@ def run_denoise(scratch: Scratch, round_number: int, tile: int) -> dict[str, Any
             _write_rows(scratch, NORMALS, tile, stored)
         return {"locked": vertex_data.count_held_strays(scratch, tile, None)}
     tile_mesh = TileMesh.load(folder)
-    mesh = _build_mesh(scratch, tile_mesh, folder, round_number)
+    saved = load_saved(scratch, tile, tile_mesh, round_number - 1) if round_number else {}
+    mesh = _build_mesh(scratch, tile_mesh, saved)
     constraints = vertex_data.build_constraints(scratch, tile_mesh, mesh)
     if constraints is not None:
         mesh = constraints.mesh
@@ -107,7 +111,8 @@ def run_denoise(scratch: Scratch, round_number: int, tile: int) -> dict[str, Any
         if not round_number:
             part_files.save_normals(folder, mesh)
         part_files.save_state(folder, round_number, pending.state)
-        return {"pending": {"key": pending.key, "partial": pending.partial}}
+        waits = {"key": pending.key, "partial": pending.partial}
+        return {"pending": {**waits, "exchanged": list(pending.exchanged)}}
     _check_result(method, mesh, result)
     moved, counts = result.vertices, {}
     if constraints is not None:
@@ -195,10 +200,9 @@ def _measure_edges(mesh: TileMesh) -> dict[str, Any]:
     return edge_lengths_partial(mesh.vertices, *mesh.links.one_ring, mesh.own_vertices)
 
 
-def _build_mesh(scratch: Scratch, tile_mesh: TileMesh, folder: Any, round_number: int) -> Mesh:
+def _build_mesh(scratch: Scratch, tile_mesh: TileMesh, saved: Mapping[str, NDArray[Any]]) -> Mesh:
     """The mesh that a method runs on, which knows what is known of the whole."""
     known: Mapping[str, Any] = read_globals(scratch)["known"]
-    saved = part_files.load_state(folder, round_number - 1) if round_number else {}
     whole = Whole(tile_mesh.own_vertices, tile_mesh.own_faces, known, saved)
     mesh = Mesh(tile_mesh.vertices, tile_mesh.faces, whole=whole)
     mesh.__dict__["topology"] = tile_mesh.links
