@@ -131,7 +131,14 @@ class Mesh:
         self, fixed_vertices: NDArray[np.bool_] | None, trust: Floats | None
     ) -> Mesh:
         """The same mesh with vertices that are fixed, or trusted more or less; see above."""
-        other = Mesh(self.vertices, self.faces, fixed_vertices, trust, self.whole)
+        return self._with(Mesh(self.vertices, self.faces, fixed_vertices, trust, self.whole))
+
+    def with_whole(self, whole: Whole | None) -> Mesh:
+        """The same mesh that knows something else of the whole; see above."""
+        return self._with(Mesh(self.vertices, self.faces, self.fixed_vertices, self.trust, whole))
+
+    def _with(self, other: Mesh) -> Mesh:
+        """``other``, with all that is known of this one's vertices and faces."""
         own = {one: value for one, value in self.__dict__.items() if one not in other.__dict__}
         other.__dict__.update(own)
         return other
