@@ -113,10 +113,15 @@ class FileBar(Silent):
             self._bar.refresh()
 
 
-def bar(tasks: Sequence[Task], *, quiet: bool) -> Silent:
-    """The bar for a run; Silent with ``quiet`` or where standard error is no terminal."""
+def bar(tasks: Sequence[Task], *, quiet: bool, is_set: bool = False) -> Silent:
+    """The bar for a run; Silent with ``quiet`` or where standard error is no terminal.
+
+    The files of a tile set have one bar, as a single mesh has.
+    """
     if quiet or not tasks or not console.is_terminal(sys.stderr):
         return Silent()
+    if is_set:
+        return SweepBar(f"{len(tasks):,} files as one")
     if len(tasks) > 1:
         return FileBar(tasks)
     return SweepBar(tasks[0].relative, is_large=_size(tasks[0].input) >= _LARGE_BYTES)

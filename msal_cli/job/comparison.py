@@ -94,7 +94,7 @@ def compare_files(
         if streamed is not None:
             from msal_cli.job.streamed_comparison import compare_streamed
 
-            record = compare_streamed(streamed[0], streamed[1], before, after, listener)
+            record = compare_streamed(streamed[0], streamed[1], (before, after), listener)
             words = "intersections are not counted: the files are larger than memory"
             return _warned(record, words) if with_intersections else record
         return compare_meshes(

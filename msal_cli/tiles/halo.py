@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from msal_cli.errors import ContentError
 from msal_cli.mesh import LARGEST_EXTENT
+from msal_cli.tiles import vertex_data
 from msal_cli.tiles.cut import is_welded, tile_range, tile_records, weld_numbers
 from msal_cli.tiles.plan import load_plan, read_globals, write_globals
 
@@ -90,6 +91,7 @@ def reduce_rim(scratch: Scratch) -> None:
 
     Raises ContentError (``E_NO_FACES``, ``E_RANGE``).
     """
+    vertex_data.create_arrays(scratch)
     results = list(scratch.results("rim").values())
     if not any(one["faces"] for one in results):
         raise ContentError(
@@ -123,11 +125,11 @@ def assemble_part(scratch: Scratch, tile: int) -> Part:
     count = stop - first
     own_records = weld_records(scratch, tile_records(scratch, tile))
     halo = _find_halo(scratch, tile, own_records)
-    records = halos.drop_repeated(_merge(own_records, halo))
+    records = halos.drop_repeated(halos.merge_records(own_records, halo))
     del own_records, halo
     used = tile_cut.mark_own(records, first, count)
     own_ids = np.flatnonzero(used).astype(np.uint32) + np.uint32(first)
-    others = _other_vertices(records, first, count)
+    others = other_vertices(records, first, count)
     old = scratch.array(_OLD, np.uint32)
     own_old, other_old = old[first:stop][used], old[others]
     # Both in the order of the file, and then merged.
@@ -151,6 +153,15 @@ def read_positions(scratch: Scratch, ids: Ids | slice) -> Floats:
     stored = scratch.array(_POSITIONS, load_plan(scratch).dtype, 3)
     positions: Floats = stored[ids].astype(np.float64)
     return positions
+
+
+def other_vertices(records: Records, first: int, count: int) -> Ids:
+    """The vertices of triangles that are not the tile's, ascending."""
+    from msal_cli.kernels import halos
+
+    ids = halos.crossing_records(records, first, count)[:, 1:]
+    others: Ids = np.unique(ids[(ids < first) | (ids >= first + count)])
+    return others
 
 
 def weld_records(scratch: Scratch, records: Records) -> Records:
@@ -207,24 +218,3 @@ def _read_rim(scratch: Scratch, tile: int) -> Records:
     """The rim of a tile (m, 4), coincident vertices welded."""
     data = (scratch.path / _RIMS / f"{tile}.bin").read_bytes()
     return weld_records(scratch, np.frombuffer(data, dtype=np.uint32).reshape(-1, 4))
-
-
-def _merge(one: Records, other: Records) -> Records:
-    """Two lists of triangles, each in the order of the file, as one."""
-    if not len(other):
-        return one
-    at_other = np.searchsorted(one[:, 0], other[:, 0]) + np.arange(len(other))
-    is_one = np.ones(len(one) + len(other), dtype=bool)
-    is_one[at_other] = False
-    merged = np.empty((len(is_one), 4), dtype=np.uint32)
-    merged[is_one], merged[at_other] = one, other
-    return merged
-
-
-def _other_vertices(records: Records, first: int, count: int) -> Ids:
-    """The vertices of triangles that are not the tile's, ascending."""
-    from msal_cli.kernels import halos
-
-    ids = halos.crossing_records(records, first, count)[:, 1:]
-    others: Ids = np.unique(ids[(ids < first) | (ids >= first + count)])
-    return others

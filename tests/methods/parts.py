@@ -60,6 +60,16 @@ def through_json(value):
     return json.loads(json.dumps(value))
 
 
+def exchange(parts, pending, n):
+    """Put the rows that other parts own into the exchanged arrays."""
+    for name in pending[0].exchanged:
+        rows = np.full((n, 3), np.nan)
+        for part, one in zip(parts, pending, strict=True):
+            rows[part.own] = one.state[name][part.mesh.whole.own_vertices]
+        for part, one in zip(parts, pending, strict=True):
+            one.state[name] = rows[part.vertices]
+
+
 def run_in_parts(method, mesh, parameters, rings, count=3):
     """The positions (n, 3) and fields of all own vertices, and how many rounds it took."""
     labels = bands(mesh, count)
@@ -80,6 +90,7 @@ def run_in_parts(method, mesh, parameters, rings, count=3):
         known[pending[0].key] = through_json(
             combine([through_json(one.partial) for one in pending])
         )
+        exchange(parts, pending, len(mesh.vertices))
         parts = [
             Part(
                 dataclasses.replace(

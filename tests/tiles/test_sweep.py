@@ -47,6 +47,12 @@ def test_an_open_mesh(monkeypatch, tmp_path, method, given):
     check_same(monkeypatch, tmp_path, noisy_grid(), method, given)
 
 
+def test_positions_are_exchanged_between_iterations(monkeypatch, tmp_path):
+    members = "0.5*guided_normal(iterations=2,vertex_iterations=1)+0.5*msal(iterations=2)"
+    given = {"members": members, "relax": 1}
+    check_same(monkeypatch, tmp_path, noisy_grid(80, 8), "blend", given, tile_vertices=100)
+
+
 def test_vertices_in_any_order(monkeypatch, tmp_path):
     mesh = noisy_ball()
     rng = np.random.default_rng(3)
