@@ -86,7 +86,8 @@ class LineBlocks:
 def _end_of_last_line(text: bytes, are_continued: bool) -> int:
     """The byte behind the last line end; 0 where there is none."""
     for ending in (b"\n", b"\r"):
-        at = len(text)
+        # A CR in the last place may have its LF in the next block.
+        at = len(text) - (ending == b"\r")
         while (at := text.rfind(ending, 0, at)) >= 0:
             if not are_continued or not text[max(at - 2, 0) : at].rstrip(b"\r").endswith(b"\\"):
                 return at + 1
