@@ -312,3 +312,28 @@ def test_real_scans(name, wanted, tmp_path, real_data):
     if name.endswith(".gz"):
         data = gzip.decompress(data)
     check(tmp_path, (".ply", data), wanted, tile=4000, chunk=30_000)
+
+
+@pytest.mark.parametrize("name", each(["everything", "shuffled seams"]))
+def test_tasks_may_be_lost_at_their_end_and_come_in_any_order(name, tmp_path, monkeypatch):
+    """Of a worker that is killed, all that it wrote may be there but for the result."""
+    plain, lost, dice = Scratch.finish, set(), np.random.default_rng(4)
+
+    def finish(self, stage, index, result):
+        if (stage, index) in lost:
+            plain(self, stage, index, result)
+        lost.add((stage, index))
+
+    def run_here(scratch):
+        while (stage := stages.next_stage(scratch)) is not None:
+            for index in dice.permutation(stage.todo).tolist():
+                stages.run_task((str(scratch.path), stage.name, index))
+            if not stages.next_stage(scratch).todo:
+                stages.reduce_stage(scratch, stage.name)
+                stages.reduce_stage(scratch, stage.name)
+
+    monkeypatch.setattr(Scratch, "finish", finish)
+    monkeypatch.setattr(stages, "run_here", run_here)
+    wanted = settings("al", schedule="multiscale", max_move="0.1e", lock=("boundary",))
+    assert isinstance(check(tmp_path, CASES[name], wanted), bytes)
+    assert len(lost) > 40
