@@ -18,6 +18,7 @@ from msal_cli.errors import ContentError
 from msal_cli.mesh import LARGEST_EXTENT
 from msal_cli.tiles import vertex_data
 from msal_cli.tiles.cut import is_welded, tile_range, tile_records, weld_numbers
+from msal_cli.tiles.part_files import load_array, save_array
 from msal_cli.tiles.plan import load_plan, read_globals, write_globals
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ Records = NDArray[np.uint32]
 Ids = NDArray[np.uint32]
 
 _OLD, _POSITIONS = "old.u4", "positions.bin"
-_RIMS = "rims"
+_RIM = "rim.npy"
 _MEASURED_RINGS = 2
 """Rings beyond those that a method reaches: the measures need the results in the first ring too,
 and of the vertices in the last ring some faces are missing."""
@@ -67,9 +68,7 @@ def run_rim(scratch: Scratch, tile: int) -> dict[str, Any]:
     records = tile_records(scratch, tile)
     welded = weld_records(scratch, records)
     near = halos.border_records(welded, first, stop - first, count_rings(scratch))
-    folder = scratch.path / _RIMS
-    folder.mkdir(exist_ok=True)
-    (folder / f"{tile}.bin").write_bytes(records[near].data)
+    save_array(scratch.tile_folder(tile) / _RIM, records[near])
     clean = halos.drop_repeated(welded)
     used = tile_cut.mark_own(clean, first, stop - first)
     n_all, n_clean = (
@@ -125,7 +124,7 @@ def assemble_part(scratch: Scratch, tile: int) -> Part:
     count = stop - first
     own_records = weld_records(scratch, tile_records(scratch, tile))
     halo = _find_halo(scratch, tile, own_records)
-    records = halos.drop_repeated(_merge(own_records, halo))
+    records = halos.drop_repeated(halos.merge_records(own_records, halo))
     del own_records, halo
     used = tile_cut.mark_own(records, first, count)
     own_ids = np.flatnonzero(used).astype(np.uint32) + np.uint32(first)
@@ -216,17 +215,4 @@ def _find_halo(scratch: Scratch, tile: int, own_records: Records) -> Records:
 
 def _read_rim(scratch: Scratch, tile: int) -> Records:
     """The rim of a tile (m, 4), coincident vertices welded."""
-    data = (scratch.path / _RIMS / f"{tile}.bin").read_bytes()
-    return weld_records(scratch, np.frombuffer(data, dtype=np.uint32).reshape(-1, 4))
-
-
-def _merge(one: Records, other: Records) -> Records:
-    """Two lists of triangles, each in the order of the file, as one."""
-    if not len(other):
-        return one
-    at_other = np.searchsorted(one[:, 0], other[:, 0]) + np.arange(len(other))
-    is_one = np.ones(len(one) + len(other), dtype=bool)
-    is_one[at_other] = False
-    merged = np.empty((len(is_one), 4), dtype=np.uint32)
-    merged[is_one], merged[at_other] = one, other
-    return merged
+    return weld_records(scratch, load_array(scratch.tile_folder(tile) / _RIM))
