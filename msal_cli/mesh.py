@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -94,6 +94,15 @@ class Mesh:
                 normals, links.ring_start, links.ring, mollify
             )
         return known[weighting, mollify]
+
+    @property
+    def known_normals(self) -> Mapping[tuple[str, int], Floats]:
+        """The normals that were computed so far, by weighting and passes of mollifying."""
+        return dict(self._cached_normals)
+
+    def take_normals(self, known: Mapping[tuple[str, int], Floats]) -> None:
+        """Use normals that are ``known_normals`` of this very mesh."""
+        self._cached_normals.update(known)
 
     @functools.cached_property
     def _cached_normals(self) -> dict[tuple[str, int], Floats]:

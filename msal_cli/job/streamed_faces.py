@@ -22,7 +22,7 @@ from msal_cli.kernels.corner_gathering import BLOCK_BITS, blocks_of, gather_corn
 
 BLOCK_VERTICES = 1 << BLOCK_BITS
 
-CACHE_BYTES = 64 << 20
+CACHE_BYTES = 48 << 20
 """Bytes of vertices of one mesh that are kept in memory."""
 
 PIECE_FACES = 1 << 19

@@ -125,7 +125,7 @@ def assemble_part(scratch: Scratch, tile: int) -> Part:
     count = stop - first
     own_records = weld_records(scratch, tile_records(scratch, tile))
     halo = _find_halo(scratch, tile, own_records)
-    records = halos.drop_repeated(_merge(own_records, halo))
+    records = halos.drop_repeated(halos.merge_records(own_records, halo))
     del own_records, halo
     used = tile_cut.mark_own(records, first, count)
     own_ids = np.flatnonzero(used).astype(np.uint32) + np.uint32(first)
@@ -218,15 +218,3 @@ def _read_rim(scratch: Scratch, tile: int) -> Records:
     """The rim of a tile (m, 4), coincident vertices welded."""
     data = (scratch.path / _RIMS / f"{tile}.bin").read_bytes()
     return weld_records(scratch, np.frombuffer(data, dtype=np.uint32).reshape(-1, 4))
-
-
-def _merge(one: Records, other: Records) -> Records:
-    """Two lists of triangles, each in the order of the file, as one."""
-    if not len(other):
-        return one
-    at_other = np.searchsorted(one[:, 0], other[:, 0]) + np.arange(len(other))
-    is_one = np.ones(len(one) + len(other), dtype=bool)
-    is_one[at_other] = False
-    merged = np.empty((len(is_one), 4), dtype=np.uint32)
-    merged[is_one], merged[at_other] = one, other
-    return merged

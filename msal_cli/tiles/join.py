@@ -68,8 +68,8 @@ def run_join(scratch: Scratch, piece: int) -> dict[str, Any]:
     plan = load_plan(scratch)
     mesh = sources.open_source(plan.source)
     start, stop = plan.pieces[piece]
-    positions = _gather(scratch, MOVED) if scratch.has(MOVED) else _stored(mesh)
-    normals = _gather(scratch, NORMALS) if scratch.has(NORMALS) else None
+    positions = gather_rows(scratch, MOVED) if scratch.has(MOVED) else read_stored(mesh)
+    normals = gather_rows(scratch, NORMALS) if scratch.has(NORMALS) else None
     survey = None if mesh.keeps_size else _survey(scratch, mesh, positions, normals)
     data = mesh.replace((start, stop), positions, normals, survey)
     if not mesh.keeps_size:
@@ -153,12 +153,12 @@ def _survey(
     return survey
 
 
-def _stored(mesh: Any) -> NewPositions:
+def read_stored(mesh: Any) -> NewPositions:
     """New positions that are the stored ones."""
     return lambda start, stop: mesh.read_vertices(start, stop).astype(np.float64)
 
 
-def _gather(scratch: Scratch, name: str) -> NewPositions:
+def gather_rows(scratch: Scratch, name: str) -> NewPositions:
     """The rows of an array in the order of tiles, for ranges of vertices of the file."""
 
     def gather(start: int, stop: int) -> Floats:

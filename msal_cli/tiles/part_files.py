@@ -16,11 +16,12 @@ from msal_cli.kernels.connectivity import Connectivity
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints
+    from msal_cli.mesh import Mesh
 
 TURNED = "turned.npy"
 """The faces after some were turned; those of ``links`` stay as they were, as in memory."""
 
-_COUNTS, _STATE = "counts.json", "state"
+_COUNTS, _STATE, _NORMALS = "counts.json", "state", "normals"
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +88,21 @@ def load_array(path: Path) -> Any:
     """An array of a file, mapped; an empty one cannot be."""
     mapped = np.load(path, mmap_mode="r" if path.stat().st_size > 128 else None)
     return mapped.view(np.ndarray)
+
+
+def save_normals(folder: Path, mesh: Mesh) -> None:
+    """Write the normals that a mesh knows, which every round of a method needs again."""
+    for (weighting, passes), normals in mesh.known_normals.items():
+        np.save(folder / f"{_NORMALS}-{weighting}-{passes}.npy", normals)
+
+
+def load_normals(folder: Path, mesh: Mesh) -> None:
+    """Have a mesh know the normals that ``save_normals`` wrote for it."""
+    known = {}
+    for path in folder.glob(f"{_NORMALS}-*-*.npy"):
+        _, weighting, passes = path.stem.split("-")
+        known[weighting, int(passes)] = load_array(path)
+    mesh.take_normals(known)
 
 
 def save_state(folder: Path, round_number: int, state: Mapping[str, NDArray[Any]]) -> None:

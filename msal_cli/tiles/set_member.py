@@ -33,7 +33,7 @@ class Member:
     record : what is known of it, with the seconds of the first reading.
     n_vertices, n_triangles : as its codec gives them: of an STL the welded vertices.
     border : its border points.
-    low, high : (3,) bounds of the vertices.
+    size : bytes of the file.
     """
 
     index: int
@@ -42,8 +42,7 @@ class Member:
     n_vertices: int
     n_triangles: int
     border: Border
-    low: Floats
-    high: Floats
+    size: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +74,8 @@ def scan_member(
     """What is in a file, or the record of its failure; ``on_arrays`` gets its arrays."""
     run = FileRun(task.input, settings, on_progress, limits)
     try:
-        mesh_file, _ = run.open(run.read(task))
+        data = run.read(task)
+        mesh_file, _ = run.open(data)
         with run.stage("connectivity"):
             ready = run.prepare_mesh(mesh_file)
             border = find_border(ready, mesh_file)
@@ -83,8 +83,7 @@ def scan_member(
         vertices, faces = mesh_file.vertices, mesh_file.faces
         if on_arrays is not None:
             on_arrays(Arrays(vertices, faces, properties))
-        bounds = vertices.min(axis=0), vertices.max(axis=0)
-        return Member(index, task, run.finish(None), len(vertices), len(faces), border, *bounds)
+        return Member(index, task, run.finish(None), len(vertices), len(faces), border, len(data))
     except Exception as error:
         return run.fail(error)
 

@@ -8,15 +8,14 @@ and written with its part of the new positions.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from msal_cli.codecs.joined_mesh import JoinedMesh
 from msal_cli.errors import ResourceError, UsageError
 from msal_cli.job.opened_mesh import to_known_error
-from msal_cli.job.pipeline import FileRun, start_record
+from msal_cli.job.pipeline import start_record
 from msal_cli.job.records import Failure, MeshRecord, TileSetPart
 from msal_cli.job.settings import (
     FORECAST,
@@ -30,6 +29,13 @@ from msal_cli.job.settings import (
 from msal_cli.machine import available_bytes, megabytes
 from msal_cli.tiles.set_borders import SharedBorders, count_unmatched, share_borders
 from msal_cli.tiles.set_member import Arrays, Member, add_seconds, scan_member, write_member
+from msal_cli.tiles.set_moves import (
+    JointMesh,
+    MovedSet,
+    RunTiles,
+    move_by_tiles,
+    move_in_memory,
+)
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats
@@ -54,16 +60,18 @@ def denoise_set(
     on_step: OnStep | None = None,
     limits: Limits = NO_LIMITS,
     most_failures: int | None = None,
+    run_tiles: RunTiles | None = None,
 ) -> list[MeshRecord]:
     """Denoise files as one mesh and report what happened to each, in their order.
 
     Beside KeyboardInterrupt and SystemExit only UsageError passes: nothing is written where
     --weld is longer than the mean edge length.  A file that cannot be read fails; what its
     neighbours may share with it stays where it is.  Once ``most_failures`` files cannot be
-    read, the others are left ``planned``.
+    read, the others are left ``planned``.  A set that does not fit into memory is denoised by
+    ``run_tiles``; without it, it fails.
     """
     run = _SetRun(tasks, settings, on_step or (lambda *step: None), limits)
-    return run.denoise(most_failures)
+    return run.denoise(most_failures, run_tiles)
 
 
 def survey_set(tasks: Sequence[Task], settings: Settings) -> list[MeshRecord]:
@@ -76,42 +84,6 @@ def memory_of_set(tasks: Sequence[Task], settings: Settings) -> int:
     base = least_memory_bytes()
     needs = [forecast(one, settings).memory_bytes or base for one in tasks]
     return base + sum(max(0, one - base) for one in needs)
-
-
-class MovedSet(Protocol):
-    """A joined mesh that was denoised."""
-
-    @property
-    def record(self) -> MeshRecord:
-        """Its own."""
-        ...
-
-    def positions(self, place: int) -> Floats:
-        """The new positions (n, 3) of the vertices of a member, float64, file units."""
-        ...
-
-    def field_values(self, place: int) -> dict[str, Floats]:
-        """The fields of --fields at the vertices (n,) of a member."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class _InMemory:
-    """See ``MovedSet``."""
-
-    record: MeshRecord
-    vertices: Floats
-    fields: dict[str, Floats]
-    starts: Sequence[int]
-
-    def _part(self, place: int) -> slice:
-        return slice(self.starts[place], self.starts[place + 1])
-
-    def positions(self, place: int) -> Floats:
-        return np.ascontiguousarray(self.vertices[self._part(place)])
-
-    def field_values(self, place: int) -> dict[str, Floats]:
-        return {name: values[self._part(place)] for name, values in self.fields.items()}
 
 
 class _SetRun:
@@ -134,16 +106,20 @@ class _SetRun:
             )
         return [self._records[index] for index in range(len(self._tasks))]
 
-    def denoise(self, most_failures: int | None) -> list[MeshRecord]:
+    def denoise(self, most_failures: int | None, run_tiles: RunTiles | None) -> list[MeshRecord]:
         """See ``denoise_set``."""
         try:
-            self._require_memory()
+            reason = self._find_want_of_memory()
+            if reason is None:
+                run_tiles = None
+            elif run_tiles is None:
+                raise reason
             arrays: list[Arrays] = []
-            self._scan(arrays.append)
+            self._scan(arrays.append if run_tiles is None else None)
             if most_failures is not None and len(self._records) >= most_failures:
                 self._leave_planned()
             elif self._members:
-                self._denoise_members(arrays)
+                self._denoise_members(arrays, run_tiles)
         except UsageError:
             raise
         except Exception as error:
@@ -169,20 +145,21 @@ class _SetRun:
 
     # What there is
 
-    def _require_memory(self) -> None:
-        """Raise ResourceError if the joined mesh is expected to need more memory than there is."""
+    def _find_want_of_memory(self) -> ResourceError | None:
+        """Why the joined mesh does not fit into memory, by forecast; None if it does."""
         needed = memory_of_set(self._tasks, self._settings)
         limit, left = self._limits.memory_bytes, available_bytes()
         if limit is None and left is not None:
             limit = int(_SHARE_OF_MEMORY * left)
         if limit is not None and needed > limit:
-            raise ResourceError(
+            return ResourceError(
                 f"denoising these {len(self._tasks)} files as one takes up to "
                 f"{megabytes(needed)}, and there are {megabytes(limit, rounded_up=False)}",
                 code="E_MEMORY",
                 where=FORECAST,
                 hint="use a machine with more memory, or denoise fewer files as one",
             )
+        return None
 
     def _scan(self, on_arrays: Callable[[Arrays], None] | None) -> None:
         """Read every file once."""
@@ -259,10 +236,26 @@ class _SetRun:
 
     # The work
 
-    def _denoise_members(self, arrays: list[Arrays]) -> None:
+    def _denoise_members(self, arrays: list[Arrays], run_tiles: RunTiles | None) -> None:
+        """Move the vertices of all files, and write each; without ``run_tiles`` in memory."""
         shared = self._share()
+        joint = JointMesh(self._members, shared, self._fixed_points(shared))
         parts = self._describe(shared)
-        moved = self._move_in_memory(arrays, shared)
+        if run_tiles is not None:
+            with move_by_tiles(joint, self._settings, run_tiles) as moved:
+                self._write_members(moved, shared, parts)
+            return
+        first = self._members[0].index
+
+        def on_progress(stage: str, done: int, total: int) -> None:
+            self._on_step(first, stage, done, total)
+
+        moved = move_in_memory(joint, arrays, self._settings, on_progress)
+        self._write_members(moved, shared, parts)
+
+    def _write_members(
+        self, moved: MovedSet, shared: SharedBorders, parts: Sequence[TileSetPart]
+    ) -> None:
         written = np.full_like(shared.positions, np.nan)
         # What the first file stores that has a point: the others take it from there.
         agreed = np.full_like(shared.positions, np.nan)
@@ -307,40 +300,6 @@ class _SetRun:
             range(len(self._members)),
             key=lambda place: ranks.get(self._members[place].record.precision or "", 2),
         )
-
-    def _move_in_memory(self, arrays: list[Arrays], shared: SharedBorders) -> MovedSet:
-        """Denoise the joined mesh; the arrays of the files are freed on the way."""
-        starts = [0]
-        for one in self._members:
-            starts.append(starts[-1] + one.n_vertices)
-        vertices = np.concatenate([one.vertices for one in arrays])
-        faces = np.concatenate(
-            [one.faces + np.int32(start) for one, start in zip(arrays, starts, strict=False)]
-        )
-        names = arrays[0].properties
-        properties = {
-            name: np.concatenate([one.properties[name] for one in arrays]) for name in names
-        }
-        arrays.clear()
-        fixed = self._fixed_points(shared)
-        pinned = None if fixed is None else np.zeros(len(vertices), dtype=np.bool_)
-        first_positions = shared.positions[shared.group]
-        is_moved = shared.is_moved
-        for place, member in enumerate(self._members):
-            own, border = shared.of_file(place), member.border
-            at = is_moved[own][border.points]
-            rows = starts[place] + border.vertices
-            vertices[rows[at]] = first_positions[own][border.points[at]]
-            if pinned is not None and fixed is not None:
-                pinned[rows] = fixed[own][border.points]
-        first = self._members[0].index
-
-        def on_progress(stage: str, done: int, total: int) -> None:
-            self._on_step(first, stage, done, total)
-
-        run = FileRun("the tile set", self._settings, on_progress, NO_LIMITS)
-        moved = run.move_vertices(JoinedMesh(vertices, faces, properties), pinned)
-        return _InMemory(run.finish(None), moved, run.field_values, starts)
 
     # The records
 

@@ -101,9 +101,15 @@ def run_denoise(scratch: Scratch, round_number: int, tile: int) -> dict[str, Any
     saved = load_saved(scratch, tile, tile_mesh, round_number - 1) if round_number else {}
     mesh = _build_mesh(scratch, tile_mesh, saved)
     constraints = vertex_data.build_constraints(scratch, tile_mesh, mesh)
+    if constraints is not None:
+        mesh = constraints.mesh
+    if round_number:
+        part_files.load_normals(folder, mesh)
     try:
-        method, result = _run_method(scratch, mesh if constraints is None else constraints.mesh)
+        method, result = _run_method(scratch, mesh)
     except Pending as pending:
+        if not round_number:
+            part_files.save_normals(folder, mesh)
         part_files.save_state(folder, round_number, pending.state)
         waits = {"key": pending.key, "partial": pending.partial}
         return {"pending": {**waits, "exchanged": list(pending.exchanged)}}

@@ -78,7 +78,7 @@ def open_streamed(
     return _open_text(place, facts)
 
 
-_TEXTS = ("ply",)
+_TEXTS = ("ply", "obj")
 
 
 def _is_ascii_ply(head: Bytes, size: int) -> bool:
@@ -97,12 +97,15 @@ def _convert(
     format: str, path: str, size: int, folder: Path, on_bytes: OnBytes | None
 ) -> TextFacts:
     """Read a text once and write its numbers into a folder."""
-    from msal_cli.codecs.streamed import ply_text
+    from msal_cli.codecs.streamed import obj_text, ply_text
 
-    return ply_text.convert(path, path, size, folder, on_bytes)
+    convert = {"ply": ply_text.convert, "obj": obj_text.convert}[format]
+    return convert(path, path, size, folder, on_bytes)
 
 
 def _open_text(folder: Path, facts: TextFacts) -> StreamedMesh:
-    from msal_cli.codecs.streamed import ply_text
+    from msal_cli.codecs.streamed import obj_text, ply_text
 
+    if facts.format == "obj":
+        return obj_text.StreamedObj(folder, facts)
     return ply_text.StreamedPlyText(folder, facts)

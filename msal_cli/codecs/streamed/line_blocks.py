@@ -26,15 +26,21 @@ class LineBlocks:
     """
 
     def __init__(
-        self, path: str, size: int, at: int, newline: bytes, on_bytes: OnBytes | None = None
+        self,
+        path: str,
+        size: int,
+        at: int,
+        count_lines: Callable[[bytes], int],
+        on_bytes: OnBytes | None = None,
+        *,
+        are_continued: bool = False,
     ) -> None:
-        """``newline`` is the line end; ``at`` is the first byte that is read."""
+        """``at`` is the first byte that is read, ``count_lines`` counts the line ends in a text;
+        with ``are_continued`` a line end behind a backslash is none."""
         self.path, self.size, self.at = path, size, at
-        self._ending = newline[-1]
-        self._on_bytes = on_bytes
-        self.lines = 0
-        if at:
-            self.lines = int(np.count_nonzero(read_range(path, 0, at) == self._ending))
+        self._count_lines, self._on_bytes = count_lines, on_bytes
+        self._are_continued = are_continued
+        self.lines = count_lines(read_range(path, 0, at).tobytes()) if at else 0
         self._data = np.empty(0, dtype=np.uint8)
         self._origin = at
 
@@ -57,7 +63,7 @@ class LineBlocks:
     def take(self, n_bytes: int) -> None:
         """Go on by so many bytes of the block."""
         first = self.at - self._origin
-        self.lines += int(np.count_nonzero(self._data[first : first + n_bytes] == self._ending))
+        self.lines += self._count_lines(self._data[first : first + n_bytes].tobytes())
         self.at += n_bytes
         if self._on_bytes is not None:
             self._on_bytes(self.at, self.size)
@@ -68,7 +74,7 @@ class LineBlocks:
             stop = min(self.at + n_bytes, self.size)
             data = read_range(self.path, self.at, stop)
             if stop < self.size:
-                data = data[: _end_of_last_line(data)]
+                data = data[: _end_of_last_line(data.tobytes(), self._are_continued)]
             if len(data) or stop == self.size:
                 break
             # One line is longer than a block.
@@ -77,11 +83,12 @@ class LineBlocks:
         return data
 
 
-def _end_of_last_line(data: Bytes) -> int:
+def _end_of_last_line(text: bytes, are_continued: bool) -> int:
     """The byte behind the last line end; 0 where there is none."""
-    text = data.data
     for ending in (b"\n", b"\r"):
-        at = bytes(text).rfind(ending)
-        if at >= 0:
-            return at + 1
+        # A CR in the last place may have its LF in the next block.
+        at = len(text) - (ending == b"\r")
+        while (at := text.rfind(ending, 0, at)) >= 0:
+            if not are_continued or not text[max(at - 2, 0) : at].rstrip(b"\r").endswith(b"\\"):
+                return at + 1
     return 0

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from msal_cli.arrays import Bytes, Floats
-from msal_cli.codecs.layout import Layout, require_finite
+from msal_cli.codecs.layout import Layout, Parse, require_finite
 from msal_cli.codecs.ply_ascii import (
     ALL_DIGITS,
     MOST_UNUSUAL,
@@ -56,6 +56,7 @@ from msal_cli.codecs.streamed.text_facts import (
 from msal_cli.codecs.streamed.text_mesh import StreamedText
 from msal_cli.codecs.text_slots import Statements
 from msal_cli.kernels.text import as_bytes
+from msal_cli.storage.buffers import Buffer
 
 
 def convert(
@@ -90,7 +91,9 @@ class _Conversion:
         if face is None or not self.corners or not face.count:
             raise no_faces(face, self.vertex.count)
         self.has_normals = has_normals(self.vertex)
-        self.lines = LineBlocks(text, size, self.header.size, self.header.newline, on_bytes)
+        ending = self.header.newline[-1:]
+        count_lines = functools.partial(_count, ending)
+        self.lines = LineBlocks(text, size, self.header.size, count_lines, on_bytes)
         self.blocks: list[list[int]] = []
         self.face_marks: list[list[int]] = []
         self.n_triangles = self.n_few = 0
@@ -198,7 +201,8 @@ class _Conversion:
             self.files.append(NORMALS, normals.values)
             self.are_statements[1] = isinstance(normals, Statements)
         start = self.lines.at
-        self.blocks.append([start, start + section.stop, first, section.element.count])
+        count = section.element.count
+        self.blocks.append([start, start + section.stop, first, count, first, count])
 
     def _add_faces(self, section: Lines) -> None:
         self.face_marks.append([section.before.records, self.n_triangles])
@@ -226,7 +230,7 @@ class _Conversion:
         low, high = self.positions.low, self.positions.high
         self.positions, self.normals = DecimalCounts(), DecimalCounts()
         self.positions.low, self.positions.high = low, high
-        for start, stop, _, count in self.blocks:
+        for start, stop, _, count, *_ in self.blocks:
             data = read_range(self.text, start, stop)
             section = read_block(data, self.header, self.vertex, count, wanted_names(self.vertex))
             self.positions.add_decimals(section.slots(POSITION).used_decimals())
@@ -246,7 +250,7 @@ class StreamedPlyText(StreamedText):
         """See ``StreamedMesh``."""
         scalar_property(self.vertex, name)
         parts = []
-        for first_byte, end, first, count in self.facts.blocks:
+        for first_byte, end, first, count, *_ in self.facts.blocks:
             if first < stop and first + count > start:
                 data = read_range(self.path, first_byte, end)
                 section = read_block(data, self.header, self.vertex, count, (name,))
@@ -254,7 +258,10 @@ class StreamedPlyText(StreamedText):
                 parts.append(values[max(start - first, 0) : stop - first])
         return np.concatenate(parts) if parts else np.empty(0)
 
-    def _parse_block(self, data: Any, count: int) -> Layout:
+    def _parser(self, start: int, count: int) -> Parse:
+        return functools.partial(self._parse_block, count)
+
+    def _parse_block(self, count: int, data: Buffer) -> Layout:
         wanted = wanted_names(self.vertex)
         is_plain = self.facts.details["is_plain"]
         section = read_block(as_bytes(data), self.header, self.vertex, count, wanted, is_plain)
@@ -282,6 +289,10 @@ def read_block(
     part = dataclasses.replace(vertex, count=count)
     section = plain_lines(data, _bare(header), part, 0, wanted) if is_plain else None
     return section or find_lines(data, _bare(header), part, 0, wanted)
+
+
+def _count(ending: bytes, text: bytes) -> int:
+    return text.count(ending)
 
 
 def _bare(header: Header) -> Header:

@@ -46,8 +46,8 @@ class TextFacts:
     ----------
     source : name, size and time of the file that was converted.
     text : path of the text: that of the file, or of what a compressed one expands to.
-    blocks : first byte of a part of the text with vertices, the one behind its last, number of its
-        first vertex, and how many vertices it has; ascending.
+    blocks : first byte of a part of the text with vertices or normals, the one behind its last,
+        number of its first vertex, how many vertices it has, and the same for normals; ascending.
     face_marks : number of a polygon, and of its first triangle, here and there; ascending.
     positions, normals : how they are written; the latter None where no vertex has a normal.
     n_turns : changes between positions and normals on the way through the file.

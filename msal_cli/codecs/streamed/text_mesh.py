@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats
 from msal_cli.codecs.decimals import row_decimals
-from msal_cli.codecs.layout import Layout
+from msal_cli.codecs.layout import Parse
 from msal_cli.codecs.slot_file import (
     Change,
     SlotFile,
@@ -41,6 +41,7 @@ from msal_cli.codecs.text_slots import (
     require_replaced,
 )
 from msal_cli.errors import InternalError, UnsupportedError
+from msal_cli.storage.buffers import Buffer
 
 _AT_ONCE = 1 << 18
 """Vertices that are compared at a time."""
@@ -113,7 +114,7 @@ class StreamedText:
         """See ``StreamedMesh``; pieces begin and end where blocks of vertices do."""
         pieces: list[tuple[int, int]] = []
         begin = end = 0
-        for start, stop, _, _ in self.facts.blocks:
+        for start, stop, *_ in self.facts.blocks:
             if start > end:
                 pieces += [(begin, end)] * (end > begin)
                 pieces += split_range(end, start, most)
@@ -153,13 +154,14 @@ class StreamedText:
             return read_range(self.path, *piece).data
         how = self._choose_way(survey)
         parts: list[Any] = []
-        for start, stop, first, count in blocks:
+        for start, stop, first, count, first_normal, n_normals in blocks:
             data = read_range(self.path, start, stop)
-            last = first + count
-            new_normals = normals(first, last) if normals is not None and self.has_normals else None
-            parts.append(
-                self._replace_block(data, first, positions(first, last), new_normals, how, survey)
-            )
+            new = positions(first, first + count)
+            new_normals = None
+            if normals is not None and self.has_normals:
+                new_normals = normals(first_normal, first_normal + n_normals)
+            text = TextPiece(data.data, self.format, self._parser(start, count))
+            parts.append(self._replace_block(text, data, first, new, new_normals, how, survey))
         return memoryview(b"".join(parts))
 
     def _blocks_in(self, piece: tuple[int, int]) -> Iterator[list[int]]:
@@ -189,6 +191,7 @@ class StreamedText:
 
     def _replace_block(
         self,
+        text: TextPiece,
         data: Bytes,
         first: int,
         new: Floats,
@@ -197,11 +200,11 @@ class StreamedText:
         survey: Survey,
     ) -> Any:
         """The text of some vertices with new positions (n, 3) and normals (n, 3)."""
-        text = TextPiece(data.data, self.format, lambda text: self._parse_block(text, len(new)))
         changes = text.list_changes(self.facts, new, new_normals, first)
         if not changes:
             return data.data
-        require_finite_result(new)
+        if len(new):
+            require_finite_result(new)
         require_unit_length(changes)
         if how == _SPLICED:
             return text.splice(changes, new)
@@ -220,15 +223,15 @@ class StreamedText:
         require_replaced(data, np.frombuffer(result, dtype=np.uint8), patches)
         return result
 
-    def _parse_block(self, data: Any, count: int) -> Layout:
-        """Where the numbers of ``count`` vertices are in a block of the text."""
+    def _parser(self, start: int, count: int) -> Parse:
+        """What finds the numbers of ``count`` vertices in the block that begins at a byte."""
         raise NotImplementedError
 
 
 class TextPiece(SlotFile):
     """Some lines of a text: vertices without faces."""
 
-    def __init__(self, data: Any, format: str, parse: Any) -> None:
+    def __init__(self, data: Buffer, format: str, parse: Parse) -> None:
         self.format = format
         self._data, self._parse = data, parse
         self._layout = parse(data)

@@ -199,3 +199,13 @@ def test_a_text_is_read_once(tmp_path, monkeypatch):
     monkeypatch.setattr(ply_text, "convert", None)
     again = pieces.open_streamed(tmp_path / "a.ply", folder=tmp_path / "folder")
     assert again.facts == mesh.facts
+
+
+def test_digits_of_a_line_depend_on_the_largest_new_number_of_the_file(tmp_path):
+    mesh = scan(150)
+    mesh.element("vertex").rows[3] = ["0.12345678901234567", "0.1", "0.2"]
+    data = plain_ply.written(mesh)
+    whole, mesh = pieces.whole(data, "ply"), pieces.stored(tmp_path, data, "ply")
+    new = whole.vertices + 0.001
+    new[149] += 123456.0
+    assert pieces.replace(mesh, new) == bytes(whole.replaced(new))
