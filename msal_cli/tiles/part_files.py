@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -105,13 +106,36 @@ def load_normals(folder: Path, mesh: Mesh) -> None:
     mesh.take_normals(known)
 
 
-def save_state(folder: Path, round_number: int, state: Mapping[str, NDArray[Any]]) -> None:
-    """Write named arrays with which the round after this one goes on."""
+def save_state(
+    folder: Path,
+    round_number: int,
+    state: Mapping[str, NDArray[Any]],
+    saved: Mapping[str, NDArray[Any]],
+) -> None:
+    """Write named arrays with which the round after this one goes on.
+
+    Those that are the very arrays that were ``saved`` in the round before are not written again.
+    """
+    before = folder / f"{_STATE}-{round_number - 1}"
+    places = {name: before / f"{at}.npy" for at, name in enumerate(saved)}
     place = folder / f"{_STATE}-{round_number}"
-    place.mkdir(exist_ok=True)
-    for at, array in enumerate(state.values()):
-        np.save(place / f"{at}.npy", array)
+    # A killed round may have left some.
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir()
+    for at, (name, array) in enumerate(state.items()):
+        path = place / f"{at}.npy"
+        if array is not saved.get(name) or not _try_link(places[name], path):
+            np.save(path, array)
     (place / "names.json").write_text(json.dumps(list(state)), encoding="utf-8")
+
+
+def _try_link(path: Path, link: Path) -> bool:
+    """Give a file a second name; False where the file system cannot."""
+    try:
+        os.link(path, link)
+    except OSError:
+        return False
+    return True
 
 
 def load_state(folder: Path, round_number: int) -> dict[str, NDArray[Any]]:
