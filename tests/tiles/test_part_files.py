@@ -20,9 +20,16 @@ def test_unchanged_arrays_are_not_written_again(monkeypatch, tmp_path, can_link)
     state = {"new": np.zeros(2), "kept": saved["kept"], "changed": saved["changed"] + 1}
     (tmp_path / "state-1").mkdir()
     (tmp_path / "state-1/1.npy").write_bytes(b"half")
-    part_files.save_state(tmp_path, 1, state, saved)
+    for _ in range(2):
+        part_files.save_state(tmp_path, 1, state, saved)
     before, after = tmp_path / "state-0/0.npy", tmp_path / "state-1/1.npy"
     assert before.samefile(after) == can_link
+    assert sorted(one.name for one in after.parent.iterdir()) == [
+        "0.npy",
+        "1.npy",
+        "2.npy",
+        "names.json",
+    ]
     part_files.remove_state(tmp_path, 0)
     again = part_files.load_state(tmp_path, 1)
     assert list(again) == ["new", "kept", "changed"]
