@@ -127,6 +127,27 @@ def test_welding_is_the_joined_mesh_with_positions_replaced(tmp_path):
     assert ours.tobytes() == read(whole.output).vertices.tobytes()
 
 
+def test_a_border_with_vertices_amid_edges_is_a_warning(tmp_path):
+    coarse, faces = noisy_terrain(9, 9)
+    fine, fine_faces = noisy_terrain(17, 17)
+    # The same field of heights further to the right, with edges half as long; every other vertex
+    # of its left side is one of the coarse part.
+    fine = fine / (2.0, 2.0, 1.0) + (8.0, 0.0, 0.0)
+    left = fine[::17]
+    left[::2] = coarse[8::9]
+    left[1::2] = (left[:-1:2] + left[2::2]) / 2.0
+    fine[::17] = left
+    contents = {"coarse.ply": ply(coarse, faces, "<f8"), "fine.ply": ply(fine, fine_faces, "<f8")}
+    coarse_record, fine_record = denoise_set(tasks_of(tmp_path, contents), MSAL)
+    assert fine_record.tile_set.shared_vertices == 9
+    assert (coarse_record.tile_set.unmatched_vertices, fine_record.tile_set.unmatched_vertices) == (
+        0,
+        8,
+    )
+    assert "8 border vertices lie at the border of another file" in fine_record.warnings[-1]
+    assert not coarse_record.warnings
+
+
 def test_no_vertex_goes_further_than_allowed(tmp_path):
     tasks = tasks_of(tmp_path, plies(in_tiles(*noisy_terrain(), 2), "<f8"))
     records = denoise_set(tasks, replace(MSAL, max_move="0.01"))
