@@ -74,8 +74,8 @@ class SetSource:
 
 
 def build_table(vertices: Longs, positions: Floats, fixed: Longs) -> bytes:
-    """The vertices of a set, ascending, that are read at other positions (k, 3), and those that stay
-    where they are."""
+    """What is to be known of the vertices of a set, ascending: those that are read at other
+    positions (k, 3), and those that stay where they are."""
     data = io.BytesIO()
     np.savez(data, vertices=vertices, positions=positions, fixed=fixed)
     return data.getvalue()
