@@ -147,7 +147,7 @@ class _BatchRun:
             self._manifests = {home: open_manifest(home) for home in self.plan.folders()}
             todo = self._outdated()[0]
             if self.plan.is_set and todo:
-                records = tile_set.survey_set(self.plan, self.settings)
+                records = tile_set.survey_set(self.plan, self.settings, self._manifests)
             else:
                 records = {index: self._planned_record(index) for index in todo}
             for index, record in records.items():
@@ -286,7 +286,12 @@ class _BatchRun:
         with interrupts.noticed(interrupts.raise_for), interrupts.ended_late(clean):
             self._finish(
                 tile_set.denoise_set(
-                    self.plan, self.settings, self.on_event, self.limits, self.stop_after_failures
+                    self.plan,
+                    self.settings,
+                    self.on_event,
+                    self.limits,
+                    self.stop_after_failures,
+                    self._manifests,
                 )
             )
 

@@ -354,10 +354,14 @@ class TileSetPart:
     )
     fixed_border_vertices: int = field(
         metadata=about(
-            "border vertices that were held in their place because a file that failed may share "
-            "them"
+            "border vertices that were held in their place because a file that failed, or is "
+            "gone since an earlier run, may share them"
         )
     )
+    low: tuple[float, float, float] | None = known(
+        "least coordinates of its border vertices before, file units; null if it has none"
+    )
+    high: tuple[float, float, float] | None = known("greatest coordinates of them")
 
 
 @dataclass(frozen=True, slots=True)

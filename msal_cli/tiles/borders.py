@@ -13,7 +13,7 @@ import numpy as np
 from msal_cli.analysis.enclosure import MOST_PARTS
 from msal_cli.kernels.components import component_labels
 from msal_cli.kernels.halos import shared_faces
-from msal_cli.tiles.part_files import TileMesh, load_array
+from msal_cli.tiles.part_files import TileMesh, load_array, save_array
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,7 +31,7 @@ def save_links(folder: Path, mesh: TileMesh) -> dict[str, int]:
     labels = component_labels(len(mesh.vertices), mesh.faces)
     shared, open_labels, closed_labels = _find_parts(mesh, labels)
     parts = np.searchsorted(open_labels, labels[mesh.faces[shared, 0]])
-    np.save(folder / _LINKS, np.stack([mesh.triangles[shared], parts.astype(np.uint32)], axis=1))
+    save_array(folder / _LINKS, np.stack([mesh.triangles[shared], parts.astype(np.uint32)], axis=1))
     return {"open": len(open_labels), "closed": len(closed_labels)}
 
 
@@ -58,7 +58,7 @@ def join_parts(folders: list[Path], counts: list[dict[str, int]]) -> int:
         for folder, start, count in zip(folders, n_open[:-1], counts, strict=True):
             closed = np.arange(n_closed, n_closed + count["closed"])
             own = numbers[start : start + count["open"]]
-            np.save(folder / _NUMBERS, np.concatenate([own, closed]).astype(np.int32))
+            save_array(folder / _NUMBERS, np.concatenate([own, closed]).astype(np.int32))
             n_closed += count["closed"]
     return total
 

@@ -18,6 +18,7 @@ from msal_cli.errors import ContentError
 from msal_cli.mesh import LARGEST_EXTENT
 from msal_cli.tiles import vertex_data
 from msal_cli.tiles.cut import is_welded, tile_range, tile_records, weld_numbers
+from msal_cli.tiles.part_files import load_array, save_array
 from msal_cli.tiles.plan import load_plan, read_globals, write_globals
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ Records = NDArray[np.uint32]
 Ids = NDArray[np.uint32]
 
 _OLD, _POSITIONS = "old.u4", "positions.bin"
-_RIMS = "rims"
+_RIM = "rim.npy"
 _MEASURED_RINGS = 2
 """Rings beyond those that a method reaches: the measures need the results in the first ring too,
 and of the vertices in the last ring some faces are missing."""
@@ -67,9 +68,7 @@ def run_rim(scratch: Scratch, tile: int) -> dict[str, Any]:
     records = tile_records(scratch, tile)
     welded = weld_records(scratch, records)
     near = halos.border_records(welded, first, stop - first, count_rings(scratch))
-    folder = scratch.path / _RIMS
-    folder.mkdir(exist_ok=True)
-    (folder / f"{tile}.bin").write_bytes(records[near].data)
+    save_array(scratch.tile_folder(tile) / _RIM, records[near])
     clean = halos.drop_repeated(welded)
     used = tile_cut.mark_own(clean, first, stop - first)
     n_all, n_clean = (
@@ -216,5 +215,4 @@ def _find_halo(scratch: Scratch, tile: int, own_records: Records) -> Records:
 
 def _read_rim(scratch: Scratch, tile: int) -> Records:
     """The rim of a tile (m, 4), coincident vertices welded."""
-    data = (scratch.path / _RIMS / f"{tile}.bin").read_bytes()
-    return weld_records(scratch, np.frombuffer(data, dtype=np.uint32).reshape(-1, 4))
+    return weld_records(scratch, load_array(scratch.tile_folder(tile) / _RIM))

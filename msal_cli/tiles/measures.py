@@ -20,6 +20,7 @@ from msal_cli.job.records import NormalChange
 from msal_cli.mesh import Defects
 from msal_cli.tiles import part_volumes
 from msal_cli.tiles.cut import tile_range, weld_numbers
+from msal_cli.tiles.part_files import save_array
 from msal_cli.tiles.plan import load_plan, read_globals
 from msal_cli.tiles.representative import read_settings
 
@@ -54,7 +55,7 @@ def measure_tile(
     if _counts_by_part(defects_of(scratch)):
         part_volumes.save_figures(scratch.tile_folder(tile), tile_mesh, moved)
     keys, counts = _count_lengths(lengths)
-    np.save(scratch.tile_folder(tile) / _LENGTHS, np.stack([keys, counts]))
+    save_array(scratch.tile_folder(tile) / _LENGTHS, np.stack([keys, counts]))
     return {
         "vertices": len(lengths),
         "sum": float(lengths.sum()),

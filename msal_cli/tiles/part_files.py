@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -49,10 +50,10 @@ class TileMesh:
     def save(self, folder: Path) -> None:
         """Write it into a folder."""
         for name in ("vertices", "faces", "ids", "triangles", "own_vertices", "own_faces"):
-            np.save(folder / f"{name}.npy", getattr(self, name))
+            save_array(folder / f"{name}.npy", getattr(self, name))
         links = self.links
         for name in ("ring_start", "ring", "boundary"):
-            np.save(folder / f"{name}.npy", getattr(links, name))
+            save_array(folder / f"{name}.npy", getattr(links, name))
         counts = [links.boundary_edges, links.inconsistent_edges, links.non_manifold_edges]
         (folder / _COUNTS).write_text(json.dumps(counts), encoding="utf-8")
 
@@ -84,6 +85,15 @@ class TileMesh:
         )
 
 
+def save_array(path: Path, array: NDArray[Any]) -> None:
+    """Write an array into a file that appears whole: others may have mapped the one of a task that
+    is run again."""
+    temporary = path.with_name(f"{path.name}.{os.getpid()}")
+    with open(temporary, "wb") as file:
+        np.save(file, array)
+    temporary.replace(path)
+
+
 def load_array(path: Path) -> Any:
     """An array of a file, mapped; an empty one cannot be."""
     mapped = np.load(path, mmap_mode="r" if path.stat().st_size > 128 else None)
@@ -93,7 +103,7 @@ def load_array(path: Path) -> Any:
 def save_normals(folder: Path, mesh: Mesh) -> None:
     """Write the normals that a mesh knows, which every round of a method needs again."""
     for (weighting, passes), normals in mesh.known_normals.items():
-        np.save(folder / f"{_NORMALS}-{weighting}-{passes}.npy", normals)
+        save_array(folder / f"{_NORMALS}-{weighting}-{passes}.npy", normals)
 
 
 def load_normals(folder: Path, mesh: Mesh) -> None:
@@ -110,7 +120,7 @@ def save_state(folder: Path, round_number: int, state: Mapping[str, NDArray[Any]
     place = folder / f"{_STATE}-{round_number}"
     place.mkdir(exist_ok=True)
     for at, array in enumerate(state.values()):
-        np.save(place / f"{at}.npy", array)
+        save_array(place / f"{at}.npy", array)
     (place / "names.json").write_text(json.dumps(list(state)), encoding="utf-8")
 
 

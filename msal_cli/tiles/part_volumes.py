@@ -14,6 +14,7 @@ import numpy as np
 
 from msal_cli.analysis.enclosure import turned_parts
 from msal_cli.tiles import borders
+from msal_cli.tiles.part_files import save_array
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -45,7 +46,7 @@ def save_figures(folder: Path, mesh: TileMesh, moved: Floats) -> None:
     starts = np.searchsorted(parts[order], numbers)
     positions = mesh.vertices[order]
     low, high = (least.reduceat(positions, starts) for least in (np.minimum, np.maximum))
-    np.save(folder / _FIGURES, np.column_stack([numbers, sums, low, high]))
+    save_array(folder / _FIGURES, np.column_stack([numbers, sums, low, high]))
 
 
 def turn_outwards(

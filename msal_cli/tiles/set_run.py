@@ -7,9 +7,9 @@ and written with its part of the new positions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,6 +40,23 @@ from msal_cli.tiles.set_moves import (
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats
 
+
+@dataclass(frozen=True)
+class EarlierRuns:
+    """What earlier runs have found of files that may be missing now.
+
+    Attributes
+    ----------
+    parts : by the number of a task.
+    absent : by name, of files that belonged to the set and are no longer among the tasks.
+    """
+
+    parts: Mapping[int, TileSetPart] = field(default_factory=dict)
+    absent: Mapping[str, TileSetPart] = field(default_factory=dict)
+
+
+NOTHING_EARLIER = EarlierRuns()
+
 OnStep = Callable[[int, str, int, int], None]
 """Called as ``on_step(index, stage, done, total)`` with the index of a task."""
 
@@ -61,6 +78,7 @@ def denoise_set(
     limits: Limits = NO_LIMITS,
     most_failures: int | None = None,
     run_tiles: RunTiles | None = None,
+    earlier: EarlierRuns = NOTHING_EARLIER,
 ) -> list[MeshRecord]:
     """Denoise files as one mesh and report what happened to each, in their order.
 
@@ -70,13 +88,15 @@ def denoise_set(
     read, the others are left ``planned``.  A set that does not fit into memory is denoised by
     ``run_tiles``; without it, it fails.
     """
-    run = _SetRun(tasks, settings, on_step or (lambda *step: None), limits)
+    run = _SetRun(tasks, settings, on_step or (lambda *step: None), limits, earlier)
     return run.denoise(most_failures, run_tiles)
 
 
-def survey_set(tasks: Sequence[Task], settings: Settings) -> list[MeshRecord]:
+def survey_set(
+    tasks: Sequence[Task], settings: Settings, earlier: EarlierRuns = NOTHING_EARLIER
+) -> list[MeshRecord]:
     """What a set holds, without denoising it: records with ``tile_set``, or failures."""
-    return _SetRun(tasks, settings, lambda *step: None, NO_LIMITS).survey()
+    return _SetRun(tasks, settings, lambda *step: None, NO_LIMITS, earlier).survey()
 
 
 def memory_of_set(tasks: Sequence[Task], settings: Settings) -> int:
@@ -90,8 +110,15 @@ class _SetRun:
     """One set on its way; a *place* is the number of a file among those that could be read."""
 
     def __init__(
-        self, tasks: Sequence[Task], settings: Settings, on_step: OnStep, limits: Limits
+        self,
+        tasks: Sequence[Task],
+        settings: Settings,
+        on_step: OnStep,
+        limits: Limits,
+        earlier: EarlierRuns,
     ) -> None:
+        self._earlier = earlier
+        self._weld = 0.0
         self._tasks, self._settings = tasks, settings
         self._on_step, self._limits = on_step, limits
         self._members: list[Member] = []
@@ -182,20 +209,19 @@ class _SetRun:
         return float(np.average(lengths, weights=weights))
 
     def _share(self) -> SharedBorders:
-        length = 0.0
         if self._settings.weld is not None and self._members:
             from msal_cli.job.constraints import parse_length
 
             edge = self._mean_edge_length
-            length = parse_length(self._settings.weld, "--weld").in_units(edge)
-            if length > edge:
+            self._weld = parse_length(self._settings.weld, "--weld").in_units(edge)
+            if self._weld > edge:
                 raise UsageError(
                     f"--weld {self._settings.weld} is longer than the edges of the files, "
                     f"{edge:.3g} in the mean",
                     hint="give the widest gap between vertices that should be one, such as 0.1e",
                 )
         borders = [one.border for one in self._members]
-        return share_borders(borders, self._is_single, length)
+        return share_borders(borders, self._is_single, self._weld)
 
     @property
     def _is_single(self) -> list[bool]:
@@ -203,10 +229,22 @@ class _SetRun:
         return [one.record.precision == "float32" for one in self._members]
 
     def _fixed_points(self, shared: SharedBorders) -> Flags | None:
-        """(n,) border points that a file which failed may share; None if none failed."""
-        if not self._records:
+        """(n,) border points that a file may share which failed or is gone; None if there is none.
+
+        Where an earlier run has read it they lie within its bounds; else any may be its.
+        """
+        parts = [self._earlier.parts.get(index) for index in self._records]
+        parts += self._earlier.absent.values()
+        if not parts:
             return None
-        return ~shared.is_shared
+        if None in parts:
+            return ~shared.is_shared
+        is_inside = np.zeros(len(shared.group), dtype=np.bool_)
+        for part in parts:
+            if part is not None and part.low is not None and part.high is not None:
+                low, high = np.array(part.low) - self._weld, np.array(part.high) + self._weld
+                is_inside |= ((shared.positions >= low) & (shared.positions <= high)).all(axis=1)
+        return ~shared.is_shared & is_inside
 
     def _describe(self, shared: SharedBorders) -> list[TileSetPart]:
         """What each member shares with the others."""
@@ -230,6 +268,7 @@ class _SetRun:
                     largest_weld=float(gaps[own].max(initial=0.0)),
                     unmatched_vertices=unmatched[place],
                     fixed_border_vertices=0 if fixed is None else int(fixed[own].sum()),
+                    **_bounds(shared.positions[own]),
                 )
             )
         return parts
@@ -310,6 +349,13 @@ class _SetRun:
             for index in sorted(self._records)
             if self._records[index].status == "failed"
         ]
+        failed += self._earlier.absent
+        for index in self._earlier.parts.keys() & {
+            index for index, one in self._records.items() if one.status == "failed"
+        }:
+            self._records[index] = replace(
+                self._records[index], tile_set=self._earlier.parts[index]
+            )
         notes = [f"the tile set: {one}" for one in warnings]
         for place, member in enumerate(self._members):
             record = self._records[member.index]
@@ -325,6 +371,15 @@ class _SetRun:
             notes = []
 
 
+def _bounds(positions: Floats) -> dict[str, Any]:
+    if not len(positions):
+        return {}
+    return {
+        "low": tuple(positions.min(axis=0).tolist()),
+        "high": tuple(positions.max(axis=0).tolist()),
+    }
+
+
 def _warnings_of(record: MeshRecord, gap: float, failed: Sequence[str]) -> list[str]:
     """What a user should know of the borders of a file."""
     part = record.tile_set
@@ -334,7 +389,7 @@ def _warnings_of(record: MeshRecord, gap: float, failed: Sequence[str]) -> list[
         names = ", ".join(failed[:3]) + (" ..." if len(failed) > 3 else "")
         notes.append(
             f"{part.fixed_border_vertices:,} border vertices were held in their place, because "
-            f"files that failed may share them: {names}"
+            f"files that failed or are gone may share them: {names}"
         )
     if part.unmatched_vertices:
         notes.append(

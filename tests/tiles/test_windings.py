@@ -48,7 +48,7 @@ def moebius_band(count: int = 40) -> FakeMesh:
     return FakeMesh(vertices.astype(np.float32), np.array(faces, dtype=np.uint32))
 
 
-@pytest.mark.parametrize("tile_vertices", [20, 150])
+@pytest.mark.parametrize("tile_vertices", [30, 150])
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.9])
 def test_any_faces_turned(monkeypatch, tmp_path, share, tile_vertices):
     mesh = several_parts()
