@@ -77,7 +77,7 @@ def files(draw):
         other = random.choice(OTHERS)
         if normals == "used" and other.startswith("f "):
             continue
-        lines.insert(random.randint(0, len(lines)), other)
+        lines.insert(random.randint(0, len(lines) - 1), other)
     newline = draw(st.sampled_from(["\n", "\r\n", "\r"]))
     mark = draw(st.sampled_from(["", "\ufeff"]))
     end = draw(st.sampled_from(["", "\n", "\n\n"]))
