@@ -125,7 +125,7 @@ def command(
     each vertex moved along its normal, else how far it is from A's surface. Neither a display nor
     a graphics card is needed.
 
-    Binary PLY or STL files that are larger than memory are read in pieces, and decimated; two must
+    PLY and STL files that are larger than memory are read in pieces, and decimated; two must
     have the same faces.
     """
     from msal_cli.storage import atomic
@@ -154,17 +154,16 @@ def command(
 def _build_scene(names: tuple[str, ...], format: str | None, *, quiet: bool) -> Scene:
     from msal_cli.cli.progress import reading_bar
     from msal_cli.job.comparison import open_surface
-    from msal_cli.job.larger_than_memory import open_too_large
+    from msal_cli.job.larger_than_memory import opened_in_pieces
     from msal_cli.view import pictures
 
-    streamed = open_too_large(names, format)
-    if streamed is None:
-        surfaces = [open_surface(name, format) for name in names]
-        return pictures.scene_of(surfaces[0], surfaces[1] if len(surfaces) > 1 else None, names)
-    from msal_cli.view.streamed_scene import scene_of_streamed
+    with reading_bar(quiet=quiet) as bar, opened_in_pieces(names, format, bar) as streamed:
+        if streamed is not None:
+            from msal_cli.view.streamed_scene import scene_of_streamed
 
-    with reading_bar(quiet=quiet) as bar:
-        return scene_of_streamed(streamed, names, bar)
+            return scene_of_streamed(streamed, names, bar)
+    surfaces = [open_surface(name, format) for name in names]
+    return pictures.scene_of(surfaces[0], surfaces[1] if len(surfaces) > 1 else None, names)
 
 
 def _find_kind(output: str) -> str:

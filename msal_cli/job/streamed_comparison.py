@@ -50,7 +50,7 @@ def compare_streamed(
         if the faces are not the same: distances between surfaces need all of them in memory.
     """
     require_same_counts(before, after, names[1])
-    steps = Steps(listener, (before, after), vertex_passes=3)
+    steps = Steps(listener, names, (before, after), vertex_passes=3)
     return compare_in_steps(before, after, names, measure_bounds(before, steps.add), steps.add)
 
 

@@ -110,7 +110,7 @@ def run_denoise(scratch: Scratch, round_number: int, tile: int) -> dict[str, Any
     except Pending as pending:
         if not round_number:
             part_files.save_normals(folder, mesh)
-        part_files.save_state(folder, round_number, pending.state)
+        part_files.save_state(folder, round_number, pending.state, saved)
         waits = {"key": pending.key, "partial": pending.partial}
         return {"pending": {**waits, "exchanged": list(pending.exchanged)}}
     _check_result(method, mesh, result)

@@ -47,7 +47,7 @@ def scene_of_streamed(
     """
     before = meshes[0]
     if len(meshes) == 1:
-        steps = Steps(listener, meshes, vertex_passes=2)
+        steps = Steps(listener, names, meshes, vertex_passes=2)
         bounds, cells = _gather_cells(before, steps.add)
         totals = measure_faces(before, bounds, steps.add, lambda piece: cells.add(piece.corners))
         kept, faces = _kept_faces(cells)
@@ -56,7 +56,7 @@ def scene_of_streamed(
         return Scene(names, _mesh(cells.vertices[kept], faces, bounds, edge), full_sizes=(size,))
     after = meshes[1]
     require_same_counts(before, after, names[1])
-    steps = Steps(listener, meshes, vertex_passes=4)
+    steps = Steps(listener, names, meshes, vertex_passes=4)
     bounds, cells = _gather_cells(before, steps.add)
 
     def add(piece: FacePiece) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from msal_cli.errors import ContentError, UnsupportedError
 from msal_cli.job.comparison import open_surface
-from msal_cli.job.larger_than_memory import open_too_large
+from msal_cli.job.larger_than_memory import opened_in_pieces
 from msal_cli.view import pages, pictures, streamed_scene
 from msal_cli.view.pictures import View
 from msal_cli.view.streamed_scene import scene_of_streamed
@@ -19,7 +19,8 @@ __all__ = ["in_pieces"]
 
 def scene_of(*paths):
     names = tuple(map(str, paths))
-    return scene_of_streamed(open_too_large(names), names, None)
+    with opened_in_pieces(names) as meshes:
+        return scene_of_streamed(meshes, names, None)
 
 
 def scene_in_memory(*paths):
