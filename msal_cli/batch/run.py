@@ -17,8 +17,10 @@ from msal_cli.batch.events import Failed, Finished, Progress, Retried, Returned,
 from msal_cli.batch.manifest_dirs import lock_folder, open_manifest, output_folders
 from msal_cli.batch.manifest_lines import FileStat, done_line, intent_line
 from msal_cli.batch.memory_budget import MemoryBudget, estimate_memory
+from msal_cli.batch.oversized import find_oversized
 from msal_cli.batch.resume import file_states, hash_settings, restore_backup, roll_back
 from msal_cli.batch.run_history import RunEntry
+from msal_cli.batch.tile_options import TileJob
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.records import Failure, MeshRecord, MethodUsed
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from msal_cli.batch.events import Message, OnEvent
     from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
+    from msal_cli.batch.tile_options import TileOptions
 
     OnProgress = Callable[[str, int, int], None]
     Denoise = Callable[..., MeshRecord]
@@ -59,6 +62,7 @@ def run(
     command: Sequence[str] = (),
     denoise: Denoise = denoise_file,
     engine: EngineFactory | None = None,
+    tiles: TileOptions | None = None,
 ) -> list[MeshRecord]:
     """One record per task, in the plan's order; the same bytes for any number of jobs.
 
@@ -80,6 +84,8 @@ def run(
     command : the command line, for the manifests and the reports made of them.
     denoise : what does one file, a module-level function; takes ``limits=`` where there are any.
     engine : processes the files, a single one too; None is ``worker_pool.WorkerPool``.
+    tiles : files that do not fit into memory are denoised by tiles, one after another when all
+        others are done; None refuses them.
 
     Raises
     ------
@@ -112,6 +118,7 @@ def run(
             retries=retries,
             stop_after_failures=stop_after_failures,
             engine=engine,
+            tiles=tiles,
         )
         return one.dry_run() if dry_run else one.execute(stack, tuple(command))
 
@@ -127,6 +134,7 @@ class _BatchRun:
     retries: int
     stop_after_failures: int | None
     engine: EngineFactory | None
+    tiles: TileOptions | None
 
     def __post_init__(self) -> None:
         self._cores = usable_cores()
@@ -156,11 +164,13 @@ class _BatchRun:
                 todo = self._lock_and_plan(stack, entry)
                 tasks = {index: self.plan.tasks[index] for index in todo}
                 budget = estimate_memory(tasks, self.settings, self.limits)
-            todo = self._drop_oversized(todo, budget)
+            todo, by_tiles = self._drop_oversized(todo, budget)
             if self._is_single() or self.plan.is_in_process:
                 self._run_in_process(todo)
             elif todo and self._failure is None and not self._has_too_many_failures():
                 self._run_engine(todo, budget)
+            if self.tiles is not None:
+                self._run_by_tiles(by_tiles, self.tiles)
             if self._failure is not None:
                 raise self._failure
         except BaseException:
@@ -227,18 +237,28 @@ class _BatchRun:
             )
         return todo, restored
 
-    def _drop_oversized(self, todo: list[int], budget: MemoryBudget) -> list[int]:
-        """The files for which there is memory; the others fail before they are loaded.
-
-        A limit set by the user replaces this check, and other machines have their own memory.
-        """
-        if self.engine is not None or self.limits.memory_bytes is not None:
-            return todo
-        oversized = budget.oversized()
-        for index, failure in oversized.items():
+    def _drop_oversized(self, todo: list[int], budget: MemoryBudget) -> tuple[list[int], list[int]]:
+        """The files to load, and those to denoise by tiles; those that fit neither way fail."""
+        if self.tiles is None and (self.engine is not None or self.limits.memory_bytes is not None):
+            return todo, []
+        tasks = {index: self.plan.tasks[index] for index in todo}
+        job = None if self.tiles is None else self._tile_job(self.tiles, 0)
+        oversized = find_oversized(tasks, self.settings, budget, job)
+        for index, failure in oversized.failures.items():
             self.on_event(Started(index))
             self._finish({index: self._failed_record(index, failure)})
-        return [index for index in todo if index not in oversized]
+        return [index for index in todo if index not in oversized], list(oversized.by_tiles)
+
+    def _tile_job(self, options: TileOptions, index: int) -> TileJob:
+        return TileJob(
+            options,
+            self.limits,
+            jobs=self.jobs or self._cores,
+            cores=self._cores,
+            retries=self.retries,
+            engine=self.engine,
+            on_progress=lambda *step: self.on_event(Progress(index, *step)),
+        )
 
     # The work
 
@@ -264,6 +284,17 @@ class _BatchRun:
                 self._finish({index: record})
                 if self._failure is not None:
                     return
+
+    def _run_by_tiles(self, indices: list[int], options: TileOptions) -> None:
+        for index in indices:
+            if self._failure is not None or self._has_too_many_failures():
+                return
+            from msal_cli.batch.tile_run import denoise_by_tiles
+
+            self.on_event(Started(index))
+            job = self._tile_job(options, index)
+            record = denoise_by_tiles(self.plan.tasks[index], self.settings, job)
+            self._finish({index: record})
 
     def _run_engine(self, todo: list[int], budget: MemoryBudget) -> None:
         from msal_cli.batch.engine import Interrupt, Work

@@ -326,6 +326,26 @@ class FieldsFile:
 
 
 @dataclass(frozen=True, slots=True)
+class Tiles:
+    """How a mesh that does not fit into memory was denoised in parts; of a file that is planned,
+    what is expected."""
+
+    number: int = field(metadata=about("tiles that the mesh was cut into"))
+    jobs: int = field(metadata=about("tiles at the same time"))
+    scratch_bytes: int = field(metadata=about("bytes of temporary files, the output among them"))
+    rings: int | None = known("rings of neighbouring vertices that were added to each tile")
+    choice_vertices: int | None = known(
+        "vertices of the part on which method, parameters and noise were determined; null if it "
+        "was the whole mesh"
+    )
+    resumed_tasks: int | None = known("tasks that an earlier, interrupted run had finished")
+    memory_bytes: int | None = known(
+        "memory of all processes together that was expected; the highest is in peak_memory_bytes"
+    )
+    expected_seconds: float | None = known("seconds from start to end that were expected")
+
+
+@dataclass(frozen=True, slots=True)
 class MeshRecord:
     """One row per file; fields that could not be determined are None.
 
@@ -405,7 +425,10 @@ class MeshRecord:
     vertices_per_second: float | None = known(
         "vertices (of an STL after welding) over total seconds"
     )
-    peak_memory_bytes: int | None = known("highest memory of the process so far")
+    peak_memory_bytes: int | None = known(
+        "highest memory of the process so far; by tiles, of all processes together"
+    )
+    tiles: Tiles | None = known("how it was denoised by tiles; null if it was in memory as a whole")
     input_sha256: str | None = known("SHA-256 of the input's bytes, hexadecimal")
     output_sha256: str | None = known("SHA-256 of the output's bytes, hexadecimal")
     input_object: ObjectMark | None = known(
