@@ -21,6 +21,7 @@ from msal_cli.kernels.parallel import fill_array, over_ranges
 from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.robust_laplacian import PER_MEDIAN
 from msal_cli.kernels.vectors import edges_and_normal
+from msal_cli.kernels.whole import Whole, median_of_all
 
 LONGEST = 0.5
 """Share of the way to where H_A would vanish that a vertex may go in one step."""
@@ -85,17 +86,28 @@ def _weighted_curvatures(
     return results
 
 
-def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> float:
+def curvature_threshold(
+    vertices: Floats, corners: Ints, deviations: float, whole: Whole | None = None
+) -> float:
     """Median length of H(e) plus so many standard deviations of it, in file units.
 
     The standard deviation is 1.4826 times the median absolute deviation.  Zero where there are no
-    ``flaps`` (e, 4).
+    ``flaps`` (e, 4).  Of a part of a mesh the flaps of its own vertices count, by their first one.
     """
-    if not len(corners):
-        return 0.0
     lengths = np.sqrt((edge_curvatures(vertices, corners) ** 2).sum(axis=1))
-    middle = median(lengths)
-    return float(middle + deviations * PER_MEDIAN * median(np.abs(lengths - middle)))
+    if whole is not None:
+        lengths = lengths[whole.own_vertices[corners[:, 0]]]
+    middle = _median(lengths, whole, "median curvature of edges")
+    if middle is None or not deviations:
+        return middle or 0.0
+    spread = _median(np.abs(lengths - middle), whole, "spread of the curvature of edges")
+    return float(middle + deviations * PER_MEDIAN * (spread or 0.0))
+
+
+def _median(values: Floats, whole: Whole | None, key: str) -> float | None:
+    if whole is not None:
+        return median_of_all(whole, key, values)
+    return median(values) if len(values) else None
 
 
 @compiled

@@ -266,9 +266,11 @@ def reach_of_run(
     normals : rings that the operator's own normals take, 0 if it has none: see ``normal_rings``.
     step : rings that the operator looks at, at each sweep.
     """
-    if schedule.quantile is not None:
-        normals = max(normals, normal_rings(parameters))
     rings = reach_of_sweeps(parameters.iterations, normals, step)
+    if schedule.quantile is not None:
+        # What pulls back does nothing in the first sweep.
+        sweeps = max(parameters.iterations - 1, 1)
+        rings = max(rings, reach_of_sweeps(sweeps, normal_rings(parameters), step))
     if isinstance(schedule, Wiener) and parameters.iterations:
         return RESTORATION_RINGS + max(rings, normal_rings(parameters))
     return rings

@@ -46,7 +46,13 @@ from msal_cli.kernels.bilateral import BallBilateral
 from msal_cli.kernels.operators import Operator, RingBilateral
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sweeps import ScheduledParameters, free_vertices, run
+from msal_cli.methods._sweeps import (
+    ScheduledParameters,
+    free_vertices,
+    normal_rings,
+    reach_of_run,
+    run,
+)
 
 
 @dataclass(frozen=True)
@@ -137,6 +143,13 @@ def _operator(mesh: Mesh, parameters: Parameters) -> Operator:
         similarity,
         parameters.normals,
     )
+
+
+def reach(parameters: Parameters) -> int | None:
+    """Rings that it reaches, see ``Method.reach``; a radius has any number of rings."""
+    if parameters.variant == "fleishman":
+        return None
+    return reach_of_run(parameters, parameters.build_schedule(), normal_rings(parameters))
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
+from msal_cli.errors import InternalError
+from msal_cli.kernels.operators import AnisotropicLaplacian
 from msal_cli.mesh import prepare_mesh
 from tests import shapes
 from tests.methods.parts import run_in_parts
@@ -58,6 +60,25 @@ CASES = [
     ("msal", {"schedule": "robust"}),
     ("msal", {"schedule": "wiener", "noise": 0.1}),
     ("msal", {"weights": "none", "deviation": "median"}),
+    ("bilateral", {}),
+    ("bilateral", {"closeness": 0.5, "similarity": 0.5, "schedule": "multiscale"}),
+    ("umbrella", {}),
+    ("umbrella", {"boundary": "free", "schedule": "multiscale", "mollify": 2}),
+    ("umbrella", {"boundary": "fixed", "schedule": "wiener", "noise": 0.1, "iterations": 1}),
+    ("umbrella", {"schedule": "robust", "mollify": 0}),
+    ("scale_dependent_umbrella", {}),
+    ("scale_dependent_umbrella", {"schedule": "constant", "boundary": "free"}),
+    ("taubin", {"iterations": 4}),
+    ("taubin", {"iterations": 2, "boundary": "free"}),
+    ("hc", {"iterations": 3}),
+    ("hc", {"iterations": 2, "boundary": "fixed"}),
+    ("windowed_sinc", {"iterations": 7}),
+    ("mean_curvature_flow", {"variant": "explicit", "iterations": 3}),
+    ("mean_curvature_flow", {"variant": "explicit", "areas": "ring", "boundary": "free"}),
+    ("mean_curvature_flow", {"variant": "explicit", "schedule": "robust"}),
+    ("anisotropic_diffusion", {"iterations": 3}),
+    ("anisotropic_diffusion", {"iterations": 4, "variant": "amc", "shape": "organic"}),
+    ("anisotropic_diffusion", {"iterations": 2, "schedule": "multiscale", "boundary": "free"}),
 ]
 
 
@@ -97,3 +118,63 @@ def test_a_ring_less_is_not_enough(case):
         vertices, _, _ = run_in_parts(method, mesh, parameters, rings - 1)
         differs |= vertices.tobytes() != whole.vertices.tobytes()
     assert differs
+
+
+def constrained(mesh):
+    """The mesh with vertices that are fixed, and others that are trusted more or less."""
+    generator = np.random.default_rng(3)
+    n = len(mesh.vertices)
+    return mesh.with_constraints(generator.random(n) < 0.1, generator.random(n))
+
+
+@pytest.mark.parametrize("case", CASES[::3], ids=describe)
+def test_parts_keep_constraints(case):
+    name, given = case
+    method = methods.find(name)
+    parameters = method.validate(given)
+    mesh = constrained(MESHES["open"])
+    whole = method.denoise(mesh, parameters)
+    vertices, _, _ = run_in_parts(method, mesh, parameters, method.reach(parameters), count=2)
+    assert vertices.tobytes() == whole.vertices.tobytes()
+
+
+def test_a_sweep_is_not_done_twice(monkeypatch):
+    measured = []
+    measure = AnisotropicLaplacian.measure
+
+    def count(self, positions, heights, sigma):
+        measured.append(len(positions))
+        return measure(self, positions, heights, sigma)
+
+    monkeypatch.setattr(AnisotropicLaplacian, "measure", count)
+    method = methods.find("msal")
+    parameters = method.validate({"schedule": "robust", "iterations": 4})
+    _, _, rounds = run_in_parts(method, MESHES["open"], parameters, method.reach(parameters))
+    assert len(measured) == 3 * 4
+    # The mean edge length, and two rounds for the quantile of each sweep.
+    assert rounds == 1 + 2 * 4 + 1
+
+
+WHOLE = [
+    ("bilateral", {"variant": "fleishman"}),
+    ("bilateral_non_iterative", {}),
+    ("mean_curvature_flow", {}),
+    ("mean_curvature_flow", {"variant": "explicit", "volume": "restore"}),
+    ("l0", {}),
+    ("static_dynamic", {}),
+]
+
+
+@pytest.mark.parametrize("case", WHOLE, ids=describe)
+def test_these_need_the_whole_mesh(case):
+    name, given = case
+    method = methods.find(name)
+    assert method.reach(method.validate(given)) is None
+
+
+@pytest.mark.parametrize("name", ["al", "msal"])
+def test_noise_is_not_estimated_on_a_part(name):
+    method = methods.find(name)
+    parameters = method.validate({"schedule": "wiener"})
+    with pytest.raises(InternalError, match="noise of a part"):
+        run_in_parts(method, MESHES["open"], parameters, 30, count=2)
