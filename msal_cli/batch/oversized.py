@@ -1,4 +1,4 @@
-"""Files that do not fit into memory: denoised by tiles where that is possible, refused elsewhere."""
+"""Files that do not fit into memory: denoised by tiles where that is possible, or refused."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from msal_cli.errors import MsalError, UnsupportedError
-from msal_cli.job.records import Failure
+from msal_cli.job.records import Failure, Tiles
 
 if TYPE_CHECKING:
     from msal_cli.batch.memory_budget import MemoryBudget
     from msal_cli.batch.tile_options import TileJob
     from msal_cli.job.settings import Settings, Task
+    from msal_cli.tiles.estimates import TileEstimate
 
 
 @dataclass(frozen=True)
 class Oversized:
-    """The files that are not loaded: those to denoise by tiles, and why others cannot be done."""
+    """The files that are not loaded: what those take that are denoised by tiles, and why others
+    cannot be done."""
 
-    by_tiles: tuple[int, ...]
+    by_tiles: Mapping[int, TileEstimate]
     failures: Mapping[int, Failure]
 
     def __contains__(self, index: int) -> bool:
@@ -43,30 +45,37 @@ def find_oversized(
         reasons.update(budget.beyond_limit)
     elif job.engine is None:
         reasons.update(budget.oversized())
-    by_tiles: list[int] = []
+    by_tiles: dict[int, TileEstimate] = {}
     failures: dict[int, Failure] = {}
     for index, reason in reasons.items():
-        objection = None if job is None else _find_objection(tasks[index], settings, job)
-        if objection is None and job is not None:
-            by_tiles.append(index)
-        elif reason is not None and objection is None:
+        if job is None:
+            assert reason is not None
             failures[index] = reason
-        elif reason is not None and isinstance(objection, UnsupportedError):
-            hint = f"{reason.hint}; it cannot be denoised by tiles: {objection.message}"
-            failures[index] = replace(reason, hint=hint)
-        elif objection is not None:
-            failures[index] = Failure(
-                objection.code, objection.message, objection.hint, objection.where
-            )
-    return Oversized(tuple(by_tiles), failures)
+            continue
+        from msal_cli.batch.tile_run import estimate
+
+        try:
+            by_tiles[index] = estimate(tasks[index], settings, job)
+        except MsalError as objection:
+            failures[index] = _describe(objection, reason)
+    return Oversized(by_tiles, failures)
 
 
-def _find_objection(task: Task, settings: Settings, job: TileJob) -> MsalError | None:
-    """Why a file cannot be denoised by tiles; None if it can."""
-    from msal_cli.batch.tile_run import estimate
+def planned_tiles(expected: TileEstimate) -> Tiles:
+    """What is expected, as records have it."""
+    return Tiles(
+        number=expected.n_tiles,
+        jobs=expected.jobs,
+        scratch_bytes=expected.scratch_bytes,
+        memory_bytes=expected.memory_bytes,
+        expected_seconds=expected.seconds,
+    )
 
-    try:
-        estimate(task, settings, job)
-    except MsalError as error:
-        return error
-    return None
+
+def _describe(objection: MsalError, reason: Failure | None) -> Failure:
+    """Why a file cannot be done: ``reason`` is why not in memory, if there is one, and
+    ``objection`` why not by tiles."""
+    if reason is None or not isinstance(objection, UnsupportedError):
+        return Failure(objection.code, objection.message, objection.hint, objection.where)
+    hint = f"{reason.hint}; it cannot be denoised by tiles: {objection.message}"
+    return replace(reason, hint=hint)

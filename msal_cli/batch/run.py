@@ -11,20 +11,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import __version__
 from msal_cli.batch import interrupts, temporary_files
 from msal_cli.batch.events import Failed, Finished, Progress, Retried, Returned, Started
 from msal_cli.batch.manifest_dirs import lock_folder, open_manifest, output_folders
 from msal_cli.batch.manifest_lines import FileStat, done_line, intent_line
 from msal_cli.batch.memory_budget import MemoryBudget, estimate_memory
-from msal_cli.batch.oversized import find_oversized
+from msal_cli.batch.oversized import Oversized, find_oversized, planned_tiles
 from msal_cli.batch.resume import file_states, hash_settings, restore_backup, roll_back
 from msal_cli.batch.run_history import RunEntry
 from msal_cli.batch.tile_options import TileJob
+from msal_cli.batch.unfinished import failure_of, unfinished_record
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import denoise_file
-from msal_cli.job.records import Failure, MeshRecord, MethodUsed
-from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task, least_memory_bytes
+from msal_cli.job.records import Failure, MeshRecord
+from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task, check_limits
 from msal_cli.machine import usable_cores
 from msal_cli.storage.urls import is_url
 
@@ -37,14 +37,6 @@ if TYPE_CHECKING:
 
     OnProgress = Callable[[str, int, int], None]
     Denoise = Callable[..., MeshRecord]
-
-_LOSS_CODES = {
-    "crash": "E_CRASH",
-    "memory": "E_MEMORY",
-    "timeout": "E_TIMEOUT",
-    "exception": "E_INTERNAL",
-    "changed": "E_CHANGED",
-}
 
 _log = logging.getLogger("msal.batch")
 
@@ -152,8 +144,11 @@ class _BatchRun:
         """What would happen, with nothing touched."""
         with interrupts.noticed(interrupts.raise_for):
             self._manifests = {home: open_manifest(home) for home in self.plan.folders()}
-            for index in self._outdated()[0]:
-                self._emit_finished(index, self._planned_record(index))
+            todo = self._outdated()[0]
+            by_tiles = {} if self.tiles is None else self._find_oversized(todo).by_tiles
+            for index in todo:
+                tiles = planned_tiles(by_tiles[index]) if index in by_tiles else None
+                self._emit_finished(index, replace(self._planned_record(index), tiles=tiles))
         return self._in_order()
 
     def execute(self, stack: ExitStack, command: tuple[str, ...]) -> list[MeshRecord]:
@@ -164,13 +159,14 @@ class _BatchRun:
                 todo = self._lock_and_plan(stack, entry)
                 tasks = {index: self.plan.tasks[index] for index in todo}
                 budget = estimate_memory(tasks, self.settings, self.limits)
-            todo, by_tiles = self._drop_oversized(todo, budget)
+                oversized = self._find_oversized(todo, budget)
+            todo = self._drop_oversized(todo, oversized)
             if self._is_single() or self.plan.is_in_process:
                 self._run_in_process(todo)
             elif todo and self._failure is None and not self._has_too_many_failures():
                 self._run_engine(todo, budget)
             if self.tiles is not None:
-                self._run_by_tiles(by_tiles, self.tiles)
+                self._run_by_tiles(list(oversized.by_tiles), self.tiles)
             if self._failure is not None:
                 raise self._failure
         except BaseException:
@@ -237,17 +233,20 @@ class _BatchRun:
             )
         return todo, restored
 
-    def _drop_oversized(self, todo: list[int], budget: MemoryBudget) -> tuple[list[int], list[int]]:
-        """The files to load, and those to denoise by tiles; those that fit neither way fail."""
-        if self.tiles is None and (self.engine is not None or self.limits.memory_bytes is not None):
-            return todo, []
-        tasks = {index: self.plan.tasks[index] for index in todo}
-        job = None if self.tiles is None else self._tile_job(self.tiles, 0)
-        oversized = find_oversized(tasks, self.settings, budget, job)
+    def _drop_oversized(self, todo: list[int], oversized: Oversized) -> list[int]:
+        """The files to load; those that fit neither into memory nor into tiles fail."""
         for index, failure in oversized.failures.items():
             self.on_event(Started(index))
             self._finish({index: self._failed_record(index, failure)})
-        return [index for index in todo if index not in oversized], list(oversized.by_tiles)
+        return [index for index in todo if index not in oversized]
+
+    def _find_oversized(self, todo: list[int], budget: MemoryBudget | None = None) -> Oversized:
+        if self.tiles is None and (self.engine is not None or self.limits.memory_bytes is not None):
+            return Oversized({}, {})
+        tasks = {index: self.plan.tasks[index] for index in todo}
+        budget = budget or estimate_memory(tasks, self.settings, self.limits)
+        job = None if self.tiles is None else self._tile_job(self.tiles, 0)
+        return find_oversized(tasks, self.settings, budget, job)
 
     def _tile_job(self, options: TileOptions, index: int) -> TileJob:
         return TileJob(
@@ -419,22 +418,6 @@ def _local(homes: Iterable[str]) -> list[str]:
     return [home for home in homes if not is_url(home)]
 
 
-def unfinished_record(name: str, settings: Settings, failure: Failure | None = None) -> MeshRecord:
-    """The record of an input that failed outside of the pipeline, or that is not done yet."""
-    return MeshRecord(
-        input=name,
-        status="planned" if failure is None else "failed",
-        version=__version__,
-        method=MethodUsed(settings.method, dict(settings.parameters)),
-        error=failure,
-    )
-
-
-def failure_of(message: Failed) -> Failure:
-    """The failure, with its code, of a task that was lost."""
-    return Failure(_LOSS_CODES[message.cause], message.reason, message.hint)
-
-
 def denoise_in_worker(
     task: Task, common: tuple[Denoise, Settings], on_progress: OnProgress
 ) -> MeshRecord:
@@ -447,17 +430,3 @@ def denoise_in_worker(
     if error is not None and error.code == "E_MEMORY" and error.where != FORECAST:
         raise MemoryError(error.message)
     return record
-
-
-def check_limits(limits: Limits) -> None:
-    """Refuse limits within which no file can be denoised; UsageError."""
-    if limits.timeout_s is not None and not limits.timeout_s > 0.0:
-        raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
-    if limits.max_faces is not None and limits.max_faces < 1:
-        raise UsageError(f"no file has {limits.max_faces} faces at most")
-    least = least_memory_bytes()
-    if limits.memory_bytes is not None and limits.memory_bytes < least:
-        raise UsageError(
-            f"a memory limit of {limits.memory_bytes / 1e6:.0f} MB is not enough for any file",
-            hint=f"msal itself takes {least / 1e6:.0f} MB",
-        )

@@ -19,14 +19,16 @@ from msal_cli import machine
 from msal_cli.batch import interrupts, tile_scratch
 from msal_cli.batch.engine import Interrupt
 from msal_cli.batch.events import Failed, Returned
+from msal_cli.batch.oversized import planned_tiles
 from msal_cli.batch.tile_options import TileJob
 from msal_cli.batch.tile_progress import TileProgress
 from msal_cli.batch.tile_tasks import TileEngine, TileResult
+from msal_cli.batch.unfinished import LOSS_CODES
 from msal_cli.errors import InternalError, MsalError, OutputError, ResourceError
 from msal_cli.job import output
 from msal_cli.job.opened_mesh import to_known_error
 from msal_cli.job.pipeline import start_record
-from msal_cli.job.records import Failure, MeshRecord, Seconds, Tiles
+from msal_cli.job.records import Failure, MeshRecord, Seconds
 from msal_cli.job.settings import Limits, Settings, Task, refuse_faces
 from msal_cli.tiles import outcome, stages
 from msal_cli.tiles import source as sources
@@ -58,8 +60,6 @@ _STAGE_SECONDS = {
 }
 """Which seconds of a record those of each stage are."""
 
-_CODES = {"crash": "E_CRASH", "memory": "E_MEMORY", "timeout": "E_TIMEOUT"}
-
 _log = logging.getLogger("msal.batch")
 
 
@@ -82,17 +82,6 @@ def memory_bound(limits: Limits) -> int | None:
         return limits.memory_bytes
     free = machine.available_bytes()
     return None if free is None else int(SHARE * free)
-
-
-def planned_tiles(expected: TileEstimate) -> Tiles:
-    """What is expected, as records have it."""
-    return Tiles(
-        number=expected.n_tiles,
-        jobs=expected.jobs,
-        scratch_bytes=expected.scratch_bytes,
-        memory_bytes=expected.memory_bytes,
-        expected_seconds=expected.seconds,
-    )
 
 
 def denoise_by_tiles(task: Task, settings: Settings, job: TileJob) -> MeshRecord:
@@ -345,6 +334,6 @@ def _failure_of(message: Failed) -> MsalError:
         return InternalError(message.reason, hint=message.hint)
     return ResourceError(
         message.reason,
-        code=_CODES[message.cause],
+        code=LOSS_CODES[message.cause],
         hint=f"{message.hint}; finished tasks are kept, and the same command goes on from there",
     )

@@ -254,3 +254,19 @@ def least_memory_bytes() -> int:
     from msal_cli.codecs.forecast import BASE_BYTES
 
     return BASE_BYTES
+
+
+def check_limits(limits: Limits) -> None:
+    """Refuse limits within which no file can be denoised; UsageError."""
+    from msal_cli.errors import UsageError
+
+    if limits.timeout_s is not None and not limits.timeout_s > 0.0:
+        raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
+    if limits.max_faces is not None and limits.max_faces < 1:
+        raise UsageError(f"no file has {limits.max_faces} faces at most")
+    least = least_memory_bytes()
+    if limits.memory_bytes is not None and limits.memory_bytes < least:
+        raise UsageError(
+            f"a memory limit of {limits.memory_bytes / 1e6:.0f} MB is not enough for any file",
+            hint=f"msal itself takes {least / 1e6:.0f} MB",
+        )

@@ -28,6 +28,7 @@ from msal_cli.report.phrases import (
     seconds_text,
     self_intersections_text,
     storage_text,
+    tiles_text,
     vertices_text,
 )
 
@@ -61,7 +62,8 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
         elif record.status == "up-to-date":
             yield Line(f"{_output_name(record)} is up to date")
         else:
-            yield Line(f"{file_name(record.input)} -> {_output_name(record)}")
+            ending = "" if record.tiles is None else f": {tiles_text(record.tiles)}"
+            yield Line(f"{file_name(record.input)} -> {_output_name(record)}{ending}")
 
 
 # One file
@@ -79,6 +81,8 @@ def _file_lines(run: Run, record: MeshRecord) -> Iterator[Line]:
             yield Line(f"{name} was not finished", "bad")
         else:
             yield Line(f"{name} would be written to {_output_name(record)}")
+            if record.tiles is not None:
+                yield Line(f"  {'tiles':<13} {tiles_text(record.tiles)}")
         return
     if record.status == "up-to-date":
         yield Line(f"{_output_name(record)} is up to date", "good")
@@ -159,6 +163,8 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str, Tone]]:
     )
     texts = [f"{format_count(n, 'vertex', 'vertices')} {word}" for n, word in kept if n is not None]
     facts.append(("constraints", ", ".join(texts)))
+    if record.tiles is not None:
+        facts.append(("tiles", tiles_text(record.tiles)))
     if record.seconds is not None:
         facts.append(("time", _time_text(record)))
     if record.self_intersections is not None:
