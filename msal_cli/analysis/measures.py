@@ -91,7 +91,13 @@ def measure_surface_change(before: Mesh, after: Mesh) -> SurfaceChange:
     """The change between two meshes with the same faces."""
     from msal_cli.kernels import surface_change as core
 
-    figures = core.surface_figures(before.vertices, after.vertices, before.faces)
+    return surface_change_of(core.surface_figures(before.vertices, after.vertices, before.faces))
+
+
+def surface_change_of(figures: Floats) -> SurfaceChange:
+    """The change that ``kernels.surface_change.surface_figures`` (N_FIGURES,) tell."""
+    from msal_cli.kernels import surface_change as core
+
     compared = figures[core.COMPARED]
     return SurfaceChange(
         area_before=float(figures[core.DOUBLED_AREA_BEFORE] / 2.0),

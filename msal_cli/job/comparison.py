@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from msal_cli.arrays import Floats, Ints
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.records import MeshRecord
+    from msal_cli.job.streamed_progress import ReadingListener
     from msal_cli.mesh import Mesh, PreparedMesh
     from msal_cli.storage.buffers import Buffer
 
@@ -74,13 +75,28 @@ def open_surface(path: str, format: str | None = None) -> Surface:
 
 
 def compare_files(
-    before: str, after: str, format: str | None = None, *, with_intersections: bool = False
+    before: str,
+    after: str,
+    format: str | None = None,
+    *,
+    with_intersections: bool = False,
+    listener: ReadingListener | None = None,
 ) -> ComparisonRecord:
     """A file against the reference ``before``; what cannot be read gives a record with an error.
 
-    ``with_intersections`` counts the faces of each that intersect each other.
+    ``with_intersections`` counts the faces of each that intersect each other.  Files that are
+    larger than memory are read in pieces, which ``listener`` hears of.
     """
+    from msal_cli.job.larger_than_memory import open_too_large
+
     try:
+        streamed = open_too_large((before, after), format)
+        if streamed is not None:
+            from msal_cli.job.streamed_comparison import compare_streamed
+
+            record = compare_streamed(streamed[0], streamed[1], before, after, listener)
+            words = "intersections are not counted: the files are larger than memory"
+            return _warned(record, words) if with_intersections else record
         return compare_meshes(
             open_surface(before, format),
             open_surface(after, format),

@@ -9,6 +9,7 @@ little memory.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags
 from msal_cli.codecs.streamed_mesh import StreamedMesh
+from msal_cli.errors import MsalError
 from msal_cli.kernels.corner_gathering import BLOCK_BITS, blocks_of, gather_corners
 
 BLOCK_VERTICES = 1 << BLOCK_BITS
@@ -31,6 +33,16 @@ PIECE_VERTICES = 1 << 20
 
 OnStep = Callable[[int], None]
 """Called with the number of vertices or faces that were done since the last call."""
+
+
+@contextmanager
+def errors_of(mesh: StreamedMesh) -> Iterator[None]:
+    """Errors while a mesh is read name its file."""
+    try:
+        yield
+    except MsalError as error:
+        error.path = error.path or mesh.path
+        raise
 
 
 class FacePiece(NamedTuple):
@@ -98,10 +110,36 @@ class VertexBlocks:
 def pieces_of(mesh: StreamedMesh, on_step: OnStep) -> Iterator[FacePiece]:
     """All faces of a mesh, cut into triangles, in their order."""
     blocks = VertexBlocks(mesh)
-    for chunk in mesh.face_chunks(PIECE_FACES):
-        triangles = mesh.read_triangles(chunk)
+    with errors_of(mesh):
+        chunks = mesh.face_chunks(PIECE_FACES)
+    for chunk in chunks:
+        with errors_of(mesh):
+            triangles = mesh.read_triangles(chunk)
         yield FacePiece(chunk.first_triangle, triangles, blocks.corners(triangles))
         on_step(chunk.polygons[1] - chunk.polygons[0])
+
+
+class TriangleReader:
+    """The triangles of a mesh in pieces of the sizes that are asked for."""
+
+    def __init__(self, mesh: StreamedMesh, on_step: OnStep) -> None:
+        self._mesh = mesh
+        with errors_of(mesh):
+            self._chunks = iter(mesh.face_chunks(PIECE_FACES))
+        self._on_step = on_step
+        self._rest = np.empty((0, 3), dtype=np.uint32)
+
+    def take(self, count: int) -> NDArray[np.uint32]:
+        """The next ``count`` triangles (count, 3); fewer where there are no more."""
+        parts, n_found = [self._rest], len(self._rest)
+        while n_found < count and (chunk := next(self._chunks, None)) is not None:
+            with errors_of(self._mesh):
+                parts.append(self._mesh.read_triangles(chunk))
+            n_found += len(parts[-1])
+            self._on_step(chunk.polygons[1] - chunk.polygons[0])
+        triangles = np.concatenate(parts)
+        self._rest = triangles[count:]
+        return triangles[:count]
 
 
 def vertex_ranges(mesh: StreamedMesh) -> Iterator[tuple[int, int]]:

@@ -16,6 +16,7 @@ from msal_cli.job.streamed_faces import (
     PIECE_VERTICES,
     FacePiece,
     OnStep,
+    errors_of,
     pieces_of,
     vertex_ranges,
 )
@@ -108,7 +109,8 @@ def measure_bounds(
     each piece."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for start, stop in vertex_ranges(mesh):
-        vertices = mesh.read_vertices(start, stop)
+        with errors_of(mesh):
+            vertices = mesh.read_vertices(start, stop)
         low = np.minimum(low, vertices.min(axis=0)).astype(np.float64)
         high = np.maximum(high, vertices.max(axis=0)).astype(np.float64)
         if on_vertices is not None:

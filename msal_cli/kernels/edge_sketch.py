@@ -90,6 +90,13 @@ def _position_hash(x, y, z):
 
 
 @compiled
+def _both_hash(first, corners, f, at):
+    """The hash of a position whose own is ``first`` and another one."""
+    second = _position_hash(corners[f, at], corners[f, at + 1], corners[f, at + 2])
+    return hash_bits(first, second, np.uint64(2))
+
+
+@compiled
 def _meet(cells, part_bits, pending, signs, hash_a, hash_b, length):
     """One directed edge: it cancels its opposite, or waits, or what waited goes to the cells."""
     is_plus = hash_a < hash_b
@@ -107,8 +114,13 @@ def _meet(cells, part_bits, pending, signs, hash_a, hash_b, length):
 
 
 @compiled
-def _add_faces(corners, triangles, origin, steps, used, cells, part_bits, pending, signs, sums):
-    """Add faces to the table and to the sums, and mark the vertices that they use."""
+def _add_faces(
+    corners, others, triangles, origin, steps, used, cells, part_bits, pending, signs, sums
+):
+    """Add faces to the table and to the sums, and mark the vertices that they use.
+
+    With ``others``, ends of edges are one where both positions are: those of ``corners`` and these.
+    """
     doubled_area = sixfold_volume = sides = 0.0
     n_faces = n_flat = 0
     # A set bit for each vertex; none are wanted where there are none.
@@ -128,6 +140,10 @@ def _add_faces(corners, triangles, origin, steps, used, cells, part_bits, pendin
         n_flat += doubled <= DEGENERATE * longest_square(ux, uy, uz, wx, wy, wz)
         if hash_a == hash_b or hash_b == hash_c or hash_c == hash_a:
             continue
+        if len(others) > 0:
+            hash_a = _both_hash(hash_a, others, f, 0)
+            hash_b = _both_hash(hash_b, others, f, 3)
+            hash_c = _both_hash(hash_c, others, f, 6)
         n_faces += 1
         doubled_area += doubled
         px, py, pz = ax - origin[0], ay - origin[1], az - origin[2]
@@ -246,10 +262,19 @@ class EdgeSketch:
         self.used = np.zeros(-(-n_vertices // 8), dtype=np.uint8)
         self.sums = np.zeros(N_SUMS)
 
-    def add(self, corners: NDArray[np.floating], triangles: NDArray[np.uint32]) -> None:
-        """Add faces: their ``corners`` (m, 9), file units, and vertices (m, 3)."""
+    def add(
+        self,
+        corners: NDArray[np.floating],
+        triangles: NDArray[np.uint32],
+        others: NDArray[np.floating] | None = None,
+    ) -> None:
+        """Add faces: their ``corners`` (m, 9), file units, and vertices (m, 3).
+
+        With ``others`` (m, 9), the same corners elsewhere, edges meet where they do there, too.
+        """
         _add_faces(
             corners,
+            corners[:0] if others is None else others,
             triangles,
             self._origin,
             self._steps,

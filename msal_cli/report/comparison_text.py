@@ -78,7 +78,7 @@ def _pair(record: ComparisonRecord) -> str:
 
 
 def _counts(vertices: int | None, corners: int | None, faces: int | None) -> str:
-    return f"{vertices_text(vertices or 0, corners)}, {faces or 0:,} triangles"
+    return f"{vertices_text(vertices, corners)}, {faces or 0:,} triangles"
 
 
 def _facts(record: ComparisonRecord) -> Iterator[tuple[str, str]]:

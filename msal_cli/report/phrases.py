@@ -120,7 +120,10 @@ def gate_text(gate: GateResult) -> str:
 
 
 def vertices_text(vertices: int | None, corners: int | None) -> str:
-    """``6,720 vertices (of 40,320 corners)``: corners where the file stores these (STL)."""
+    """``6,720 vertices (of 40,320 corners)``: corners where the file stores these (STL); they alone
+    where the vertices are not known."""
+    if vertices is None:
+        return format_count(corners, "corner")
     beside = f" (of {corners:,} corners)" if corners is not None else ""
     return format_count(vertices, "vertex", "vertices") + beside
 
