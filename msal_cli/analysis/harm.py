@@ -10,11 +10,13 @@ folds, and where a filter collapses them half of the faces flip.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from msal_cli.analysis.measures import SurfaceChange, relative_volume_change
+from msal_cli.arrays import Ints
 from msal_cli.mesh import Mesh
 
 FLIPPED_SHARE = 0.02
@@ -51,16 +53,25 @@ def harmful_change(
         (``Enclosure.change``): those of parts that are inside out would count against the others.
     has_volume : whether the volume means anything (``Defects.volume_objection`` is empty).
     """
+    return judge_change(
+        change, len(before.faces), lambda: folded_faces(before), has_volume=has_volume
+    )
+
+
+def judge_change(
+    change: SurfaceChange, n_faces: int, count_folded: Callable[[], int], *, has_volume: bool
+) -> Harm | None:
+    """The same from figures: ``count_folded()`` gives how many of the ``n_faces`` faces are folded
+    before, and is called only where that can matter."""
     if has_volume:
         share = relative_volume_change(
             change.volume_before, change.volume_after, change.area_before
         )
         if share is not None and abs(share) > VOLUME_SHARE:
             return Harm(VOLUME, f"the volume changed by {100.0 * share:+.1f} %")
-    n_faces, n_flipped = len(before.faces), change.normals.flipped_faces
-    # Folds are looked for only where they can matter.
+    n_flipped = change.normals.flipped_faces
     if n_flipped > FLIPPED_SHARE * n_faces:
-        allowed = FLIPPED_SHARE * n_faces + FLIPS_PER_FOLD * folded_faces(before)
+        allowed = FLIPPED_SHARE * n_faces + FLIPS_PER_FOLD * count_folded()
         if n_flipped > allowed:
             share = n_flipped / n_faces
             return Harm(
@@ -74,12 +85,21 @@ def folded_faces(mesh: Mesh) -> int:
 
     Of more than ``MOST_SAMPLED`` faces every k-th one is counted, and the count is scaled.
     """
+    step = sampling_step(len(mesh.faces))
+    return count_folds(mesh, np.ascontiguousarray(mesh.faces[::step])) * step
+
+
+def sampling_step(n_faces: int) -> int:
+    """k where of so many faces every k-th one is looked at for folds."""
+    return max(n_faces // MOST_SAMPLED, 1)
+
+
+def count_folds(mesh: Mesh, faces: Ints) -> int:
+    """How many of ``faces`` (k, 3) face away from the mollified normals at their corners."""
     from msal_cli.kernels.geometry import face_normals
 
-    step = max(len(mesh.faces) // MOST_SAMPLED, 1)
-    faces = np.ascontiguousarray(mesh.faces[::step])
     # Most methods have computed these normals.
     at_vertices = mesh.vertex_normals("uniform", 1)
     around = at_vertices[faces].sum(axis=1)
     alike = np.einsum("ij,ij->i", face_normals(mesh.vertices, faces), around)
-    return int(np.count_nonzero(alike < 0.0)) * step
+    return int(np.count_nonzero(alike < 0.0))

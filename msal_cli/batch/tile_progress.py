@@ -22,6 +22,8 @@ COSTS = {
     "choose": 2.0,
     "rim": 6.0,
     "prepare": 22.0,
+    "wind": 0.0,
+    "turn": 0.0,
     "denoise": 30.0,
     "join": 11.0,
 }

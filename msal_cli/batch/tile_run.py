@@ -55,6 +55,8 @@ _STAGE_SECONDS = {
     "choose": "choose",
     "rim": "connectivity",
     "prepare": "connectivity",
+    "wind": "connectivity",
+    "turn": "connectivity",
     "denoise": "sweeps",
     "join": "write",
 }

@@ -158,7 +158,7 @@ def measure(ready: PreparedMesh, moved: Floats, noise: NoiseLevel | None) -> Mea
     warnings = [(INSIDE_OUT, enclosed.words)] if enclosed.is_inside_out else []
     harm = harmful_change(before, after, surface, has_volume=not objection)
     if harm is not None:
-        warnings.append((harm.code, f"this looks like damage: {harm.reason}; {_DAMAGE_ADVICE}"))
+        warnings.append((harm.code, damage_words(harm)))
     fields = {
         "displacement": displacement_field(statistics, before.mean_edge_length),
         "normal_change": NormalChange(
@@ -173,6 +173,11 @@ def measure(ready: PreparedMesh, moved: Floats, noise: NoiseLevel | None) -> Mea
         "area": area_changed(surface.area_before, surface.area_after),
     }
     return Measured(fields, tuple(warnings), harm)
+
+
+def damage_words(harm: Harm) -> str:
+    """The text of the warning about a harmful change."""
+    return f"this looks like damage: {harm.reason}; {_DAMAGE_ADVICE}"
 
 
 def count_self_intersections(before: Mesh, after: Mesh) -> SelfIntersections:

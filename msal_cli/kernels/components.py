@@ -57,7 +57,7 @@ def component_labels(n_vertices: int, faces: Ints) -> Ints:
 
 
 @compiled
-def _root_and_parity(parent, parity, face):
+def root_and_parity(parent, parity, face):
     """Root of a face and whether the face is wound against it; paths are shortened."""
     root = face
     against = False
@@ -75,6 +75,21 @@ def _root_and_parity(parent, parity, face):
 
 
 @compiled
+def join_patches(parent, parity, twisted, one, other, opposed):
+    """Join the patches of two items, which are ``opposed`` or not; the lower root stays."""
+    a, a_against = root_and_parity(parent, parity, one)
+    b, b_against = root_and_parity(parent, parity, other)
+    if a == b:
+        if (a_against ^ b_against) != opposed:
+            twisted[a] = True
+    else:
+        low, high = min(a, b), max(a, b)
+        parent[high] = low
+        parity[high] = a_against ^ b_against ^ opposed
+        twisted[low] |= twisted[high]
+
+
+@compiled
 def _to_flip(corners, following, flip):
     m = len(flip)
     parent = np.arange(m)
@@ -85,28 +100,19 @@ def _to_flip(corners, following, flip):
         # Each edge with exactly two faces once: its two sides follow each other.
         if other <= side or following[other] != side:
             continue
-        same = corners[side] == corners[other]
-        one, one_against = _root_and_parity(parent, parity, side // 3)
-        two, two_against = _root_and_parity(parent, parity, other // 3)
-        if one == two:
-            if (one_against ^ two_against) != same:
-                twisted[one] = True
-        else:
-            low, high = min(one, two), max(one, two)
-            parent[high] = low
-            parity[high] = one_against ^ two_against ^ same
-            twisted[low] |= twisted[high]
+        opposed = corners[side] == corners[other]
+        join_patches(parent, parity, twisted, side // 3, other // 3, opposed)
     against = np.zeros(m, dtype=np.int64)
     size = np.zeros(m, dtype=np.int64)
     for f in range(m):
-        root, is_against = _root_and_parity(parent, parity, f)
+        root, is_against = root_and_parity(parent, parity, f)
         size[root] += 1
         if is_against:
             against[root] += 1
         flip[f] = is_against
     unorientable = 0
     for f in range(m):
-        root, _ = _root_and_parity(parent, parity, f)
+        root, _ = root_and_parity(parent, parity, f)
         if twisted[root]:
             flip[f] = False
             if root == f:

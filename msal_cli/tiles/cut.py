@@ -68,10 +68,30 @@ def tile_ranges(scratch: Scratch) -> TileRanges:
     return TileRanges.build(read_globals(scratch)["tile_starts"])
 
 
+def tile_records(scratch: Scratch, tile: int) -> Numbers:
+    """The faces (m, ``RECORD_WORDS``) that have a corner in a tile, ascending: the number of the
+    triangle and the new numbers of its corners, which are not welded."""
+    parts = list(_find_records(scratch, tile))
+    n_records = sum(stop - start for _, start, stop in parts)
+    records = np.empty((n_records, RECORD_WORDS), dtype=np.uint32)
+    row = RECORD_WORDS * records.itemsize
+    at = 0
+    for chunk, start, stop in parts:
+        with open(scratch.path / _FACES / f"{chunk}.u4", "rb", buffering=0) as file:
+            file.seek(start * row)
+            view = records[at : at + stop - start].data.cast("B")
+            while len(view):
+                n_read = file.readinto(view)
+                if not n_read:
+                    raise InternalError(f"the faces of chunk {chunk} in scratch end too early")
+                view = view[n_read:]
+        at += stop - start
+    return records
+
+
 def tile_faces(scratch: Scratch, tile: int) -> tuple[Numbers, Numbers]:
-    """The faces that have a corner in a tile, ascending: numbers (m,) of the triangles and new
-    numbers (m, 3) of their corners, which are not welded."""
-    records = _read_records(scratch, tile)
+    """The same as numbers (m,) of the triangles and new numbers (m, 3) of their corners."""
+    records = tile_records(scratch, tile)
     return records[:, 0].copy(), records[:, 1:].copy()
 
 
@@ -204,7 +224,7 @@ def run_weld(scratch: Scratch, tile: int) -> dict[str, Any]:
         n_used = n_own
         back, n_welded = measure_back(positions)
     else:
-        used = tile_cut.mark_own(_read_records(scratch, tile), start, n_own)
+        used = tile_cut.mark_own(tile_records(scratch, tile), start, n_own)
         n_used = int(np.count_nonzero(used))
         first, n_welded = first_alike(positions.astype(np.float64, copy=False), used)
         back = np.arange(n_own, dtype=np.uint32) - first.view(np.uint32)
@@ -234,26 +254,6 @@ def _label(plan: TilePlan, positions: NDArray[Any]) -> Numbers:
 
 def _read_row(scratch: Scratch, name: str, row: int, columns: int) -> Longs:
     return np.array(scratch.array(name, np.int64, columns).reshape(-1, columns)[row])
-
-
-def _read_records(scratch: Scratch, tile: int) -> Numbers:
-    """The records (m, ``RECORD_WORDS``) of a tile's faces from the files of all chunks."""
-    parts = list(_find_records(scratch, tile))
-    n_records = sum(stop - start for _, start, stop in parts)
-    records = np.empty((n_records, RECORD_WORDS), dtype=np.uint32)
-    row = records[:1].nbytes or RECORD_WORDS * records.itemsize
-    at = 0
-    for chunk, start, stop in parts:
-        with open(scratch.path / _FACES / f"{chunk}.u4", "rb", buffering=0) as file:
-            file.seek(start * row)
-            view = records[at : at + stop - start].data.cast("B")
-            while len(view):
-                n_read = file.readinto(view)
-                if not n_read:
-                    raise InternalError(f"the faces of chunk {chunk} in scratch end too early")
-                view = view[n_read:]
-        at += stop - start
-    return records
 
 
 def _find_records(scratch: Scratch, tile: int) -> Iterator[tuple[int, int, int]]:

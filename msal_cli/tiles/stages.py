@@ -54,11 +54,14 @@ class _Steps:
     n_tasks : how many tasks it has.
     run : module and function of a task, called as ``run(scratch, index) -> result``.
     reduce : those of the reduction, called as ``reduce(scratch)``; empty if there is none.
+    is_needed : those of what says whether there is such a stage in this run, called as
+        ``is_needed(scratch)`` once the stages before it are finished; empty if there always is.
     """
 
     n_tasks: Callable[[TilePlan], int]
     run: str
     reduce: str = ""
+    is_needed: str = ""
 
 
 def _n_vertex_chunks(plan: TilePlan) -> int:
@@ -89,6 +92,8 @@ _STAGES = {
     "choose": _Steps(_one, "representative.run_choose", "representative.reduce_choose"),
     "rim": _Steps(_n_tiles, "halo.run_rim", "halo.reduce_rim"),
     "prepare": _Steps(_n_tiles, "sweep.run_prepare", "sweep.reduce_prepare"),
+    "wind": _Steps(_n_tiles, "windings.run_wind", "windings.reduce_wind", "windings.is_needed"),
+    "turn": _Steps(_n_tiles, "windings.run_turn", "windings.reduce_turn", "windings.is_needed"),
     DENOISE: _Steps(_n_tiles, "sweep.run_denoise", "sweep.reduce_denoise"),
     "join": _Steps(_n_pieces, "join.run_join"),
 }
@@ -102,6 +107,8 @@ def next_stage(scratch: Scratch) -> Stage | None:
     for kind, steps in _STAGES.items():
         name = _next_round(scratch) if kind == DENOISE else kind
         if name is None or scratch.stage_result(name) is not None:
+            continue
+        if steps.is_needed and not _find_function(steps.is_needed)(scratch):
             continue
         n_tasks = steps.n_tasks(plan)
         finished = scratch.finished(name)

@@ -22,6 +22,8 @@ def calls(monkeypatch):
 
     def find(name):
         def call(scratch, *arguments):
+            if name.endswith(".is_needed"):
+                return False
             made.append((name, *arguments))
             if name == "sweep.reduce_denoise":
                 return arguments[0] == 0

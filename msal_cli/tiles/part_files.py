@@ -1,0 +1,110 @@
+"""The mesh of a tile and its halo in files, and the state of a computation on it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.kernels.connectivity import Connectivity
+
+if TYPE_CHECKING:
+    from msal_cli.arrays import Flags, Floats, Ints
+
+TURNED = "turned.npy"
+"""The faces after some were turned; those of ``links`` stay as they were, as in memory."""
+
+_COUNTS, _STATE = "counts.json", "state"
+
+
+@dataclass(frozen=True, eq=False)
+class TileMesh:
+    """A tile and its halo, ready for computing; arrays of what was loaded are mapped files.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64, about the origin of the whole mesh, in the order of the file.
+    faces : (m, 3) int32, wound one way, in the order of the file.
+    ids : (n,) uint32, numbers of the vertices in tile-major order.
+    triangles : (m,) uint32, numbers of the faces in the file.
+    own_vertices, own_faces : (n,) and (m,), those of the tile.
+    links : neighbourhoods; those of the last ring are not complete.
+    """
+
+    vertices: Floats
+    faces: Ints
+    ids: NDArray[np.uint32]
+    triangles: NDArray[np.uint32]
+    own_vertices: Flags
+    own_faces: Flags
+    links: Connectivity
+
+    def save(self, folder: Path) -> None:
+        """Write it into a folder."""
+        for name in ("vertices", "faces", "ids", "triangles", "own_vertices", "own_faces"):
+            np.save(folder / f"{name}.npy", getattr(self, name))
+        links = self.links
+        for name in ("ring_start", "ring", "boundary"):
+            np.save(folder / f"{name}.npy", getattr(links, name))
+        counts = [links.boundary_edges, links.inconsistent_edges, links.non_manifold_edges]
+        (folder / _COUNTS).write_text(json.dumps(counts), encoding="utf-8")
+
+    @staticmethod
+    def load(folder: Path) -> TileMesh:
+        """What ``save`` wrote, its faces turned where that was necessary."""
+        mesh = TileMesh.load_unturned(folder)
+        turned = folder / TURNED
+        return replace(mesh, faces=load_array(turned)) if turned.exists() else mesh
+
+    @staticmethod
+    def load_unturned(folder: Path) -> TileMesh:
+        """What ``save`` wrote."""
+
+        def read(name: str) -> Any:
+            return load_array(folder / f"{name}.npy")
+
+        faces = read("faces")
+        counts = json.loads((folder / _COUNTS).read_text(encoding="utf-8"))
+        links = Connectivity(faces, read("ring_start"), read("ring"), read("boundary"), *counts)
+        return TileMesh(
+            read("vertices"),
+            faces,
+            read("ids"),
+            read("triangles"),
+            read("own_vertices"),
+            read("own_faces"),
+            links,
+        )
+
+
+def load_array(path: Path) -> Any:
+    """An array of a file, mapped; an empty one cannot be."""
+    mapped = np.load(path, mmap_mode="r" if path.stat().st_size > 128 else None)
+    return mapped.view(np.ndarray)
+
+
+def save_state(folder: Path, round_number: int, state: Mapping[str, NDArray[Any]]) -> None:
+    """Write named arrays with which the round after this one goes on."""
+    place = folder / f"{_STATE}-{round_number}"
+    place.mkdir(exist_ok=True)
+    for at, array in enumerate(state.values()):
+        np.save(place / f"{at}.npy", array)
+    (place / "names.json").write_text(json.dumps(list(state)), encoding="utf-8")
+
+
+def load_state(folder: Path, round_number: int) -> dict[str, NDArray[Any]]:
+    """What ``save_state`` wrote in that round."""
+    place = folder / f"{_STATE}-{round_number}"
+    names = json.loads((place / "names.json").read_text(encoding="utf-8"))
+    return {name: load_array(place / f"{at}.npy") for at, name in enumerate(names)}
+
+
+def remove_state(folder: Path, round_number: int) -> None:
+    """Remove what a round wrote, if anything."""
+    shutil.rmtree(folder / f"{_STATE}-{round_number}", ignore_errors=True)
