@@ -161,7 +161,9 @@ def tiles_text(tiles: Tiles) -> str:
         parts[0] += f" with {format_count(tiles.rings, 'ring')} around each"
     parts += [f"{tiles.jobs} at a time", f"{megabytes(tiles.scratch_bytes)} of scratch space"]
     if tiles.choice_vertices is not None:
-        parts.append(f"chosen on {format_count(tiles.choice_vertices, 'vertex', 'vertices')}")
+        parts.append(
+            f"noise and choice of {format_count(tiles.choice_vertices, 'vertex', 'vertices')}"
+        )
     if tiles.resumed_tasks:
         parts.append(f"{format_count(tiles.resumed_tasks, 'task')} done by an earlier run")
     is_done = tiles.rings is not None
