@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Longs
 from msal_cli.codecs.streamed_mesh import FaceChunk
-from msal_cli.errors import InternalError, TooLargeError
+from msal_cli.errors import TooLargeError
 from msal_cli.kernels import tile_cut
 from msal_cli.kernels.corner_welding import measure_back
 from msal_cli.kernels.tile_cut import RECORD_WORDS, TileRanges
@@ -68,42 +68,25 @@ def tile_ranges(scratch: Scratch) -> TileRanges:
     return TileRanges.build(read_globals(scratch)["tile_starts"])
 
 
-def tile_records(scratch: Scratch, tile: int) -> Numbers:
-    """The faces (m, ``RECORD_WORDS``) that have a corner in a tile, ascending: the number of the
-    triangle and the new numbers of its corners, which are not welded."""
-    parts = list(_find_records(scratch, tile))
-    n_records = sum(stop - start for _, start, stop in parts)
-    records = np.empty((n_records, RECORD_WORDS), dtype=np.uint32)
-    row = RECORD_WORDS * records.itemsize
-    at = 0
-    for chunk, start, stop in parts:
-        with open(scratch.path / _FACES / f"{chunk}.u4", "rb", buffering=0) as file:
-            file.seek(start * row)
-            view = records[at : at + stop - start].data.cast("B")
-            while len(view):
-                n_read = file.readinto(view)
-                if not n_read:
-                    raise InternalError(f"the faces of chunk {chunk} in scratch end too early")
-                view = view[n_read:]
-        at += stop - start
-    return records
-
-
 def tile_faces(scratch: Scratch, tile: int) -> tuple[Numbers, Numbers]:
-    """The same as numbers (m,) of the triangles and new numbers (m, 3) of their corners."""
-    records = tile_records(scratch, tile)
+    """The faces that have a corner in a tile, ascending: numbers (m,) of the triangles and new
+    numbers (m, 3) of their corners, which are not welded."""
+    records = _read_records(scratch, tile)
     return records[:, 0].copy(), records[:, 1:].copy()
 
 
 def read_positions(scratch: Scratch, start: int, stop: int) -> NDArray[Any]:
     """The positions (stop - start, 3) of a range of new numbers, as the file stores them."""
-    mapped = scratch.array(_POSITIONS, load_plan(scratch).dtype, 3)
-    return np.array(mapped[start:stop])
+    rows: NDArray[Any] = scratch.read_range(
+        _POSITIONS, load_plan(scratch).dtype, start, stop, columns=3
+    )
+    return rows
 
 
 def read_old_numbers(scratch: Scratch, start: int, stop: int) -> Numbers:
     """The vertices of the file (stop - start,) for a range of new numbers."""
-    return np.array(scratch.array(_OLD, np.uint32)[start:stop])
+    old: Numbers = scratch.read_range(_OLD, np.uint32, start, stop)
+    return old
 
 
 def is_welded(scratch: Scratch) -> bool:
@@ -224,7 +207,7 @@ def run_weld(scratch: Scratch, tile: int) -> dict[str, Any]:
         n_used = n_own
         back, n_welded = measure_back(positions)
     else:
-        used = tile_cut.mark_own(tile_records(scratch, tile), start, n_own)
+        used = tile_cut.mark_own(_read_records(scratch, tile), start, n_own)
         n_used = int(np.count_nonzero(used))
         first, n_welded = first_alike(positions.astype(np.float64, copy=False), used)
         back = np.arange(n_own, dtype=np.uint32) - first.view(np.uint32)
@@ -253,7 +236,19 @@ def _label(plan: TilePlan, positions: NDArray[Any]) -> Numbers:
 
 
 def _read_row(scratch: Scratch, name: str, row: int, columns: int) -> Longs:
-    return np.array(scratch.array(name, np.int64, columns).reshape(-1, columns)[row])
+    values: Longs = scratch.read_range(name, np.int64, row * columns, (row + 1) * columns)
+    return values
+
+
+def _read_records(scratch: Scratch, tile: int) -> Numbers:
+    """The records (m, ``RECORD_WORDS``) of a tile's faces from the files of all chunks."""
+    parts = [
+        scratch.read_range(f"{_FACES}/{chunk}.u4", np.uint32, start, stop, RECORD_WORDS)
+        for chunk, start, stop in _find_records(scratch, tile)
+    ]
+    if len(parts) == 1:
+        return parts[0]  # type: ignore[no-any-return]
+    return np.concatenate([np.empty((0, RECORD_WORDS), dtype=np.uint32), *parts])
 
 
 def _find_records(scratch: Scratch, tile: int) -> Iterator[tuple[int, int, int]]:

@@ -40,7 +40,7 @@ def test_a_coordinate_that_most_have_in_common_does_not_make_one_huge_tile():
     # A long wall with a few furnishings: nine in ten have y = 0.
     points = rng.uniform(size=(1000, 3)) * [1, 100, 1]
     points[:900, 1] = 0.0
-    assert count(points, 4).max() <= 2 * 1000 / 16
+    assert count(points, 4).max() <= 1.2 * 1000 / 16
 
 
 @pytest.mark.parametrize("n", [0, 1, 5, 200])
