@@ -72,7 +72,7 @@ class Mesh:
             return geometry.mean_edge_length(self.vertices, *rings)
         own = self.whole.own_vertices
         return float(
-            self.whole.reduce(
+            self.whole.reduce_for_mesh(
                 "mean edge length",
                 lambda: geometry.edge_lengths_partial(self.vertices, *rings, own),
             )
@@ -139,10 +139,9 @@ class Mesh:
     def with_vertices(self, vertices: Floats) -> Mesh:
         """The same mesh with its vertices at other positions (n, 3); connectivity is shared.
 
-        Of a part: the numbers of the whole are other ones, under keys of their own.  A method that
-        needs them at more than one set of positions has to give these keys itself.
+        Of a part: the numbers that follow from the positions of the whole are other ones then.
         """
-        whole = None if self.whole is None else self.whole.under("moved")
+        whole = None if self.whole is None else self.whole.moved()
         other = Mesh(vertices, self.faces, self.fixed_vertices, self.trust, whole)
         if "topology" in self.__dict__:
             other.__dict__["topology"] = self.topology

@@ -24,7 +24,7 @@ Rings = NDArray[np.uint16]
 @compiled
 def _nearest(records, f, first, count, depths):
     """Least depth of a corner of a triangle, 0 where it has one outside the tile."""
-    nearest = FAR
+    nearest = np.int64(65535)
     for corner in range(1, 4):
         own = np.int64(records[f, corner]) - first
         if own < 0 or own >= count:

@@ -39,6 +39,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats
 from msal_cli.kernels.exact_sum import combine_means
+from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.selection import combine_selections, selection_partial, to_values
 
 State = Mapping[str, NDArray[Any]]
@@ -73,6 +74,8 @@ class Whole:
     known : numbers of the whole mesh by key, as ``combine`` made them: floats, or lists for JSON.
     saved : the state of the last ``Pending``, empty at first.
     prefix : of the keys and names in this computation, which is a step of another; empty mostly.
+    positions : of the keys of numbers that follow from positions alone, such as the mean edge
+        length: empty for those of the mesh as it was read.
     """
 
     own_vertices: Flags
@@ -80,10 +83,15 @@ class Whole:
     known: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     saved: State = dataclasses.field(default_factory=dict)
     prefix: str = ""
+    positions: str = ""
 
     def under(self, name: str) -> Whole:
         """The same for a step of that name: its keys and states are apart from all others."""
         return dataclasses.replace(self, prefix=f"{self.prefix}{name}/")
+
+    def moved(self) -> Whole:
+        """The same for other positions of the vertices."""
+        return dataclasses.replace(self, positions=f"{self.positions}moved ")
 
     def state(self) -> dict[str, NDArray[Any]]:
         """What this computation has saved, by the names that it gave; empty at its first call."""
@@ -98,7 +106,13 @@ class Whole:
         self, key: str, partial: Callable[[], Any], state: Callable[[], State] = dict
     ) -> Any:
         """The number of that key; ``Pending`` with ``partial()`` and ``state()`` if not known."""
-        name = self.prefix + key
+        return self._find(self.prefix + key, partial, state)
+
+    def reduce_for_mesh(self, key: str, partial: Callable[[], Any]) -> Any:
+        """The same of a number that is one for all steps: it follows from the positions alone."""
+        return self._find(self.positions + key, partial, dict)
+
+    def _find(self, name: str, partial: Callable[[], Any], state: Callable[[], State]) -> Any:
         if name in self.known:
             return self.known[name]
         arrays = {self.prefix + one: array for one, array in state().items()}
@@ -131,7 +145,7 @@ def largest_of_all(
 def select_of_all(
     whole: Whole,
     key: str,
-    values: Floats,
+    values: Callable[[], Floats],
     wanted: Sequence[tuple[str, float]],
     state: Callable[[], State] = dict,
 ) -> list[float]:
@@ -139,38 +153,62 @@ def select_of_all(
 
     Parameters
     ----------
-    values : of this part, each value in one part only; none of them NaN.
+    values : gives those of this part (k,), each value in one part only; none of them NaN.  It is
+        not called where the outcome is known.
     wanted : the places, see ``kernels.selection``.
 
     Returns one value for each place; none at all where no part has a value.
     """
     found: Any = None
     for number in itertools.count(1):
-        contribute = functools.partial(selection_partial, values, wanted, found)
+        contribute = functools.partial(_contribute, values, wanted, found)
         found = whole.reduce(f"{key}, round {number}", contribute, state)
         if found["is_done"]:
             break
     return to_values(found)
 
 
+def _contribute(
+    values: Callable[[], Floats], wanted: Sequence[tuple[str, float]], before: Any
+) -> dict[str, Any]:
+    return selection_partial(values(), wanted, before)
+
+
 def quantile_of_all(
     whole: Whole, key: str, values: Floats, share: float, state: Callable[[], State] = dict
 ) -> float:
     """``quantiles.quantile_above_zero`` of the values (n,), over the own vertices of all parts."""
-    own = values[whole.own_vertices]
-    found = select_of_all(whole, key, own[own > 0.0], [("share", share)], state)
+
+    def above_zero() -> Floats:
+        own = values[whole.own_vertices]
+        return own[own > 0.0]
+
+    found = select_of_all(whole, key, above_zero, [("share", share)], state)
     return found[0] if found else 0.0
 
 
 def median_of_all(
-    whole: Whole, key: str, values: Floats, state: Callable[[], State] = dict
+    whole: Whole, key: str, values: Callable[[], Floats], state: Callable[[], State] = dict
 ) -> float | None:
-    """``quantiles.median`` of the values (k,) of all parts; None where none has a value.
+    """``quantiles.median`` of what ``values()`` (k,) gives in all parts, see ``select_of_all``.
 
-    Each value is in one part only.
+    None where no part has a value.
     """
     found = select_of_all(whole, key, values, [("middle", 0), ("middle", 1)], state)
     if not found:
         return None
     low, high = found
     return low if low == high else (low + high) / 2.0
+
+
+def median_of_mesh(
+    whole: Whole | None,
+    key: str,
+    values: Callable[[], Floats],
+    state: Callable[[], State] = dict,
+) -> float | None:
+    """``median_of_all``, or for a mesh that is all here (None) the median of ``values()`` (k,)."""
+    if whole is not None:
+        return median_of_all(whole, key, values, state)
+    found = values()
+    return median(found) if len(found) else None

@@ -68,10 +68,21 @@ def tile_ranges(scratch: Scratch) -> TileRanges:
     return TileRanges.build(read_globals(scratch)["tile_starts"])
 
 
+def tile_records(scratch: Scratch, tile: int) -> Numbers:
+    """The faces (m, ``RECORD_WORDS``) that have a corner in a tile, ascending: the number of the
+    triangle and the new numbers of its corners, which are not welded."""
+    parts = [
+        scratch.read_range(f"{_FACES}/{chunk}.u4", np.uint32, start, stop, RECORD_WORDS)
+        for chunk, start, stop in _find_records(scratch, tile)
+    ]
+    if len(parts) == 1:
+        return parts[0]  # type: ignore[no-any-return]
+    return np.concatenate([np.empty((0, RECORD_WORDS), dtype=np.uint32), *parts])
+
+
 def tile_faces(scratch: Scratch, tile: int) -> tuple[Numbers, Numbers]:
-    """The faces that have a corner in a tile, ascending: numbers (m,) of the triangles and new
-    numbers (m, 3) of their corners, which are not welded."""
-    records = _read_records(scratch, tile)
+    """The same as numbers (m,) of the triangles and new numbers (m, 3) of their corners."""
+    records = tile_records(scratch, tile)
     return records[:, 0].copy(), records[:, 1:].copy()
 
 
@@ -207,7 +218,7 @@ def run_weld(scratch: Scratch, tile: int) -> dict[str, Any]:
         n_used = n_own
         back, n_welded = measure_back(positions)
     else:
-        used = tile_cut.mark_own(_read_records(scratch, tile), start, n_own)
+        used = tile_cut.mark_own(tile_records(scratch, tile), start, n_own)
         n_used = int(np.count_nonzero(used))
         first, n_welded = first_alike(positions.astype(np.float64, copy=False), used)
         back = np.arange(n_own, dtype=np.uint32) - first.view(np.uint32)
@@ -238,17 +249,6 @@ def _label(plan: TilePlan, positions: NDArray[Any]) -> Numbers:
 def _read_row(scratch: Scratch, name: str, row: int, columns: int) -> Longs:
     values: Longs = scratch.read_range(name, np.int64, row * columns, (row + 1) * columns)
     return values
-
-
-def _read_records(scratch: Scratch, tile: int) -> Numbers:
-    """The records (m, ``RECORD_WORDS``) of a tile's faces from the files of all chunks."""
-    parts = [
-        scratch.read_range(f"{_FACES}/{chunk}.u4", np.uint32, start, stop, RECORD_WORDS)
-        for chunk, start, stop in _find_records(scratch, tile)
-    ]
-    if len(parts) == 1:
-        return parts[0]  # type: ignore[no-any-return]
-    return np.concatenate([np.empty((0, RECORD_WORDS), dtype=np.uint32), *parts])
 
 
 def _find_records(scratch: Scratch, tile: int) -> Iterator[tuple[int, int, int]]:

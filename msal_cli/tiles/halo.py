@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from msal_cli.errors import ContentError
 from msal_cli.mesh import LARGEST_EXTENT
-from msal_cli.tiles.cut import is_welded, load_plan, tile_range, tile_records, weld_numbers
-from msal_cli.tiles.plan import read_globals, write_globals
+from msal_cli.tiles.cut import is_welded, tile_range, tile_records, weld_numbers
+from msal_cli.tiles.plan import load_plan, read_globals, write_globals
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints
@@ -198,8 +198,9 @@ def _find_halo(scratch: Scratch, tile: int, own_records: Records) -> Records:
         loaded.update(new)
         near = np.concatenate([near, *(_read_rim(scratch, one) for one in new)])
     nearest = distances[numbers.reshape(-1, 3)].min(axis=1, initial=halos.FAR)
-    halo = near[(nearest > 0) & (nearest < rings)]
-    return halo[np.unique(halo[:, 0], return_index=True)[1]]
+    near = near[(nearest > 0) & (nearest < rings)]
+    halo: Records = near[np.unique(near[:, 0], return_index=True)[1]]
+    return halo
 
 
 def _read_rim(scratch: Scratch, tile: int) -> Records:

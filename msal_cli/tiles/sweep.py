@@ -21,10 +21,10 @@ from msal_cli.kernels import exact_sum
 from msal_cli.kernels.whole import Pending, Whole, combine
 from msal_cli.mesh import Mesh
 from msal_cli.tiles import borders, measures, part_files
-from msal_cli.tiles.cut import load_plan, tile_range, weld_numbers
+from msal_cli.tiles.cut import tile_range, weld_numbers
 from msal_cli.tiles.halo import Part, assemble_part, read_positions
 from msal_cli.tiles.part_files import TileMesh
-from msal_cli.tiles.plan import read_globals, write_globals
+from msal_cli.tiles.plan import load_plan, read_globals, write_globals
 from msal_cli.tiles.representative import to_whole_units
 
 if TYPE_CHECKING:

@@ -70,8 +70,8 @@ def run_wind(scratch: Scratch, tile: int) -> dict[str, Any]:
     pieces = numbers[roots]
     size = np.bincount(roots[mesh.own_faces], minlength=len(roots))
     n_against = np.bincount(roots[mesh.own_faces & against], minlength=len(roots))
-    figures = _Figures(mesh.triangles, size, n_against, torn)
-    rows = np.stack([one[shared_roots].astype(np.int64) for one in figures], axis=1)
+    figures = _Figures(*(one.astype(np.int64) for one in (mesh.triangles, size, n_against, torn)))
+    rows = np.stack([one[shared_roots] for one in figures], axis=1)
     links = [mesh.triangles[shared], pieces[shared], against[shared]]
     is_decided = pieces < 0
     majority = 2 * n_against > size
@@ -174,7 +174,7 @@ def _decide(folders: list[Path], starts: NDArray[np.int64]) -> tuple[NDArray[np.
 def _read_flips(folder: Path, places: NDArray[np.intp]) -> Flags:
     """Whether the faces of a tile at these places are to be turned."""
     pieces = load_array(folder / _PIECES)[places]
-    against = load_array(folder / _AGAINST)[places]
+    against: Flags = load_array(folder / _AGAINST)[places]
     if not (pieces >= 0).any():
         return against
     decisions = load_array(folder / _DECISIONS)[pieces]

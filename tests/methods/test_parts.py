@@ -8,23 +8,23 @@ import pytest
 from msal_cli import methods
 from msal_cli.errors import InternalError
 from msal_cli.kernels.operators import AnisotropicLaplacian
-from msal_cli.mesh import prepare_mesh
+from msal_cli.mesh import Mesh, prepare_mesh
 from tests import shapes
 from tests.methods.parts import run_in_parts
 
 
-def closed_mesh(seed=0, around=48, across=20):
+def closed_mesh(seed=0, around=100, across=9):
     """A noisy torus, with vertices and faces in no order."""
     vertices, faces = shapes.torus(around, across)
     return shuffled(shapes.noisy(vertices, seed), faces, seed)
 
 
-def open_mesh(seed=0, rows=36, columns=22):
+def open_mesh(seed=0, rows=60, columns=16):
     """A noisy bent sheet with a hole, an edge of three faces and a hub."""
     vertices, faces = shapes.grid(rows, columns)
     vertices[:, 2] = 3 * np.sin(vertices[:, 0] / 3)
     middle = vertices[faces].mean(axis=1)
-    faces = faces[np.hypot(middle[:, 0] - 10, middle[:, 1] - 18) > 3]
+    faces = faces[np.hypot(middle[:, 0] - 8, middle[:, 1] - 30) > 3]
     at = 5 * columns + 5
     fin = np.array([[5.5, 5.0, 4.0], [4.0, 9.0, 9.0]])
     n = len(vertices)
@@ -42,6 +42,7 @@ def shuffled(vertices, faces, seed):
 
 MESHES = {"closed": closed_mesh(), "open": open_mesh()}
 
+AUTO = {"iterations": 1, "vertex_iterations": 3, "sliding": "auto"}
 CASES = [
     ("al", {}),
     ("al", {"iterations": 0}),
@@ -79,6 +80,20 @@ CASES = [
     ("anisotropic_diffusion", {"iterations": 3}),
     ("anisotropic_diffusion", {"iterations": 4, "variant": "amc", "shape": "organic"}),
     ("anisotropic_diffusion", {"iterations": 2, "schedule": "multiscale", "boundary": "free"}),
+    ("normal_threshold", {"iterations": 2, "vertex_iterations": 3}),
+    ("normal_threshold", {"iterations": 7, "vertex_iterations": 2, "neighbours": "edge"}),
+    ("bilateral_normal", {"iterations": 3, "vertex_iterations": 2}),
+    ("bilateral_normal", {"iterations": 2, "vertex_iterations": 2, "sliding": "undone"}),
+    ("bilateral_normal", {"iterations": 6, "vertex_iterations": 1, "neighbours": "edge"}),
+    ("bilateral_normal", AUTO),
+    ("normal_diffusion", {"iterations": 2, "normal_iterations": 3, "vertex_iterations": 2}),
+    (
+        "normal_diffusion",
+        {"iterations": 1, "normal_iterations": 4, "sliding": "undone", "boundary": "free"},
+    ),
+    ("normal_diffusion", {"iterations": 1, "normal_iterations": 1, "similarity": 0.5}),
+    ("wiener", {"noise": 0.1, "iterations": 2, "mollify": 1}),
+    ("wiener", {"noise": 0.1, "iterations": 1, "normal_iterations": 0, "mollify": 0}),
 ]
 
 
@@ -102,7 +117,9 @@ def test_parts_give_the_bits_of_the_whole(mesh, case):
         assert values.tobytes() == whole.fields[field].tobytes(), field
 
 
-TIGHT = [case for case in CASES if case[1].get("iterations") != 0]
+LOOSE = [("al", {"iterations": 0}), ("bilateral_normal", AUTO)]
+TIGHT = [case for case in CASES if case not in LOOSE]
+"""Those whose reach is the least that there is; noise in all directions is not undone."""
 
 
 @pytest.mark.parametrize("case", TIGHT, ids=describe)
@@ -118,6 +135,23 @@ def test_a_ring_less_is_not_enough(case):
         vertices, _, _ = run_in_parts(method, mesh, parameters, rings - 1)
         differs |= vertices.tobytes() != whole.vertices.tobytes()
     assert differs
+
+
+def test_sliding_is_measured_over_all_parts():
+    """Noise along the normals alone, which ``auto`` finds, and undoes the sliding."""
+    vertices, faces = shapes.torus(100, 9)
+    smooth = Mesh(vertices, faces)
+    noise = np.random.default_rng(4).normal(scale=0.05, size=(len(vertices), 1))
+    mesh = shuffled(vertices + noise * smooth.vertex_normals(), faces, 4)
+    method = methods.find("bilateral_normal")
+    kept, undone, auto = (
+        method.denoise(mesh, method.validate({**AUTO, "sliding": sliding})).vertices
+        for sliding in ("kept", "undone", "auto")
+    )
+    assert auto.tobytes() == undone.tobytes() != kept.tobytes()
+    parameters = method.validate(AUTO)
+    vertices, _, _ = run_in_parts(method, mesh, parameters, method.reach(parameters))
+    assert vertices.tobytes() == auto.tobytes()
 
 
 def constrained(mesh):

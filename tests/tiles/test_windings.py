@@ -39,11 +39,8 @@ def moebius_band(count: int = 40) -> FakeMesh:
     low, middle, high = count * np.arange(3)
     faces = []
     for k in range(count):
-        after = k + 1
-        if after < count:
-            ends = [low + after, middle + after, high + after]
-        else:
-            ends = [high, middle, low]
+        is_last = k + 1 == count
+        ends = [high, middle, low] if is_last else [low + k + 1, middle + k + 1, high + k + 1]
         for one, other in ((0, 1), (1, 2)):
             a, b = (low, middle, high)[one] + k, (low, middle, high)[other] + k
             faces += [(a, b, ends[other]), (a, ends[other], ends[one])]
