@@ -77,6 +77,9 @@ class TileEngine:
     factory : makes the engine; None is that of worker processes.
     """
 
+    function = staticmethod(run_tile_task)
+    """What workers call."""
+
     def __init__(
         self, *, jobs: int, cores: int, retries: int, factory: EngineFactory | None = None
     ) -> None:
@@ -85,6 +88,7 @@ class TileEngine:
         self._engine: Engine | None = None
         self._batches: Generator[list[Message], None, None] | None = None
         self._n_tasks = 0
+        self._is_stopped = False
 
     def run(self, scratch: str, stage: str, indices: list[int]) -> Iterator[Returned | Failed]:
         """Run tasks of a stage, and give the outcome of each; ``index`` is that of the task.
@@ -116,8 +120,6 @@ class TileEngine:
             if not waiting or (self._is_stopped and not begun):
                 return
 
-    _is_stopped = False
-
     def _begin(self, tasks: dict[int, TileTask], scratch: str) -> None:
         if self._factory is None and self._engine is not None:
             assert isinstance(self._engine, WorkerPool)
@@ -126,7 +128,7 @@ class TileEngine:
         self.close()
         work = Work(
             tasks,
-            run_tile_task,
+            self.function,
             None,
             jobs=self._jobs,
             cores=self._cores,

@@ -125,7 +125,9 @@ def _fit_tiles(
         while own > FEWEST_TILE_VERTICES and per_vertex * with_halo(own, rings) > room:
             own = max(own * 9 // 10, FEWEST_TILE_VERTICES)
         # Fewer tasks at a time are better than tiles that are mostly halo.
-        if per_vertex * with_halo(own, rings) <= room and own >= min(n, _fewest(n_jobs)):
+        if per_vertex * with_halo(own, rings) <= room and own >= min(
+            n, TILE_VERTICES, _fewest(n_jobs)
+        ):
             return own, n_jobs
     return FEWEST_TILE_VERTICES, 1
 

@@ -13,8 +13,7 @@ from msal_cli.job.plain_data import as_data, from_data
 from msal_cli.job.records import ChoiceMade, MethodUsed, NoiseEstimate
 from msal_cli.job.settings import CHOOSING
 from msal_cli.tiles import measures
-from msal_cli.tiles.plan import load_plan
-from msal_cli.tiles.plan import read_globals, write_globals
+from msal_cli.tiles.plan import load_plan, read_globals, write_globals
 from msal_cli.tiles.representative import read_settings, to_whole_units
 from msal_cli.tiles.sweep import MEAN_EDGE_LENGTH
 
