@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -95,6 +95,15 @@ class Mesh:
             )
         return known[weighting, mollify]
 
+    @property
+    def known_normals(self) -> Mapping[tuple[str, int], Floats]:
+        """The normals that were computed so far, by weighting and passes of mollifying."""
+        return dict(self._cached_normals)
+
+    def take_normals(self, known: Mapping[tuple[str, int], Floats]) -> None:
+        """Use normals that are ``known_normals`` of this very mesh."""
+        self._cached_normals.update(known)
+
     @functools.cached_property
     def _cached_normals(self) -> dict[tuple[str, int], Floats]:
         return {}
@@ -131,7 +140,14 @@ class Mesh:
         self, fixed_vertices: NDArray[np.bool_] | None, trust: Floats | None
     ) -> Mesh:
         """The same mesh with vertices that are fixed, or trusted more or less; see above."""
-        other = Mesh(self.vertices, self.faces, fixed_vertices, trust, self.whole)
+        return self._with(Mesh(self.vertices, self.faces, fixed_vertices, trust, self.whole))
+
+    def with_whole(self, whole: Whole | None) -> Mesh:
+        """The same mesh that knows something else of the whole; see above."""
+        return self._with(Mesh(self.vertices, self.faces, self.fixed_vertices, self.trust, whole))
+
+    def _with(self, other: Mesh) -> Mesh:
+        """``other``, with all that is known of this one's vertices and faces."""
         own = {one: value for one, value in self.__dict__.items() if one not in other.__dict__}
         other.__dict__.update(own)
         return other

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from msal_cli.batch.tile_estimate import estimate_tiles
 from msal_cli.errors import MsalError, UnsupportedError
-from msal_cli.job.records import Failure, Tiles
+from msal_cli.job.records import Failure
 
 if TYPE_CHECKING:
     from msal_cli.batch.memory_budget import MemoryBudget
@@ -52,24 +53,11 @@ def find_oversized(
             assert reason is not None
             failures[index] = reason
             continue
-        from msal_cli.batch.tile_run import estimate
-
         try:
-            by_tiles[index] = estimate(tasks[index], settings, job)
+            by_tiles[index] = estimate_tiles(tasks[index], settings, job)
         except MsalError as objection:
             failures[index] = _describe(objection, reason)
     return Oversized(by_tiles, failures)
-
-
-def planned_tiles(expected: TileEstimate) -> Tiles:
-    """What is expected, as records have it."""
-    return Tiles(
-        number=expected.n_tiles,
-        jobs=expected.jobs,
-        scratch_bytes=expected.scratch_bytes,
-        memory_bytes=expected.memory_bytes,
-        expected_seconds=expected.seconds,
-    )
 
 
 def _describe(objection: MsalError, reason: Failure | None) -> Failure:

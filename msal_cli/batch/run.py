@@ -11,32 +11,40 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.batch import interrupts, temporary_files
+from msal_cli.batch import interrupts, temporary_files, tile_set
+from msal_cli.batch.denoise_task import denoise_in_worker
 from msal_cli.batch.events import Failed, Finished, Progress, Retried, Returned, Started
 from msal_cli.batch.manifest_dirs import lock_folder, open_manifest, output_folders
 from msal_cli.batch.manifest_lines import FileStat, done_line, intent_line
 from msal_cli.batch.memory_budget import MemoryBudget, estimate_memory
-from msal_cli.batch.oversized import Oversized, find_oversized, planned_tiles
-from msal_cli.batch.resume import file_states, hash_settings, restore_backup, roll_back
+from msal_cli.batch.oversized import Oversized, find_oversized
+from msal_cli.batch.resume import (
+    file_states,
+    hash_settings,
+    restore_backup,
+    roll_back,
+    states_of_set,
+)
+from msal_cli.batch.run_checks import check_limits, check_numbers
 from msal_cli.batch.run_history import RunEntry
+from msal_cli.batch.tile_estimate import planned_tiles
 from msal_cli.batch.tile_options import TileJob
 from msal_cli.batch.unfinished import failure_of, unfinished_record
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.records import Failure, MeshRecord
-from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task, check_limits
+from msal_cli.job.settings import NO_LIMITS, Limits, Settings
 from msal_cli.machine import usable_cores
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
+    from msal_cli.batch.denoise_task import Denoise
     from msal_cli.batch.engine import EngineFactory
     from msal_cli.batch.events import Message, OnEvent
     from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
     from msal_cli.batch.tile_options import TileOptions
 
-    OnProgress = Callable[[str, int, int], None]
-    Denoise = Callable[..., MeshRecord]
 
 _log = logging.getLogger("msal.batch")
 
@@ -76,8 +84,7 @@ def run(
     command : the command line, for the manifests and the reports made of them.
     denoise : what does one file, a module-level function; takes ``limits=`` where there are any.
     engine : processes the files, a single one too; None is ``worker_pool.WorkerPool``.
-    tiles : files that do not fit into memory are denoised by tiles, one after another when all
-        others are done; None refuses them.
+    tiles : how files that do not fit into memory are denoised, after all others; None: not at all.
 
     Raises
     ------
@@ -88,14 +95,7 @@ def run(
     KeyboardInterrupt, interrupts.Terminated : a signal asked to end; all workers are gone, finished
         files are whole and recorded, and running the plan again goes on from there.
     """
-    if jobs is not None and jobs < 1:
-        raise UsageError(f"the number of jobs must be at least 1, not {jobs}")
-    if stop_after_failures is not None and stop_after_failures < 1:
-        raise UsageError(
-            f"the number of failures to stop after must be at least 1, not {stop_after_failures}"
-        )
-    if retries < 0:
-        raise UsageError(f"the number of retries must be at least 0, not {retries}")
+    check_numbers(jobs, retries, stop_after_failures)
     check_limits(limits)
     if limits != NO_LIMITS:
         denoise = functools.partial(denoise, limits=limits)
@@ -130,7 +130,8 @@ class _BatchRun:
 
     def __post_init__(self) -> None:
         self._cores = usable_cores()
-        self._hash = hash_settings(self.settings)
+        members = [task.relative for task in self.plan.tasks] if self.plan.is_set else []
+        self._hash = hash_settings(self.settings, members)
         self._manifests: dict[str, Manifest] = {}
         # Those in which the start of this run is recorded.
         self._begun: list[Manifest] = []
@@ -145,10 +146,18 @@ class _BatchRun:
         with interrupts.noticed(interrupts.raise_for):
             self._manifests = {home: open_manifest(home) for home in self.plan.folders()}
             todo = self._outdated()[0]
-            by_tiles = {} if self.tiles is None else self._find_oversized(todo).by_tiles
-            for index in todo:
-                tiles = planned_tiles(by_tiles[index]) if index in by_tiles else None
-                self._emit_finished(index, replace(self._planned_record(index), tiles=tiles))
+            if self.plan.is_set and todo:
+                records = tile_set.survey_set(self.plan, self.settings, self._manifests)
+            else:
+                by_tiles = {} if self.tiles is None else self._find_oversized(todo).by_tiles
+                records = {
+                    index: replace(
+                        self._planned_record(index), tiles=planned_tiles(by_tiles.get(index))
+                    )
+                    for index in todo
+                }
+            for index, record in records.items():
+                self._emit_finished(index, record)
         return self._in_order()
 
     def execute(self, stack: ExitStack, command: tuple[str, ...]) -> list[MeshRecord]:
@@ -159,7 +168,10 @@ class _BatchRun:
                 todo = self._lock_and_plan(stack, entry)
                 tasks = {index: self.plan.tasks[index] for index in todo}
                 budget = estimate_memory(tasks, self.settings, self.limits)
-                oversized = self._find_oversized(todo, budget)
+            if self.plan.is_set:
+                self._run_set(todo)
+                todo = []
+            oversized = self._find_oversized(todo, budget)
             todo = self._drop_oversized(todo, oversized)
             if self._is_single() or self.plan.is_in_process:
                 self._run_in_process(todo)
@@ -216,7 +228,7 @@ class _BatchRun:
         with closing(
             file_states(self.plan, self._manifests, self._hash, threads=self._cores)
         ) as states:
-            for state in states:
+            for state in states_of_set(states) if self.plan.is_set else states:
                 if state.obstacle:
                     obstacles.append(state.obstacle)
                 elif state.record is not None:
@@ -291,9 +303,29 @@ class _BatchRun:
             from msal_cli.batch.tile_run import denoise_by_tiles
 
             self.on_event(Started(index))
-            job = self._tile_job(options, index)
-            record = denoise_by_tiles(self.plan.tasks[index], self.settings, job)
-            self._finish({index: record})
+            task, job = self.plan.tasks[index], self._tile_job(options, index)
+            self._finish({index: denoise_by_tiles(task, self.settings, job)})
+
+    def _run_set(self, todo: list[int]) -> None:
+        """Denoise all files as one mesh, in this process."""
+        if not todo:
+            return
+
+        def clean() -> None:
+            for index in todo:
+                self._sweep_after(os.getpid(), index)
+
+        with interrupts.noticed(interrupts.raise_for), interrupts.ended_late(clean):
+            self._finish(
+                tile_set.denoise_set(
+                    self.plan,
+                    self.settings,
+                    self.on_event,
+                    self.limits,
+                    self.stop_after_failures,
+                    self._manifests,
+                )
+            )
 
     def _run_engine(self, todo: list[int], budget: MemoryBudget) -> None:
         from msal_cli.batch.engine import Interrupt, Work
@@ -416,17 +448,3 @@ class _BatchRun:
 
 def _local(homes: Iterable[str]) -> list[str]:
     return [home for home in homes if not is_url(home)]
-
-
-def denoise_in_worker(
-    task: Task, common: tuple[Denoise, Settings], on_progress: OnProgress
-) -> MeshRecord:
-    """One file, in a worker.  MemoryError is raised again, so that the file gets its second try
-    alone and the worker, whose heap is fragmented, is replaced.  That there was not enough memory
-    by forecast would come again."""
-    denoise, settings = common
-    record = denoise(task, settings, on_progress)
-    error = record.error
-    if error is not None and error.code == "E_MEMORY" and error.where != FORECAST:
-        raise MemoryError(error.message)
-    return record

@@ -19,7 +19,7 @@ from msal_cli import machine
 from msal_cli.batch import interrupts, tile_scratch
 from msal_cli.batch.engine import Interrupt
 from msal_cli.batch.events import Failed, Returned
-from msal_cli.batch.oversized import planned_tiles
+from msal_cli.batch.tile_estimate import estimate_tiles, planned_tiles
 from msal_cli.batch.tile_options import TileJob
 from msal_cli.batch.tile_progress import TileProgress
 from msal_cli.batch.tile_tasks import TileEngine, TileResult
@@ -29,20 +29,17 @@ from msal_cli.job import output
 from msal_cli.job.opened_mesh import to_known_error
 from msal_cli.job.pipeline import start_record
 from msal_cli.job.records import Failure, MeshRecord, Seconds
-from msal_cli.job.settings import Limits, Settings, Task, refuse_faces
+from msal_cli.job.settings import Settings, Task
 from msal_cli.tiles import outcome, stages
 from msal_cli.tiles import source as sources
 from msal_cli.tiles.eligibility import open_for_tiles
-from msal_cli.tiles.estimates import TileEstimate, estimate_run
 from msal_cli.tiles.join import finish_output
 from msal_cli.tiles.opening import open_run
 from msal_cli.tiles.plan import read_globals
 
 if TYPE_CHECKING:
+    from msal_cli.tiles.estimates import TileEstimate
     from msal_cli.tiles.scratch import Scratch
-
-SHARE = 0.8
-"""Of the memory that is free, as much is used."""
 
 SECONDS = "seconds.json"
 
@@ -63,27 +60,6 @@ _STAGE_SECONDS = {
 """Which seconds of a record those of each stage are."""
 
 _log = logging.getLogger("msal.batch")
-
-
-def estimate(task: Task, settings: Settings, job: TileJob) -> TileEstimate:
-    """What a file will take, by its header alone.
-
-    Raises
-    ------
-    InputError
-        if it cannot be denoised by tiles, or is damaged.
-    """
-    mesh = open_for_tiles(task, settings)
-    refuse_faces(mesh.n_polygons, job.limits)
-    return estimate_run(mesh, settings, jobs=job.jobs, memory_bytes=memory_bound(job.limits))
-
-
-def memory_bound(limits: Limits) -> int | None:
-    """Bytes that all processes together may use; None where it is not known."""
-    if limits.memory_bytes is not None:
-        return limits.memory_bytes
-    free = machine.available_bytes()
-    return None if free is None else int(SHARE * free)
 
 
 def denoise_by_tiles(task: Task, settings: Settings, job: TileJob) -> MeshRecord:
@@ -113,7 +89,7 @@ class _TileRun:
         task = self.task
         mesh = open_for_tiles(task, self.settings)
         self._know(**outcome.describe_source(mesh))
-        expected = estimate(task, self.settings, self.job)
+        expected = estimate_tiles(task, self.settings, self.job)
         path = tile_scratch.scratch_path(task.output, self.job.options.scratch)
         tile_scratch.check_space(path, task.output, expected)
         output.make_folder_of(task.output)
@@ -145,7 +121,9 @@ class _TileRun:
             factory=self.job.engine,
         )
         progress = TileProgress(scratch, self.job.on_progress)
-        self._know(tiles=replace(planned_tiles(expected), resumed_tasks=n_resumed))
+        tiles = planned_tiles(expected)
+        assert tiles is not None
+        self._know(tiles=replace(tiles, resumed_tasks=n_resumed))
         received: list[int] = []
 
         def on_signal(signum: int) -> None:

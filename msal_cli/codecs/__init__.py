@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.detection import resolve_format
-from msal_cli.codecs.mesh_file import MeshFile
+from msal_cli.codecs.mesh_file import MeshFile, Surface
 from msal_cli.errors import UnsupportedError
 from msal_cli.storage.buffers import Buffer
 
@@ -124,7 +124,7 @@ def with_companions(
     return mesh_file.beside(output, vertices, path)
 
 
-def vertex_property(mesh_file: MeshFile, name: str) -> NDArray[np.float64]:
+def vertex_property(mesh_file: Surface, name: str) -> NDArray[np.float64]:
     """A number that the file has for each vertex, (n,) in the order of its vertices.
 
     Raises
@@ -135,11 +135,12 @@ def vertex_property(mesh_file: MeshFile, name: str) -> NDArray[np.float64]:
         for a format other than PLY.
     """
     from msal_cli.codecs import ply
+    from msal_cli.codecs.joined_mesh import JoinedMesh
 
-    if not isinstance(mesh_file, ply.PlyFile):
+    if not isinstance(mesh_file, ply.PlyFile | JoinedMesh):
+        format = getattr(mesh_file, "format", "")
         raise UnsupportedError(
-            f"vertex properties such as {name!r} are read from PLY, not from "
-            f"{mesh_file.format.upper()}",
+            f"vertex properties such as {name!r} are read from PLY, not from {format.upper()}",
             hint="give a PLY, or leave out for this file what names a property",
         )
     return mesh_file.vertex_property(name)

@@ -23,6 +23,22 @@ class Companion:
     data: Buffer
 
 
+class Surface(Protocol):
+    """What can be denoised: a mesh file, or several as one; see ``MeshFile`` for the attributes."""
+
+    faces: NDArray[np.int32]
+    merged_vertices: int
+
+    @property
+    def vertices(self) -> NDArray[np.float64]:
+        """The positions (n, 3) of the vertices."""
+        ...
+
+    def forget_vertices(self) -> None:
+        """Let go of ``vertices`` where they can be read again in little time."""
+        ...
+
+
 class MeshFile(Protocol):
     """An opened mesh file; every codec returns one.
 

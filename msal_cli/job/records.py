@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from msal_cli.job.plain_data import about, known
+from msal_cli.job.tile_records import Tiles, TileSetPart
 
 SCHEMA = "msal.report/1"
 
@@ -326,26 +327,6 @@ class FieldsFile:
 
 
 @dataclass(frozen=True, slots=True)
-class Tiles:
-    """How a mesh that does not fit into memory was denoised in parts; of a file that is planned,
-    what is expected."""
-
-    number: int = field(metadata=about("tiles that the mesh was cut into"))
-    jobs: int = field(metadata=about("tiles at the same time"))
-    scratch_bytes: int = field(metadata=about("bytes of temporary files, the output among them"))
-    rings: int | None = known("rings of neighbouring vertices that were added to each tile")
-    choice_vertices: int | None = known(
-        "vertices of the part on which method, parameters and noise were determined; null if it "
-        "was the whole mesh"
-    )
-    resumed_tasks: int | None = known("tasks that an earlier, interrupted run had finished")
-    memory_bytes: int | None = known(
-        "memory of all processes together that was expected; the highest is in peak_memory_bytes"
-    )
-    expected_seconds: float | None = known("seconds from start to end that were expected")
-
-
-@dataclass(frozen=True, slots=True)
 class MeshRecord:
     """One row per file; fields that could not be determined are None.
 
@@ -391,6 +372,13 @@ class MeshRecord:
     )
     seam_gap: float | None = known(
         "largest distance afterwards between vertices that were at one place"
+    )
+    tile_gap: float | None = known(
+        "of a tile set, largest distance between the new positions, as written, of border vertices "
+        "that this file shares with others, file units; null without --tile-set"
+    )
+    tile_set: TileSetPart | None = known(
+        "what the file shares with others of its tile set; null without --tile-set"
     )
     mean_edge_length: float | None = known("mean length of the edges before, file units")
     inside_out: bool | None = known(

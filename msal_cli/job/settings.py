@@ -54,6 +54,9 @@ class Settings:
         None does so where a method is chosen and the outliers are clear.
     min_noise : below which noise a mesh stays as it is: a length as of ``constraints``, or
         ``NEGLIGIBLE`` for "no noise to speak of".
+    tile_set : whether all files are denoised as the one mesh that they are together.
+    weld : within which distance border vertices of its files are one: a length as of
+        ``constraints``, or None for vertices at the very same place.
     """
 
     method: str
@@ -70,6 +73,8 @@ class Settings:
     min_noise: str | None = None
     checks: tuple[str, ...] = ()
     despike: bool | None = None
+    tile_set: bool = False
+    weld: str | None = None
 
     @property
     def looks_for_outliers(self) -> bool:
@@ -254,19 +259,3 @@ def least_memory_bytes() -> int:
     from msal_cli.codecs.forecast import BASE_BYTES
 
     return BASE_BYTES
-
-
-def check_limits(limits: Limits) -> None:
-    """Refuse limits within which no file can be denoised; UsageError."""
-    from msal_cli.errors import UsageError
-
-    if limits.timeout_s is not None and not limits.timeout_s > 0.0:
-        raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
-    if limits.max_faces is not None and limits.max_faces < 1:
-        raise UsageError(f"no file has {limits.max_faces} faces at most")
-    least = least_memory_bytes()
-    if limits.memory_bytes is not None and limits.memory_bytes < least:
-        raise UsageError(
-            f"a memory limit of {limits.memory_bytes / 1e6:.0f} MB is not enough for any file",
-            hint=f"msal itself takes {least / 1e6:.0f} MB",
-        )

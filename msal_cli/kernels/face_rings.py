@@ -19,7 +19,7 @@ items after the other, and they are put together then.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -188,18 +188,21 @@ def mean_centroid_distance(
     whole: Whole | None = None,
     key: str = "mean distance of centroids",
     state: Callable[[], State] = dict,
+    exchanged: Sequence[str] = (),
 ) -> float:
     """Mean distance of the centroids (m, 3) of neighbours, file units; zero without neighbours.
 
     Over the pairs of the rows; those of edges are usual.  Of a part of a mesh the pairs whose lower
-    face is its own count; ``key`` and ``state`` are those of ``Whole.reduce``.
+    face is its own count; ``key``, ``state`` and ``exchanged`` are those of ``Whole.reduce``.
     """
     if whole is None:
         return mean_edge_length(centroids, ring_start, ring)
     own = whole.own_faces
-    return float(
-        whole.reduce(key, lambda: edge_lengths_partial(centroids, ring_start, ring, own), state)
-    )
+
+    def partial() -> dict[str, Any]:
+        return edge_lengths_partial(centroids, ring_start, ring, own)
+
+    return float(whole.reduce(key, partial, state, exchanged))
 
 
 @compiled

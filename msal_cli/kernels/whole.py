@@ -8,19 +8,23 @@ computation on a part needs one that is not known it raises ``Pending``, which h
 - the key of the number,
 - what the part contributes to it, for JSON: its own vertices, faces and edges, so that each
   counts once over all parts,
-- the state of the computation, named arrays.
+- the state of the computation, named arrays; of some only the own vertices are right, and what the
+  others have comes from the parts that own them.
 
 Once ``combine`` has made the number of what all parts contribute, the computation is called again
 for each part, with ``known`` that holds it and ``saved`` that is this state, and goes on from there
-to the next ``Pending`` or to its end.  All parts need the same numbers in the same order.  The
-number has the same bits for any parts, one or a thousand: sums are exact.
+to the next ``Pending`` or to its end.  All parts need the same numbers in the same order; only
+the first ones, before the first state, may come without a state.  A number has the same bits for
+any parts, one or a thousand: sums are exact.
 
     whole = Whole(own_vertices, own_faces)
     while True:
         try:
             result = method.denoise(dataclasses.replace(mesh, whole=whole), parameters)
         except Pending as pending:
-            ...            # send pending.partial, save pending.state, combine what all parts sent
+            # Send pending.partial, combine what all parts sent, save pending.state, and of its
+            # arrays in pending.exchanged replace the rows that other parts own by theirs.
+            ...
             whole = dataclasses.replace(
                 whole, known={**whole.known, pending.key: number}, saved=state
             )
@@ -54,13 +58,21 @@ class Pending(Exception):  # noqa: N818 - it is no fault
     key : of the number.
     partial : what this part contributes to it, for JSON.
     state : named arrays, to be given back as ``Whole.saved``; none where there is nothing to save.
+    exchanged : names of those, (n, 3) float64, whose rows are right for own vertices only: the rows
+        of others have to be replaced by what the parts have that own these.
     """
 
-    def __init__(self, key: str, partial: Any, state: State) -> None:
+    def __init__(self, key: str, partial: Any, state: State, exchanged: Sequence[str] = ()) -> None:
         super().__init__(f"{key} of the whole mesh is not known")
         self.key = key
         self.partial = partial
         self.state = dict(state)
+        self.exchanged = tuple(exchanged)
+
+    def within(self, whole: Whole, state: State) -> Pending:
+        """The same, raised by a step of the computation on ``whole``, with its state as well."""
+        outer = {whole.prefix + name: array for name, array in state.items()}
+        return Pending(self.key, self.partial, {**outer, **self.state}, self.exchanged)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,20 +115,30 @@ class Whole:
         }
 
     def reduce(
-        self, key: str, partial: Callable[[], Any], state: Callable[[], State] = dict
+        self,
+        key: str,
+        partial: Callable[[], Any],
+        state: Callable[[], State] = dict,
+        exchanged: Sequence[str] = (),
     ) -> Any:
         """The number of that key; ``Pending`` with ``partial()`` and ``state()`` if not known."""
-        return self._find(self.prefix + key, partial, state)
+        return self._find(self.prefix + key, partial, state, exchanged)
 
     def reduce_for_mesh(self, key: str, partial: Callable[[], Any]) -> Any:
         """The same of a number that is one for all steps: it follows from the positions alone."""
-        return self._find(self.positions + key, partial, dict)
+        return self._find(self.positions + key, partial, dict, ())
 
-    def _find(self, name: str, partial: Callable[[], Any], state: Callable[[], State]) -> Any:
+    def _find(
+        self,
+        name: str,
+        partial: Callable[[], Any],
+        state: Callable[[], State],
+        exchanged: Sequence[str],
+    ) -> Any:
         if name in self.known:
             return self.known[name]
         arrays = {self.prefix + one: array for one, array in state().items()}
-        raise Pending(name, partial(), arrays)
+        raise Pending(name, partial(), arrays, [self.prefix + one for one in exchanged])
 
 
 def combine(partials: Sequence[Any]) -> Any:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from msal_cli.job.display_names import columns, escape_for_display, figure, pad_name, shorten_name
 from msal_cli.job.plain_data import value_at
-from msal_cli.job.records import DONE, MeshRecord, Reference
+from msal_cli.job.records import DONE, WITH_OUTPUT, MeshRecord, Reference
 from msal_cli.report.document import Run, Totals, known_values, totals
 from msal_cli.report.phrases import (
     Line,
@@ -28,7 +28,9 @@ from msal_cli.report.phrases import (
     seconds_text,
     self_intersections_text,
     storage_text,
+    tile_set_text,
     tiles_text,
+    touches_text,
     vertices_text,
 )
 
@@ -64,6 +66,9 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
         else:
             ending = "" if record.tiles is None else f": {tiles_text(record.tiles)}"
             yield Line(f"{file_name(record.input)} -> {_output_name(record)}{ending}")
+            if record.tile_set is not None:
+                counts = vertices_text(record.vertices, record.corners)
+                yield Line(f"  {counts}, {touches_text(record.tile_set)}")
 
 
 # One file
@@ -165,6 +170,7 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str, Tone]]:
     facts.append(("constraints", ", ".join(texts)))
     if record.tiles is not None:
         facts.append(("tiles", tiles_text(record.tiles)))
+    facts.append(("tile set", tile_set_text([record])))
     if record.seconds is not None:
         facts.append(("time", _time_text(record)))
     if record.self_intersections is not None:
@@ -208,7 +214,8 @@ def _batch_lines(
     yield from failures(records, verbose)
     yield from _references(records, verbose)
     yield from broken_gates(records, verbose)
-    yield from _total_lines(run, totals(records))
+    done = [record for record in records if record.status in WITH_OUTPUT]
+    yield from _total_lines(run, totals(records), tile_set_text(done))
 
 
 def _section(
@@ -328,7 +335,7 @@ def broken_gates(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]
     yield from _section("broke a gate", items, None if verbose else MOST_FAILURES, count=n_files)
 
 
-def _total_lines(run: Run, sums: Totals) -> Iterator[Line]:
+def _total_lines(run: Run, sums: Totals, tile_set: str) -> Iterator[Line]:
     spread = sums.volume_change_percent
     if spread is not None:
         yield Line(
@@ -336,6 +343,8 @@ def _total_lines(run: Run, sums: Totals) -> Iterator[Line]:
             f"from {percent_text(spread.lowest)} to {percent_text(spread.highest)} "
             f"({format_count(spread.files, 'closed file')})"
         )
+    if tile_set:
+        yield Line(f"tile set: {tile_set}")
     if sums.chosen:
         yield Line(f"chosen: {chosen_text(sums.chosen)}")
     counts = (

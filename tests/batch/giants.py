@@ -29,8 +29,9 @@ def binary_ply(path, vertices, faces, comments=()):
     header += [f"element vertex {len(vertices)}", "property float x", "property float y"]
     header += ["property float z", f"element face {len(faces)}"]
     header += ["property list uchar int vertex_indices", "end_header\n"]
-    rows = b"".join(struct.pack("<Biii", 3, *face) for face in faces)
-    path.write_bytes("\n".join(header).encode() + vertices.astype("<f4").tobytes() + rows)
+    rows = np.zeros(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
+    rows["count"], rows["corners"] = 3, faces
+    path.write_bytes("\n".join(header).encode() + vertices.astype("<f4").tobytes() + rows.tobytes())
     return path
 
 
@@ -65,7 +66,9 @@ def in_memory(source, *words):
     target = source.with_name("in_memory" + source.suffix)
     made = msal("denoise", source, "-o", target, "-q", *words)
     assert made.exit_code == 0, made.stderr
-    return target.read_bytes()
+    data = target.read_bytes()
+    target.unlink()
+    return data
 
 
 def scratch_of(output):

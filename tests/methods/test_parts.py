@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.errors import InternalError
+from msal_cli.errors import InternalError, TooLargeError
 from msal_cli.kernels.operators import AnisotropicLaplacian
 from msal_cli.mesh import Mesh, prepare_mesh
+from msal_cli.methods import guided_normal
 from tests import shapes
 from tests.methods.parts import run_in_parts
 
@@ -94,6 +95,12 @@ CASES = [
     ("normal_diffusion", {"iterations": 1, "normal_iterations": 1, "similarity": 0.5}),
     ("wiener", {"noise": 0.1, "iterations": 2, "mollify": 1}),
     ("wiener", {"noise": 0.1, "iterations": 1, "normal_iterations": 0, "mollify": 0}),
+    ("guided_normal", {"iterations": 3, "vertex_iterations": 3}),
+    ("guided_normal", {"iterations": 2, "vertex_iterations": 2, "sliding": "undone"}),
+    ("blend", {"members": "0.7*al(iterations=2)"}),
+    ("blend", {"members": "1*msal(iterations=2)", "relax": 2}),
+    ("blend", {"members": "0.5*guided_normal(iterations=2)+0.3*msal", "relax": 1}),
+    ("blend", {"members": "0.4*msal(schedule=robust)+0.2*msal(iterations=2)+0.4*taubin"}),
 ]
 
 
@@ -118,7 +125,7 @@ def test_parts_give_the_bits_of_the_whole(mesh, case):
 
 
 LOOSE = [("al", {"iterations": 0}), ("bilateral_normal", AUTO)]
-TIGHT = [case for case in CASES if case not in LOOSE]
+TIGHT = [case for case in CASES if case not in LOOSE and case[0] not in ("guided_normal", "blend")]
 """Those whose reach is the least that there is; noise in all directions is not undone."""
 
 
@@ -137,6 +144,21 @@ def test_a_ring_less_is_not_enough(case):
     assert differs
 
 
+def test_faces_near_one_are_within_the_halo(monkeypatch):
+    """One ring is enough for the faces near one on the open mesh, and not on the closed one."""
+    monkeypatch.setattr(guided_normal, "NEAR_RINGS", 1)
+    method = methods.find("guided_normal")
+    parameters = method.validate({"iterations": 2, "vertex_iterations": 2})
+    rings = method.reach(parameters)
+    whole = method.denoise(MESHES["open"], parameters).vertices
+    enough, less = (
+        run_in_parts(method, MESHES["open"], parameters, count)[0] for count in (rings, rings - 1)
+    )
+    assert enough.tobytes() == whole.tobytes() != less.tobytes()
+    with pytest.raises(TooLargeError, match="uneven"):
+        run_in_parts(method, MESHES["closed"], parameters, rings)
+
+
 def test_sliding_is_measured_over_all_parts():
     """Noise along the normals alone, which ``auto`` finds, and undoes the sliding."""
     vertices, faces = shapes.torus(100, 9)
@@ -152,6 +174,32 @@ def test_sliding_is_measured_over_all_parts():
     parameters = method.validate(AUTO)
     vertices, _, _ = run_in_parts(method, mesh, parameters, method.reach(parameters))
     assert vertices.tobytes() == auto.tobytes()
+
+
+def soup(seed):
+    """Random triangles between vertices that are near in the order: edges of any kind."""
+    generator = np.random.default_rng(seed)
+    n = int(generator.integers(30, 200))
+    vertices = generator.normal(size=(n, 3))
+    again = generator.integers(0, n, 5)
+    vertices[again] = vertices[again[::-1]]
+    first = generator.integers(0, n, 3 * n)
+    others = first[:, None] + generator.integers(1, 7, (3 * n, 2))
+    faces = np.column_stack([first, others % n]).astype(np.int32)
+    return prepare_mesh(vertices, faces).mesh
+
+
+@pytest.mark.parametrize("case", CASES, ids=describe)
+def test_parts_of_a_soup(case):
+    name, given = case
+    method = methods.find(name)
+    parameters = method.validate(given)
+    rings = method.reach(parameters)
+    for seed in range(3):
+        mesh = soup(seed)
+        whole = method.denoise(mesh, parameters)
+        vertices, _, _ = run_in_parts(method, mesh, parameters, rings, count=2 + seed)
+        assert vertices.tobytes() == whole.vertices.tobytes()
 
 
 def constrained(mesh):
@@ -196,6 +244,9 @@ WHOLE = [
     ("mean_curvature_flow", {"variant": "explicit", "volume": "restore"}),
     ("l0", {}),
     ("static_dynamic", {}),
+    ("blend", {"members": "0.5*al+0.5*l0"}),
+    ("blend", {"members": "0.5:0.2*al", "levels": "0.1:0.2"}),
+    ("bilateral_normal", {"variant": "global"}),
 ]
 
 
