@@ -78,7 +78,7 @@ def open_streamed(
     return _open_text(place, facts)
 
 
-_TEXTS = ("ply", "obj")
+_TEXTS = ("ply", "obj", "stl")
 
 
 def _is_ascii_ply(head: Bytes, size: int) -> bool:
@@ -97,15 +97,17 @@ def _convert(
     format: str, path: str, size: int, folder: Path, on_bytes: OnBytes | None
 ) -> TextFacts:
     """Read a text once and write its numbers into a folder."""
-    from msal_cli.codecs.streamed import obj_text, ply_text
+    from msal_cli.codecs.streamed import obj_text, ply_text, stl_text
 
-    convert = {"ply": ply_text.convert, "obj": obj_text.convert}[format]
+    convert = {"ply": ply_text.convert, "obj": obj_text.convert, "stl": stl_text.convert}[format]
     return convert(path, path, size, folder, on_bytes)
 
 
 def _open_text(folder: Path, facts: TextFacts) -> StreamedMesh:
-    from msal_cli.codecs.streamed import obj_text, ply_text
+    from msal_cli.codecs.streamed import obj_text, ply_text, stl_text
 
     if facts.format == "obj":
         return obj_text.StreamedObj(folder, facts)
+    if facts.format == "stl":
+        return stl_text.StreamedStlText(folder, facts)
     return ply_text.StreamedPlyText(folder, facts)
