@@ -69,6 +69,7 @@ _SHARED_FIELDS = (
     "despiked",
     "clamped_vertices",
     "locked_vertices",
+    "tiles",
 )
 
 
@@ -137,11 +138,12 @@ class _SetRun:
     def denoise(self, most_failures: int | None, run_tiles: RunTiles | None) -> list[MeshRecord]:
         """See ``denoise_set``."""
         try:
-            reason = self._find_want_of_memory()
-            if reason is None:
-                run_tiles = None
-            else:
+            if run_tiles is not None and run_tiles.is_forced:
+                run_tiles.refuse(self._settings)
+            elif (reason := self._find_want_of_memory()) is not None:
                 _require_tiles(run_tiles, self._settings, reason)
+            else:
+                run_tiles = None
             arrays: list[Arrays] = []
             self._scan(arrays.append if run_tiles is None else None)
             if most_failures is not None and len(self._records) >= most_failures:
