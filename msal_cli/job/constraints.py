@@ -17,7 +17,7 @@ from msal_cli.job.units import COMPARISONS, UNIT_PATTERN, in_file_units
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats
-    from msal_cli.codecs.mesh_file import MeshFile
+    from msal_cli.codecs.mesh_file import MeshArrays
     from msal_cli.mesh import Mesh, PreparedMesh
 
 BOUNDARY = "boundary"
@@ -134,7 +134,7 @@ class Constraints:
 
 def build_constraints(
     ready: PreparedMesh,
-    mesh_file: MeshFile,
+    mesh_file: MeshArrays,
     max_move: str | None,
     locks: Sequence[str],
     weights: str | None,
@@ -182,7 +182,7 @@ def clamp_moves(before: Floats, after: Floats, limit: float) -> tuple[Floats, in
     return after, len(beyond)
 
 
-def _find_held(ready: PreparedMesh, mesh_file: MeshFile, locks: Sequence[Lock | None]) -> Flags:
+def _find_held(ready: PreparedMesh, mesh_file: MeshArrays, locks: Sequence[Lock | None]) -> Flags:
     """Which mesh vertices (n,) any lock pins: with one all that coincide with it."""
     import numpy as np
 
@@ -198,7 +198,7 @@ def _find_held(ready: PreparedMesh, mesh_file: MeshFile, locks: Sequence[Lock | 
     return held
 
 
-def _build_trust(ready: PreparedMesh, mesh_file: MeshFile, name: str) -> Floats:
+def _build_trust(ready: PreparedMesh, mesh_file: MeshArrays, name: str) -> Floats:
     """Trust (n,) from 0 to 1: the property over its largest value; below 0 there is none.
 
     Of vertices that coincide the most trusted counts.
