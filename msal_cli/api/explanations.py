@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from msal_cli.errors import MsalError
+from msal_cli.errors import InputError, MsalError
 from msal_cli.job.opened_mesh import to_known_error
 
 ARRAYS = "arrays"
@@ -13,15 +13,17 @@ ARRAYS = "arrays"
 
 
 @contextmanager
-def explained_errors(name: str = ARRAYS) -> Iterator[None]:
+def explained_errors(name: str = ARRAYS, path: str = "") -> Iterator[None]:
     """Turn every error of the block into a ``MsalError`` whose traceback says what to do.
 
-    ``name`` is the file or what else is at work, for the log.
+    ``name`` is what is at work, for the log; ``path`` the file, which errors of its own know.
     """
     try:
         yield
     except Exception as error:
-        known = to_known_error(error, name)
+        known = to_known_error(error, path or name)
+        if isinstance(known, InputError):
+            known.path = known.path or path
         _add_note(known)
         if known is error:
             raise

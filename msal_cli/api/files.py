@@ -83,7 +83,7 @@ def denoise_file(
         as in ``msal_cli.errors``.
     """
     source, target = path_text(input), path_text(output)
-    with explained_errors(source):
+    with explained_errors(path=source):
         gates = _parse_gates(fail_on, unit)
         settings = build_settings(
             method,
@@ -175,10 +175,11 @@ def denoise_folder(
     inputs : a folder with its subfolders, a file, a pattern such as ``"scans/*.ply"``, a URL; or
         several of them.
     output : the folder to write, which gets the tree of the inputs; not with ``in_place``.
-    method to fail_on : as for ``denoise_file``.
+    method to fail_on, parameters, more : as for ``denoise_file``.
     include, exclude : patterns of files to take or to leave out, such as ``"*.ply"``.
-    in_place : replace the inputs; ``backup`` is added to the names of the originals, which are kept
-        beside them, and None keeps none.
+    in_place : replace the inputs.
+    backup : with ``in_place``, what is added to the names of the originals, which are kept beside
+        them; None keeps none.
     jobs : files at the same time: more is faster and takes more memory.  None is one per core, as
         far as memory allows.  The results do not depend on it.
     timeout, memory_limit : seconds and bytes that one file may take; None is no limit.

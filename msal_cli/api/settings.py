@@ -66,7 +66,7 @@ def build_settings(
         method=name,
         parameters=values,
         max_move=None if max_move is None else length_text(max_move, "max_move", unit),
-        lock=tuple(str(parse_lock(one) or BOUNDARY) for one in locks),
+        lock=tuple(str(parse_lock(one, "lock") or BOUNDARY) for one in locks),
         weights=weights,
         min_noise=min_noise
         if min_noise is None or min_noise == NEGLIGIBLE
