@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -72,7 +72,7 @@ class Mesh:
             return geometry.mean_edge_length(self.vertices, *rings)
         own = self.whole.own_vertices
         return float(
-            self.whole.reduce(
+            self.whole.reduce_for_mesh(
                 "mean edge length",
                 lambda: geometry.edge_lengths_partial(self.vertices, *rings, own),
             )
@@ -94,6 +94,15 @@ class Mesh:
                 normals, links.ring_start, links.ring, mollify
             )
         return known[weighting, mollify]
+
+    @property
+    def known_normals(self) -> Mapping[tuple[str, int], Floats]:
+        """The normals that were computed so far, by weighting and passes of mollifying."""
+        return dict(self._cached_normals)
+
+    def take_normals(self, known: Mapping[tuple[str, int], Floats]) -> None:
+        """Use normals that are ``known_normals`` of this very mesh."""
+        self._cached_normals.update(known)
 
     @functools.cached_property
     def _cached_normals(self) -> dict[tuple[str, int], Floats]:
@@ -131,7 +140,14 @@ class Mesh:
         self, fixed_vertices: NDArray[np.bool_] | None, trust: Floats | None
     ) -> Mesh:
         """The same mesh with vertices that are fixed, or trusted more or less; see above."""
-        other = Mesh(self.vertices, self.faces, fixed_vertices, trust, self.whole)
+        return self._with(Mesh(self.vertices, self.faces, fixed_vertices, trust, self.whole))
+
+    def with_whole(self, whole: Whole | None) -> Mesh:
+        """The same mesh that knows something else of the whole; see above."""
+        return self._with(Mesh(self.vertices, self.faces, self.fixed_vertices, self.trust, whole))
+
+    def _with(self, other: Mesh) -> Mesh:
+        """``other``, with all that is known of this one's vertices and faces."""
         own = {one: value for one, value in self.__dict__.items() if one not in other.__dict__}
         other.__dict__.update(own)
         return other
@@ -139,10 +155,9 @@ class Mesh:
     def with_vertices(self, vertices: Floats) -> Mesh:
         """The same mesh with its vertices at other positions (n, 3); connectivity is shared.
 
-        Of a part: the numbers of the whole are other ones, under keys of their own.  A method that
-        needs them at more than one set of positions has to give these keys itself.
+        Of a part: the numbers that follow from the positions of the whole are other ones then.
         """
-        whole = None if self.whole is None else self.whole.under("moved")
+        whole = None if self.whole is None else self.whole.moved()
         other = Mesh(vertices, self.faces, self.fixed_vertices, self.trust, whole)
         if "topology" in self.__dict__:
             other.__dict__["topology"] = self.topology

@@ -7,6 +7,7 @@ but for cavities: a part within another one keeps its winding relative to that o
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,6 +81,14 @@ class Enclosure:
         return signs
 
 
+def describe_turned(n_turned: int, n_parts: int) -> str:
+    """How many of a surface's parts are inside out, in words."""
+    if n_turned == n_parts:
+        return "the surface is inside out: its normals point inwards"
+    are = "is" if n_turned == 1 else "are"
+    return f"{n_turned:,} of {n_parts:,} parts {are} inside out: normals point inwards"
+
+
 def measure_enclosure(ready: PreparedMesh) -> Enclosure:
     """What a surface encloses; one that has no volume has no inside."""
     return enclosure_of(ready.mesh, ready.defects, *area_and_volume(ready.mesh))
@@ -104,25 +113,36 @@ def _enclosure_by_part(mesh: Mesh) -> Enclosure:
     numbers = np.unique(labels[mesh.faces[:, 0]])
     # Vertices that no face uses are parts of their own; what they get here does not matter.
     parts = np.searchsorted(numbers, labels).clip(max=len(numbers) - 1)
-    is_turned = _negative_parts(mesh, parts, len(numbers))
-    if is_turned.any():
-        is_turned = is_turned[_outermost(*_boxes(mesh, parts, len(numbers)))]
+    is_turned = turned_parts(
+        *_measure_parts(mesh, parts, len(numbers)), lambda: _boxes(mesh, parts, len(numbers))
+    )
     n_turned = int(np.count_nonzero(is_turned))
     inward = is_turned[parts[mesh.faces[:, 0]]] if n_turned else None
     return Enclosure(inward, n_turned, len(numbers))
 
 
-def _negative_parts(mesh: Mesh, parts: NDArray[np.intp], n_parts: int) -> NDArray[np.bool_]:
-    """Which parts (n_parts,) have a negative volume; ``parts`` (n,) is that of each vertex."""
+def turned_parts(
+    volumes: Floats, areas: Floats, boxes: Callable[[], tuple[Floats, Floats]]
+) -> NDArray[np.bool_]:
+    """Which parts (k,) of a closed surface are inside out, by their signed volumes and areas.
+
+    ``boxes()`` gives the least and greatest coordinates (k, 3) of each.
+    """
+    is_turned = np.array([is_negative(*one) for one in zip(volumes, areas, strict=True)])
+    return is_turned[_outermost(*boxes())] if is_turned.any() else is_turned
+
+
+def _measure_parts(mesh: Mesh, parts: NDArray[np.intp], n_parts: int) -> tuple[Floats, Floats]:
+    """Signed volumes and areas of parts (n_parts,); ``parts`` (n,) is that of each vertex."""
     from msal_cli.kernels.geometry import face_normals_and_areas
 
     first = mesh.faces[:, 0]
     normals, face_areas = face_normals_and_areas(mesh.vertices, mesh.faces)
     # A face and the origin span a third of area times height.
     heights = np.einsum("ij,ij->i", mesh.vertices[first], normals)
-    areas = np.bincount(parts[first], face_areas, n_parts)
+    areas = np.bincount(parts[first], face_areas, n_parts).astype(np.float64, copy=False)
     volumes = np.bincount(parts[first], face_areas * heights, n_parts) / 3.0
-    return np.array([is_negative(*one) for one in zip(volumes, areas, strict=True)])
+    return volumes, areas
 
 
 def _boxes(mesh: Mesh, parts: NDArray[np.intp], n_parts: int) -> tuple[Floats, Floats]:

@@ -19,7 +19,7 @@ Array = NDArray[Any]
 
 @dataclass(eq=False)
 class MemoryMesh:
-    """A mesh that is not in a file; ``codecs.mesh_file.MeshArrays`` says what the pipeline reads.
+    """A mesh that is not in a file; ``codecs.mesh_file.Surface`` says what the pipeline reads.
 
     Attributes
     ----------

@@ -38,6 +38,7 @@ class Plan:
     retry_failed : do files again that failed before, even where they would fail again.
     shard, whole : which part this is, and of what, where it is a part (see ``select_shard``).
     objects : where the outputs go to a store, size and tag of those that are there, by URL.
+    is_set : the files are denoised as one mesh: all of them, or none.
     """
 
     tasks: tuple[Task, ...]
@@ -47,6 +48,7 @@ class Plan:
     shard: Shard | None = None
     whole: Plan | None = None
     objects: Mapping[str, ObjectMark] = field(default_factory=dict)
+    is_set: bool = False
 
     def folders(self) -> list[str]:
         """All homes, each once; of a part those of the whole, for it works under their locks."""
@@ -88,6 +90,7 @@ def build_plan(
     force: bool = False,
     fresh: bool = False,
     retry_failed: bool = False,
+    is_set: bool = False,
 ) -> Plan:
     """The plan that writes every file of ``found`` to its place; nothing is touched.
 
@@ -100,7 +103,8 @@ def build_plan(
     ``backup`` is the suffix of the copy that keeps the original; None keeps none.
 
     ``force`` allows files in the output folder to be replaced that no earlier run put there;
-    ``fresh`` does every file again, ``retry_failed`` those that failed before.
+    ``fresh`` does every file again, ``retry_failed`` those that failed before.  With ``is_set`` the
+    files are those of a tile set.
 
     Raises
     ------
@@ -128,7 +132,7 @@ def build_plan(
         _check_folder_output(found, output)
         tasks = [_mirror(one, output, to) for one in found]
         homes = [output] * len(tasks)
-    plan = Plan(tuple(tasks), tuple(homes), fresh, retry_failed)
+    plan = Plan(tuple(tasks), tuple(homes), fresh, retry_failed, is_set=is_set)
     plan = _subset(plan, distinct_tasks(plan.tasks))
     check_outputs(plan.tasks)
     if output is not None and homes[:1] != [None]:

@@ -7,9 +7,10 @@ import json
 import os
 import stat
 import threading
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from msal_cli import __version__
 from msal_cli.batch.manifest import Manifest
@@ -43,10 +44,12 @@ _TASKS_PER_CALL = 32
 _LARGEST_BLOCK = 1 << 20
 
 
-def hash_settings(settings: Settings) -> str:
+def hash_settings(settings: Settings, members: Sequence[str] = ()) -> str:
     """SHA-256 of all that decides an output's bytes beside its input: the settings and msal's
-    version, in canonical JSON."""
-    data = {"version": __version__, "settings": asdict(settings)}
+    version, and the names of the ``members`` of a tile set, in canonical JSON."""
+    data: dict[str, Any] = {"version": __version__, "settings": asdict(settings)}
+    if members:
+        data["members"] = list(members)
     text = json.dumps(data, sort_keys=True, separators=(",", ":"), default=to_builtin)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -110,6 +113,14 @@ def file_states(
     finally:
         is_stopped.set()
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def states_of_set(states: Iterable[FileState]) -> Iterator[FileState]:
+    """The states of the files of a tile set: if one is to be denoised, all are."""
+    every = list(states)
+    if all(one.record is not None for one in every):
+        return iter(every)
+    return (FileState(one.index) for one in every)
 
 
 @dataclass

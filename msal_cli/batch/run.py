@@ -13,17 +13,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msal_cli import __version__
-from msal_cli.batch import interrupts, temporary_files
+from msal_cli.batch import interrupts, temporary_files, tile_set
 from msal_cli.batch.events import Failed, Finished, Progress, Retried, Returned, Started
 from msal_cli.batch.manifest_dirs import lock_folder, open_manifest, output_folders
 from msal_cli.batch.manifest_lines import FileStat, done_line, intent_line
 from msal_cli.batch.memory_budget import MemoryBudget, estimate_memory
-from msal_cli.batch.resume import file_states, hash_settings, restore_backup, roll_back
+from msal_cli.batch.resume import (
+    file_states,
+    hash_settings,
+    restore_backup,
+    roll_back,
+    states_of_set,
+)
+from msal_cli.batch.run_checks import check_limits, check_numbers
 from msal_cli.batch.run_history import RunEntry
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.records import Failure, MeshRecord, MethodUsed
-from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task, least_memory_bytes
+from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task
 from msal_cli.machine import usable_cores
 from msal_cli.storage.urls import is_url
 
@@ -95,14 +102,7 @@ def run(
         workers are gone, finished files are whole and recorded, and running the plan again goes on
         from there.
     """
-    if jobs is not None and jobs < 1:
-        raise UsageError(f"the number of jobs must be at least 1, not {jobs}")
-    if stop_after_failures is not None and stop_after_failures < 1:
-        raise UsageError(
-            f"the number of failures to stop after must be at least 1, not {stop_after_failures}"
-        )
-    if retries < 0:
-        raise UsageError(f"the number of retries must be at least 0, not {retries}")
+    check_numbers(jobs, retries, stop_after_failures)
     check_limits(limits)
     if limits != NO_LIMITS:
         denoise = functools.partial(denoise, limits=limits)
@@ -137,7 +137,8 @@ class _BatchRun:
 
     def __post_init__(self) -> None:
         self._cores = usable_cores()
-        self._hash = hash_settings(self.settings)
+        members = [task.relative for task in self.plan.tasks] if self.plan.is_set else []
+        self._hash = hash_settings(self.settings, members)
         self._manifests: dict[str, Manifest] = {}
         # Those in which the start of this run is recorded.
         self._begun: list[Manifest] = []
@@ -151,8 +152,13 @@ class _BatchRun:
         """What would happen, with nothing touched."""
         with interrupts.noticed(interrupts.raise_for):
             self._manifests = {home: open_manifest(home) for home in self.plan.folders()}
-            for index in self._outdated()[0]:
-                self._emit_finished(index, self._planned_record(index))
+            todo = self._outdated()[0]
+            if self.plan.is_set and todo:
+                records = tile_set.survey_set(self.plan, self.settings, self._manifests)
+            else:
+                records = {index: self._planned_record(index) for index in todo}
+            for index, record in records.items():
+                self._emit_finished(index, record)
         return self._in_order()
 
     def execute(self, stack: ExitStack, command: tuple[str, ...]) -> list[MeshRecord]:
@@ -163,6 +169,9 @@ class _BatchRun:
                 todo = self._lock_and_plan(stack, entry)
                 tasks = {index: self.plan.tasks[index] for index in todo}
                 budget = estimate_memory(tasks, self.settings, self.limits)
+            if self.plan.is_set:
+                self._run_set(todo)
+                todo = []
             todo = self._drop_oversized(todo, budget)
             if self._is_single() or self.plan.is_in_process:
                 self._run_in_process(todo)
@@ -217,7 +226,7 @@ class _BatchRun:
         with closing(
             file_states(self.plan, self._manifests, self._hash, threads=self._cores)
         ) as states:
-            for state in states:
+            for state in states_of_set(states) if self.plan.is_set else states:
                 if state.obstacle:
                     obstacles.append(state.obstacle)
                 elif state.record is not None:
@@ -271,6 +280,27 @@ class _BatchRun:
                 self._finish({index: record})
                 if self._failure is not None:
                     return
+
+    def _run_set(self, todo: list[int]) -> None:
+        """Denoise all files as one mesh, in this process."""
+        if not todo:
+            return
+
+        def clean() -> None:
+            for index in todo:
+                self._sweep_after(os.getpid(), index)
+
+        with interrupts.noticed(interrupts.raise_for), interrupts.ended_late(clean):
+            self._finish(
+                tile_set.denoise_set(
+                    self.plan,
+                    self.settings,
+                    self.on_event,
+                    self.limits,
+                    self.stop_after_failures,
+                    self._manifests,
+                )
+            )
 
     def _run_engine(self, todo: list[int], budget: MemoryBudget) -> None:
         from msal_cli.batch.engine import Interrupt, Work
@@ -424,17 +454,3 @@ def denoise_in_worker(
     if error is not None and error.code == "E_MEMORY" and error.where != FORECAST:
         raise MemoryError(error.message)
     return record
-
-
-def check_limits(limits: Limits) -> None:
-    """Refuse limits within which no file can be denoised; UsageError."""
-    if limits.timeout_s is not None and not limits.timeout_s > 0.0:
-        raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
-    if limits.max_faces is not None and limits.max_faces < 1:
-        raise UsageError(f"no file has {limits.max_faces} faces at most")
-    least = least_memory_bytes()
-    if limits.memory_bytes is not None and limits.memory_bytes < least:
-        raise UsageError(
-            f"a memory limit of {limits.memory_bytes / 1e6:.0f} MB is not enough for any file",
-            hint=f"msal itself takes {least / 1e6:.0f} MB",
-        )

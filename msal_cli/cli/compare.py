@@ -103,8 +103,8 @@ def command(
     error in % of the mean edge length of A, the change of volume and area, flipped faces, and the
     Hausdorff distance. Where the faces are not the same, the surfaces are compared.
 
-    Binary PLY or STL files that are larger than memory are read in pieces; their faces must be the
-    same, and distances between the surfaces are not measured.
+    PLY and STL files that are larger than memory are read in pieces; their faces must be the same,
+    and distances between the surfaces are not measured.
 
     Of folders the exit status is 3 if a pair cannot be compared, else 4 if a gate is broken or the
     baseline not met, else 3 if a file has no partner; 1 if no pair at all can be compared.

@@ -27,6 +27,7 @@ _FOR_FILES = (
     "fields",
     "retries",
     "max_failures",
+    "tile_set",
 )
 
 _AUTO_HINT = (
@@ -61,6 +62,31 @@ _CONFLICTS = (
         "name an output folder with -o, or leave --engine dask away",
     ),
     (
+        "tile_set",
+        "in_place",
+        "--in-place cannot be used with --tile-set: once a file has changed, the set that it was "
+        "part of is gone",
+        "name an output folder with -o",
+    ),
+    (
+        "tile_set",
+        "shard",
+        "--shard deals out files, and the files of a tile set are one mesh",
+        "run the set as a whole, or leave --tile-set away",
+    ),
+    (
+        "tile_set",
+        "dask",
+        "--engine dask deals out files, and the files of a tile set are one mesh",
+        "leave --engine dask away",
+    ),
+    (
+        "tile_set",
+        "timeout",
+        "--timeout is for one file, and the files of a tile set are one mesh",
+        "leave --timeout away",
+    ),
+    (
         "cluster",
         "jobs",
         "-j is for this machine; a Dask cluster has as many workers as it has",
@@ -90,6 +116,7 @@ _CONFLICTS = (
 _NEEDS = (
     ("backup", "in_place", "other inputs are never replaced"),
     ("no_backup", "in_place", "other inputs are never replaced"),
+    ("weld", "tile_set", "vertices of one file are one only where they coincide"),
     ("scheduler", "dask", "add --engine dask"),
     (
         "dask",

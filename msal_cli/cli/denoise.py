@@ -117,7 +117,7 @@ class _Session:
             console.say(
                 f"shard {plan.shard}: {len(plan.tasks):,} of {len(plan.whole.tasks):,} files"
             )
-        bar = progress.bar(plan.tasks, quiet=request.quiet or request.dry_run)
+        bar = progress.bar(plan.tasks, quiet=request.quiet or request.dry_run, is_set=plan.is_set)
 
         def on_event(event: Event) -> None:
             if isinstance(event, Finished):
@@ -145,6 +145,12 @@ class _Session:
             raise
         finally:
             bar.close()
+        if plan.is_set and request.dry_run and not request.quiet:
+            from msal_cli.machine import megabytes
+            from msal_cli.tiles.set_run import memory_of_set
+
+            needed = megabytes(memory_of_set(plan.tasks, settings))
+            console.say(f"as one mesh they take up to {needed} of memory")
         with interrupts.noticed(interrupts.raise_for):
             return self._conclude(settings, records)
 

@@ -120,6 +120,19 @@ OPTIONS = options.combine(
     # Which files, and what the outputs are.
     options.FILES,
     click.option(
+        "--tile-set",
+        is_flag=True,
+        help="The files are tiles that touch: denoise them as the one mesh that they are, so that "
+        "vertices which they share stay the same.",
+    ),
+    click.option(
+        "--weld",
+        metavar="LENGTH",
+        help="With --tile-set: border vertices of different files within LENGTH are one, too: 0.1e "
+        "is mean edge lengths, 0.001 file units; greater closes wider gaps.  [default: only those "
+        "at the same place]",
+    ),
+    click.option(
         "--in-place", is_flag=True, help="Replace the inputs; originals are kept beside them."
     ),
     click.option(

@@ -150,12 +150,15 @@ def build_settings(request: Request, gates: Sequence[Gate]) -> Settings:
     """What decides the bytes of the outputs; UsageError for what no method or format knows."""
     method, parameters = _choose_method(request)
     max_move, lock, min_noise = request.max_move, request.lock, request.min_noise
-    if max_move is not None or lock or min_noise is not None:
+    weld = request.weld
+    if max_move is not None or lock or min_noise is not None or weld is not None:
         from msal_cli.job import constraints
 
         lock = tuple(str(constraints.parse_lock(one) or constraints.BOUNDARY) for one in lock)
         if max_move is not None:
             max_move = str(constraints.parse_length(max_move, "--max-move", request.unit))
+        if weld is not None:
+            weld = str(constraints.parse_length(weld, "--weld", request.unit))
         if min_noise is not None and min_noise != NEGLIGIBLE:
             min_noise = str(constraints.parse_length(min_noise, "--min-noise", request.unit))
     fields: tuple[str, ...] = ()
@@ -183,6 +186,8 @@ def build_settings(request: Request, gates: Sequence[Gate]) -> Settings:
         min_noise=min_noise,
         checks=(SELF_INTERSECTIONS,) if is_checked else (),
         despike=request.despike,
+        tile_set=request.tile_set,
+        weld=weld,
     )
 
 
@@ -241,6 +246,7 @@ def build_plan(request: Request, settings: Settings) -> Plan:
         force=request.force,
         fresh=request.fresh,
         retry_failed=request.retry_failed,
+        is_set=request.tile_set,
     )
     if settings.fields:
         _refuse_taken_names(everything)

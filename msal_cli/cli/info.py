@@ -41,7 +41,7 @@ def command(
     INPUT is a file, a folder (with all its subfolders), a pattern, a URL of one of these, or - for
     standard input. Lengths are in file units. Nothing is written.
 
-    A binary PLY or STL that is larger than memory is read in pieces: its counts are said at once,
+    A PLY or STL that is larger than memory is read in pieces: its counts are said at once,
     the rest follows. Parts, welded vertices, duplicate faces and intersections are not counted
     then, and the noise is estimated on a part.
     """

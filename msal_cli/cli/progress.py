@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -113,10 +113,15 @@ class FileBar(Silent):
             self._bar.refresh()
 
 
-def bar(tasks: Sequence[Task], *, quiet: bool) -> Silent:
-    """The bar for a run; Silent with ``quiet`` or where standard error is no terminal."""
+def bar(tasks: Sequence[Task], *, quiet: bool, is_set: bool = False) -> Silent:
+    """The bar for a run; Silent with ``quiet`` or where standard error is no terminal.
+
+    The files of a tile set have one bar, as a single mesh has.
+    """
     if quiet or not tasks or not console.is_terminal(sys.stderr):
         return Silent()
+    if is_set:
+        return SweepBar(f"{len(tasks):,} files as one")
     if len(tasks) > 1:
         return FileBar(tasks)
     return SweepBar(tasks[0].relative, is_large=_size(tasks[0].input) >= _LARGE_BYTES)
@@ -153,21 +158,46 @@ class ReadingBar:
     def __init__(self, *, quiet: bool) -> None:
         self._is_quiet = quiet
         self._bar: Any = None
+        self._text = ""
+        self._has_signals = False
+        self.at_end = ExitStack()
 
-    def on_begin(self, meshes: Sequence[StreamedMesh]) -> None:
+    def on_text(self, name: str, done: int, total: int) -> None:
+        """Show how much of a text was read, whose numbers are kept in a file first."""
+        if self._text != name:
+            self._text = name
+            self._clean_up_at_signals()
+            self._say(f"{escape_for_display(name)}: larger than memory, so it is read in pieces")
+            self._begin(f"{_short(name)}: reading text")
+        self.on_progress(done, total)
+
+    def on_begin(self, names: Sequence[str], meshes: Sequence[StreamedMesh]) -> None:
         """Say what the headers tell, long before all is read."""
-        if self._is_quiet:
-            return
-        self.close()
-        for mesh in meshes:
+        for name, mesh in zip(names, meshes, strict=True):
             counts = f"{mesh.n_vertices:,} {'corners' if mesh.are_corners else 'vertices'}"
-            console.say(
-                f"{escape_for_display(mesh.path)}: larger than memory, so it is read in pieces: "
+            self._say(
+                f"{escape_for_display(name)}: larger than memory, so it is read in pieces: "
                 f"{counts}, {mesh.n_polygons:,} faces, {mesh.size:,} bytes"
             )
-        if console.is_terminal(sys.stderr):
-            desc = _short(meshes[-1].path)
-            self._bar = _bar(desc=desc, bar_format=_SHARE_FORMAT, delay=_DELAY_S)
+        self._begin(_short(names[-1]))
+
+    def _clean_up_at_signals(self) -> None:
+        """Have a signal end the work by an exception, so that what is kept in files is removed."""
+        from msal_cli.batch import interrupts
+
+        if not self._has_signals:
+            self._has_signals = True
+            self.at_end.enter_context(interrupts.noticed(interrupts.raise_for))
+
+    def _say(self, text: str) -> None:
+        self.close()
+        if not self._is_quiet:
+            console.say(text)
+
+    def _begin(self, description: str) -> None:
+        self.close()
+        if not self._is_quiet and console.is_terminal(sys.stderr):
+            self._bar = _bar(desc=description, bar_format=_SHARE_FORMAT, delay=_DELAY_S)
 
     def on_progress(self, done: int, total: int) -> None:
         """Show how much was read."""
@@ -186,10 +216,11 @@ class ReadingBar:
 def reading_bar(*, quiet: bool = False) -> Iterator[ReadingBar]:
     """What listens while meshes are read in pieces; see ``job.streamed_progress``."""
     shown = ReadingBar(quiet=quiet)
-    try:
-        yield shown
-    finally:
-        shown.close()
+    with shown.at_end:
+        try:
+            yield shown
+        finally:
+            shown.close()
 
 
 def _size(path: str) -> int:

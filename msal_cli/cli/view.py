@@ -124,8 +124,10 @@ def command(
     All panels show the same view. Where A and B have the same faces the colours show how far
     each vertex moved along its normal, else how far it is from A's surface. Neither a display nor
     a graphics card is needed.
+
+    PLY and STL files that are larger than memory are read in pieces, and decimated; two must
+    have the same faces.
     """
-    from msal_cli.job.comparison import open_surface
     from msal_cli.storage import atomic
     from msal_cli.view import pictures
     from msal_cli.view.image_files import png_bytes
@@ -135,8 +137,7 @@ def command(
     names = (before,) if after is None else (before, after)
     if STREAM in names:
         raise UsageError("A and B are files", hint="write the stream to a file first")
-    surfaces = [open_surface(name, format) for name in names]
-    scene = pictures.scene_of(surfaces[0], surfaces[1] if len(surfaces) > 1 else None, names)
+    scene = _build_scene(names, format, quiet=quiet)
     if kind == "html":
         data = _build_page(output, scene, view)
     else:
@@ -148,6 +149,21 @@ def command(
     if not quiet:
         console.say_written(output)
     return exit_codes.SUCCESS
+
+
+def _build_scene(names: tuple[str, ...], format: str | None, *, quiet: bool) -> Scene:
+    from msal_cli.cli.progress import reading_bar
+    from msal_cli.job.comparison import open_surface
+    from msal_cli.job.larger_than_memory import opened_in_pieces
+    from msal_cli.view import pictures
+
+    with reading_bar(quiet=quiet) as bar, opened_in_pieces(names, format, bar) as streamed:
+        if streamed is not None:
+            from msal_cli.view.streamed_scene import scene_of_streamed
+
+            return scene_of_streamed(streamed, names, bar)
+    surfaces = [open_surface(name, format) for name in names]
+    return pictures.scene_of(surfaces[0], surfaces[1] if len(surfaces) > 1 else None, names)
 
 
 def _find_kind(output: str) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.detection import resolve_format
-from msal_cli.codecs.mesh_file import HasVertexProperties, MeshArrays, MeshFile
+from msal_cli.codecs.mesh_file import HasVertexProperties, MeshFile, Surface
 from msal_cli.errors import UnsupportedError
 from msal_cli.storage.buffers import Buffer
 
@@ -124,7 +124,7 @@ def with_companions(
     return mesh_file.beside(output, vertices, path)
 
 
-def vertex_property(mesh_file: MeshArrays, name: str) -> NDArray[np.float64]:
+def vertex_property(mesh_file: Surface, name: str) -> NDArray[np.float64]:
     """A number that a mesh has for each vertex, (n,) in the order of its vertices.
 
     Raises
@@ -132,10 +132,10 @@ def vertex_property(mesh_file: MeshArrays, name: str) -> NDArray[np.float64]:
     InputError
         with code ``E_PROPERTY`` if it has no such property; the hint lists those that it has.
     UnsupportedError
-        for a file of a format other than PLY.
+        for a format other than PLY.
     """
     if not isinstance(mesh_file, HasVertexProperties):
-        format: str = getattr(mesh_file, "format", "arrays")
+        format = getattr(mesh_file, "format", "")
         raise UnsupportedError(
             f"vertex properties such as {name!r} are read from PLY, not from {format.upper()}",
             hint="give a PLY, or leave out for this file what names a property",

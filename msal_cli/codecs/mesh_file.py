@@ -23,24 +23,16 @@ class Companion:
     data: Buffer
 
 
-class MeshArrays(Protocol):
-    """Vertices and triangles, of a file or in memory.
-
-    Attributes
-    ----------
-    vertices : (n, 3) float64, file units, in file order, exactly the values that the file stores.
-    faces : (m, 3) int32, indices into ``vertices``, counter-clockwise seen from outside; polygons
-        are cut into triangles and strips are unrolled, for the mathematics only.
-    merged_vertices : vertices of the file that ``vertices`` leaves out because an earlier one is at
-        the same position, as corners of STL's facets are; then no two of ``vertices`` are alike.
-    """
+class Surface(Protocol):
+    """What can be denoised: a mesh file, several as one, or one in memory; see ``MeshFile`` for the
+    attributes."""
 
     faces: NDArray[np.int32]
     merged_vertices: int
 
     @property
     def vertices(self) -> NDArray[np.float64]:
-        """The positions of the vertices, see above."""
+        """The positions (n, 3) of the vertices."""
         ...
 
     def forget_vertices(self) -> None:
@@ -58,7 +50,7 @@ class HasVertexProperties(Protocol):
         ...
 
 
-class MeshFile(MeshArrays, Protocol):
+class MeshFile(Protocol):
     """An opened mesh file; every codec returns one.
 
     Attributes
@@ -66,6 +58,11 @@ class MeshFile(MeshArrays, Protocol):
     format : ``"ply"``, ``"obj"``, ``"stl"``, or the suffix of a format read by a library.
     encoding : ``"ascii"``, ``"binary_little_endian"``, ``"binary_big_endian"`` or ``"binary"``.
     precision : ``"float32"``, ``"float64"``, ``"text"`` or ``"integer"``: how positions are stored.
+    vertices : (n, 3) float64, file units, in file order, exactly the values that the file stores.
+    faces : (m, 3) int32, indices into ``vertices``, counter-clockwise seen from outside; polygons
+        are cut into triangles and strips are unrolled, for the mathematics only.
+    merged_vertices : vertices of the file that ``vertices`` leaves out because an earlier one is at
+        the same position, as corners of STL's facets are; then no two of ``vertices`` are alike.
     n_polygons : faces as the file counts them (a quad is one).
     properties : what else is carried along unchanged, for reports: ``"vertex.quality float"``,
         ``"element camera"``, ``"texture coordinates"``, ``"materials"``, ``"groups"`` ...
@@ -76,10 +73,21 @@ class MeshFile(MeshArrays, Protocol):
     format: str
     encoding: str
     precision: str
+    faces: NDArray[np.int32]
+    merged_vertices: int
     n_polygons: int
     properties: tuple[str, ...]
     references: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    @property
+    def vertices(self) -> NDArray[np.float64]:
+        """The positions of the vertices, see above."""
+        ...
+
+    def forget_vertices(self) -> None:
+        """Let go of ``vertices`` where they can be read again in little time."""
+        ...
 
     def replaced(self, vertices: NDArray[np.float64]) -> Buffer:
         """The file with its positions replaced and its normals, where it has them, recomputed.

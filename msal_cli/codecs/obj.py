@@ -29,7 +29,9 @@ from msal_cli.arrays import Flags, Floats
 from msal_cli.codecs import obj_description
 from msal_cli.codecs.decimals import SHORTEST, SHORTEST_SINGLE, extent_decimals, usual_decimals
 from msal_cli.codecs.layout import Layout
-from msal_cli.codecs.obj_parser import Content, parse_content
+from msal_cli.codecs.obj_content import Content
+from msal_cli.codecs.obj_errors import line_of
+from msal_cli.codecs.obj_parser import parse_content
 from msal_cli.codecs.slot_file import Change, SlotFile, require_finite_result
 from msal_cli.codecs.slots import require_range
 from msal_cli.codecs.text_slots import Patch, Statements, replace_statements
@@ -39,7 +41,7 @@ from msal_cli.storage.buffers import Buffer
 MISFIT_DEG = 30.0
 """Angle between a face and its ``vn`` from which on it is warned that the vn does not fit."""
 
-_NO_LIMIT = 99
+NO_LIMIT = 99
 """Digits of a normal that a file may ask for."""
 
 
@@ -67,7 +69,7 @@ def _parse_layout(data: Buffer) -> _ObjLayout:
     if content.face_normals is not None:
         at, used = content.normal_at, content.normal_decimals
         normal = Statements(
-            buf, at, used, 2, values=content.normals, unit_length=True, significant=_NO_LIMIT
+            buf, at, used, 2, values=content.normals, unit_length=True, significant=NO_LIMIT
         )
         normals = (normal,)
     return _ObjLayout(
@@ -79,9 +81,11 @@ def _parse_layout(data: Buffer) -> _ObjLayout:
         faces=content.faces,
         normals=normals,
         renew_normals=functools.partial(_renew_normals, content),
-        properties=obj_description.properties(content),
-        references=obj_description.references(data, content),
-        warnings=obj_description.warnings(data, content),
+        properties=obj_description.properties(content.state, content.keywords),
+        references=obj_description.references(data, content.libraries),
+        warnings=obj_description.warnings(
+            content.state, content.keywords, functools.partial(line_of, data)
+        ),
         content=content,
     )
 
@@ -167,10 +171,16 @@ class _Positions(Statements):
     @functools.cached_property
     def decimals(self) -> int:
         """Decimals of new numbers: as many as are usual, or as the extent asks for."""
-        from msal_cli.kernels.digit_writing import FIXED_BELOW, MOST_DECIMALS
+        return position_decimals(usual_decimals(self.used), self.values)
 
-        needed = extent_decimals(self.values) or 0
-        largest = max(float(self.values.max()), -float(self.values.min()))
-        if needed > MOST_DECIMALS or largest >= FIXED_BELOW:
-            return SHORTEST
-        return max(min(usual_decimals(self.used), MOST_DECIMALS), needed)
+
+def position_decimals(usual: int, values: Floats) -> int:
+    """Decimals of new positions where ``usual`` ones are known; of ``values`` (n, 3) only the
+    extremes count."""
+    from msal_cli.kernels.digit_writing import FIXED_BELOW, MOST_DECIMALS
+
+    needed = extent_decimals(values) or 0
+    largest = max(float(values.max()), -float(values.min()))
+    if needed > MOST_DECIMALS or largest >= FIXED_BELOW:
+        return SHORTEST
+    return max(min(usual, MOST_DECIMALS), needed)

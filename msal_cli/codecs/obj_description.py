@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping
 
-from msal_cli.codecs.obj_errors import line_of
-from msal_cli.codecs.obj_parser import Content
+from msal_cli.arrays import Longs
 from msal_cli.storage.buffers import Buffer
+
+Keywords = Mapping[bytes, tuple[int, int]]
+"""Keywords other than v, vt, vn and f: how often each occurs, and where first.  Of the walk's
+``state``, see ``kernels.obj_scan``, only counts are looked at."""
 
 _PROPERTY_OF = {
     b"usemtl": "materials",
@@ -31,12 +35,11 @@ _LIBRARY = re.compile(r"\S.*?\.mtl(?=\s|$)|\S.*", re.IGNORECASE)
 _SHOWN = 3
 
 
-def properties(parsed: Content) -> tuple[str, ...]:
+def properties(state: Longs, keywords: Keywords) -> tuple[str, ...]:
     """What is carried along beside positions and faces."""
     from msal_cli.kernels import obj_scan
 
     found = []
-    state = parsed.state
     if state[obj_scan.TEXTURE]:
         found.append("texture coordinates")
     if state[obj_scan.NORMALS]:
@@ -45,20 +48,20 @@ def properties(parsed: Content) -> tuple[str, ...]:
         found.append("vertex colours")
     if state[obj_scan.WEIGHTED]:
         found.append("weights w")
-    found += [words for keyword, words in _PROPERTY_OF.items() if keyword in parsed.keywords]
-    if not _FREE_FORM.isdisjoint(parsed.keywords):
+    found += [words for keyword, words in _PROPERTY_OF.items() if keyword in keywords]
+    if not _FREE_FORM.isdisjoint(keywords):
         found.append("free-form geometry (vertices that only it uses stay in place)")
     return tuple(found)
 
 
-def references(data: Buffer, parsed: Content) -> tuple[str, ...]:
-    """The material libraries that ``mtllib`` names, in order, each once.
+def references(data: Buffer, libraries: Longs) -> tuple[str, ...]:
+    """The material libraries that ``mtllib`` statements at these bytes name, in order, each once.
 
     A name may hold blanks: it ends with ``.mtl``, or with the line.
     """
     names: dict[str, None] = {}
     view = memoryview(data)
-    for at in parsed.libraries:
+    for at in libraries:
         for name in _LIBRARY.findall(_argument(view, int(at), b"mtllib")):
             names[name.strip().strip('"')] = None
     return tuple(name for name in names if name)
@@ -78,20 +81,20 @@ def _argument(view: memoryview, at: int, keyword: bytes) -> str:
     return line[0][len(keyword) :].decode("utf-8", "surrogateescape").strip()
 
 
-def warnings(data: Buffer, parsed: Content) -> tuple[str, ...]:
-    """What a user should know of a file that could be read all the same."""
+def warnings(state: Longs, keywords: Keywords, line_at: Callable[[int], int]) -> tuple[str, ...]:
+    """What a user should know of a file that could be read all the same; ``line_at`` is the line of
+    a byte."""
     from msal_cli.kernels import obj_scan
 
-    state = parsed.state
     found = []
     if state[obj_scan.WEIGHTED]:
-        line = line_of(data, int(state[obj_scan.WEIGHTED_AT]))
+        line = line_at(int(state[obj_scan.WEIGHTED_AT]))
         found.append(
             f"{_counted(state[obj_scan.WEIGHTED], 'vertex has', 'vertices have')} a weight w other"
             f" than 1 (first in line {line}); x y z are taken as they stand and w is kept"
         )
     if state[obj_scan.SHORT]:
-        line = line_of(data, int(state[obj_scan.SHORT_AT]))
+        line = line_at(int(state[obj_scan.SHORT_AT]))
         found.append(
             f"{_counted(state[obj_scan.SHORT], 'face has', 'faces have')} fewer than three corners"
             f" (first in line {line}); kept in the file, left out of the computation"
@@ -109,12 +112,12 @@ def warnings(data: Buffer, parsed: Content) -> tuple[str, ...]:
         )
     unknown = {
         keyword: seen
-        for keyword, seen in parsed.keywords.items()
+        for keyword, seen in keywords.items()
         if keyword not in _PROPERTY_OF and keyword not in _FREE_FORM | _DISPLAY
     }
     if unknown:
         shown = ", ".join(
-            f"{keyword[:20].decode('utf-8', 'backslashreplace')!r} in line {line_of(data, at)}"
+            f"{keyword[:20].decode('utf-8', 'backslashreplace')!r} in line {line_at(at)}"
             for keyword, (_, at) in list(unknown.items())[:_SHOWN]
         )
         total = sum(count for count, _ in unknown.values())

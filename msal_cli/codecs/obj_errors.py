@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 
 from msal_cli.errors import ContentError, FormatError, TruncatedError
 from msal_cli.storage.buffers import Buffer
@@ -38,12 +39,33 @@ def refuse_binary(data: Buffer) -> None:
         raise binary_error(data, found)
 
 
-def binary_error(data: Buffer, at: int) -> FormatError:
-    """The error for a control character at byte ``at``."""
+def binary_error(data: Buffer, at: int, n_bytes: int = 0, n_lines: int = 0) -> FormatError:
+    """The error for a control character at byte ``at``; the file has ``n_bytes`` and ``n_lines``
+    before ``data``."""
     return FormatError(
-        f"byte {at} is a control character: this is binary data, not OBJ text",
-        where=f"byte {at}, line {line_of(data, at)}",
+        f"byte {n_bytes + at} is a control character: this is binary data, not OBJ text",
+        where=f"byte {n_bytes + at}, line {n_lines + line_of(data, at)}",
         hint="pass --format if the suffix is wrong, or copy the file again",
+    )
+
+
+def no_faces_error(n_vertices: int, n_short: int, keywords: Collection[bytes]) -> ContentError:
+    """The error for a file without vertices or without faces of three corners.
+
+    ``n_short`` are its faces of one or two corners, ``keywords`` what else it has.
+    """
+    if not {b"V", b"F"}.isdisjoint(keywords):
+        hint = "the keywords V and F are in capitals; OBJ writes them small"
+    elif n_short:
+        hint = "its faces have one or two corners; a face needs three"
+    elif n_vertices:
+        hint = "it was cut short, or is a point cloud: export it again, or make a mesh of it"
+    else:
+        hint = "check that this is an OBJ file"
+    return ContentError(
+        f"the file has {'no faces' if n_vertices else 'no vertices'}",
+        hint=hint,
+        code="E_NO_FACES",
     )
 
 

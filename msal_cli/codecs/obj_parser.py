@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,7 +14,14 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.codecs.obj_errors import bad_index_error, binary_error, line_of, refuse_binary
+from msal_cli.codecs.obj_content import Arrays, Before, Content, cut_triangles
+from msal_cli.codecs.obj_errors import (
+    bad_index_error,
+    binary_error,
+    line_of,
+    no_faces_error,
+    refuse_binary,
+)
 from msal_cli.codecs.slots import number_hint
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError, TruncatedError
 from msal_cli.storage.buffers import Buffer
@@ -40,39 +46,6 @@ _MOST_READ = 5_000
 """Statements that are read one by one: more take longer than the walk for all statements."""
 
 
-@dataclass(frozen=True, eq=False)
-class Content:
-    """One OBJ file, parsed.
-
-    Attributes
-    ----------
-    vertices : (n, 3) float64, file units; vertex_at : (n,) int64, where each statement begins;
-        decimals : (n,) uint8, the most decimals of its numbers.
-    normals, normal_at, normal_decimals : the same for the vn statements, (g, 3), (g,), (g,).
-    faces : (m, 3) int32, polygons cut into triangles.
-    face_normals : (m, 3) int32, the vn of each corner, -1 for none; None where no corner has one.
-    corners, sizes : (k,) and (p,) int32, the p polygons as they are in the file; ``corners`` and
-        ``faces`` share memory where all are triangles.
-    state : (N_STATE,) int64, the counts that ``kernels.obj_scan`` names.
-    keywords : every other keyword, how often it occurs, and where first.
-    libraries : (l,) int64, where the mtllib statements begin.
-    """
-
-    vertices: Floats
-    vertex_at: Longs
-    decimals: Bytes
-    normals: Floats
-    normal_at: Longs
-    normal_decimals: Bytes
-    faces: Ints
-    face_normals: Ints | None
-    corners: Ints
-    sizes: Ints
-    state: Longs
-    keywords: dict[bytes, tuple[int, int]]
-    libraries: Longs
-
-
 def parse_content(data: Buffer) -> Content:
     """Parse the bytes of an OBJ file.
 
@@ -83,13 +56,17 @@ def parse_content(data: Buffer) -> Content:
     from msal_cli.kernels.text import as_bytes
 
     refuse_binary(data)
-    return _Reading(data, as_bytes(data)).content()
+    return Reading(data, as_bytes(data)).content()
 
 
-class _Reading:
-    """The arrays that the walk fills, grown as it asks for it."""
+class Reading:
+    """The arrays that the walk fills, grown as it asks for it.
 
-    def __init__(self, data: Buffer, buf: Bytes) -> None:
+    ``data`` may be a part of a file with others ``before`` it; then its faces may have normals
+    even if it has none.
+    """
+
+    def __init__(self, data: Buffer, buf: Bytes, before: Before | None = None) -> None:
         from msal_cli.kernels import obj_fast, obj_scan
 
         self._plain = obj_fast
@@ -97,10 +74,12 @@ class _Reading:
         self._data = data
         self._buf = buf
         size = len(buf)
+        self._before = before or Before()
         n_vertices, n_normals, n_faces, n_zeros = obj_fast.counted(buf)
         if n_zeros:
-            raise binary_error(data, next(re.finditer(rb"\0", memoryview(data))).start())
-        has_normals = n_normals > 1
+            at = next(re.finditer(rb"\0", memoryview(data))).start()
+            raise binary_error(data, at, self._before.bytes, self._before.lines)
+        has_normals = n_normals > 1 or before is not None
         # No statement is shorter than "v 0 0 0" and its line end: the counts cannot exceed this,
         # whatever the bytes say.
         most = (size + 1) // 8 + 1
@@ -131,12 +110,12 @@ class _Reading:
         scan = self._scan
         state = np.zeros(scan.N_STATE, dtype=np.int64)
         state[scan.LARGEST_VERTEX] = -1
-        if self._buf[:3].tobytes() == BYTE_ORDER_MARK:
+        if not self._before.bytes and self._buf[:3].tobytes() == BYTE_ORDER_MARK:
             state[scan.AT] = 3
         return state
 
-    def content(self) -> Content:
-        """Walk, repair and check."""
+    def walk(self) -> Arrays:
+        """Read all statements; raises for one that is wrong."""
         scan, state = self._scan, self.state
         reach = _FIRST_REACH
         while True:
@@ -158,40 +137,64 @@ class _Reading:
         self._decide(vertices, normals)
         # A normal that is none is as good as zero, which is kept and compares equal to itself.
         normals[~np.isfinite(normals).all(axis=1)] = 0.0
-        self._require_faces(n_vertices, n_faces)
-        self._require_finite(vertices)
         corners, sizes = self.corners[:n_corners], self.sizes[:n_faces]
         if n_corners == 3 * n_faces and bool((sizes == 3).all()):
             # One number instead of one for each face.
             sizes = np.broadcast_to(np.int32(3), (n_faces,))
             del self.sizes
-        self._require_vertices(corners, sizes, n_vertices)
+        return Arrays(
+            vertices,
+            self.vertex_at[:n_vertices],
+            self.decimals[:n_vertices],
+            normals,
+            self.normal_at[:n_normals],
+            self.normal_decimals[:n_normals],
+            corners,
+            self.corner_normals[:n_corners],
+            sizes,
+        )
+
+    def content(self) -> Content:
+        """Walk, repair and check."""
+        scan = self._scan
+        read = self.walk()
+        state, corners, sizes = self.state, read.corners, read.sizes
+        n_vertices, n_normals = len(read.vertices), len(read.normals)
+        keywords = self.other_keywords()
+        self.require_whole_face()
+        if not n_vertices or not len(sizes):
+            raise no_faces_error(n_vertices, int(state[scan.SHORT]), keywords)
+        self.require_finite(read.vertices)
+        self.require_vertices(corners, sizes, n_vertices)
         face_normals = None
-        if n_normals and len(self.corner_normals):
-            corner_normals = self.corner_normals[:n_corners]
+        if n_normals and len(read.corner_normals):
+            corner_normals = read.corner_normals
             if state[scan.LARGEST_NORMAL] > n_normals:
                 corner_normals[corner_normals >= n_normals] = -1
             if (corner_normals >= 0).any():
-                face_normals = self._triangles(corner_normals, sizes)
-        n_keywords = int(state[scan.KEYWORDS])
+                face_normals = cut_triangles(corner_normals, sizes)
         return Content(
-            vertices=vertices,
-            vertex_at=self.vertex_at[:n_vertices],
-            decimals=self.decimals[:n_vertices],
-            normals=normals,
-            normal_at=self.normal_at[:n_normals],
-            normal_decimals=self.normal_decimals[:n_normals],
-            faces=self._triangles(corners, sizes),
+            vertices=read.vertices,
+            vertex_at=read.vertex_at,
+            decimals=read.decimals,
+            normals=read.normals,
+            normal_at=read.normal_at,
+            normal_decimals=read.normal_decimals,
+            faces=cut_triangles(corners, sizes),
             face_normals=face_normals,
             corners=corners,
             sizes=sizes,
             state=state,
-            keywords={
-                self._buf[at : at + size].tobytes(): (int(count), int(at))
-                for _, count, at, size in self.keywords[:n_keywords]
-            },
+            keywords=keywords,
             libraries=self.libraries[: int(state[scan.LIBRARIES])],
         )
+
+    def other_keywords(self) -> dict[bytes, tuple[int, int]]:
+        """See ``Content.keywords``."""
+        return {
+            self._buf[at : at + size].tobytes(): (int(count), int(at))
+            for _, count, at, size in self.keywords[: int(self.state[self._scan.KEYWORDS])]
+        }
 
     def _walk_plainly(self) -> int:
         """Go on as far as the file is plain; what ``obj_fast.walked`` returns."""
@@ -284,20 +287,10 @@ class _Reading:
                 at = word.end()
                 (normals if is_normal else vertices)[row, axis] = _number(word[1])
 
-    def _triangles(self, corners: Ints, sizes: Ints) -> Ints:
-        """(m, 3), the polygons cut into fans; a view where all are triangles."""
-        if len(corners) == 3 * len(sizes) and bool((sizes == 3).all()):
-            return corners.reshape(-1, 3)
-        from msal_cli.kernels.ply_scan import fans
-
-        triangles = np.empty((len(corners) - 2 * len(sizes), 3), dtype=np.int32)
-        fans(corners, sizes, triangles)
-        return triangles
-
     # What can be wrong
 
     def _place(self, at: int) -> str:
-        return f"line {line_of(self._data, at)}"
+        return f"line {self._before.lines + line_of(self._data, at)}"
 
     def _refusal(self, result: int) -> InputError:
         """The error for what the walk returned."""
@@ -310,8 +303,8 @@ class _Reading:
         shown = word[:40].decode("ascii", "backslashreplace")
         is_cut = self._is_last_line(at) and _BEGUN.fullmatch(word) is not None
         if result == scan.BAD_INDEX:
-            face = int(state[scan.FACES]) + int(state[scan.SHORT]) + 1
-            return bad_index_error(shown, f"{place}, face {face}", int(state[scan.VERTICES]))
+            n_vertices = self._before.vertices + int(state[scan.VERTICES])
+            return bad_index_error(shown, f"{place}, face {self._next_face}", n_vertices)
         if is_cut:
             return TruncatedError(
                 "the last line breaks off", where=place, hint="copy or export the file again"
@@ -319,6 +312,7 @@ class _Reading:
         if result in (scan.BAD_NUMBER, scan.FEW_NUMBERS):
             is_normal = statement == b"vn"
             number = int(state[scan.NORMALS if is_normal else scan.VERTICES]) + 1
+            number += self._before.normals if is_normal else self._before.vertices
             what = "normal" if is_normal else "vertex"
             if result == scan.BAD_NUMBER:
                 message = f"{shown!r} is not a number"
@@ -329,7 +323,6 @@ class _Reading:
                 where=f"{place}, {what} {number}",
                 hint=number_hint(word, "correct the line, or export the file again"),
             )
-        face = int(state[scan.FACES]) + int(state[scan.SHORT]) + 1
         message = (
             "a face has no corners"
             if result == scan.NO_CORNERS
@@ -337,16 +330,23 @@ class _Reading:
         )
         return FormatError(
             message,
-            where=f"{place}, face {face}",
+            where=f"{place}, face {self._next_face}",
             hint="correct the line, or export the file again",
         )
+
+    @property
+    def _next_face(self) -> int:
+        """The number of the next face."""
+        scan, state = self._scan, self.state
+        return self._before.faces + int(state[scan.FACES]) + int(state[scan.SHORT]) + 1
 
     def _is_last_line(self, at: int) -> bool:
         """Whether the file ends, without a line end, in the line of byte ``at``."""
         rest = bytes(self._buf[at : at + (1 << 16)])
         return at + len(rest) == len(self._buf) and not (b"\n" in rest or b"\r" in rest)
 
-    def _require_faces(self, n_vertices: int, n_faces: int) -> None:
+    def require_whole_face(self) -> None:
+        """Raise where the last line is a face that breaks off."""
         scan, state = self._scan, self.state
         last_short = int(state[scan.LAST_SHORT_AT])
         if state[scan.SHORT] and self._is_last_line(last_short):
@@ -356,39 +356,23 @@ class _Reading:
                 where=self._place(last_short),
                 hint="copy or export the file again",
             )
-        if n_vertices and n_faces:
-            return
-        names = {
-            self._buf[at : at + size].tobytes()
-            for _, _, at, size in self.keywords[: int(state[scan.KEYWORDS])]
-        }
-        if names & {b"V", b"F"}:
-            hint = "the keywords V and F are in capitals; OBJ writes them small"
-        elif state[scan.SHORT]:
-            hint = "its faces have one or two corners; a face needs three"
-        elif n_vertices:
-            hint = "it was cut short, or is a point cloud: export it again, or make a mesh of it"
-        else:
-            hint = "check that this is an OBJ file"
-        raise ContentError(
-            f"the file has {'no faces' if n_vertices else 'no vertices'}",
-            hint=hint,
-            code="E_NO_FACES",
-        )
 
-    def _require_finite(self, vertices: Floats) -> None:
+    def require_finite(self, vertices: Floats) -> None:
+        """Raise where a position (n, 3) is not finite."""
         finite = np.isfinite(vertices)
         if finite.all():
             return
         bad = int(np.argmin(finite.all(axis=1)))
         raise ContentError(
             f"the position {tuple(vertices[bad].tolist())} is not finite",
-            where=f"{self._place(int(self.vertex_at[bad]))}, vertex {bad + 1}",
+            where=f"{self._place(int(self.vertex_at[bad]))}, "
+            f"vertex {self._before.vertices + bad + 1}",
             hint="remove the vertex and its faces, or export the file again",
             code="E_NONFINITE",
         )
 
-    def _require_vertices(self, corners: Ints, sizes: Ints, n_vertices: int) -> None:
+    def require_vertices(self, corners: Ints, sizes: Ints, n_vertices: int) -> None:
+        """Raise where a face names a vertex that the whole file does not have."""
         scan = self._scan
         if self.state[scan.LARGEST_VERTEX] < n_vertices:
             return
@@ -400,7 +384,7 @@ class _Reading:
         # keep the place of every face.
         again = self._begun()
         self._walk(again, _NEVER, face + 1)
-        number_of_face = face + 1 + int(again[scan.SHORT])
+        number_of_face = self._before.faces + face + 1 + int(again[scan.SHORT])
         place = self._place(int(again[scan.LAST_FACE_AT]))
         shown = "2147483648 or more" if number >= 2**31 else str(number)
         raise bad_index_error(shown, f"{place}, face {number_of_face}", n_vertices)

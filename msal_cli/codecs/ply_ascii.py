@@ -25,15 +25,25 @@ _SAMPLE = 4_096
 
 _NONE = np.empty(0, dtype=np.int64)
 
-_ALL_DIGITS = 1_000
+ALL_DIGITS = 1_000
 """Significant digits of which a file has never too many for fixed-point text."""
 
 _TOKEN = re.compile(rb"\S")
 
-_MOST_UNUSUAL = 5_000
+MOST_UNUSUAL = 5_000
 """Records with numbers that are not plain, up to which each line keeps its own decimals."""
 
 CUT_HINT = "the file was cut short or its header counts are wrong; copy or export it again"
+
+
+class Before(NamedTuple):
+    """What a part of a file has before it: records of its first element, and lines."""
+
+    records: int = 0
+    lines: int = 0
+
+
+NOTHING = Before()
 
 
 class Places(NamedTuple):
@@ -57,6 +67,7 @@ class Values:
         the first token of each record's is (count,), and the most decimals of the three (count,).
     list_name, items, lengths : a list, all its items one record behind another, and the number
         of each record's (count,); an empty name for none.
+    n_unusual : records with a number that is not plain.
     """
 
     names: tuple[str, ...]
@@ -65,6 +76,7 @@ class Values:
     list_name: str
     items: Ints
     lengths: Ints
+    n_unusual: int = 0
 
 
 @dataclass(frozen=True)
@@ -73,6 +85,7 @@ class Lines:
 
     ``kept`` are the properties whose values or words are known.  ``read`` are their values, where
     the records are plain; then the places of words are found only when they are asked for.
+    ``before`` is what the file has before ``data``, where these are a part of it.
     """
 
     data: Bytes
@@ -83,18 +96,28 @@ class Lines:
     kept: tuple[str, ...]
     read: Values | None = None
     is_stream: bool = False
+    before: Before = NOTHING
 
     @functools.cached_property
     def tokens(self) -> Places:
         """The places of all words of the properties ``kept``."""
         return _find_tokens(
-            self.data, self.header, self.element, self.start, self.kept, self.is_stream
+            self.data,
+            self.header,
+            self.element,
+            self.start,
+            self.kept,
+            self.is_stream,
+            self.before,
         )[0]
 
     def where(self, record: int) -> str:
         """The record in words, with its line."""
-        line = line_at(self.data, int(self.tokens.starts[record, 0]), self.header.newline)
-        return f"{self.element.name} {record}, line {line}"
+        line = self._line(int(self.tokens.starts[record, 0]))
+        return f"{self.element.name} {self.before.records + record}, line {line}"
+
+    def _line(self, at: int) -> int:
+        return self.before.lines + line_at(self.data, at, self.header.newline)
 
     def spans(self, names: Sequence[str]) -> tuple[Longs, Longs]:
         """First bytes and ends (count * len(names),) of the tokens, record by record.
@@ -112,7 +135,7 @@ class Lines:
         token = self.data[start : start + 40].tobytes().split(maxsplit=1)[0]
         return FormatError(
             f"{token.decode('latin-1')!r} in element '{self.element.name}' is not {wanted}",
-            where=f"line {line_at(self.data, start, self.header.newline)}",
+            where=f"line {self._line(start)}",
             hint=number_hint(token),
         )
 
@@ -132,7 +155,7 @@ class Lines:
             slots = Tokens(self.data, starts, stops, len(names), values=values)
         slots.codes = tuple(one.code for one in self.element.find_all(names))
         slots.unit_length = slots.whole_rows = names == NORMAL
-        slots.significant = _ALL_DIGITS
+        slots.significant = ALL_DIGITS
         return slots
 
     def _read_values(self, names: Sequence[str]) -> Floats:
@@ -194,7 +217,12 @@ def line_at(data: Bytes, at: int, newline: bytes) -> int:
 
 
 def plain_lines(
-    data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
+    data: Bytes,
+    header: Header,
+    element: Element,
+    at: int,
+    wanted: Sequence[str],
+    before: Before = NOTHING,
 ) -> Lines | None:
     """The section of an element whose records are plain; None for others."""
     if not can_hold(data, element, at):
@@ -202,7 +230,8 @@ def plain_lines(
     found = _read_quickly(data, element, at, wanted)
     if found is None:
         return None
-    return Lines(data, header, element, at, found[1], kept_names(element, wanted), found[0])
+    kept = kept_names(element, wanted)
+    return Lines(data, header, element, at, found[1], kept, found[0], before=before)
 
 
 def _read_quickly(
@@ -244,13 +273,13 @@ def _read_scalars(
     stop, n_unusual, status = read_scalars(
         data, at, element.count, columns, groups, values, first_at, decimals
     )
-    if status != WHOLE or n_unusual > _MOST_UNUSUAL:
+    if status != WHOLE or n_unusual > MOST_UNUSUAL:
         return None
     none = np.empty(0, dtype=np.int32)
     statements: dict[tuple[str, ...], tuple[Longs, Bytes]] = {
         group: (first_at[g], decimals[g]) for g, group in enumerate(together)
     }
-    return Values(names, values, statements, "", none, none), int(stop)
+    return Values(names, values, statements, "", none, none, int(n_unusual)), int(stop)
 
 
 def _read_lists(
@@ -296,14 +325,15 @@ def find_lines(
     at: int,
     wanted: Sequence[str],
     is_stream: bool = False,
+    before: Before = NOTHING,
 ) -> Lines:
     """The section of an element that begins at byte ``at``, its tokens found one by one.
 
     Raises TruncatedError and FormatError with the record and its line.
     """
     kept = kept_names(element, wanted)
-    tokens, stop = _find_tokens(data, header, element, at, kept, is_stream)
-    lines = Lines(data, header, element, at, stop, kept, is_stream=is_stream)
+    tokens, stop = _find_tokens(data, header, element, at, kept, is_stream, before)
+    lines = Lines(data, header, element, at, stop, kept, is_stream=is_stream, before=before)
     lines.__dict__["tokens"] = tokens
     return lines
 
@@ -357,7 +387,13 @@ def can_hold(data: Bytes, element: Element, at: int) -> bool:
 
 
 def _find_tokens(
-    data: Bytes, header: Header, element: Element, at: int, kept: Sequence[str], is_stream: bool
+    data: Bytes,
+    header: Header,
+    element: Element,
+    at: int,
+    kept: Sequence[str],
+    is_stream: bool,
+    before: Before,
 ) -> tuple[Places, int]:
     """The places of the tokens of the properties ``kept``, and the end of the element's last."""
     from msal_cli.kernels.ply_scan import BAD_COUNT, CUT, TOO_FEW, WHOLE, walk_text
@@ -387,23 +423,24 @@ def _find_tokens(
             where=f"line {header.format_line + 1}",
             hint="correct the format line, or export the file again",
         )
-    place = f"{element.name} {records}, line {line_at(data, stop, header.newline)}"
+    line = before.lines + line_at(data, stop, header.newline)
+    record = before.records + records
+    place = f"{element.name} {record}, line {line}"
     if status == CUT or (status == TOO_FEW and stop == len(data)):
-        missing = element.count - records
         raise TruncatedError(
-            f"the file ends within element '{element.name}': {missing} of {element.count} lines "
-            "are missing or not whole",
+            f"the file ends within element '{element.name}': {element.count - records} of "
+            f"{before.records + element.count} lines are missing or not whole",
             where=place,
             hint=CUT_HINT,
         )
     if status == BAD_COUNT:
         raise FormatError(
-            f"the count of a list of {element.name} {records} is not a whole number from 0 up",
+            f"the count of a list of {element.name} {record} is not a whole number from 0 up",
             where=place,
         )
     many = "fewer" if status == TOO_FEW else "more"
     raise FormatError(
-        f"{element.name} {records} has {many} values than the header declares",
+        f"{element.name} {record} has {many} values than the header declares",
         where=place,
         hint="each record of an ascii PLY file stands on one line of its own",
     )

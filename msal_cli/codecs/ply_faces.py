@@ -280,21 +280,19 @@ def _record_of(section: Section, name: str, item: int) -> int:
     return int(np.searchsorted(np.cumsum(lengths), item, side="right"))
 
 
-def broken_index(section: Section, name: str, item: int, first: int = 0) -> FormatError:
-    """The error for a list item that is no whole number; ``first`` is the section's first record
-    in the file."""
-    record = first + _record_of(section, name, item)
+def broken_index(section: Section, name: str, item: int) -> FormatError:
+    """The error for a list item that is no whole number."""
+    record = _record_of(section, name, item)
     return FormatError("a corner is not a whole number", where=section.where(record))
 
 
-def bad_index(
-    section: Section, name: str, item: int, n_vertices: int, first: int = 0
-) -> ContentError:
-    """The error for a list item that is no vertex; ``first`` as in ``broken_index``."""
-    record = first + _record_of(section, name, item)
+def bad_index(section: Section, name: str, item: int, n_vertices: int) -> ContentError:
+    """The error for a list item that is no vertex."""
+    record = _record_of(section, name, item)
     value = section.items(name)[0].reshape(-1)[item].item()
+    number = section.before.records + record
     return ContentError(
-        f"{section.element.name} {record} names vertex {value}, but the vertices go from 0 to "
+        f"{section.element.name} {number} names vertex {value}, but the vertices go from 0 to "
         f"{n_vertices - 1}",
         where=section.where(record),
         hint="the file is damaged or was written with wrong indices; export it again",

@@ -151,7 +151,7 @@ class SlotFile:
         if self._is_binary or not changes:
             check_overwritten(data, result, _overwrites(changes))
             return
-        _require_unit_length(changes)
+        require_unit_length(changes)
         patches = _patches(changes)
         if patches:
             require_replaced(data, result, patches)
@@ -387,7 +387,7 @@ def _patches(changes: Sequence[Change]) -> list[Patch]:
     ]
 
 
-def _require_unit_length(changes: Sequence[Change]) -> None:
+def require_unit_length(changes: Sequence[Change]) -> None:
     """Raise InternalError where a new normal is not of unit length."""
     for slots, values, is_changed in changes:
         if isinstance(slots, TextSlots) and slots.unit_length:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,21 @@ units; that of a vertex which did not move is exactly the stored one."""
 
 NewNormals = Callable[[int, int], Floats]
 """The same for the unit normals of vertices, where the file stores such."""
+
+
+class Survey(NamedTuple):
+    """What the new numbers of a whole file decide about the text of each.
+
+    Attributes
+    ----------
+    is_moved : whether any vertex moved.
+    has_new_normals : whether any normal changed.
+    largest : the largest magnitude of a new position.
+    """
+
+    is_moved: bool
+    has_new_normals: bool
+    largest: float
 
 
 @dataclass(frozen=True)
@@ -51,6 +66,7 @@ class StreamedMesh(Protocol):
     vertex_type : float32 or float64, what holds every stored coordinate exactly.
     are_corners : vertices are the corners of facets (STL), so that welding is how faces meet.
     has_normals : the file stores normals of its vertices, which follow them.
+    keeps_size : new numbers take as many bytes as old ones, as in all binary files.
     """
 
     path: str
@@ -64,6 +80,7 @@ class StreamedMesh(Protocol):
     vertex_type: type[np.float32] | type[np.float64]
     are_corners: bool
     has_normals: bool
+    keeps_size: bool
 
     @property
     def properties(self) -> tuple[str, ...]:
@@ -106,11 +123,23 @@ class StreamedMesh(Protocol):
         each can be replaced on its own."""
         ...
 
+    def survey(self, positions: NewPositions, normals: NewNormals | None) -> Survey | None:
+        """What all new numbers decide about the text of each; None for binary files.
+
+        It calls both for all vertices, some at a time.
+        """
+        ...
+
     def replace(
-        self, piece: tuple[int, int], positions: NewPositions, normals: NewNormals | None
+        self,
+        piece: tuple[int, int],
+        positions: NewPositions,
+        normals: NewNormals | None,
+        survey: Survey | None = None,
     ) -> memoryview:
         """The bytes of a piece with new positions and normals: those that the codec for whole
         files would write.  They are checked against the input before they are returned.
+        ``survey`` is what the method of that name returned.
 
         Raises ContentError (``E_RANGE``) and InternalError.
         """

@@ -17,7 +17,7 @@ from msal_cli.codecs.decimals import SHORTEST_SINGLE, row_decimals
 from msal_cli.codecs.slots import TextSlots
 from msal_cli.errors import InternalError
 
-_MOST_TURNS = 4096
+MOST_TURNS = 4096
 """Changes between positions and normals, on the way through a file, from which on all of its new
 numbers have the same decimals."""
 
@@ -163,7 +163,7 @@ def is_same(a: Bytes, b: Bytes) -> bool:
 
 
 def is_interleaved(patches: Sequence[Patch]) -> bool:
-    """Whether statements of different patches take turns more than ``_MOST_TURNS`` times."""
+    """Whether statements of different patches take turns more than ``MOST_TURNS`` times."""
     if len(patches) == 1:
         return False
     n_turns, last = 0, -1
@@ -173,7 +173,7 @@ def is_interleaved(patches: Sequence[Patch]) -> bool:
         owners = np.repeat([which for which, _, _ in spans], sizes)[order]
         n_turns += int(np.count_nonzero(np.diff(owners, prepend=last)))
         last = owners[-1]
-    return n_turns > _MOST_TURNS
+    return n_turns > MOST_TURNS
 
 
 def _rows_in_order(patches: Sequence[Patch]) -> Iterator[list[tuple[int, Patch, slice]]]:

@@ -230,6 +230,11 @@ def is_ruled_by_spike(fidelity: Floats | None) -> bool:
 
     if fidelity is None:
         return False
-    sample = fidelity[:: max(len(fidelity) // _MOST_SAMPLED, 1)]
+    sample = fidelity[:: fidelity_step(len(fidelity))]
     sample = sample[sample > 0.0]
     return len(sample) > 0 and float(np.quantile(sample, 0.99)) < _RULED
+
+
+def fidelity_step(n_vertices: int) -> int:
+    """k where of so many vertices the lambda of every k-th one is looked at."""
+    return max(n_vertices // _MOST_SAMPLED, 1)

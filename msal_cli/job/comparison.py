@@ -104,15 +104,15 @@ def measure_files(
     ``with_intersections`` counts the faces of each that intersect each other.  Files that are
     larger than memory are read in pieces, which ``listener`` hears of.
     """
-    from msal_cli.job.larger_than_memory import open_too_large
+    from msal_cli.job.larger_than_memory import opened_in_pieces
 
-    streamed = open_too_large((before, after), format)
-    if streamed is not None:
-        from msal_cli.job.streamed_comparison import compare_streamed
+    with opened_in_pieces((before, after), format, listener) as streamed:
+        if streamed is not None:
+            from msal_cli.job.streamed_comparison import compare_streamed
 
-        record = compare_streamed(streamed[0], streamed[1], before, after, listener)
-        words = "intersections are not counted: the files are larger than memory"
-        return _warned(record, words) if with_intersections else record
+            record = compare_streamed(streamed[0], streamed[1], (before, after), listener)
+            words = "intersections are not counted: the files are larger than memory"
+            return _warned(record, words) if with_intersections else record
     return compare_meshes(
         open_surface(before, format),
         open_surface(after, format),

@@ -17,7 +17,7 @@ from msal_cli.job.units import COMPARISONS, UNIT_PATTERN, in_file_units
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats
-    from msal_cli.codecs.mesh_file import MeshArrays
+    from msal_cli.codecs.mesh_file import Surface
     from msal_cli.mesh import Mesh, PreparedMesh
 
 BOUNDARY = "boundary"
@@ -57,21 +57,29 @@ class Lock:
     def __str__(self) -> str:
         return f"{self.name} {self.comparison} {self.value!r}"
 
-    def select(self, values: Floats) -> Flags:
+    def select(self, values: Floats, is_single: bool | None = None) -> Flags:
         """For which of the property's values (n,) it is so.
 
         A property in single precision is compared in single precision: what was stored as 0.2 is
-        0.2, and not a little more.
+        0.2, and not a little more.  Of a part of the values ``is_single`` says what all are.
         """
         import numpy as np
 
         value: Any = self.value
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore"):
             single = np.float32(value)
-            if np.isfinite(single) and (values.astype(np.float32) == values).all():
-                value = float(single)
+        if np.isfinite(single) and (self.is_single(values) if is_single is None else is_single):
+            value = float(single)
         result: Flags = COMPARISONS[self.comparison](values, value)
         return result
+
+    @staticmethod
+    def is_single(values: Floats) -> bool:
+        """Whether values (n,) of a property are in single precision."""
+        import numpy as np
+
+        with np.errstate(over="ignore", invalid="ignore"):
+            return bool((values.astype(np.float32) == values).all())
 
 
 def parse_length(text: str, option: str = "--max-move", unit: str | None = None) -> Length:
@@ -135,7 +143,7 @@ class Constraints:
 
 def build_constraints(
     ready: PreparedMesh,
-    mesh_file: MeshArrays,
+    mesh_file: Surface,
     max_move: str | None,
     locks: Sequence[str],
     weights: str | None,
@@ -183,7 +191,7 @@ def clamp_moves(before: Floats, after: Floats, limit: float) -> tuple[Floats, in
     return after, len(beyond)
 
 
-def _find_held(ready: PreparedMesh, mesh_file: MeshArrays, locks: Sequence[Lock | None]) -> Flags:
+def _find_held(ready: PreparedMesh, mesh_file: Surface, locks: Sequence[Lock | None]) -> Flags:
     """Which mesh vertices (n,) any lock pins: with one all that coincide with it."""
     import numpy as np
 
@@ -199,7 +207,7 @@ def _find_held(ready: PreparedMesh, mesh_file: MeshArrays, locks: Sequence[Lock 
     return held
 
 
-def _build_trust(ready: PreparedMesh, mesh_file: MeshArrays, name: str) -> Floats:
+def _build_trust(ready: PreparedMesh, mesh_file: Surface, name: str) -> Floats:
     """Trust (n,) from 0 to 1: the property over its largest value; below 0 there is none.
 
     Of vertices that coincide the most trusted counts.
@@ -209,20 +217,28 @@ def _build_trust(ready: PreparedMesh, mesh_file: MeshArrays, name: str) -> Float
     from msal_cli import codecs
 
     values = codecs.vertex_property(mesh_file, name)
-    if not np.isfinite(values).all():
+    finite = np.isfinite(values)
+    bad = None if finite.all() else int(np.argmin(finite))
+    largest = float(values.max(initial=0.0))
+    require_trust(name, bad, largest)
+    return _spread_largest(ready, np.clip(values / largest, 0.0, 1.0))
+
+
+def require_trust(name: str, bad: int | None, largest: float) -> None:
+    """Refuse a property that means nothing as trust: ``bad`` is the first vertex where it is not
+    finite, ``largest`` its largest value."""
+    if bad is not None:
         raise ContentError(
             f"the property {name!r} is not finite",
             code="E_NONFINITE",
-            where=f"vertex {int(np.argmin(np.isfinite(values)))}",
+            where=f"vertex {bad}",
             hint="mend it, or denoise without --weights",
         )
-    largest = float(values.max(initial=0.0))
     if largest <= 0.0:
         raise ContentError(
             f"the property {name!r} is nowhere above 0, so that no vertex is to be trusted",
             hint="choose another property, or denoise without --weights",
         )
-    return _spread_largest(ready, np.clip(values / largest, 0.0, 1.0))
 
 
 def _spread_largest(ready: PreparedMesh, values: Floats) -> Floats:

@@ -34,16 +34,16 @@ def inspect_file(
     intersections are not counted.
     """
     from msal_cli.codecs import header_check
-    from msal_cli.job.larger_than_memory import open_too_large
+    from msal_cli.job.larger_than_memory import opened_in_pieces
 
     try:
         if data is None:
-            streamed = open_too_large((path,), format)
-            if streamed is not None:
-                from msal_cli.job.streamed_inspection import inspect_streamed
+            with opened_in_pieces((path,), format, listener) as streamed:
+                if streamed is not None:
+                    from msal_cli.job.streamed_inspection import inspect_streamed
 
-                record = inspect_streamed(streamed[0], path, listener)
-                return _with_uncounted(record) if with_intersections else record
+                    record = inspect_streamed(streamed[0], path, listener)
+                    return _with_uncounted(record) if with_intersections else record
             data = header_check.read_input(path, format)
         return _inspect(data, path, format, with_intersections)
     except Exception as error:

@@ -9,7 +9,7 @@ from msal_cli import machine
 from msal_cli.errors import InternalError, MsalError, ResourceError
 
 if TYPE_CHECKING:
-    from msal_cli.codecs.mesh_file import MeshArrays, MeshFile
+    from msal_cli.codecs.mesh_file import MeshFile, Surface
     from msal_cli.mesh import PreparedMesh
     from msal_cli.storage.buffers import Buffer
 
@@ -25,7 +25,7 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshF
     return codecs.open_mesh(plain, name, format), is_compressed
 
 
-def prepare_mesh(mesh_file: MeshArrays) -> PreparedMesh:
+def prepare_mesh(mesh_file: Surface) -> PreparedMesh:
     """The mesh of a file, fit for computing; ContentError if it is not."""
     from msal_cli.mesh import prepare_mesh
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from msal_cli import __version__, machine
 from msal_cli.errors import InternalError
 from msal_cli.job import changes, output
+from msal_cli.job.border_marks import mark_border
 from msal_cli.job.choice import Preparation, looks_at_mesh, prepare, reject_choice
 from msal_cli.job.opened_mesh import open_mesh, prepare_mesh, to_known_error
 from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, ObjectMark, Seconds
@@ -32,7 +33,7 @@ from msal_cli.job.settings import (
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats
-    from msal_cli.codecs.mesh_file import MeshArrays, MeshFile
+    from msal_cli.codecs.mesh_file import MeshFile, Surface
     from msal_cli.job.constraints import Constraints
     from msal_cli.mesh import Mesh, PreparedMesh
     from msal_cli.methods import Method
@@ -289,14 +290,15 @@ class FileRun:
             self.know(output_object=None if mark is None else ObjectMark(*mark))
         return self.finish(task.output, sidecars=sidecars)
 
-    def prepare_mesh(self, mesh_file: MeshArrays) -> PreparedMesh:
+    def prepare_mesh(self, mesh_file: Surface) -> PreparedMesh:
         """The mesh of a file, fit for computing, and its defects in the record."""
         ready = prepare_mesh(mesh_file)
         self.know(**changes.defect_fields(ready, mesh_file.merged_vertices))
+        self.know(border_marks=mark_border(ready, mesh_file))
         self.warn(*changes.defect_warnings(ready.defects))
         return ready
 
-    def move_vertices(self, mesh_file: MeshArrays, pinned: Flags | None = None) -> Floats:
+    def move_vertices(self, mesh_file: Surface, pinned: Flags | None = None) -> Floats:
         """The new positions of a file's vertices (n, 3), of which those ``pinned`` (n,) stay.
 
         Its arrays are freed before the output is built, which takes as much memory again.
@@ -369,7 +371,7 @@ class FileRun:
             self.know(self_intersections=changes.count_self_intersections(ready.mesh, after))
 
     def _build_constraints(
-        self, ready: PreparedMesh, mesh_file: MeshArrays, pinned: Flags | None
+        self, ready: PreparedMesh, mesh_file: Surface, pinned: Flags | None
     ) -> Constraints | None:
         """What keeps vertices of this file near their place; None if nothing does."""
         settings = self._settings

@@ -326,6 +326,45 @@ class FieldsFile:
 
 
 @dataclass(frozen=True, slots=True)
+class TileSetPart:
+    """What a file is within the tile set that was denoised as one mesh; border vertices at one
+    place of the file count once."""
+
+    files: int = field(metadata=about("files of the set that could be read"))
+    neighbours: tuple[str, ...] = field(
+        metadata=about("files, by their relative paths, that share border vertices with this one")
+    )
+    shared_vertices: int = field(metadata=about("border vertices that other files have, too"))
+    welded_vertices: int = field(
+        metadata=about(
+            "of these, those for which the position of another file was taken, because of --weld "
+            "or of fewer digits there"
+        )
+    )
+    largest_weld: float = field(
+        metadata=about(
+            "largest distance before between vertices of this file and others that are one, file "
+            "units"
+        )
+    )
+    unmatched_vertices: int = field(
+        metadata=about(
+            "border vertices that lie at the border of another file but are no vertices of it"
+        )
+    )
+    fixed_border_vertices: int = field(
+        metadata=about(
+            "border vertices that were held in their place because a file that failed, or is "
+            "gone since an earlier run, may share them"
+        )
+    )
+    low: tuple[float, float, float] | None = known(
+        "least coordinates of its border vertices before, file units; null if it has none"
+    )
+    high: tuple[float, float, float] | None = known("greatest coordinates of them")
+
+
+@dataclass(frozen=True, slots=True)
 class MeshRecord:
     """One row per file; fields that could not be determined are None.
 
@@ -371,6 +410,18 @@ class MeshRecord:
     )
     seam_gap: float | None = known(
         "largest distance afterwards between vertices that were at one place"
+    )
+    tile_gap: float | None = known(
+        "of a tile set, largest distance between the new positions, as written, of border vertices "
+        "that this file shares with others, file units; null without --tile-set"
+    )
+    border_marks: tuple[int, ...] = known(
+        "hashes of a few border vertices, the same in files that share these; empty for a closed "
+        "surface",
+        (),
+    )
+    tile_set: TileSetPart | None = known(
+        "what the file shares with others of its tile set; null without --tile-set"
     )
     mean_edge_length: float | None = known("mean length of the edges before, file units")
     inside_out: bool | None = known(

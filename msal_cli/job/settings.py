@@ -54,6 +54,9 @@ class Settings:
         None does so where a method is chosen and the outliers are clear.
     min_noise : below which noise a mesh stays as it is: a length as of ``constraints``, or
         ``NEGLIGIBLE`` for "no noise to speak of".
+    tile_set : whether all files are denoised as the one mesh that they are together.
+    weld : within which distance border vertices of its files are one: a length as of
+        ``constraints``, or None for vertices at the very same place.
     """
 
     method: str
@@ -70,6 +73,8 @@ class Settings:
     min_noise: str | None = None
     checks: tuple[str, ...] = ()
     despike: bool | None = None
+    tile_set: bool = False
+    weld: str | None = None
 
     @property
     def looks_for_outliers(self) -> bool:

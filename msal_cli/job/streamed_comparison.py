@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,8 +39,7 @@ NO_DISTANCES = (
 def compare_streamed(
     before: StreamedMesh,
     after: StreamedMesh,
-    before_name: str,
-    after_name: str,
+    names: tuple[str, str],
     listener: ReadingListener | None,
 ) -> ComparisonRecord:
     """What became of ``before``, the reference; see ``comparison.compare_meshes``.
@@ -49,27 +49,47 @@ def compare_streamed(
     UnsupportedError
         if the faces are not the same: distances between surfaces need all of them in memory.
     """
-    steps = Steps(listener, (before, after), vertex_passes=3)
-    if (before.n_vertices, before.n_polygons, before.are_corners) != (
-        after.n_vertices,
-        after.n_polygons,
-        after.are_corners,
-    ):
-        raise _other_faces(after_name, "other numbers of vertices or faces")
-    bounds = measure_bounds(before, steps.add)
-    measure_bounds(after, steps.add)
-    pair = _FacePairs(before, after, bounds, after_name, steps.add)
-    totals = measure_faces(before, bounds, steps.add, pair.add)
+    require_same_counts(before, after, names[1])
+    steps = Steps(listener, names, (before, after), vertex_passes=3)
+    return compare_in_steps(before, after, names, measure_bounds(before, steps.add), steps.add)
+
+
+def require_same_counts(before: StreamedMesh, after: StreamedMesh, name: str) -> None:
+    """Raise UnsupportedError, with the ``name`` of the mesh after, if the headers show that the
+    faces are not the same."""
+    counts = [(one.n_vertices, one.n_polygons, one.are_corners) for one in (before, after)]
+    if counts[0] != counts[1]:
+        raise _other_faces(name, "other numbers of vertices or faces")
+
+
+def compare_in_steps(
+    before: StreamedMesh,
+    after: StreamedMesh,
+    names: tuple[str, ...],
+    bounds: Bounds,
+    on_step: OnStep,
+    on_piece: Callable[[FacePiece], None] | None = None,
+) -> ComparisonRecord:
+    """The same where the ``bounds`` before are known; ``on_piece`` gets the faces before, too."""
+    measure_bounds(after, on_step)
+    pair = _FacePairs(before, after, bounds, names[1], on_step)
+
+    def add(piece: FacePiece) -> None:
+        pair.add(piece)
+        if on_piece is not None:
+            on_piece(piece)
+
+    totals = measure_faces(before, bounds, on_step, add)
     pair.check_seams(totals)
     change = surface_change_of(pair.figures)
-    displacement = displacement_in_pieces(before, after, totals.used, steps.add)
+    displacement = displacement_in_pieces(before, after, totals.used, on_step)
     edge = totals.mean_edge_length
     normals = change.normals
     volume, area, sides = _volume_and_area(totals, change)
     warnings = [f"{word}: {INSIDE_OUT}" for word, is_inside_out in sides.items() if is_inside_out]
     return ComparisonRecord(
-        before=before_name,
-        after=after_name,
+        before=names[0],
+        after=names[1],
         version=__version__,
         correspondence="vertices",
         vertices_before=None if before.are_corners else before.n_vertices,

@@ -22,13 +22,13 @@ from msal_cli.kernels.corner_gathering import BLOCK_BITS, blocks_of, gather_corn
 
 BLOCK_VERTICES = 1 << BLOCK_BITS
 
-CACHE_BYTES = 96 << 20
+CACHE_BYTES = 48 << 20
 """Bytes of vertices of one mesh that are kept in memory."""
 
-PIECE_FACES = 1 << 20
+PIECE_FACES = 1 << 19
 """Faces that are worked on at a time."""
 
-PIECE_VERTICES = 1 << 20
+PIECE_VERTICES = 1 << 19
 """Vertices that are read at a time where they are read one after another."""
 
 OnStep = Callable[[int], None]

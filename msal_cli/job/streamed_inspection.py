@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 def inspect_streamed(mesh: StreamedMesh, name: str, listener: ReadingListener | None) -> InfoRecord:
     """What is in an opened file; see ``inspection.inspect_file``."""
-    steps = Steps(listener, (mesh,))
+    steps = Steps(listener, (name,), (mesh,))
     sample = SpreadSample(mesh.n_vertices)
     bounds = measure_bounds(mesh, steps.add, sample.add)
     part = RepresentativePart(sample, mesh.n_vertices)

@@ -12,7 +12,11 @@ if TYPE_CHECKING:
 class ReadingListener(Protocol):
     """Hears of meshes that are read in pieces because they do not fit into memory."""
 
-    def on_begin(self, meshes: Sequence[StreamedMesh]) -> None:
+    def on_text(self, name: str, done: int, total: int) -> None:
+        """So many bytes of a text were read, whose numbers are kept in a file first."""
+        ...
+
+    def on_begin(self, names: Sequence[str], meshes: Sequence[StreamedMesh]) -> None:
         """These are going to be read; what their headers say is known."""
         ...
 
@@ -22,7 +26,7 @@ class ReadingListener(Protocol):
 
 
 class Steps:
-    """Counts the vertices and faces that were read of ``meshes``.
+    """Counts the vertices and faces that were read of ``meshes``, with their ``names``.
 
     ``vertex_passes`` and ``face_passes`` say how often each mesh will be read.
     """
@@ -30,6 +34,7 @@ class Steps:
     def __init__(
         self,
         listener: ReadingListener | None,
+        names: Sequence[str],
         meshes: Sequence[StreamedMesh],
         vertex_passes: int = 1,
         face_passes: int = 1,
@@ -40,7 +45,7 @@ class Steps:
             vertex_passes * mesh.n_vertices + face_passes * mesh.n_polygons for mesh in meshes
         )
         if listener is not None:
-            listener.on_begin(meshes)
+            listener.on_begin(names, meshes)
 
     def add(self, count: int) -> None:
         """So many more were read."""

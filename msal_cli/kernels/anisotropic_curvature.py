@@ -18,10 +18,9 @@ from msal_cli.kernels.connectivity import Connectivity, index_rows
 from msal_cli.kernels.geometry import DEGENERATE
 from msal_cli.kernels.operators import Step
 from msal_cli.kernels.parallel import fill_array, over_ranges
-from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.robust_laplacian import PER_MEDIAN
 from msal_cli.kernels.vectors import edges_and_normal
-from msal_cli.kernels.whole import Whole, median_of_all
+from msal_cli.kernels.whole import Whole, median_of_mesh
 
 LONGEST = 0.5
 """Share of the way to where H_A would vanish that a vertex may go in one step."""
@@ -94,20 +93,19 @@ def curvature_threshold(
     The standard deviation is 1.4826 times the median absolute deviation.  Zero where there are no
     ``flaps`` (e, 4).  Of a part of a mesh the flaps of its own vertices count, by their first one.
     """
-    lengths = np.sqrt((edge_curvatures(vertices, corners) ** 2).sum(axis=1))
-    if whole is not None:
-        lengths = lengths[whole.own_vertices[corners[:, 0]]]
-    middle = _median(lengths, whole, "median curvature of edges")
+
+    @functools.cache
+    def lengths() -> Floats:
+        found: Floats = np.sqrt((edge_curvatures(vertices, corners) ** 2).sum(axis=1))
+        return found if whole is None else found[whole.own_vertices[corners[:, 0]]]
+
+    middle = median_of_mesh(whole, "median curvature of edges", lengths)
     if middle is None or not deviations:
         return middle or 0.0
-    spread = _median(np.abs(lengths - middle), whole, "spread of the curvature of edges")
+    spread = median_of_mesh(
+        whole, "spread of the curvature of edges", lambda: np.abs(lengths() - middle)
+    )
     return float(middle + deviations * PER_MEDIAN * (spread or 0.0))
-
-
-def _median(values: Floats, whole: Whole | None, key: str) -> float | None:
-    if whole is not None:
-        return median_of_all(whole, key, values)
-    return median(values) if len(values) else None
 
 
 @compiled

@@ -22,32 +22,40 @@ Rings = NDArray[np.uint16]
 
 
 @compiled
-def _nearest(records, f, first, count, depths):
-    """Least depth of a corner of a triangle, 0 where it has one outside the tile."""
-    nearest = np.int64(65535)
+def _deepen(records, f, first, most, depths):
+    """Lower the depths of a triangle's own corners where another corner allows it; whether any
+    changed."""
+    count = np.uint64(len(depths))
+    nearest = np.uint16(65535)
     for corner in range(1, 4):
-        own = np.int64(records[f, corner]) - first
-        if own < 0 or own >= count:
-            return 0
-        nearest = min(nearest, np.int64(depths[own]))
-    return nearest
+        # Below the first is far above the last.
+        own = np.uint64(records[f, corner]) - first
+        nearest = min(nearest, depths[own] if own < count else np.uint16(0))
+    if nearest >= most:
+        return False
+    changes = False
+    depth = np.uint16(nearest + 1)
+    for corner in range(1, 4):
+        own = np.uint64(records[f, corner]) - first
+        if own < count and depths[own] > depth:
+            depths[own] = depth
+            changes = True
+    return changes
 
 
 @compiled
 def _border_depths(records, first, most, depths):
-    count = len(depths)
+    # Depths spread along the order of the triangles: there and back they need few passes.
+    last = len(records) - 1
     changes = True
     while changes:
         changes = False
         for f in range(len(records)):
-            nearest = _nearest(records, f, first, count, depths)
-            if nearest >= most:
-                continue
-            for corner in range(1, 4):
-                own = np.int64(records[f, corner]) - first
-                if 0 <= own < count and depths[own] > nearest + 1:
-                    depths[own] = nearest + 1
-                    changes = True
+            changes |= _deepen(records, np.uint64(f), first, most, depths)
+        if changes:
+            changes = False
+            for f in range(len(records)):
+                changes |= _deepen(records, np.uint64(last - f), first, most, depths)
 
 
 @compiled
@@ -71,7 +79,7 @@ def border_records(records: Records, first: int, count: int, rings: int) -> Ints
     edges away from the vertices of others.
     """
     depths = np.full(count, FAR, dtype=np.uint16)
-    _border_depths(records, first, rings - 1, depths)
+    _border_depths(records, np.uint64(first), np.uint16(rings - 1), depths)
     chosen = np.empty(len(records) + 1, dtype=np.int32)
     found = _near_border(records, first, rings, depths, chosen)
     near: Ints = chosen[:found]
@@ -124,6 +132,30 @@ def spread_rings(corners: Ints, is_own: Flags, most: int) -> Rings:
     rings = np.where(is_own, np.uint16(0), np.uint16(FAR))
     _spread_rings(corners, most, rings)
     return rings
+
+
+@compiled
+def _merge(one, other, merged):
+    at = 0
+    for f in range(len(one)):
+        while at < len(other) and other[at, 0] < one[f, 0]:
+            for column in range(4):
+                merged[f + at, column] = other[at, column]
+            at += 1
+        for column in range(4):
+            merged[f + at, column] = one[f, column]
+    for f in range(at, len(other)):
+        for column in range(4):
+            merged[len(one) + f, column] = other[f, column]
+
+
+def merge_records(one: Records, other: Records) -> Records:
+    """Two lists of different triangles, each in the order of the file, as one."""
+    if not len(other):
+        return one
+    merged = np.empty((len(one) + len(other), 4), dtype=np.uint32)
+    _merge(one, other, merged)
+    return merged
 
 
 @compiled

@@ -50,8 +50,10 @@ NO_CORNERS = 6
     KEYWORDS,  # different other keywords
     LIBRARIES,  # mtllib statements
     WORD,  # with an error: first byte of the word that is wrong
+    RELATIVE,  # numbers of faces that count from the statement back
+    RELATIVE_AT,
     N_STATE,
-) = range(22)
+) = range(24)
 
 MOST_KEYWORDS = 64
 """Different other keywords that are distinguished; the last row takes the rest."""
@@ -376,10 +378,12 @@ def scanned(  # type: ignore[no-untyped-def]
                 if at == word:
                     result = BAD_CORNER
                     break
+                is_relative = number < 0
                 normal = np.int64(-1)
                 if at < len(buf) and buf[at] == 47:
                     begin = at + 1
                     number_t, at = _read_index(buf, begin)
+                    is_relative |= number_t < 0
                     if at > begin:
                         if number_t > state[LARGEST_TEXTURE]:
                             state[LARGEST_TEXTURE] = number_t
@@ -388,6 +392,7 @@ def scanned(  # type: ignore[no-untyped-def]
                     if at < len(buf) and buf[at] == 47:
                         begin = at + 1
                         number_n, at = _read_index(buf, begin)
+                        is_relative |= number_n < 0
                         if at > begin:
                             if number_n > state[LARGEST_NORMAL]:
                                 state[LARGEST_NORMAL] = number_n
@@ -397,6 +402,10 @@ def scanned(  # type: ignore[no-untyped-def]
                 if not is_word_end(buf, at):
                     result = BAD_CORNER
                     break
+                if is_relative:
+                    if state[RELATIVE] == 0:
+                        state[RELATIVE_AT] = statement
+                    state[RELATIVE] += 1
                 vertex = _resolved(number, n_vertices)
                 if vertex < 0:
                     result = BAD_INDEX

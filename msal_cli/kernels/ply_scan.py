@@ -179,6 +179,35 @@ def walk_text(data, at, count, is_stream, is_list, columns, starts, stops, lengt
 
 
 @compiled
+def count_lines(data):  # type: ignore[no-untyped-def]
+    """Lines that have a token."""
+    count = at = 0
+    while True:
+        at = _next_record(data, at)
+        if at == len(data):
+            return count
+        count += 1
+        while not _is_line_end(data, at):
+            at += 1
+
+
+@compiled
+def _short_number(data, at):  # type: ignore[no-untyped-def]
+    """The whole number of at most nine digits at ``at``, and its digits; none for any other."""
+    word = load_eight(data, at)
+    digits = count_digits(word)
+    if digits == 0:
+        return 0, 0
+    value = parse_digits(word, digits)
+    if digits == 8 and at + 8 < len(data) and 48 <= data[np.uint64(at + 8)] <= 57:
+        value = 10 * value + np.int64(data[np.uint64(at + 8)]) - 48
+        digits = 9
+    if not _is_token_end(data, at + digits):
+        return 0, 0
+    return value, digits
+
+
+@compiled
 def read_scalars(data, at, count, columns, groups, values, first_at, decimals):  # type: ignore[no-untyped-def]
     """Read ``count`` ascii records of scalars that begin at byte ``at``, one to a line.
 
@@ -246,23 +275,20 @@ def read_lists(data, at, start, count, is_list, wanted, items, n_items, lengths)
             length = 0
             if is_list[p]:
                 at = skip_blanks(data, at)
-                word = load_eight(data, at)
-                digits = count_digits(word)
-                if digits == 0 or digits == 8 or not _is_token_end(data, at + digits):
+                length, digits = _short_number(data, at)
+                if digits == 0:
                     return record, stop, first_item, ODD
-                length = parse_digits(word, digits)
                 at += digits
             if is_list[p] and p == wanted:
                 if length > len(items) - n_items:
                     return record, stop, first_item, FULL
                 for k in range(n_items, n_items + length):
                     at = skip_blanks(data, at)
-                    word = load_eight(data, at)
-                    digits = count_digits(word)
-                    at += digits
-                    if digits == 0 or digits == 8 or not _is_token_end(data, at):
+                    value, digits = _short_number(data, at)
+                    if digits == 0:
                         return record, stop, first_item, ODD
-                    items[k] = parse_digits(word, digits)
+                    items[k] = value
+                    at += digits
                 n_items += length
                 lengths[record] = length
             else:

@@ -16,6 +16,7 @@ from msal_cli.job.records import (
     Reference,
     RunnerUp,
     SelfIntersections,
+    TileSetPart,
 )
 
 Tone = Literal["plain", "good", "bad", "faint"]
@@ -112,6 +113,36 @@ def gate_text(gate: GateResult) -> str:
     """``broken: max_displacement > 0.5e (max_displacement is 0.0123 (0.62e))``."""
     word = "passed" if not gate.broken else "broken" if gate.decided else "not decided"
     return f"{word}: {escape_for_display(gate.expression)} ({escape_for_display(gate.reason)})"
+
+
+# Tile sets
+
+
+def tile_set_text(records: Sequence[MeshRecord]) -> str:
+    """What came of the files of a tile set that are written; empty if there is none."""
+    parts = [one.tile_set for one in records if one.tile_set is not None]
+    if not parts:
+        return ""
+    gaps = [one.tile_gap for one in records if one.tile_set is not None]
+    known = [one for one in gaps if one is not None]
+    gap = f"{max(known):.3g}" if known and len(known) == len(gaps) else "not known"
+    texts = [f"{format_count(len(parts), 'file')} as one mesh"]
+    texts.append(f"largest gap between shared vertices {gap}")
+    if n_welded := sum(one.welded_vertices for one in parts):
+        widest = max(one.largest_weld for one in parts)
+        welded = format_count(n_welded, "border vertex", "border vertices")
+        texts.append(f"{welded} welded, which closed gaps of up to {widest:.3g}")
+    if n_fixed := sum(one.fixed_border_vertices for one in parts):
+        texts.append(f"{format_count(n_fixed, 'border vertex', 'border vertices')} held fixed")
+    return "; ".join(texts)
+
+
+def touches_text(part: TileSetPart) -> str:
+    """What a file of a tile set shares with others: ``touches b.ply, c.ply: 60 vertices``."""
+    if not part.neighbours:
+        return "touches no other file"
+    names = ", ".join(map(escape_for_display, part.neighbours))
+    return f"touches {names}: {format_count(part.shared_vertices, 'vertex', 'vertices')}"
 
 
 # Meshes

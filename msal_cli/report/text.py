@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from msal_cli.job.border_marks import count_touching
 from msal_cli.job.display_names import columns, escape_for_display, figure, pad_name, shorten_name
 from msal_cli.job.plain_data import value_at
-from msal_cli.job.records import DONE, MeshRecord, Reference
+from msal_cli.job.records import DONE, WITH_OUTPUT, MeshRecord, Reference
 from msal_cli.report.document import Run, Totals, known_values, totals
 from msal_cli.report.phrases import (
     Line,
@@ -28,6 +29,8 @@ from msal_cli.report.phrases import (
     seconds_text,
     self_intersections_text,
     storage_text,
+    tile_set_text,
+    touches_text,
     vertices_text,
 )
 
@@ -62,6 +65,9 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
             yield Line(f"{_output_name(record)} is up to date")
         else:
             yield Line(f"{file_name(record.input)} -> {_output_name(record)}")
+            if record.tile_set is not None:
+                counts = vertices_text(record.vertices, record.corners)
+                yield Line(f"  {counts}, {touches_text(record.tile_set)}")
 
 
 # One file
@@ -159,6 +165,7 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str, Tone]]:
     )
     texts = [f"{format_count(n, 'vertex', 'vertices')} {word}" for n, word in kept if n is not None]
     facts.append(("constraints", ", ".join(texts)))
+    facts.append(("tile set", tile_set_text([record])))
     if record.seconds is not None:
         facts.append(("time", _time_text(record)))
     if record.self_intersections is not None:
@@ -202,7 +209,8 @@ def _batch_lines(
     yield from failures(records, verbose)
     yield from _references(records, verbose)
     yield from broken_gates(records, verbose)
-    yield from _total_lines(run, totals(records))
+    done = [record for record in records if record.status in WITH_OUTPUT]
+    yield from _total_lines(run, totals(records), tile_set_text(done), count_touching(done))
 
 
 def _section(
@@ -322,7 +330,7 @@ def broken_gates(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]
     yield from _section("broke a gate", items, None if verbose else MOST_FAILURES, count=n_files)
 
 
-def _total_lines(run: Run, sums: Totals) -> Iterator[Line]:
+def _total_lines(run: Run, sums: Totals, tile_set: str, n_touching: int) -> Iterator[Line]:
     spread = sums.volume_change_percent
     if spread is not None:
         yield Line(
@@ -330,6 +338,10 @@ def _total_lines(run: Run, sums: Totals) -> Iterator[Line]:
             f"from {percent_text(spread.lowest)} to {percent_text(spread.highest)} "
             f"({format_count(spread.files, 'closed file')})"
         )
+    if tile_set:
+        yield Line(f"tile set: {tile_set}")
+    elif n_touching:
+        yield Line(f"{n_touching:,} files share border vertices: --tile-set denoises them as one")
     if sums.chosen:
         yield Line(f"chosen: {chosen_text(sums.chosen)}")
     counts = (

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from msal_cli.errors import ContentError
 from msal_cli.mesh import LARGEST_EXTENT
+from msal_cli.tiles import vertex_data
 from msal_cli.tiles.cut import is_welded, tile_range, tile_records, weld_numbers
+from msal_cli.tiles.part_files import load_array, save_array
 from msal_cli.tiles.plan import load_plan, read_globals, write_globals
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ Records = NDArray[np.uint32]
 Ids = NDArray[np.uint32]
 
 _OLD, _POSITIONS = "old.u4", "positions.bin"
-_RIMS = "rims"
+_RIM = "rim.npy"
 _MEASURED_RINGS = 2
 """Rings beyond those that a method reaches: the measures need the results in the first ring too,
 and of the vertices in the last ring some faces are missing."""
@@ -66,9 +68,7 @@ def run_rim(scratch: Scratch, tile: int) -> dict[str, Any]:
     records = tile_records(scratch, tile)
     welded = weld_records(scratch, records)
     near = halos.border_records(welded, first, stop - first, count_rings(scratch))
-    folder = scratch.path / _RIMS
-    folder.mkdir(exist_ok=True)
-    (folder / f"{tile}.bin").write_bytes(records[near].data)
+    save_array(scratch.tile_folder(tile) / _RIM, records[near])
     clean = halos.drop_repeated(welded)
     used = tile_cut.mark_own(clean, first, stop - first)
     n_all, n_clean = (
@@ -90,6 +90,7 @@ def reduce_rim(scratch: Scratch) -> None:
 
     Raises ContentError (``E_NO_FACES``, ``E_RANGE``).
     """
+    vertex_data.create_arrays(scratch)
     results = list(scratch.results("rim").values())
     if not any(one["faces"] for one in results):
         raise ContentError(
@@ -123,11 +124,11 @@ def assemble_part(scratch: Scratch, tile: int) -> Part:
     count = stop - first
     own_records = weld_records(scratch, tile_records(scratch, tile))
     halo = _find_halo(scratch, tile, own_records)
-    records = halos.drop_repeated(_merge(own_records, halo))
+    records = halos.drop_repeated(halos.merge_records(own_records, halo))
     del own_records, halo
     used = tile_cut.mark_own(records, first, count)
     own_ids = np.flatnonzero(used).astype(np.uint32) + np.uint32(first)
-    others = _other_vertices(records, first, count)
+    others = other_vertices(records, first, count)
     old = scratch.array(_OLD, np.uint32)
     own_old, other_old = old[first:stop][used], old[others]
     # Both in the order of the file, and then merged.
@@ -151,6 +152,15 @@ def read_positions(scratch: Scratch, ids: Ids | slice) -> Floats:
     stored = scratch.array(_POSITIONS, load_plan(scratch).dtype, 3)
     positions: Floats = stored[ids].astype(np.float64)
     return positions
+
+
+def other_vertices(records: Records, first: int, count: int) -> Ids:
+    """The vertices of triangles that are not the tile's, ascending."""
+    from msal_cli.kernels import halos
+
+    ids = halos.crossing_records(records, first, count)[:, 1:]
+    others: Ids = np.unique(ids[(ids < first) | (ids >= first + count)])
+    return others
 
 
 def weld_records(scratch: Scratch, records: Records) -> Records:
@@ -205,26 +215,4 @@ def _find_halo(scratch: Scratch, tile: int, own_records: Records) -> Records:
 
 def _read_rim(scratch: Scratch, tile: int) -> Records:
     """The rim of a tile (m, 4), coincident vertices welded."""
-    data = (scratch.path / _RIMS / f"{tile}.bin").read_bytes()
-    return weld_records(scratch, np.frombuffer(data, dtype=np.uint32).reshape(-1, 4))
-
-
-def _merge(one: Records, other: Records) -> Records:
-    """Two lists of triangles, each in the order of the file, as one."""
-    if not len(other):
-        return one
-    at_other = np.searchsorted(one[:, 0], other[:, 0]) + np.arange(len(other))
-    is_one = np.ones(len(one) + len(other), dtype=bool)
-    is_one[at_other] = False
-    merged = np.empty((len(is_one), 4), dtype=np.uint32)
-    merged[is_one], merged[at_other] = one, other
-    return merged
-
-
-def _other_vertices(records: Records, first: int, count: int) -> Ids:
-    """The vertices of triangles that are not the tile's, ascending."""
-    from msal_cli.kernels import halos
-
-    ids = halos.crossing_records(records, first, count)[:, 1:]
-    others: Ids = np.unique(ids[(ids < first) | (ids >= first + count)])
-    return others
+    return weld_records(scratch, load_array(scratch.tile_folder(tile) / _RIM))

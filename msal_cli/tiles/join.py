@@ -1,25 +1,29 @@
 """Stage ``join``: the output in pieces, and its way to its place.
 
 Each task gathers the new positions of the vertices in its piece of the file, which lie in the order
-of tiles, and writes the piece into a file in the scratch folder.  When all are there the file is
-checked, flushed and moved to the name of the output, which thus appears whole or not at all.
+of tiles, and writes the piece into a file in the scratch folder; pieces of a text, whose lengths
+change, have files of their own.  When all are there they are checked, flushed and moved to the name
+of the output, which thus appears whole or not at all.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shutil
 import zlib
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from msal_cli.arrays import Floats
-from msal_cli.codecs.streamed_mesh import NewPositions
+from msal_cli.codecs.streamed_mesh import NewNormals, NewPositions, StreamedMesh, Survey
 from msal_cli.errors import InputError, InternalError, OutputError
 from msal_cli.storage import digests
-from msal_cli.storage.atomic import publish
+from msal_cli.storage.atomic import publish, write_whole
 from msal_cli.tiles import source as sources
 from msal_cli.tiles.plan import TilePlan, load_plan
 from msal_cli.tiles.scratch import Scratch
@@ -29,7 +33,12 @@ MOVED, NORMALS = "moved.f8", "normals.f8"
 which did not move is the stored one.  Without the first nothing moved."""
 
 OUTPUT = "output.bin"
-"""The output as far as it is written."""
+"""The output of a binary file as far as it is written."""
+
+PIECES = "output"
+"""A folder of the pieces of a text."""
+
+_SURVEY = "survey.json"
 
 _NUMBERS = "numbers.u4"
 _FINISHED = "finished.json"
@@ -59,15 +68,20 @@ def run_join(scratch: Scratch, piece: int) -> dict[str, Any]:
     plan = load_plan(scratch)
     mesh = sources.open_source(plan.source)
     start, stop = plan.pieces[piece]
-    positions = _gather(scratch, MOVED) if scratch.has(MOVED) else _stored(mesh)
-    normals = _gather(scratch, NORMALS) if scratch.has(NORMALS) else None
-    data = mesh.replace((start, stop), positions, normals)
-    if len(data) != stop - start:
+    positions = gather_rows(scratch, MOVED) if scratch.has(MOVED) else read_stored(mesh)
+    normals = gather_rows(scratch, NORMALS) if scratch.has(NORMALS) else None
+    survey = None if mesh.keeps_size else _survey(scratch, mesh, positions, normals)
+    data = mesh.replace((start, stop), positions, normals, survey)
+    if not mesh.keeps_size:
+        (scratch.path / PIECES).mkdir(exist_ok=True)
+        (scratch.path / PIECES / f"{piece}.bin").write_bytes(data)
+    elif len(data) != stop - start:
         raise InternalError(
             f"piece {piece} of the output has {len(data)} bytes, not {stop - start}"
         )
-    _write_at(scratch, start, data)
-    return {"crc32": zlib.crc32(data)}
+    else:
+        _write_at(scratch, start, data)
+    return {"crc32": zlib.crc32(data), "size": len(data)}
 
 
 def finish_output(
@@ -89,9 +103,11 @@ def finish_output(
     if target is None:
         raise InternalError("the plan has no output")
     known = scratch.read_json(_FINISHED)
-    if known is not None and not scratch.has(OUTPUT):
+    if known is not None and not scratch.has(OUTPUT) and not scratch.has(PIECES):
         return Finished(**known)
     _require_same_input(plan)
+    if not scratch.has(OUTPUT):
+        return _finish_text(scratch, plan, target, mode_like)
     finished = _check_pieces(scratch, plan, target)
     # Written before the file is moved, so that a repeated call knows what became of it.
     scratch.write_json(_FINISHED, asdict(finished))
@@ -99,12 +115,50 @@ def finish_output(
     return finished
 
 
-def _stored(mesh: Any) -> NewPositions:
+def _finish_text(scratch: Scratch, plan: TilePlan, target: str, mode_like: str | None) -> Finished:
+    """``finish_output`` for pieces in files of their own."""
+    digest = hashlib.sha256()
+    size = 0
+
+    def read_pieces() -> Iterator[bytes]:
+        nonlocal size
+        for piece, result in scratch.results("join").items():
+            data = (scratch.path / PIECES / f"{piece}.bin").read_bytes()
+            if len(data) != result["size"] or zlib.crc32(data) != result["crc32"]:
+                raise _lost(scratch, f"piece {piece} of the output is not as it was")
+            digest.update(data)
+            size += len(data)
+            yield data
+
+    with ThreadPoolExecutor(1) as other:
+        source = other.submit(digests.sha256_of_file, plan.source["path"])
+        write_whole(target, read_pieces(), mode_like=mode_like)
+        known = _result_of(source)
+    output = digest.hexdigest()
+    finished = Finished(target, known, output, size, output != known)
+    scratch.write_json(_FINISHED, asdict(finished))
+    shutil.rmtree(scratch.path / PIECES)
+    return finished
+
+
+def _survey(
+    scratch: Scratch, mesh: StreamedMesh, positions: NewPositions, normals: NewNormals | None
+) -> Survey | None:
+    """What all new numbers decide; the first tasks find it out, others read it."""
+    known = scratch.read_json(_SURVEY)
+    if known is not None:
+        return Survey(*known)
+    survey = mesh.survey(positions, normals)
+    scratch.write_json(_SURVEY, survey)
+    return survey
+
+
+def read_stored(mesh: Any) -> NewPositions:
     """New positions that are the stored ones."""
     return lambda start, stop: mesh.read_vertices(start, stop).astype(np.float64)
 
 
-def _gather(scratch: Scratch, name: str) -> NewPositions:
+def gather_rows(scratch: Scratch, name: str) -> NewPositions:
     """The rows of an array in the order of tiles, for ranges of vertices of the file."""
 
     def gather(start: int, stop: int) -> Floats:
@@ -154,22 +208,30 @@ def _check_pieces(scratch: Scratch, plan: TilePlan, target: str) -> Finished:
     with ThreadPoolExecutor(1) as other:
         digest = other.submit(digests.sha256_of_file, plan.source["path"])
         output = digests.sha256_of_file(scratch.path / OUTPUT, reader.look)
-        try:
-            source = digest.result()
-        except OSError as failure:
-            raise InputError(
-                f"the input cannot be read: {failure.strerror}",
-                code="E_READ",
-                hint="check that it is still there, and run again",
-            ) from failure
+        source = _result_of(digest)
     for piece, crc32, expected in zip(pieces, reader.sums, sums, strict=True):
         if crc32 != expected:
-            raise OutputError(
-                f"the bytes {piece[0]} to {piece[1]} of the output are not as they were written",
-                path=str(scratch.path / OUTPUT),
-                hint="remove the scratch folder, check its disk, and run again",
-            )
+            raise _lost(scratch, f"the bytes {piece[0]} to {piece[1]} are not as they were")
     return Finished(target, source, output, reader.size, output != source)
+
+
+def _result_of(digest: Future[str]) -> str:
+    try:
+        return digest.result()
+    except OSError as failure:
+        raise InputError(
+            f"the input cannot be read: {failure.strerror}",
+            code="E_READ",
+            hint="check that it is still there, and run again",
+        ) from failure
+
+
+def _lost(scratch: Scratch, what: str) -> OutputError:
+    return OutputError(
+        f"the scratch folder lost data of the output: {what} written",
+        path=str(scratch.path),
+        hint="remove the scratch folder, check its disk, and run again",
+    )
 
 
 class _PieceReader:

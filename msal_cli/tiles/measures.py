@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from msal_cli.analysis import harm
+from msal_cli.analysis.enclosure import MOST_PARTS, describe_turned
 from msal_cli.analysis.measures import (
     DisplacementStatistics,
     NormalStatistics,
@@ -17,8 +18,11 @@ from msal_cli.analysis.measures import (
 from msal_cli.job import changes
 from msal_cli.job.records import NormalChange
 from msal_cli.mesh import Defects
+from msal_cli.tiles import part_volumes
 from msal_cli.tiles.cut import tile_range, weld_numbers
-from msal_cli.tiles.plan import read_globals
+from msal_cli.tiles.part_files import save_array
+from msal_cli.tiles.plan import load_plan, read_globals
+from msal_cli.tiles.representative import read_settings
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Floats
@@ -48,8 +52,10 @@ def measure_tile(
 
     lengths = distances(before.vertices, moved)[tile_mesh.own_vertices]
     own_faces = np.ascontiguousarray(tile_mesh.faces[tile_mesh.own_faces])
+    if _counts_by_part(defects_of(scratch)):
+        part_volumes.save_figures(scratch.tile_folder(tile), tile_mesh, moved)
     keys, counts = _count_lengths(lengths)
-    np.save(scratch.tile_folder(tile) / _LENGTHS, np.stack([keys, counts]))
+    save_array(scratch.tile_folder(tile) / _LENGTHS, np.stack([keys, counts]))
     return {
         "vertices": len(lengths),
         "sum": float(lengths.sum()),
@@ -60,6 +66,27 @@ def measure_tile(
         "folds": _count_folds(scratch, tile_mesh, before),
         "seam_gap": _measure_seams(scratch, tile, placed),
     }
+
+
+def sample_fidelity(scratch: Scratch, tile_mesh: TileMesh, fidelity: Floats | None) -> list[float]:
+    """lambda (n,) of the first sweep at every k-th vertex of the whole mesh, of those of a tile."""
+    if fidelity is None:
+        return []
+    known = read_globals(scratch)
+    n_vertices = known["used_vertices"] if known["n_welded"] else known["tile_starts"][-1]
+    step = changes.fidelity_step(n_vertices)
+    ids = tile_mesh.ids[tile_mesh.own_vertices]
+    is_chosen = scratch.array("old.u4", np.uint32)[ids] % np.uint32(step) == 0
+    sample: list[float] = fidelity[tile_mesh.own_vertices][is_chosen].tolist()
+    return sample
+
+
+def is_ruled_by_spike(scratch: Scratch) -> bool:
+    """See ``job.changes.is_ruled_by_spike``."""
+    tiles = _last_measures(scratch).values()
+    return changes.is_ruled_by_spike(
+        np.array([value for one in tiles for value in one["fidelity"]])
+    )
 
 
 def _count_lengths(lengths: Floats) -> tuple[Any, Any]:
@@ -119,9 +146,8 @@ def changes_of(scratch: Scratch) -> changes.Measured:
     """What ``job.changes.measure`` gives of the same mesh in memory, but for the noise: fields of
     the record, warnings and the harm.
 
-    The sums differ in their last digits, the 95th percentile by 0.05 % at most.  A closed surface
-    of several parts counts as inside out where its whole volume is negative; of one from which
-    faces were left out other faces are looked at for folds.
+    The sums differ in their last digits, the 95th percentile by 0.05 % at most.  Of a mesh from
+    which faces were left out other faces are looked at for folds.
     """
     defects = defects_of(scratch)
     edge = read_globals(scratch)["known"]["mean edge length"]
@@ -129,15 +155,10 @@ def changes_of(scratch: Scratch) -> changes.Measured:
     statistics = _combine_lengths(scratch, tiles)
     surface = _combine_surfaces(tiles)
     objection = defects.volume_objection
-    is_inside_out = not objection and is_negative(surface.volume_before, surface.area_before)
+    surface, n_turned = _turn_outwards(scratch, defects, surface)
     warnings = []
-    if is_inside_out:
-        warnings.append(
-            (changes.INSIDE_OUT, "the surface is inside out: its normals point inwards")
-        )
-        surface = replace(
-            surface, volume_before=-surface.volume_before, volume_after=-surface.volume_after
-        )
+    if n_turned:
+        warnings.append((changes.INSIDE_OUT, describe_turned(n_turned, defects.components)))
     n_faces = read_globals(scratch)["counts"]["faces"]
     n_folds = sum(one["folds"] for one in tiles.values()) * harm.sampling_step(n_faces)
     found = harm.judge_change(surface, n_faces, lambda: n_folds, has_volume=not objection)
@@ -150,23 +171,58 @@ def changes_of(scratch: Scratch) -> changes.Measured:
             normals.mean_angular_error_deg, normals.max_angular_error_deg
         ),
         "flipped_faces": normals.flipped_faces,
-        "inside_out": is_inside_out,
+        "inside_out": n_turned > 0,
         "volume": changes.volume_changed(
             surface.volume_before, surface.volume_after, surface.area_before, objection
         ),
         "area": changes.area_changed(surface.area_before, surface.area_after),
         "seam_gap": max((one["seam_gap"] for one in tiles.values()), default=0.0),
     }
+    known = read_settings(load_plan(scratch))
+    if known.lock:
+        fields["locked_vertices"] = _count(scratch, "locked")
+    if known.max_move is not None:
+        fields["clamped_vertices"] = _count(scratch, "clamped")
     return changes.Measured(fields, tuple(warnings), found)
+
+
+def _counts_by_part(defects: Defects) -> bool:
+    """Whether the volume is that of several parts, each of which may be inside out."""
+    return not defects.volume_objection and 1 < defects.components <= MOST_PARTS
+
+
+def _turn_outwards(
+    scratch: Scratch, defects: Defects, surface: SurfaceChange
+) -> tuple[SurfaceChange, int]:
+    """See ``part_volumes.turn_outwards``."""
+    if _counts_by_part(defects):
+        folders = [scratch.tile_folder(tile) for tile in _last_measures(scratch)]
+        return part_volumes.turn_outwards(folders, defects.components, surface)
+    if defects.volume_objection or not is_negative(surface.volume_before, surface.area_before):
+        return surface, 0
+    turned = replace(
+        surface, volume_before=-surface.volume_before, volume_after=-surface.volume_after
+    )
+    return turned, defects.components
 
 
 def _last_measures(scratch: Scratch) -> dict[int, dict[str, Any]]:
     """What the tiles measured in the last round of the method, by tile."""
+    results = _last_results(scratch)
+    return {tile: one["measures"] for tile, one in results.items() if "measures" in one}
+
+
+def _last_results(scratch: Scratch) -> dict[int, dict[str, Any]]:
     number = 0
     while scratch.finished(f"denoise-{number + 1}"):
         number += 1
-    results = scratch.results(f"denoise-{number}")
-    return {tile: one["measures"] for tile, one in results.items() if "measures" in one}
+    return scratch.results(f"denoise-{number}")
+
+
+def _count(scratch: Scratch, name: str) -> int:
+    """How many vertices of all tiles, those without faces too, are ``locked`` or ``clamped``."""
+    results = _last_results(scratch).values()
+    return sum(one.get("measures", one).get(name, 0) for one in results)
 
 
 def _combine_lengths(scratch: Scratch, tiles: dict[int, dict[str, Any]]) -> DisplacementStatistics:

@@ -11,8 +11,8 @@ FILE, SET = "file", "set"
 
 
 def open_source(description: dict[str, Any]) -> StreamedMesh:
-    """Open what ``TilePlan.source`` describes: ``{"kind": "file", "path": ..., "format": ...}`` or
-    ``{"kind": "set", ...}``.
+    """Open what ``TilePlan.source`` describes: ``{"kind": "file", "path": ..., "format": ...}``,
+    with the ``folder`` for the numbers of a text, or ``{"kind": "set", ...}``.
 
     Raises
     ------
@@ -23,7 +23,8 @@ def open_source(description: dict[str, Any]) -> StreamedMesh:
         return _find("tiles.file_set", "open_set")(description)  # type: ignore[no-any-return]
     from msal_cli.codecs.streamed import open_streamed
 
-    return open_streamed(description["path"], description["format"])
+    path, format = description["path"], description["format"]
+    return open_streamed(path, format, description.get("folder"))
 
 
 def identify(description: dict[str, Any]) -> dict[str, Any]:

@@ -88,6 +88,13 @@ _STAGES = {
     "weld": _Steps(_n_tiles, "cut.run_weld", "cut.reduce_weld"),
     "choose": _Steps(_one, "representative.run_choose", "representative.reduce_choose"),
     "rim": _Steps(_n_tiles, "halo.run_rim", "halo.reduce_rim"),
+    "values": _Steps(
+        _n_vertex_chunks,
+        "vertex_data.run_values",
+        "vertex_data.reduce_values",
+        "vertex_data.has_values",
+    ),
+    "pins": _Steps(_n_tiles, "vertex_data.run_pins", is_needed="vertex_data.has_pins"),
     "prepare": _Steps(_n_tiles, "sweep.run_prepare", "sweep.reduce_prepare"),
     "wind": _Steps(_n_tiles, "windings.run_wind", "windings.reduce_wind", "windings.is_needed"),
     "turn": _Steps(_n_tiles, "windings.run_turn", "windings.reduce_turn", "windings.is_needed"),

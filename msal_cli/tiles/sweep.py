@@ -20,9 +20,11 @@ from msal_cli.errors import InternalError
 from msal_cli.kernels import exact_sum
 from msal_cli.kernels.whole import Pending, Whole, combine
 from msal_cli.mesh import Mesh
-from msal_cli.tiles import borders, measures, part_files
+from msal_cli.tiles import borders, measures, new_normals, part_files, vertex_data
 from msal_cli.tiles.cut import tile_range, weld_numbers
+from msal_cli.tiles.exchange import load_saved
 from msal_cli.tiles.halo import Part, assemble_part, read_positions
+from msal_cli.tiles.join import MOVED, NORMALS
 from msal_cli.tiles.part_files import TileMesh
 from msal_cli.tiles.plan import load_plan, read_globals, write_globals
 from msal_cli.tiles.representative import to_whole_units
@@ -30,12 +32,12 @@ from msal_cli.tiles.representative import to_whole_units
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from numpy.typing import NDArray
+
     from msal_cli.arrays import Floats
+    from msal_cli.job.constraints import Constraints
     from msal_cli.methods import Method, Result
     from msal_cli.tiles.scratch import Scratch
-
-MOVED = "moved.f8"
-"""New positions (n, 3) float64 in file units, by new number."""
 
 MEAN_EDGE_LENGTH = "mean edge length"
 """Key of this number among those of the whole mesh."""
@@ -66,10 +68,13 @@ def reduce_prepare(scratch: Scratch) -> None:
     """Add counts and the mean edge length of the whole mesh to what all tasks know."""
     results = {tile: one for tile, one in scratch.results("prepare").items() if one["own"]}
     counts = {name: sum(one[name] for one in results.values()) for name in _COUNTS}
-    folders = (scratch.tile_folder(tile) for tile in results)
+    folders = [scratch.tile_folder(tile) for tile in results]
     components = borders.join_parts(folders, [one["parts"] for one in results.values()])
     mean = exact_sum.combine_means(one["edges"] for one in results.values())
-    scratch.create(MOVED, np.float64, (load_plan(scratch).n_vertices, 3))
+    n_vertices = load_plan(scratch).n_vertices
+    scratch.create(MOVED, np.float64, (n_vertices, 3))
+    if read_globals(scratch)["has_normals"]:
+        scratch.create(NORMALS, np.float64, (n_vertices, 3))
     write_globals(
         scratch,
         counts=counts | {"components": components, "turned": 0, "unorientable": 0},
@@ -87,18 +92,40 @@ def run_denoise(scratch: Scratch, round_number: int, tile: int) -> dict[str, Any
     part_files.remove_state(folder, round_number - 2)
     if not scratch.result("prepare", tile)["own"]:
         _write_moved(scratch, tile, None, np.empty((0, 3)))
-        return {}
+        if scratch.has(NORMALS):
+            first, stop = tile_range(scratch, tile)
+            stored = scratch.read_range(vertex_data.STORED_NORMALS, np.float64, first, stop, 3)
+            _write_rows(scratch, NORMALS, tile, stored)
+        return {"locked": vertex_data.count_held_strays(scratch, tile, None)}
     tile_mesh = TileMesh.load(folder)
-    mesh = _build_mesh(scratch, tile_mesh, folder, round_number)
+    saved = load_saved(scratch, tile, tile_mesh, round_number - 1) if round_number else {}
+    mesh = _build_mesh(scratch, tile_mesh, saved)
+    constraints = vertex_data.build_constraints(scratch, tile_mesh, mesh)
+    if constraints is not None:
+        mesh = constraints.mesh
+    if round_number:
+        part_files.load_normals(folder, mesh)
     try:
         method, result = _run_method(scratch, mesh)
     except Pending as pending:
-        part_files.save_state(folder, round_number, pending.state)
-        return {"pending": {"key": pending.key, "partial": pending.partial}}
+        if not round_number:
+            part_files.save_normals(folder, mesh)
+        part_files.save_state(folder, round_number, pending.state, saved)
+        waits = {"key": pending.key, "partial": pending.partial}
+        return {"pending": {**waits, "exchanged": list(pending.exchanged)}}
     _check_result(method, mesh, result)
-    moved = result.vertices
-    positions = _write_moved(scratch, tile, tile_mesh, moved)
-    return {"measures": measures.measure_tile(scratch, tile, tile_mesh, mesh, moved, positions)}
+    moved, counts = result.vertices, {}
+    if constraints is not None:
+        counts = _count_constrained(scratch, tile, tile_mesh, constraints, moved)
+        moved, _ = constraints.apply(moved)
+    placed = _write_moved(scratch, tile, tile_mesh, moved)
+    if scratch.has(NORMALS):
+        origin = np.array(read_globals(scratch)["origin"])
+        normals = new_normals.renew_normals(scratch, tile, tile_mesh, moved, placed, origin)
+        _write_rows(scratch, NORMALS, tile, normals)
+    figures = measures.measure_tile(scratch, tile, tile_mesh, mesh, moved, placed)
+    sample = measures.sample_fidelity(scratch, tile_mesh, result.fields.get("fidelity"))
+    return {"measures": figures | counts | {"fidelity": sample}}
 
 
 def reduce_denoise(scratch: Scratch, round_number: int) -> bool:
@@ -108,7 +135,7 @@ def reduce_denoise(scratch: Scratch, round_number: int) -> bool:
     if not pending:
         return False
     keys = {one["key"] for one in pending}
-    if len(keys) > 1 or len(pending) < sum(bool(one) for one in results):
+    if len(keys) > 1 or any("measures" in one for one in results):
         raise InternalError(f"tiles wait for different numbers of the whole mesh: {sorted(keys)}")
     number = combine([one["partial"] for one in pending])
     write_globals(scratch, known=read_globals(scratch)["known"] | {keys.pop(): number})
@@ -173,10 +200,9 @@ def _measure_edges(mesh: TileMesh) -> dict[str, Any]:
     return edge_lengths_partial(mesh.vertices, *mesh.links.one_ring, mesh.own_vertices)
 
 
-def _build_mesh(scratch: Scratch, tile_mesh: TileMesh, folder: Any, round_number: int) -> Mesh:
+def _build_mesh(scratch: Scratch, tile_mesh: TileMesh, saved: Mapping[str, NDArray[Any]]) -> Mesh:
     """The mesh that a method runs on, which knows what is known of the whole."""
     known: Mapping[str, Any] = read_globals(scratch)["known"]
-    saved = part_files.load_state(folder, round_number - 1) if round_number else {}
     whole = Whole(tile_mesh.own_vertices, tile_mesh.own_faces, known, saved)
     mesh = Mesh(tile_mesh.vertices, tile_mesh.faces, whole=whole)
     mesh.__dict__["topology"] = tile_mesh.links
@@ -221,5 +247,28 @@ def _write_moved(scratch: Scratch, tile: int, mesh: TileMesh | None, moved: Floa
         is_used = np.ones(len(mesh.ids), dtype=bool)
         origin = np.array(read_globals(scratch)["origin"])
         positions = scatter(mesh.vertices, moved, is_used, place, origin, positions)
-    scratch.write_range(MOVED, first * positions[:1].nbytes, positions)
+    _write_rows(scratch, MOVED, tile, positions)
     return positions
+
+
+def _write_rows(scratch: Scratch, name: str, tile: int, rows: Floats) -> None:
+    """Write the rows (count, 3) of a tile's vertices."""
+    first, _ = tile_range(scratch, tile)
+    scratch.write_range(name, first * 3 * rows.itemsize, rows)
+
+
+def _count_constrained(
+    scratch: Scratch, tile: int, mesh: TileMesh, constraints: Constraints, moved: Floats
+) -> dict[str, int]:
+    """How many of a tile's vertices are pinned, and how many moved further than they may."""
+    from msal_cli.kernels.geometry import distances
+
+    own, counts = mesh.own_vertices, {}
+    if constraints.held is not None:
+        own = own & ~constraints.held
+        counts["locked"] = int(np.count_nonzero(mesh.own_vertices & constraints.held))
+        counts["locked"] += vertex_data.count_held_strays(scratch, tile, mesh)
+    if constraints.limit is not None:
+        lengths = distances(mesh.vertices, moved)
+        counts["clamped"] = int(np.count_nonzero(own & (lengths > constraints.limit)))
+    return counts

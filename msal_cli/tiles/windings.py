@@ -22,7 +22,7 @@ import numpy as np
 
 from msal_cli.kernels import windings
 from msal_cli.kernels.halos import shared_faces
-from msal_cli.tiles.part_files import TURNED, TileMesh, load_array
+from msal_cli.tiles.part_files import TURNED, TileMesh, load_array, save_array
 from msal_cli.tiles.plan import read_globals, write_globals
 
 if TYPE_CHECKING:
@@ -76,10 +76,10 @@ def run_wind(scratch: Scratch, tile: int) -> dict[str, Any]:
     is_decided = pieces < 0
     majority = 2 * n_against > size
     turned = (against ^ majority[roots]) & ~torn
-    np.save(folder / _PIECES, pieces)
-    np.save(folder / _AGAINST, np.where(is_decided, turned, against))
-    np.save(folder / _SHARED, np.stack([one.astype(np.uint32) for one in links], axis=1))
-    np.save(folder / _FIGURES, rows)
+    save_array(folder / _PIECES, pieces)
+    save_array(folder / _AGAINST, np.where(is_decided, turned, against))
+    save_array(folder / _SHARED, np.stack([one.astype(np.uint32) for one in links], axis=1))
+    save_array(folder / _FIGURES, rows)
     is_root = roots == np.arange(len(roots))
     n_torn = int(np.count_nonzero(torn & is_decided & is_root))
     return {"pieces": len(shared_roots), "unorientable": n_torn}
@@ -96,7 +96,7 @@ def reduce_wind(scratch: Scratch) -> None:
         decisions, n_shared_torn = _decide(folders, starts)
         n_torn += n_shared_torn
         for folder, start, stop in zip(folders, starts[:-1], starts[1:], strict=True):
-            np.save(folder / _DECISIONS, decisions[start:stop])
+            save_array(folder / _DECISIONS, decisions[start:stop])
     known = read_globals(scratch)["counts"]
     write_globals(scratch, counts=known | {"unorientable": n_torn})
 
@@ -119,7 +119,7 @@ def run_turn(scratch: Scratch, tile: int) -> dict[str, Any]:
         other = scratch.tile_folder(int(owner))
         places = np.searchsorted(load_array(other / "triangles.npy"), mesh.triangles[chosen])
         flips[chosen] = _read_flips(other, places)
-    np.save(folder / TURNED, np.where(flips[:, None], mesh.faces[:, ::-1], mesh.faces))
+    save_array(folder / TURNED, np.where(flips[:, None], mesh.faces[:, ::-1], mesh.faces))
     return {"turned": int(np.count_nonzero(flips & mesh.own_faces))}
 
 

@@ -99,3 +99,12 @@ def test_a_file_that_is_larger_than_memory_is_read_in_pieces(tmp_path, in_pieces
     assert told["components"] == told["welded"] == "not counted"
     assert float(told["volume"]) == pytest.approx(59, rel=0.1)
     Draft202012Validator(info_schema()).validate(json.loads(msal("info", "--json", path).stdout))
+
+
+def test_of_a_text_the_counts_come_once_it_is_read(tmp_path, in_pieces):
+    (path := tmp_path / "a.ply").write_bytes(closed_scan())
+    made = msal("info", path)
+    assert made.exit_code == 0
+    assert made.stderr.splitlines()[0] == f"{path}: larger than memory, so it is read in pieces"
+    assert "288 vertices, 576 faces" in made.stderr.splitlines()[1]
+    assert "surface         closed" in made.stdout

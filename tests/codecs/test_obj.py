@@ -470,8 +470,8 @@ def test_both_walks_read_the_same(data: bytes, noise: bytes, place: int, is_usua
     for is_plain in (True, False):
         with pytest.MonkeyPatch.context() as patch:
             if not is_plain:
-                patch.setattr(obj_parser._Reading, "_walk_plainly", lambda _: obj_fast.ODD)
-                patch.setattr(obj_parser._Reading, "_read_statement", lambda _: False)
+                patch.setattr(obj_parser.Reading, "_walk_plainly", lambda _: obj_fast.ODD)
+                patch.setattr(obj_parser.Reading, "_read_statement", lambda _: False)
             try:
                 one = obj_parser.parse_content(data)
             except InputError as error:

@@ -103,12 +103,13 @@ def test_what_memory_decides(tmp_path, monkeypatch):
     path = write_ply(tmp_path / "a.ply", *torus(30, 20))
     for free, is_large in ((None, False), (10**12, False), (10**6, True)):
         monkeypatch.setattr(larger_than_memory.machine, "available_bytes", lambda f=free: f)
-        opened = larger_than_memory.open_too_large((str(path),))
-        assert (opened is not None) == is_large
-        # Only binary PLY and STL are read in pieces.
-        other = tmp_path / "a.obj"
-        other.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-        assert larger_than_memory.open_too_large((str(path), str(other))) is None
+        with larger_than_memory.opened_in_pieces((str(path),)) as opened:
+            assert (opened is not None) == is_large
+        # Not all formats are read in pieces.
+        other = tmp_path / "a.off"
+        other.write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+        with larger_than_memory.opened_in_pieces((str(path), str(other))) as opened:
+            assert opened is None
 
 
 def test_intersections_are_not_counted_and_that_is_said(tmp_path, in_pieces):
@@ -116,3 +117,48 @@ def test_intersections_are_not_counted_and_that_is_said(tmp_path, in_pieces):
     record = inspect_file(str(path), with_intersections=True)
     assert record.self_intersections is None
     assert "intersections are not counted" in record.warnings[-1]
+
+
+def write_text(path, vertices, faces):
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(vertices)}\n"
+    head += "".join(f"property double {axis}\n" for axis in "xyz")
+    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    rows = [" ".join(map(repr, row)) for row in vertices.tolist()]
+    rows += [f"3 {a} {b} {c}" for a, b, c in faces.tolist()]
+    path.write_text(head + "\n".join(rows) + "\n")
+    return path
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(larger_than_memory.tempfile, "tempdir", str(folder))
+    return folder
+
+
+def test_the_numbers_of_a_text_are_kept_in_a_folder_for_a_while(
+    tmp_path, in_pieces, monkeypatch, temporary
+):
+    path = write_text(tmp_path / "a.ply", *noisy(*torus(30, 20)))
+    check_same(path, monkeypatch)
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_text_without_space_for_its_numbers(tmp_path, in_pieces, monkeypatch, temporary):
+    path = write_text(tmp_path / "a.ply", *torus(30, 20))
+    usage = larger_than_memory.shutil.disk_usage(tmp_path)._replace(free=10)
+    monkeypatch.setattr(larger_than_memory.shutil, "disk_usage", lambda _: usage)
+    error = inspect_file(str(path)).error
+    assert (error.code, list(temporary.iterdir())) == ("E_WRITE", [])
+    assert "bytes more are needed" in error.message
+    assert "TMPDIR" in error.hint
+
+
+def test_a_text_with_a_fault_names_its_place(tmp_path, in_pieces, temporary):
+    path = write_text(tmp_path / "a.ply", *torus(30, 20))
+    path.write_text(path.read_text().replace("\n3 17 ", "\n3 9999 ", 1))
+    error = inspect_file(str(path)).error
+    assert error.code == "E_INDEX"
+    assert "face" in error.where
+    assert list(temporary.iterdir()) == []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,8 @@ class FakeMesh:
     are_corners: bool = False
     path: str = "fake.ply"
     format: str = "ply"
+    normals: np.ndarray | None = None
+    values: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def n_vertices(self) -> int:
@@ -43,6 +45,17 @@ class FakeMesh:
     def read_vertices(self, start: int, stop: int) -> np.ndarray:
         assert 0 <= start <= stop <= self.n_vertices
         return self.vertices[start:stop]
+
+    @property
+    def has_normals(self) -> bool:
+        return self.normals is not None
+
+    def read_normals(self, start: int, stop: int) -> np.ndarray:
+        assert self.normals is not None
+        return self.normals[start:stop].astype(np.float64)
+
+    def read_property(self, name: str, start: int, stop: int) -> np.ndarray:
+        return self.values[name][start:stop].astype(np.float64)
 
     def face_chunks(self, most: int) -> list[FaceChunk]:
         ends = [*range(0, self.n_polygons, most), self.n_polygons]

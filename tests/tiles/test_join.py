@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from msal_cli.codecs import open_mesh
+from msal_cli.codecs.streamed import line_blocks
 from msal_cli.errors import InputError, OutputError
 from msal_cli.job.settings import Settings, Task
 from msal_cli.storage import atomic
@@ -83,6 +84,7 @@ def scan(encoding: str = "binary_little_endian", normals: bool = False) -> bytes
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch):
     monkeypatch.setattr(opening, "_BYTES_PER_VERTEX", 12)
+    monkeypatch.setattr(line_blocks, "BLOCK_BYTES", 100)
 
 
 def move(vertices: np.ndarray) -> np.ndarray:
@@ -93,7 +95,7 @@ def move(vertices: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("normals", [False, True])
-@pytest.mark.parametrize("encoding", plain_ply.ENCODINGS[1:])
+@pytest.mark.parametrize("encoding", plain_ply.ENCODINGS)
 def test_a_joined_ply_is_what_the_whole_file_becomes(tmp_path, encoding, normals):
     run = open_file(tmp_path, scan(encoding, normals), "ply")
     whole = open_mesh(run.data, "a.ply")
@@ -107,8 +109,9 @@ def test_a_joined_ply_is_what_the_whole_file_becomes(tmp_path, encoding, normals
     finished = join.finish_output(run.scratch)
     assert run.output.read_bytes() == bytes(whole.replaced(new))
     assert finished.is_changed
-    assert finished.size == len(run.data)
-    assert not run.scratch.has(join.OUTPUT)
+    assert finished.size == run.output.stat().st_size
+    assert not run.scratch.has(join.OUTPUT) and not run.scratch.has(join.PIECES)
+    assert join.finish_output(run.scratch) == finished
 
 
 def test_a_joined_stl_is_what_the_whole_file_becomes(tmp_path):
@@ -153,6 +156,20 @@ def test_a_piece_that_got_lost_is_noticed(tmp_path):
     with pytest.raises(OutputError):
         join.finish_output(run.scratch)
     assert not run.output.exists()
+
+
+def test_a_piece_of_a_text_that_got_lost_is_noticed(tmp_path):
+    run = open_file(tmp_path, scan("ascii"), "ply")
+    run.join()
+    lost = run.scratch.path / join.PIECES / "1.bin"
+    data = lost.read_bytes()
+    lost.write_bytes(data[::-1])
+    with pytest.raises(OutputError, match="piece 1"):
+        join.finish_output(run.scratch)
+    assert sorted(os.listdir(tmp_path)) == ["a.ply", "scratch"]
+    lost.write_bytes(data)
+    assert not join.finish_output(run.scratch).is_changed
+    assert run.output.read_bytes() == run.data
 
 
 def test_an_input_that_changed_is_refused(tmp_path):

@@ -22,7 +22,7 @@ def calls(monkeypatch):
 
     def find(name):
         def call(scratch, *arguments):
-            if name.endswith(".is_needed"):
+            if name.rpartition(".")[2] in ("is_needed", "has_values", "has_pins"):
                 return False
             made.append((name, *arguments))
             if name == "sweep.reduce_denoise":

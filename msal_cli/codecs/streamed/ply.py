@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats
 from msal_cli.codecs.layout import require_finite
+from msal_cli.codecs.ply_ascii import Before
 from msal_cli.codecs.ply_description import (
     check_strays,
     has_normals,
@@ -38,7 +39,7 @@ from msal_cli.codecs.streamed.byte_ranges import BLOCK_BYTES, read_range, split_
 from msal_cli.codecs.streamed.limits import require_countable
 from msal_cli.codecs.streamed.ply_ids import Ids, cut_polygons
 from msal_cli.codecs.streamed.ply_walk import Run, fixed_stride, walk_element
-from msal_cli.codecs.streamed_mesh import FaceChunk, NewNormals, NewPositions
+from msal_cli.codecs.streamed_mesh import FaceChunk, NewNormals, NewPositions, Survey
 from msal_cli.errors import UnsupportedError
 
 _AT_ONCE = 1 << 17
@@ -55,13 +56,14 @@ class StreamedPly:
 
     format = "ply"
     are_corners = False
+    keeps_size = True
 
     def __init__(self, path: str, head: Bytes, size: int) -> None:
         """Open the file of ``size`` bytes that begins with ``head``."""
         self.path, self.size = path, size
         self.header: Header = parsed(memoryview(head.tobytes()), len(head) == size)
         vertex = self.vertex = vertex_element(self.header)
-        _refuse_others(self.header)
+        refuse_others(self.header)
         self.encoding = self.header.encoding
         self.precision = precision_of(self.header, vertex)
         self.properties = properties_of(self.header)
@@ -149,7 +151,8 @@ class StreamedPly:
         first, stop = chunk.polygons
         part = dataclasses.replace(self.face, count=stop - first)
         section = section_at(data, self.header, part, 0, wanted_names(part))
-        return cut_polygons(section, self.corners, self.n_vertices, first)
+        section = dataclasses.replace(section, before=Before(first))
+        return cut_polygons(section, self.corners, self.n_vertices)
 
     # Writing
 
@@ -163,8 +166,15 @@ class StreamedPly:
             *split_range(end, self.size, most),
         ]
 
+    def survey(self, positions: NewPositions, normals: NewNormals | None) -> None:
+        """See ``StreamedMesh``."""
+
     def replace(
-        self, piece: tuple[int, int], positions: NewPositions, normals: NewNormals | None
+        self,
+        piece: tuple[int, int],
+        positions: NewPositions,
+        normals: NewNormals | None,
+        survey: Survey | None = None,
     ) -> memoryview:
         """See ``StreamedMesh``."""
         data = read_range(self.path, *piece)
@@ -246,7 +256,7 @@ class StreamedPly:
         )
 
 
-def _refuse_others(header: Header) -> None:
+def refuse_others(header: Header) -> None:
     """Raise UnsupportedError for what cannot be read, or not be rewritten, in pieces."""
     vertex, face, strips = (header.find(name) for name in ("vertex", "face", "tristrips"))
     if vertex is not None and fixed_stride(vertex) is None:

@@ -17,11 +17,11 @@ _NO_VERTEX = 2**32 - 1
 """A number that no vertex has."""
 
 
-def cut_polygons(section: Section, name: str, n_vertices: int, first: int) -> Ids:
+def cut_polygons(section: Section, name: str, n_vertices: int) -> Ids:
     """The triangles (t, 3) of polygons whose corners are the list ``name``, cut as in memory.
 
-    ``first`` is the number of the section's first record in the file.  Raises ContentError
-    (``E_INDEX``) and FormatError (a corner is not a whole number) with the face.
+    Raises ContentError (``E_INDEX``) and FormatError (a corner is not a whole number) with the
+    face.
     """
     items: NDArray[Any]
     lengths: Longs | None
@@ -30,10 +30,10 @@ def cut_polygons(section: Section, name: str, n_vertices: int, first: int) -> Id
     else:
         items, each = section.items(name)
         lengths = np.ascontiguousarray(each, dtype=np.int64)
-    ids = _as_ids(items, section, name, n_vertices, first)
+    ids = _as_ids(items, section, name, n_vertices)
     if ids.size and int(ids.max()) >= n_vertices:
         item = int(np.argmax(ids.reshape(-1) >= n_vertices))
-        raise bad_index(section, name, item, n_vertices, first)
+        raise bad_index(section, name, item, n_vertices)
     if lengths is None:
         return _cut_alike(ids)
     from msal_cli.kernels.ply_scan import fans
@@ -58,14 +58,14 @@ def _cut_alike(ids: Ids) -> Ids:
     return cut.reshape(-1, 3)
 
 
-def _as_ids(items: NDArray[Any], section: Section, name: str, n_vertices: int, first: int) -> Ids:
+def _as_ids(items: NDArray[Any], section: Section, name: str, n_vertices: int) -> Ids:
     """Corners as unsigned numbers; what is below 0 or too large is made one that no vertex has."""
     kind, size = items.dtype.kind, items.dtype.itemsize
     if kind == "f":
         values = items.astype(np.float64)
         is_whole = np.isfinite(values) & (np.rint(values) == values)
         if not is_whole.all():
-            raise broken_index(section, name, int(np.argmin(is_whole.reshape(-1))), first)
+            raise broken_index(section, name, int(np.argmin(is_whole.reshape(-1))))
         values[(values < 0.0) | (values > _NO_VERTEX)] = _NO_VERTEX
         return np.ascontiguousarray(values.astype(np.uint32))
     if size == 8:

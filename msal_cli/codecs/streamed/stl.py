@@ -17,7 +17,7 @@ from msal_cli.codecs.stl import (
 from msal_cli.codecs.stl_facets import FACET, HEADER_BYTES, check_not_empty, not_finite
 from msal_cli.codecs.streamed.byte_ranges import BLOCK_BYTES, read_range, split_range
 from msal_cli.codecs.streamed.limits import require_countable
-from msal_cli.codecs.streamed_mesh import FaceChunk, NewNormals, NewPositions
+from msal_cli.codecs.streamed_mesh import FaceChunk, NewNormals, NewPositions, Survey
 from msal_cli.errors import InputError
 
 _FIRST = HEADER_BYTES + 4
@@ -41,6 +41,7 @@ class StreamedStl:
     references: tuple[str, ...] = ()
     vertex_type: type[np.float32] | type[np.float64] = np.float32
     are_corners = True
+    keeps_size = True
     has_normals = False
 
     def __init__(self, path: str, head: Bytes, size: int) -> None:
@@ -124,8 +125,15 @@ class StreamedStl:
             *split_range(self._end, self.size, most),
         ]
 
+    def survey(self, positions: NewPositions, normals: NewNormals | None) -> None:
+        """See ``StreamedMesh``."""
+
     def replace(
-        self, piece: tuple[int, int], positions: NewPositions, normals: NewNormals | None
+        self,
+        piece: tuple[int, int],
+        positions: NewPositions,
+        normals: NewNormals | None,
+        survey: Survey | None = None,
     ) -> memoryview:
         """See ``StreamedMesh``; facets' normals are computed from the new corners."""
         from msal_cli.kernels.facet_normals import replace_facets

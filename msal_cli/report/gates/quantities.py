@@ -46,6 +46,7 @@ SHORT_NAMES: dict[str, tuple[tuple[str, ...], Unit | None]] = {
     "vertex_error_percent": (("reference.vertex_error_percent",), None),
     "hausdorff": (("reference.hausdorff",), None),
     "self_intersections": (("self_intersections.created",), None),
+    "fixed_border_vertices": (("tile_set.fixed_border_vertices",), None),
     "noise": (("noise_estimate.file_units",), None),
     "risk": (("choice.risk_edges",), None),
     "seconds": (("seconds.total",), None),
@@ -54,7 +55,7 @@ SHORT_NAMES: dict[str, tuple[tuple[str, ...], Unit | None]] = {
 
 Of these, a kind of record has the ones that it has fields for."""
 
-_LENGTHS = {"hausdorff", "seam_gap", "mean_edge_length", "file_units"}
+_LENGTHS = {"hausdorff", "seam_gap", "tile_gap", "largest_weld", "mean_edge_length", "file_units"}
 _STATISTICS = {"mean", "rms", "p95", "max"}
 _POWERS = {"volume": 3, "area": 2}
 
@@ -93,6 +94,8 @@ class Quantity:
             return f"{self.name} is not known: {reference.error.message}"
         if any(one.startswith("self_intersections.") for one in self.fields):
             return f"{self.name} is not known: count them with --check self-intersections"
+        if self.name == "tile_gap" or self.fields[0].startswith("tile_set."):
+            return f"{self.name} is not known: files are denoised as one with --tile-set"
         if self.name == "despiked":
             return "despiked is not known: outliers were not looked for, as --despike does"
         return f"{self.name} is not known for this file"

@@ -12,10 +12,11 @@ from msal_cli.codecs.streamed import open_streamed
 
 
 def stored(tmp_path, data: bytes, suffix: str):
-    """The opened file of these bytes."""
+    """The opened file of these bytes, as another process would have it."""
     path = tmp_path / f"a.{suffix}"
     path.write_bytes(data)
-    return pickle.loads(pickle.dumps(open_streamed(path)))
+    open_streamed(path, folder=tmp_path / "folder")
+    return pickle.loads(pickle.dumps(open_streamed(path, folder=tmp_path / "folder")))
 
 
 def read_vertices(mesh, step: int) -> np.ndarray:
@@ -48,10 +49,13 @@ def replace(mesh, vertices, normals=None, step: int = 64) -> bytes:
     assert pieces[0][0] == 0 and pieces[-1][1] == mesh.size
     assert all(one[1] == two[0] for one, two in itertools.pairwise(pieces))
     new = None if normals is None else lambda start, stop: normals[start:stop]
-    return b"".join(
-        bytes(mesh.replace(piece, lambda start, stop: vertices[start:stop], new))
-        for piece in pieces
-    )
+
+    def positions(start, stop):
+        return vertices[start:stop]
+
+    survey = mesh.survey(positions, new)
+    assert (survey is None) == mesh.keeps_size
+    return b"".join(bytes(mesh.replace(piece, positions, new, survey)) for piece in pieces)
 
 
 def whole(data: bytes, suffix: str):

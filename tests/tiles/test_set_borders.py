@@ -1,0 +1,150 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from msal_cli.codecs import open_mesh
+from msal_cli.errors import UsageError
+from msal_cli.job.opened_mesh import prepare_mesh
+from msal_cli.tiles import set_borders as borders
+from msal_cli.tiles.set_borders import (
+    Border,
+    count_unmatched,
+    find_border,
+    near_pairs,
+    share_borders,
+)
+from tests.shapes import grid
+from tests.tiles.tile_files import in_tiles, noisy_ball, ply
+
+
+def border_of(vertices, faces):
+    mesh_file = open_mesh(ply(vertices, faces, "<f8"), "a.ply")
+    return find_border(prepare_mesh(mesh_file), mesh_file)
+
+
+def points(*rows):
+    """A border that has points only."""
+    positions = np.array(rows, dtype=float).reshape(-1, 3)
+    n = len(positions)
+    return Border(
+        positions,
+        np.arange(n),
+        np.arange(n, dtype=np.int32),
+        np.zeros(n, dtype=np.int64),
+        np.empty((0, 2), dtype=np.int32),
+    )
+
+
+def share(*several, weld=0.0, single=None):
+    return share_borders(several, single or [False] * len(several), weld)
+
+
+def test_the_border_of_a_grid_is_its_rim():
+    vertices, faces = grid(4, 5)
+    border = border_of(vertices, faces)
+    assert len(border.positions) == len(border.edges) == 14
+    assert np.array_equal(border.positions, vertices[border.vertices])
+    assert np.array_equal(vertices[faces.reshape(-1)[border.corners]], border.positions)
+    lengths = border.positions[border.edges[:, 0]] - border.positions[border.edges[:, 1]]
+    assert np.allclose(np.linalg.norm(lengths, axis=1), 1.0)
+
+
+def test_vertices_of_one_file_that_coincide_are_one_point():
+    vertices, faces = grid(4, 5)
+    soup = vertices[faces.reshape(-1)]
+    border = border_of(soup, np.arange(len(soup)).reshape(-1, 3))
+    assert len(border.positions) == 14 and len(border.vertices) > 14
+    assert np.array_equal(border.positions[border.points], soup[border.vertices])
+
+
+def test_a_closed_mesh_has_no_border():
+    assert len(border_of(*noisy_ball()).positions) == 0
+
+
+def test_points_at_one_place_are_one():
+    shared = share(points((0, 0, 0), (1, 0, 0)), points((1, 0, 0)), points((-0.0, 0, 0), (3, 0, 0)))
+    assert shared.group.tolist() == [0, 1, 1, 0, 4]
+    assert shared.is_shared.tolist() == [True, True, True, True, False]
+    assert shared.neighbours() == [[1, 2], [0], [0]]
+
+
+def test_points_are_one_in_single_precision_where_a_file_has_only_that():
+    third = 1.0 / 3.0
+    one, other = points((float(np.float32(third)), 0, 0)), points((third, 0, 0))
+    assert share(one, other, single=[True, False]).group.tolist() == [0, 0]
+    assert share(one, other, single=[False, False]).group.tolist() == [0, 1]
+    # Two files in double precision are compared in it, and one file is never joined with itself.
+    near = points((third, 0, 0), (third + 1e-12, 0, 0))
+    assert share(near, points((9, 9, 9)), single=[False, True]).group.tolist() == [0, 1, 2]
+
+
+def test_points_of_different_files_within_a_length_are_one():
+    shared = share(points((0, 0, 0), (0.05, 0, 0)), points((0.06, 0, 0), (5, 0, 0)), weld=0.1)
+    # The nearest pair is joined, and the first file keeps its two points.
+    assert shared.group.tolist() == [0, 1, 1, 3]
+    assert shared.is_moved.tolist() == [False, False, True, False]
+    assert shared.distances(shared.positions).tolist() == pytest.approx([0, 0.01, 0.01, 0])
+
+
+def test_a_chain_never_joins_two_points_of_one_file():
+    shared = share(
+        points((0, 0, 0), (0.3, 0, 0)), points((0.1, 0, 0)), points((0.2, 0, 0)), weld=0.1001
+    )
+    assert shared.group[0] != shared.group[1]
+    for group in np.unique(shared.group):
+        files = shared.file_of[shared.group == group]
+        assert len(np.unique(files)) == len(files)
+
+
+@given(st.integers(0, 1000), st.floats(0.01, 0.5))
+def test_welding_keeps_points_of_a_file_apart(seed, weld):
+    random = np.random.default_rng(seed)
+    several = [points(*random.uniform(0, 2, (6, 3))) for _ in range(3)]
+    shared = share(*several, weld=weld)
+    assert (shared.group <= np.arange(18)).all()
+    assert (shared.group[shared.group] == shared.group).all()
+    for group in np.unique(shared.group):
+        files = shared.file_of[shared.group == group]
+        assert len(np.unique(files)) == len(files)
+    # No pair is left that could be joined.
+    one, other = near_pairs(shared.positions, shared.positions, weld)
+    for a, b in zip(one, other, strict=True):
+        if shared.group[a] != shared.group[b]:
+            ours = set(shared.file_of[shared.group == shared.group[a]])
+            assert ours & set(shared.file_of[shared.group == shared.group[b]])
+
+
+@given(st.integers(0, 1000), st.floats(0.05, 3.0))
+def test_near_pairs_are_all_pairs_within_reach(seed, reach):
+    random = np.random.default_rng(seed)
+    a, b = random.normal(size=(12, 3)), random.normal(size=(9, 3))
+    distances = np.linalg.norm(a[:, None] - b[None], axis=2)
+    wanted = {(int(i), int(j)) for i, j in zip(*np.nonzero(distances <= reach), strict=True)}
+    assert set(zip(*(x.tolist() for x in near_pairs(a, b, reach)), strict=True)) == wanted
+
+
+def test_a_length_beyond_the_edges_is_refused(monkeypatch):
+    monkeypatch.setattr(borders, "_MOST_PAIRS", 10)
+    with pytest.raises(UsageError, match="--weld 5"):
+        share(points(*np.eye(3)), points(*np.eye(3)), weld=5.0)
+
+
+def test_borders_that_match_have_no_unmatched_points():
+    vertices, faces = grid(9, 9)
+    several = [border_of(*part) for part in in_tiles(vertices, faces, 3)]
+    shared = share(*several)
+    assert count_unmatched(several, shared, 1.2) == [0] * 9
+    assert [len(row) for row in shared.neighbours()] == [3, 5, 3, 5, 8, 5, 3, 5, 3]
+
+
+def test_points_amid_the_edges_of_another_file_are_unmatched():
+    coarse, faces = grid(3, 3)
+    fine, fine_faces = grid(5, 5)
+    fine = fine / 2.0 + (2.0, 0.0, 0.0)
+    several = [border_of(coarse, faces), border_of(fine, fine_faces)]
+    shared = share(*several)
+    assert shared.is_shared.sum() == 6
+    assert count_unmatched(several, shared, 1.0) == [0, 2]

@@ -1,0 +1,279 @@
+from __future__ import annotations
+
+import gzip
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from msal_cli import methods
+from msal_cli.job.pipeline import denoise_file, start_record
+from msal_cli.job.settings import Limits, Settings, Task
+from msal_cli.tiles import stages
+from msal_cli.tiles.opening import open_run
+from msal_cli.tiles.scratch import Scratch
+from msal_cli.tiles.set_run import denoise_set, survey_set
+from tests.tiles.tile_files import (
+    in_tiles,
+    joined,
+    mixed,
+    noisy_ball,
+    noisy_terrain,
+    ply,
+    read,
+    tasks_of,
+)
+
+MSAL = Settings("msal", methods.find("msal").validate({}), tile_set=True)
+ADAPTIVE = Settings("adaptive", tile_set=True)
+
+
+def plies(parts, code="<f4"):
+    return {f"{i}.ply": ply(*part, code) for i, part in enumerate(parts)}
+
+
+@pytest.mark.parametrize("code", ["<f4", "<f8"])
+@pytest.mark.parametrize("settings", [MSAL, ADAPTIVE], ids=["msal", "adaptive"])
+def test_the_set_is_the_joined_mesh(tmp_path, code, settings):
+    parts = in_tiles(*noisy_ball(single=code == "<f4"), 2)
+    records = denoise_set(tasks_of(tmp_path, plies(parts, code)), settings)
+    assert [one.status for one in records] == ["written"] * 4
+    assert [one.tile_gap for one in records] == [0.0] * 4
+    (task,) = tasks_of(tmp_path / "joined", {"a.ply": ply(*joined(parts), code)})
+    whole = denoise_file(task, replace(settings, tile_set=False))
+    assert all(one.method == whole.method and one.choice == whole.choice for one in records)
+    ours = np.concatenate([read(one.output).vertices for one in records])
+    assert ours.tobytes() == read(whole.output).vertices.tobytes()
+    assert not np.array_equal(ours, joined(parts)[0])
+
+
+def test_files_in_other_formats_have_the_same_positions(tmp_path):
+    parts = in_tiles(*noisy_terrain(), 3)
+    records = denoise_set(tasks_of(tmp_path, mixed(parts)), MSAL)
+    assert [one.status for one in records] == ["written"] * 9
+    assert [one.tile_gap for one in records] == [0.0] * 9
+    assert records[4].tile_set.neighbours == tuple(n for n in mixed(parts) if n != "4.off")
+    (task,) = tasks_of(tmp_path / "joined", {"a.ply": ply(*joined(parts), "<f8")})
+    whole = read(denoise_file(task, replace(MSAL, tile_set=False)).output).vertices
+    start = 0
+    for (vertices, faces), record in zip(parts, records, strict=True):
+        there = read(record.output)
+        corners = there.vertices[there.faces.reshape(-1)]
+        wanted = whole[start : start + len(vertices)][faces.reshape(-1)]
+        assert np.abs(corners - wanted).max() < 2e-6
+        start += len(vertices)
+
+
+def test_compressed_files_and_conversions(tmp_path):
+    parts = in_tiles(*noisy_terrain(), 2)
+    contents = {f"{i}.ply.gz": gzip.compress(ply(*part)) for i, part in enumerate(parts)}
+    tasks = tasks_of(tmp_path, contents)
+    assert [one.tile_gap for one in denoise_set(tasks, MSAL)] == [0.0] * 4
+    tasks = [replace(one, output=one.output.replace(".ply.gz", ".stl")) for one in tasks]
+    records = denoise_set(tasks, replace(MSAL, to="stl"))
+    assert [one.tile_gap for one in records] == [0.0] * 4, records[0].error
+
+
+def test_alone_the_files_come_apart(tmp_path):
+    # Without this the other tests would show nothing.
+    parts = in_tiles(*noisy_ball(), 2)
+    tasks = tasks_of(tmp_path, plies(parts))
+    records = [denoise_file(one, replace(MSAL, tile_set=False)) for one in tasks]
+    assert all(one.tile_gap is None and one.tile_set is None for one in records)
+    before, after = joined(parts)[0], np.concatenate([read(one.output).vertices for one in records])
+    _, first, place = np.unique(before, axis=0, return_index=True, return_inverse=True)
+    assert np.abs(after - after[first[place.reshape(-1)]]).max() > 1e-3
+
+
+def shaken(parts, level):
+    """The parts with noise of their own at every vertex, so that borders no longer match."""
+    random = np.random.default_rng(8)
+    return [(v + random.uniform(-level, level, v.shape), f) for v, f in parts]
+
+
+def test_welding_closes_small_gaps(tmp_path):
+    parts = shaken(in_tiles(*noisy_terrain(), 2), 0.004)
+    tasks = tasks_of(tmp_path, plies(parts))
+    open_records = denoise_set(tasks, MSAL)
+    assert all(one.tile_set.shared_vertices == 0 for one in open_records)
+    assert all("--weld" in one.warnings[-1] for one in open_records)
+    records = denoise_set(tasks, replace(MSAL, weld="0.02"))
+    parts_of = [one.tile_set for one in records]
+    assert [one.tile_gap for one in records] == [0.0] * 4
+    assert [one.unmatched_vertices for one in parts_of] == [0] * 4
+    assert [len(one.neighbours) for one in parts_of] == [3, 3, 3, 3]
+    assert parts_of[0].welded_vertices == 0
+    assert parts_of[3].welded_vertices == parts_of[3].shared_vertices == 25
+    assert 0.0 < max(one.largest_weld for one in parts_of) < 0.02
+    # The same length in mean edge lengths of the set.
+    edge = records[0].mean_edge_length
+    again = denoise_set(tasks, replace(MSAL, weld=f"{0.02 / edge!r}e"))
+    assert [one.tile_set for one in again] == parts_of
+
+
+def test_welding_is_the_joined_mesh_with_positions_replaced(tmp_path):
+    vertices, faces = noisy_terrain()
+    parts = shaken(in_tiles(vertices, faces, 2), 0.004)
+    records = denoise_set(tasks_of(tmp_path, plies(parts, "<f8")), replace(MSAL, weld="0.02"))
+    ours = np.concatenate([read(one.output).vertices for one in records])
+    # By hand: a vertex of the terrain is where the first part has it.
+    ids = np.concatenate([part[0] for part in in_tiles(vertices, faces, 2)])
+    _, first, place = np.unique(ids, axis=0, return_index=True, return_inverse=True)
+    welded, all_faces = joined(parts)
+    welded = welded[first[place.reshape(-1)]]
+    (task,) = tasks_of(tmp_path / "joined", {"a.ply": ply(welded, all_faces, "<f8")})
+    whole = denoise_file(task, replace(MSAL, tile_set=False))
+    assert ours.tobytes() == read(whole.output).vertices.tobytes()
+
+
+def test_no_vertex_goes_further_than_allowed(tmp_path):
+    tasks = tasks_of(tmp_path, plies(in_tiles(*noisy_terrain(), 2), "<f8"))
+    records = denoise_set(tasks, replace(MSAL, max_move="0.01"))
+    assert all(one.displacement.max <= 0.01 for one in records)
+    assert [one.tile_gap for one in records] == [0.0] * 4
+    assert len({one.clamped_vertices for one in records}) == 1
+
+
+def test_the_border_to_a_file_that_fails_is_held(tmp_path):
+    parts = in_tiles(*noisy_terrain(), 2)
+    contents = plies(parts)
+    contents["1.ply"] = contents["1.ply"][:-20]
+    tasks = tasks_of(tmp_path, contents)
+    records = denoise_set(tasks, MSAL)
+    assert [one.status for one in records] == ["written", "failed", "written", "written"]
+    assert records[1].error.code == "E_TRUNCATED"
+    assert "1.ply" in records[0].warnings[-1]
+    shared = (parts[0][0][:, None] == parts[1][0][None]).all(axis=2).any(axis=1)
+    lone = shared & ~(parts[0][0][:, None] == parts[2][0][None]).all(axis=2).any(axis=1)
+    lone &= ~(parts[0][0][:, None] == parts[3][0][None]).all(axis=2).any(axis=1)
+    after = read(records[0].output).vertices
+    assert lone.any() and np.array_equal(after[lone], parts[0][0][lone])
+    assert not np.array_equal(after[shared], parts[0][0][shared])
+    assert records[0].tile_set.fixed_border_vertices >= lone.sum()
+    assert records[0].tile_set.files == 3
+    # Once it is mended, nothing is held.
+    records = denoise_set(tasks_of(tmp_path, plies(parts)), MSAL)
+    assert [one.tile_set.fixed_border_vertices for one in records] == [0] * 4
+
+
+def test_a_set_that_cannot_be_read_at_all(tmp_path):
+    records = denoise_set(tasks_of(tmp_path, {"a.ply": b"ply\n", "b.stl": b""}), MSAL)
+    assert [one.status for one in records] == ["failed", "failed"]
+
+
+def test_the_first_failure_may_stop_the_set(tmp_path):
+    contents = plies(in_tiles(*noisy_terrain(), 2)) | {"1.ply": b"ply\n"}
+    tasks = tasks_of(tmp_path, contents)
+    records = denoise_set(tasks, MSAL, most_failures=1)
+    assert [one.status for one in records] == ["planned", "failed", "planned", "planned"]
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_too_little_memory_fails_the_set_before_it_is_read(tmp_path):
+    tasks = tasks_of(tmp_path, plies(in_tiles(*noisy_terrain(), 2)))
+    records = denoise_set(tasks, MSAL, limits=Limits(memory_bytes=50_000_001))
+    assert {one.error.code for one in records} == {"E_MEMORY"}
+
+
+def test_a_file_that_changes_meanwhile_fails(tmp_path):
+    parts = in_tiles(*noisy_terrain(), 2)
+    tasks = tasks_of(tmp_path, plies(parts))
+
+    def on_step(index, stage, done, total):
+        if stage == "sweeps":
+            (tmp_path / "in/2.ply").write_bytes(ply(*parts[1]))
+
+    records = denoise_set(tasks, MSAL, on_step)
+    assert [one.status for one in records] == ["written", "written", "failed", "written"]
+    assert records[2].error.code == "E_CHANGED"
+    assert records[0].tile_gap == 0.0
+
+
+def test_a_clean_set_stays_as_it_is(tmp_path):
+    tasks = tasks_of(tmp_path, plies(in_tiles(*noisy_ball(level=0.0), 2)))
+    records = denoise_set(tasks, replace(MSAL, min_noise="auto"))
+    assert [one.status for one in records] == ["unchanged"] * 4
+    assert all(one.left_alone for one in records)
+
+
+def test_locks_and_trust_come_from_all_files(tmp_path):
+    def with_trust(data, n):
+        header, _, rest = data.partition(b"end_header\n")
+        header = header.replace(b"property float z\n", b"property float z\nproperty float trust\n")
+        rows = np.frombuffer(rest[: 12 * n], "<f4").reshape(n, 3)
+        trust = np.full((n, 1), 0.5, "<f4")
+        return header + b"end_header\n" + np.hstack([rows, trust]).tobytes() + rest[12 * n :]
+
+    parts = in_tiles(*noisy_terrain(), 2)
+    contents = {f"{i}.ply": with_trust(ply(*part), len(part[0])) for i, part in enumerate(parts)}
+    tasks = tasks_of(tmp_path, contents)
+    records = denoise_set(tasks, replace(MSAL, lock=("trust > 0.2",), weights="trust"))
+    assert [one.status for one in records] == ["unchanged"] * 4, records[0].error
+    contents["3.ply"] = ply(*parts[3])
+    records = denoise_set(tasks_of(tmp_path, contents), replace(MSAL, weights="trust"))
+    assert [one.status for one in records] == ["written"] * 3 + ["failed"]
+    assert records[3].error.code == "E_PROPERTY"
+
+
+def test_a_survey_touches_nothing(tmp_path):
+    tasks = tasks_of(tmp_path, mixed(in_tiles(*noisy_terrain(), 3)))
+    records = survey_set(tasks, MSAL)
+    assert [one.status for one in records] == ["planned"] * 9
+    assert records[0].tile_set.neighbours == ("1.obj", "3.ply", "4.off")
+    assert not list((tmp_path / "out").iterdir())
+
+
+def by_tiles_in(folder):
+    """What runs the stages of the tiles in this process."""
+
+    @contextmanager
+    def run_tiles(files, vertex_type, settings, describe):
+        scratch = Scratch(folder)
+        folder.mkdir()
+        source = describe(folder)
+        task = Task("set", "", "set")
+        sizes = {"tile_vertices": 90, "chunk_vertices": 100}
+        open_run(task, settings, scratch, **sizes, source=source)
+        stages.run_here(scratch)
+        yield scratch, start_record("set", settings)
+        scratch.remove()
+
+    return run_tiles
+
+
+TIGHT = Limits(memory_bytes=51_000_000)
+
+
+@pytest.mark.parametrize("weld", [None, "0.02"])
+def test_a_set_beyond_memory_is_the_same_by_tiles(tmp_path, weld):
+    parts = shaken(in_tiles(*noisy_terrain(), 2), 0.004 if weld else 0.0)
+    settings = replace(MSAL, weld=weld)
+    tasks = tasks_of(tmp_path, mixed(parts))
+    whole = [read(one.output).vertices.tobytes() for one in denoise_set(tasks, settings)]
+    run_tiles = by_tiles_in(tmp_path / "scratch")
+    records = denoise_set(tasks, settings, limits=TIGHT, run_tiles=run_tiles)
+    assert [one.status for one in records] == ["written"] * 4, records[0].error
+    assert [one.tile_gap for one in records] == [0.0] * 4
+    assert [read(one.output).vertices.tobytes() for one in records] == whole
+    assert not (tmp_path / "scratch").exists()
+
+
+def test_by_tiles_the_border_to_a_failed_file_is_held_too(tmp_path):
+    contents = plies(in_tiles(*noisy_terrain(), 2)) | {"1.ply": b"ply"}
+    tasks = tasks_of(tmp_path, contents)
+    whole = [read(one.output).vertices for one in denoise_set(tasks, MSAL) if one.output]
+    run_tiles = by_tiles_in(tmp_path / "scratch")
+    records = denoise_set(tasks, MSAL, limits=TIGHT, run_tiles=run_tiles)
+    assert [one.status for one in records] == ["written", "failed", "written", "written"]
+    ours = [read(one.output).vertices for one in records if one.output]
+    assert all(np.array_equal(a, b) for a, b in zip(ours, whole, strict=True))
+
+
+def test_seconds_add_up(tmp_path):
+    tasks = tasks_of(tmp_path, plies(in_tiles(*noisy_terrain(), 2)))
+    for record in denoise_set(tasks, MSAL):
+        seconds = record.seconds
+        parts = [getattr(seconds, n) for n in ("read", "connectivity", "choose", "normals")]
+        parts += [seconds.sweeps, seconds.measure, seconds.write]
+        assert seconds.sweeps > 0.0 and sum(parts) == pytest.approx(seconds.total, rel=0.05)
