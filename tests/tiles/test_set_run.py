@@ -250,6 +250,8 @@ def by_tiles_in(folder):
     """What runs the stages of the tiles in this process."""
 
     class RunHere:
+        is_forced = False
+
         def refuse(self, settings):
             if settings.fields:
                 raise UnsupportedError("--fields needs the whole mesh")
