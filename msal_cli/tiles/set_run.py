@@ -327,7 +327,10 @@ class _SetRun:
             record = add_seconds(
                 record, (member.record.seconds, 1.0), (moved.record.seconds, share)
             )
-            self._records[member.index] = replace(record, tile_set=parts[place])
+            peaks = [one.peak_memory_bytes or 0 for one in (record, moved.record)]
+            self._records[member.index] = replace(
+                record, tile_set=parts[place], peak_memory_bytes=max(peaks) or None
+            )
         mixed = shared.with_single(is_single)
         written[mixed] = written[mixed].astype(np.float32)
         gaps = shared.distances(written)

@@ -149,7 +149,6 @@ def test_too_long_a_weld_is_refused(tiles, options):
     [
         (("--shard", "1/2"), "--shard deals out files"),
         (("--timeout", "5"), "--timeout is for one file"),
-        (("--engine", "dask", "--scheduler", "local"), "--engine dask deals out files"),
         (("--weld", "0"), "--weld 0: this is no length above 0"),
     ],
 )
