@@ -29,7 +29,7 @@ from msal_cli.batch.resume import (
 from msal_cli.batch.run_checks import check_limits, check_numbers
 from msal_cli.batch.run_history import RunEntry
 from msal_cli.batch.tile_estimate import planned_tiles
-from msal_cli.batch.tile_options import TileJob
+from msal_cli.batch.tile_options import TileJob, TileOptions
 from msal_cli.batch.unfinished import failure_of, unfinished_record
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import denoise_file
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from msal_cli.batch.events import Message, OnEvent
     from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
-    from msal_cli.batch.tile_options import TileOptions
 
 
 _log = logging.getLogger("msal.batch")
