@@ -29,7 +29,7 @@ from msal_cli.batch.resume import (
 from msal_cli.batch.run_checks import check_limits, check_numbers
 from msal_cli.batch.run_history import RunEntry
 from msal_cli.batch.tile_estimate import planned_tiles
-from msal_cli.batch.tile_options import TileJob
+from msal_cli.batch.tile_options import TileJob, TileOptions
 from msal_cli.batch.unfinished import failure_of, unfinished_record
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import denoise_file
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from msal_cli.batch.events import Message, OnEvent
     from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
-    from msal_cli.batch.tile_options import TileOptions
 
 
 _log = logging.getLogger("msal.batch")
@@ -156,13 +155,10 @@ class _BatchRun:
             if self.plan.is_set and todo:
                 records = tile_set.survey_set(self.plan, self.settings, self._manifests)
             else:
-                by_tiles = {} if self.tiles is None else self._find_oversized(todo).by_tiles
-                records = {
-                    index: replace(
-                        self._planned_record(index), tiles=planned_tiles(by_tiles.get(index))
-                    )
-                    for index in todo
-                }
+                planned = {index: self._planned_record(index) for index in todo}
+                expected = {} if self.tiles is None else self._find_oversized(todo).by_tiles
+                tiles = {index: planned_tiles(one) for index, one in expected.items()}
+                records = {n: replace(one, tiles=tiles.get(n)) for n, one in planned.items()}
             for index, record in records.items():
                 self._emit_finished(index, record)
         return self._in_order()
@@ -253,22 +249,20 @@ class _BatchRun:
         return [index for index in todo if index not in oversized]
 
     def _find_oversized(self, todo: list[int], budget: MemoryBudget | None = None) -> Oversized:
-        if self.tiles is None and (self.engine is not None or self.limits.memory_bytes is not None):
-            return Oversized({}, {})
         tasks = {index: self.plan.tasks[index] for index in todo}
         budget = budget or estimate_memory(tasks, self.settings, self.limits)
-        job = None if self.tiles is None else self._tile_job(self.tiles, 0)
-        return find_oversized(tasks, self.settings, budget, job)
+        return find_oversized(tasks, self.settings, budget, self._tile_job(0))
 
-    def _tile_job(self, options: TileOptions, index: int) -> TileJob:
+    def _tile_job(self, index: int) -> TileJob:
         return TileJob(
-            options,
+            self.tiles,
             self.limits,
-            jobs=self.jobs or self._cores,
-            cores=self._cores,
-            retries=self.retries,
-            engine=self.engine,
-            on_progress=lambda *step: self.on_event(Progress(index, *step)),
+            self.jobs or self._cores,
+            self._cores,
+            self.retries,
+            self.engine,
+            self.cancellation,
+            lambda *step: self.on_event(Progress(index, *step)),
         )
 
     # The work
@@ -280,8 +274,7 @@ class _BatchRun:
             self._run_in_process(todo)
         elif todo and self._failure is None and not self._has_too_many_failures():
             self._run_engine(todo, budget)
-        if self.tiles is not None:
-            self._run_by_tiles(list(oversized.by_tiles), self.tiles)
+        self._run_by_tiles(oversized)
 
     def _run_in_process(self, todo: list[int]) -> None:
         def clean() -> None:
@@ -306,22 +299,20 @@ class _BatchRun:
                 if self._failure is not None:
                     return
 
-    def _run_by_tiles(self, indices: list[int], options: TileOptions) -> None:
-        for index in indices:
-            if self._failure is not None or self._has_too_many_failures():
-                return
-            from msal_cli.batch.tile_run import denoise_by_tiles
+    def _run_by_tiles(self, oversized: Oversized) -> None:
+        for index in oversized.by_tiles:
+            if self._failure is None and not self._has_too_many_failures():
+                from msal_cli.batch.tile_run import denoise_by_tiles
 
-            self.on_event(Started(index))
-            task, job = self.plan.tasks[index], self._tile_job(options, index)
-            self._finish({index: denoise_by_tiles(task, self.settings, job)})
+                self.on_event(Started(index))
+                task, job = self.plan.tasks[index], self._tile_job(index)
+                self._finish({index: denoise_by_tiles(task, self.settings, job)})
 
     def _run_set(self, todo: list[int]) -> None:
         """Denoise all files as one mesh, led by this process."""
         if todo:
-            job = None if self.tiles is None else self._tile_job(self.tiles, 0)
-            many = self.stop_after_failures
-            state = self.plan, self.settings, self.on_event, self.limits, many, self._manifests, job
+            many, job = self.stop_after_failures, self._tile_job(0)
+            state = self.plan, self.settings, self.on_event, many, self._manifests, job
             self._finish(tile_set.denoise_set(*state))
 
     def _run_engine(self, todo: list[int], budget: MemoryBudget) -> None:

@@ -22,7 +22,7 @@ from msal_cli.tiles.estimates import estimate_run
 from msal_cli.tiles.file_set import SetSource, open_set
 
 if TYPE_CHECKING:
-    from msal_cli.batch.tile_options import TileJob
+    from msal_cli.batch.tile_options import TileJob, TileOptions
     from msal_cli.job.records import MeshRecord
     from msal_cli.tiles.scratch import Scratch
 
@@ -40,11 +40,12 @@ class SetTiles:
     tasks: Sequence[Task]
     home: str
     job: TileJob
+    options: TileOptions
 
     @property
     def is_forced(self) -> bool:
         """Whether the set is denoised by tiles although it may fit into memory."""
-        return self.job.options.is_forced or self.job.engine is not None
+        return self.options.is_forced or self.job.engine is not None
 
     def refuse(self, settings: Settings) -> None:
         """Raise UnsupportedError for what cannot be done by tiles."""
@@ -66,7 +67,7 @@ class SetTiles:
         mesh = open_set(source.describe(Path()))
         bound = memory_bound(self.job.limits)
         expected = estimate_run(mesh, settings, jobs=self.job.jobs, memory_bytes=bound)
-        path = tile_scratch.scratch_path(task.output, self.job.options.scratch)
+        path = tile_scratch.scratch_path(task.output, self.options.scratch)
         tile_scratch.check_space(path, task.output, expected)
         output.make_folder_of(task.output)
         with tile_scratch.lock_scratch(path) as scratch, sweeping_after_errors(scratch):

@@ -9,6 +9,7 @@ come again.
 from __future__ import annotations
 
 import logging
+import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -95,6 +96,7 @@ class TileRun:
         mesh = open_for_tiles(task, self.settings)
         self.know(**outcome.describe_source(mesh))
         expected = estimate_tiles(task, self.settings, self.job)
+        assert self.job.options is not None
         path = tile_scratch.scratch_path(task.output, self.job.options.scratch)
         tile_scratch.check_space(path, task.output, expected)
         output.make_folder_of(task.output)
@@ -127,10 +129,10 @@ class TileRun:
             factory=self.job.engine,
         )
         progress = TileProgress(scratch, self.job.on_progress)
-        tiles = planned_tiles(expected)
-        assert tiles is not None
-        self.know(tiles=replace(tiles, resumed_tasks=n_resumed))
+        self.know(tiles=replace(planned_tiles(expected), resumed_tasks=n_resumed))
         received: list[int] = []
+        is_interrupted = False
+        cancellation = self.job.cancellation or interrupts.Cancellation()
 
         def on_signal(signum: int) -> None:
             received.append(signum)
@@ -138,16 +140,22 @@ class TileRun:
 
         try:
             while (stage := self._next_stage(scratch)) is not None:
+                cancellation.check()
                 if stage.todo:
-                    with interrupts.noticed(on_signal), self._timed(stage.name, scratch):
+                    with (
+                        interrupts.noticed(on_signal),
+                        cancellation.noticed(engine.interrupt),
+                        self._timed(stage.name, scratch),
+                    ):
                         self._run_stage(engine, scratch, stage, progress)
                 with self.leading(stage.name, scratch):
                     stages.reduce_stage(scratch, stage.name)
         except Interrupt:
-            interrupts.raise_for(received[0])
+            is_interrupted = True
+            interrupts.raise_for(received[0] if received else signal.SIGINT)
         finally:
             engine.close()
-            if received:
+            if is_interrupted:
                 _log.warning(
                     "%r: finished tasks are kept in %r; the same command goes on from there",
                     self.task.input,

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 def renew_normals(
     scratch: Scratch, tile: int, mesh: TileMesh, moved: Floats, placed: Floats, origin: Floats
 ) -> Floats:
-    """New normals (count, 3) of a tile's vertices, as the codecs for whole files compute them.
+    """New normals (count, 3) of a tile's vertices, as the codecs for whole files compute them; NaN
+    for those that are kept.
 
     They come from all triangles of the file, useless ones too, and vertices that are not welded.
 
@@ -51,8 +52,8 @@ def renew_normals(
     # Those of others are not looked at: zero is no normal.
     stored = np.zeros((len(numbers), 3))
     stored[:count] = scratch.read_range(STORED_NORMALS, np.float64, first, stop, 3)
-    renewed: Floats = regrouped_normals(old, new, faces, faces, stored)[0][:count]
-    return renewed
+    renewed, is_new = regrouped_normals(old, new, faces, faces, stored)
+    return np.where(is_new[:count, None], renewed[:count], np.nan)
 
 
 def _find(mesh: TileMesh, ids: NDArray[np.uint32]) -> Ints:

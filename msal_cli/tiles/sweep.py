@@ -94,8 +94,7 @@ def run_denoise(scratch: Scratch, round_number: int, tile: int) -> dict[str, Any
         _write_moved(scratch, tile, None, np.empty((0, 3)))
         if scratch.has(NORMALS):
             first, stop = tile_range(scratch, tile)
-            stored = scratch.read_range(vertex_data.STORED_NORMALS, np.float64, first, stop, 3)
-            _write_rows(scratch, NORMALS, tile, stored)
+            _write_rows(scratch, NORMALS, tile, np.full((stop - first, 3), np.nan))
         return {"locked": vertex_data.count_held_strays(scratch, tile, None)}
     tile_mesh = TileMesh.load(folder)
     saved = load_saved(scratch, tile, tile_mesh, round_number - 1) if round_number else {}
