@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import os
+import signal
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
@@ -66,6 +67,7 @@ def run(
     command: Sequence[str] = (),
     denoise: Denoise = denoise_file,
     engine: EngineFactory | None = None,
+    cancellation: interrupts.Cancellation | None = None,
 ) -> list[MeshRecord]:
     """One record per task, in the plan's order; the same bytes for any number of jobs.
 
@@ -87,6 +89,8 @@ def run(
     command : the command line, for the manifests and the reports made of them.
     denoise : what does one file, a module-level function; takes ``limits=`` where there are any.
     engine : processes the files, a single one too; None is ``worker_pool.WorkerPool``.
+    cancellation : ends the run from another thread.  Then a single file runs in a worker, too,
+        which can be ended at any time.
 
     Raises
     ------
@@ -94,8 +98,9 @@ def run(
         the file to be replaced is in the way, or the engine cannot be used; no file was touched.
     OutputError : the output folder or its manifest cannot be written.
     ResourceError : no worker process can be started.
-    KeyboardInterrupt, interrupts.Terminated : a signal asked to end; all workers are gone, finished
-        files are whole and recorded, and running the plan again goes on from there.
+    KeyboardInterrupt, interrupts.Terminated : a signal or ``cancellation`` asked to end; all
+        workers are gone, finished files are whole and recorded, and running the plan again goes on
+        from there.
     """
     check_numbers(jobs, retries, stop_after_failures)
     check_limits(limits)
@@ -112,6 +117,7 @@ def run(
             retries=retries,
             stop_after_failures=stop_after_failures,
             engine=engine,
+            cancellation=cancellation,
         )
         return one.dry_run() if dry_run else one.execute(stack, tuple(command))
 
@@ -127,6 +133,7 @@ class _BatchRun:
     retries: int
     stop_after_failures: int | None
     engine: EngineFactory | None
+    cancellation: interrupts.Cancellation | None
 
     def __post_init__(self) -> None:
         self._cores = usable_cores()
@@ -183,7 +190,7 @@ class _BatchRun:
     def _is_single(self) -> bool:
         is_limited = (self.limits.timeout_s, self.limits.memory_bytes) != (None, None)
         is_alone = len(self.plan.tasks) == 1 and self.plan.shard is None
-        return is_alone and self.engine is None and not is_limited
+        return is_alone and not (self.engine or is_limited or self.cancellation)
 
     def _append_end(self, entry: RunEntry, *, interrupted: bool) -> None:
         for manifest in self._begun:
@@ -324,7 +331,8 @@ class _BatchRun:
             received.append(signum)
             engine.interrupt()
 
-        with interrupts.noticed(on_signal), closing(engine.batches()) as batches:
+        cancelled = (self.cancellation or interrupts.Cancellation()).noticed(engine.interrupt)
+        with interrupts.noticed(on_signal), cancelled, closing(engine.batches()) as batches:
             try:
                 for messages in batches:
                     self._handle_messages(messages)
@@ -332,7 +340,7 @@ class _BatchRun:
                     if self._failure is not None or self._has_too_many_failures():
                         engine.stop()
             except Interrupt:
-                interrupts.raise_for(received[0])
+                interrupts.raise_for(received[0] if received else signal.SIGINT)
 
     def _handle_messages(self, messages: list[Message]) -> None:
         finished: dict[int, MeshRecord] = {}

@@ -5,51 +5,27 @@ Keywords may be in any case and apart by any white space; a solid's name is the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Ints
-from msal_cli.codecs.detection import BYTE_ORDER_MARK
+from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.slot_file import require_finite_result, require_shape
-from msal_cli.codecs.slots import as_float32, number_hint
-from msal_cli.codecs.stl_facets import FacetFile, check_countable, check_not_empty, not_finite
+from msal_cli.codecs.slots import as_float32
+from msal_cli.codecs.stl_facets import FacetFile
+from msal_cli.codecs.stl_numbers import Scan, read_numbers
 from msal_cli.codecs.stl_writer import binary_stl, refuse_float64
 from msal_cli.errors import (
-    EXPORT_AGAIN,
-    FormatError,
     InputError,
     InternalError,
-    TooLargeError,
-    TruncatedError,
 )
 from msal_cli.storage.buffers import Buffer
 
-SHORTEST_FACET = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
-"""Bytes of text that a facet takes at least."""
-
-_USUAL_FACET = 200
 _AT_ONCE = 1 << 14
 _NORMAL_DECIMALS = 6
 _NOISE = 1e-9
 """Decimals of tiny numbers with an exponent count only down to this part of the extent."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Scan:
-    """Facets of a text: see ``kernels.stl_scan`` for what the arrays are.
-
-    ``n_bare`` counts facets without a normal.
-    """
-
-    facet_at: NDArray[np.int64]
-    offsets: NDArray[np.int32]
-    decimals: NDArray[np.int64]
-    names: tuple[str, ...]
-    n_solids: int
-    end: int
-    n_bare: int
 
 
 def read(data: Buffer, name: str) -> StlTextFile:
@@ -66,51 +42,27 @@ def read(data: Buffer, name: str) -> StlTextFile:
     """
     from msal_cli.kernels.corner_welding import weld_corners
 
-    scan, numbers = _read_numbers(data)
+    scan, numbers = read_numbers(data)
     vertices, faces, _ = weld_corners(numbers[:, 3:])
     normals = np.ascontiguousarray(numbers[:, :3])
     return StlTextFile(data, scan, vertices, normals, faces)
 
 
-def _read_numbers(data: Buffer) -> tuple[_Scan, Floats]:
-    """All facets of a text and their numbers (m, 12), positions finite; raises as ``read``."""
-    scan, numbers = _scan_text(data)
-    check_not_empty(len(numbers))
-    check_countable(len(numbers))
-    doubtful = np.argwhere(~np.isfinite(numbers[:, 3:]))
-    view = memoryview(data).cast("B")
-    for facet, token in doubtful:
-        start = int(scan.facet_at[facet] + scan.offsets[facet, token + 3])
-        value = _read_number(view, start)
-        if not np.isfinite(value):
-            raise not_finite(int(facet), int(token) // 3, _line(data, start))
-        numbers[facet, token + 3] = value
-    for facet, token in np.argwhere(np.isinf(numbers[:, :3])):
-        start = int(scan.facet_at[facet] + scan.offsets[facet, token])
-        numbers[facet, token] = _read_number(view, start)
-    return scan, numbers
-
-
-def _read_number(view: memoryview, start: int) -> float:
-    token = bytes(view[start : start + 4096]).split(None, 1)[0]
-    try:
-        return float(token)
-    except ValueError:
-        return float("nan")
-
-
-def _warnings(data: Buffer, scan: _Scan, normals: Floats) -> tuple[str, ...]:
-    trailing = len(memoryview(data).cast("B")) - scan.end
-    n_bad = 0
+def count_bad(normals: Floats) -> int:
+    """Normals (m, 3) that are not three finite numbers."""
     # A sum is finite only if all are, and quicker; it may overflow, too.
     with np.errstate(over="ignore", invalid="ignore"):
         is_odd = not np.isfinite(normals.sum())
-    if is_odd:
-        n_bad = int((~np.isfinite(normals).all(axis=1)).sum()) - scan.n_bare
+    return int((~np.isfinite(normals).all(axis=1)).sum()) if is_odd else 0
+
+
+def list_warnings(n_bare: int, n_bad: int, trailing: int) -> tuple[str, ...]:
+    """What a user should know: of facets without a normal, of those with one that is none, and of
+    bytes behind the last solid."""
     warnings: list[str] = []
-    if scan.n_bare:
+    if n_bare:
         warnings.append(
-            f"{_count_text(scan.n_bare, 'facet has', 'facets have')} no normal, and none is added"
+            f"{_count_text(n_bare, 'facet has', 'facets have')} no normal, and none is added"
         )
     if n_bad:
         warnings.append(
@@ -126,101 +78,30 @@ def _count_text(number: int, one: str, many: str) -> str:
     return f"{number} {one if number == 1 else many}"
 
 
-def _scan_text(data: Buffer) -> tuple[_Scan, Floats]:
-    """All facets of a text and their numbers (m, 12), infinite where they are in doubt.
+def list_properties(has_normals: bool, n_solids: int, names: Sequence[str]) -> tuple[str, ...]:
+    """What is carried along beside corners."""
+    several = (f"{n_solids} solids",) if n_solids > 1 else ()
+    named = tuple(f"solid {name!r}" for name in names if name)
+    return (*(("facet normals",) * has_normals), *several, *named)
 
-    The arrays grow with what is scan, never with what is claimed.
+
+def choose_decimals(decimals: Longs, low: Floats, high: Floats) -> tuple[int, int]:
+    """Digits behind the point for normals and for corners: never fewer than the file has.
+
+    Tokens with an exponent can have any number (``1.5e-17``); theirs count as far as they
+    mean something beside the size of the mesh.  ``decimals`` (4,) as of ``stl_scan.scan``,
+    ``low`` and ``high`` (3,) are the corners of the box of all vertices.
     """
-    from msal_cli.kernels import stl_scan
-    from msal_cli.kernels.text import as_bytes
+    from msal_cli.kernels.digit_writing import MOST_DECIMALS
 
-    buf = as_bytes(data)
-    # Some editors end a text with a NUL or with the end-of-file mark of old systems.
-    end = len(bytes(buf[-4096:]).rstrip(b"\0\x1a")) - min(len(buf), 4096) + len(buf)
-    buf = buf[:end]
-    state = np.zeros(stl_scan.N_STATE, dtype=np.int64)
-    if bytes(buf[:3]) == BYTE_ORDER_MARK:
-        state[stl_scan.AT] = len(BYTE_ORDER_MARK)
-    room = min(len(buf) // _USUAL_FACET, len(buf) // SHORTEST_FACET) + 1
-    facet_at = np.empty(room, dtype=np.int64)
-    offsets = np.empty((room, 12), dtype=np.int32)
-    numbers = np.empty((room, 12))
-    solid_at = np.zeros(stl_scan.MOST_SOLIDS, dtype=np.int64)
-    decimals = np.zeros(4, dtype=np.int64)
-    while True:
-        status, at, word = stl_scan.scan(buf, state, facet_at, offsets, numbers, solid_at, decimals)
-        n = int(state[stl_scan.FACETS])
-        if status != stl_scan.FULL:
-            break
-        room = min(len(buf) // SHORTEST_FACET + 1, n + n // 2 + 16)
-        for array in (facet_at, offsets, numbers):
-            array.resize((room, *array.shape[1:]), refcheck=False)
-    if status != stl_scan.WHOLE:
-        raise _error(buf, status, int(at), int(word), n)
-    for array in (facet_at, offsets, numbers):
-        array.resize((n, *array.shape[1:]), refcheck=False)
-    names = tuple(
-        bytes(buf[at : at + 256]).splitlines()[0].decode("utf-8", "replace").strip()
-        if at < len(buf)
-        else ""
-        for at in (int(one) for one in solid_at[: state[stl_scan.SOLIDS]])
-    )
-    n_solids, n_bare = int(state[stl_scan.SOLIDS]), int(state[stl_scan.WITHOUT_NORMAL])
-    return _Scan(facet_at, offsets, decimals, names, n_solids, end, n_bare), numbers
-
-
-def _error(buf: NDArray[np.uint8], status: int, at: int, word: int, facet: int) -> InputError:
-    """The error for a text that ``stl_scan.scan`` does not accept."""
-    from msal_cli.kernels import stl_scan
-
-    token = (bytes(buf[at : at + 60]).split(None, 1) or [b""])[0]
-    touches_end = at + len(token) == len(buf)
-    where = f"facet {facet}, line {_line(buf, at)}"
-    wanted = stl_scan.WORDS[word]
-    others = {stl_scan.FACET: ("endsolid",), stl_scan.NORMAL: ("outer",)}
-    known = (wanted, *others.get(word, ()))
-    cut = status == stl_scan.CUT or (
-        touches_end
-        and (
-            status == stl_scan.BAD_NUMBER
-            or (
-                status == stl_scan.WRONG
-                and any(w.encode().startswith(token.lower()) for w in known)
-            )
-        )
-    )
-    if cut:
-        return TruncatedError(
-            f"the text ends within a solid, after {facet} whole facets",
-            where=where,
-            hint="the file was cut short; copy or export it again",
-        )
-    text = token.decode("ascii", "backslashreplace")
-    if status == stl_scan.OUTSIDE:
-        return FormatError(
-            f"expected 'solid', found {text!r}",
-            where=where,
-            hint="ascii STL is a list of solids; is this another format?",
-        )
-    if status == stl_scan.BAD_NUMBER:
-        return FormatError(
-            f"{text!r} is not a number",
-            where=where,
-            hint=number_hint(token),
-        )
-    if status == stl_scan.TOO_LONG:
-        return TooLargeError("a single facet takes more than 2 GiB of text", where=where)
-    hint = EXPORT_AGAIN
-    if word == stl_scan.ENDLOOP and token.lower() == b"vertex":
-        hint = "a facet of STL has three corners; triangulate the mesh first"
-    return FormatError(f"expected '{wanted}', found {text!r}", where=where, hint=hint)
-
-
-def _line(buf: Buffer | NDArray[np.uint8], at: int) -> int:
-    """The line, counted from one, that byte ``at`` stands in."""
-    before = np.frombuffer(buf, dtype=np.uint8)[:at]
-    feeds = int(np.count_nonzero(before == 10))
-    return 1 + (feeds or int(np.count_nonzero(before == 13)))
+    plain_normal, plain, exponent_normal, exponent = (int(d) for d in decimals)
+    span = high - low
+    extent = max(float(np.sqrt((span * span).sum())), 1e-300)
+    needed = int(np.ceil(-np.log10(extent * 1e-7)))
+    meant = int(np.ceil(-np.log10(extent * _NOISE)))
+    normal = max(plain_normal, min(exponent_normal, 9), _NORMAL_DECIMALS)
+    corner = max(plain, min(exponent, meant), needed, 0)
+    return min(normal, MOST_DECIMALS), min(corner, MOST_DECIMALS)
 
 
 class StlTextFile(FacetFile):
@@ -230,32 +111,28 @@ class StlTextFile(FacetFile):
     precision = "text"
 
     def __init__(
-        self, data: Buffer, scan: _Scan, vertices: Floats, normals: Floats, faces: Ints
+        self, data: Buffer, scan: Scan, vertices: Floats, normals: Floats, faces: Ints
     ) -> None:
-        named = tuple(f"solid {name!r}" for name in scan.names if name)
-        several = (f"{scan.n_solids} solids",) if scan.n_solids > 1 else ()
-        has_normals = ("facet normals",) * (scan.n_bare != len(faces))
-        properties = (*has_normals, *several, *named)
-        super().__init__(data, vertices, faces, properties, _warnings(data, scan, normals))
+        properties = list_properties(scan.n_bare != len(faces), scan.n_solids, scan.names)
+        trailing = len(memoryview(data).cast("B")) - scan.end
+        warnings = list_warnings(scan.n_bare, count_bad(normals) - scan.n_bare, trailing)
+        super().__init__(data, vertices, faces, properties, warnings)
         self.normals = normals
         self._scan = scan
 
     def _decimals(self) -> tuple[int, int]:
-        """Digits behind the point for normals and for corners: never fewer than the file has.
+        """Digits behind the point for normals and for corners."""
+        low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        return choose_decimals(self._scan.decimals, low, high)
 
-        Tokens with an exponent can have any number (``1.5e-17``); theirs count as far as they
-        mean something beside the size of the mesh.
-        """
-        from msal_cli.kernels.digit_writing import MOST_DECIMALS
+    def _is_beyond_fixed(self, largest: float) -> bool:
+        """Whether a new number has no fixed-point text, ``largest`` being the largest of all."""
+        from msal_cli.kernels.digit_writing import FIXED_BELOW
 
-        plain_normal, plain, exponent_normal, exponent = (int(d) for d in self._scan.decimals)
-        span = self.vertices.max(axis=0) - self.vertices.min(axis=0)
-        extent = max(float(np.sqrt((span * span).sum())), 1e-300)
-        needed = int(np.ceil(-np.log10(extent * 1e-7)))
-        meant = int(np.ceil(-np.log10(extent * _NOISE)))
-        normal = max(plain_normal, min(exponent_normal, 9), _NORMAL_DECIMALS)
-        corner = max(plain, min(exponent, meant), needed, 0)
-        return min(normal, MOST_DECIMALS), min(corner, MOST_DECIMALS)
+        return largest >= FIXED_BELOW
+
+    def _read(self, data: Buffer) -> tuple[Scan, Floats]:
+        return read_numbers(data)
 
     def _changes(self, vertices: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """The new numbers (m, 12) and which of them are to be written."""
@@ -278,7 +155,6 @@ class StlTextFile(FacetFile):
         if np.array_equal(vertices, self.vertices):
             return self.data
         from msal_cli.kernels import stl_scan, text
-        from msal_cli.kernels.digit_writing import FIXED_BELOW
 
         numbers, replace = self._changes(vertices)
         buf = text.as_bytes(self.data)
@@ -288,7 +164,7 @@ class StlTextFile(FacetFile):
         largest = max(
             float(np.abs(numbers[part]).max(where=replace[part], initial=0.0)) for part in parts
         )
-        if largest >= FIXED_BELOW:
+        if self._is_beyond_fixed(largest):
             starts = (scan.facet_at[:, None] + scan.offsets)[replace]
             return self._write_shortest(starts, numbers[replace])
         width = text.fixed_width(largest, int(decimals.max()))
@@ -314,7 +190,7 @@ class StlTextFile(FacetFile):
         from msal_cli.kernels.text import as_bytes
 
         try:
-            other, there = _read_numbers(output)
+            other, there = self._read(output)
         except InputError as failure:
             raise InternalError(
                 f"the STL text that was made cannot be read: {failure}", where=failure.where

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from msal_cli import __version__, machine
 from msal_cli.errors import InternalError
 from msal_cli.job import changes, output
+from msal_cli.job.border_marks import mark_border
 from msal_cli.job.choice import Preparation, looks_at_mesh, prepare, reject_choice
 from msal_cli.job.opened_mesh import open_mesh, prepare_mesh, to_known_error
 from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, ObjectMark, Seconds
@@ -293,6 +294,7 @@ class FileRun:
         """The mesh of a file, fit for computing, and its defects in the record."""
         ready = prepare_mesh(mesh_file)
         self.know(**changes.defect_fields(ready, mesh_file.merged_vertices))
+        self.know(border_marks=mark_border(ready, mesh_file))
         self.warn(*changes.defect_warnings(ready.defects))
         return ready
 

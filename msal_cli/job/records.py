@@ -415,6 +415,11 @@ class MeshRecord:
         "of a tile set, largest distance between the new positions, as written, of border vertices "
         "that this file shares with others, file units; null without --tile-set"
     )
+    border_marks: tuple[int, ...] = known(
+        "hashes of a few border vertices, the same in files that share these; empty for a closed "
+        "surface",
+        (),
+    )
     tile_set: TileSetPart | None = known(
         "what the file shares with others of its tile set; null without --tile-set"
     )

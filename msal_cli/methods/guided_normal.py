@@ -51,7 +51,7 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.errors import TooLargeError
-from msal_cli.kernels.face_guides import patches
+from msal_cli.kernels.face_guides import Patches, patches
 from msal_cli.kernels.face_rings import face_centroids, faces_within, mean_centroid_distance
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.halos import spread_rings
@@ -158,22 +158,17 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     saved = {} if mesh.whole is None else mesh.whole.state()
     around = patches(faces, links)
     edges = around.edge_start, around.edge_ring
-    centroids = face_centroids(mesh.vertices, faces)
-    unit = _measure_distance(mesh, mesh.vertices, centroids, edges, 0)
     # Without neighbours there is no unit, and nothing that it would measure.
     edge_length = mesh.mean_edge_length
-    near = faces_within(
-        centroids, around.ring_start, around.ring, parameters.radius * unit, MOST_NEAR
-    )
-    if mesh.whole is not None and not saved:
-        _check_near(mesh, mesh.whole, near, parameters)
+    near = _load_near(saved) or _find_near(mesh, around, parameters)
     free = free_vertices(mesh, parameters.boundary)
     timer.start_sweeps()
 
     positions = saved["positions"] if saved else mesh.vertices.copy()
     for iteration in range(int(saved["iteration"][0]) if saved else 0, parameters.iterations):
         centroids = face_centroids(positions, faces)
-        unit = _measure_distance(mesh, positions, centroids, edges, iteration)
+        known = {"positions": positions, "near_start": near[0], "near": near[1]}
+        unit = _measure_distance(mesh, centroids, edges, iteration, known)
         normals, areas = face_normals_and_areas(positions, faces)
         wanted = joint_bilateral(
             normals,
@@ -193,13 +188,31 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     return timer.finish(positions)
 
 
+def _load_near(saved: State) -> tuple[Longs, Ints] | None:
+    return (saved["near_start"], saved["near"]) if saved else None
+
+
+def _find_near(mesh: Mesh, around: Patches, parameters: Parameters) -> tuple[Longs, Ints]:
+    """Rows of the faces near each face."""
+    centroids = face_centroids(mesh.vertices, mesh.faces)
+    unit = _measure_distance(mesh, centroids, (around.edge_start, around.edge_ring), 0, {})
+    radius = parameters.radius * unit
+    near = faces_within(centroids, around.ring_start, around.ring, radius, MOST_NEAR)
+    if mesh.whole is not None:
+        _check_near(mesh, mesh.whole, near, parameters)
+    return near
+
+
 def _measure_distance(
-    mesh: Mesh, positions: Floats, centroids: Floats, edges: tuple[Ints, Ints], iteration: int
+    mesh: Mesh, centroids: Floats, edges: tuple[Ints, Ints], iteration: int, known: State
 ) -> float:
-    """Mean distance of the centroids (m, 3) across edges, before an iteration."""
+    """Mean distance of the centroids (m, 3) across edges, before an iteration.
+
+    A part of a mesh goes on from what is ``known`` then; before the first one that is nothing.
+    """
 
     def state() -> State:
-        return {"iteration": np.array([iteration]), "positions": positions} if iteration else {}
+        return {"iteration": np.array([iteration]), **known} if iteration else {}
 
     return mean_centroid_distance(
         centroids,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from msal_cli.job.border_marks import count_touching
 from msal_cli.job.display_names import columns, escape_for_display, figure, pad_name, shorten_name
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import DONE, WITH_OUTPUT, MeshRecord, Reference
@@ -209,7 +210,7 @@ def _batch_lines(
     yield from _references(records, verbose)
     yield from broken_gates(records, verbose)
     done = [record for record in records if record.status in WITH_OUTPUT]
-    yield from _total_lines(run, totals(records), tile_set_text(done))
+    yield from _total_lines(run, totals(records), tile_set_text(done), count_touching(done))
 
 
 def _section(
@@ -329,7 +330,7 @@ def broken_gates(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]
     yield from _section("broke a gate", items, None if verbose else MOST_FAILURES, count=n_files)
 
 
-def _total_lines(run: Run, sums: Totals, tile_set: str) -> Iterator[Line]:
+def _total_lines(run: Run, sums: Totals, tile_set: str, n_touching: int) -> Iterator[Line]:
     spread = sums.volume_change_percent
     if spread is not None:
         yield Line(
@@ -339,6 +340,8 @@ def _total_lines(run: Run, sums: Totals, tile_set: str) -> Iterator[Line]:
         )
     if tile_set:
         yield Line(f"tile set: {tile_set}")
+    elif n_touching:
+        yield Line(f"{n_touching:,} files share border vertices: --tile-set denoises them as one")
     if sums.chosen:
         yield Line(f"chosen: {chosen_text(sums.chosen)}")
     counts = (

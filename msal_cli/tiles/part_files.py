@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.kernels.connectivity import Connectivity
+from msal_cli.storage.atomic import write_whole
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints
@@ -89,9 +90,17 @@ def save_array(path: Path, array: NDArray[Any]) -> None:
     """Write an array into a file that appears whole: others may have mapped the one of a task that
     is run again."""
     temporary = path.with_name(f"{path.name}.{os.getpid()}")
-    with open(temporary, "wb") as file:
-        np.save(file, array)
-    temporary.replace(path)
+    array = np.ascontiguousarray(array)
+    header = np.lib.format.header_data_from_array_1_0(array)
+    try:
+        # What numpy raises where there is no space does not say so.
+        with open(temporary, "wb") as file:
+            np.lib.format.write_array_header_1_0(file, header)
+            file.write(array.data.cast("B") if array.size else b"")
+        temporary.replace(path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
 
 
 def load_array(path: Path) -> Any:
@@ -115,13 +124,39 @@ def load_normals(folder: Path, mesh: Mesh) -> None:
     mesh.take_normals(known)
 
 
-def save_state(folder: Path, round_number: int, state: Mapping[str, NDArray[Any]]) -> None:
-    """Write named arrays with which the round after this one goes on."""
+def save_state(
+    folder: Path,
+    round_number: int,
+    state: Mapping[str, NDArray[Any]],
+    saved: Mapping[str, NDArray[Any]],
+) -> None:
+    """Write named arrays with which the round after this one goes on.
+
+    Those that are the very arrays that were ``saved`` in the round before are not written again.
+    """
+    before = folder / f"{_STATE}-{round_number - 1}"
+    places = {name: before / f"{at}.npy" for at, name in enumerate(saved)}
     place = folder / f"{_STATE}-{round_number}"
     place.mkdir(exist_ok=True)
-    for at, array in enumerate(state.values()):
-        save_array(place / f"{at}.npy", array)
-    (place / "names.json").write_text(json.dumps(list(state)), encoding="utf-8")
+    for at, (name, array) in enumerate(state.items()):
+        path = place / f"{at}.npy"
+        if array is not saved.get(name) or not _try_link(places[name], path):
+            save_array(path, array)
+    write_whole(place / "names.json", json.dumps(list(state)).encode())
+
+
+def _try_link(path: Path, link: Path) -> bool:
+    """Give a file a second name, which may be that of another; False where that cannot be."""
+    temporary = link.with_name(f"{link.name}.{os.getpid()}")
+    try:
+        os.link(path, temporary)
+        temporary.replace(link)
+    except OSError:
+        return False
+    finally:
+        # To replace a name of the same file does nothing.
+        temporary.unlink(missing_ok=True)
+    return True
 
 
 def load_state(folder: Path, round_number: int) -> dict[str, NDArray[Any]]:

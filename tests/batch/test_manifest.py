@@ -260,6 +260,8 @@ class TestSettingsHash:
             {"min_noise": "auto"},
             {"checks": ("self-intersections",)},
             {"despike": True},
+            {"tile_set": True},
+            {"weld": "0.1e"},
         ]
         hashes = [hash_settings(dataclasses.replace(SETTINGS, **change)) for change in changes]
         changed = {key for change in changes for key in change}
@@ -267,7 +269,9 @@ class TestSettingsHash:
         monkeypatch.setattr(resume, "__version__", msal_cli.__version__ + ".1")
         hashes += [hash_settings(SETTINGS)]
         monkeypatch.undo()
-        assert len({hash_settings(SETTINGS), *hashes}) == len(changes) + 2
+        # The files of a tile set.
+        hashes += [hash_settings(SETTINGS, names) for names in (["a"], ["a", "b"])]
+        assert len({hash_settings(SETTINGS), *hashes}) == len(changes) + 4
 
 
 def test_an_object_in_a_store_is_known_by_size_and_tag(tmp_path):

@@ -171,3 +171,10 @@ def test_one_file_is_a_set_too(tiles):
     done = msal("denoise", folder / "0.ply", "-o", out / "a.ply", "--tile-set", "-n", "3", "--json")
     (record,) = json.loads(done.stdout)["records"]
     assert record["status"] == "written" and record["tile_set"]["neighbours"] == []
+
+
+def test_a_run_without_the_option_says_that_files_touch(tiles):
+    folder, out = tiles
+    done = msal("denoise", folder, "-o", out, "--method", "msal")
+    assert "4 files share border vertices: --tile-set denoises them as one" in done.stderr
+    assert "share border vertices" not in denoise(tiles, "--fresh").stderr

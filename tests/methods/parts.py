@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 
+from msal_cli.kernels.connectivity import connectivity
 from msal_cli.kernels.whole import Pending, Whole, combine
 from msal_cli.mesh import Mesh
 
@@ -53,6 +54,9 @@ def cut(mesh, own, rings):
         None if mesh.trust is None else mesh.trust[vertices],
         whole,
     )
+    # Neighbourhoods are those of the faces as they were before some were turned.
+    before = number[mesh.topology.faces[is_inside]]
+    part.__dict__["topology"] = connectivity(len(vertices), np.ascontiguousarray(before))
     return Part(part, vertices)
 
 
@@ -68,6 +72,13 @@ def exchange(parts, pending, n):
             rows[part.own] = one.state[name][part.mesh.whole.own_vertices]
         for part, one in zip(parts, pending, strict=True):
             one.state[name] = rows[part.vertices]
+
+
+def go_on(part, whole):
+    """The part for the next round, of which no more is known than its connectivity."""
+    mesh = dataclasses.replace(part.mesh, whole=whole)
+    mesh.__dict__["topology"] = part.mesh.topology
+    return Part(mesh, part.vertices)
 
 
 def run_in_parts(method, mesh, parameters, rings, count=3):
@@ -92,13 +103,7 @@ def run_in_parts(method, mesh, parameters, rings, count=3):
         )
         exchange(parts, pending, len(mesh.vertices))
         parts = [
-            Part(
-                dataclasses.replace(
-                    part.mesh,
-                    whole=dataclasses.replace(part.mesh.whole, known=known, saved=one.state),
-                ),
-                part.vertices,
-            )
+            go_on(part, dataclasses.replace(part.mesh.whole, known=known, saved=one.state))
             for part, one in zip(parts, pending, strict=True)
         ]
     vertices = np.full_like(mesh.vertices, np.nan)

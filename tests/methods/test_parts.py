@@ -176,6 +176,32 @@ def test_sliding_is_measured_over_all_parts():
     assert vertices.tobytes() == auto.tobytes()
 
 
+def soup(seed):
+    """Random triangles between vertices that are near in the order: edges of any kind."""
+    generator = np.random.default_rng(seed)
+    n = int(generator.integers(30, 200))
+    vertices = generator.normal(size=(n, 3))
+    again = generator.integers(0, n, 5)
+    vertices[again] = vertices[again[::-1]]
+    first = generator.integers(0, n, 3 * n)
+    others = first[:, None] + generator.integers(1, 7, (3 * n, 2))
+    faces = np.column_stack([first, others % n]).astype(np.int32)
+    return prepare_mesh(vertices, faces).mesh
+
+
+@pytest.mark.parametrize("case", CASES, ids=describe)
+def test_parts_of_a_soup(case):
+    name, given = case
+    method = methods.find(name)
+    parameters = method.validate(given)
+    rings = method.reach(parameters)
+    for seed in range(3):
+        mesh = soup(seed)
+        whole = method.denoise(mesh, parameters)
+        vertices, _, _ = run_in_parts(method, mesh, parameters, rings, count=2 + seed)
+        assert vertices.tobytes() == whole.vertices.tobytes()
+
+
 def constrained(mesh):
     """The mesh with vertices that are fixed, and others that are trusted more or less."""
     generator = np.random.default_rng(3)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.tiles import mesh_files
-from tests.tiles.test_any_mesh import in_memory_error, settings, tiled_error
+from tests.tiles.test_any_mesh import by_tiles, in_memory, settings
 
 VERTICES, FACES = mesh_files.scan()
 N, M = len(VERTICES), len(FACES)
@@ -76,8 +76,8 @@ def test_a_fault_is_named_with_its_place(name, tmp_path):
     suffix, data, code, place = BAD[name]
     source = tmp_path / f"scan{suffix}"
     source.write_bytes(data)
-    expected = in_memory_error(source, settings())
-    error = tiled_error(source, settings(), 60, 101)
+    expected = in_memory(source, settings()).error
+    error = by_tiles(source, settings(), 60, 101)
     assert (error.code, expected.code) == (code, code)
     assert place in f"{error.where} {error.message}"
     assert error.message == expected.message
@@ -88,8 +88,8 @@ def test_a_fault_is_named_with_its_place(name, tmp_path):
 def test_every_prefix_is_refused(at, tmp_path):
     source = tmp_path / "scan.ply"
     source.write_bytes(GOOD[:at])
-    expected = in_memory_error(source, settings())
-    assert tiled_error(source, settings(), 60, 101).code == expected.code
+    expected = in_memory(source, settings()).error
+    assert by_tiles(source, settings(), 60, 101).code == expected.code
 
 
 def test_a_list_among_the_properties_of_vertices_is_refused_or_read(tmp_path):
@@ -100,6 +100,6 @@ def test_a_list_among_the_properties_of_vertices_is_refused_or_read(tmp_path):
     size = 12 * N
     rows = [body[at : at + 12] + b"\x01" + bytes(4) for at in range(0, size, 12)]
     source.write_bytes(header + b"end_header\n" + b"".join(rows) + body[size:])
-    error = tiled_error(source, settings(), 60, 101)
+    error = by_tiles(source, settings(), 60, 101)
     assert error.code == "E_UNSUPPORTED"
     assert "list" in error.message

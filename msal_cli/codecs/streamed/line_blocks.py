@@ -8,12 +8,13 @@ import numpy as np
 
 from msal_cli.arrays import Bytes
 from msal_cli.codecs.streamed.byte_ranges import read_range
+from msal_cli.errors import UnsupportedError
+from msal_cli.storage.gzip_streams import OnBytes
 
 BLOCK_BYTES = 4 << 20
 """Bytes of a block, about."""
 
-OnBytes = Callable[[int, int], None]
-"""Called as ``on_bytes(done, total)`` while a text is converted."""
+_LONGEST_LINE = 1 << 28
 
 
 class LineBlocks:
@@ -79,6 +80,12 @@ class LineBlocks:
                 break
             # One line is longer than a block.
             n_bytes *= 2
+            if n_bytes > _LONGEST_LINE:
+                raise UnsupportedError(
+                    f"a line of more than {_LONGEST_LINE:,} bytes cannot be read in pieces",
+                    where=f"byte {self.at}",
+                    hint="write the text with line ends, or run on a machine with more memory",
+                )
         self._data = data
         return data
 
