@@ -308,16 +308,36 @@ def ring_means(values: Floats, ring_start: Ints, ring: Ints) -> Floats:
 
 
 @compiled
-def _entry_sums(old_unit, new_unit, faces, moved, group, old_sums, new_sums, touched):
+def _entry_sums(old, new, faces, moved, group, old_sums, new_sums, touched):
     for f in range(len(faces)):
-        face_moved = moved[faces[f, 0]] or moved[faces[f, 1]] or moved[faces[f, 2]]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        face_moved = moved[a] or moved[b] or moved[c]
+        old_x, old_y, old_z, _ = _doubled_area_normal(old, a, b, c)
+        new_x, new_y, new_z, _ = _doubled_area_normal(new, a, b, c)
         for corner in range(3):
             g = group[f, corner]
             if face_moved:
                 touched[g] = True
-            for axis in range(3):
-                old_sums[g, axis] += old_unit[f, axis]
-                new_sums[g, axis] += new_unit[f, axis]
+            old_sums[g, 0] += old_x
+            old_sums[g, 1] += old_y
+            old_sums[g, 2] += old_z
+            new_sums[g, 0] += new_x
+            new_sums[g, 1] += new_y
+            new_sums[g, 2] += new_z
+
+
+@compiled
+def _moved_rows(old, new, moved):
+    for i in range(len(moved)):
+        moved[i] = (old[i, 0] != new[i, 0]) | (old[i, 1] != new[i, 1]) | (old[i, 2] != new[i, 2])
+
+
+@compiled
+def _usable_rows(rows, usable):
+    for i in range(len(usable)):
+        x, y, z = rows[i, 0], rows[i, 1], rows[i, 2]
+        is_finite = (np.abs(x) < np.inf) & (np.abs(y) < np.inf) & (np.abs(z) < np.inf)
+        usable[i] = is_finite & ((x != 0.0) | (y != 0.0) | (z != 0.0))
 
 
 def regrouped_normals(
@@ -348,18 +368,21 @@ def regrouped_normals(
     from msal_cli.kernels.welding import first_alike, number_groups, weld
 
     n_entries = len(old_normals)
-    result = old_normals.copy()
+    old_vertices, new_vertices = map(np.ascontiguousarray, (old_vertices, new_vertices))
+    result = np.array(old_normals, order="C")
     changed = np.zeros(n_entries, dtype=bool)
-    moved = (old_vertices != new_vertices).any(axis=1)
+    moved = np.empty(len(old_vertices), dtype=bool)
+    _moved_rows(old_vertices, new_vertices, moved)
     if not n_entries or not moved.any():
         return result, changed
     entries = np.ascontiguousarray(corner_entry, dtype=np.int32).reshape(-1)
-    usable = np.isfinite(old_normals).all(axis=1) & (old_normals != 0.0).any(axis=1)
+    usable = np.empty(n_entries, dtype=bool)
+    _usable_rows(result, usable)
     place = weld(old_vertices, faces)
     if np.array_equal(entries, faces.reshape(-1)) and (place == np.arange(len(place))).all():
         # One normal per vertex and no seam: the entry is the group.
         group, n_groups = entries, n_entries
-        pair_entry = pair_group = np.arange(n_entries, dtype=np.int32)
+        pair_entry = pair_group = None
     else:
         like, _ = first_alike(np.where(usable[:, None], old_normals, 0.0), usable)
         alike = np.where(entries < 0, -1, like[entries]).astype(np.int32)
@@ -374,8 +397,8 @@ def regrouped_normals(
     new_sums = np.zeros((n_groups, 3))
     touched = np.zeros(n_groups, dtype=bool)
     _entry_sums(
-        face_normals(old_vertices, faces),
-        face_normals(new_vertices, faces),
+        old_vertices,
+        new_vertices,
         faces,
         moved,
         group.reshape(-1, 3),
@@ -383,11 +406,13 @@ def regrouped_normals(
         new_sums,
         touched,
     )
-    old_total = np.zeros((n_entries, 3))
-    new_total = np.zeros((n_entries, 3))
-    np.add.at(old_total, pair_entry, old_sums[pair_group])
-    np.add.at(new_total, pair_entry, new_sums[pair_group])
-    np.logical_or.at(changed, pair_entry, touched[pair_group])
+    if pair_entry is None:
+        old_total, new_total, changed = old_sums, new_sums, touched
+    else:
+        old_total, new_total = np.zeros((n_entries, 3)), np.zeros((n_entries, 3))
+        np.add.at(old_total, pair_entry, old_sums[pair_group])
+        np.add.at(new_total, pair_entry, new_sums[pair_group])
+        np.logical_or.at(changed, pair_entry, touched[pair_group])
     length = np.sqrt((new_total * new_total).sum(axis=1))
     changed &= usable & (length > VANISHED)
     # A stored normal may be as long as a double can be.

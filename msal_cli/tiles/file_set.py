@@ -8,6 +8,7 @@ welded; border vertices that are one at different places come from here at one p
 from __future__ import annotations
 
 import bisect
+import io
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,10 +21,12 @@ from msal_cli.arrays import Floats, Longs
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.streamed_mesh import FaceChunk, NewNormals, NewPositions, StreamedMesh
 from msal_cli.errors import InputError, InternalError, UnsupportedError
+from msal_cli.storage.atomic import write_whole
 
 FIXED = "msal:fixed"
 """A property of the vertices of a set: 1 for those that stay where they are, 0 for others."""
 
+_TABLE = "set.npz"
 _KINDS = {"float32": np.float32, "float64": np.float64}
 
 
@@ -37,29 +40,49 @@ class SetFile:
     size: int
 
 
-def describe_set(
-    files: Sequence[SetFile], format: str | None, vertex_type: str, table: Path | None
-) -> dict[str, Any]:
-    """What ``TilePlan.source`` holds of a set; ``table`` is what ``save_table`` wrote."""
-    return {
-        "kind": "set",
-        "paths": [one.path for one in files],
-        "files": [asdict(one) for one in files],
-        "format": format,
-        "vertex_type": vertex_type,
-        "table": None if table is None else str(table),
-    }
+@dataclass(frozen=True)
+class SetSource:
+    """A set before its tasks can read it.
+
+    Attributes
+    ----------
+    files : in their order.
+    format : over their names'.
+    vertex_type : ``float32`` or ``float64``.
+    table : of ``build_table``.
+    """
+
+    files: Sequence[SetFile]
+    format: str | None
+    vertex_type: str
+    table: bytes
+
+    def describe(self, folder: Path) -> dict[str, Any]:
+        """What ``TilePlan.source`` holds, once ``write`` has written into this folder."""
+        return {
+            "kind": "set",
+            "paths": [one.path for one in self.files],
+            "files": [asdict(one) for one in self.files],
+            "format": self.format,
+            "vertex_type": self.vertex_type,
+            "table": str(folder / _TABLE),
+        }
+
+    def write(self, folder: Path) -> None:
+        """Write what tasks read beside the files."""
+        write_whole(folder / _TABLE, [self.table])
 
 
-def save_table(path: Path, vertices: Longs, positions: Floats, fixed: Longs) -> None:
-    """Write which vertices of the set, ascending, are read at other positions (k, 3), and which
-    stay where they are."""
-    with open(path, "wb") as file:
-        np.savez(file, vertices=vertices, positions=positions, fixed=fixed)
+def build_table(vertices: Longs, positions: Floats, fixed: Longs) -> bytes:
+    """What is to be known of the vertices of a set, ascending: those that are read at other
+    positions (k, 3), and those that stay where they are."""
+    data = io.BytesIO()
+    np.savez(data, vertices=vertices, positions=positions, fixed=fixed)
+    return data.getvalue()
 
 
 def open_set(description: dict[str, Any]) -> FileSet:
-    """Open what ``describe_set`` described."""
+    """Open what ``SetSource.describe`` described."""
     return FileSet(description)
 
 
@@ -96,9 +119,8 @@ class FileSet:
             else:
                 rows[at : at + last - first] = opened.vertices[first:last]
         table = self._read_table()
-        if table is not None:
-            low, high = np.searchsorted(table["vertices"], [start, stop])
-            rows[table["vertices"][low:high] - start] = table["positions"][low:high]
+        low, high = np.searchsorted(table["vertices"], [start, stop])
+        rows[table["vertices"][low:high] - start] = table["positions"][low:high]
         return rows
 
     def face_chunks(self, most: int) -> list[FaceChunk]:
@@ -136,10 +158,9 @@ class FileSet:
         """A property of vertices (stop - start,): ``FIXED``, or one that every file has."""
         values = np.zeros(stop - start)
         if name == FIXED:
-            table = self._read_table()
-            if table is not None:
-                low, high = np.searchsorted(table["fixed"], [start, stop])
-                values[table["fixed"][low:high] - start] = 1.0
+            fixed = self._read_table()["fixed"]
+            low, high = np.searchsorted(fixed, [start, stop])
+            values[fixed[low:high] - start] = 1.0
             return values
         from msal_cli import codecs
 
@@ -202,10 +223,9 @@ class FileSet:
             )
         return opened
 
-    def _read_table(self) -> dict[str, Any] | None:
-        path = self._description["table"]
-        if path is not None and self._table is None:
-            with np.load(path) as table:
+    def _read_table(self) -> dict[str, Any]:
+        if self._table is None:
+            with np.load(self._description["table"]) as table:
                 self._table = dict(table)
         return self._table
 

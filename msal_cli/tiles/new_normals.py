@@ -40,16 +40,17 @@ def renew_normals(
     others = other_vertices(records, first, count)
     numbers = np.arange(count + len(others), dtype=np.int32)
     faces = relabel(records, first, numbers[:count], others, numbers[count:])
-    own_old = read_positions(scratch, slice(first, stop))
-    others_old = read_positions(scratch, others)
+    del records
+    old = np.concatenate(
+        [read_positions(scratch, slice(first, stop)), read_positions(scratch, others)]
+    )
     place = _find(mesh, weld_numbers(scratch, others))
     is_used = np.ones(len(mesh.ids), dtype=bool)
-    others_new = scatter(mesh.vertices, moved, is_used, place, origin, others_old)
+    others_new = scatter(mesh.vertices, moved, is_used, place, origin, old[count:])
+    new = np.concatenate([placed, others_new])
     # Those of others are not looked at: zero is no normal.
     stored = np.zeros((len(numbers), 3))
     stored[:count] = scratch.read_range(STORED_NORMALS, np.float64, first, stop, 3)
-    old = np.concatenate([own_old, others_old])
-    new = np.concatenate([placed, others_new])
     renewed: Floats = regrouped_normals(old, new, faces, faces, stored)[0][:count]
     return renewed
 

@@ -90,9 +90,17 @@ def save_array(path: Path, array: NDArray[Any]) -> None:
     """Write an array into a file that appears whole: others may have mapped the one of a task that
     is run again."""
     temporary = path.with_name(f"{path.name}.{os.getpid()}")
-    with open(temporary, "wb") as file:
-        np.save(file, array)
-    temporary.replace(path)
+    array = np.ascontiguousarray(array)
+    header = np.lib.format.header_data_from_array_1_0(array)
+    try:
+        # What numpy raises where there is no space does not say so.
+        with open(temporary, "wb") as file:
+            np.lib.format.write_array_header_1_0(file, header)
+            file.write(array.data.cast("B") if array.size else b"")
+        temporary.replace(path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
 
 
 def load_array(path: Path) -> Any:

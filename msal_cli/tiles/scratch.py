@@ -7,16 +7,19 @@ that the task wrote is on the disk, so that a run that was killed goes on from f
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from msal_cli.errors import InternalError
+from msal_cli.errors import InternalError, OutputError
 from msal_cli.storage.atomic import write_whole
 
 _DONE, _TILES, _REDUCED = "done", "tiles", "reduced.json"
@@ -62,6 +65,24 @@ class Scratch:
         """Write numbers into a file that exists, without mapping it."""
         self.write_ranges(name, [(first_byte, values)])
 
+    def write_rows(self, name: str, rows: NDArray[np.uint32], values: Any) -> None:
+        """Write values (k, ...) into these rows (k,) of a file that exists, without mapping it.
+
+        A map of a file for which there is no space ends the process.
+        """
+        order = np.argsort(rows, kind="stable")
+        ascending, sorted_values = rows[order].astype(np.int64), values[order]
+        cuts = np.flatnonzero(np.diff(ascending) != 1) + 1
+        size = values[:1].nbytes
+        self.write_ranges(
+            name,
+            (
+                (int(ascending[first]) * size, sorted_values[first:last])
+                for first, last in zip([0, *cuts], [*cuts, len(rows)], strict=True)
+                if last > first
+            ),
+        )
+
     def write_ranges(self, name: str, ranges: Iterable[tuple[int, Any]]) -> None:
         """The same for several ranges, each with its first byte and its numbers."""
         with open(self.path / name, "r+b", buffering=0) as file:
@@ -76,6 +97,20 @@ class Scratch:
         folder = self.path / _TILES / str(tile)
         folder.mkdir(parents=True, exist_ok=True)
         return folder
+
+    @contextmanager
+    def explain_failures(self) -> Iterator[None]:
+        """Raise OutputError for what the system refuses about the folder: no space, mostly."""
+        try:
+            yield
+        except OSError as failure:
+            if failure.errno == errno.ENOMEM:
+                raise
+            raise OutputError(
+                f"the temporary files of tiles: {failure.strerror or failure}",
+                path=str(self.path),
+                hint="make room there, or choose another folder by --scratch",
+            ) from failure
 
     # The plan and the results of tasks
 

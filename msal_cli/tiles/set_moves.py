@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -14,8 +13,9 @@ from msal_cli.codecs.joined_mesh import JoinedMesh
 from msal_cli.errors import TooLargeError
 from msal_cli.job.pipeline import FileRun
 from msal_cli.job.settings import NO_LIMITS, Settings
-from msal_cli.tiles.file_set import FIXED, SetFile, describe_set, save_table
+from msal_cli.tiles.file_set import FIXED, SetFile, SetSource, build_table
 from msal_cli.tiles.join import MOVED, gather_rows, read_stored
+from msal_cli.tiles.plan import load_plan
 from msal_cli.tiles.set_borders import SharedBorders
 from msal_cli.tiles.set_member import Arrays, Member
 from msal_cli.tiles.source import open_source
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from msal_cli.job.pipeline import OnProgress
     from msal_cli.job.records import MeshRecord
     from msal_cli.tiles.scratch import Scratch
-
-_TABLE = "set.npz"
 
 
 class MovedSet(Protocol):
@@ -48,16 +46,15 @@ class MovedSet(Protocol):
         ...
 
 
-Describe = Callable[[Path], dict[str, Any]]
-"""Called with the scratch folder: writes there what readers of the set need, and gives
-``TilePlan.source``."""
-
-
 class RunTiles(Protocol):
     """What runs all stages of the tiles over a set."""
 
+    def refuse(self, settings: Settings) -> None:
+        """Raise UnsupportedError for what cannot be done by tiles."""
+        ...
+
     def __call__(
-        self, files: Sequence[SetFile], vertex_type: str, settings: Settings, describe: Describe
+        self, source: SetSource, settings: Settings
     ) -> AbstractContextManager[tuple[Scratch, MeshRecord]]:
         """The scratch folder with the new positions, which is removed at the end, and the record of
         the joined mesh."""
@@ -163,14 +160,13 @@ class _ByTiles:
 
     record: MeshRecord
     scratch: Scratch
-    source: dict[str, Any]
     starts: Sequence[int]
 
     def positions(self, place: int) -> Floats:
         if self.scratch.has(MOVED):
             read = gather_rows(self.scratch, MOVED)
         else:
-            read = read_stored(open_source(self.source))
+            read = read_stored(open_source(load_plan(self.scratch).source))
         return read(self.starts[place], self.starts[place + 1])
 
     def field_values(self, place: int) -> dict[str, Floats]:
@@ -185,18 +181,12 @@ def move_by_tiles(joint: JointMesh, settings: Settings, run_tiles: RunTiles) -> 
     files = [
         SetFile(one.task.input, one.n_vertices, one.n_triangles, one.size) for one in joint.members
     ]
-    source: dict[str, Any] = {}
-
-    def describe(folder: Path) -> dict[str, Any]:
-        table = folder / _TABLE
-        save_table(table, *joint.replaced_vertices(), joint.fixed_vertices())
-        source.update(describe_set(files, settings.format, vertex_type, table))
-        return source
-
+    table = build_table(*joint.replaced_vertices(), joint.fixed_vertices())
+    source = SetSource(files, settings.format, vertex_type, table)
     joined = settings
     if joint.fixed is not None:
         joined = replace(settings, lock=(*settings.lock, f"{FIXED} > 0.5"))
-    with run_tiles(files, vertex_type, joined, describe) as (scratch, record):
+    with run_tiles(source, joined) as (scratch, record):
         if not settings.lock:
             record = replace(record, locked_vertices=None)
-        yield _ByTiles(record, scratch, source, joint.starts)
+        yield _ByTiles(record, scratch, joint.starts)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from msal_cli.errors import ResourceError, UsageError
+from msal_cli.errors import ResourceError, UnsupportedError, UsageError
 from msal_cli.job.opened_mesh import to_known_error
 from msal_cli.job.pipeline import start_record
 from msal_cli.job.records import Failure, MeshRecord, TileSetPart
@@ -139,8 +139,8 @@ class _SetRun:
             reason = self._find_want_of_memory()
             if reason is None:
                 run_tiles = None
-            elif run_tiles is None:
-                raise reason
+            else:
+                _require_tiles(run_tiles, self._settings, reason)
             arrays: list[Arrays] = []
             self._scan(arrays.append if run_tiles is None else None)
             if most_failures is not None and len(self._records) >= most_failures:
@@ -369,6 +369,17 @@ class _SetRun:
                 record, tile_gap=gap, warnings=(*record.warnings, *notes)
             )
             notes = []
+
+
+def _require_tiles(run_tiles: RunTiles | None, settings: Settings, reason: ResourceError) -> None:
+    """Raise ``reason`` where tiles are no way either."""
+    if run_tiles is None:
+        raise reason
+    try:
+        run_tiles.refuse(settings)
+    except UnsupportedError as objection:
+        reason.hint += f"; it cannot be denoised by tiles: {objection.message}"
+        raise reason from None
 
 
 def _bounds(positions: Floats) -> dict[str, Any]:

@@ -132,8 +132,9 @@ def run_task(ref: TaskRef, common: object = None, on_progress: OnProgress | None
     if known is not None:
         return known
     kind, arguments = _parse_name(name)
-    result = _find_function(_STAGES[kind].run)(scratch, *arguments, index)
-    scratch.finish(name, index, result)
+    with scratch.explain_failures():
+        result = _find_function(_STAGES[kind].run)(scratch, *arguments, index)
+        scratch.finish(name, index, result)
     return result
 
 
@@ -147,9 +148,10 @@ def reduce_stage(scratch: Scratch, name: str) -> None:
     if missing:
         raise InternalError(f"stage {name} is reduced before {missing} of its tasks are finished")
     again = False
-    if _STAGES[kind].reduce:
-        again = bool(_find_function(_STAGES[kind].reduce)(scratch, *arguments))
-    scratch.finish_stage(name, {"again": again})
+    with scratch.explain_failures():
+        if _STAGES[kind].reduce:
+            again = bool(_find_function(_STAGES[kind].reduce)(scratch, *arguments))
+        scratch.finish_stage(name, {"again": again})
 
 
 def run_here(scratch: Scratch, on_progress: OnProgress | None = None) -> None:

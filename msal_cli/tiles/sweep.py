@@ -119,12 +119,14 @@ def run_denoise(scratch: Scratch, round_number: int, tile: int) -> dict[str, Any
         counts = _count_constrained(scratch, tile, tile_mesh, constraints, moved)
         moved, _ = constraints.apply(moved)
     placed = _write_moved(scratch, tile, tile_mesh, moved)
+    figures = measures.measure_tile(scratch, tile, tile_mesh, mesh, moved, placed)
+    sample = measures.sample_fidelity(scratch, tile_mesh, result.fields.get("fidelity"))
     if scratch.has(NORMALS):
+        mesh.release_normals()
+        del mesh, constraints, result
         origin = np.array(read_globals(scratch)["origin"])
         normals = new_normals.renew_normals(scratch, tile, tile_mesh, moved, placed, origin)
         _write_rows(scratch, NORMALS, tile, normals)
-    figures = measures.measure_tile(scratch, tile, tile_mesh, mesh, moved, placed)
-    sample = measures.sample_fidelity(scratch, tile_mesh, result.fields.get("fidelity"))
     return {"measures": figures | counts | {"fidelity": sample}}
 
 

@@ -75,14 +75,13 @@ def run_values(scratch: Scratch, chunk: int) -> dict[str, Any]:
     properties = []
     for at, name in enumerate(known["vertex_properties"]):
         values = mesh.read_property(name, start, stop)
-        scratch.array(_values_name(at), np.float64, writable=True)[numbers] = values
+        scratch.write_rows(_values_name(at), numbers, values)
         finite = np.isfinite(values)
         bad = None if finite.all() else start + int(np.argmin(finite))
         largest = float(values.max(initial=0.0)) if bad is None else 0.0
         properties.append({"single": Lock.is_single(values), "largest": largest, "bad": bad})
     if known["has_normals"]:
-        stored = scratch.array(STORED_NORMALS, np.float64, 3, writable=True)
-        stored[numbers] = mesh.read_normals(start, stop)
+        scratch.write_rows(STORED_NORMALS, numbers, mesh.read_normals(start, stop))
     return {"properties": properties}
 
 

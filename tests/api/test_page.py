@@ -67,4 +67,4 @@ def test_the_page_names_all_functions_classes_of_errors_and_arguments():
 def test_the_attributes_of_a_result_are_those_of_the_page():
     public = {name for name in vars(msal.DenoiseResult) if not name.startswith("_")}
     public |= set(msal.DenoiseResult.__dataclass_fields__)
-    assert public <= set(re.findall(r"^result\.(\w+)", PAGE, re.MULTILINE))
+    assert public <= set(re.findall(r"^\| `result\.(\w+)`", PAGE, re.MULTILINE))

@@ -14,14 +14,17 @@ from msal_cli.errors import InputError, InternalError
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import Settings, Task
 from msal_cli.tiles import stages
-from msal_cli.tiles.file_set import FIXED, SetFile, describe_set, open_set, save_table
+from msal_cli.tiles.file_set import FIXED, SetFile, SetSource, build_table, open_set
 from msal_cli.tiles.join import MOVED
 from msal_cli.tiles.opening import open_run
 from msal_cli.tiles.scratch import Scratch
 from tests.tiles.tile_files import in_tiles, joined, mixed, noisy_terrain, ply, read, tasks_of
 
+NO_VERTICES = np.empty(0, dtype=np.int64)
+NO_TABLE = NO_VERTICES, np.empty((0, 3)), NO_VERTICES
 
-def describe(tasks, vertex_type="float32", table=None):
+
+def describe(tasks, folder, vertex_type="float32", table=NO_TABLE):
     files = []
     for task in tasks:
         opened = read(task.input) if not task.input.endswith(".gz") else None
@@ -31,11 +34,13 @@ def describe(tasks, vertex_type="float32", table=None):
             opened = open_mesh(gzip.decompress(Path(task.input).read_bytes()), "a.ply")
         size = Path(task.input).stat().st_size
         files.append(SetFile(task.input, len(opened.vertices), len(opened.faces), size))
-    return describe_set(files, None, vertex_type, table)
+    source = SetSource(files, None, vertex_type, build_table(*table))
+    source.write(folder)
+    return source.describe(folder)
 
 
 def source_of(tmp_path, contents, **options):
-    return open_set(describe(tasks_of(tmp_path, contents), **options))
+    return open_set(describe(tasks_of(tmp_path, contents), tmp_path, **options))
 
 
 def test_the_files_stand_behind_one_another(tmp_path):
@@ -66,8 +71,7 @@ def test_compressed_files_are_read_whole(tmp_path):
 
 def test_the_table_moves_vertices_and_names_fixed_ones(tmp_path):
     parts = in_tiles(*noisy_terrain(), 2)
-    table = tmp_path / "table.npz"
-    save_table(table, np.array([3, 200]), np.array([[1.0, 2, 3], [4, 5, 6]]), np.array([7, 201]))
+    table = np.array([3, 200]), np.array([[1.0, 2, 3], [4, 5, 6]]), np.array([7, 201])
     contents = {f"{i}.ply": ply(*part) for i, part in enumerate(parts)}
     source = source_of(tmp_path, contents, table=table)
     assert source.read_vertices(2, 4)[1].tolist() == [1, 2, 3]
@@ -99,7 +103,7 @@ def test_by_tiles_it_is_the_joined_mesh(tmp_path, code, method):
     parts = in_tiles(vertices + (0.1 if code == "<f8" else 0.0), faces, 2)
     settings = Settings(method, methods.find(method).validate({}))
     tasks = tasks_of(tmp_path, {f"{i}.ply": ply(*part, code) for i, part in enumerate(parts)})
-    description = describe(tasks, {"<f4": "float32", "<f8": "float64"}[code])
+    description = describe(tasks, tmp_path, {"<f4": "float32", "<f8": "float64"}[code])
     scratch = Scratch(tmp_path / "scratch")
     scratch.path.mkdir()
     open_run(

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
+from msal_cli.errors import UnsupportedError
 from msal_cli.job.pipeline import denoise_file, start_record
 from msal_cli.job.settings import Limits, Settings, Task
-from msal_cli.tiles import stages
+from msal_cli.tiles import set_run, stages
 from msal_cli.tiles.opening import open_run
 from msal_cli.tiles.scratch import Scratch
 from msal_cli.tiles.set_run import denoise_set, survey_set
@@ -127,6 +128,27 @@ def test_welding_is_the_joined_mesh_with_positions_replaced(tmp_path):
     assert ours.tobytes() == read(whole.output).vertices.tobytes()
 
 
+def test_a_border_with_vertices_amid_edges_is_a_warning(tmp_path):
+    coarse, faces = noisy_terrain(9, 9)
+    fine, fine_faces = noisy_terrain(17, 17)
+    # The same field of heights further to the right, with edges half as long; every other vertex
+    # of its left side is one of the coarse part.
+    fine = fine / (2.0, 2.0, 1.0) + (8.0, 0.0, 0.0)
+    left = fine[::17]
+    left[::2] = coarse[8::9]
+    left[1::2] = (left[:-1:2] + left[2::2]) / 2.0
+    fine[::17] = left
+    contents = {"coarse.ply": ply(coarse, faces, "<f8"), "fine.ply": ply(fine, fine_faces, "<f8")}
+    coarse_record, fine_record = denoise_set(tasks_of(tmp_path, contents), MSAL)
+    assert fine_record.tile_set.shared_vertices == 9
+    assert (coarse_record.tile_set.unmatched_vertices, fine_record.tile_set.unmatched_vertices) == (
+        0,
+        8,
+    )
+    assert "8 border vertices lie at the border of another file" in fine_record.warnings[-1]
+    assert not coarse_record.warnings
+
+
 def test_no_vertex_goes_further_than_allowed(tmp_path):
     tasks = tasks_of(tmp_path, plies(in_tiles(*noisy_terrain(), 2), "<f8"))
     records = denoise_set(tasks, replace(MSAL, max_move="0.01"))
@@ -227,44 +249,63 @@ def test_a_survey_touches_nothing(tmp_path):
 def by_tiles_in(folder):
     """What runs the stages of the tiles in this process."""
 
-    @contextmanager
-    def run_tiles(files, vertex_type, settings, describe):
-        scratch = Scratch(folder)
-        folder.mkdir()
-        source = describe(folder)
-        task = Task("set", "", "set")
-        sizes = {"tile_vertices": 90, "chunk_vertices": 100}
-        open_run(task, settings, scratch, **sizes, source=source)
-        stages.run_here(scratch)
-        yield scratch, start_record("set", settings)
-        scratch.remove()
+    class RunHere:
+        def refuse(self, settings):
+            if settings.fields:
+                raise UnsupportedError("--fields needs the whole mesh")
 
-    return run_tiles
+        @contextmanager
+        def __call__(self, source, settings):
+            scratch = Scratch(folder)
+            folder.mkdir()
+            source.write(folder)
+            task = Task("set", "", "set")
+            sizes = {"tile_vertices": 90, "chunk_vertices": 100}
+            open_run(task, settings, scratch, **sizes, source=source.describe(folder))
+            stages.run_here(scratch)
+            yield scratch, start_record("set", settings)
+            scratch.remove()
+
+    return RunHere()
 
 
-TIGHT = Limits(memory_bytes=51_000_000)
+def test_what_needs_the_whole_mesh_is_refused_where_it_does_not_fit(tmp_path, tight):
+    tasks = tasks_of(tmp_path, plies(in_tiles(*noisy_terrain(), 2)))
+    settings = replace(MSAL, fields=("displacement",))
+    run_tiles = by_tiles_in(tmp_path / "scratch")
+    records = denoise_set(tasks, settings, run_tiles=run_tiles)
+    assert {one.error.code for one in records} == {"E_MEMORY"}
+    assert "--fields needs the whole mesh" in records[0].error.hint
+
+
+@pytest.fixture
+def tight(monkeypatch):
+    """Too little memory for any set, and enough for each of its files."""
+    monkeypatch.setattr(set_run, "memory_of_set", lambda tasks, settings: 1 << 60)
 
 
 @pytest.mark.parametrize("weld", [None, "0.02"])
-def test_a_set_beyond_memory_is_the_same_by_tiles(tmp_path, weld):
+def test_a_set_beyond_memory_is_the_same_by_tiles(tmp_path, request, weld):
     parts = shaken(in_tiles(*noisy_terrain(), 2), 0.004 if weld else 0.0)
     settings = replace(MSAL, weld=weld)
     tasks = tasks_of(tmp_path, mixed(parts))
     whole = [read(one.output).vertices.tobytes() for one in denoise_set(tasks, settings)]
+    request.getfixturevalue("tight")
     run_tiles = by_tiles_in(tmp_path / "scratch")
-    records = denoise_set(tasks, settings, limits=TIGHT, run_tiles=run_tiles)
+    records = denoise_set(tasks, settings, run_tiles=run_tiles)
     assert [one.status for one in records] == ["written"] * 4, records[0].error
     assert [one.tile_gap for one in records] == [0.0] * 4
     assert [read(one.output).vertices.tobytes() for one in records] == whole
     assert not (tmp_path / "scratch").exists()
 
 
-def test_by_tiles_the_border_to_a_failed_file_is_held_too(tmp_path):
+def test_by_tiles_the_border_to_a_failed_file_is_held_too(tmp_path, request):
     contents = plies(in_tiles(*noisy_terrain(), 2)) | {"1.ply": b"ply"}
     tasks = tasks_of(tmp_path, contents)
     whole = [read(one.output).vertices for one in denoise_set(tasks, MSAL) if one.output]
+    request.getfixturevalue("tight")
     run_tiles = by_tiles_in(tmp_path / "scratch")
-    records = denoise_set(tasks, MSAL, limits=TIGHT, run_tiles=run_tiles)
+    records = denoise_set(tasks, MSAL, run_tiles=run_tiles)
     assert [one.status for one in records] == ["written", "failed", "written", "written"]
     ours = [read(one.output).vertices for one in records if one.output]
     assert all(np.array_equal(a, b) for a, b in zip(ours, whole, strict=True))

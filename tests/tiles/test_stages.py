@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import pickle
 
+import numpy as np
 import pytest
 
-from msal_cli.errors import InternalError
+from msal_cli.errors import InternalError, OutputError
 from msal_cli.tiles import stages
 from msal_cli.tiles.plan import TilePlan
 from msal_cli.tiles.scratch import Scratch
@@ -84,3 +86,30 @@ def test_what_a_killed_task_left_is_not_a_result(scratch):
     (scratch.path / "done/count").mkdir(parents=True)
     (scratch.path / "done/count/.msal-0.json.tmp").write_bytes(b"{")
     assert next_stage(scratch) == Stage("count", 2, [0, 1])
+
+
+def test_no_space_for_temporary_files_is_no_defect(scratch, monkeypatch):
+    def find(name):
+        def call(scratch, index):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        return call
+
+    monkeypatch.setattr(stages, "_find_function", find)
+    with pytest.raises(OutputError, match="temporary files of tiles: No space left") as caught:
+        run_task((str(scratch.path), "count", 0))
+    assert caught.value.code == "E_WRITE"
+    assert str(scratch.path) in str(caught.value.path)
+    assert "--scratch" in caught.value.hint
+
+
+def test_rows_are_written_where_they_belong(tmp_path):
+    scratch = Scratch(tmp_path)
+    scratch.create("rows", np.float64, (9, 2))
+    rows = np.array([7, 2, 3, 8, 0], dtype=np.uint32)
+    values = np.arange(10.0).reshape(5, 2)
+    scratch.write_rows("rows", rows, values)
+    expected = np.zeros((9, 2))
+    expected[rows] = values
+    assert (scratch.array("rows", np.float64, 2) == expected).all()
+    scratch.write_rows("rows", rows[:0], values[:0])
