@@ -12,8 +12,9 @@ if TYPE_CHECKING:
     from msal_cli.batch.events import OnEvent
     from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
-    from msal_cli.job.records import MeshRecord, TileSetPart
+    from msal_cli.job.records import MeshRecord
     from msal_cli.job.settings import Limits, Settings
+    from msal_cli.job.tile_records import TileSetPart
     from msal_cli.tiles.set_run import EarlierRuns
 
 

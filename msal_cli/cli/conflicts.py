@@ -27,6 +27,8 @@ _FOR_FILES = (
     "fields",
     "retries",
     "max_failures",
+    "tiled",
+    "scratch",
     "tile_set",
 )
 

@@ -103,6 +103,7 @@ class _Session:
         from msal_cli.batch import interrupts
         from msal_cli.batch.events import Finished
         from msal_cli.batch.run import run
+        from msal_cli.batch.tile_options import TileOptions
         from msal_cli.cli import progress, report_files
 
         request = self._request
@@ -138,6 +139,7 @@ class _Session:
                 stop_after_failures=1 if request.fail_fast else request.max_failures,
                 command=self._command,
                 engine=engine,
+                tiles=TileOptions(request.tiled, request.scratch),
             )
         except (KeyboardInterrupt, OutputError, ResourceError):
             bar.close()

@@ -16,7 +16,7 @@ import numpy as np
 from msal_cli.errors import ResourceError, UnsupportedError, UsageError
 from msal_cli.job.opened_mesh import to_known_error
 from msal_cli.job.pipeline import start_record
-from msal_cli.job.records import Failure, MeshRecord, TileSetPart
+from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.job.settings import (
     FORECAST,
     NO_LIMITS,
@@ -26,6 +26,7 @@ from msal_cli.job.settings import (
     forecast,
     least_memory_bytes,
 )
+from msal_cli.job.tile_records import TileSetPart
 from msal_cli.machine import available_bytes, megabytes
 from msal_cli.tiles.set_borders import SharedBorders, count_unmatched, share_borders
 from msal_cli.tiles.set_member import Arrays, Member, add_seconds, scan_member, write_member
