@@ -1,7 +1,109 @@
 """Denoise triangle meshes with the multiscale anisotropic Laplacian of Huang and Ascher.
 
-The package is a command-line tool first (``msal --help``); importing it costs nothing and
-pulls in no numerical library.
+The package is a command, ``msal`` (see ``msal --help``), and a library::
+
+    import msal_cli as msal
+
+    smooth = msal.denoise(vertices, faces)  # arrays in, a result with new vertices out
+    mesh = msal.denoise(mesh)  # trimesh, pyvista, meshio, open3d: the same type back
+
+Importing it costs next to nothing and loads no numerical library: the functions are loaded where
+they are first used (see ``msal_cli.api``).
 """
 
 __version__ = "0.1.0"
+
+# As in ``typing``, which costs more than all the rest of this module.
+TYPE_CHECKING = False
+
+if TYPE_CHECKING:
+    from msal_cli.api import (
+        Area,
+        ChoiceMade,
+        ComparisonRecord,
+        ContentError,
+        DenoiseResult,
+        Displacement,
+        Failure,
+        FormatError,
+        GateResult,
+        InputError,
+        InternalError,
+        LossError,
+        MeshRecord,
+        MethodUsed,
+        MsalError,
+        NoiseEstimate,
+        NormalChange,
+        NothingMatched,
+        OutputError,
+        ResourceError,
+        Seconds,
+        SelfIntersections,
+        SurfaceDistance,
+        TooLargeError,
+        TruncatedError,
+        UnsupportedError,
+        UsageError,
+        Volume,
+        add_noise,
+        compare,
+        denoise,
+        denoise_file,
+        denoise_folder,
+        estimate_noise,
+    )
+
+__all__ = [
+    "Area",
+    "ChoiceMade",
+    "ComparisonRecord",
+    "ContentError",
+    "DenoiseResult",
+    "Displacement",
+    "Failure",
+    "FormatError",
+    "GateResult",
+    "InputError",
+    "InternalError",
+    "LossError",
+    "MeshRecord",
+    "MethodUsed",
+    "MsalError",
+    "NoiseEstimate",
+    "NormalChange",
+    "NothingMatched",
+    "OutputError",
+    "ResourceError",
+    "Seconds",
+    "SelfIntersections",
+    "SurfaceDistance",
+    "TooLargeError",
+    "TruncatedError",
+    "UnsupportedError",
+    "UsageError",
+    "Volume",
+    "__version__",
+    "add_noise",
+    "compare",
+    "denoise",
+    "denoise_file",
+    "denoise_folder",
+    "estimate_noise",
+]
+
+
+if not TYPE_CHECKING:
+    # Hidden from type checkers: they would take any name for one of the module.
+    def __getattr__(name):
+        """A name of the Python API, loaded when it is first used."""
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        import importlib
+
+        value = globals()[name] = getattr(importlib.import_module("msal_cli.api"), name)
+        return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

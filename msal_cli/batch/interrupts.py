@@ -49,6 +49,39 @@ def end_at_once(signum: int, frame: FrameType | None = None) -> NoReturn:
         os._exit(128 + signum)
 
 
+class Cancellation:
+    """Ends a run from another thread, as Ctrl-C ends one in the main thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._is_requested = False
+        self._on_request: Callable[[], object] = lambda: None
+
+    def request(self) -> None:
+        """Ask the run to end; it raises KeyboardInterrupt soon after."""
+        with self._lock:
+            self._is_requested = True
+            self._on_request()
+
+    def check(self) -> None:
+        """Raise KeyboardInterrupt if the run is to end."""
+        if self._is_requested:
+            raise KeyboardInterrupt
+
+    @contextmanager
+    def noticed(self, on_request: Callable[[], object]) -> Iterator[None]:
+        """Call ``on_request()`` in the thread that asks, now if one has asked already."""
+        with self._lock:
+            self._on_request = on_request
+            if self._is_requested:
+                on_request()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._on_request = lambda: None
+
+
 @contextmanager
 def obeyed_at_once() -> Iterator[None]:
     """While nothing has been touched, SIGINT, SIGTERM and SIGHUP end the process at once."""

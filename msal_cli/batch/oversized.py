@@ -30,26 +30,13 @@ class Oversized:
 
 
 def find_oversized(
-    tasks: Mapping[int, Task], settings: Settings, budget: MemoryBudget, job: TileJob | None
+    tasks: Mapping[int, Task], settings: Settings, budget: MemoryBudget, job: TileJob
 ) -> Oversized:
-    """Which of the files do not fit; ``job`` is None where tiles are no way.
-
-    A limit set by the user replaces what the machine has left, and the machines of another engine
-    have their own memory.
-    """
-    reasons: dict[int, Failure | None] = {}
-    if job is None:
-        reasons.update(budget.oversized())
-    elif job.options.is_forced:
-        reasons = dict.fromkeys(tasks)
-    elif job.limits.memory_bytes is not None:
-        reasons.update(budget.beyond_limit)
-    elif job.engine is None:
-        reasons.update(budget.oversized())
+    """Which of the files do not fit."""
     by_tiles: dict[int, TileEstimate] = {}
     failures: dict[int, Failure] = {}
-    for index, reason in reasons.items():
-        if job is None:
+    for index, reason in _find_reasons(tasks, budget, job).items():
+        if job.options is None:
             assert reason is not None
             failures[index] = reason
             continue
@@ -58,6 +45,24 @@ def find_oversized(
         except MsalError as objection:
             failures[index] = _describe(objection, reason)
     return Oversized(by_tiles, failures)
+
+
+def _find_reasons(
+    tasks: Mapping[int, Task], budget: MemoryBudget, job: TileJob
+) -> dict[int, Failure | None]:
+    """Why files are not loaded; None where that is a wish.
+
+    A limit set by the user replaces what the machine has left, and is enforced by workers, too; the
+    machines of another engine have their own memory.
+    """
+    if job.options is not None and job.options.is_forced:
+        return dict.fromkeys(tasks)
+    found: Mapping[int, Failure] = {}
+    if job.limits.memory_bytes is not None:
+        found = {} if job.options is None else budget.beyond_limit
+    elif job.engine is None:
+        found = budget.oversized()
+    return {index: failure for index, failure in found.items() if index in tasks}
 
 
 def _describe(objection: MsalError, reason: Failure | None) -> Failure:

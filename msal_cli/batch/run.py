@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import os
+import signal
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
@@ -28,7 +29,7 @@ from msal_cli.batch.resume import (
 from msal_cli.batch.run_checks import check_limits, check_numbers
 from msal_cli.batch.run_history import RunEntry
 from msal_cli.batch.tile_estimate import planned_tiles
-from msal_cli.batch.tile_options import TileJob
+from msal_cli.batch.tile_options import TileJob, TileOptions
 from msal_cli.batch.unfinished import failure_of, unfinished_record
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import denoise_file
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
     from msal_cli.batch.events import Message, OnEvent
     from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
-    from msal_cli.batch.tile_options import TileOptions
 
 
 _log = logging.getLogger("msal.batch")
@@ -63,6 +63,7 @@ def run(
     denoise: Denoise = denoise_file,
     engine: EngineFactory | None = None,
     tiles: TileOptions | None = None,
+    cancellation: interrupts.Cancellation | None = None,
 ) -> list[MeshRecord]:
     """One record per task, in the plan's order; the same bytes for any number of jobs.
 
@@ -85,6 +86,8 @@ def run(
     denoise : what does one file, a module-level function; takes ``limits=`` where there are any.
     engine : processes the files, a single one too; None is ``worker_pool.WorkerPool``.
     tiles : how files that do not fit into memory are denoised, after all others; None: not at all.
+    cancellation : ends the run from another thread.  Then a single file runs in a worker, too,
+        which can be ended at any time.
 
     Raises
     ------
@@ -92,8 +95,9 @@ def run(
         the file to be replaced is in the way, or the engine cannot be used; no file was touched.
     OutputError : the output folder or its manifest cannot be written.
     ResourceError : no worker process can be started.
-    KeyboardInterrupt, interrupts.Terminated : a signal asked to end; all workers are gone, finished
-        files are whole and recorded, and running the plan again goes on from there.
+    KeyboardInterrupt, interrupts.Terminated : a signal or ``cancellation`` asked to end; all
+        workers are gone, finished files are whole and recorded, and running the plan again goes on
+        from there.
     """
     check_numbers(jobs, retries, stop_after_failures)
     check_limits(limits)
@@ -111,6 +115,7 @@ def run(
             stop_after_failures=stop_after_failures,
             engine=engine,
             tiles=tiles,
+            cancellation=cancellation,
         )
         return one.dry_run() if dry_run else one.execute(stack, tuple(command))
 
@@ -127,6 +132,7 @@ class _BatchRun:
     stop_after_failures: int | None
     engine: EngineFactory | None
     tiles: TileOptions | None
+    cancellation: interrupts.Cancellation | None
 
     def __post_init__(self) -> None:
         self._cores = usable_cores()
@@ -149,13 +155,10 @@ class _BatchRun:
             if self.plan.is_set and todo:
                 records = tile_set.survey_set(self.plan, self.settings, self._manifests)
             else:
-                by_tiles = {} if self.tiles is None else self._find_oversized(todo).by_tiles
-                records = {
-                    index: replace(
-                        self._planned_record(index), tiles=planned_tiles(by_tiles.get(index))
-                    )
-                    for index in todo
-                }
+                planned = {index: self._planned_record(index) for index in todo}
+                expected = {} if self.tiles is None else self._find_oversized(todo).by_tiles
+                tiles = {index: planned_tiles(one) for index, one in expected.items()}
+                records = {n: replace(one, tiles=tiles.get(n)) for n, one in planned.items()}
             for index, record in records.items():
                 self._emit_finished(index, record)
         return self._in_order()
@@ -170,15 +173,8 @@ class _BatchRun:
                 budget = estimate_memory(tasks, self.settings, self.limits)
             if self.plan.is_set:
                 self._run_set(todo)
-                todo = []
-            oversized = self._find_oversized(todo, budget)
-            todo = self._drop_oversized(todo, oversized)
-            if self._is_single() or self.plan.is_in_process:
-                self._run_in_process(todo)
-            elif todo and self._failure is None and not self._has_too_many_failures():
-                self._run_engine(todo, budget)
-            if self.tiles is not None:
-                self._run_by_tiles(list(oversized.by_tiles), self.tiles)
+            else:
+                self._run_files(todo, budget)
             if self._failure is not None:
                 raise self._failure
         except BaseException:
@@ -192,7 +188,7 @@ class _BatchRun:
     def _is_single(self) -> bool:
         is_limited = (self.limits.timeout_s, self.limits.memory_bytes) != (None, None)
         is_alone = len(self.plan.tasks) == 1 and self.plan.shard is None
-        return is_alone and self.engine is None and not is_limited
+        return is_alone and not (self.engine or is_limited or self.cancellation)
 
     def _append_end(self, entry: RunEntry, *, interrupted: bool) -> None:
         for manifest in self._begun:
@@ -253,25 +249,32 @@ class _BatchRun:
         return [index for index in todo if index not in oversized]
 
     def _find_oversized(self, todo: list[int], budget: MemoryBudget | None = None) -> Oversized:
-        if self.tiles is None and (self.engine is not None or self.limits.memory_bytes is not None):
-            return Oversized({}, {})
         tasks = {index: self.plan.tasks[index] for index in todo}
         budget = budget or estimate_memory(tasks, self.settings, self.limits)
-        job = None if self.tiles is None else self._tile_job(self.tiles, 0)
-        return find_oversized(tasks, self.settings, budget, job)
+        return find_oversized(tasks, self.settings, budget, self._tile_job(0))
 
-    def _tile_job(self, options: TileOptions, index: int) -> TileJob:
+    def _tile_job(self, index: int) -> TileJob:
         return TileJob(
-            options,
+            self.tiles,
             self.limits,
-            jobs=self.jobs or self._cores,
-            cores=self._cores,
-            retries=self.retries,
-            engine=self.engine,
-            on_progress=lambda *step: self.on_event(Progress(index, *step)),
+            self.jobs or self._cores,
+            self._cores,
+            self.retries,
+            self.engine,
+            self.cancellation,
+            lambda *step: self.on_event(Progress(index, *step)),
         )
 
     # The work
+
+    def _run_files(self, todo: list[int], budget: MemoryBudget) -> None:
+        oversized = self._find_oversized(todo, budget)
+        todo = self._drop_oversized(todo, oversized)
+        if self._is_single() or self.plan.is_in_process:
+            self._run_in_process(todo)
+        elif todo and self._failure is None and not self._has_too_many_failures():
+            self._run_engine(todo, budget)
+        self._run_by_tiles(oversized)
 
     def _run_in_process(self, todo: list[int]) -> None:
         def clean() -> None:
@@ -296,36 +299,21 @@ class _BatchRun:
                 if self._failure is not None:
                     return
 
-    def _run_by_tiles(self, indices: list[int], options: TileOptions) -> None:
-        for index in indices:
-            if self._failure is not None or self._has_too_many_failures():
-                return
-            from msal_cli.batch.tile_run import denoise_by_tiles
+    def _run_by_tiles(self, oversized: Oversized) -> None:
+        for index in oversized.by_tiles:
+            if self._failure is None and not self._has_too_many_failures():
+                from msal_cli.batch.tile_run import denoise_by_tiles
 
-            self.on_event(Started(index))
-            task, job = self.plan.tasks[index], self._tile_job(options, index)
-            self._finish({index: denoise_by_tiles(task, self.settings, job)})
+                self.on_event(Started(index))
+                task, job = self.plan.tasks[index], self._tile_job(index)
+                self._finish({index: denoise_by_tiles(task, self.settings, job)})
 
     def _run_set(self, todo: list[int]) -> None:
-        """Denoise all files as one mesh, in this process."""
-        if not todo:
-            return
-
-        def clean() -> None:
-            for index in todo:
-                self._sweep_after(os.getpid(), index)
-
-        with interrupts.noticed(interrupts.raise_for), interrupts.ended_late(clean):
-            self._finish(
-                tile_set.denoise_set(
-                    self.plan,
-                    self.settings,
-                    self.on_event,
-                    self.limits,
-                    self.stop_after_failures,
-                    self._manifests,
-                )
-            )
+        """Denoise all files as one mesh, led by this process."""
+        if todo:
+            many, job = self.stop_after_failures, self._tile_job(0)
+            state = self.plan, self.settings, self.on_event, many, self._manifests, job
+            self._finish(tile_set.denoise_set(*state))
 
     def _run_engine(self, todo: list[int], budget: MemoryBudget) -> None:
         from msal_cli.batch.engine import Interrupt, Work
@@ -356,7 +344,8 @@ class _BatchRun:
             received.append(signum)
             engine.interrupt()
 
-        with interrupts.noticed(on_signal), closing(engine.batches()) as batches:
+        cancelled = (self.cancellation or interrupts.Cancellation()).noticed(engine.interrupt)
+        with interrupts.noticed(on_signal), cancelled, closing(engine.batches()) as batches:
             try:
                 for messages in batches:
                     self._handle_messages(messages)
@@ -364,7 +353,7 @@ class _BatchRun:
                     if self._failure is not None or self._has_too_many_failures():
                         engine.stop()
             except Interrupt:
-                interrupts.raise_for(received[0])
+                interrupts.raise_for(received[0] if received else signal.SIGINT)
 
     def _handle_messages(self, messages: list[Message]) -> None:
         finished: dict[int, MeshRecord] = {}

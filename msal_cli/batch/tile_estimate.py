@@ -40,10 +40,8 @@ def memory_bound(limits: Limits) -> int | None:
     return None if free is None else int(SHARE * free)
 
 
-def planned_tiles(expected: TileEstimate | None) -> Tiles | None:
-    """What is expected, as records have it; None where no tiles are."""
-    if expected is None:
-        return None
+def planned_tiles(expected: TileEstimate) -> Tiles:
+    """What is expected, as records have it."""
     return Tiles(
         number=expected.n_tiles,
         jobs=expected.jobs,

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli.command import MESSAGES, MORE, group
+from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.errors import UsageError
 
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 _NO_PARTNER = "E_NO_PARTNER"
 
 
-@click.command(
+@grouped_command(
     "compare",
     epilog="""\b
 Examples:
@@ -32,52 +34,70 @@ Exit status: see msal --help.""",
 )
 @click.argument("before", metavar="A", type=options.PATH)
 @click.argument("after", metavar="B", type=options.PATH)
-@click.option(
-    "--heatmap",
-    metavar="FILE.ply",
-    type=options.PATH,
-    help="Write B as PLY with its distance from A, vertex by vertex, as property deviation and as "
-    "colours; comments in the file give their range.",
+@group(
+    "Input and output",
+    options.FILES,
+    MORE,
+    options.FORMAT,
 )
-@options.FILES
-@options.FORMAT
-@click.option(
-    "--fail-on",
-    metavar="EXPR",
-    multiple=True,
-    help="Exit with 4 if this is so for any pair, such as 'mean_angular_error_deg > 6' or "
-    "'hausdorff > 0.5e' (mean edge lengths of A). Repeatable.",
+@group(
+    "What to measure",
+    click.option(
+        "--heatmap",
+        metavar="FILE.ply",
+        type=options.PATH,
+        help="Write B as PLY with its distance from A, vertex by vertex, as property deviation "
+        "and as colours; comments in the file give their range.",
+    ),
+    MORE,
+    options.CHECK,
+    options.UNIT,
 )
-@options.UNIT
-@options.CHECK
-@click.option(
-    "--baseline",
-    metavar="REPORT.json",
-    type=options.PATH,
-    help="Exit with 4 if a figure is worse than in REPORT.json: what --json printed before, or a "
-    "report of msal denoise --reference.",
+@group(
+    "Gates",
+    click.option(
+        "--fail-on",
+        metavar="EXPR",
+        multiple=True,
+        help="Exit with 4 if this is so for any pair, such as 'mean_angular_error_deg > 6' or "
+        "'hausdorff > 0.5e' (mean edge lengths of A). Repeatable.",
+    ),
+    click.option(
+        "--baseline",
+        metavar="REPORT.json",
+        type=options.PATH,
+        help="Exit with 4 if a figure is worse than in REPORT.json: what --json printed before, "
+        "or a report of msal denoise --reference.",
+    ),
+    MORE,
+    click.option(
+        "--tolerance",
+        metavar="PERCENT",
+        type=options.parse_percentage,
+        help="With --baseline: by how much of what it was a figure may be worse, such as 2%.  "
+        "[default: 1%]",
+    ),
+    click.option(
+        "--ignore-missing",
+        is_flag=True,
+        help="Of folders: leave out files that only one of them has, and figures of the baseline "
+        "whose files are not there.",
+    ),
 )
-@click.option(
-    "--tolerance",
-    metavar="PERCENT",
-    type=options.parse_percentage,
-    help="With --baseline: by how much of what it was a figure may be worse, such as 2%.  "
-    "[default: 1%]",
+@group(
+    "Reports",
+    click.option(
+        "--json",
+        "as_json",
+        is_flag=True,
+        help="Print one JSON object for two files; for folders one document, whose records list "
+        "holds an object per pair.",
+    ),
 )
-@click.option(
-    "--ignore-missing",
-    is_flag=True,
-    help="Of folders: leave out files that only one of them has, and figures of the baseline whose "
-    "files are not there.",
+@group(
+    MESSAGES,
+    options.verbose,
 )
-@click.option(
-    "--json",
-    "as_json",
-    is_flag=True,
-    help="Print one JSON object for two files; for folders one document, whose records list holds "
-    "an object per pair.",
-)
-@options.verbose
 @click.pass_context
 def command(
     context: click.Context,

@@ -6,10 +6,11 @@ import click
 from click.shell_completion import get_completion_class
 
 from msal_cli.cli import console, exit_codes
+from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.main import COMPLETE_VARIABLE
 
 
-@click.command(
+@grouped_command(
     "completion",
     epilog="""\b
 bash:  msal completion bash > ~/.local/share/bash-completion/completions/msal

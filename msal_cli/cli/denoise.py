@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msal_cli.cli import console, denoise_request, exit_codes, options
+from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.conflicts import find_given
 from msal_cli.cli.denoise_options import OPTIONS
 from msal_cli.cli.denoise_request import Request
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger("msal.denoise")
 
 
-@click.command(
+@grouped_command(
     "denoise",
     epilog="Exit status: see msal --help.",
 )
@@ -34,12 +35,14 @@ _log = logging.getLogger("msal.denoise")
 @OPTIONS
 @click.pass_context
 def command(context: click.Context, /, **given: Any) -> int:
-    """Denoise mesh files; the outputs are the inputs with their positions replaced.
+    """Denoise mesh files; nothing but positions changes.
 
     INPUT is a file, a folder (with all its subfolders), a pattern such as 'scans/*.ply', a URL such
-    as s3://bucket/scans, or - for standard input. Faces, texture coordinates, colours, properties,
-    comments and the order of everything stay as they are. What an earlier run has finished is not
-    done again.
+    as s3://bucket/scans, or - for standard input.
+
+    The outputs are the inputs with their positions replaced. Faces, texture coordinates, colours,
+    properties, comments and the order of everything stay as they are. What an earlier run has
+    finished is not done again.
     """
     from msal_cli.cli import logs
 

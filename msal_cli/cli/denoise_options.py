@@ -1,14 +1,15 @@
-"""The options of ``msal denoise`` by theme, in the order in which help shows them."""
+"""The options of ``msal denoise`` by theme: what most people need, and more."""
 
 from __future__ import annotations
 
 import click
 
 from msal_cli.cli import options
+from msal_cli.cli.command import MESSAGES, MORE, group
 from msal_cli.job.settings import DEFAULT_BACKUP
 
-OPTIONS = options.combine(
-    # Where to.
+INPUT_AND_OUTPUT = group(
+    "Input and output",
     click.option(
         "-o",
         "--output",
@@ -17,7 +18,21 @@ OPTIONS = options.combine(
         help="File or folder to write; a folder gets the tree of the inputs. "
         "- is standard output, the default when INPUT is -.",
     ),
-    # How to denoise.
+    click.option(
+        "--in-place", is_flag=True, help="Replace the inputs; originals are kept beside them."
+    ),
+    MORE,
+    click.option(
+        "--backup",
+        metavar="SUFFIX",
+        help=f"With --in-place: what is added to the original's name.  [default: {DEFAULT_BACKUP}]",
+    ),
+    click.option("--no-backup", is_flag=True, help="With --in-place: keep no originals."),
+    options.FORCE,
+)
+
+WHAT_TO_DO = group(
+    "What to do",
     click.option(
         "--method",
         metavar="NAME",
@@ -37,9 +52,11 @@ OPTIONS = options.combine(
         "-K",
         "factor",
         metavar="K",
-        help="--schedule multiscale or robust: factor by which the smoothing shrinks from sweep to "
-        "sweep, 0 < K <= 1; greater is smoother, less keeps more texture.  [default: 0.5]",
+        help="Factor on the smoothing, per sweep; greater is smoother, less keeps more "
+        "texture. 0 < K <= 1, for --schedule multiscale or robust.  [default: 0.5]",
     ),
+    MORE,
+    options.METHOD_PARAMETER,
     click.option(
         "--mollify",
         metavar="N",
@@ -53,25 +70,47 @@ OPTIONS = options.combine(
         "to the data, multiscale, robust beside spikes, or with what is more than noise given back "
         "at the end.  [default: multiscale for msal, else plain]",
     ),
-    options.METHOD_PARAMETER,
+    click.option(
+        "--despike/--no-despike",
+        default=None,
+        help="Bring vertices that lie far off the surface back to it before the method runs.  "
+        "[default: where a method is chosen and they are clearly outliers]",
+    ),
+    click.option(
+        "--weights",
+        metavar="PROPERTY",
+        help="PLY vertex property, such as confidence, as trust: the pull to the scanned position "
+        "is scaled by it. For msal, and methods with a --schedule other than plain.",
+    ),
+    click.option(
+        "--min-noise",
+        metavar="LEVEL|auto",
+        help="Leave meshes as they are whose estimated noise is less: 0.03e is mean edge lengths, "
+        "0.01 file units; auto where there is none to speak of.  [default: none]",
+    ),
+)
+
+AUTOMATIC_CHOICE = group(
+    "Automatic choice",
     click.option(
         "--auto",
         is_flag=True,
-        help="Choose method and parameters for each mesh, from its noise and its surface; the "
+        help="Choose method and parameters for each mesh; from its noise and its surface. The "
         "report says what was chosen, and why. The four options that follow imply it.",
     ),
     click.option(
         "--keep",
         type=click.Choice(["texture", "edges", "shape"]),
-        help="What must not suffer: fine relief, sharp edges, or the smooth shape beneath the "
+        help="What must not suffer; fine relief, sharp edges, or the smooth shape beneath the "
         "noise.  [default: as the surface looks]",
     ),
     click.option(
         "--strength",
         metavar="-2..2",
         type=options.number(-2.0, 2.0),
-        help="Around the automatic choice: greater is smoother, less keeps more.  [default: 0]",
+        help="Greater is smoother, less keeps more; 0 is the automatic choice.  [default: 0]",
     ),
+    MORE,
     click.option(
         "--prefer",
         type=click.Choice(["positions", "normals", "volume"]),
@@ -85,62 +124,30 @@ OPTIONS = options.combine(
         help="Most time for choosing and denoising together, in runs of the default method over "
         "the same mesh.  [default: 60]",
     ),
-    # What may move, and how far.
+)
+
+LIMITS_ON_MOVEMENT = group(
+    "Limits on movement",
     click.option(
         "--max-move",
         metavar="LENGTH",
-        help="No vertex goes further: 0.3e is mean edge lengths, 0.05 file units.  [default: none]",
+        help="Longest move of a vertex, such as 0.3e; that is mean edge lengths, 0.05 is file "
+        "units.  [default: none]",
     ),
     click.option(
         "--lock",
         metavar="EXPR",
         multiple=True,
-        help="Vertices that stay: 'boundary', or a PLY vertex property compared with a number, "
-        "such as 'confidence < 0.2'. Repeatable.",
+        help="Vertices that stay, such as 'boundary'; 'confidence < 0.2' compares a PLY vertex "
+        "property with a number. Repeatable.",
     ),
-    click.option(
-        "--weights",
-        metavar="PROPERTY",
-        help="PLY vertex property, such as confidence, as trust: the pull to the scanned position "
-        "is scaled by it. For msal, and methods with a --schedule other than plain.",
-    ),
-    click.option(
-        "--despike/--no-despike",
-        default=None,
-        help="Bring vertices that lie far off the surface back to it before the method runs.  "
-        "[default: where a method is chosen and they are clearly outliers]",
-    ),
-    click.option(
-        "--min-noise",
-        metavar="LEVEL|auto",
-        help="Leave meshes as they are whose estimated noise is less: 0.03e is mean edge lengths, "
-        "0.01 file units; auto where there is none to speak of.  [default: none]",
-    ),
+    MORE,
     options.UNIT,
-    # Which files, and what the outputs are.
-    options.FILES,
-    click.option(
-        "--tile-set",
-        is_flag=True,
-        help="The files are tiles that touch: denoise them as the one mesh that they are, so that "
-        "vertices which they share stay the same.",
-    ),
-    click.option(
-        "--weld",
-        metavar="LENGTH",
-        help="With --tile-set: border vertices of different files within LENGTH are one, too: 0.1e "
-        "is mean edge lengths, 0.001 file units; greater closes wider gaps.  [default: only those "
-        "at the same place]",
-    ),
-    click.option(
-        "--in-place", is_flag=True, help="Replace the inputs; originals are kept beside them."
-    ),
-    click.option(
-        "--backup",
-        metavar="SUFFIX",
-        help=f"With --in-place: what is added to the original's name.  [default: {DEFAULT_BACKUP}]",
-    ),
-    click.option("--no-backup", is_flag=True, help="With --in-place: keep no originals."),
+)
+
+FORMATS = group(
+    "Formats",
+    MORE,
     click.option(
         "--to",
         metavar="FORMAT",
@@ -163,7 +170,11 @@ OPTIONS = options.combine(
     ),
     click.option("--strict", is_flag=True, help="Fail where a conversion loses something."),
     options.FORMAT,
-    # How much at a time, and within which limits.
+)
+
+MANY_FILES = group(
+    "Many files",
+    options.FILES,
     click.option(
         "-j",
         "--jobs",
@@ -173,6 +184,29 @@ OPTIONS = options.combine(
         type=options.parse_jobs,
         help="Files at the same time; more is faster and takes more memory. auto is one per core, "
         "as far as memory allows. The results do not depend on it.",
+    ),
+    click.option("--dry-run", is_flag=True, help="List what would be written, and touch nothing."),
+    click.option(
+        "--fresh", is_flag=True, help="Denoise again what an earlier run has done already."
+    ),
+    MORE,
+    click.option(
+        "--retry-failed",
+        is_flag=True,
+        help="Try again what failed in an earlier run and would fail again.",
+    ),
+    click.option(
+        "--tile-set",
+        is_flag=True,
+        help="The files are tiles that touch: denoise them as the one mesh that they are, so that "
+        "vertices which they share stay the same.",
+    ),
+    click.option(
+        "--weld",
+        metavar="LENGTH",
+        help="With --tile-set: border vertices of different files within LENGTH are one, too: 0.1e "
+        "is mean edge lengths, 0.001 file units; greater closes wider gaps.  [default: only those "
+        "at the same place]",
     ),
     click.option(
         "--timeout",
@@ -221,6 +255,12 @@ OPTIONS = options.combine(
         help="Begin no more files once N have failed.  [default: none]",
     ),
     click.option(
+        "--shard",
+        metavar="K/N|auto",
+        help="Take only the K-th of N parts of the files; N such runs do them all, on one machine "
+        "or many. auto asks Slurm, AWS Batch or Kubernetes; auto/N gives N where they do not.",
+    ),
+    click.option(
         "--engine",
         type=click.Choice(["workers", "dask"]),
         default="workers",
@@ -233,32 +273,28 @@ OPTIONS = options.combine(
         help="With --engine dask: the scheduler, such as tcp://host:8786; local starts a cluster "
         "of -j processes here.",
     ),
-    # What is done at all, and what again.
-    click.option("--dry-run", is_flag=True, help="List what would be written, and touch nothing."),
-    options.FORCE,
+)
+
+REPORTS = group(
+    "Reports",
     click.option(
-        "--fresh", is_flag=True, help="Denoise again what an earlier run has done already."
+        "--report",
+        "reports",
+        metavar="FILE",
+        multiple=True,
+        type=options.PATH,
+        help="Write a record of every file; .json, .jsonl, .csv, .md (Markdown), .xml (JUnit) or "
+        ".html (a page with pictures) by suffix. Repeatable.",
     ),
     click.option(
-        "--retry-failed",
-        is_flag=True,
-        help="Try again what failed in an earlier run and would fail again.",
+        "--fail-on",
+        metavar="EXPR",
+        multiple=True,
+        help="Exit with 4 if this is so for any file; such as 'abs(volume_change) > 1%', "
+        "'max_displacement > 0.5e' (mean edge lengths) or 'flipped_faces > 0'. Repeatable.",
     ),
-    click.option(
-        "--shard",
-        metavar="K/N|auto",
-        help="Take only the K-th of N parts of the files; N such runs do them all, on one machine "
-        "or many. auto asks Slurm, AWS Batch or Kubernetes; auto/N gives N where they do not.",
-    ),
-    # What is reported, and where.
-    click.option(
-        "--fields",
-        metavar="NAME,...",
-        type=options.parse_list,
-        help="Write lambda, sigma, noise, displacement or curvature of every vertex to a PLY "
-        "beside each output (scan.fields.ply): properties, and the first one as colours too.",
-    ),
-    options.CHECK,
+    options.JSON_REPORT,
+    MORE,
     click.option(
         "--reference",
         metavar="TRUTH",
@@ -266,31 +302,38 @@ OPTIONS = options.combine(
         help="Measure the outputs against the true mesh, as msal compare does: a file, or a folder "
         "whose files have the relative paths of the inputs.",
     ),
+    options.CHECK,
     click.option(
-        "--fail-on",
-        metavar="EXPR",
-        multiple=True,
-        help="Exit with 4 if this is so for any file, such as 'abs(volume_change) > 1%', "
-        "'max_displacement > 0.5e' (mean edge lengths) or 'flipped_faces > 0'. Repeatable.",
+        "--fields",
+        metavar="NAME,...",
+        type=options.parse_list,
+        help="Write lambda, sigma, noise, displacement or curvature of every vertex to a PLY "
+        "beside each output (scan.fields.ply): properties, and the first one as colours too.",
     ),
-    click.option(
-        "--report",
-        "reports",
-        metavar="FILE",
-        multiple=True,
-        type=options.PATH,
-        help="Write a record of every file: .json, .jsonl, .csv, .md (Markdown), .xml (JUnit) or "
-        ".html (a page with pictures) by suffix. Repeatable.",
-    ),
-    options.JSON_REPORT,
+)
+
+MESSAGES_AND_HELP = group(
+    MESSAGES,
     options.QUIET,
     click.option(
         "-v", "--verbose", count=True, help="Show every file and step; -vv shows everything."
     ),
+    MORE,
     click.option(
         "--log-file",
         metavar="FILE",
         type=options.PATH,
         help="Append everything, with times, to a file.",
     ),
+)
+
+OPTIONS = options.combine(
+    INPUT_AND_OUTPUT,
+    WHAT_TO_DO,
+    AUTOMATIC_CHOICE,
+    LIMITS_ON_MOVEMENT,
+    FORMATS,
+    MANY_FILES,
+    REPORTS,
+    MESSAGES_AND_HELP,
 )

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli.command import MESSAGES, group
+from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.options import STREAM
 from msal_cli.errors import UsageError
 
@@ -15,18 +17,27 @@ if TYPE_CHECKING:
     from msal_cli.job.info_record import InfoRecord
 
 
-@click.command("info", epilog="Exit status: see msal --help.")
+@grouped_command("info", epilog="Exit status: see msal --help.")
 @options.INPUTS
-@options.FILES
-@options.FORMAT
-@options.CHECK
-@click.option(
-    "--json",
-    "as_json",
-    is_flag=True,
-    help="Print one JSON document, for one file as for many: its records list holds the files.",
+@group(
+    "Input and output",
+    options.FILES,
+    options.FORMAT,
 )
-@options.verbose
+@group(
+    "What to report",
+    options.CHECK,
+    click.option(
+        "--json",
+        "as_json",
+        is_flag=True,
+        help="Print one JSON document, for one file as for many: its records list holds the files.",
+    ),
+)
+@group(
+    MESSAGES,
+    options.verbose,
+)
 def command(
     inputs: tuple[str, ...],
     include: tuple[str, ...],

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli.command import command as grouped_command
+from msal_cli.cli.command import group
 
 if TYPE_CHECKING:
     from msal_cli.methods import Method, ParameterSpec
@@ -23,9 +25,12 @@ SHORTCUTS = {
 """Options of ``msal denoise`` that set a parameter."""
 
 
-@click.command("methods")
+@grouped_command("methods")
 @click.argument("name", metavar="[NAME]", required=False, shell_complete=options.complete_method)
-@click.option("--json", "as_json", is_flag=True, help="Print everything as one JSON document.")
+@group(
+    "Reports",
+    click.option("--json", "as_json", is_flag=True, help="Print everything as one JSON document."),
+)
 def command(name: str | None, as_json: bool) -> int:
     """List the methods, or explain the one called NAME."""
     from msal_cli import methods

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msal_cli.cli import options
+from msal_cli.cli.command import MESSAGES, MORE, group
+from msal_cli.cli.command import command as grouped_command
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -33,7 +35,7 @@ _KINDS = (
 )
 
 
-@click.command(
+@grouped_command(
     "noise",
     epilog="""\b
 Examples:
@@ -44,86 +46,101 @@ Examples:
 Exit status: see msal --help.""",
 )
 @options.INPUTS
-@click.option(
-    "-o",
-    "--output",
-    metavar="OUT",
-    type=options.PATH,
-    help="A file for one input, or a folder, which gets a mirrored tree. - is standard output, the "
-    "default when INPUT is -.",
+@group(
+    "Input and output",
+    click.option(
+        "-o",
+        "--output",
+        metavar="OUT",
+        type=options.PATH,
+        help="A file for one input, or a folder, which gets a mirrored tree. - is standard "
+        "output, the default when INPUT is -.",
+    ),
+    MORE,
+    options.FORCE,
+    options.FORMAT,
 )
-@click.option(
-    "--kind",
-    type=click.Choice(_KINDS),
-    metavar="KIND",
-    default="gaussian-normal",
-    show_default=True,
-    help="gaussian-normal: along the vertex normals; gaussian: in each coordinate; mixed: along "
-    "the normals and as much across them; impulsive: at a fraction of the vertices; correlated: "
-    "shared by neighbours; view: along --direction; quantised: along --direction, with depths in "
-    "steps; grazing: along --direction, stronger at grazing angles; half: on one half of the mesh; "
-    "ramp: growing from one end of the mesh to the other; property: in proportion to a vertex "
-    "property; outliers: a fraction of the vertices far off the surface.",
+@group(
+    "Noise",
+    click.option(
+        "--kind",
+        type=click.Choice(_KINDS),
+        metavar="KIND",
+        default="gaussian-normal",
+        show_default=True,
+        help="What kind of noise; gaussian-normal: along the vertex normals; gaussian: in each "
+        "coordinate; mixed: along the normals and as much across them; impulsive: at a fraction "
+        "of the vertices; correlated: shared by neighbours; view: along --direction; quantised: "
+        "along --direction, with depths in steps; grazing: along --direction, stronger at grazing "
+        "angles; half: on one half of the mesh; ramp: growing from one end of the mesh to the "
+        "other; property: in proportion to a vertex property; outliers: a fraction of the "
+        "vertices far off the surface.",
+    ),
+    click.option(
+        "--level",
+        metavar="NUMBER",
+        default="0.2",
+        show_default=True,
+        type=options.number(0.0, 1000.0, "e"),
+        help="Standard deviation in mean edge lengths.",
+    ),
+    click.option(
+        "--seed",
+        metavar="N",
+        default=0,
+        show_default=True,
+        type=click.IntRange(min=0),
+        help="The same number gives the same noise, for each file.",
+    ),
+    MORE,
+    click.option(
+        "--fraction",
+        metavar="NUMBER",
+        type=options.number(0.0, 1.0),
+        help="Share of the vertices that impulsive noise or outliers move.  [default: 0.1]",
+    ),
+    click.option(
+        "--rings",
+        metavar="N",
+        type=click.IntRange(min=0),
+        help="How often noise is averaged over one-rings, so that neighbours share it; the level "
+        "stays.  [default: 2 for correlated, else 0]",
+    ),
+    click.option(
+        "--direction",
+        metavar="X,Y,Z",
+        type=options.parse_direction,
+        help="Direction of the view; for half and ramp, where there is more noise. Three numbers, "
+        "or an axis such as -y.  [default: z]",
+    ),
+    click.option(
+        "--step",
+        metavar="NUMBER",
+        type=options.number(1e-9, 1000.0, "e"),
+        help="Step of quantised depths in mean edge lengths.  [default: 0.5]",
+    ),
+    click.option(
+        "--border",
+        metavar="NUMBER",
+        type=options.number(0.0, 1.0),
+        help="With --kind half: width over which the noise begins, as a share of the mesh's "
+        "extent.  [default: 0, sharp]",
+    ),
+    click.option(
+        "--property",
+        metavar="NAME",
+        help="With --kind property: vertex property of a PLY file that multiplies the noise.",
+    ),
 )
-@click.option(
-    "--level",
-    metavar="NUMBER",
-    default="0.2",
-    show_default=True,
-    type=options.number(0.0, 1000.0, "e"),
-    help="Standard deviation in mean edge lengths.",
+@group(
+    "Many files",
+    options.FILES,
 )
-@click.option(
-    "--seed",
-    metavar="N",
-    default=0,
-    show_default=True,
-    type=click.IntRange(min=0),
-    help="The same number gives the same noise, for each file.",
+@group(
+    MESSAGES,
+    options.QUIET,
+    options.verbose,
 )
-@click.option(
-    "--fraction",
-    metavar="NUMBER",
-    type=options.number(0.0, 1.0),
-    help="Share of the vertices that impulsive noise or outliers move.  [default: 0.1]",
-)
-@click.option(
-    "--rings",
-    metavar="N",
-    type=click.IntRange(min=0),
-    help="How often noise is averaged over one-rings, so that neighbours share it; the level "
-    "stays.  [default: 2 for correlated, else 0]",
-)
-@click.option(
-    "--direction",
-    metavar="X,Y,Z",
-    type=options.parse_direction,
-    help="Direction of the view; for half and ramp, where there is more noise. Three numbers, or "
-    "an axis such as -y.  [default: z]",
-)
-@click.option(
-    "--step",
-    metavar="NUMBER",
-    type=options.number(1e-9, 1000.0, "e"),
-    help="Step of quantised depths in mean edge lengths.  [default: 0.5]",
-)
-@click.option(
-    "--border",
-    metavar="NUMBER",
-    type=options.number(0.0, 1.0),
-    help="With --kind half: width over which the noise begins, as a share of the mesh's extent. "
-    " [default: 0, sharp]",
-)
-@click.option(
-    "--property",
-    metavar="NAME",
-    help="With --kind property: vertex property of a PLY file that multiplies the noise.",
-)
-@options.FILES
-@options.FORMAT
-@options.FORCE
-@options.QUIET
-@options.verbose
 def command(
     inputs: tuple[str, ...],
     output: str | None,

@@ -262,7 +262,7 @@ FILES = combine(
         "--include",
         metavar="PATTERN",
         multiple=True,
-        help="Take only files whose path or name matches, such as '*.ply'. Repeatable.",
+        help="Take only files that match, such as '*.ply'; by path or name. Repeatable.",
     ),
     click.option(
         "--exclude",

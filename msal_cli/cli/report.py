@@ -7,40 +7,52 @@ from typing import TYPE_CHECKING
 import click
 
 from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli.command import MESSAGES, group
+from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
 
 if TYPE_CHECKING:
     from msal_cli.cli.run_summary import RunSummary
 
 
-@click.command("report", epilog="Exit status: see msal --help.")
+@grouped_command("report", epilog="Exit status: see msal --help.")
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=options.PATH)
-@click.option(
-    "-o",
-    "--output",
-    "outputs",
-    metavar="FILE",
-    multiple=True,
-    type=options.PATH,
-    help="Write a record of every file, in the format of the suffix; see --report of msal denoise. "
-    "Repeatable.",
+@group(
+    "Reports",
+    click.option(
+        "-o",
+        "--output",
+        "outputs",
+        metavar="FILE",
+        multiple=True,
+        type=options.PATH,
+        help="Write a record of every file, in the format of the suffix; see --report of msal "
+        "denoise. Repeatable.",
+    ),
+    options.JSON_REPORT,
 )
-@click.option(
-    "--fail-on",
-    metavar="EXPR",
-    multiple=True,
-    help="As in msal denoise: exit with 4 if this is so for any file; implies --check. Repeatable.",
+@group(
+    "Gates",
+    click.option(
+        "--fail-on",
+        metavar="EXPR",
+        multiple=True,
+        help="As in msal denoise: exit with 4 if this is so for any file; implies --check. "
+        "Repeatable.",
+    ),
+    options.UNIT,
+    click.option(
+        "--check",
+        is_flag=True,
+        help="Exit with 1 if all files failed, 3 if some failed or are not finished, 4 if a gate "
+        "in the report is broken.",
+    ),
 )
-@options.UNIT
-@options.JSON_REPORT
-@click.option(
-    "--check",
-    is_flag=True,
-    help="Exit with 1 if all files failed, 3 if some failed or are not finished, 4 if a gate in "
-    "the report is broken.",
+@group(
+    MESSAGES,
+    options.QUIET,
+    click.option("-v", "--verbose", count=True, help="List every file."),
 )
-@options.QUIET
-@click.option("-v", "--verbose", count=True, help="List every file.")
 @click.pass_context
 def command(
     context: click.Context,

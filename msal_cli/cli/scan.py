@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msal_cli.cli import options
+from msal_cli.cli.command import MESSAGES, MORE, group
+from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.errors import UsageError
 
@@ -24,7 +26,7 @@ _SCANNERS = ("voxels", "ct", "slices", "depth", "fusion")
 _TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
 
 
-@click.command(
+@grouped_command(
     "scan",
     epilog="""\b
 Examples:
@@ -36,123 +38,144 @@ Examples:
 Exit status: see msal --help.""",
 )
 @options.INPUTS
-@click.option(
-    "-o",
-    "--output",
-    metavar="OUT",
-    type=options.PATH,
-    help="A file for one input, or a folder, which gets a mirrored tree. - is standard output.",
+@group(
+    "Input and output",
+    click.option(
+        "-o",
+        "--output",
+        metavar="OUT",
+        type=options.PATH,
+        help="A file for one input, or a folder, which gets a mirrored tree. - is standard output.",
+    ),
+    click.option(
+        "--truth",
+        metavar="OUT2",
+        type=options.PATH,
+        help="Write the scan a second time, with its vertices in their true places: to a file, "
+        "or a folder.",
+    ),
+    MORE,
+    click.option(
+        "--to",
+        metavar="FORMAT",
+        help="Format of the output.  [default: by OUT's suffix, or as INPUT]",
+    ),
+    options.FORCE,
+    options.FORMAT,
 )
-@click.option(
-    "--truth",
-    metavar="OUT2",
-    type=options.PATH,
-    help="Write the scan a second time, with its vertices in their true places: to a file, "
-    "or a folder.",
+@group(
+    "Scanner",
+    click.option(
+        "--scanner",
+        type=click.Choice(_SCANNERS),
+        help="What kind of scanner; voxels: binary occupancy; ct: grey values with noise; slices: "
+        "binary, several voxels apart; depth: one depth camera; fusion: several, fused.  "
+        "[default: voxels]",
+    ),
+    click.option(
+        "--resolution",
+        metavar="N",
+        type=options.parse_resolution,
+        help="Voxels or pixels along the longest side (96), or their edge in mean edge lengths "
+        "(0.8e).  [default: 96]",
+    ),
+    click.option(
+        "--direction",
+        metavar="X,Y,Z",
+        type=options.parse_direction,
+        help="Direction from the object to the camera, across the slices, or of the third axis of "
+        "the grid. Three numbers, or an axis such as -y.  [default: z]",
+    ),
+    click.option(
+        "--seed",
+        metavar="N",
+        type=click.IntRange(min=0),
+        help="The same number gives the same noise and the same place of the grid.  [default: 0]",
+    ),
+    click.option(
+        "--level",
+        metavar="NUMBER",
+        type=options.number(),
+        help="Standard deviation of the noise; of ct, a share of the contrast between object and "
+        "air; of cameras, pixels of depth before their smoothing.  [default: ct 0.1; cameras 1]",
+    ),
+    MORE,
+    click.option(
+        "--correlation",
+        metavar="NUMBER",
+        type=options.number(),
+        help="Over how many cells neighbours share noise; the level stays.  [default: 0, white]",
+    ),
+    click.option(
+        "--smoothing",
+        metavar="NUMBER",
+        type=options.number(),
+        help="Over how many cells the scanner itself averages: more removes noise, and detail. "
+        " [default: ct 0.5; cameras 1]",
+    ),
+    click.option(
+        "--step",
+        metavar="NUMBER",
+        type=options.number(),
+        help="Step of a camera's depths in pixels, 0 for none.  [default: 0.3]",
+    ),
+    click.option(
+        "--slices",
+        metavar="N",
+        type=click.IntRange(min=1),
+        help="Voxels from slice to slice.  [default: 3]",
+    ),
+    click.option(
+        "--views",
+        metavar="N",
+        type=click.IntRange(min=1),
+        help="Cameras of fusion.  [default: 14]",
+    ),
+    click.option(
+        "--misalignment",
+        metavar="NUMBER",
+        type=options.number(),
+        help="Standard deviation of the positions of fusion's cameras from the true ones, in "
+        "pixels.  [default: 0.1]",
+    ),
 )
-@click.option(
-    "--to", metavar="FORMAT", help="Format of the output.  [default: by OUT's suffix, or as INPUT]"
+@group(
+    "Volumes",
+    click.option(
+        "--iso",
+        metavar="NUMBER",
+        type=options.number(),
+        help="For a volume: value at the surface; greater values are inside.  [default: half-way "
+        "between the least and the greatest]",
+    ),
+    click.option(
+        "--spacing",
+        metavar="X,Y,Z",
+        type=options.parse_lengths,
+        help="For a volume: size of a voxel along each axis.  [default: 1,1,1]",
+    ),
+    MORE,
+    click.option(
+        "--dims",
+        metavar="X,Y,Z",
+        type=options.parse_counts,
+        help="For a raw volume: number of voxels along each axis.",
+    ),
+    click.option(
+        "--type",
+        type=click.Choice(_TYPES),
+        help="For a raw volume: type of its numbers, little-endian.  [default: uint8]",
+    ),
 )
-@click.option(
-    "--scanner",
-    type=click.Choice(_SCANNERS),
-    help="voxels: binary occupancy; ct: grey values with noise; slices: binary, several voxels "
-    "apart; depth: one depth camera; fusion: several, fused.  [default: voxels]",
+@group(
+    "Many files",
+    options.FILES,
 )
-@click.option(
-    "--resolution",
-    metavar="N",
-    type=options.parse_resolution,
-    help="Voxels or pixels along the longest side (96), or their edge in mean edge lengths (0.8e). "
-    " [default: 96]",
+@group(
+    MESSAGES,
+    options.QUIET,
+    options.verbose,
 )
-@click.option(
-    "--direction",
-    metavar="X,Y,Z",
-    type=options.parse_direction,
-    help="Direction from the object to the camera, across the slices, or of the third axis of the "
-    "grid. Three numbers, or an axis such as -y.  [default: z]",
-)
-@click.option(
-    "--seed",
-    metavar="N",
-    type=click.IntRange(min=0),
-    help="The same number gives the same noise and the same place of the grid.  [default: 0]",
-)
-@click.option(
-    "--level",
-    metavar="NUMBER",
-    type=options.number(),
-    help="Standard deviation of the noise: of ct, a share of the contrast between object and air; "
-    "of cameras, pixels of depth before their smoothing.  [default: ct 0.1; cameras 1]",
-)
-@click.option(
-    "--correlation",
-    metavar="NUMBER",
-    type=options.number(),
-    help="Over how many cells neighbours share noise; the level stays.  [default: 0, white]",
-)
-@click.option(
-    "--smoothing",
-    metavar="NUMBER",
-    type=options.number(),
-    help="Over how many cells the scanner itself averages: more removes noise, and detail. "
-    " [default: ct 0.5; cameras 1]",
-)
-@click.option(
-    "--step",
-    metavar="NUMBER",
-    type=options.number(),
-    help="Step of a camera's depths in pixels, 0 for none.  [default: 0.3]",
-)
-@click.option(
-    "--slices",
-    metavar="N",
-    type=click.IntRange(min=1),
-    help="Voxels from slice to slice.  [default: 3]",
-)
-@click.option(
-    "--views",
-    metavar="N",
-    type=click.IntRange(min=1),
-    help="Cameras of fusion.  [default: 14]",
-)
-@click.option(
-    "--misalignment",
-    metavar="NUMBER",
-    type=options.number(),
-    help="Standard deviation of the positions of fusion's cameras from the true ones, in pixels. "
-    " [default: 0.1]",
-)
-@click.option(
-    "--iso",
-    metavar="NUMBER",
-    type=options.number(),
-    help="For a volume: value at the surface; greater values are inside.  [default: half-way "
-    "between the least and the greatest]",
-)
-@click.option(
-    "--spacing",
-    metavar="X,Y,Z",
-    type=options.parse_lengths,
-    help="For a volume: size of a voxel along each axis.  [default: 1,1,1]",
-)
-@click.option(
-    "--dims",
-    metavar="X,Y,Z",
-    type=options.parse_counts,
-    help="For a raw volume: number of voxels along each axis.",
-)
-@click.option(
-    "--type",
-    type=click.Choice(_TYPES),
-    help="For a raw volume: type of its numbers, little-endian.  [default: uint8]",
-)
-@options.FILES
-@options.FORMAT
-@options.FORCE
-@options.QUIET
-@options.verbose
 @click.pass_context
 def command(
     context: click.Context,

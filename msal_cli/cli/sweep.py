@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli.command import MESSAGES, MORE, group
+from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.options import STREAM
 from msal_cli.cli.view import view_options
 from msal_cli.errors import UsageError
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 SCHEMA = "msal.sweep/1"
 
 
-@click.command(
+@grouped_command(
     "sweep",
     epilog="""\b
 Examples:
@@ -30,53 +32,66 @@ Examples:
 Exit status: see msal --help.""",
 )
 @click.argument("source", metavar="FILE", type=options.PATH)
-@click.option(
-    "-o",
-    "--output",
-    metavar="OUT.png",
-    required=True,
-    type=options.PATH,
-    help="The picture to write.",
+@group(
+    "Input and output",
+    click.option(
+        "-o",
+        "--output",
+        metavar="OUT.png",
+        required=True,
+        type=options.PATH,
+        help="The picture to write.",
+    ),
+    MORE,
+    options.FORMAT,
 )
-@click.option(
-    "--method",
-    metavar="NAME",
-    default="msal",
-    show_default=True,
-    shell_complete=options.complete_method,
-    help="How to denoise; `msal methods` lists them.",
-)
-@click.option(
-    "--rows",
-    metavar="NAME=VALUE,...",
-    help="A parameter and its values from top to bottom. With neither --rows nor --columns: "
-    "iterations=1,2,4,8.",
-)
-@click.option(
-    "--columns",
-    metavar="NAME=VALUE,...",
-    help="A parameter and its values from left to right. With neither: K=0.25,0.5,0.75,1, if the "
-    "method has it.",
-)
-@click.option(
-    "--set",
-    "assignments",
-    metavar="NAME=VALUE",
-    multiple=True,
-    help="A parameter that is the same in all cells. Repeatable.",
-)
-@click.option(
-    "--reference",
-    metavar="TRUTH",
-    type=options.PATH,
-    help="The clean mesh, with the same faces: adds the mean angle between face normals, and marks "
-    "the cell where it is least.",
+@group(
+    "What to try",
+    click.option(
+        "--method",
+        metavar="NAME",
+        default="msal",
+        show_default=True,
+        shell_complete=options.complete_method,
+        help="How to denoise; `msal methods` lists them.",
+    ),
+    click.option(
+        "--rows",
+        metavar="NAME=VALUE,...",
+        help="A parameter and its values from top to bottom. With neither --rows nor --columns: "
+        "iterations=1,2,4,8.",
+    ),
+    click.option(
+        "--columns",
+        metavar="NAME=VALUE,...",
+        help="A parameter and its values from left to right. With neither: K=0.25,0.5,0.75,1, if "
+        "the method has it.",
+    ),
+    click.option(
+        "--set",
+        "assignments",
+        metavar="NAME=VALUE",
+        multiple=True,
+        help="A parameter that is the same in all cells. Repeatable.",
+    ),
+    click.option(
+        "--reference",
+        metavar="TRUTH",
+        type=options.PATH,
+        help="The clean mesh, with the same faces: adds the mean angle between face normals, and "
+        "marks the cell where it is least.",
+    ),
 )
 @view_options(360)
-@options.FORMAT
-@click.option("--json", "as_json", is_flag=True, help="Print the numbers as one JSON document.")
-@options.QUIET
-@options.verbose
+@group(
+    "Reports",
+    click.option("--json", "as_json", is_flag=True, help="Print the numbers as one JSON document."),
+)
+@group(
+    MESSAGES,
+    options.QUIET,
+    options.verbose,
+)
 def command(
     source: str,
     output: str,

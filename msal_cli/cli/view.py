@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli.command import MESSAGES, MORE, group
+from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.options import STREAM
 from msal_cli.errors import UsageError
 
@@ -43,7 +45,8 @@ def view_options(size: int) -> Callable[[Any], Any]:
             style = "dark" if dark else "light"
             return command(view=View(view, turn, tilt, up, size, style, shading), **given)
 
-        return options.combine(
+        return group(
+            "Picture",
             click.option(
                 "--view",
                 type=click.Choice(_VIEWS),
@@ -70,6 +73,7 @@ def view_options(size: int) -> Callable[[Any], Any]:
                 show_default=True,
                 help="The axis that points upwards, where the guess is wrong (--up=-y).",
             ),
+            MORE,
             click.option(
                 "--size",
                 metavar="PIXELS",
@@ -91,7 +95,7 @@ def view_options(size: int) -> Callable[[Any], Any]:
     return decorate
 
 
-@click.command(
+@grouped_command(
     "view",
     epilog="""\b
 Examples:
@@ -103,19 +107,25 @@ Exit status: see msal --help.""",
 )
 @click.argument("before", metavar="A", type=options.PATH)
 @click.argument("after", metavar="[B]", required=False, type=options.PATH)
-@click.option(
-    "-o",
-    "--output",
-    metavar="OUT",
-    required=True,
-    type=options.PATH,
-    help="NAME.png for a picture, NAME.html for a page to turn the meshes in; - sends the picture "
-    "to standard output.",
+@group(
+    "Input and output",
+    click.option(
+        "-o",
+        "--output",
+        metavar="OUT",
+        required=True,
+        type=options.PATH,
+        help="NAME.png for a picture, NAME.html for a page to turn the meshes in; - sends the "
+        "picture to standard output.",
+    ),
+    options.FORMAT,
 )
 @view_options(640)
-@options.FORMAT
-@options.QUIET
-@options.verbose
+@group(
+    MESSAGES,
+    options.QUIET,
+    options.verbose,
+)
 def command(
     before: str, after: str | None, output: str, view: View, format: str | None, quiet: bool
 ) -> int:

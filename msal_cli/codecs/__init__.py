@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.detection import resolve_format
-from msal_cli.codecs.mesh_file import MeshFile, Surface
+from msal_cli.codecs.mesh_file import HasVertexProperties, MeshFile, Surface
 from msal_cli.errors import UnsupportedError
 from msal_cli.storage.buffers import Buffer
 
@@ -125,7 +125,7 @@ def with_companions(
 
 
 def vertex_property(mesh_file: Surface, name: str) -> NDArray[np.float64]:
-    """A number that the file has for each vertex, (n,) in the order of its vertices.
+    """A number that a mesh has for each vertex, (n,) in the order of its vertices.
 
     Raises
     ------
@@ -134,10 +134,7 @@ def vertex_property(mesh_file: Surface, name: str) -> NDArray[np.float64]:
     UnsupportedError
         for a format other than PLY.
     """
-    from msal_cli.codecs import ply
-    from msal_cli.codecs.joined_mesh import JoinedMesh
-
-    if not isinstance(mesh_file, ply.PlyFile | JoinedMesh):
+    if not isinstance(mesh_file, HasVertexProperties):
         format = getattr(mesh_file, "format", "")
         raise UnsupportedError(
             f"vertex properties such as {name!r} are read from PLY, not from {format.upper()}",

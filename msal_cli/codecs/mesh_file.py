@@ -7,7 +7,7 @@ A codec parses what it must (positions, faces), keeps the original bytes, and re
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,8 @@ class Companion:
 
 
 class Surface(Protocol):
-    """What can be denoised: a mesh file, or several as one; see ``MeshFile`` for the attributes."""
+    """What can be denoised: a mesh file, several as one, or one in memory; see ``MeshFile`` for the
+    attributes."""
 
     faces: NDArray[np.int32]
     merged_vertices: int
@@ -36,6 +37,16 @@ class Surface(Protocol):
 
     def forget_vertices(self) -> None:
         """Let go of ``vertices`` where they can be read again in little time."""
+        ...
+
+
+@runtime_checkable
+class HasVertexProperties(Protocol):
+    """A mesh with more numbers at its vertices than positions."""
+
+    def vertex_property(self, name: str) -> NDArray[np.float64]:
+        """The scalar property ``name`` of the vertices, (n,); InputError (``E_PROPERTY``) if there
+        is none."""
         ...
 
 

@@ -82,33 +82,44 @@ def compare_files(
     with_intersections: bool = False,
     listener: ReadingListener | None = None,
 ) -> ComparisonRecord:
-    """A file against the reference ``before``; what cannot be read gives a record with an error.
+    """As ``measure_files``; what cannot be read gives a record with an error."""
+    try:
+        return measure_files(before, after, format, with_intersections, listener)
+    except Exception as error:
+        known = to_known_error(error, f"{before} and {after}")
+        where = f"{known.path}: {known.where}" if known.path and known.where else known.path
+        failure = Failure(known.code, known.message, known.hint, where or known.where)
+        return ComparisonRecord(before, after, version=__version__, error=failure)
+
+
+def measure_files(
+    before: str,
+    after: str,
+    format: str | None = None,
+    with_intersections: bool = False,
+    listener: ReadingListener | None = None,
+) -> ComparisonRecord:
+    """A file against the reference ``before``; MsalError where one of them cannot be read.
 
     ``with_intersections`` counts the faces of each that intersect each other.  Files that are
     larger than memory are read in pieces, which ``listener`` hears of.
     """
     from msal_cli.job.larger_than_memory import opened_in_pieces
 
-    try:
-        with opened_in_pieces((before, after), format, listener) as streamed:
-            if streamed is not None:
-                from msal_cli.job.streamed_comparison import compare_streamed
+    with opened_in_pieces((before, after), format, listener) as streamed:
+        if streamed is not None:
+            from msal_cli.job.streamed_comparison import compare_streamed
 
-                record = compare_streamed(streamed[0], streamed[1], (before, after), listener)
-                words = "intersections are not counted: the files are larger than memory"
-                return _warned(record, words) if with_intersections else record
-        return compare_meshes(
-            open_surface(before, format),
-            open_surface(after, format),
-            before,
-            after,
-            with_intersections=with_intersections,
-        )
-    except Exception as error:
-        known = to_known_error(error, f"{before} and {after}")
-        where = f"{known.path}: {known.where}" if known.path and known.where else known.path
-        failure = Failure(known.code, known.message, known.hint, where or known.where)
-        return ComparisonRecord(before, after, version=__version__, error=failure)
+            record = compare_streamed(streamed[0], streamed[1], (before, after), listener)
+            words = "intersections are not counted: the files are larger than memory"
+            return _warned(record, words) if with_intersections else record
+    return compare_meshes(
+        open_surface(before, format),
+        open_surface(after, format),
+        before,
+        after,
+        with_intersections=with_intersections,
+    )
 
 
 def with_references(

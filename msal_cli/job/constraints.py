@@ -101,15 +101,16 @@ def parse_length(text: str, option: str = "--max-move", unit: str | None = None)
     return Length(value, match[2] == "e")
 
 
-def parse_lock(text: str) -> Lock | None:
-    """``confidence < 0.2``; None for the word ``boundary``; UsageError for anything else."""
+def parse_lock(text: str, option: str = "--lock") -> Lock | None:
+    """``confidence < 0.2``; None for the word ``boundary``; UsageError, which names the option, for
+    anything else."""
     if text.strip() == BOUNDARY:
         return None
     match = _LOCK.fullmatch(text)
     if match is None or not math.isfinite(float(match[3])):
         raise UsageError(
-            f"--lock {text}: this is neither 'boundary' nor a property compared with a number",
-            hint="as in --lock 'confidence < 0.2'; msal info lists a file's properties",
+            f"{option} {text}: this is neither 'boundary' nor a property compared with a number",
+            hint=f"as in {option} 'confidence < 0.2'; msal info lists a file's properties",
         )
     return Lock(match[1], match[2], float(match[3]))
 

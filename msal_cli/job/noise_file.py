@@ -14,7 +14,7 @@ from msal_cli.job.output import MadeFile
 if TYPE_CHECKING:
     from msal_cli.analysis.added_noise import AddedNoise
     from msal_cli.arrays import Floats
-    from msal_cli.codecs.mesh_file import MeshFile
+    from msal_cli.codecs.mesh_file import MeshFile, Surface
     from msal_cli.mesh import PreparedMesh
     from msal_cli.storage.buffers import Buffer
 
@@ -81,7 +81,7 @@ def _replace_positions(mesh_file: MeshFile, vertices: Floats) -> Buffer:
     return output
 
 
-def read_weights(mesh_file: MeshFile, ready: PreparedMesh, name: str) -> Floats:
+def read_weights(mesh_file: Surface, ready: PreparedMesh, name: str) -> Floats:
     """A vertex property of the file at the mesh's vertices (n,); of vertices at one place the
     first in the file counts."""
     import numpy as np

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 import zlib
+from collections.abc import Callable, Iterable, Iterator
 from typing import BinaryIO
 
 from msal_cli.errors import FormatError, InputError, TooLargeError, TruncatedError
@@ -21,6 +23,9 @@ ALWAYS_EXPANDED = 32 << 20
 LARGEST_RATIO = 200
 """Expanded bytes per compressed byte beyond that.  Meshes reach 3 to 30, the most repetitive
 text files about 100; deflate itself ends at 1032, which only a file made to do harm comes near."""
+
+OnBytes = Callable[[int, int], None]
+"""Called as ``on_bytes(done, total)``."""
 
 _FIRST_PIECE = 1 << 10
 _LARGEST_PIECE = 1 << 20
@@ -126,24 +131,64 @@ def expand(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer, b
     if bytes(view[:2]) != GZIP_MAGIC:
         if not is_gzip_name(name):
             return data, False
-        if not len(view):
-            raise TruncatedError("the file is empty", hint="copy or export it again")
-        raise FormatError(
-            "the name ends in .gz but the content is not gzip",
-            where="byte 0",
-            hint="rename the file, or compress it",
-        )
+        raise refuse_content(len(view))
     largest = largest_bytes() if limit is None else limit
-    pieces: list[bytes] = []
-    size = 0
+    pieces = expand_pieces(lambda at, n: view[at : at + n], len(view), largest, limit is None)
+    return b"".join(pieces), True
+
+
+def refuse_content(size: int) -> InputError:
+    """The error for a file of ``size`` bytes whose name ends in ``.gz``, but whose content is not
+    compressed."""
+    if not size:
+        return TruncatedError("the file is empty", hint="copy or export it again")
+    return FormatError(
+        "the name ends in .gz but the content is not gzip",
+        where="byte 0",
+        hint="rename the file, or compress it",
+    )
+
+
+def expand_file(path: str | os.PathLike[str], on_bytes: OnBytes | None = None) -> Iterator[bytes]:
+    """The content of a file that is compressed with gzip, some of it at a time.
+
+    It may be larger than the memory; otherwise errors are those of ``expand``.  ``on_bytes`` is
+    called with the compressed bytes that are read, and all of them.
+    """
+    with open_regular(path, buffering=0) as file:
+        size = os.fstat(file.fileno()).st_size
+
+        def read(at: int, n_bytes: int) -> bytes:
+            if on_bytes is not None:
+                on_bytes(at, size)
+            file.seek(at)
+            return file.read(n_bytes)
+
+        yield from expand_pieces(read, size, sys.maxsize, True)
+
+
+def expand_pieces(
+    read: Callable[[int, int], Buffer], size: int, largest: int, is_watched: bool
+) -> Iterator[bytes]:
+    """What gzip's members expand to, piece by piece; errors as in ``expand``.
+
+    Parameters
+    ----------
+    read : called as ``read(at, n)``: n bytes from ``at`` on, fewer at the end.
+    size : bytes of the compressed data.
+    largest : the most bytes to expand to.
+    is_watched : it must not be more than ``LARGEST_RATIO`` allows either.
+    """
+    expanded = 0
     position = 0
-    while position < len(view):
+    while position < size:
+        begin = bytes(read(position, 2))
         # Zero bytes behind the last member are padding (tape blocks), as for gzip itself.
-        if pieces and view[position] == 0 and _is_zero(view[position:]):
+        if position and begin[0] == 0 and _is_zero(read, position, size):
             break
-        if pieces and bytes(view[position : position + 2]) not in (GZIP_MAGIC, GZIP_MAGIC[:1]):
+        if position and begin not in (GZIP_MAGIC, GZIP_MAGIC[:1]):
             raise FormatError(
-                f"{len(view) - position} bytes behind the compressed data are not gzip",
+                f"{size - position} bytes behind the compressed data are not gzip",
                 where=f"byte {position}",
                 hint="the file is damaged, or two files were joined; compress it again",
             )
@@ -152,56 +197,60 @@ def expand(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer, b
         # over by ``unused_data``.
         piece = _FIRST_PIECE
         while not member.eof:
-            if position == len(view):
+            part = read(position, piece)
+            if not len(part):
                 raise TruncatedError(
                     f"the compressed data end after {position} bytes, in the middle",
                     where=f"byte {position}",
                     hint="the file was cut short; copy it again",
                 )
-            part = view[position : position + piece]
             allowed = largest
-            if limit is None:
+            if is_watched:
                 # A bomb is known by its first pieces.
-                read = position + len(part)
-                allowed = min(largest, max(ALWAYS_EXPANDED, LARGEST_RATIO * read))
+                allowed = min(largest, max(ALWAYS_EXPANDED, LARGEST_RATIO * (position + len(part))))
             try:
-                pieces.append(member.decompress(part, max(allowed - size, 0) + 1))
+                text = member.decompress(part, max(allowed - expanded, 0) + 1)
             except zlib.error as failure:
                 raise FormatError(
                     f"the compressed data are damaged ({failure})",
                     where=f"bytes {position} to {position + len(part)}",
                     hint="the file is damaged; copy it again",
                 ) from failure
-            size += len(pieces[-1])
-            if size > allowed:
+            expanded += len(text)
+            if expanded > allowed:
                 raise TooLargeError(
-                    f"{position + len(part)} of {len(view)} compressed bytes expand to more than "
+                    f"{position + len(part)} of {size} compressed bytes expand to more than "
                     f"{allowed}",
                     where=f"byte {position}",
                     hint="no mesh compresses so well; if you trust the file, expand it with gunzip",
                 )
+            yield text
             position += len(part) - len(member.unused_data)
             piece = min(2 * piece, _LARGEST_PIECE)
-    return b"".join(pieces), True
 
 
-def _is_zero(view: memoryview) -> bool:
-    """Whether all bytes are zero; a piece at a time, since there may be gigabytes."""
-    pieces = (view[at : at + _LARGEST_PIECE] for at in range(0, len(view), _LARGEST_PIECE))
+def _is_zero(read: Callable[[int, int], Buffer], at: int, size: int) -> bool:
+    """Whether all bytes from ``at`` on are zero; a piece at a time, since there may be
+    gigabytes."""
+    pieces = (read(first, _LARGEST_PIECE) for first in range(at, size, _LARGEST_PIECE))
     return not any(bytes(piece).strip(b"\0") for piece in pieces)
 
 
 def compress(data: Buffer) -> bytes:
     """``data`` as gzip; the same bytes on every run: no time, no name, no operating system."""
-    view = memoryview(data).cast("B")
+    return b"".join(compress_pieces([data]))
+
+
+def compress_pieces(pieces: Iterable[Buffer]) -> Iterator[bytes]:
+    """The same of data in pieces, which may be of any size."""
     deflate = zlib.compressobj(6, zlib.DEFLATED, -15)
-    checksum = zlib.crc32(view) & 0xFFFFFFFF
-    return b"".join(
-        (
-            GZIP_MAGIC + b"\x08\x00" + bytes(4) + b"\x00\xff",
-            deflate.compress(view),
-            deflate.flush(),
-            checksum.to_bytes(4, "little"),
-            (len(view) & 0xFFFFFFFF).to_bytes(4, "little"),
-        )
-    )
+    checksum = size = 0
+    yield GZIP_MAGIC + b"\x08\x00" + bytes(4) + b"\x00\xff"
+    for piece in pieces:
+        view = memoryview(piece).cast("B")
+        checksum = zlib.crc32(view, checksum)
+        size += len(view)
+        for at in range(0, len(view), _LARGEST_PIECE):
+            yield deflate.compress(view[at : at + _LARGEST_PIECE])
+    yield deflate.flush()
+    yield checksum.to_bytes(4, "little") + (size & 0xFFFFFFFF).to_bytes(4, "little")

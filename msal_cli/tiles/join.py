@@ -12,7 +12,7 @@ import hashlib
 import os
 import shutil
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -24,13 +24,15 @@ from msal_cli.codecs.streamed_mesh import NewNormals, NewPositions, StreamedMesh
 from msal_cli.errors import InputError, InternalError, OutputError
 from msal_cli.storage import digests
 from msal_cli.storage.atomic import publish, write_whole
+from msal_cli.storage.gzip_streams import compress_pieces, is_gzip_name
+from msal_cli.storage.regular import open_regular
 from msal_cli.tiles import source as sources
 from msal_cli.tiles.plan import TilePlan, load_plan
 from msal_cli.tiles.scratch import Scratch
 
 MOVED, NORMALS = "moved.f8", "normals.f8"
-"""New positions (n, 3) and normals (n, 3) by new number, file units, float64; that of a vertex
-which did not move is the stored one.  Without the first nothing moved."""
+"""New positions (n, 3) and normals (n, 3) by new number, file units, float64: as of
+``codecs.streamed_mesh.NewPositions`` and ``NewNormals``.  Without the first nothing moved."""
 
 OUTPUT = "output.bin"
 """The output of a binary file as far as it is written."""
@@ -39,6 +41,7 @@ PIECES = "output"
 """A folder of the pieces of a text."""
 
 _SURVEY = "survey.json"
+_AT_ONCE = 4 << 20
 
 _NUMBERS = "numbers.u4"
 _FINISHED = "finished.json"
@@ -106,8 +109,10 @@ def finish_output(
     if known is not None and not scratch.has(OUTPUT) and not scratch.has(PIECES):
         return Finished(**known)
     _require_same_input(plan)
-    if not scratch.has(OUTPUT):
-        return _finish_text(scratch, plan, target, mode_like)
+    content = sources.open_source(plan.source).path
+    is_packed = os.path.abspath(content) != os.path.abspath(plan.source["path"])
+    if not scratch.has(OUTPUT) or is_packed or is_gzip_name(target):
+        return _write_copy(scratch, plan, content if is_packed else None, target, mode_like)
     finished = _check_pieces(scratch, plan, target)
     # Written before the file is moved, so that a repeated call knows what became of it.
     scratch.write_json(_FINISHED, asdict(finished))
@@ -115,30 +120,72 @@ def finish_output(
     return finished
 
 
-def _finish_text(scratch: Scratch, plan: TilePlan, target: str, mode_like: str | None) -> Finished:
-    """``finish_output`` for pieces in files of their own."""
-    digest = hashlib.sha256()
-    size = 0
+def _write_copy(
+    scratch: Scratch, plan: TilePlan, content: str | None, target: str, mode_like: str | None
+) -> Finished:
+    """``finish_output`` for pieces in files of their own, and where gzip is involved.
 
-    def read_pieces() -> Iterator[bytes]:
-        nonlocal size
-        for piece, result in scratch.results("join").items():
-            data = (scratch.path / PIECES / f"{piece}.bin").read_bytes()
-            if len(data) != result["size"] or zlib.crc32(data) != result["crc32"]:
-                raise _lost(scratch, f"piece {piece} of the output is not as it was")
-            digest.update(data)
-            size += len(data)
-            yield data
-
+    ``content`` is what the input expands to, None where it is not compressed.
+    """
+    path = plan.source["path"]
+    output = _HashedPieces(_read_pieces(scratch, plan))
+    if is_gzip_name(target):
+        pieces: Iterable[bytes] = output
+        if content is not None and _hash_of(output) == digests.sha256_of_file(content):
+            # Where nothing moved, the very bytes of the input.
+            pieces = _read_file(path)
+        else:
+            pieces = compress_pieces(_read_pieces(scratch, plan))
+        output = _HashedPieces(pieces)
     with ThreadPoolExecutor(1) as other:
-        source = other.submit(digests.sha256_of_file, plan.source["path"])
-        write_whole(target, read_pieces(), mode_like=mode_like)
+        source = other.submit(digests.sha256_of_file, path)
+        write_whole(target, output, mode_like=mode_like)
         known = _result_of(source)
-    output = digest.hexdigest()
-    finished = Finished(target, known, output, size, output != known)
+    made = output.digest.hexdigest()
+    finished = Finished(target, known, made, output.size, made != known)
     scratch.write_json(_FINISHED, asdict(finished))
-    shutil.rmtree(scratch.path / PIECES)
+    (scratch.path / OUTPUT).unlink(missing_ok=True)
+    shutil.rmtree(scratch.path / PIECES, ignore_errors=True)
     return finished
+
+
+class _HashedPieces:
+    """Pieces of a file whose ``size`` and SHA-256, ``digest``, are known once all are read."""
+
+    def __init__(self, pieces: Iterable[bytes]) -> None:
+        self._pieces = pieces
+        self.digest, self.size = hashlib.sha256(), 0
+
+    def __iter__(self) -> Iterator[bytes]:
+        for piece in self._pieces:
+            self.digest.update(piece)
+            self.size += len(piece)
+            yield piece
+
+
+def _hash_of(pieces: _HashedPieces) -> str:
+    for _ in pieces:
+        pass
+    return pieces.digest.hexdigest()
+
+
+def _read_pieces(scratch: Scratch, plan: TilePlan) -> Iterator[bytes]:
+    """The pieces of the output, each compared with what was written."""
+    is_whole = scratch.has(OUTPUT)
+    for piece, result in scratch.results("join").items():
+        if is_whole:
+            data = scratch.read_range(OUTPUT, np.uint8, *plan.pieces[piece]).tobytes()
+        else:
+            data = (scratch.path / PIECES / f"{piece}.bin").read_bytes()
+        if len(data) != result["size"] or zlib.crc32(data) != result["crc32"]:
+            raise _lost(scratch, f"piece {piece} of the output is not as it was")
+        yield data
+
+
+def _read_file(path: str) -> Iterator[bytes]:
+    with open_regular(path, buffering=0) as file:
+        while piece := file.read(_AT_ONCE):
+            yield piece
 
 
 def _survey(

@@ -17,7 +17,7 @@ import sys
 import time
 from pathlib import Path
 
-from msal_cli.batch.engine import Work
+from msal_cli.batch.engine import Interrupt, Work
 from msal_cli.batch.events import Failed, Returned, Started
 from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.job.records import Failure, MeshRecord
@@ -59,10 +59,12 @@ class InProcess:
     """An engine that does one task after the other in this process."""
 
     def __init__(self, work):
-        self._work, self._is_stopped = work, False
+        self._work, self._is_stopped, self._is_interrupted = work, False, False
 
     def batches(self):
         for index, task in self._work.tasks.items():
+            if self._is_interrupted:
+                raise Interrupt
             if self._is_stopped:
                 return
             yield [Started(index)]
@@ -75,6 +77,9 @@ class InProcess:
 
     def stop(self):
         self._is_stopped = True
+
+    def interrupt(self):
+        self._is_interrupted = True
 
 
 def work(task, common, on_progress):

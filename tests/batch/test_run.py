@@ -17,6 +17,7 @@ import msal_cli
 from msal_cli.batch import resume
 from msal_cli.batch.events import Finished, Progress, Started
 from msal_cli.batch.inputs import discover_inputs
+from msal_cli.batch.interrupts import Cancellation
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
@@ -353,6 +354,7 @@ class TestInPlace:
 DRIVER = """
 import sys
 from msal_cli.batch.inputs import discover_inputs
+from msal_cli.batch.interrupts import Cancellation
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.batch.interrupts import Terminated
@@ -376,6 +378,38 @@ except KeyboardInterrupt:
 
 
 @posix
+class TestCancellation:
+    def test_a_run_ends_when_it_is_asked_and_goes_on_later(self, folders):
+        fill(folders, 4)
+        cancellation = Cancellation()
+
+        def on_event(event):
+            if isinstance(event, Finished) and event.index == 1:
+                cancellation.request()
+
+        with pytest.raises(KeyboardInterrupt):
+            ran(folders, on_event=on_event, cancellation=cancellation)
+        assert set(tree(folders / "out")) == {"00.ply", "01.ply"}
+        assert statuses(ran(folders)) == ["up-to-date"] * 2 + ["written"] * 2
+
+    def test_it_may_be_asked_before_it_begins(self, folders):
+        fill(folders, 2)
+        cancellation = Cancellation()
+        cancellation.request()
+        with pytest.raises(KeyboardInterrupt):
+            ran(folders, cancellation=cancellation)
+        assert tree(folders / "out") == {}
+        with pytest.raises(KeyboardInterrupt):
+            cancellation.check()
+
+    def test_it_asks_nobody_once_the_run_is_over(self):
+        cancellation, asked = Cancellation(), []
+        with cancellation.noticed(lambda: asked.append(1)):
+            cancellation.check()
+        cancellation.request()
+        assert asked == []
+
+
 class TestInterrupts:
     """Signals to a real process, which then must leave no process and no half file behind."""
 

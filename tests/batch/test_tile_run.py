@@ -246,8 +246,8 @@ def test_one_giant_among_small_files(tmp_path, monkeypatch):
     folder.mkdir()
     for name in ("a", "c"):
         scan(folder / f"{name}.ply", 12, 8)
-    scan(folder / "b.ply", 720, 360)
-    limit = ("--memory-limit", "100M")
+    scan(folder / "b.ply", 864, 432)
+    limit = ("--memory-limit", "120M")
     made = msal("denoise", folder, "-o", tmp_path / "out", "--json", *limit, *METHOD)
     assert made.exit_code == 0, made.stderr
     records = json.loads(made.stdout)["records"]

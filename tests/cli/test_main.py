@@ -104,7 +104,7 @@ def test_options_have_no_abbreviations(tmp_path, option):
 
 
 def test_the_help_of_denoise_tells_the_real_defaults():
-    said = " ".join(msal("denoise", "--help").stdout.split())
+    said = " ".join(msal("denoise", "--help-all").stdout.split())
     defaults = methods.find("msal").validate({})
     for option, name in (("-n,", "iterations"), ("-K", "K"), ("--mollify", "mollify")):
         after = said[said.index(f"{option} ") :]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import gzip
+import hashlib
 import os
 import stat
 from dataclasses import dataclass
@@ -15,13 +17,14 @@ from msal_cli.codecs import open_mesh
 from msal_cli.codecs.streamed import line_blocks
 from msal_cli.errors import InputError, OutputError
 from msal_cli.job.settings import Settings, Task
-from msal_cli.storage import atomic
+from msal_cli.storage import atomic, gzip_streams
 from msal_cli.tiles import join, opening
 from msal_cli.tiles.opening import open_run
 from msal_cli.tiles.plan import TilePlan
 from msal_cli.tiles.scratch import Scratch
 from tests.codecs import plain_ply, plain_stl
 from tests.codecs.plain_ply import Element, Ply
+from tests.codecs.streamed.pieces import new_normals
 from tests.tiles.fakes import run_stages
 
 
@@ -102,8 +105,7 @@ def test_a_joined_ply_is_what_the_whole_file_becomes(tmp_path, encoding, normals
     new = move(whole.vertices)
     run.write_rows(join.MOVED, new)
     if normals:
-        ((rows, _),) = whole._new_normals(new)
-        run.write_rows(join.NORMALS, rows)
+        run.write_rows(join.NORMALS, new_normals(whole, new))
     run.join()
     assert not run.output.exists()
     finished = join.finish_output(run.scratch)
@@ -112,6 +114,33 @@ def test_a_joined_ply_is_what_the_whole_file_becomes(tmp_path, encoding, normals
     assert finished.size == run.output.stat().st_size
     assert not run.scratch.has(join.OUTPUT) and not run.scratch.has(join.PIECES)
     assert join.finish_output(run.scratch) == finished
+
+
+@pytest.mark.parametrize("is_moved", [False, True])
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
+@pytest.mark.parametrize(("before", "after"), [(".gz", ".gz"), (".gz", ""), ("", ".gz")])
+def test_compressed_files_are_what_they_are_in_memory(tmp_path, before, after, encoding, is_moved):
+    data = scan(encoding)
+    whole = open_mesh(data, "a.ply")
+    new = move(whole.vertices) if is_moved else whole.vertices
+    # Compressed in another way than msal does, to see what is copied.
+    source = gzip.compress(data, 1) if before else data
+    run = open_file(tmp_path, source, "ply" + before)
+    run.write_rows(join.MOVED, new)
+    run.join()
+    output = str(run.output.with_name("other.ply" + after))
+    finished = join.finish_output(run.scratch, path=output)
+    made = bytes(whole.replaced(new))
+    expected = gzip_streams.compress(made) if after else made
+    if before == after and not is_moved:
+        expected = source
+    assert Path(output).read_bytes() == expected
+    assert finished.is_changed == (expected != source)
+    assert finished.output_sha256 == hashlib.sha256(expected).hexdigest()
+    assert finished.input_sha256 == hashlib.sha256(source).hexdigest()
+    assert finished.size == len(expected)
+    assert not run.scratch.has(join.OUTPUT)
+    assert join.finish_output(run.scratch, path=output) == finished
 
 
 def test_a_joined_stl_is_what_the_whole_file_becomes(tmp_path):

@@ -9,14 +9,12 @@ import numpy as np
 from msal_cli.arrays import Bytes
 from msal_cli.codecs.streamed.byte_ranges import read_range
 from msal_cli.errors import UnsupportedError
+from msal_cli.storage.gzip_streams import OnBytes
 
 BLOCK_BYTES = 4 << 20
 """Bytes of a block, about."""
 
 _LONGEST_LINE = 1 << 28
-
-OnBytes = Callable[[int, int], None]
-"""Called as ``on_bytes(done, total)`` while a text is converted."""
 
 
 class LineBlocks:

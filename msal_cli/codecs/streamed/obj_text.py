@@ -17,7 +17,7 @@ from msal_cli.codecs.obj_content import Arrays, Before, cut_triangles
 from msal_cli.codecs.obj_errors import line_of, no_faces_error, refuse_binary
 from msal_cli.codecs.obj_parser import Reading
 from msal_cli.codecs.streamed.byte_ranges import read_range
-from msal_cli.codecs.streamed.line_blocks import LineBlocks, OnBytes
+from msal_cli.codecs.streamed.line_blocks import LineBlocks
 from msal_cli.codecs.streamed.text_facts import (
     NORMALS,
     TRIANGLES,
@@ -34,6 +34,7 @@ from msal_cli.errors import TooLargeError, UnsupportedError
 from msal_cli.kernels import obj_scan
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.gzip_streams import OnBytes
 
 _MOST_VERTICES = 2**31 - 1
 _HINT = "convert the mesh to PLY, or run on a machine with more memory"

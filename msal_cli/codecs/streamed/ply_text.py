@@ -40,7 +40,7 @@ from msal_cli.codecs.ply_header import MOST_BYTES, NORMAL, POSITION, Element, He
 from msal_cli.codecs.slots import TextSlots
 from msal_cli.codecs.streamed.byte_ranges import read_range
 from msal_cli.codecs.streamed.limits import require_countable
-from msal_cli.codecs.streamed.line_blocks import LineBlocks, OnBytes
+from msal_cli.codecs.streamed.line_blocks import LineBlocks
 from msal_cli.codecs.streamed.ply import refuse_others
 from msal_cli.codecs.streamed.ply_ids import cut_polygons
 from msal_cli.codecs.streamed.text_facts import (
@@ -57,6 +57,7 @@ from msal_cli.codecs.streamed.text_mesh import StreamedText
 from msal_cli.codecs.text_slots import Statements
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.gzip_streams import OnBytes
 
 
 def convert(

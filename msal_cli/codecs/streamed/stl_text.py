@@ -31,7 +31,7 @@ from msal_cli.codecs.stl_numbers import (
 )
 from msal_cli.codecs.streamed.byte_ranges import read_range, split_range
 from msal_cli.codecs.streamed.limits import require_countable
-from msal_cli.codecs.streamed.line_blocks import LineBlocks, OnBytes
+from msal_cli.codecs.streamed.line_blocks import LineBlocks
 from msal_cli.codecs.streamed.text_facts import (
     VERTICES,
     ArrayFacts,
@@ -46,6 +46,7 @@ from msal_cli.kernels import stl_scan
 from msal_cli.kernels.digit_writing import FIXED_BELOW
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.gzip_streams import OnBytes
 
 _AT_ONCE = 1 << 18
 

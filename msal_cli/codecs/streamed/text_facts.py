@@ -80,7 +80,7 @@ class TextFacts:
         """What a folder has of the file ``path`` as it is now; None if nothing."""
         try:
             values = json.loads((folder / _FACTS).read_bytes())
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return None
         if values["source"] != identify(path):
             return None

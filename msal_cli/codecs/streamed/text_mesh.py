@@ -134,9 +134,10 @@ class StreamedText:
             new = positions(start, stop)
             is_moved = is_moved or bool((new != self.read_vertices(start, stop)).any())
             largest = max(largest, float(new.max()), -float(new.min()))
-            if normals is not None and self.has_normals and not has_new_normals:
+            if normals is not None and self.facts.normals is not None and not has_new_normals:
                 old = self.read_normals(start, stop)
-                has_new_normals = bool(_differ(normals(start, stop), old).any())
+                _, is_new = merge_normals(normals(start, stop), old, self.facts.normals)
+                has_new_normals = bool(is_new.any())
         return Survey(is_moved, has_new_normals, largest)
 
     def replace(
@@ -247,11 +248,7 @@ class TextPiece(SlotFile):
             slots = layout.normals[0]
             assert isinstance(slots, TextSlots)
             slots.decimals = facts.normals.decimals
-            stored = slots.values
-            is_changed = _differ(normals, stored)
-            if not slots.whole_rows:
-                is_changed = is_changed & (normals != stored) & ~np.isnan(stored)
-            changes.append(Change(slots, normals, is_changed))
+            changes.append(Change(slots, *merge_normals(normals, slots.values, facts.normals)))
         return [one for one in changes if one.is_changed.any()]
 
     def _position_change(self, slots: Any, facts: ArrayFacts, new: Floats, first: int) -> Change:
@@ -276,7 +273,11 @@ def _row_decimals(facts: ArrayFacts, largest: float) -> Bytes | None:
     return row_decimals(np.zeros(0, dtype=np.uint8), facts.decimals, largest)
 
 
-def _differ(new: Floats, old: Floats) -> Flags:
-    """Which rows (n, 3) have a number with other bits; a stored normal may be NaN."""
-    is_new = (np.ascontiguousarray(new).view(np.int64) != old.view(np.int64)).any(axis=1)
-    return np.broadcast_to(is_new[:, None], new.shape)
+def merge_normals(new: Floats, stored: Floats, facts: ArrayFacts) -> tuple[Floats, Flags]:
+    """Normals (n, 3) as they are written, those that are ``new`` and those that are kept, and which
+    numbers (n, 3) are written."""
+    is_new = np.asarray(~np.isnan(new).any(axis=1))[:, None]
+    merged = np.where(is_new, new, stored)
+    if facts.whole_rows:
+        return merged, np.broadcast_to(is_new, new.shape)
+    return merged, is_new & (merged != stored) & ~np.isnan(stored)

@@ -1,0 +1,73 @@
+"""``compare``: one mesh against another."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from msal_cli.api.explanations import explained_errors
+from msal_cli.api.memory_mesh import from_arrays
+from msal_cli.api.mesh_objects import read_object
+from msal_cli.job.comparison import Surface, compare_meshes, measure_files, open_surface
+from msal_cli.job.comparison_record import ComparisonRecord
+
+
+def compare(before: Any, after: Any, *, intersections: bool = False) -> ComparisonRecord:
+    """Measure a mesh against a reference: before and after, or truth and result.
+
+    Parameters
+    ----------
+    before, after : each a path, a pair ``(vertices, faces)`` of arrays (n, 3) and (m, 3), or a mesh
+        object as for ``denoise``.  ``before`` is the reference: its mean edge length is the unit.
+    intersections : also count the pairs of faces that intersect each other, which takes longer.
+
+    Returns
+    -------
+    ComparisonRecord, the figures of ``msal compare``.  With the same faces: displacement, angles
+    between face normals in degrees (mean: the MSAE of the literature), vertex error in % of the
+    mean edge length, flipped faces, change of volume and area; and, whatever the faces are, the
+    distances between the surfaces and the Hausdorff distance, in units of the vertices.  What
+    cannot be measured is None, and ``warnings`` says why.
+
+    Raises
+    ------
+    InputError, UsageError, ResourceError
+        where one of them cannot be read, or is no mesh; ``error.path`` is the file.
+    """
+    with explained_errors():
+        if is_path(before) and is_path(after):
+            return measure_files(path_text(before), path_text(after), None, intersections)
+        return compare_meshes(
+            *_surfaces(before, after),
+            *(_name(one) for one in (before, after)),
+            with_intersections=intersections,
+        )
+
+
+def is_path(one: Any) -> bool:
+    """Whether an argument names a file."""
+    return isinstance(one, str | bytes | os.PathLike)
+
+
+def path_text(path: Any) -> str:
+    """A path as the command knows it."""
+    return os.fsdecode(path)
+
+
+def _surfaces(before: Any, after: Any) -> tuple[Surface, Surface]:
+    first, second = (_surface(one) for one in (before, after))
+    return first, second
+
+
+def _surface(one: Any) -> Surface:
+    if is_path(one):
+        return open_surface(path_text(one))
+    is_pair = isinstance(one, tuple | list) and len(one) == 2
+    mesh = from_arrays(*one) if is_pair else read_object(one)
+    return Surface(mesh.vertices, np.asarray(mesh.faces))
+
+
+def _name(one: Any) -> str:
+    return path_text(one) if is_path(one) else type(one).__name__

@@ -1,0 +1,314 @@
+"""``denoise``: vertices and faces, or a mesh object of another library."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from msal_cli.api.explanations import explained_errors
+from msal_cli.api.memory_mesh import Array, MemoryMesh, as_array, from_arrays
+from msal_cli.api.mesh_objects import read_object
+from msal_cli.api.settings import build_settings
+from msal_cli.errors import ContentError, UsageError
+from msal_cli.job.pipeline import FileRun
+from msal_cli.job.records import Displacement, MeshRecord, NoiseEstimate
+from msal_cli.job.settings import NO_LIMITS, Settings
+
+MeshObject = TypeVar("MeshObject")
+
+_MASK, _TRUST = "(lock)", "(weights)"
+"""Properties that hold the arrays of these arguments; no library has such names."""
+
+
+@dataclass(frozen=True, eq=False)
+class DenoiseResult:
+    """Denoised positions, and what was done.
+
+    Attributes
+    ----------
+    vertices : (n, 3) new positions in the order and in the number type of those that were given
+        (float64 for whole numbers).  The array is new; the one that was given is not changed.
+    record : all figures, as the reports of the command have them.  Lengths are in the units of the
+        vertices, or in mean edge lengths where a name ends in ``_edges``.
+    """
+
+    vertices: Array
+    record: MeshRecord
+
+    @property
+    def method(self) -> str:
+        """Name of the method that ran; ``none`` where the mesh was left as it was."""
+        return "none" if self.record.method is None else self.record.method.name
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Every parameter of the method, defaults included."""
+        return {} if self.record.method is None else dict(self.record.method.parameters)
+
+    @property
+    def reason(self) -> str:
+        """Why this method was chosen, or why nothing was done; empty where it was given."""
+        choice = self.record.choice
+        return self.record.left_alone or ("" if choice is None else choice.reason)
+
+    @property
+    def noise(self) -> NoiseEstimate:
+        """The noise of the mesh that was given."""
+        assert self.record.noise_estimate is not None
+        return self.record.noise_estimate
+
+    @property
+    def displacement(self) -> Displacement:
+        """How far vertices moved."""
+        assert self.record.displacement is not None
+        return self.record.displacement
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What you should know although the mesh was denoised."""
+        return self.record.warnings
+
+
+@overload
+def denoise(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    method: str | None = None,
+    *,
+    prefer: str | None = None,
+    keep: str | None = None,
+    strength: float | None = None,
+    budget: float | None = None,
+    max_move: str | float | None = None,
+    lock: str | Sequence[str] | ArrayLike | None = None,
+    weights: str | ArrayLike | None = None,
+    despike: bool | None = None,
+    min_noise: str | float | None = None,
+    unit: str | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    **more: Any,
+) -> DenoiseResult: ...
+
+
+@overload
+def denoise(
+    vertices: MeshObject,
+    *,
+    method: str | None = None,
+    prefer: str | None = None,
+    keep: str | None = None,
+    strength: float | None = None,
+    budget: float | None = None,
+    max_move: str | float | None = None,
+    lock: str | Sequence[str] | ArrayLike | None = None,
+    weights: str | ArrayLike | None = None,
+    despike: bool | None = None,
+    min_noise: str | float | None = None,
+    unit: str | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    **more: Any,
+) -> MeshObject: ...
+
+
+def denoise(
+    vertices: Any,
+    faces: Any = None,
+    method: str | None = None,
+    *,
+    prefer: str | None = None,
+    keep: str | None = None,
+    strength: float | None = None,
+    budget: float | None = None,
+    max_move: str | float | None = None,
+    lock: str | Sequence[str] | ArrayLike | None = None,
+    weights: str | ArrayLike | None = None,
+    despike: bool | None = None,
+    min_noise: str | float | None = None,
+    unit: str | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    **more: Any,
+) -> Any:
+    """Remove the noise of a triangle mesh; vertices and faces keep their number and order.
+
+    Without a method this does what ``msal denoise`` does, to the last bit: the noise is estimated,
+    parameters of AL and MSAL are chosen for it, and a mesh without noise stays as it is.  Vertices
+    at one position move together, so seams stay closed.  Nothing that you give is changed.
+
+    Parameters
+    ----------
+    vertices : (n, 3) real numbers, positions in any unit of length; or a mesh object in place of
+        vertices and faces: trimesh.Trimesh, pyvista.PolyData, meshio.Mesh, or a TriangleMesh of
+        open3d.  Quads and polygons are cut into triangles for the computation only.
+    faces : (m, 3) integers, the vertices of each triangle, counted from 0.
+    method : name of a method (``msal methods`` lists them).  None, which is ``"adaptive"``, chooses
+        parameters of AL and MSAL; ``"auto"`` chooses among all methods and their mixtures, which
+        takes longer and comes closer to the true surface.  With parameters, None is ``"msal"``.
+    prefer : for ``"auto"``, what is to come out best: ``"positions"``, ``"normals"``, ``"volume"``
+        or ``"balanced"``, the default.  This and the next three imply ``method="auto"``.
+    keep : for ``"auto"``, what must not suffer: ``"texture"`` (fine relief), ``"edges"`` (sharp
+        ones) or ``"shape"`` (the smooth shape beneath the noise).
+    strength : for ``"auto"``, -2 to 2: greater is smoother, less keeps more.  0 is the choice.
+    budget : for ``"auto"``, from 1: the most time for choosing and denoising, in runs of the
+        default method over this mesh; more may find a better result.  Default 60.
+    max_move : no vertex goes further: ``"0.3e"`` is in mean edge lengths, a number in the unit of
+        the vertices, ``"0.1mm"`` a length where ``unit`` is given.  Less keeps closer to the input.
+    lock : vertices that stay where they are: a mask (n,), indices (k,), ``"boundary"``, or (of mesh
+        objects with such an array) ``"confidence < 0.2"``; several texts in a list add up.
+    weights : (n,) trust in each scanned position, or the name of such an array of a mesh object:
+        greater is pulled back more to where it was scanned, 0 not at all.  The largest is 1.  For
+        methods with a pull to the data: msal, and those with a ``schedule`` other than plain.
+    despike : True brings outlier vertices back to the surface first, False does not; None does so
+        where a method is chosen and they are clearly outliers.
+    min_noise : leave the mesh as it is if its estimated noise is less: a length as ``max_move``,
+        or ``"auto"`` where there is no noise to speak of.
+    unit : unit of the vertices, such as ``"mm"``, for lengths with a unit.
+    parameters, more : parameters of the method by name or symbol, such as ``K=0.5`` (greater is
+        smoother) or ``iterations=4``; ``msal methods NAME`` explains them.  ``parameters`` is for
+        names that Python or this function uses itself: ``parameters={"lambda": 0.1}``.
+
+    Returns
+    -------
+    DenoiseResult for vertices and faces: new positions and figures.  For a mesh object a copy of
+    the same type with colours, texture coordinates, data and metadata kept; normals follow.
+
+    Raises
+    ------
+    UsageError
+        for arguments that mean nothing or exclude each other.
+    ContentError
+        for arrays that are no mesh: ``E_NONFINITE``, ``E_INDEX``, ``E_NO_FACES``, ``E_RANGE``, or
+        ``E_CONTENT`` for shapes and number types.
+    InputError
+        with ``E_PROPERTY`` where a mesh object has no array of a name.
+    UnsupportedError
+        for cells that are no polygons, and for other classes of these libraries.
+    ResourceError
+        where there is not enough memory.
+
+    Notes
+    -----
+    Positions are computed in float64.  The default methods are those of H. Huang and U. Ascher,
+    Fast denoising of surface meshes with intrinsic texture, Inverse Problems 24 (2008): AL is eq.
+    (5), MSAL Algorithm 1, with
+
+        x_i <- x_i + tau d_i n_i + lambda_i (v_i - x_i)     eq. (2)
+
+    tau = K^j (6) and lambda_i = sigma_i / max sigma (7); ``weights`` scale lambda.  ``"adaptive"``
+    and ``"auto"`` take the candidate with the least error by Stein's estimate (docs/auto.md).
+
+    Examples
+    --------
+    >>> import msal_cli as msal
+    >>> result = msal.denoise(vertices, faces, "msal", K=0.4, max_move="0.5e")  # doctest: +SKIP
+    >>> result.vertices.shape, result.displacement.max_edges  # doctest: +SKIP
+    """
+    wishes = {"prefer": prefer, "keep": keep, "strength": strength, "budget": budget}
+    with explained_errors():
+        is_object = faces is None
+        mesh = read_object(vertices) if is_object else _read_arrays(vertices, faces)
+        mesh, locks, trust = _with_constraints(mesh, lock, weights)
+        settings = build_settings(
+            method,
+            _merge(parameters, more),
+            **wishes,  # type: ignore[arg-type]
+            max_move=max_move,
+            locks=locks,
+            weights=trust,
+            despike=despike,
+            min_noise=min_noise,
+            unit=unit,
+        )
+        result = _run(mesh, settings)
+        return mesh.copy_with(result.vertices) if is_object else result
+
+
+def _read_arrays(vertices: Any, faces: Any) -> MemoryMesh:
+    if isinstance(faces, str):
+        raise UsageError(
+            f"faces are {faces!r}, a text",
+            hint=f"of a mesh object the method has to be named: method={faces!r}",
+        )
+    return from_arrays(vertices, faces)
+
+
+def _merge(parameters: Mapping[str, Any] | None, more: Mapping[str, Any]) -> dict[str, Any]:
+    """The parameters of a method; UsageError for one that is given twice."""
+    twice = sorted((parameters or {}).keys() & more.keys())
+    if twice:
+        raise UsageError(f"{twice[0]} is given twice", hint="give it once")
+    return {**(parameters or {}), **more}
+
+
+def _with_constraints(
+    mesh: MemoryMesh, lock: Any, weights: Any
+) -> tuple[MemoryMesh, tuple[str, ...], str | None]:
+    """The mesh with the arrays of ``lock`` and ``weights`` among its properties, the locks as
+    expressions, and the name of the weights."""
+    locks: tuple[str, ...] = ()
+    own: dict[str, Array] = {}
+    if isinstance(lock, str):
+        locks = (lock,)
+    elif isinstance(lock, list | tuple) and lock and all(isinstance(one, str) for one in lock):
+        locks = tuple(lock)
+    elif lock is not None:
+        own[_MASK] = _as_mask(lock, len(mesh.vertices))
+        locks = (f"{_MASK} != 0",)
+    trust: str | None = weights if isinstance(weights, str) else None
+    if weights is not None and trust is None:
+        own[_TRUST] = _as_trust(weights, len(mesh.vertices))
+        trust = _TRUST
+    return replace(mesh, properties={**mesh.properties, **own}), locks, trust
+
+
+def _as_mask(lock: Any, n: int) -> Array:
+    """A mask (n,) of a mask or of indices; UsageError for anything else."""
+    values = as_array(lock, "lock")
+    if values.dtype == np.bool_ and values.shape == (n,):
+        return values
+    mask = np.zeros(n, dtype=np.bool_)
+    if not values.size:
+        return mask
+    if values.dtype.kind not in "iu" or values.ndim != 1:
+        raise UsageError(
+            f"lock is {values.dtype} of shape {values.shape}",
+            hint=f"give a mask of {n} booleans, or indices of vertices (k,)",
+        )
+    if values.min() < 0 or values.max() >= n:
+        raise UsageError(f"lock names a vertex that is not there, of {n}")
+    mask[values] = True
+    return mask
+
+
+def _as_trust(weights: Any, n: int) -> Array:
+    """Weights (n,), at least one above 0, all finite; UsageError or ContentError if not."""
+    values = as_array(weights, "weights")
+    if values.shape != (n,) or values.dtype.kind not in "fiub":
+        raise UsageError(
+            f"weights are {values.dtype} of shape {values.shape}",
+            hint=f"give {n} numbers, one for each vertex",
+        )
+    if not np.isfinite(values).all():
+        where = f"vertex {int(np.argmin(np.isfinite(values)))}"
+        raise ContentError("a weight is not finite", code="E_NONFINITE", where=where)
+    if not values.max(initial=0) > 0:
+        raise ContentError("no weight is above 0, so that no vertex is to be trusted")
+    return values
+
+
+def _run(mesh: MemoryMesh, settings: Settings) -> DenoiseResult:
+    """The mesh denoised by the steps that files take."""
+    run = FileRun(mesh.name, settings, None, NO_LIMITS)
+    run.know(
+        precision=str(mesh.dtype),
+        vertices=len(mesh.vertices),
+        faces=len(mesh.faces),
+        triangles=len(mesh.faces),
+    )
+    vertices = run.move_vertices(mesh)
+    is_moved = not np.array_equal(vertices, mesh.vertices)
+    record = replace(run.finish(None), status="written" if is_moved else "unchanged")
+    return DenoiseResult(mesh.to_given_type(vertices), record)

@@ -1,0 +1,304 @@
+"""``denoise_file`` and ``denoise_folder``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from msal_cli.api.background_run import iterate_records
+from msal_cli.api.comparing import path_text
+from msal_cli.api.explanations import explained_errors
+from msal_cli.api.settings import build_settings
+from msal_cli.errors import UsageError
+from msal_cli.job.records import MeshRecord
+from msal_cli.job.settings import DEFAULT_BACKUP, Limits, Settings
+
+if TYPE_CHECKING:
+    from msal_cli.batch.plan import Plan
+    from msal_cli.report.gates import Gate
+
+Path = str | os.PathLike[str]
+
+
+def denoise_file(
+    input: Path,
+    output: Path,
+    method: str | None = None,
+    *,
+    prefer: str | None = None,
+    keep: str | None = None,
+    strength: float | None = None,
+    budget: float | None = None,
+    max_move: str | float | None = None,
+    lock: str | Sequence[str] = (),
+    weights: str | None = None,
+    despike: bool | None = None,
+    min_noise: str | float | None = None,
+    unit: str | None = None,
+    intersections: bool = False,
+    to: str | None = None,
+    encoding: str = "same",
+    precision: str = "same",
+    strict: bool = False,
+    format: str | None = None,
+    max_faces: int | None = None,
+    fail_on: str | Sequence[str] = (),
+    parameters: Mapping[str, Any] | None = None,
+    **more: Any,
+) -> MeshRecord:
+    """Denoise one mesh file; the output is the input with its positions replaced.
+
+    The same bytes as ``msal denoise INPUT -o OUTPUT``.  The output appears whole or not at all.
+
+    Parameters
+    ----------
+    input : a mesh file of any format that msal reads (docs/formats.md), or a URL.
+    output : the file to write; one that is there is replaced.  Its suffix decides the format.
+    method, prefer, keep, strength, budget, max_move, despike, min_noise, unit, parameters, more :
+        as for ``denoise``.
+    lock : ``"boundary"``, or a PLY vertex property compared with a number, such as
+        ``"confidence < 0.2"``; several in a list add up.
+    weights : a PLY vertex property, such as ``"confidence"``, as trust.
+    intersections : also count the pairs of faces that intersect each other, which takes longer.
+    to, encoding, precision : the output's format where its suffix does not say it; ``"ascii"`` or
+        ``"binary"``; ``"float32"`` or ``"float64"``.  ``"same"`` keeps what the input has.
+    strict : raise LossError where another format would lose something, instead of a warning.
+    format : the input's format where its name does not show it.
+    max_faces : refuse files with more faces.
+    fail_on : gates such as ``"abs(volume_change) > 1%"`` (docs/gates.md); what became of each is in
+        ``record.gates``.  A broken gate raises nothing.
+
+    Returns
+    -------
+    MeshRecord: what was read, done, measured and written; docs/report.md explains all fields.
+
+    Raises
+    ------
+    UsageError
+        for arguments that mean nothing or exclude each other, and an output that cannot be.
+    InputError
+        where the input is at fault; ``error.code`` says how (docs/formats.md lists the codes).
+    LossError, OutputError, ResourceError, InternalError
+        as in ``msal_cli.errors``.
+    """
+    source, target = path_text(input), path_text(output)
+    with explained_errors(path=source):
+        gates = _parse_gates(fail_on, unit)
+        settings = build_settings(
+            method,
+            {**(parameters or {}), **more},
+            prefer=prefer,
+            keep=keep,
+            strength=strength,
+            budget=budget,
+            max_move=max_move,
+            locks=_texts(lock),
+            weights=weights,
+            despike=despike,
+            min_noise=min_noise,
+            unit=unit,
+            intersections=intersections or _names_intersections(gates),
+            to=to,
+            encoding=encoding,
+            precision=precision,
+            strict=strict,
+            format=format,
+        )
+        from msal_cli.job.pipeline import FileRun
+
+        plan = _build_plan([source], target, settings)
+        if len(plan.tasks) != 1 or plan.homes != (None,):
+            raise UsageError(
+                f"{source!r} into {target!r} is not one file into one file",
+                hint="denoise_folder takes folders",
+            )
+        task = plan.tasks[0]
+        one = FileRun(task.input, settings, None, Limits(max_faces=max_faces))
+        data = one.read(task)
+        record = one.write(task, data, one.denoise(data, task.output))
+        return _judge(gates, record)
+
+
+def denoise_folder(
+    inputs: Path | Sequence[Path],
+    output: Path | None = None,
+    method: str | None = None,
+    *,
+    prefer: str | None = None,
+    keep: str | None = None,
+    strength: float | None = None,
+    budget: float | None = None,
+    max_move: str | float | None = None,
+    lock: str | Sequence[str] = (),
+    weights: str | None = None,
+    despike: bool | None = None,
+    min_noise: str | float | None = None,
+    unit: str | None = None,
+    intersections: bool = False,
+    to: str | None = None,
+    encoding: str = "same",
+    precision: str = "same",
+    strict: bool = False,
+    format: str | None = None,
+    max_faces: int | None = None,
+    fail_on: str | Sequence[str] = (),
+    include: str | Sequence[str] = (),
+    exclude: str | Sequence[str] = (),
+    in_place: bool = False,
+    backup: str | None = DEFAULT_BACKUP,
+    jobs: int | None = None,
+    timeout: float | None = None,
+    memory_limit: int | None = None,
+    retries: int = 1,
+    max_failures: int | None = None,
+    force: bool = False,
+    fresh: bool = False,
+    retry_failed: bool = False,
+    parameters: Mapping[str, Any] | None = None,
+    **more: Any,
+) -> Generator[MeshRecord, None, None]:
+    """Denoise all mesh files of a folder; iterate the records as files finish.
+
+    Arguments are checked and files are found at once; the work begins with the first record that
+    is asked for, so ``list(...)`` does it all.  A file that fails is a record with ``status``
+    ``"failed"`` and an ``error``, and the others go on.  What an earlier run has finished is not
+    done again (``"up-to-date"``).  Outputs and manifest are those of ``msal denoise``, which can
+    continue such a run, and the other way round.
+
+    Files are done by worker processes; no signal is taken, so that it works in notebooks and in any
+    thread.  Leaving the loop early, by ``break``, Ctrl-C or ``close()``, ends the run: finished
+    files are whole and recorded, and the same call goes on from there.
+
+    Parameters
+    ----------
+    inputs : a folder with its subfolders, a file, a pattern such as ``"scans/*.ply"``, a URL; or
+        several of them.
+    output : the folder to write, which gets the tree of the inputs; not with ``in_place``.
+    method to fail_on, parameters, more : as for ``denoise_file``.
+    include, exclude : patterns of files to take or to leave out, such as ``"*.ply"``.
+    in_place : replace the inputs.
+    backup : with ``in_place``, what is added to the names of the originals, which are kept beside
+        them; None keeps none.
+    jobs : files at the same time: more is faster and takes more memory.  None is one per core, as
+        far as memory allows.  The results do not depend on it.
+    timeout, memory_limit : seconds and bytes that one file may take; None is no limit.
+    retries : how often a file is tried again that was lost to a crash, memory or time.
+    max_failures : begin no more files once so many have failed.
+    force : replace files in the output folder that no run of msal put there.
+    fresh : do again what an earlier run has finished.
+    retry_failed : try again what failed in an earlier run and would fail again.
+
+    Returns
+    -------
+    A generator of MeshRecord, one per file, in the order in which they finish.
+
+    Raises
+    ------
+    UsageError
+        for arguments that mean nothing or exclude each other, inputs or outputs that cannot be;
+        with the first record also ``E_LOCKED``, where another run works on the output.
+    NothingMatched
+        where the inputs hold no mesh file.
+    OutputError, ResourceError
+        while iterating, where the output cannot be written, or no worker can be started.
+    """
+    given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
+    sources = [path_text(one) for one in given]
+    with explained_errors(", ".join(sources)):
+        gates = _parse_gates(fail_on, unit)
+        settings = build_settings(
+            method,
+            {**(parameters or {}), **more},
+            prefer=prefer,
+            keep=keep,
+            strength=strength,
+            budget=budget,
+            max_move=max_move,
+            locks=_texts(lock),
+            weights=weights,
+            despike=despike,
+            min_noise=min_noise,
+            unit=unit,
+            intersections=intersections or _names_intersections(gates),
+            to=to,
+            encoding=encoding,
+            precision=precision,
+            strict=strict,
+            format=format,
+        )
+        plan = _build_plan(
+            sources,
+            None if output is None else path_text(output),
+            settings,
+            include=_texts(include),
+            exclude=_texts(exclude),
+            in_place=in_place,
+            backup=backup,
+            force=force,
+            fresh=fresh,
+            retry_failed=retry_failed,
+        )
+        records = iterate_records(
+            plan,
+            settings,
+            jobs=jobs,
+            limits=Limits(timeout, memory_limit, max_faces),
+            retries=retries,
+            stop_after_failures=max_failures,
+            command=("msal_cli.denoise_folder", *sources),
+        )
+        return _judged(gates, records)
+
+
+def _judged(
+    gates: Sequence[Gate], records: Generator[MeshRecord, None, None]
+) -> Generator[MeshRecord, None, None]:
+    """The records with the results of the gates; errors are explained."""
+    with explained_errors("the run"):
+        try:
+            for record in records:
+                yield _judge(gates, record)
+        finally:
+            records.close()
+
+
+def _texts(texts: str | Sequence[str]) -> tuple[str, ...]:
+    return (texts,) if isinstance(texts, str) else tuple(texts)
+
+
+def _parse_gates(expressions: str | Sequence[str], unit: str | None) -> tuple[Gate, ...]:
+    from msal_cli.report import gates
+
+    found = gates.parse_gates(_texts(expressions), MeshRecord, unit)
+    gates.refuse_without_reference(found, "measure it with msal_cli.compare")
+    return found
+
+
+def _names_intersections(gates: Sequence[Gate]) -> bool:
+    from msal_cli.report.gates import names_field
+
+    return bool(gates) and names_field(gates, "self_intersections")
+
+
+def _judge(gates: Sequence[Gate], record: MeshRecord) -> MeshRecord:
+    from msal_cli.report.gates import with_gates
+
+    return with_gates(gates, [record])[0]
+
+
+def _build_plan(
+    inputs: Sequence[str],
+    output: str | None,
+    settings: Settings,
+    *,
+    include: Iterable[str] = (),
+    exclude: Iterable[str] = (),
+    **options: Any,
+) -> Plan:
+    """The files and what becomes of each; UsageError for inputs or outputs that cannot be."""
+    from msal_cli.batch.inputs import discover_inputs
+    from msal_cli.batch.plan import build_plan
+
+    found = discover_inputs(inputs, include, exclude, output=output)
+    return build_plan(found, output, to=settings.to, **options)

@@ -1,0 +1,147 @@
+"""Meshes in memory as the pipeline reads them: from arrays, or from objects of other libraries."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from msal_cli.api.explanations import ARRAYS
+from msal_cli.arrays import Floats, Longs
+from msal_cli.codecs.surface_cells import strip_triangles
+from msal_cli.errors import ContentError, InputError
+
+Array = NDArray[Any]
+
+
+@dataclass(eq=False)
+class MemoryMesh:
+    """A mesh that is not in a file; ``codecs.mesh_file.Surface`` says what the pipeline reads.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64.
+    faces : (m, 3) integers, triangles.
+    dtype : number type of the positions that were given, and of those that go back.
+    name : what records and errors call it.
+    properties : numbers at the vertices, (n,) each, by name.
+    copy_with : makes a copy of the object that was given with other positions (n, 3).
+    """
+
+    vertices: Floats
+    faces: Array
+    dtype: np.dtype[Any]
+    name: str = ARRAYS
+    properties: Mapping[str, Array] = field(default_factory=dict)
+    copy_with: Callable[[Array], Any] = lambda vertices: vertices
+    merged_vertices: int = 0
+
+    def forget_vertices(self) -> None:
+        """Nothing: they cannot be read again."""
+
+    def vertex_property(self, name: str) -> Floats:
+        """The numbers (n,) of one name; InputError (``E_PROPERTY``) if there are none."""
+        if name not in self.properties:
+            known = ", ".join(self.properties)
+            raise InputError(
+                f"{self.name}: there is no vertex property {name!r}",
+                code="E_PROPERTY",
+                hint=f"it has: {known}" if known else "it has none; give an array (n,)",
+            )
+        values = np.ascontiguousarray(self.properties[name], dtype=np.float64).reshape(-1)
+        if len(values) != len(self.vertices):
+            raise ContentError(
+                f"{name}: there are {len(values)} values for {len(self.vertices)} vertices"
+            )
+        return values
+
+    def to_given_type(self, vertices: Floats) -> Array:
+        """New positions (n, 3) in the number type of those that were given."""
+        with np.errstate(over="ignore"):
+            rounded = vertices.astype(self.dtype)
+        if self.dtype.itemsize < 8 and not np.isfinite(rounded).all():
+            raise ContentError(
+                f"a new position is too large for {self.dtype}",
+                code="E_RANGE",
+                hint="give float64",
+            )
+        # What did not move is what was given, to the last bit; an own array in any case.
+        return rounded
+
+
+def from_arrays(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    name: str = ARRAYS,
+    properties: Mapping[str, Array] | None = None,
+    copy_with: Callable[[Array], Any] = lambda vertices: vertices,
+) -> MemoryMesh:
+    """The mesh of vertices (n, 3), any real numbers, and triangles (m, 3), any integers.
+
+    Raises
+    ------
+    ContentError
+        for other shapes and types, and where there are no faces (``E_NO_FACES``).
+    """
+    positions, corners = as_array(vertices, "vertices"), as_array(faces, "faces")
+    if positions.dtype.kind not in "fiu":
+        raise ContentError(
+            f"vertices are {positions.dtype}, not real numbers", hint="give float64 or float32"
+        )
+    if not corners.size:
+        raise ContentError(
+            "there are no faces",
+            code="E_NO_FACES",
+            hint="msal denoises surfaces; make a mesh of the point cloud first",
+        )
+    is_float = positions.dtype.kind == "f"
+    return MemoryMesh(
+        np.ascontiguousarray(positions, dtype=np.float64),
+        corners,
+        positions.dtype if is_float else np.dtype(np.float64),
+        name,
+        properties or {},
+        copy_with,
+    )
+
+
+def as_array(values: ArrayLike, name: str) -> Array:
+    """An array of what was given; ContentError where its rows are not of one length."""
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        raise ContentError(f"{name} are no array: {error}") from None
+
+
+def scalar_properties(arrays: Mapping[str, Any], n_vertices: int) -> dict[str, Array]:
+    """Those of the arrays that have one real number for each vertex."""
+    found = {}
+    for name, values in arrays.items():
+        array = np.asarray(values)
+        if array.dtype.kind in "fiub" and array.size == n_vertices == len(array):
+            found[str(name)] = array
+    return found
+
+
+def fan_triangles(corners: Longs, sizes: Longs) -> tuple[Longs, Longs]:
+    """Triangles (m, 3) of polygons of ``sizes`` (p,) with ``corners`` (c,), cut as the command cuts
+    polygons of files, and the polygon (m,) that each is of."""
+    triangles = corners[strip_triangles(sizes, is_fan=True)]
+    return triangles, np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
+
+
+def renewed_normals(mesh: MemoryMesh, vertices: Array, entries: Array, normals: Array) -> Array:
+    """Stored normals (g, 3) for new positions (n, 3), as the command renews those of files.
+
+    ``entries`` (m, 3) is the normal that each corner of a triangle uses.
+    """
+    from msal_cli.kernels.geometry import regrouped_normals
+
+    values = np.ascontiguousarray(normals, dtype=np.float64)
+    faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
+    after = np.ascontiguousarray(vertices, dtype=np.float64)
+    renewed, _ = regrouped_normals(mesh.vertices, after, faces, entries.astype(np.int32), values)
+    return renewed.astype(normals.dtype)

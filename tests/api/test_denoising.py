@@ -1,0 +1,241 @@
+"""denoise on arrays: the bits of the command, what stays, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import logging
+
+import numpy as np
+import pytest
+
+import msal_cli as msal
+from msal_cli.api.memory_mesh import from_arrays
+from tests.api.ply_files import positions_of, to_ply
+from tests.cli.scans import msal as run_command
+from tests.shapes import grid, noisy, torus
+
+
+def scan(around=40, across=20, level=0.15):
+    vertices, faces = torus(around, across)
+    return noisy(vertices, 3, level), faces
+
+
+VERTICES, FACES = scan()
+TRUST = np.linspace(0.0, 3.0, len(VERTICES))
+
+CASES = {
+    "adaptive": ({}, []),
+    "msal": ({"K": 0.35, "iterations": 3}, ["-K", "0.35", "-n", "3"]),
+    "symbol": (
+        {"method": "taubin", "parameters": {"lambda": 0.3}},
+        ["--method", "taubin", "--set", "lambda=0.3"],
+    ),
+    "max_move": ({"max_move": "0.1e"}, ["--max-move", "0.1e"]),
+    "units": ({"max_move": 0.02, "method": "al"}, ["--max-move", "0.02", "--method", "al"]),
+    "lock": ({"lock": TRUST < 0.5}, ["--lock", "trust < 0.5"]),
+    "boundary": ({"lock": "boundary"}, ["--lock", "boundary"]),
+    "weights": ({"method": "msal", "weights": TRUST}, ["--method", "msal", "--weights", "trust"]),
+    "despike": ({"method": "umbrella", "despike": True}, ["--method", "umbrella", "--despike"]),
+    "min_noise": ({"min_noise": "5e"}, ["--min-noise", "5e"]),
+}
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("name", CASES)
+def test_the_bits_are_those_of_the_command(tmp_path, name, dtype):
+    arguments, options = CASES[name]
+    check_against_command(tmp_path, VERTICES.astype(dtype), FACES, arguments, options)
+
+
+def test_the_bits_of_the_automatic_choice_are_those_of_the_command(tmp_path):
+    vertices, faces = scan(24, 12)
+    arguments = {"prefer": "normals", "keep": "edges", "strength": 1, "budget": 2}
+    options = ["--prefer", "normals", "--keep", "edges", "--strength", "1", "--auto-budget", "2"]
+    check_against_command(tmp_path, vertices, faces, arguments, options)
+
+
+def check_against_command(tmp_path, given, faces, arguments, options):
+    """Denoise in both ways; positions and records have to agree."""
+    before = given.copy()
+    result = msal.denoise(given, faces, **arguments)
+    trust = TRUST[: len(given)]
+    (tmp_path / "in.ply").write_bytes(to_ply(given, faces, trust=trust))
+    done = run_command(
+        "denoise", tmp_path / "in.ply", "-o", tmp_path / "out.ply", "--json", *options
+    )
+    assert done.exit_code == 0, done.stderr
+    expected = positions_of((tmp_path / "out.ply").read_bytes(), given, 1)
+    assert result.vertices.dtype == given.dtype
+    assert result.vertices.tobytes() == expected.tobytes()
+    assert given.tobytes() == before.tobytes()
+    record = json.loads(done.stdout)["records"][0]
+    assert result.method == record["method"]["name"]
+    assert result.parameters == record["method"]["parameters"]
+    assert result.record.locked_vertices == record["locked_vertices"]
+    assert result.record.clamped_vertices == record["clamped_vertices"]
+    assert list(result.warnings) == record["warnings"]
+    assert result.noise.mean_edges == record["noise_estimate"]["mean_edges"]
+    reason = (record["choice"] or {}).get("reason", "")
+    assert result.reason == (record["left_alone"] or reason)
+
+
+def test_the_result_says_what_was_done():
+    result = msal.denoise(VERTICES, FACES)
+    assert result.method == "blend" and "members" in result.parameters
+    assert "noise" in result.reason
+    assert result.noise.kind == "isotropic"
+    moved = np.linalg.norm(result.vertices - VERTICES, axis=1)
+    assert result.displacement.max == pytest.approx(moved.max())
+    assert result.displacement.moved_vertices == len(VERTICES)
+    assert result.record.status == "written" and result.record.input == "arrays"
+    assert result.record.vertices == len(VERTICES) and result.record.triangles == len(FACES)
+
+
+def test_a_clean_mesh_comes_back_as_it_is_in_a_new_array():
+    vertices, faces = grid(20, 20)
+    result = msal.denoise(vertices, faces)
+    assert result.record.status == "unchanged" and result.method == "none"
+    assert result.vertices.tobytes() == vertices.tobytes()
+    assert not np.shares_memory(result.vertices, vertices)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        VERTICES.tolist(),
+        np.asfortranarray(VERTICES),
+        VERTICES.astype(">f8"),
+        np.concatenate([VERTICES, VERTICES])[: len(VERTICES)],
+        VERTICES.astype(np.longdouble),
+    ],
+    ids=["lists", "fortran", "big endian", "a view", "long double"],
+)
+def test_any_array_of_real_numbers_does(given):
+    expected = msal.denoise(VERTICES, FACES, "al").vertices
+    for faces in (FACES.tolist(), FACES.astype(np.uint8 if len(FACES) < 256 else np.uint64)):
+        result = msal.denoise(given, faces, "al")
+        assert np.array_equal(result.vertices, expected)
+        assert result.vertices.dtype == np.asarray(given).dtype
+
+
+def test_whole_numbers_become_float64():
+    vertices, faces = grid()
+    result = msal.denoise(vertices.astype(np.int16), faces, "al")
+    assert result.vertices.dtype == np.float64
+
+
+def test_a_frozen_array_does():
+    frozen = VERTICES.copy()
+    frozen.setflags(write=False)
+    assert msal.denoise(frozen, FACES, "al").displacement.max > 0.0
+
+
+def test_indices_lock_as_a_mask_does():
+    places = [5, 2, 2, 99]
+    mask = np.zeros(len(VERTICES), dtype=bool)
+    mask[places] = True
+    results = [msal.denoise(VERTICES, FACES, "msal", lock=lock) for lock in (places, mask)]
+    assert results[0].vertices.tobytes() == results[1].vertices.tobytes()
+    assert np.array_equal(results[0].vertices[mask], VERTICES[mask])
+    assert results[0].record.locked_vertices == 3
+    none = msal.denoise(VERTICES, FACES, "msal", lock=[])
+    assert none.vertices.tobytes() == msal.denoise(VERTICES, FACES, "msal").vertices.tobytes()
+
+
+def test_a_length_with_a_unit():
+    results = [
+        msal.denoise(VERTICES, FACES, "al", max_move="10um", unit="mm"),
+        msal.denoise(VERTICES, FACES, "al", max_move=0.01),
+    ]
+    assert results[0].vertices.tobytes() == results[1].vertices.tobytes()
+
+
+def changed(array, value):
+    copy = array.copy()
+    copy[7, 1] = value
+    return copy
+
+
+REFUSED = {
+    "nan": ((changed(VERTICES, np.nan), FACES), {}, msal.ContentError, "E_NONFINITE"),
+    "infinite": ((changed(VERTICES, np.inf), FACES), {}, msal.ContentError, "E_NONFINITE"),
+    "too large": ((1e70 * VERTICES, FACES), {}, msal.ContentError, "E_RANGE"),
+    "an index": ((VERTICES, changed(FACES, 800)), {}, msal.ContentError, "E_INDEX"),
+    "a negative index": ((VERTICES, changed(FACES, -1)), {}, msal.ContentError, "E_INDEX"),
+    "2D": ((VERTICES[:, :2], FACES), {}, msal.ContentError, "E_CONTENT"),
+    "flat": ((VERTICES.reshape(-1), FACES), {}, msal.ContentError, "E_CONTENT"),
+    "quads": ((VERTICES, np.zeros((3, 4), int)), {}, msal.ContentError, "E_CONTENT"),
+    "no faces": ((VERTICES, []), {}, msal.ContentError, "E_NO_FACES"),
+    "flat faces": ((VERTICES, np.zeros((3, 3), int)), {}, msal.ContentError, "E_NO_FACES"),
+    "real faces": ((VERTICES, FACES + 0.5), {}, msal.ContentError, "E_INDEX"),
+    "complex": ((VERTICES + 1j, FACES), {}, msal.ContentError, "E_CONTENT"),
+    "texts": ((VERTICES.astype(str), FACES), {}, msal.ContentError, "E_CONTENT"),
+    "ragged": (([[0, 0, 0], [1, 0]], FACES), {}, msal.ContentError, "E_CONTENT"),
+    "no mesh": ((VERTICES,), {}, msal.UsageError, "E_USAGE"),
+    "a path": (("scan.ply",), {}, msal.UsageError, "E_USAGE"),
+    "method first": ((VERTICES, "msal"), {}, msal.UsageError, "E_USAGE"),
+    "no method": ((VERTICES, FACES, "msla"), {}, msal.UsageError, "E_USAGE"),
+    "no parameter": ((VERTICES, FACES), {"k": 1}, msal.UsageError, "E_USAGE"),
+    "out of range": ((VERTICES, FACES), {"K": 2}, msal.UsageError, "E_USAGE"),
+    "twice": ((VERTICES, FACES), {"K": 1, "parameters": {"K": 1}}, msal.UsageError, "E_USAGE"),
+    "wish": ((VERTICES, FACES, "al"), {"keep": "edges"}, msal.UsageError, "E_USAGE"),
+    "auto with K": ((VERTICES, FACES, "auto"), {"K": 0.5}, msal.UsageError, "E_USAGE"),
+    "adaptive with K": ((VERTICES, FACES, "adaptive"), {"K": 1}, msal.UsageError, "E_USAGE"),
+    "keep": ((VERTICES, FACES), {"keep": "all"}, msal.UsageError, "E_USAGE"),
+    "strength": ((VERTICES, FACES), {"strength": 3}, msal.UsageError, "E_USAGE"),
+    "strength text": ((VERTICES, FACES), {"strength": "much"}, msal.UsageError, "E_USAGE"),
+    "budget": ((VERTICES, FACES), {"budget": 0.5}, msal.UsageError, "E_USAGE"),
+    "max_move": ((VERTICES, FACES), {"max_move": -1}, msal.UsageError, "E_USAGE"),
+    "max_move nan": ((VERTICES, FACES), {"max_move": np.nan}, msal.UsageError, "E_USAGE"),
+    "no unit": ((VERTICES, FACES), {"max_move": "1mm"}, msal.UsageError, "E_USAGE"),
+    "min_noise": ((VERTICES, FACES), {"min_noise": "much"}, msal.UsageError, "E_USAGE"),
+    "short mask": ((VERTICES, FACES), {"lock": [True, False]}, msal.UsageError, "E_USAGE"),
+    "real indices": ((VERTICES, FACES), {"lock": [1.5]}, msal.UsageError, "E_USAGE"),
+    "lock beyond": ((VERTICES, FACES), {"lock": [800]}, msal.UsageError, "E_USAGE"),
+    "lock negative": ((VERTICES, FACES), {"lock": [-1]}, msal.UsageError, "E_USAGE"),
+    "lock text": ((VERTICES, FACES), {"lock": "border"}, msal.UsageError, "E_USAGE"),
+    "lock name": ((VERTICES, FACES), {"lock": "trust > 1"}, msal.InputError, "E_PROPERTY"),
+    "weights short": ((VERTICES, FACES), {"weights": [1.0]}, msal.UsageError, "E_USAGE"),
+    "weights nan": (
+        (VERTICES, FACES),
+        {"weights": TRUST + np.nan},
+        msal.ContentError,
+        "E_NONFINITE",
+    ),
+    "weights 0": ((VERTICES, FACES), {"weights": 0 * TRUST}, msal.ContentError, "E_CONTENT"),
+    "weights al": ((VERTICES, FACES, "al"), {"weights": TRUST}, msal.UsageError, "E_USAGE"),
+    "weights name": ((VERTICES, FACES), {"weights": "trust"}, msal.InputError, "E_PROPERTY"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_refused(name):
+    positional, keywords, error_class, code = REFUSED[name]
+    with pytest.raises(msal.MsalError) as caught:
+        msal.denoise(*positional, **keywords)
+    assert type(caught.value) is error_class
+    assert caught.value.code == code
+    # A traceback shows the notes, and the hint with them.
+    notes = " ".join(caught.value.__notes__)
+    assert code in notes and (caught.value.hint in notes)
+    assert "--" not in caught.value.message
+
+
+def test_a_defect_is_an_internal_error(monkeypatch):
+    monkeypatch.setattr("msal_cli.api.denoising.build_settings", lambda *a, **k: 1 / 0)
+    with pytest.raises(msal.InternalError) as caught:
+        msal.denoise(VERTICES, FACES)
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+
+
+def test_nothing_is_printed_and_no_warning_reaches_standard_error(capfd):
+    msal.denoise(VERTICES, FACES, "umbrella", iterations=30)
+    logging.getLogger("msal.test").warning("nobody listens")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_position_that_the_type_cannot_hold():
+    mesh = from_arrays(VERTICES.astype(np.float16), FACES)
+    with pytest.raises(msal.ContentError) as caught:
+        mesh.to_given_type(1e5 * VERTICES)
+    assert caught.value.code == "E_RANGE"

@@ -1,0 +1,213 @@
+"""denoise_file and denoise_folder: files as the command writes them, and errors as exceptions."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+import msal_cli as msal
+from tests.api.ply_files import to_ply
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, open_scan
+from tests.cli.scans import msal as run_command
+from tests.shapes import torus
+
+OPTIONS = {"method": "msal", "K": 0.4}
+WORDS = ("-K", "0.4")
+
+
+@pytest.fixture
+def scans(tmp_path):
+    scans = folder_of(tmp_path / "scans", a=closed_scan(), b=closed_scan(1), c=open_scan())
+    folder_of(scans / "below", d=open_scan())
+    return scans
+
+
+def outputs(folder):
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and not path.name.startswith(".msal-")
+    }
+
+
+# One file
+
+
+def test_a_file_has_the_bytes_of_the_command(scans, tmp_path):
+    record = msal.denoise_file(scans / "a.ply", tmp_path / "api.ply", **OPTIONS)
+    run_command("denoise", scans / "a.ply", "-o", tmp_path / "cli.ply", *WORDS)
+    assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "cli.ply").read_bytes()
+    assert record.status == "written" and record.output == str(tmp_path / "api.ply")
+    assert record.method.parameters["K"] == 0.4
+    assert record.warnings == ()
+
+
+def test_another_format_and_gates(scans, tmp_path):
+    gates = ["max_displacement > 0e", "self_intersections.created > 100"]
+    record = msal.denoise_file(
+        scans / "a.ply", tmp_path / "new" / "a.obj", encoding="ascii", fail_on=gates, **OPTIONS
+    )
+    assert (tmp_path / "new" / "a.obj").read_text().startswith(("#", "v ", "o "))
+    assert [gate.broken for gate in record.gates] == [True, False]
+    assert record.self_intersections is not None
+
+
+def test_a_file_that_fails_raises_and_writes_nothing(scans, tmp_path):
+    (scans / "bad.ply").write_bytes(BAD_SCAN)
+    with pytest.raises(msal.ContentError) as caught:
+        msal.denoise_file(scans / "bad.ply", tmp_path / "out.ply")
+    assert caught.value.code == "E_INDEX" and caught.value.path == str(scans / "bad.ply")
+    assert not (tmp_path / "out.ply").exists()
+    with pytest.raises(msal.LossError):
+        vertices, faces = torus()
+        (scans / "trust.ply").write_bytes(to_ply(vertices, faces, trust=vertices[:, 0]))
+        msal.denoise_file(scans / "trust.ply", tmp_path / "out.stl", strict=True, **OPTIONS)
+    with pytest.raises(msal.TooLargeError):
+        msal.denoise_file(scans / "a.ply", tmp_path / "out.ply", max_faces=10)
+    with pytest.raises(msal.OutputError):
+        msal.denoise_file(scans / "a.ply", f"{tmp_path}/{'x' * 300}/out.ply", **OPTIONS)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"input": "missing.ply"},
+        {"input": "scans"},
+        {"output": "scans"},
+        {"output": "scans/a.ply"},
+        {"output": "out.doc"},
+        {"to": "doc"},
+        {"encoding": "text"},
+        {"precision": "float16"},
+        {"format": "doc"},
+        {"fail_on": "volume >"},
+        {"fail_on": "hausdorff > 1e"},
+        {"weights": "trust", "method": "al"},
+        {"k": 1},
+    ],
+    ids=str,
+)
+def test_calls_that_mean_nothing_are_refused(scans, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    before = outputs(tmp_path)
+    with pytest.raises(msal.UsageError):
+        msal.denoise_file(**{"input": "scans/a.ply", "output": "out.ply"} | arguments)
+    assert outputs(tmp_path) == before
+
+
+# Folders
+
+
+def test_a_folder_has_the_files_and_the_manifest_of_the_command(scans, tmp_path):
+    (scans / "bad.ply").write_bytes(BAD_SCAN)
+    records = list(msal.denoise_folder(scans, tmp_path / "api", jobs=2, **OPTIONS))
+    done = run_command("denoise", scans, "-o", tmp_path / "cli", "-j", "2", *WORDS)
+    assert done.exit_code == 3
+    assert outputs(tmp_path / "api") == outputs(tmp_path / "cli")
+    status = {Path(record.input).name: record.status for record in records}
+    assert status == dict.fromkeys(["a.ply", "b.ply", "c.ply", "d.ply"], "written") | {
+        "bad.ply": "failed"
+    }
+    assert next(one for one in records if one.error).error.code == "E_INDEX"
+    # Either goes on with what the other has done.
+    again = run_command("denoise", scans, "-o", tmp_path / "api", *WORDS, "--json")
+    assert {one["status"] for one in json.loads(again.stdout)["records"]} == {
+        "up-to-date",
+        "failed",
+    }
+    records = list(msal.denoise_folder(scans, tmp_path / "cli", fail_on="volume.valid", **OPTIONS))
+    assert {record.status for record in records} == {"up-to-date", "failed"}
+    assert sum(gate.broken for record in records for gate in record.gates) == 2
+
+
+def test_arguments_are_checked_before_the_first_record(scans, tmp_path):
+    for wrong in ({"output": None}, {"method": "msla"}, {"include": "*.obj"}, {"to": "doc"}):
+        with pytest.raises(msal.MsalError):
+            msal.denoise_folder(**{"inputs": scans, "output": tmp_path / "out"} | wrong)
+    with pytest.raises(msal.NothingMatched):
+        msal.denoise_folder(scans, tmp_path / "out", include="*.obj")
+    records = msal.denoise_folder(scans, tmp_path / "out")
+    assert inspect.isgenerator(records) and not (tmp_path / "out").exists()
+    records.close()
+    with pytest.raises(msal.UsageError, match="jobs"):
+        next(msal.denoise_folder(scans, tmp_path / "out", jobs=0))
+
+
+def test_several_inputs_patterns_and_in_place(scans, tmp_path):
+    names = [scans / "a.ply", str(scans / "below")]
+    records = list(msal.denoise_folder(names, tmp_path / "out", **OPTIONS))
+    assert len(records) == 2
+    records = list(
+        msal.denoise_folder(scans, in_place=True, backup=".kept", exclude="c.ply", **OPTIONS)
+    )
+    assert len(records) == 3
+    assert (scans / "a.ply.kept").read_bytes() == closed_scan()
+    assert (scans / "a.ply").read_bytes() == (tmp_path / "out" / "a.ply").read_bytes()
+
+
+def test_the_loop_may_be_left_and_gone_on_with(scans, tmp_path):
+    for record in msal.denoise_folder(scans, tmp_path / "out", jobs=1, **OPTIONS):
+        assert record.status == "written"
+        break
+    # The lock of the folder is free, and what was finished is known.
+    records = list(msal.denoise_folder(scans, tmp_path / "out", **OPTIONS))
+    statuses = [one.status for one in records]
+    assert len(statuses) == 4 and "up-to-date" in statuses
+    assert not [one for one in threading.enumerate() if one.name == "msal"]
+
+
+def test_it_works_in_a_thread_and_leaves_signals_alone(scans, tmp_path):
+    handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    found = []
+
+    def work():
+        found.extend(msal.denoise_folder(scans, tmp_path / "out", **OPTIONS))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert len(found) == 4
+    for _ in msal.denoise_folder(scans, tmp_path / "again", jobs=1, **OPTIONS):
+        assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == handlers
+
+
+def test_nothing_is_printed(scans, tmp_path, capfd):
+    (scans / "bad.ply").write_bytes(BAD_SCAN)
+    list(msal.denoise_folder(scans, tmp_path / "out", **OPTIONS))
+    msal.denoise_file(scans / "a.ply", tmp_path / "a.ply")
+    assert capfd.readouterr() == ("", "")
+
+
+SLOW = """
+import sys, msal_cli as msal
+print("begun", flush=True)
+for record in msal.denoise_folder(sys.argv[1], sys.argv[2], "l0", jobs=1, iterations=1000):
+    print(record.status, flush=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals")
+def test_ctrl_c_ends_the_run_at_once_as_a_keyboard_interrupt(tmp_path):
+    scans = folder_of(tmp_path / "scans", a=to_ply(*torus(300, 100)))
+    command = [sys.executable, "-c", SLOW, str(scans), str(tmp_path / "out")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "begun\n"
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "out").is_dir() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    time.sleep(0.3)
+    started = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert time.monotonic() - started < 10
+    assert errors.rstrip().endswith("KeyboardInterrupt")
+    # The folder is free for another run.
+    assert list(msal.denoise_folder(scans, tmp_path / "out", "al", fresh=True, force=True))

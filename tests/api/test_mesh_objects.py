@@ -1,0 +1,313 @@
+"""Objects of other mesh libraries: the same type back, a copy with everything kept."""
+
+from __future__ import annotations
+
+import copy
+import sys
+import types
+
+import meshio
+import numpy as np
+import pytest
+import trimesh
+
+import msal_cli as msal
+from msal_cli.api import mesh_objects
+from tests.shapes import grid, noisy, torus
+
+VERTICES, FACES = torus(40, 20)
+VERTICES = noisy(VERTICES, 3, 0.15)
+TRUST = np.linspace(0.0, 1.0, len(VERTICES))
+RNG = np.random.default_rng(5)
+COLOURS = RNG.integers(0, 255, (len(VERTICES), 4)).astype(np.uint8)
+UV = RNG.random((len(VERTICES), 2))
+
+
+def denoised(vertices=VERTICES, faces=FACES, **options):
+    return msal.denoise(vertices, faces, "msal", **options).vertices
+
+
+def quads_of_torus(around=40, across=20):
+    u, v = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
+
+    def at(i, j):
+        return (i % around) * across + j % across
+
+    corners = at(u, v), at(u + 1, v), at(u + 1, v + 1), at(u, v + 1)
+    return np.stack(corners, axis=-1).reshape(-1, 4)
+
+
+# trimesh
+
+
+def a_trimesh(**options):
+    mesh = trimesh.Trimesh(VERTICES, FACES, process=False, **options)
+    mesh.vertex_attributes["trust"] = TRUST
+    mesh.face_attributes["patch"] = np.arange(len(FACES))
+    mesh.metadata["scanner"] = "left"
+    return mesh
+
+
+def test_trimesh_keeps_colours_attributes_and_metadata():
+    mesh = a_trimesh(vertex_colors=COLOURS)
+    result = msal.denoise(mesh, method="msal")
+    assert type(result) is trimesh.Trimesh and result is not mesh
+    assert np.array_equal(result.vertices, denoised())
+    assert np.array_equal(mesh.vertices, VERTICES)
+    assert np.array_equal(result.faces, FACES)
+    assert np.array_equal(result.visual.vertex_colors, COLOURS)
+    assert np.array_equal(result.vertex_attributes["trust"], TRUST)
+    assert np.array_equal(result.face_attributes["patch"], np.arange(len(FACES)))
+    assert result.metadata["scanner"] == "left"
+    result.vertex_attributes["trust"][0] = 9.0
+    assert mesh.vertex_attributes["trust"][0] == 0.0
+
+
+def test_trimesh_keeps_texture_coordinates_and_makes_normals_anew():
+    mesh = a_trimesh(visual=trimesh.visual.TextureVisuals(uv=UV))
+    before = mesh.vertex_normals.copy()
+    result = msal.denoise(mesh, method="msal")
+    assert np.array_equal(result.visual.uv, UV)
+    fresh = trimesh.Trimesh(denoised(), FACES, process=False).vertex_normals
+    assert np.allclose(result.vertex_normals, fresh)
+    assert not np.allclose(result.vertex_normals, before)
+
+
+def test_arrays_of_an_object_lock_and_weigh_by_name():
+    mesh = a_trimesh()
+    result = msal.denoise(mesh, method="msal", lock="trust < 0.3", weights="trust")
+    assert np.array_equal(result.vertices, denoised(lock=TRUST < 0.3, weights=TRUST))
+    with pytest.raises(msal.InputError) as caught:
+        msal.denoise(mesh, lock="confidence < 0.3")
+    assert caught.value.code == "E_PROPERTY" and "trust" in caught.value.hint
+
+
+def test_a_primitive_and_a_scene_are_refused_with_what_to_give():
+    with pytest.raises(msal.UnsupportedError, match="primitives") as caught:
+        msal.denoise(trimesh.primitives.Box())
+    assert "to_mesh()" in caught.value.hint
+    with pytest.raises(msal.UnsupportedError, match=r"trimesh\.Scene") as caught:
+        msal.denoise(a_trimesh().scene())
+    assert "scene.to_mesh()" in caught.value.hint
+    with pytest.raises(msal.UnsupportedError):
+        msal.estimate_noise(trimesh.PointCloud(VERTICES))
+
+
+# meshio
+
+
+def test_meshio_keeps_cells_and_data():
+    quads = quads_of_torus()
+    lines = np.array([[0, 1], [1, 2]])
+    mesh = meshio.Mesh(
+        VERTICES,
+        [("line", lines), ("quad", quads[:300]), ("triangle", FACES[600:])],
+        point_data={"trust": TRUST, "Normals": np.tile([0.0, 0.0, 1.0], (len(VERTICES), 1))},
+        cell_data={"patch": [np.arange(2), np.arange(300), np.arange(len(FACES) - 600)]},
+        field_data={"inside": np.array([1, 2])},
+    )
+    before = copy.deepcopy(mesh)
+    result = msal.denoise(mesh, method="msal", weights="trust")
+    assert type(result) is meshio.Mesh
+    fans = np.stack([quads[:300, [0, 1, 2]], quads[:300, [0, 2, 3]]], axis=1).reshape(-1, 3)
+    triangles = np.concatenate([fans, FACES[600:]])
+    assert np.array_equal(result.points, denoised(faces=triangles, weights=TRUST))
+    assert [block.type for block in result.cells] == ["line", "quad", "triangle"]
+    assert np.array_equal(result.cells[1].data, quads[:300])
+    assert np.array_equal(result.cell_data["patch"][1], np.arange(300))
+    assert np.array_equal(result.point_data["trust"], TRUST)
+    assert np.array_equal(result.field_data["inside"], [1, 2])
+    lengths = np.linalg.norm(result.point_data["Normals"], axis=1)
+    assert np.allclose(lengths, 1.0) and not (result.point_data["Normals"] == [0, 0, 1]).all()
+    assert np.array_equal(mesh.points, before.points)
+    assert np.array_equal(mesh.point_data["Normals"], before.point_data["Normals"])
+
+
+def test_meshio_normals_by_component_follow():
+    vertices, faces = grid(20, 20)
+    vertices[:, 2] = np.random.default_rng(1).normal(0.0, 0.2, len(vertices))
+    normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
+    data = {"nx": normals[:, 0], "ny": normals[:, 1], "nz": normals[:, 2].astype(np.float32)}
+    mesh = meshio.Mesh(vertices, [("triangle", faces)], point_data=data)
+    result = msal.denoise(mesh, method="umbrella", iterations=20)
+    assert result.point_data["nz"].mean() > normals[:, 2].mean()
+
+
+def test_meshio_polygons_float32_and_other_cells():
+    pentagon = np.array([[0.0, 0, 0], [1, 0, 0], [2, 1, 0], [1, 2, 0.3], [0, 1, 0]], np.float32)
+    mesh = meshio.Mesh(pentagon, [("polygon", np.array([[0, 1, 2, 3, 4]]))])
+    result = msal.denoise(mesh, method="al")
+    assert result.points.dtype == np.float32
+    assert np.array_equal(
+        result.points, msal.denoise(pentagon, [[0, 1, 2], [0, 2, 3], [0, 3, 4]], "al").vertices
+    )
+    for kind, corners in (("tetra", 4), ("triangle6", 6), ("hexahedron", 8)):
+        cells = [("triangle", FACES), (kind, np.arange(corners)[None])]
+        with pytest.raises(msal.UnsupportedError, match=f"1 {kind} cells"):
+            msal.denoise(meshio.Mesh(VERTICES, cells))
+    with pytest.raises(msal.ContentError, match="no faces"):
+        msal.denoise(meshio.Mesh(VERTICES, [("line", [[0, 1]])]))
+    with pytest.raises(msal.ContentError, match=r"\(n, 3\)"):
+        msal.denoise(meshio.Mesh(VERTICES[:, :2], [("triangle", FACES)]))
+
+
+# pyvista
+
+
+@pytest.fixture
+def pyvista():
+    return pytest.importorskip("pyvista", exc_type=ImportError, reason="pyvista does not load")
+
+
+def poly_data(pyvista, polygons, vertices=VERTICES):
+    flat = np.concatenate([[len(one), *one] for one in polygons])
+    mesh = pyvista.PolyData(vertices, flat)
+    mesh.point_data["trust"] = TRUST[: len(vertices)]
+    mesh.cell_data["patch"] = np.arange(len(polygons))
+    mesh.field_data["scanner"] = ["left"]
+    return mesh
+
+
+def test_pyvista_keeps_all_data_and_renews_normals(pyvista):
+    mesh = poly_data(pyvista, FACES).compute_normals(
+        cell_normals=True, point_normals=True, split_vertices=False, consistent_normals=False
+    )
+    before = {name: np.array(mesh.point_data[name]) for name in mesh.point_data}
+    result = msal.denoise(mesh, method="msal", lock="trust < 0.2")
+    assert type(result) is pyvista.PolyData
+    assert np.array_equal(result.points, denoised(lock=TRUST < 0.2))
+    assert np.array_equal(mesh.points, VERTICES)
+    assert np.array_equal(result.faces, mesh.faces)
+    assert np.array_equal(result.point_data["trust"], TRUST)
+    assert np.array_equal(result.cell_data["patch"], np.arange(len(FACES)))
+    assert list(result.field_data["scanner"]) == ["left"]
+    assert np.array_equal(mesh.point_data["Normals"], before["Normals"])
+    fresh = trimesh.Trimesh(result.points, FACES, process=False)
+    assert np.allclose(result.cell_data["Normals"], fresh.face_normals, atol=1e-6)
+    along = (result.point_data["Normals"] * fresh.vertex_normals).sum(axis=1)
+    assert along.mean() > 0.97
+
+
+def test_pyvista_polygons_stay_and_are_triangles_for_the_mathematics_only(pyvista):
+    quads = quads_of_torus()
+    fans = np.stack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
+    result = msal.denoise(poly_data(pyvista, quads), method="msal")
+    assert np.array_equal(result.points, denoised(faces=fans))
+    assert result.n_cells == len(quads)
+    mixed = [*quads[:400].tolist(), *fans[800:].tolist()]
+    result = msal.denoise(poly_data(pyvista, mixed), method="msal")
+    assert np.array_equal(result.points, denoised(faces=fans))
+    assert result.n_cells == len(mixed)
+
+
+def test_pyvista_float32_and_other_data_sets(pyvista):
+    mesh = poly_data(pyvista, FACES, VERTICES.astype(np.float32))
+    result = msal.denoise(mesh, method="msal")
+    assert result.points.dtype == np.float32
+    assert np.array_equal(result.points, denoised(VERTICES.astype(np.float32)))
+    with pytest.raises(msal.UnsupportedError, match="UnstructuredGrid") as caught:
+        msal.denoise(mesh.cast_to_unstructured_grid())
+    assert "extract_surface()" in caught.value.hint
+    with pytest.raises(msal.UnsupportedError, match="1 lines"):
+        msal.denoise(pyvista.Line())
+    with pytest.raises(msal.UnsupportedError, match="strips"):
+        msal.denoise(mesh.strip())
+
+
+# open3d
+
+
+@pytest.fixture
+def open3d():
+    return pytest.importorskip("open3d", exc_type=ImportError, reason="open3d does not load")
+
+
+def test_open3d_keeps_colours_and_renews_normals(open3d):
+    mesh = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(VERTICES), open3d.utility.Vector3iVector(FACES)
+    )
+    mesh.vertex_colors = open3d.utility.Vector3dVector(COLOURS[:, :3] / 255.0)
+    mesh.triangle_uvs = open3d.utility.Vector2dVector(UV[FACES.reshape(-1)])
+    mesh.compute_vertex_normals()
+    result = msal.denoise(mesh, method="msal")
+    assert type(result) is open3d.geometry.TriangleMesh
+    assert np.array_equal(np.asarray(result.vertices), denoised())
+    assert np.array_equal(np.asarray(mesh.vertices), VERTICES)
+    assert np.array_equal(np.asarray(result.vertex_colors), COLOURS[:, :3] / 255.0)
+    assert np.array_equal(np.asarray(result.triangle_uvs), UV[FACES.reshape(-1)])
+    fresh = trimesh.Trimesh(denoised(), FACES, process=False)
+    along = (np.asarray(result.vertex_normals) * fresh.vertex_normals).sum(axis=1)
+    assert along.mean() > 0.97
+    assert np.allclose(np.asarray(result.triangle_normals), fresh.face_normals, atol=1e-6)
+
+
+def test_open3d_tensors_keep_their_type(open3d):
+    core = open3d.core
+    mesh = open3d.t.geometry.TriangleMesh(
+        core.Tensor(VERTICES.astype(np.float32)), core.Tensor(FACES)
+    )
+    mesh.vertex["trust"] = core.Tensor(TRUST[:, None].astype(np.float32))
+    mesh.compute_vertex_normals()
+    result = msal.denoise(mesh, method="msal", lock="trust < 0.2")
+    assert type(result) is open3d.t.geometry.TriangleMesh
+    positions = result.vertex["positions"]
+    assert positions.dtype == core.float32
+    mask = TRUST.astype(np.float32) < np.float32(0.2)
+    assert np.array_equal(positions.numpy(), denoised(VERTICES.astype(np.float32), lock=mask))
+    assert np.array_equal(mesh.vertex["positions"].numpy(), VERTICES.astype(np.float32))
+    assert np.array_equal(result.vertex["trust"].numpy(), TRUST[:, None].astype(np.float32))
+    assert not np.array_equal(result.vertex["normals"].numpy(), mesh.vertex["normals"].numpy())
+
+
+# Classes that look like those of a library, so that these paths run without it
+
+
+class FakeVectors(list):
+    """As ``open3d.utility.Vector3dVector``: made of an array."""
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array(list(self), dtype=dtype)
+
+
+def fake_class(module, name, base=object):
+    return types.new_class(name, (base,), exec_body=lambda body: body.update(__module__=module))
+
+
+class FakeTriangleMesh:
+    def __init__(self, other=None):
+        self.__dict__.update({} if other is None else copy.deepcopy(other.__dict__))
+
+    def has_vertex_normals(self):
+        return hasattr(self, "vertex_normals")
+
+    def has_triangle_normals(self):
+        return hasattr(self, "triangle_normals")
+
+
+def test_open3d_is_known_by_the_module_of_its_class():
+    own = fake_class("open3d.cpu.pybind.geometry", "TriangleMesh", FakeTriangleMesh)
+    mesh = own()
+    mesh.vertices, mesh.triangles = FakeVectors(VERTICES), FakeVectors(FACES)
+    mesh.vertex_normals = FakeVectors(np.tile([0.0, 0, 1], (len(VERTICES), 1)))
+    mesh.triangle_normals = FakeVectors(np.tile([0.0, 0, 1], (len(FACES), 1)))
+    result = msal.denoise(mesh, method="msal")
+    assert type(result) is own
+    assert np.array_equal(np.asarray(result.vertices), denoised())
+    assert not np.array_equal(np.asarray(result.vertex_normals), mesh.vertex_normals)
+
+
+def test_no_library_is_imported_for_its_objects(monkeypatch):
+    for name in ("trimesh", "meshio", "pyvista", "open3d"):
+        monkeypatch.setitem(sys.modules, name, None)
+    for name in ("UnstructuredGrid", "ImageData"):
+        grid_class = fake_class("pyvista.core", name, fake_class("pyvista.core", "DataSet"))
+        with pytest.raises(msal.UnsupportedError, match=name):
+            msal.denoise(grid_class())
+    with pytest.raises(msal.UsageError, match="a dict alone is no mesh"):
+        msal.denoise({})
+
+
+def test_every_reader_is_a_module():
+    for (package, _), name in mesh_objects._READERS.items():
+        assert name.startswith(package)
+        __import__(f"msal_cli.api.mesh_objects.{name}")

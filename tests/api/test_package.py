@@ -1,0 +1,140 @@
+"""What ``import msal_cli`` is: cheap, lazy, typed, and complete."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import msal_cli as msal
+from msal_cli import api, errors
+
+PACKAGE = Path(msal.__file__).parent
+
+
+def run_python(code):
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def test_importing_loads_nothing_else():
+    code = (
+        "import sys; before = set(sys.modules); import msal_cli; msal_cli.__version__; "
+        "dir(msal_cli); print(*sorted(set(sys.modules) - before))"
+    )
+    assert run_python(code).split() == ["msal_cli"]
+
+
+def test_importing_takes_less_than_50_milliseconds():
+    code = (
+        "import time; begun = time.process_time(); import msal_cli; "
+        "print(time.process_time() - begun)"
+    )
+    assert min(float(run_python(code)) for _ in range(3)) < 0.05
+
+
+def test_the_functions_load_neither_the_command_nor_a_mesh_library():
+    code = (
+        "import sys, msal_cli as msal; "
+        "msal.denoise([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]); "
+        "print(*[name for name in ('click', 'tqdm', 'msal_cli.cli', 'trimesh', 'meshio', "
+        "'pyvista', 'open3d', 'scipy', 'numba') if name in sys.modules])"
+    )
+    assert run_python(code).split() == []
+
+
+def test_every_public_name_is_there_for_programs_and_for_type_checkers():
+    names = set(msal.__all__)
+    assert names - {"__version__"} == set(api.__all__)
+    assert names <= set(dir(msal))
+    tree = ast.parse(Path(msal.__file__).read_text("utf-8"))
+    imported = {
+        alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert imported == set(api.__all__)
+    for name in api.__all__:
+        assert getattr(msal, name) is getattr(api, name)
+    assert (PACKAGE / "py.typed").is_file()
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="denosie"):
+        _ = msal.denosie
+    assert not hasattr(msal, "numpy")
+
+
+def test_every_class_of_error_is_public():
+    known = {
+        name
+        for name, value in vars(errors).items()
+        if isinstance(value, type) and issubclass(value, errors.MsalError)
+    }
+    assert known <= set(msal.__all__)
+    assert issubclass(msal.NothingMatched, msal.MsalError)
+
+
+FUNCTIONS = [name for name in api.__all__ if inspect.isfunction(getattr(api, name))]
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_docstrings_explain_every_parameter_and_the_errors(name):
+    function = getattr(msal, name)
+    text = inspect.getdoc(function)
+    for section in ("Parameters", "Returns", "Raises"):
+        assert f"\n{section}\n---" in text, section
+    explained = text.partition("Parameters\n---")[2].partition("\nReturns\n")[0]
+    words = {
+        word.strip()
+        for line in explained.splitlines()
+        if " :" in line and not line.startswith(" ")
+        for word in line.partition(" :")[0].replace(" to ", ", ").split(",")
+    }
+    # The lists of names of some lines go on in the next one.
+    words |= {
+        word.strip() for line in explained.splitlines() for word in line.rstrip(" :").split(",")
+    }
+    missing = set(inspect.signature(function).parameters) - words
+    if name == "denoise_folder":
+        # It says "method to fail_on : as for denoise_file".
+        names = list(inspect.signature(function).parameters)
+        missing -= set(names[names.index("method") : names.index("fail_on") + 1])
+    assert not missing
+
+
+def test_no_module_of_the_api_prints():
+    for path in (PACKAGE / "api").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            assert not (isinstance(node, ast.Name) and node.id == "print"), path
+            is_stream = isinstance(node, ast.Attribute) and node.attr in ("stdout", "stderr")
+            assert not is_stream, path
+
+
+def test_two_threads_denoise_at_once():
+    import threading
+
+    from tests.shapes import noisy, torus
+
+    vertices, faces = torus(40, 20)
+    inputs = [noisy(vertices, seed, 0.1) for seed in range(4)]
+    expected = [msal.denoise(one, faces, "msal").vertices for one in inputs]
+    found = [None] * len(inputs)
+
+    def work(at):
+        found[at] = msal.denoise(inputs[at], faces, "msal").vertices
+
+    threads = [threading.Thread(target=work, args=(at,)) for at in range(len(inputs))]
+    begun = time.monotonic()
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert time.monotonic() - begun < 60
+    assert all((a == b).all() for a, b in zip(expected, found, strict=True))
