@@ -85,7 +85,7 @@ def files(draw):
 
 
 @pytest.mark.parametrize("turns", [4096, 4], ids=["usual", "low"])
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(data=files(), size=st.integers(1, 300), random=st.randoms(use_true_random=False))
 def test_pieces_are_the_whole_file(turns, data, size, random):
     with pytest.MonkeyPatch.context() as patch:
