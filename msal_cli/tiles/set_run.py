@@ -69,6 +69,7 @@ _SHARED_FIELDS = (
     "despiked",
     "clamped_vertices",
     "locked_vertices",
+    "tiles",
 )
 
 
@@ -137,11 +138,12 @@ class _SetRun:
     def denoise(self, most_failures: int | None, run_tiles: RunTiles | None) -> list[MeshRecord]:
         """See ``denoise_set``."""
         try:
-            reason = self._find_want_of_memory()
-            if reason is None:
-                run_tiles = None
-            else:
+            if run_tiles is not None and run_tiles.is_forced:
+                run_tiles.refuse(self._settings)
+            elif (reason := self._find_want_of_memory()) is not None:
                 _require_tiles(run_tiles, self._settings, reason)
+            else:
+                run_tiles = None
             arrays: list[Arrays] = []
             self._scan(arrays.append if run_tiles is None else None)
             if most_failures is not None and len(self._records) >= most_failures:
@@ -325,7 +327,10 @@ class _SetRun:
             record = add_seconds(
                 record, (member.record.seconds, 1.0), (moved.record.seconds, share)
             )
-            self._records[member.index] = replace(record, tile_set=parts[place])
+            peaks = [one.peak_memory_bytes or 0 for one in (record, moved.record)]
+            self._records[member.index] = replace(
+                record, tile_set=parts[place], peak_memory_bytes=max(peaks) or None
+            )
         mixed = shared.with_single(is_single)
         written[mixed] = written[mixed].astype(np.float32)
         gaps = shared.distances(written)
