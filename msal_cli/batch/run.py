@@ -153,7 +153,9 @@ class _BatchRun:
             self._manifests = {home: open_manifest(home) for home in self.plan.folders()}
             todo = self._outdated()[0]
             if self.plan.is_set and todo:
-                records = tile_set.survey_set(self.plan, self.settings, self._manifests)
+                records = tile_set.survey_set(
+                    self.plan, self.settings, self._manifests, self._tile_job(0)
+                )
             else:
                 planned = {index: self._planned_record(index) for index in todo}
                 expected = {} if self.tiles is None else self._find_oversized(todo).by_tiles
