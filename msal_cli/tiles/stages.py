@@ -23,7 +23,10 @@ TaskRef = tuple[str, str, int]
 OnProgress = Callable[[str, int, int], None]
 """Called as ``on_progress(stage, done, total)``."""
 
-_DENOISE = re.compile(r"denoise-(\d+)")
+DENOISE = "denoise"
+"""The stage that is run in rounds."""
+
+_ROUND = re.compile(rf"{DENOISE}-(\d+)")
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ _STAGES = {
     "prepare": _Steps(_n_tiles, "sweep.run_prepare", "sweep.reduce_prepare"),
     "wind": _Steps(_n_tiles, "windings.run_wind", "windings.reduce_wind", "windings.is_needed"),
     "turn": _Steps(_n_tiles, "windings.run_turn", "windings.reduce_turn", "windings.is_needed"),
-    "denoise": _Steps(_n_tiles, "sweep.run_denoise", "sweep.reduce_denoise"),
+    DENOISE: _Steps(_n_tiles, "sweep.run_denoise", "sweep.reduce_denoise"),
     "join": _Steps(_n_pieces, "join.run_join"),
 }
 """All stages in their order.  ``denoise`` stands for ``denoise-0``, ``denoise-1`` ...: a round
@@ -109,7 +112,7 @@ def next_stage(scratch: Scratch) -> Stage | None:
     """The first stage that is not finished; None if all are."""
     plan = load_plan(scratch)
     for kind, steps in _STAGES.items():
-        name = _next_round(scratch) if kind == "denoise" else kind
+        name = _next_round(scratch) if kind == DENOISE else kind
         if name is None or scratch.stage_result(name) is not None:
             continue
         if steps.is_needed and not _find_function(steps.is_needed)(scratch):
@@ -118,6 +121,28 @@ def next_stage(scratch: Scratch) -> Stage | None:
         finished = scratch.finished(name)
         return Stage(name, n_tasks, [one for one in range(n_tasks) if one not in finished])
     return None
+
+
+def finished_stages(scratch: Scratch) -> list[str]:
+    """The stages that are finished, in their order."""
+    names: list[str] = []
+    for kind in _STAGES:
+        number = 0
+        while scratch.stage_result(name := _round_name(kind, number)) is not None:
+            names.append(name)
+            number += 1
+            if kind != DENOISE:
+                break
+    return names
+
+
+def count_finished(scratch: Scratch) -> int:
+    """How many tasks of all stages are finished."""
+    names = finished_stages(scratch)
+    stage = next_stage(scratch)
+    return sum(len(scratch.finished(name)) for name in names) + (
+        0 if stage is None else stage.n_tasks - len(stage.todo)
+    )
 
 
 def run_task(ref: TaskRef, common: object = None, on_progress: OnProgress | None = None) -> Any:
@@ -169,17 +194,21 @@ def run_here(scratch: Scratch, on_progress: OnProgress | None = None) -> None:
 def _next_round(scratch: Scratch) -> str | None:
     """The name of the first round of denoising that is not finished, None if no other follows."""
     number = 0
-    while (result := scratch.stage_result(f"denoise-{number}")) is not None:
+    while (result := scratch.stage_result(_round_name(DENOISE, number))) is not None:
         if not result["again"]:
             return None
         number += 1
-    return f"denoise-{number}"
+    return _round_name(DENOISE, number)
+
+
+def _round_name(kind: str, number: int) -> str:
+    return f"{DENOISE}-{number}" if kind == DENOISE else kind
 
 
 def _parse_name(name: str) -> tuple[str, tuple[int, ...]]:
     """The stage in the table, and the number of the round where there are several."""
-    match = _DENOISE.fullmatch(name)
-    return ("denoise", (int(match[1]),)) if match else (name, ())
+    match = _ROUND.fullmatch(name)
+    return (DENOISE, (int(match[1]),)) if match else (name, ())
 
 
 def _find_function(name: str) -> Callable[..., Any]:
