@@ -55,6 +55,8 @@ _STAGE_SECONDS = {
     "weld": "connectivity",
     "choose": "choose",
     "rim": "connectivity",
+    "values": "read",
+    "pins": "connectivity",
     "prepare": "connectivity",
     "wind": "connectivity",
     "turn": "connectivity",
