@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
+from msal_cli.codecs.colour_values import UNPAINTED, to_bytes
 from msal_cli.codecs.gltf_file import SceneFile
 from msal_cli.codecs.gltf_json import as_dict, as_list
 from msal_cli.codecs.gltf_scene import Part, Scene
-from msal_cli.codecs.surface_colours import UNPAINTED, to_bytes
 from msal_cli.errors import ContentError, MsalError
 
 _TYPES = {5126: ("<f4", 1.0), 5121: ("<u1", 255.0), 5123: ("<u2", 65535.0)}
