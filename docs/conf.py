@@ -13,6 +13,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+from docutils import nodes
+
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 
@@ -94,6 +96,8 @@ def with_outside_links(text: str, page: Path) -> str:
 def complete(app: Any, name: str, source: list[str]) -> None:
     """Add to a page what it has on the site only."""
     text = with_outside_links(source[0], DOCS / f"{name}.md")
+    # A link that shows a file's name shows the title of the page here.
+    text = re.sub(r"\[[\w./-]+\.md\](?=\((?!path:)[^:)]+\))", "[]", text)
     if name == "index":
         text += toctrees(text)
     elif name == "methods/README":
@@ -103,6 +107,17 @@ def complete(app: Any, name: str, source: list[str]) -> None:
     source[0] = text
 
 
+def mark(app: Any, doctree: nodes.document) -> None:
+    """Give short code and long cells classes, for the style sheet."""
+    for code in doctree.findall(nodes.literal):
+        if len(code.astext()) <= 30:
+            code["classes"].append("short")
+    for cell in doctree.findall(nodes.entry):
+        if len(cell.astext()) > 60:
+            cell["classes"].append("long")
+
+
 def setup(app: Any) -> None:
     """Register with Sphinx."""
     app.connect("source-read", complete)
+    app.connect("doctree-read", mark)

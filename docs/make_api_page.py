@@ -24,13 +24,14 @@ HEAD = """<!-- made by docs/make_api_page.py: change the docstrings and run it a
 
 # All functions, records and errors
 
-Everything is in `msal_cli`, as in `import msal_cli as msal`. [python.md](python.md) explains it with examples. `help(msal.denoise)`
-shows the same text as this page.
+Everything is in `msal_cli`, as in `import msal_cli as msal`. [python.md](python.md) explains it
+with examples. `help(msal.denoise)` shows the same text as this page.
 
 """
 RECORDS = """## Records
 
-Functions return records, and the reports of the command have the same fields: [report.md](report.md). `null` is `None` in Python.
+Functions return records, and the reports of the command have the same fields:
+[report.md](report.md). `null` is `None` in Python.
 
 """
 _SECTION = re.compile(r"^(\w+)\n-{3,}\n", re.MULTILINE)
@@ -61,6 +62,8 @@ def sections(documentation: str) -> str:
         body = body.strip("\n")
         if title == "Examples":
             body = re.sub(r"^>>> |  # doctest:.*", "", body, flags=re.MULTILINE)
+            # As ruff formats the code of pages.
+            body = re.sub(r"^(import .*\n)(?!import|\n)", r"\1\n", body, flags=re.MULTILINE)
             parts.append(f"```python\n{body}\n```\n")
         elif title in ("Parameters", "Attributes"):
             parts.append(table(re.findall(r"^(\S.*?) : ((?:.*\n?)(?:^ .*\n?)*)", body, re.M)))

@@ -20,8 +20,9 @@ HEAD = """<!-- made by docs/make_command_page.py: change the options and run it 
 
 # All commands and options
 
-[usage.md](usage.md) explains them with examples, in the order of a day's work. `msal COMMAND --help` shows the options that
-most people need, and `msal COMMAND --help-all` shows all of them, as on this page.
+[usage.md](usage.md) explains the options with examples. `msal denoise --help` shows those that most
+people need, and `msal denoise --help-all` shows all of them, as this page does. So do the other
+commands.
 
 """
 
@@ -34,7 +35,9 @@ def inline(text: str) -> str:
             parts[at] = code(part)
         else:
             escaped = re.sub(r"([*_\\|]|<(?=[A-Za-z/!]))", r"\\\1", part)
-            parts[at] = re.sub(r"(?<![\w-])--[a-z][a-z-]*[a-z]", r"`\g<0>`", escaped)
+            parts[at] = re.sub(
+                r"(?<![\w-])(?:msal )?--[a-z][a-z-]*[a-z](?:=-?\w+)?", r"`\g<0>`", escaped
+            )
     return "".join(parts)
 
 
@@ -62,12 +65,16 @@ def row(option: click.Option, context: click.Context) -> str:
     extra = extra.removesuffix("]")
     default = re.search(r"default: ([^;]*)", extra)
     allowed = re.sub(r"default: [^;]*(; )?", "", extra)
-    cells = (
-        ", ".join(code(one) for one in re.split(r", (?=-)", names)),
-        inline(text) + (f" Allowed: {code(allowed)}." if allowed else ""),
-        default_text(default[1]) if default else "",
-    )
-    return f"| {' | '.join(cells)} |\n"
+    words = re.search(r" \[(\w[\w|-]*)\]$", names)
+    if words:
+        names = names[: words.start()] + " WORD"
+        text += " WORD is one of " + ", ".join(f"`{one}`" for one in words[1].split("|")) + "."
+    text = inline(text)
+    if allowed:
+        text += f" Allowed: {code(allowed)}."
+    if default:
+        text += f" *Default:* {default_text(default[1])}"
+    return f"| {', '.join(code(one) for one in re.split(r', (?=-)', names))} | {text} |\n"
 
 
 def default_text(text: str) -> str:
@@ -77,18 +84,18 @@ def default_text(text: str) -> str:
 
 def section(name: str) -> str:
     """All about one command."""
-    top = click.Context(program, info_name="msal")
+    top = click.Context(program, info_name="msal", terminal_width=1000, **program.context_settings)
     command = program.get_command(top, name)
     assert command is not None
     context = click.Context(command, info_name=name, parent=top, **command.context_settings)
-    text = f"## msal {name}\n\n{COMMANDS[name]}\n\n```\n{command.get_usage(context)[7:]}\n```\n\n"
-    text = re.sub(r"\n {4,}", " ", text)
+    usage = command.get_usage(context).removeprefix("Usage: ")
+    text = f"## msal {name}\n\n{COMMANDS[name]}\n\n```\n{usage}\n```\n\n"
     body = (command.help or "").strip()
     if body != COMMANDS[name]:
         text += prose(body.removeprefix(COMMANDS[name]))
     for title, options in groups(command, context):
         rows = "".join(row(option, context) for option in options)
-        text += f"**{title}**\n\n| option | meaning | default |\n|---|---|---|\n{rows}\n"
+        text += f"**{title}**\n\n| option | meaning |\n|---|---|\n{rows}\n"
     if command.epilog:
         text += prose(command.epilog)
     return text

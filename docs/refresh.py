@@ -4,7 +4,8 @@
 
 Every block that follows ``<!-- output: msal ... -->`` is replaced by what that command prints, all
 commands that install msal take it from ``SOURCE``, and the pages of ``methods/``, those of the
-commands and of the Python API, and the JSON Schemas are made anew.  A test fails where this was forgotten.
+commands and of the Python API, and the JSON Schemas are made anew.  A test fails
+where this was forgotten.
 """
 
 from __future__ import annotations
