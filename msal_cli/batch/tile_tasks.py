@@ -67,8 +67,7 @@ def run_tile_task(task: TileTask, common: object, on_progress: object) -> TileRe
 class TileEngine:
     """Runs the tasks of one stage after another.
 
-    Worker processes of this machine stay from stage to stage; on a cluster each stage is an engine
-    of its own.
+    Worker processes stay from stage to stage.
 
     Parameters
     ----------
@@ -121,11 +120,9 @@ class TileEngine:
                 return
 
     def _begin(self, tasks: dict[int, TileTask], scratch: str) -> None:
-        if self._factory is None and self._engine is not None:
-            assert isinstance(self._engine, WorkerPool)
+        if self._engine is not None:
             self._engine.add(tasks)
             return
-        self.close()
         work = Work(
             tasks,
             self.function,
@@ -136,11 +133,9 @@ class TileEngine:
             retries=self._retries,
             # Tasks that weigh something are handed out singly.
             weights=dict.fromkeys(tasks, 1),
+            stays=True,
         )
-        if self._factory is None:
-            self._engine = WorkerPool(work, stays=True)
-        else:
-            self._engine = self._factory(work)
+        self._engine = (self._factory or WorkerPool)(work)
         self._batches = self._engine.batches()
 
     def stop(self) -> None:
