@@ -268,6 +268,7 @@ class _BatchRun:
             self.retries,
             self.engine,
             self.cancellation,
+            self.plan.shard,
             lambda *step: self.on_event(Progress(index, *step)),
         )
 

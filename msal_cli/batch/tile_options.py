@@ -11,6 +11,7 @@ from msal_cli.job.settings import Limits
 if TYPE_CHECKING:
     from msal_cli.batch.engine import EngineFactory
     from msal_cli.batch.interrupts import Cancellation
+    from msal_cli.batch.shard import Shard
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class TileJob:
     retries : how often a task is tried again whose worker was lost.
     engine : what runs the tasks; None is worker processes.
     cancellation : ends the run from another thread.
+    shard : this process is one of several that take tasks of the same file.
     on_progress : called with ``("tiles", done, total)``, in parts of the whole cost.
     """
 
@@ -50,4 +52,5 @@ class TileJob:
     retries: int = 1
     engine: EngineFactory | None = None
     cancellation: Cancellation | None = None
+    shard: Shard | None = None
     on_progress: Callable[[str, int, int], None] = lambda stage, done, total: None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -76,9 +76,6 @@ class TileEngine:
     factory : makes the engine; None is that of worker processes.
     """
 
-    function = staticmethod(run_tile_task)
-    """What workers call."""
-
     def __init__(
         self, *, jobs: int, cores: int, retries: int, factory: EngineFactory | None = None
     ) -> None:
@@ -88,6 +85,8 @@ class TileEngine:
         self._batches: Generator[list[Message], None, None] | None = None
         self._n_tasks = 0
         self._is_stopped = False
+        # What workers call.
+        self.function: Callable[..., TileResult] = run_tile_task
 
     def run(self, scratch: str, stage: str, indices: list[int]) -> Iterator[Returned | Failed]:
         """Run tasks of a stage, and give the outcome of each; ``index`` is that of the task.

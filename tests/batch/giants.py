@@ -126,7 +126,7 @@ def main():
         setattr = staticmethod(setattr)
 
     use_small_tiles(Patch)
-    tile_tasks.TileEngine.function = staticmethod(do_slowly)
+    tile_tasks.run_tile_task = do_slowly
     sys.exit(run())
 
 
