@@ -16,8 +16,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from msal_cli.batch.process_status import is_alive
 from msal_cli.batch.tile_tasks import TileResult, TileTask, run_tile_task
-from msal_cli.storage.atomic import make_folders
+from msal_cli.storage.atomic import machine_tag
 
 if TYPE_CHECKING:
     from msal_cli.tiles.scratch import Scratch
@@ -65,7 +66,10 @@ def claim_reduction(scratch: Scratch, stage: str) -> Iterator[bool]:
 
 def _take(path: Path) -> bool:
     try:
-        make_folders(path.parent)
+        # Not the scratch folder itself, which is removed when the file is done.
+        for folder in (path.parent.parent, path.parent):
+            with contextlib.suppress(FileExistsError):
+                folder.mkdir()
         if _create(path):
             return True
         if not _is_stale(path):
@@ -82,14 +86,20 @@ def _take(path: Path) -> bool:
 
 def _create(path: Path) -> bool:
     try:
-        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644))
+        handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)
     except FileExistsError:
         return False
+    with open(handle, "w", encoding="utf-8") as file:
+        file.write(f"{machine_tag()} {os.getpid()}")
     return True
 
 
 def _is_stale(path: Path) -> bool:
-    """Whether a claim is old by the clock of the file system, which machines share."""
+    """Whether a claim is that of a dead process of this machine, or old by the clock of the file
+    system, which machines share."""
+    owner = path.read_text(encoding="utf-8").split()
+    if len(owner) == 2 and owner[0] == machine_tag() and not is_alive(int(owner[1])):
+        return True
     probe = path.with_name(f"now.{secrets.token_hex(4)}")
     _create(probe)
     try:

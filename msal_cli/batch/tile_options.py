@@ -37,7 +37,6 @@ class TileJob:
     options : see there; None where tiles are no way.
     limits : of the file; memory is that of all processes together.
     jobs : tasks at the same time at most.
-    cores : of this machine, for the tasks to share.
     retries : how often a task is tried again whose worker was lost.
     engine : what runs the tasks; None is worker processes.
     cancellation : ends the run from another thread.
@@ -48,7 +47,6 @@ class TileJob:
     options: TileOptions | None
     limits: Limits
     jobs: int
-    cores: int
     retries: int = 1
     engine: EngineFactory | None = None
     cancellation: Cancellation | None = None

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli.batch import tile_scratch
 from msal_cli.batch.tile_estimate import estimate_tiles, planned_tiles
+from msal_cli.batch.tile_help import KEPT
 from msal_cli.batch.tile_options import TileJob
 from msal_cli.batch.tile_stages import StageRunner
 from msal_cli.errors import OutputError, ResourceError
@@ -34,9 +35,6 @@ from msal_cli.tiles.plan import read_globals
 if TYPE_CHECKING:
     from msal_cli.tiles.estimates import TileEstimate
     from msal_cli.tiles.scratch import Scratch
-
-KEPT = "kept.json"
-"""In the scratch folder once the result is known to do no harm, so that it may be joined."""
 
 _log = logging.getLogger("msal.batch")
 

@@ -20,6 +20,7 @@ from msal_cli.batch.tile_tasks import TileEngine, TileResult
 from msal_cli.batch.unfinished import LOSS_CODES
 from msal_cli.errors import InternalError, MsalError, ResourceError
 from msal_cli.tiles import stages
+from msal_cli.tiles.plan import PLAN
 
 if TYPE_CHECKING:
     from msal_cli.batch.tile_options import TileJob
@@ -77,7 +78,8 @@ class StageRunner:
             where a signal or another thread asked to end; what is finished is kept.
         """
         job = self._job
-        engine = TileEngine(jobs=jobs, cores=job.cores, retries=job.retries, factory=job.engine)
+        cores = machine.usable_cores()
+        engine = TileEngine(jobs=jobs, cores=cores, retries=job.retries, factory=job.engine)
         if job.shard is not None:
             engine.function = run_claimed_task
         cancellation = job.cancellation or interrupts.Cancellation()
@@ -126,7 +128,7 @@ class StageRunner:
             left = [index for index in stage.todo if index not in finished]
             if not left:
                 return
-            self._wait()
+            self._wait(scratch)
             self._run_once(engine, scratch, replace(stage, todo=left), progress)
 
     def _run_once(
@@ -160,10 +162,12 @@ class StageRunner:
                 if is_mine:
                     stages.reduce_stage(scratch, stage)
                     return
-            self._wait()
+            self._wait(scratch)
 
-    def _wait(self) -> None:
+    def _wait(self, scratch: Scratch) -> None:
         time.sleep(LOOKS_EVERY_S)
+        if not scratch.has(PLAN):
+            raise ResourceError(f"the scratch folder {str(scratch.path)!r} was removed")
         self._check_time()
         if self._received:
             raise Interrupt
