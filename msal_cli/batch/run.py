@@ -154,7 +154,9 @@ class _BatchRun:
             self._manifests = {home: open_manifest(home) for home in self.plan.folders()}
             todo = self._outdated()[0]
             if self.plan.is_set and todo:
-                records = tile_set.survey_set(self.plan, self.settings, self._manifests)
+                records = tile_set.survey_set(
+                    self.plan, self.settings, self._manifests, self._tile_job(0)
+                )
             else:
                 planned = {index: self._planned_record(index) for index in todo}
                 expected = {} if self.tiles is None else self._find_oversized(todo).by_tiles
@@ -174,14 +176,8 @@ class _BatchRun:
                 budget = estimate_memory(tasks, self.settings, self.limits)
             if self.plan.is_set:
                 self._run_set(todo)
-                todo = []
-            oversized = self._find_oversized(todo, budget)
-            todo = self._drop_oversized(todo, oversized)
-            if self._is_single() or self.plan.is_in_process:
-                self._run_in_process(todo)
-            elif todo and self._failure is None and not self._has_too_many_failures():
-                self._run_engine(todo, budget)
-            self._run_by_tiles(oversized)
+            else:
+                self._run_files(todo, budget)
             if self._failure is not None:
                 raise self._failure
         except BaseException:
@@ -274,6 +270,15 @@ class _BatchRun:
 
     # The work
 
+    def _run_files(self, todo: list[int], budget: MemoryBudget) -> None:
+        oversized = self._find_oversized(todo, budget)
+        todo = self._drop_oversized(todo, oversized)
+        if self._is_single() or self.plan.is_in_process:
+            self._run_in_process(todo)
+        elif todo and self._failure is None and not self._has_too_many_failures():
+            self._run_engine(todo, budget)
+        self._run_by_tiles(oversized)
+
     def _run_in_process(self, todo: list[int]) -> None:
         def clean() -> None:
             for index in todo:
@@ -306,25 +311,11 @@ class _BatchRun:
         help_others(self.plan, self.settings, self._tile_job(0))
 
     def _run_set(self, todo: list[int]) -> None:
-        """Denoise all files as one mesh, in this process."""
-        if not todo:
-            return
-
-        def clean() -> None:
-            for index in todo:
-                self._sweep_after(os.getpid(), index)
-
-        with interrupts.noticed(interrupts.raise_for), interrupts.ended_late(clean):
-            self._finish(
-                tile_set.denoise_set(
-                    self.plan,
-                    self.settings,
-                    self.on_event,
-                    self.limits,
-                    self.stop_after_failures,
-                    self._manifests,
-                )
-            )
+        """Denoise all files as one mesh, led by this process."""
+        if todo:
+            many, job = self.stop_after_failures, self._tile_job(0)
+            state = self.plan, self.settings, self.on_event, many, self._manifests, job
+            self._finish(tile_set.denoise_set(*state))
 
     def _run_engine(self, todo: list[int], budget: MemoryBudget) -> None:
         from msal_cli.batch.engine import Interrupt, Work

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,9 @@ from msal_cli.tiles.opening import open_run
 from msal_cli.tiles.plan import read_globals
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from msal_cli.job.tile_records import Tiles
     from msal_cli.tiles.estimates import TileEstimate
     from msal_cli.tiles.scratch import Scratch
 
@@ -42,7 +45,7 @@ _log = logging.getLogger("msal.batch")
 def denoise_by_tiles(task: Task, settings: Settings, job: TileJob) -> MeshRecord:
     """Denoise one file and report what happened, as ``pipeline.denoise_file``; only
     KeyboardInterrupt and SystemExit pass."""
-    run = _TileRun(task, settings, job)
+    run = TileRun(task, settings, job)
     try:
         return run.run()
     except Exception as error:
@@ -50,75 +53,101 @@ def denoise_by_tiles(task: Task, settings: Settings, job: TileJob) -> MeshRecord
 
 
 @dataclass
-class _TileRun:
+class TileRun:
+    """One mesh on its way; a tile set has another source, and writes its files by itself."""
+
     task: Task
     settings: Settings
     job: TileJob
 
     def __post_init__(self) -> None:
-        self._runner = StageRunner(self.task.input, self.job)
-        self._record = start_record(self.task.input, self.settings)
+        self._runner = StageRunner(self.name, self.job)
+        self.record = start_record(self.task.input, self.settings)
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return repr(self.task.input)
 
     def run(self) -> MeshRecord:
         """The record of a file that was written."""
         task = self.task
         mesh = open_for_tiles(task, self.settings)
-        self._know(**outcome.describe_source(mesh))
+        self.know(**outcome.describe_source(mesh))
         expected = estimate_tiles(task, self.settings, self.job)
         assert self.job.options is not None
         path = tile_scratch.scratch_path(task.output, self.job.options.scratch)
         tile_scratch.check_space(path, task.output, expected)
         output.make_folder_of(task.output)
-        with tile_scratch.lock_scratch(path) as scratch, _sweeping_after_errors(scratch):
-            self._work(scratch, expected)
+        with tile_scratch.lock_scratch(path) as scratch, sweeping_after_errors(scratch):
+            self.work(scratch, expected)
             return self._finish(scratch, expected)
 
     def fail(self, error: Exception) -> MeshRecord:
         """The record of a file that was not written."""
         known = to_known_error(error, self.task.input)
         failure = Failure(known.code, known.message, known.hint, known.where)
-        self._know(seconds=self._all_seconds(), peak_memory_bytes=self._peak_bytes())
-        self._know(status="failed", error=failure)
-        return self._record
+        self.know(seconds=self.all_seconds(), peak_memory_bytes=self.peak_bytes())
+        self.know(status="failed", error=failure)
+        return self.record
 
-    def _know(self, **values: Any) -> None:
-        self._record = replace(self._record, **values)
+    def know(self, **values: Any) -> None:
+        """Set fields of the record."""
+        self.record = replace(self.record, **values)
 
     # The stages
 
-    def _work(self, scratch: Scratch, expected: TileEstimate) -> None:
+    def work(self, scratch: Scratch, expected: TileEstimate) -> None:
         """Run all stages that are left."""
         with self._runner.leading("open"):
             n_resumed = self._open(scratch, expected)
-        self._know(tiles=replace(planned_tiles(expected), resumed_tasks=n_resumed))
+        self.know(tiles=replace(planned_tiles(expected), resumed_tasks=n_resumed))
         self._runner.run(scratch, expected.jobs, self._next_stage)
 
     def _open(self, scratch: Scratch, expected: TileEstimate) -> int:
         """Make the plan, or take that of an earlier run; how many of its tasks are finished."""
-        source = {
-            "kind": sources.FILE,
-            "path": self.task.input,
-            "format": self.settings.format,
-        }
+        source = self.describe_source(scratch.path)
         identity = tile_scratch.identify(self.task, self.settings, source, expected)
         if tile_scratch.can_go_on(scratch, identity):
             n_finished = stages.count_finished(scratch)
             _log.warning(
-                "%r: going on with the tiles of an earlier run, of which %d tasks are finished",
-                self.task.input,
+                "%s: going on with the tiles of an earlier run, of which %d tasks are finished",
+                self.name,
                 n_finished,
             )
             return n_finished
         tile_scratch.clear(scratch)
+        self.prepare_source(scratch.path)
         open_run(
             self.task,
             self.settings,
             scratch,
             tile_vertices=expected.tile_vertices,
             chunk_vertices=expected.chunk_vertices,
+            source=source,
         )
         scratch.write_json(tile_scratch.IDENTITY, identity)
         return 0
+
+    def describe_source(self, folder: Path) -> dict[str, Any]:
+        """How tasks open the input, see ``TilePlan``; ``folder`` is the scratch folder."""
+        return {"kind": sources.FILE, "path": self.task.input, "format": self.settings.format}
+
+    def prepare_source(self, folder: Path) -> None:
+        """Write into the scratch folder what tasks read beside the input."""
+
+    def describe_tiles(self, scratch: Scratch) -> Tiles:
+        """The tiles that the mesh was cut into, once all are finished."""
+        made, tiles = read_globals(scratch), self.record.tiles
+        assert tiles is not None
+        choice = made["choice"]
+        return replace(
+            tiles,
+            number=len(made["tile_starts"]) - 1,
+            scratch_bytes=tile_scratch.used_bytes(scratch.path),
+            rings=made["rings"],
+            choice_vertices=None if choice["is_whole"] else choice["vertices"],
+        )
 
     def _next_stage(self, scratch: Scratch) -> stages.Stage | None:
         stage = stages.next_stage(scratch)
@@ -132,10 +161,10 @@ class _TileRun:
 
     def _finish(self, scratch: Scratch, expected: TileEstimate) -> MeshRecord:
         task = self.task
-        with self._runner.leading("join"):
-            mesh = sources.open_source({"kind": sources.FILE, **self._source()})
+        with self.leading("join"):
+            mesh = sources.open_source(self.describe_source(scratch.path))
             known = outcome.describe_result(scratch, mesh)
-            scratch_bytes = tile_scratch.used_bytes(scratch.path)
+            tiles = self.describe_tiles(scratch)
             if task.in_place and task.backup:
                 output.keep_backup_of_file(task)
             mode_like = task.input if task.in_place else None
@@ -145,15 +174,12 @@ class _TileRun:
                 from msal_cli.storage import sidecars
 
                 notes = tuple(sidecars.carry(mesh.references, task.input, task.output))
-            made = read_globals(scratch)
         known.warnings += [
             note.removeprefix("warning: ") for note in notes if note.startswith("warning: ")
         ]
-        seconds = self._all_seconds()
-        choice, n = made["choice"], known.fields.get("vertices") or mesh.n_vertices
-        tiles = self._record.tiles
-        assert tiles is not None
-        self._know(
+        seconds = self.all_seconds()
+        n = known.fields.get("vertices") or mesh.n_vertices
+        self.know(
             **known.fields,
             status="written" if finished.is_changed else "unchanged",
             output=task.output,
@@ -164,30 +190,27 @@ class _TileRun:
             warning_codes=tuple(known.warning_codes),
             seconds=seconds,
             vertices_per_second=n / seconds.total if seconds.total else None,
-            peak_memory_bytes=self._peak_bytes(),
-            tiles=replace(
-                tiles,
-                number=len(made["tile_starts"]) - 1,
-                scratch_bytes=scratch_bytes,
-                rings=made["rings"],
-                choice_vertices=None if choice["is_whole"] else choice["vertices"],
-            ),
+            peak_memory_bytes=self.peak_bytes(),
+            tiles=tiles,
         )
         scratch.remove()
-        return self._record
+        return self.record
 
-    def _source(self) -> dict[str, Any]:
-        return {"path": self.task.input, "format": self.settings.format}
+    def leading(self, stage: str) -> AbstractContextManager[None]:
+        """What this process does itself, as a part of a stage."""
+        return self._runner.leading(stage)
 
-    def _all_seconds(self) -> Seconds:
+    def all_seconds(self) -> Seconds:
+        """Seconds of all stages so far."""
         return Seconds(**self._runner.seconds, total=self._runner.total_seconds)
 
-    def _peak_bytes(self) -> int | None:
-        return self._runner.peak_bytes(0 if self._record.tiles is None else self._record.tiles.jobs)
+    def peak_bytes(self) -> int | None:
+        """Memory of this process and of as many workers as work at the same time."""
+        return self._runner.peak_bytes(0 if self.record.tiles is None else self.record.tiles.jobs)
 
 
 @contextmanager
-def _sweeping_after_errors(scratch: Scratch) -> Iterator[None]:
+def sweeping_after_errors(scratch: Scratch) -> Iterator[None]:
     """Remove the scratch folder after an error that would come again; a lack of space, memory or
     time may be mended."""
     try:

@@ -38,6 +38,8 @@ _SECONDS_OF = {
     "weld": "connectivity",
     "choose": "choose",
     "rim": "connectivity",
+    "values": "read",
+    "pins": "connectivity",
     "prepare": "connectivity",
     "wind": "connectivity",
     "turn": "connectivity",
@@ -103,7 +105,7 @@ class StageRunner:
                     self._reduce(scratch, stage.name)
         except (Interrupt, KeyboardInterrupt) as end:
             _log.warning(
-                "%r: finished tasks are kept in %r; the same command goes on from there",
+                "%s: finished tasks are kept in %r; the same command goes on from there",
                 self._name,
                 str(scratch.path),
             )

@@ -78,12 +78,6 @@ _CONFLICTS = (
     ),
     (
         "tile_set",
-        "dask",
-        "--engine dask deals out files, and the files of a tile set are one mesh",
-        "leave --engine dask away",
-    ),
-    (
-        "tile_set",
         "timeout",
         "--timeout is for one file, and the files of a tile set are one mesh",
         "leave --timeout away",

@@ -170,11 +170,18 @@ class ReadingBar:
         self._has_signals = False
         self.at_end = ExitStack()
 
+    def on_folder(self) -> None:
+        """Have a signal end the work by an exception, so that what is kept in files is removed."""
+        from msal_cli.batch import interrupts
+
+        if not self._has_signals:
+            self._has_signals = True
+            self.at_end.enter_context(interrupts.noticed(interrupts.raise_for))
+
     def on_text(self, name: str, done: int, total: int) -> None:
         """Show how much of a text was read, whose numbers are kept in a file first."""
         if self._text != name:
             self._text = name
-            self._clean_up_at_signals()
             self._say(f"{escape_for_display(name)}: larger than memory, so it is read in pieces")
             self._begin(f"{_short(name)}: reading text")
         self.on_progress(done, total)
@@ -188,14 +195,6 @@ class ReadingBar:
                 f"{counts}, {mesh.n_polygons:,} faces, {mesh.size:,} bytes"
             )
         self._begin(_short(names[-1]))
-
-    def _clean_up_at_signals(self) -> None:
-        """Have a signal end the work by an exception, so that what is kept in files is removed."""
-        from msal_cli.batch import interrupts
-
-        if not self._has_signals:
-            self._has_signals = True
-            self.at_end.enter_context(interrupts.noticed(interrupts.raise_for))
 
     def _say(self, text: str) -> None:
         self.close()

@@ -65,7 +65,8 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
         elif record.status == "up-to-date":
             yield Line(f"{_output_name(record)} is up to date")
         else:
-            ending = "" if record.tiles is None else f": {tiles_text(record.tiles)}"
+            tiles = record.tiles if record.tile_set is None else None
+            ending = "" if tiles is None else f": {tiles_text(tiles)}"
             yield Line(f"{file_name(record.input)} -> {_output_name(record)}{ending}")
             if record.tile_set is not None:
                 counts = vertices_text(record.vertices, record.corners)

@@ -77,7 +77,9 @@ def estimate_run(
     jobs = min(jobs, n_tiles)
     position = 3 * mesh.vertex_type().itemsize
     # Numbers, positions before and after; then faces by tile; then the mesh of each tile.
-    scratch = mesh.n_vertices * (12 + position + 24 * (1 + mesh.has_normals))
+    scratch = mesh.n_vertices * (12 + position + 24 * (1 + 2 * mesh.has_normals))
+    n_properties = len(settings.lock) + (settings.weights is not None)
+    scratch += mesh.n_vertices * (8 * n_properties + _PIN_BYTES * (n_properties > 0))
     scratch += int(16 * mesh.n_polygons * local / max(own, 1))
     scratch += n_tiles * local * _TILE_BYTES
     return TileEstimate(
@@ -90,6 +92,9 @@ def estimate_run(
         seconds=SECONDS_PER_MILLION * n * local / max(own, 1) / 1e6 / jobs,
     )
 
+
+_PIN_BYTES = 9
+"""Whether a vertex is pinned, and how much it is trusted."""
 
 _TILE_BYTES = 160
 """Of the files of a tile, for each vertex of it and of its halo: positions, faces, numbers, rings,
