@@ -86,6 +86,11 @@ class _SetRun(TileRun):
 
     source: SetSource
 
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"the tile set of {len(self.source.files)} files"
+
     def describe_source(self, folder: Path) -> dict[str, Any]:
         """How tasks open the files."""
         return self.source.describe(folder)

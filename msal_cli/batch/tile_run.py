@@ -92,6 +92,11 @@ class TileRun:
         self._peaks: dict[int, int] = {}
         self._seconds: dict[str, float] = {}
 
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return repr(self.task.input)
+
     def run(self) -> MeshRecord:
         """The record of a file that was written."""
         task = self.task
@@ -159,8 +164,8 @@ class TileRun:
             engine.close()
             if is_interrupted:
                 _log.warning(
-                    "%r: finished tasks are kept in %r; the same command goes on from there",
-                    self.task.input,
+                    "%s: finished tasks are kept in %r; the same command goes on from there",
+                    self.name,
                     str(scratch.path),
                 )
 
@@ -171,8 +176,8 @@ class TileRun:
         if tile_scratch.can_go_on(scratch, identity):
             n_finished = stages.count_finished(scratch)
             _log.warning(
-                "%r: going on with the tiles of an earlier run, of which %d tasks are finished",
-                self.task.input,
+                "%s: going on with the tiles of an earlier run, of which %d tasks are finished",
+                self.name,
                 n_finished,
             )
             return n_finished
